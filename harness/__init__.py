@@ -1,0 +1,1 @@
+"""Rigs, virtual time, recorder, command line: the only package that sees the other three."""

@@ -1,0 +1,1 @@
+"""The motor interface: what an application programs against."""

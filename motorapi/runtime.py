@@ -1,0 +1,54 @@
+"""Where an application waits: the only place of this package that time and threads come from."""
+
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Protocol
+
+if TYPE_CHECKING:
+    import can
+
+FrameListener = Callable[[bytes, int, bool], None]
+"""(frame, time_ns, transmitted): a Linux can_frame of 16 bytes, when it was complete on the bus, and
+whether it is a frame this bus object sent itself, now on the wire."""
+
+
+class Registration(Protocol):
+    """Something that goes on until it is cancelled."""
+
+    def cancel(self) -> None:
+        """It has ended; cancelling again does nothing."""
+
+
+class Party(Protocol):
+    """A further line of execution of the application."""
+
+    name: str
+    error: BaseException | None
+
+    def join(self, timeout_s: float | None = None) -> bool:
+        """Whether it has ended within `timeout_s` [s] (None: as long as it takes)."""
+
+
+class Runtime(Protocol):
+    """Time, waiting and the wire, for ordinary blocking code. Times are int ns, timeouts seconds."""
+
+    def now_ns(self) -> int:
+        """The time [ns]."""
+
+    def wait_until(self, done: Callable[[], bool], timeout_s: float | None = None) -> bool:
+        """Whether `done()` became true within `timeout_s` [s]; waiting is what lets time pass.
+
+        Raises:
+            UsageError: called from inside a callback, or in a thread the runtime does not know.
+        """
+
+    def every(self, period_s: float, action: Callable[[], None]) -> Registration:
+        """`action` runs every `period_s` [s], first one period from now; it must not wait."""
+
+    def spawn(self, name: str, function: Callable[[], None]) -> Party:
+        """`function` runs as a further party of the application, and may wait."""
+
+    def listen(self, bus: "can.BusABC", on_frame: FrameListener) -> Registration:
+        """`on_frame` is told every frame on `bus`, own ones when they were transmitted."""
+
+    def send(self, bus: "can.BusABC", frame: bytes) -> None:
+        """A can_frame is queued on `bus`; `listen` tells when it was transmitted."""

@@ -1,0 +1,1 @@
+"""The recordings of motorhil: one MCAP file a run."""
