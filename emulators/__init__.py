@@ -1,1 +1,1 @@
-"""Virtual motor controllers: the other side of the wire, sans-I/O, told frames and told the time."""
+"""Virtual motor controllers: the other side of the wire, sans-I/O, told frames and the time."""

@@ -1,7 +1,7 @@
 """What every emulated controller (drive, I/O node) is to the world around it.
 
 A controller is told frames and told the time; it never asks for either. Between two calls nothing
-happens in it that anybody could see: it says by `next_deadline_ns` when it wants to be called again.
+happens in it that anybody could see: `next_deadline_ns` says when it wants to be called again.
 Times are int nanoseconds on one timeline that starts at 0.
 """
 
@@ -39,7 +39,7 @@ class Controller(Protocol):
         """(level, text) of what happened since last asked; level: "info", "warning" or "error"."""
 
     def stimulate(self, name: str, value: float, now_ns: int) -> None:
-        """A physical input (load, switch, supply) has this value; ValueError names the known ones."""
+        """A physical input (load, switch) has this value; ValueError names the known ones."""
 
     def snapshot(self, now_ns: int) -> Mapping[str, float]:
         """The truth inside at `now_ns`, units in the keys. Looking changes nothing."""

@@ -61,7 +61,7 @@ class Alarm:
 class EventQueue:
     """A heap of alarms keyed (time_ns, order of asking). Costs O(log n) per event, n = alarms set.
 
-    `heap` and `asked` belong to this module; `now_ns` is for all to read and for the queue to write.
+    `heap` and `asked` belong to this module; `now_ns` is for all to read, the queue writes it.
     """
 
     def __init__(self) -> None:

@@ -7,8 +7,8 @@ if TYPE_CHECKING:
     import can
 
 FrameListener = Callable[[bytes, int, bool], None]
-"""(frame, time_ns, transmitted): a Linux can_frame of 16 bytes, when it was complete on the bus, and
-whether it is a frame this bus object sent itself, now on the wire."""
+"""(frame, time_ns, transmitted): a Linux can_frame of 16 bytes, when it was complete on the bus,
+and whether this bus object sent it itself, so that it is now known to have been on the wire."""
 
 
 class Registration(Protocol):
@@ -29,7 +29,7 @@ class Party(Protocol):
 
 
 class Runtime(Protocol):
-    """Time, waiting and the wire, for ordinary blocking code. Times are int ns, timeouts seconds."""
+    """Time, waiting and the wire, for ordinary blocking code. Times are int ns, timeouts s."""
 
     def now_ns(self) -> int:
         """The time [ns]."""
