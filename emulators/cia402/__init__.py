@@ -1,0 +1,1 @@
+"""A CiA 402 drive: power state machine, modes and object dictionary over a node and an axis."""

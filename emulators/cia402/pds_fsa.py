@@ -1,0 +1,176 @@
+"""The power drive system's state machine (PDS FSA) of CiA 402-2, as one table.
+
+Theory of operation
+-------------------
+Rule 1: everything that changes the state is in this file, and `PdsFsa.take` alone writes it.
+Rule 2: the file knows nothing of time, motion or option codes. It says which transition a
+controlword asks for; when that transition has been earned (the power stage is up, the motor has
+come to rest) is the drive's business, which then calls `take`.
+
+Transitions carry the standard's numbers. 2 to 12, 15 and 16 are asked for by a controlword; 0, 1,
+13 and 14 happen by themselves (power on, initialised, fault, fault reaction done).
+
+::
+
+    power on -0-> NOT READY TO SWITCH ON -1-> SWITCH ON DISABLED <--15-- FAULT <-14- FAULT REACTION
+                                                  | 2    ^ 7                          ACTIVE
+                                                  v      |                              ^ 13
+                                           READY TO SWITCH ON                     (any other state)
+                                                  | 3    ^ 6   10 from SWITCHED ON,
+                                                  v      |     9 from OPERATION ENABLED,
+                                              SWITCHED ON      12 from QUICK STOP ACTIVE
+                                                  | 4    ^ 5        to SWITCH ON DISABLED
+                                                  v      |
+                                          OPERATION ENABLED --11--> QUICK STOP ACTIVE
+                                                  |8                       |
+                                                  v to READY ...           +--16--> OPERATION
+                                                                                    ENABLED
+"""
+
+from enum import IntEnum
+from typing import Final, final
+
+
+@final
+class PdsState(IntEnum):
+    """The eight states; the numbers are ours (they appear in records)."""
+
+    NOT_READY_TO_SWITCH_ON = 0
+    SWITCH_ON_DISABLED = 1
+    READY_TO_SWITCH_ON = 2
+    SWITCHED_ON = 3
+    OPERATION_ENABLED = 4
+    QUICK_STOP_ACTIVE = 5
+    FAULT_REACTION_ACTIVE = 6
+    FAULT = 7
+
+
+@final
+class Command(IntEnum):
+    """What a controlword asks for. "Switch on" and "disable operation" are one bit pattern."""
+
+    DISABLE_VOLTAGE = 0
+    QUICK_STOP = 1
+    SHUTDOWN = 2
+    SWITCH_ON = 3
+    ENABLE_OPERATION = 4
+    FAULT_RESET = 5
+
+
+_S = PdsState
+_C = Command
+
+# CiA 402-2, PDS FSA: what a controlword can cause, in which state, and the number it goes by.
+# 16 is further bound to quick stop option codes 5 to 8: the drive sees to that.
+TRANSITIONS: Final[dict[tuple[PdsState, Command], int]] = {
+    (_S.SWITCH_ON_DISABLED, _C.SHUTDOWN): 2,
+    (_S.READY_TO_SWITCH_ON, _C.SWITCH_ON): 3,
+    (_S.READY_TO_SWITCH_ON, _C.ENABLE_OPERATION): 3,  # and then 4 by itself
+    (_S.SWITCHED_ON, _C.ENABLE_OPERATION): 4,
+    (_S.OPERATION_ENABLED, _C.SWITCH_ON): 5,  # "disable operation"
+    (_S.SWITCHED_ON, _C.SHUTDOWN): 6,
+    (_S.READY_TO_SWITCH_ON, _C.QUICK_STOP): 7,
+    (_S.READY_TO_SWITCH_ON, _C.DISABLE_VOLTAGE): 7,
+    (_S.OPERATION_ENABLED, _C.SHUTDOWN): 8,
+    (_S.OPERATION_ENABLED, _C.DISABLE_VOLTAGE): 9,
+    (_S.SWITCHED_ON, _C.DISABLE_VOLTAGE): 10,
+    (_S.SWITCHED_ON, _C.QUICK_STOP): 10,
+    (_S.OPERATION_ENABLED, _C.QUICK_STOP): 11,
+    (_S.QUICK_STOP_ACTIVE, _C.DISABLE_VOLTAGE): 12,
+    (_S.FAULT, _C.FAULT_RESET): 15,
+    (_S.QUICK_STOP_ACTIVE, _C.ENABLE_OPERATION): 16,
+}
+
+# Transition number -> (from, to); 13 may start anywhere but in the two fault states.
+ENDS: Final[dict[int, tuple[PdsState | None, PdsState]]] = {
+    0: (None, _S.NOT_READY_TO_SWITCH_ON),
+    1: (_S.NOT_READY_TO_SWITCH_ON, _S.SWITCH_ON_DISABLED),
+    2: (_S.SWITCH_ON_DISABLED, _S.READY_TO_SWITCH_ON),
+    3: (_S.READY_TO_SWITCH_ON, _S.SWITCHED_ON),
+    4: (_S.SWITCHED_ON, _S.OPERATION_ENABLED),
+    5: (_S.OPERATION_ENABLED, _S.SWITCHED_ON),
+    6: (_S.SWITCHED_ON, _S.READY_TO_SWITCH_ON),
+    7: (_S.READY_TO_SWITCH_ON, _S.SWITCH_ON_DISABLED),
+    8: (_S.OPERATION_ENABLED, _S.READY_TO_SWITCH_ON),
+    9: (_S.OPERATION_ENABLED, _S.SWITCH_ON_DISABLED),
+    10: (_S.SWITCHED_ON, _S.SWITCH_ON_DISABLED),
+    11: (_S.OPERATION_ENABLED, _S.QUICK_STOP_ACTIVE),
+    12: (_S.QUICK_STOP_ACTIVE, _S.SWITCH_ON_DISABLED),
+    13: (None, _S.FAULT_REACTION_ACTIVE),
+    14: (_S.FAULT_REACTION_ACTIVE, _S.FAULT),
+    15: (_S.FAULT, _S.SWITCH_ON_DISABLED),
+    16: (_S.QUICK_STOP_ACTIVE, _S.OPERATION_ENABLED),
+}
+
+NO_TRANSITION: Final = -1
+
+# Controlword bits (CiA 402-2, object 6040h); 4 to 6 and 9 mean something else in each mode.
+CW_SWITCH_ON: Final = 0x0001
+CW_ENABLE_VOLTAGE: Final = 0x0002
+CW_QUICK_STOP: Final = 0x0004  # 0 asks for a quick stop
+CW_ENABLE_OPERATION: Final = 0x0008
+CW_FAULT_RESET: Final = 0x0080
+CW_HALT: Final = 0x0100
+
+
+def decode_controlword(word: int, previous: int) -> Command | None:
+    """The command in a controlword (6040h), given the one before it; None if it holds none."""
+    if word & CW_FAULT_RESET:
+        # An edge, not a level: while the bit stays set, the word commands nothing.
+        return None if previous & CW_FAULT_RESET else Command.FAULT_RESET
+    if not word & CW_ENABLE_VOLTAGE:
+        return Command.DISABLE_VOLTAGE
+    if not word & CW_QUICK_STOP:
+        return Command.QUICK_STOP
+    if not word & CW_SWITCH_ON:
+        return Command.SHUTDOWN
+    return Command.ENABLE_OPERATION if word & CW_ENABLE_OPERATION else Command.SWITCH_ON
+
+
+@final
+class PdsFsa:
+    """The state of one power drive system, and how often each transition was taken."""
+
+    def __init__(self, state: PdsState = PdsState.SWITCH_ON_DISABLED) -> None:
+        self.state: PdsState = state
+        self.controlword: int = 0
+        self.taken: list[int] = [0] * len(ENDS)
+
+    def command(self, word: int) -> Command | None:
+        """The command this controlword gives after the one before; the word is remembered."""
+        command = decode_controlword(word, self.controlword)
+        self.controlword = word
+        return command
+
+    def asked(self, command: Command | None) -> int:
+        """The transition `command` asks for in this state, or NO_TRANSITION."""
+        if command is None:
+            return NO_TRANSITION
+        return TRANSITIONS.get((self.state, command), NO_TRANSITION)
+
+    def take(self, transition: int) -> None:
+        """The state is where `transition` leads. Nothing else writes it.
+
+        Raises:
+            ValueError: the transition does not start in this state.
+        """
+        start, end = ENDS[transition]
+        if start is None:
+            allowed = transition == 0 or self.state < PdsState.FAULT_REACTION_ACTIVE
+        else:
+            allowed = self.state is start
+        if not allowed:
+            raise ValueError(f"transition {transition} does not start in {self.state.name}")
+        self.state = end
+        self.taken[transition] += 1
+
+    def write_controlword(self, word: int) -> list[int]:
+        """The numbers of the transitions taken, as by a drive that needs no time for any."""
+        command = self.command(word)
+        taken: list[int] = []
+        transition = self.asked(command)
+        while transition != NO_TRANSITION:
+            self.take(transition)
+            taken.append(transition)
+            transition = self.asked(command)
+        return taken
