@@ -1,0 +1,291 @@
+"""Reading a TOML file that a person wrote: every mistake is told with file, line, key and remedy.
+
+A `Source` is the file: its values, and the line of each. A `Table` is one table of it, asked key
+by key; it refuses keys nobody knows, before anything else, because a misspelt key explains a
+missing one. The first mistake ends the reading: RigError is one line, whatever the file holds.
+"""
+
+import math
+import tomllib
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Final, final
+
+from harness.toml_lines import KeyPath, key_lines
+from harness.wording import dotted, kind_of, listed, nearest, one_line, shown
+
+_REQUIRED: Final = object()
+_INTEGER_MAX: Final = 2**63 - 1  # TOML 1.0, "Integer": 64-bit signed is what all must take
+
+
+@final
+class RigError(Exception):
+    """A rig cannot be used as it is written; nothing was started.
+
+    Attributes:
+        file: the file at fault.
+        line: counted from 1; None when it is not about a line (the file is missing).
+        key: keys down to the value, joined by dots; empty when it is not about one.
+        message: what is wrong, with value, limit and unit.
+        remedy: what to write or do instead.
+    """
+
+    def __init__(
+        self,
+        file: Path | str,
+        message: str,
+        remedy: str = "",
+        *,
+        line: int | None = None,
+        key: str = "",
+    ) -> None:
+        self.file = file
+        self.line = line
+        self.key = key
+        self.message = message
+        self.remedy = remedy
+        place = f"{file}:{line}" if line is not None else str(file)
+        text = ": ".join(part for part in (place, key, message) if part)
+        super().__init__(one_line(f"{text}; {remedy}" if remedy else text))
+
+
+@final
+class Source:
+    """A TOML file: where its values came from.
+
+    Attributes:
+        path: the file; relative paths inside it start at its folder.
+        text: what it says.
+    """
+
+    def __init__(self, path: Path, text: str) -> None:
+        self.path = path
+        self.text = text
+        self._lines: Mapping[KeyPath, int] | None = None
+
+    def root(self) -> "Table":
+        """The whole file as a table.
+
+        Raises:
+            RigError: the text is not TOML.
+        """
+        try:
+            values = tomllib.loads(self.text)
+            self._lines = key_lines(self.text)
+            self._refuse_long_integers((), values)
+        except tomllib.TOMLDecodeError as error:
+            message, line = _syntax_error(str(error), self.text)
+            raise RigError(
+                self.path, f"not TOML: {message}", "see https://toml.io", line=line
+            ) from None
+        except RecursionError:
+            raise RigError(self.path, "not readable: nested too deeply", "flatten it") from None
+        except ValueError as error:  # tomllib lets int() speak: more than 4300 digits
+            raise RigError(self.path, f"not readable: {error}", "shorten the number") from None
+        return Table(self, (), values)
+
+    def _refuse_long_integers(self, path: KeyPath, value: object) -> None:
+        if isinstance(value, dict):
+            for key, item in value.items():
+                self._refuse_long_integers((*path, key), item)
+        elif isinstance(value, list):
+            for index, item in enumerate(value):
+                self._refuse_long_integers((*path, index), item)
+        elif isinstance(value, int) and abs(value) > _INTEGER_MAX:
+            raise self.error(path, "is an integer of more than 64 bits", "write a smaller one")
+
+    def line(self, path: KeyPath) -> int:
+        """The line of the value, or of the innermost table around it that the file has."""
+        lines = self._lines or {}
+        while path and path not in lines:
+            path = path[:-1]
+        return lines.get(path, 1)
+
+    def error(self, path: KeyPath, message: str, remedy: str = "") -> RigError:
+        """The RigError for the value at `path`; to be raised."""
+        return RigError(self.path, message, remedy, line=self.line(path), key=dotted(path))
+
+
+def read_source(path: Path, remedy: str) -> Source:
+    """The file's text.
+
+    Raises:
+        RigError: it is not there (`remedy` says what to do), not readable, or not UTF-8.
+    """
+    try:
+        return Source(path, path.read_bytes().decode("utf-8-sig"))
+    except FileNotFoundError:
+        raise RigError(path, "no such file", remedy) from None
+    except IsADirectoryError:
+        raise RigError(path, "is a folder, not a file", "name the TOML file in it") from None
+    except OSError as error:
+        raise RigError(path, f"cannot be read: {error.strerror or error}", remedy) from None
+    except UnicodeDecodeError as error:
+        line = error.object.count(b"\n", 0, error.start) + 1
+        value = error.object[error.start]
+        raise RigError(
+            path, f"not UTF-8 (byte {value:02X}h)", "save it as UTF-8", line=line
+        ) from None
+    except ValueError as error:  # a path that no file can have
+        raise RigError(path, f"cannot be read: {error}", remedy) from None
+
+
+@final
+class Table:
+    """One table of a source, asked key by key."""
+
+    def __init__(self, source: Source, path: KeyPath, values: Mapping[str, object]) -> None:
+        self.source = source
+        self.path = path
+        self.values = values
+
+    def refuse_unknown(self, known: Sequence[str], what: str = "key") -> None:
+        """Raises RigError at the first key that is not `known`, suggesting the nearest."""
+        for key in self.values:
+            if key not in known:
+                raise self.error(
+                    key, f"unknown {what} (known: {listed(known)})", nearest(key, known)
+                )
+
+    def error(self, key: str, message: str, remedy: str = "") -> RigError:
+        """The RigError for one of the table's keys; to be raised."""
+        return self.source.error((*self.path, key), message, remedy)
+
+    def missing(self, key: str, remedy: str) -> RigError:
+        """The RigError for a key that should be there: at the table's line."""
+        where = self.source.line(self.path)
+        return RigError(
+            self.source.path, "is missing", remedy, line=where, key=dotted((*self.path, key))
+        )
+
+    def has(self, key: str) -> bool:
+        """Whether the key is there."""
+        return key in self.values
+
+    def text(self, key: str, default: object = _REQUIRED, example: str = "") -> str:
+        """A string that is not empty."""
+        value = self._get(key, default, example)
+        if not isinstance(value, str):
+            raise self._wrong_type(key, "a string", value, example)
+        if not value:
+            raise self.error(key, "is empty", _write(key, example))
+        return value
+
+    def flag(self, key: str, default: object = _REQUIRED) -> bool:
+        """True or false."""
+        value = self._get(key, default, "true")
+        if not isinstance(value, bool):
+            raise self._wrong_type(key, "true or false", value, "")
+        return value
+
+    def integer(
+        self,
+        key: str,
+        default: object = _REQUIRED,
+        *,
+        low: int,
+        high: int,
+        unit: str = "",
+        example: str = "",
+    ) -> int:
+        """An integer from `low` to `high`, both included."""
+        value = self._get(key, default, example)
+        if not isinstance(value, int) or isinstance(value, bool):
+            raise self._wrong_type(key, "an integer" + _bracketed(unit), value, example)
+        self._check_range(key, value, low, high, unit)
+        return value
+
+    def number(
+        self,
+        key: str,
+        default: object = _REQUIRED,
+        *,
+        low: float,
+        high: float,
+        unit: str = "",
+        example: str = "",
+    ) -> float:
+        """A finite number from `low` to `high`, both included."""
+        value = self._get(key, default, example)
+        if not isinstance(value, int | float) or isinstance(value, bool):
+            raise self._wrong_type(key, "a number" + _bracketed(unit), value, example)
+        self._check_range(key, value, low, high, unit)
+        return float(value)
+
+    def texts(self, key: str, default: object = _REQUIRED, example: str = "") -> tuple[str, ...]:
+        """Strings, in order."""
+        value = self._get(key, default, example)
+        if not isinstance(value, list | tuple):
+            raise self._wrong_type(key, "a list of strings", value, example)
+        for index, item in enumerate(value):
+            if not isinstance(item, str):
+                path = (*self.path, key, index)
+                raise self.source.error(path, f"must be a string ({shown(item)})", example)
+        return tuple(value)
+
+    def table(self, key: str) -> "Table":
+        """A table; an empty one if the key is not there."""
+        value = self.values.get(key, {})
+        if not isinstance(value, dict):
+            raise self._wrong_type(
+                key, "a table", value, "", f"write [{dotted((*self.path, key))}]"
+            )
+        return Table(self.source, (*self.path, key), value)
+
+    def named_tables(self, key: str) -> "Sequence[tuple[str, Table]]":
+        """The tables inside a table, with their names, in the order of the file."""
+        outer = self.table(key)
+        return [(name, outer.table(name)) for name in outer.values]
+
+    def listed_tables(self, key: str) -> "list[Table]":
+        """The tables of an array of tables; none if the key is not there."""
+        value = self.values.get(key, [])
+        remedy = f"write [[{dotted((*self.path, key))}]]"
+        if not isinstance(value, list):
+            raise self._wrong_type(key, "an array of tables", value, "", remedy)
+        for index, item in enumerate(value):
+            if not isinstance(item, dict):
+                path = (*self.path, key, index)
+                raise self.source.error(path, f"must be a table ({shown(item)})", remedy)
+        return [Table(self.source, (*self.path, key, n), item) for n, item in enumerate(value)]
+
+    def _get(self, key: str, default: object, example: str) -> object:
+        value = self.values.get(key, default)
+        if value is _REQUIRED:
+            raise self.missing(key, _write(key, example))
+        return value
+
+    def _check_range(self, key: str, value: float, low: float, high: float, unit: str) -> None:
+        if isinstance(value, float) and not math.isfinite(value):
+            raise self.error(key, f"must be finite ({value})", f"write {low} to {high}")
+        if not low <= value <= high:
+            unit = f" {unit}" if unit else ""
+            limit = f"{shown(low)} to {shown(high)}{unit}"
+            if math.isinf(high):
+                limit = f"{shown(low)}{unit} or more"
+            raise self.error(key, f"{shown(value)}{unit} is out of range", f"allowed: {limit}")
+
+    def _wrong_type(
+        self, key: str, wanted: str, value: object, example: str, remedy: str = ""
+    ) -> RigError:
+        message = f"must be {wanted}, but is {kind_of(value)} ({shown(value)})"
+        return self.error(key, message, remedy or _write(key, example))
+
+
+def _write(key: str, example: str) -> str:
+    return f"write {key} = {example}" if example else ""
+
+
+def _bracketed(unit: str) -> str:
+    return f" [{unit}]" if unit else ""
+
+
+def _syntax_error(text: str, source: str) -> tuple[str, int]:
+    """The message of tomllib without its place, and the line it names."""
+    message, found, place = text.rpartition(" (at ")
+    if not found:
+        return text, 1
+    words = place.rstrip(")").replace(",", "").split()
+    if len(words) >= 2 and words[0] == "line" and words[1].isdigit():
+        return message, int(words[1])
+    return message, source.count("\n") + 1  # "at end of document"
