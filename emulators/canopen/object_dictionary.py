@@ -1,0 +1,360 @@
+"""The object dictionary (CiA 301, 7.4): every value a CANopen device shows, by index and sub-index.
+
+A `Variable` is one sub-index. Values are Python ints (BOOLEAN, INTEGERn, UNSIGNEDn, times), floats
+(REAL32, REAL64) or bytes (strings, DOMAIN). On the wire all numbers are little-endian and signed
+ones are two's complement. The device behind the dictionary attaches itself by two callbacks: a
+`reader` answers with a fresh value, a `writer` is asked before a new value is taken.
+"""
+
+import struct
+from collections.abc import Callable, Iterator
+from enum import IntEnum, unique
+from typing import Final, final
+
+from emulators.canopen.abort_code import AbortCode
+
+Value = int | float | bytes
+Reader = Callable[[], int]
+Writer = Callable[[int], int]
+
+
+@final
+@unique
+class DataType(IntEnum):
+    """The basic data types and their index in the dictionary (CiA 301, table 44)."""
+
+    BOOLEAN = 0x01
+    INTEGER8 = 0x02
+    INTEGER16 = 0x03
+    INTEGER32 = 0x04
+    UNSIGNED8 = 0x05
+    UNSIGNED16 = 0x06
+    UNSIGNED32 = 0x07
+    REAL32 = 0x08
+    VISIBLE_STRING = 0x09
+    OCTET_STRING = 0x0A
+    UNICODE_STRING = 0x0B
+    TIME_OF_DAY = 0x0C
+    TIME_DIFFERENCE = 0x0D
+    DOMAIN = 0x0F
+    INTEGER24 = 0x10
+    REAL64 = 0x11
+    INTEGER40 = 0x12
+    INTEGER48 = 0x13
+    INTEGER56 = 0x14
+    INTEGER64 = 0x15
+    UNSIGNED24 = 0x16
+    UNSIGNED40 = 0x18
+    UNSIGNED48 = 0x19
+    UNSIGNED56 = 0x1A
+    UNSIGNED64 = 0x1B
+
+
+_D = DataType
+
+# Whole numbers: data type -> (length in bits, signed).
+_INTEGERS: Final[dict[int, tuple[int, bool]]] = {
+    _D.BOOLEAN: (1, False),
+    _D.INTEGER8: (8, True),
+    _D.INTEGER16: (16, True),
+    _D.INTEGER24: (24, True),
+    _D.INTEGER32: (32, True),
+    _D.INTEGER40: (40, True),
+    _D.INTEGER48: (48, True),
+    _D.INTEGER56: (56, True),
+    _D.INTEGER64: (64, True),
+    _D.UNSIGNED8: (8, False),
+    _D.UNSIGNED16: (16, False),
+    _D.UNSIGNED24: (24, False),
+    _D.UNSIGNED32: (32, False),
+    _D.UNSIGNED40: (40, False),
+    _D.UNSIGNED48: (48, False),
+    _D.UNSIGNED56: (56, False),
+    _D.UNSIGNED64: (64, False),
+    _D.TIME_OF_DAY: (48, False),
+    _D.TIME_DIFFERENCE: (48, False),
+}
+_REALS: Final[dict[int, tuple[int, struct.Struct]]] = {
+    _D.REAL32: (32, struct.Struct("<f")),
+    _D.REAL64: (64, struct.Struct("<d")),
+}
+# The format characters `struct` has for data types that fill whole, power-of-two bytes.
+STRUCT_FORMAT: Final[dict[int, str]] = {
+    _D.INTEGER8: "b",
+    _D.INTEGER16: "h",
+    _D.INTEGER32: "i",
+    _D.INTEGER64: "q",
+    _D.UNSIGNED8: "B",
+    _D.UNSIGNED16: "H",
+    _D.UNSIGNED32: "I",
+    _D.UNSIGNED64: "Q",
+    _D.REAL32: "f",
+    _D.REAL64: "d",
+}
+_ACCESS: Final = ("ro", "wo", "rw", "rwr", "rww", "const")
+
+
+def length_bits(data_type: int) -> int:
+    """Length of a data type [bit]; 0 if it varies (strings, DOMAIN)."""
+    if data_type in _INTEGERS:
+        return _INTEGERS[data_type][0]
+    return _REALS[data_type][0] if data_type in _REALS else 0
+
+
+def is_integer(data_type: int) -> bool:
+    """Whether values of this data type are ints here."""
+    return data_type in _INTEGERS
+
+
+def is_signed(data_type: int) -> bool:
+    """Whether the data type is a two's complement INTEGERn."""
+    return data_type in _INTEGERS and _INTEGERS[data_type][1]
+
+
+def integer_range(data_type: int) -> tuple[int, int]:
+    """The smallest and the largest value of a whole-number data type."""
+    bits, signed = _INTEGERS[data_type]
+    return (-(1 << (bits - 1)), (1 << (bits - 1)) - 1) if signed else (0, (1 << bits) - 1)
+
+
+def zero(data_type: int) -> Value:
+    """The value of this data type that says least: 0, 0.0 or no bytes."""
+    if data_type in _INTEGERS:
+        return 0
+    return 0.0 if data_type in _REALS else b""
+
+
+def encode(data_type: int, value: Value) -> bytes:
+    """The value as it goes over the wire.
+
+    Raises:
+        TypeError: the value is not of the Python type of `data_type`.
+        ValueError: the value does not fit.
+    """
+    if isinstance(value, bytes):
+        if length_bits(data_type) != 0:
+            raise TypeError(f"data type {data_type:02X}h holds a number, not {value!r}")
+        return value
+    if data_type in _INTEGERS:
+        if not isinstance(value, int):
+            raise TypeError(f"data type {data_type:02X}h holds whole numbers, not {value!r}")
+        low, high = integer_range(data_type)
+        if not low <= value <= high:
+            raise ValueError(f"{value} does not fit data type {data_type:02X}h ({low}..{high})")
+        bits, signed = _INTEGERS[data_type]
+        return value.to_bytes((bits + 7) // 8, "little", signed=signed)
+    if data_type not in _REALS:
+        raise TypeError(f"data type {data_type:02X}h holds bytes, not {value!r}")
+    try:
+        return _REALS[data_type][1].pack(value)
+    except OverflowError as error:
+        raise ValueError(f"{value} does not fit data type {data_type:02X}h") from error
+
+
+def decode(data_type: int, data: bytes) -> Value:
+    """The value the bytes stand for.
+
+    Raises:
+        ValueError: the number of bytes is not the data type's.
+    """
+    bits = length_bits(data_type)
+    if bits == 0:
+        return data
+    if len(data) != (bits + 7) // 8:
+        raise ValueError(f"data type {data_type:02X}h takes {(bits + 7) // 8} bytes, not {data!r}")
+    if data_type in _REALS:
+        number: float = _REALS[data_type][1].unpack(data)[0]
+        return number
+    value = int.from_bytes(data, "little", signed=_INTEGERS[data_type][1])
+    return value if bits > 1 else value & 1
+
+
+@final
+class Variable:
+    """One sub-index: a value, what may be done to it, and who is asked.
+
+    Attributes:
+        index, subindex, name, data_type, access: as an EDS has them (access in lower case).
+        pdo_mappable: may be mapped into PDOs; RPDOs take writable, TPDOs readable variables.
+        low, high: limits of a whole number, both inclusive; None: only the data type limits.
+        default: the power-on value. `has_default`: it was stated, not made up here.
+        value: the present value; of a variable with a `reader` only what was written last.
+        reader: answers with the value of a whole number as it is now.
+        writer: told every new value of a whole number that passed the range checks, by SDO and by
+            PDO alike; answers 0, and the value is stored, or an abort code, and nothing changes.
+            It may use `value`, which still is the old one.
+    """
+
+    def __init__(
+        self,
+        index: int,
+        subindex: int,
+        data_type: int,
+        name: str = "",
+        access: str = "rw",
+        pdo_mappable: bool = False,
+        low: int | None = None,
+        high: int | None = None,
+        default: Value | None = None,
+    ) -> None:
+        if access not in _ACCESS:
+            raise ValueError(f"access {access!r} is none of {', '.join(_ACCESS)}")
+        self.index = index
+        self.subindex = subindex
+        self.name = name
+        self.data_type = data_type
+        self.access = access
+        self.pdo_mappable = pdo_mappable
+        self.bits = length_bits(data_type)
+        self.low: int | None = low
+        self.high: int | None = high
+        self.has_default = default is not None
+        self.default: Value = zero(data_type) if default is None else default
+        encode(data_type, self.default)
+        self.value: Value = self.default
+        self.reader: Reader | None = None
+        self.writer: Writer | None = None
+
+    def is_readable(self) -> bool:
+        """Whether SDO upload and TPDOs may have it."""
+        return self.access != "wo"
+
+    def is_writable(self) -> bool:
+        """Whether SDO download may change it."""
+        return self.access not in ("ro", "const")
+
+    def read(self) -> Value:
+        """The value as it is now."""
+        reader = self.reader
+        return self.value if reader is None else reader()
+
+    def write_integer(self, value: int) -> int:
+        """A new whole number is checked, announced and stored: 0, or the abort code."""
+        high = self.high
+        if high is not None and value > high:
+            return AbortCode.VALUE_TOO_HIGH
+        low = self.low
+        if low is not None and value < low:
+            return AbortCode.VALUE_TOO_LOW
+        writer = self.writer
+        if writer is not None:
+            code = writer(value)
+            if code != 0:
+                return code
+        self.value = value
+        return 0
+
+    def write(self, value: Value) -> int:
+        """A new value of the right Python type is checked, announced and stored: 0 or abort."""
+        if isinstance(value, int):
+            return self.write_integer(value)
+        self.value = value
+        return 0
+
+    def upload(self) -> bytes:
+        """The value as it is now, for the wire. A reader's number is cut to the data type."""
+        value = self.read()
+        if isinstance(value, int) and self.data_type in _INTEGERS:
+            bits = self.bits
+            return (value & ((1 << bits) - 1)).to_bytes((bits + 7) // 8, "little")
+        return encode(self.data_type, value)
+
+    def download(self, data: bytes) -> int:
+        """Bytes from the wire are checked, announced and stored: 0, or the abort code."""
+        if self.bits:
+            size = (self.bits + 7) // 8
+            if len(data) > size:
+                return AbortCode.LENGTH_TOO_HIGH
+            if len(data) < size:
+                return AbortCode.LENGTH_TOO_LOW
+        return self.write(decode(self.data_type, data))
+
+    def set_default(self, value: Value) -> None:
+        """The power-on value, and the value, are now this one; no writer is asked.
+
+        Raises:
+            TypeError, ValueError: the value is none of the data type.
+        """
+        encode(self.data_type, value)
+        self.default = value
+        self.value = value
+        self.has_default = True
+
+
+@final
+class ObjectDictionary:
+    """All variables of one node.
+
+    An object that is not there is invisible to SDO and PDO, yet the behaviour behind it keeps the
+    standard's default: `ensure` gives such behaviour a variable to work with all the same.
+    """
+
+    def __init__(self) -> None:
+        self._variables: dict[int, Variable] = {}
+        self._hidden: dict[int, Variable] = {}
+        self._subindices: dict[int, list[int]] = {}
+
+    def add(self, variable: Variable) -> Variable:
+        """The variable is visible from now on; one with the same place is replaced."""
+        index, subindex = variable.index, variable.subindex
+        self._variables[index << 8 | subindex] = variable
+        subindices = self._subindices.setdefault(index, [])
+        if subindex not in subindices:
+            subindices.append(subindex)
+            subindices.sort()
+        return variable
+
+    def get(self, index: int, subindex: int = 0) -> Variable | None:
+        """The visible variable there; None: there is none."""
+        return self._variables.get(index << 8 | subindex)
+
+    def has_index(self, index: int) -> bool:
+        """Whether any sub-index of the object is visible."""
+        return index in self._subindices
+
+    def subindices(self, index: int) -> tuple[int, ...]:
+        """The visible sub-indices of an object, ascending; () if it is not there."""
+        return tuple(self._subindices.get(index, ()))
+
+    def indices(self) -> tuple[int, ...]:
+        """The indices of all visible objects, ascending."""
+        return tuple(sorted(self._subindices))
+
+    def __iter__(self) -> Iterator[Variable]:
+        for key in sorted(self._variables):
+            yield self._variables[key]
+
+    def ensure(self, index: int, subindex: int, data_type: int, default: Value) -> Variable:
+        """The visible variable there, else a hidden one that SDO and PDO do not see.
+
+        A visible one whose default nobody stated takes `default`; the data type of a visible one
+        stays. Asked twice, it answers with the same variable.
+        """
+        key = index << 8 | subindex
+        variable = self._variables.get(key)
+        if variable is not None:
+            if not variable.has_default and type(variable.default) is type(default):
+                variable.set_default(default)
+            return variable
+        hidden = self._hidden.get(key)
+        if hidden is None:
+            hidden = Variable(index, subindex, data_type, default=default)
+            self._hidden[key] = hidden
+        return hidden
+
+    def integer(self, index: int, subindex: int, default: int) -> int:
+        """The whole number stored there; `default` if nothing (or no number) is there."""
+        variable = self._variables.get(index << 8 | subindex)
+        if variable is None:
+            variable = self._hidden.get(index << 8 | subindex)
+        if variable is None:
+            return default
+        value = variable.value
+        return value if isinstance(value, int) else default
+
+    def reset(self, first: int = 0x0000, last: int = 0xFFFF) -> None:
+        """Values of the indices `first`..`last` are their power-on values; no writer is asked."""
+        for variables in (self._variables, self._hidden):
+            for key, variable in variables.items():
+                if first <= key >> 8 <= last:
+                    variable.value = variable.default
