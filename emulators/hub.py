@@ -1,0 +1,192 @@
+"""The hub: a world's buses on a UNIX socket, for other processes of this machine."""
+
+import contextlib
+import errno
+import os
+import socket
+import stat
+from collections import deque
+from pathlib import Path
+from typing import Final, final
+
+from emulators.hub_protocol import (
+    GREETING,
+    HEARD,
+    RECORD_MAX,
+    REFUSED,
+    SENT,
+    SUBMIT,
+    WELCOME,
+    pack_told,
+)
+from emulators.world import HostPort, World
+
+_BACKLOG_MAX: Final = 1_000_000
+
+
+class HubError(Exception):
+    """The hub's socket cannot be had; the message says which, why and what to do."""
+
+
+@final
+class _Client:
+    """One connected process: its port on a bus, and what it has not taken yet."""
+
+    def __init__(self, connection: socket.socket, world: World) -> None:
+        self.connection = connection
+        self.lost = ""  # why it has to go, once it has
+        self._world = world
+        self._port: HostPort | None = None
+        self._waiting: deque[bytes] = deque()
+
+    def readable(self) -> bool:
+        """What it sent is done; False once it has gone."""
+        while True:
+            try:
+                record = self.connection.recv(RECORD_MAX)
+            except BlockingIOError:
+                return True
+            except OSError:
+                return False
+            if not record:
+                return False
+            if self._port is None:
+                if not self._greet(record):
+                    return False
+            elif record[0] == SUBMIT and len(record) == 17:
+                self._port.send(record[1:])
+
+    def _greet(self, record: bytes) -> bool:
+        words = record.decode("utf-8", "replace").split(" ", 3)
+        names = self._world.bus_names()
+        refusal = ""
+        if not record.startswith(GREETING) or len(words) != 4:
+            refusal = "this is motorhil's hub, protocol 1; the client speaks another"
+        elif words[2] and words[2] not in names:
+            refusal = f"no bus {words[2]!r} here; there is {', '.join(names)}"
+        if refusal:
+            self._send(REFUSED + refusal.encode())
+            return False
+        bus = words[2] or names[0]
+        self._send(WELCOME + bus.encode())
+        self._port = self._world.add_host(bus, words[3], self._tell)
+        return True
+
+    def _tell(self, frame: bytes, time_ns: int, transmitted: bool) -> None:
+        self._send(pack_told(SENT if transmitted else HEARD, time_ns, frame))
+
+    def _send(self, record: bytes) -> None:
+        self._waiting.append(record)
+        if len(self._waiting) > _BACKLOG_MAX:
+            self.lost = f"it left {_BACKLOG_MAX} frames unread"
+        self.flush()
+
+    def flush(self) -> None:
+        """As much as the client takes has been handed over."""
+        waiting = self._waiting
+        try:
+            while waiting:
+                self.connection.send(waiting[0])
+                waiting.popleft()
+        except BlockingIOError:
+            pass
+        except OSError as error:
+            self.lost = os.strerror(error.errno or errno.EPIPE)
+
+    def waits(self) -> bool:
+        """Whether it has frames to take."""
+        return bool(self._waiting)
+
+    def close(self) -> None:
+        """Its port has left the bus."""
+        if self._port is not None:
+            self._port.close()
+        self.connection.close()
+
+
+@final
+class HubServer:
+    """A Gateway: processes connect to `path` and are on a bus of the world.
+
+    Nothing is lost: what a client has not read waits for it, up to a million frames; a client that
+    lags further is disconnected, never served with gaps.
+    """
+
+    def __init__(self, path: str | Path, world: World) -> None:
+        """The socket exists, for this user only.
+
+        Raises:
+            HubError: the path is taken by a running hub, is no socket, or cannot be made.
+        """
+        self.path = Path(path)
+        self._world = world
+        self._clients: dict[socket.socket, _Client] = {}
+        self._listener = socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+        try:
+            self._clear_stale()
+            mask = os.umask(0o177)
+            try:
+                self._listener.bind(str(self.path))
+            finally:
+                os.umask(mask)
+            self._listener.listen(64)
+            self._listener.setblocking(False)
+        except OSError as error:
+            self._listener.close()
+            raise HubError(
+                f"{self.path}: the hub's socket cannot be made: {error.strerror or error}; "
+                "choose another path with --socket (at most 107 bytes, in a folder you may write)"
+            ) from None
+        except HubError:
+            self._listener.close()
+            raise
+
+    def _clear_stale(self) -> None:
+        try:
+            mode = self.path.lstat().st_mode
+        except FileNotFoundError:
+            return
+        if not stat.S_ISSOCK(mode):
+            raise HubError(f"{self.path}: exists and is no socket; choose another path")
+        with contextlib.closing(socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET)) as probe:
+            try:
+                probe.connect(str(self.path))
+            except ConnectionRefusedError:
+                self.path.unlink()  # left behind by a hub that was killed
+                return
+        raise HubError(
+            f"{self.path}: in use by a hub that is running; stop that one or choose another path"
+        )
+
+    def sockets(self) -> list[socket.socket]:
+        """The listening one and every client's."""
+        for connection, client in list(self._clients.items()):
+            client.flush()
+            if client.lost:
+                self._drop(connection)
+        return [self._listener, *self._clients]
+
+    def readable(self, source: socket.socket) -> None:
+        """A client has come, spoken or gone."""
+        if source is self._listener:
+            with contextlib.suppress(BlockingIOError):
+                connection, _ = self._listener.accept()
+                connection.setblocking(False)
+                self._clients[connection] = _Client(connection, self._world)
+        elif source in self._clients and not self._clients[source].readable():
+            self._drop(source)
+
+    def backlogged(self) -> bool:
+        """Whether a client has frames to take."""
+        return any(client.waits() for client in self._clients.values())
+
+    def _drop(self, connection: socket.socket) -> None:
+        self._clients.pop(connection).close()
+
+    def close(self) -> None:
+        """Everybody is disconnected and the path is free again."""
+        for connection in list(self._clients):
+            self._drop(connection)
+        self._listener.close()
+        with contextlib.suppress(FileNotFoundError):
+            self.path.unlink()

@@ -1,0 +1,106 @@
+"""Wall time: the same world, its events run when the wall clock says so.
+
+The only place of this package that reads a clock. The loop waits for the next event or for input,
+whichever comes first; what came late is done in the order in which it was due.
+"""
+
+import selectors
+import socket
+import time
+from collections.abc import Callable
+from typing import Protocol, final
+
+from emulators.event_queue import EventQueue
+
+_IDLE_S = 0.5
+_BACKLOGGED_S = 0.002
+
+
+class Gateway(Protocol):
+    """Something outside (a socket) that talks to the world; called by the loop, in its thread."""
+
+    def sockets(self) -> list[socket.socket]:
+        """What to watch for input just now."""
+
+    def readable(self, source: socket.socket) -> None:
+        """There is input on this socket."""
+
+    def backlogged(self) -> bool:
+        """Whether output waits for somebody to take it."""
+
+    def close(self) -> None:
+        """Leave nothing open."""
+
+
+@final
+class WallLoop:
+    """Runs a world's events in wall time and lets gateways talk to it.
+
+    Attributes:
+        late_ns_max: the most an event has been late so far [ns].
+    """
+
+    def __init__(self, queue: EventQueue) -> None:
+        self._queue = queue
+        self._gateways: list[Gateway] = []
+        # select() answers in ~0.1 ms where epoll has millisecond steps.
+        self._selector = selectors.SelectSelector()
+        self._watched: dict[socket.socket, Gateway] = {}
+        self._start_ns = time.monotonic_ns() - queue.now_ns
+        self.late_ns_max = 0
+
+    def add(self, gateway: Gateway) -> None:
+        """The gateway takes part from now on."""
+        self._gateways.append(gateway)
+
+    def wake_on(self, descriptor: int) -> None:
+        """The loop also wakes when this descriptor (a process's pidfd, say) becomes readable."""
+        self._selector.register(descriptor, selectors.EVENT_READ, None)
+
+    def start(self) -> None:
+        """Wall time counts from now."""
+        self._start_ns = time.monotonic_ns() - self._queue.now_ns
+
+    def run(self, done: Callable[[], bool]) -> None:
+        """Serve until `done()`; it is asked at least twice a second."""
+        while not done():
+            self.step(_IDLE_S)
+
+    def step(self, longest_s: float) -> None:
+        """Everything due now has happened, then one wait of at most `longest_s` [s] for more."""
+        queue = self._queue
+        now_ns = time.monotonic_ns() - self._start_ns
+        due_ns = queue.next_time_ns()
+        if due_ns is not None and now_ns - due_ns > self.late_ns_max:
+            self.late_ns_max = now_ns - due_ns
+        queue.run_until(now_ns)
+        due_ns = queue.next_time_ns()
+        wait_s = longest_s
+        if due_ns is not None:
+            elapsed_ns = time.monotonic_ns() - self._start_ns
+            wait_s = min(longest_s, max(0, due_ns - elapsed_ns) / 1e9)
+        self._watch()
+        if any(gateway.backlogged() for gateway in self._gateways):
+            wait_s = min(wait_s, _BACKLOGGED_S)
+        for key, _ in self._selector.select(wait_s):
+            gateway: Gateway | None = key.data
+            if gateway is None or not isinstance(key.fileobj, socket.socket):
+                continue
+            queue.run_until(time.monotonic_ns() - self._start_ns)
+            gateway.readable(key.fileobj)
+
+    def _watch(self) -> None:
+        wanted = {s: gateway for gateway in self._gateways for s in gateway.sockets()}
+        for gone in [s for s in self._watched if s not in wanted]:
+            self._selector.unregister(gone)
+            del self._watched[gone]
+        for new, gateway in wanted.items():
+            if new not in self._watched:
+                self._selector.register(new, selectors.EVENT_READ, gateway)
+                self._watched[new] = gateway
+
+    def close(self) -> None:
+        """All gateways are closed."""
+        for gateway in self._gateways:
+            gateway.close()
+        self._selector.close()

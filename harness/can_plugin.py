@@ -1,0 +1,300 @@
+"""python-can's door into an emulated bus: `can.Bus(interface="emulated", channel=...)`.
+
+`channel` is the name of a bus of the rig that is open in this process ("can0"), or the path of the
+socket that `motorhil serve --socket` made. A program written for python-can needs no other change.
+In a rig of this process, `recv` and `send_periodic` use the rig's time; over a socket, the wall's.
+"""
+
+import struct
+from collections import deque
+from collections.abc import Callable, Sequence
+from typing import TYPE_CHECKING, Any, Final, final
+
+import can
+from can import CanInitializationError, CanOperationError, Message
+from can.broadcastmanager import (
+    CyclicSendTaskABC,
+    LimitedDurationCyclicSendTaskABC,
+    ModifiableCyclicTaskABC,
+    RestartableCyclicTaskABC,
+)
+
+from harness.hub_client import HubLink
+
+if TYPE_CHECKING:
+    from emulators.world import HostPort, World
+    from harness.virtual_time import VirtualRuntime
+    from motorapi.runtime import FrameListener, Registration
+
+_FRAME: Final = struct.Struct("<IB3x8s")
+_EFF: Final = 0x8000_0000
+_RTR: Final = 0x4000_0000
+_ERR: Final = 0x2000_0000
+_BACKLOG_MAX: Final = 65_536
+_OPEN: dict[str, "tuple[World, VirtualRuntime]"] = {}
+
+
+def open_rig(world: "World", runtime: "VirtualRuntime") -> None:
+    """The buses of this rig can be joined by name in this process.
+
+    Raises:
+        CanInitializationError: a bus of that name is open already.
+    """
+    for name in world.bus_names():
+        if name in _OPEN:
+            raise CanInitializationError(
+                f"bus {name!r}: a rig that is open in this process has a bus of that name; "
+                "close that rig first"
+            )
+    for name in world.bus_names():
+        _OPEN[name] = (world, runtime)
+
+
+def close_rig(world: "World") -> None:
+    """Its buses can no longer be joined."""
+    for name in [name for name, (owner, _) in _OPEN.items() if owner is world]:
+        del _OPEN[name]
+
+
+def to_frame(message: Message) -> bytes:
+    """The Linux can_frame (16 bytes) of a python-can message.
+
+    Raises:
+        CanOperationError: a CAN FD message, or one that is no valid classical frame.
+    """
+    if message.is_fd:
+        raise CanOperationError(
+            f"CAN FD frame {message.arbitration_id:X}h on an emulated bus: it is classical CAN"
+        )
+    can_id = message.arbitration_id
+    if message.is_extended_id:
+        can_id |= _EFF
+    elif can_id > 0x7FF:
+        raise CanOperationError(
+            f"identifier {can_id:X}h does not fit 11 bits: set is_extended_id=True"
+        )
+    if message.is_remote_frame:
+        return _FRAME.pack(can_id | _RTR, message.dlc, b"")
+    if len(message.data) > 8:
+        raise CanOperationError(f"{len(message.data)} data bytes: a classical frame holds 8")
+    return _FRAME.pack(can_id, len(message.data), bytes(message.data))
+
+
+def to_message(frame: bytes, time_ns: int, channel: str, received: bool) -> Message:
+    """The python-can message of a Linux can_frame."""
+    can_id, length, data = _FRAME.unpack(frame)
+    extended = bool(can_id & _EFF)
+    remote = bool(can_id & _RTR)
+    return Message(
+        timestamp=time_ns / 1e9,
+        arbitration_id=can_id & (0x1FFF_FFFF if extended else 0x7FF),
+        is_extended_id=extended,
+        is_remote_frame=remote,
+        is_error_frame=bool(can_id & _ERR),
+        dlc=length,
+        data=None if remote else data[:length],
+        channel=channel,
+        is_rx=received,
+    )
+
+
+@final
+class _Subscription:
+    """A listener on an emulated bus, until cancelled."""
+
+    def __init__(self, listeners: "list[FrameListener]", listener: "FrameListener") -> None:
+        self._listeners = listeners
+        self._listener = listener
+        listeners.append(listener)
+
+    def cancel(self) -> None:
+        """It hears nothing any more."""
+        if self._listener in self._listeners:
+            self._listeners.remove(self._listener)
+
+
+@final
+class EmulatedBus(can.BusABC):
+    """One application's connection to an emulated bus, in virtual time or through a socket.
+
+    Attributes:
+        runtime: the rig's Runtime if the bus is a rig's of this process; absent over a socket.
+        dropped: frames nobody read, given up oldest first (at most 65,536 wait).
+    """
+
+    def __init__(
+        self,
+        channel: str = "can0",
+        can_filters: can.typechecking.CanFilters | None = None,
+        *,
+        receive_own_messages: bool = False,
+        **kwargs: Any,  # Any: python-can hands every option of its configuration through here
+    ) -> None:
+        self.channel_info = f"emulated bus {channel}"
+        self.channel = str(channel)
+        self.dropped = 0
+        self._own = receive_own_messages
+        self._backlog: deque[tuple[bytes, int, bool]] = deque()
+        self._listeners: list[FrameListener] = []
+        self._keeps = True  # frames for recv
+        self._has_received = False
+        self._is_shutdown = True  # until it is truly open: BusABC.__del__ looks
+        self._hub: HubLink | None = None
+        self._port: HostPort | None = None
+        if self.channel in _OPEN:
+            world, self.runtime = _OPEN[self.channel]
+            self._port = world.add_host(self.channel, "host", self._heard)
+        elif "/" in self.channel:
+            self._hub = HubLink(self.channel)
+        else:
+            known = ", ".join(_OPEN) or "none"
+            raise CanInitializationError(
+                f"channel {self.channel!r}: no rig open in this process has that bus (open: "
+                f"{known}), and it is no socket of 'motorhil serve'; open the rig first, or run "
+                "the program with 'motorhil run RIG SCRIPT'"
+            )
+        self._is_shutdown = False
+        super().__init__(channel=self.channel, can_filters=can_filters, **kwargs)
+
+    # --- the motor interface's side (16-byte frames) -----------------------------------------
+
+    def subscribe(self, on_frame: "FrameListener") -> "Registration":
+        """`on_frame` hears every frame; `recv` then keeps none, unless it has been used before."""
+        if not self._has_received:
+            self._keeps = False
+            self._backlog.clear()
+        return _Subscription(self._listeners, on_frame)
+
+    def transmit(self, frame: bytes) -> None:
+        """The frame waits its turn on the bus."""
+        if self._port is not None:
+            self._port.send(frame)
+        elif self._hub is not None:
+            self._hub.send(frame)
+
+    def _heard(self, frame: bytes, time_ns: int, transmitted: bool) -> None:
+        for listener in self._listeners:
+            listener(frame, time_ns, transmitted)
+        if self._keeps and (self._own or not transmitted):
+            if len(self._backlog) >= _BACKLOG_MAX:
+                self._backlog.popleft()
+                self.dropped += 1
+            self._backlog.append((frame, time_ns, transmitted))
+
+    # --- python-can's side -----------------------------------------------------------------
+
+    def send(self, msg: Message, timeout: float | None = None) -> None:
+        """The message waits its turn on the bus."""
+        self.transmit(to_frame(msg))
+
+    def recv(self, timeout: float | None = None) -> Message | None:
+        """The next message, or None after `timeout` [s] of the rig's time."""
+        if self._hub is not None:
+            return super().recv(timeout)
+        self._keeps = self._has_received = True
+        deadline_ns = (
+            None if timeout is None else self.runtime.now_ns() + round(max(timeout, 0.0) * 1e9)
+        )
+        while True:
+            left_s = None
+            if deadline_ns is not None:
+                left_s = max(0, deadline_ns - self.runtime.now_ns()) / 1e9
+            if not self.runtime.wait_until(self._has_frame, left_s):
+                return None
+            frame, time_ns, transmitted = self._backlog.popleft()
+            message = to_message(frame, time_ns, self.channel, received=not transmitted)
+            if self._matches_filters(message):
+                return message
+
+    def _recv_internal(self, timeout: float | None) -> tuple[Message | None, bool]:
+        """Over a socket only: BusABC.recv applies the filters and the timeout."""
+        if self._hub is None:
+            return None, False
+        while True:
+            heard = self._hub.receive(timeout)
+            if heard is None:
+                return None, False
+            frame, time_ns, transmitted = heard
+            if self._own or not transmitted:
+                return to_message(frame, time_ns, self.channel, received=not transmitted), False
+
+    def fileno(self) -> int:
+        """The socket's descriptor; -1 in a rig of this process, which needs none."""
+        return -1 if self._hub is None else self._hub.fileno()
+
+    def _has_frame(self) -> bool:
+        return bool(self._backlog)
+
+    def _send_periodic_internal(
+        self,
+        msgs: Sequence[Message] | Message,
+        period: float,
+        duration: float | None = None,
+        autostart: bool = True,
+        modifier_callback: Callable[[Message], None] | None = None,
+    ) -> CyclicSendTaskABC:
+        """Repeats in the rig's time (the inherited one starts a thread on the wall's)."""
+        if self._hub is not None:
+            return super()._send_periodic_internal(
+                msgs, period, duration, autostart, modifier_callback
+            )
+        task = _PeriodicTask(self, msgs, period, duration, modifier_callback)
+        if autostart:
+            task.start()
+        return task
+
+    def shutdown(self) -> None:
+        """The bus has been left; frames still queued go out."""
+        if not self._is_shutdown:
+            if self._port is not None:
+                self._port.close()
+            if self._hub is not None:
+                self._hub.close()
+        super().shutdown()
+
+
+@final
+class _PeriodicTask(
+    LimitedDurationCyclicSendTaskABC, ModifiableCyclicTaskABC, RestartableCyclicTaskABC
+):
+    """python-can's cyclic task, driven by the rig's time."""
+
+    def __init__(
+        self,
+        bus: EmulatedBus,
+        messages: Sequence[Message] | Message,
+        period_s: float,
+        duration_s: float | None,
+        modifier: Callable[[Message], None] | None,
+    ) -> None:
+        super().__init__(messages, period_s, duration_s)
+        self._bus = bus
+        self._modifier = modifier
+        self._next = 0
+        self._end_ns: int | None = None
+        self._registration: Registration | None = None
+
+    def start(self) -> None:
+        """The first message goes out now, one more each period."""
+        self.stop()
+        runtime = self._bus.runtime
+        if self.duration is not None:
+            self._end_ns = runtime.now_ns() + round(self.duration * 1e9)
+        self._registration = runtime.every(self.period, self._send_one)
+        self._send_one()
+
+    def _send_one(self) -> None:
+        if self._end_ns is not None and self._bus.runtime.now_ns() >= self._end_ns:
+            self.stop()
+            return
+        message = self.messages[self._next]
+        self._next = (self._next + 1) % len(self.messages)
+        if self._modifier is not None:
+            self._modifier(message)
+        self._bus.send(message)
+
+    def stop(self) -> None:
+        """Nothing more is sent."""
+        if self._registration is not None:
+            self._registration.cancel()
+            self._registration = None

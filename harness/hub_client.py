@@ -1,0 +1,99 @@
+"""A client's end of a hub's socket (`motorhil serve --socket PATH`), wall time."""
+
+import os
+import select
+import socket
+import sys
+import time
+from pathlib import Path
+from typing import Final, final
+
+from can import CanInitializationError, CanOperationError
+
+from emulators.hub_protocol import (
+    GREETING,
+    HEARD,
+    RECORD_MAX,
+    SENT,
+    WELCOME,
+    pack_submit,
+    unpack_told,
+)
+
+_GREETING_TIMEOUT_S: Final = 5.0
+
+
+@final
+class HubLink:
+    """One connection to one bus of a hub. May be read in one thread and written in another."""
+
+    def __init__(self, channel: str) -> None:
+        """Connected. `channel` is "PATH" (the hub's first bus) or "PATH#BUS".
+
+        Raises:
+            CanInitializationError: nobody serves there, or the hub refuses; says why.
+        """
+        path, _, bus = channel.partition("#")
+        self._socket = socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+        try:
+            self._socket.settimeout(_GREETING_TIMEOUT_S)
+            self._socket.connect(path)
+            name = f"{Path(sys.argv[0] or 'python').name}[{os.getpid()}]".replace(" ", "_")
+            self._socket.send(GREETING + f"{bus} {name}".encode())
+            answer = self._socket.recv(RECORD_MAX)
+        except OSError as error:
+            self._socket.close()
+            reason = error.strerror or "no answer"
+            raise CanInitializationError(
+                f"{path}: no hub answers here ({reason}); start one with "
+                f"'motorhil serve RIG --socket {path}'"
+            ) from None
+        if not answer.startswith(WELCOME):
+            self._socket.close()
+            raise CanInitializationError(f"{path}: {answer.decode('utf-8', 'replace')}")
+        self.bus = answer[len(WELCOME) :].decode()
+        self._path = path
+        self._socket.setblocking(True)
+
+    def fileno(self) -> int:
+        """For select and event loops."""
+        return self._socket.fileno()
+
+    def send(self, frame: bytes) -> None:
+        """The hub has the frame; it waits its turn on the bus there.
+
+        Raises:
+            CanOperationError: the hub has gone.
+        """
+        try:
+            self._socket.send(pack_submit(frame))
+        except OSError as error:
+            raise self._gone() from error
+
+    def receive(self, timeout_s: float | None) -> tuple[bytes, int, bool] | None:
+        """(frame, time_ns, transmitted) of the next frame on the bus; None after `timeout_s`.
+
+        Raises:
+            CanOperationError: the hub has gone.
+        """
+        deadline_s = None if timeout_s is None else time.monotonic() + timeout_s
+        while True:
+            left_s = None if deadline_s is None else max(0.0, deadline_s - time.monotonic())
+            try:
+                if not select.select([self._socket], [], [], left_s)[0]:
+                    return None
+                record = self._socket.recv(RECORD_MAX)
+            except (OSError, ValueError) as error:
+                raise self._gone() from error
+            if not record:
+                raise self._gone()
+            if record[0] in (HEARD, SENT):
+                kind, time_ns, frame = unpack_told(record)
+                return frame, time_ns, kind == SENT
+
+    def _gone(self) -> CanOperationError:
+        return CanOperationError(f"{self._path}: the hub has closed the connection")
+
+    def close(self) -> None:
+        """Disconnected."""
+        self._socket.close()

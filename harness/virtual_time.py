@@ -1,0 +1,365 @@
+"""Virtual time: one queue of events, and parties that take turns under one baton.
+
+Waiting is what lets time pass. Whoever waits runs the world's events, one by one in the order
+(time, order of asking), until somebody's condition holds or somebody's time is up; then that party
+goes on, and everybody else stands still. So ordinary blocking code is deterministic, and an hour of
+motion takes as long as its events take to compute.
+
+The rules of turn:
+    1. At any moment exactly one thread runs: the party that has the baton.
+    2. The baton changes hands only in `wait_until`, and when a party ends.
+    3. Of several waiting parties that could go on at one time, the one that asked first does.
+    4. What happens at the very time a timeout ends still counts: events first, then the timeout.
+With `pace`, the same events happen in the same order, but none earlier than its wall time.
+"""
+
+import threading
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Final, Protocol, final
+
+from emulators.event_queue import Alarm, EventQueue
+from motorapi.errors import UsageError
+
+if TYPE_CHECKING:
+    import can
+
+    from motorapi.runtime import FrameListener, Registration
+
+_NEVER: Final = -1
+_POLLS_MAX: Final = 1_000_000
+
+
+class _Cancelled(BaseException):
+    """The run is over; a party that still waits ends here."""
+
+
+class _Port(Protocol):
+    """What a bus of this rig offers (harness.can_plugin.EmulatedBus)."""
+
+    def subscribe(self, on_frame: "FrameListener") -> "Registration": ...
+    def transmit(self, frame: bytes) -> None: ...
+
+
+@final
+class _Waiter:
+    """A party that waits: for what, until when, and how it ended."""
+
+    def __init__(self, party: "VirtualParty", done: Callable[[], bool], deadline_ns: int) -> None:
+        self.party = party
+        self.done = done
+        self.deadline_ns = deadline_ns
+        self.result = False
+        self.error: BaseException | None = None
+
+
+@final
+class VirtualParty:
+    """One line of execution of the application, in virtual time.
+
+    Attributes:
+        name: as given to `spawn`.
+        error: what the function raised, once it has ended; else None.
+    """
+
+    def __init__(self, name: str, runtime: "VirtualRuntime") -> None:
+        self.name = name
+        self.error: BaseException | None = None
+        self.finished = False
+        self.joined = False
+        self.baton = threading.Lock()
+        self.baton.acquire()
+        self.thread: threading.Thread | None = None
+        self._runtime = runtime
+
+    def join(self, timeout_s: float | None = None) -> bool:
+        """Whether it has ended within `timeout_s` [s]; what it raised is in `error`."""
+        self.joined = True
+        return self._runtime.wait_until(self._has_finished, timeout_s)
+
+    def _has_finished(self) -> bool:
+        return self.finished
+
+
+@final
+class Periodic:
+    """An action that repeats, at start + k * period, until it is cancelled."""
+
+    def __init__(self, runtime: "VirtualRuntime", period_ns: int, action: Callable[[], None]):
+        self._period_ns = period_ns
+        self._action = action
+        self._alarm: Alarm = runtime.queue.alarm(self._expire)
+        self._cancelled = False
+        self._alarm.set(runtime.queue.now_ns + period_ns)
+
+    def _expire(self, now_ns: int) -> None:
+        self._alarm.set(now_ns + self._period_ns)
+        self._action()
+
+    def cancel(self) -> None:
+        """It does not run again."""
+        self._cancelled = True
+        self._alarm.set(None)
+
+
+@final
+class VirtualRuntime:
+    """The Runtime of a rig in virtual time. The thread that makes it is the first party.
+
+    A switch between parties costs some 15 us, an event with one party waiting no switch at all.
+    """
+
+    def __init__(self, queue: EventQueue, pace: Callable[[int], None] | None = None) -> None:
+        self.queue = queue
+        self._pace = pace
+        self._waiters: list[_Waiter] = []
+        first = VirtualParty("main", self)
+        self._parties: dict[int, VirtualParty] = {threading.get_ident(): first}
+        self._spawned: list[VirtualParty] = []
+        self._in_callback = False
+        self._closing = False
+        self._polls = 0
+
+    # --- Runtime ---------------------------------------------------------------------------
+
+    def now_ns(self) -> int:
+        """The virtual time [ns] since the rig was switched on."""
+        return self.queue.now_ns
+
+    def wait_until(self, done: Callable[[], bool], timeout_s: float | None = None) -> bool:
+        """Whether `done()` became true within `timeout_s` [s]; see the rules of turn above.
+
+        Raises:
+            UsageError: in a callback, or in a thread that this runtime did not start; or nothing
+                will ever happen that could end the wait; or a million polls let no time pass.
+        """
+        party = self._party_here()
+        self._in_callback = True
+        try:
+            if done():
+                return True
+        finally:
+            self._in_callback = False
+        deadline_ns = _NEVER
+        if timeout_s is not None:
+            if not timeout_s >= 0.0:
+                raise UsageError(f"timeout_s = {timeout_s}: must be a number of seconds >= 0")
+            deadline_ns = self.queue.now_ns + round(min(timeout_s, 1e9) * 1e9)
+            if deadline_ns == self.queue.now_ns:
+                self._count_poll()
+        waiter = _Waiter(party, done, deadline_ns)
+        self._waiters.append(waiter)
+        try:
+            self._pump(waiter)
+        except BaseException:  # an event failed, or Ctrl-C: this wait is over
+            if waiter in self._waiters:
+                self._waiters.remove(waiter)
+            raise
+        if waiter.error is not None:
+            raise waiter.error
+        return waiter.result
+
+    def every(self, period_s: float, action: Callable[[], None]) -> Periodic:
+        """`action` runs every `period_s` [s], first one period from now; it must not wait."""
+        period_ns = round(period_s * 1e9)
+        if period_ns < 1:
+            raise UsageError(f"period_s = {period_s}: must be at least 1e-9 s")
+        return Periodic(self, period_ns, action)
+
+    def spawn(self, name: str, function: Callable[[], None]) -> VirtualParty:
+        """`function` runs as a further party, from when this one next waits."""
+        self._party_here()
+        party = VirtualParty(name, self)
+        party.thread = threading.Thread(
+            target=self._run_party, args=(party, function), name=f"party {name}", daemon=True
+        )
+        self._spawned.append(party)
+        self._waiters.append(_Waiter(party, _at_once, _NEVER))
+        party.thread.start()
+        return party
+
+    def listen(self, bus: "can.BusABC", on_frame: "FrameListener") -> "Registration":
+        """`on_frame` is told every frame on `bus`, own ones when they were transmitted."""
+        return _port_of(bus).subscribe(on_frame)
+
+    def send(self, bus: "can.BusABC", frame: bytes) -> None:
+        """The can_frame (16 bytes) waits its turn on `bus`."""
+        _port_of(bus).transmit(frame)
+
+    # --- the rig's side --------------------------------------------------------------------
+
+    def run_for(self, duration_s: float) -> None:
+        """`duration_s` [s] have passed."""
+        self.wait_until(_never, duration_s)
+
+    def close(self) -> None:
+        """Parties that still wait have ended; raises what a party raised and nobody joined."""
+        self._closing = True
+        me = self._parties.get(threading.get_ident())
+        while self._waiters:
+            waiter = self._waiters.pop(0)
+            if waiter.party is me:
+                continue
+            waiter.error = _Cancelled()
+            waiter.party.baton.release()
+            if waiter.party.thread is not None:
+                waiter.party.thread.join()
+        for party in self._spawned:
+            if party.error is not None and not party.joined:
+                raise party.error
+
+    # --- turns -----------------------------------------------------------------------------
+
+    def _party_here(self) -> VirtualParty:
+        if self._in_callback:
+            raise UsageError(
+                "waiting inside a callback: time stands still until the callback returns; "
+                "set a flag there and wait for it outside, or start a party with runtime.spawn"
+            )
+        party = self._parties.get(threading.get_ident())
+        if self._closing and party is not None and party.thread is not None:
+            raise _Cancelled
+        if party is None:
+            raise UsageError(
+                f"thread {threading.current_thread().name!r} was not started by this runtime and "
+                "has no turn in virtual time; start it with runtime.spawn(name, function)"
+            )
+        return party
+
+    def _count_poll(self) -> None:
+        self._polls += 1
+        if self._polls > _POLLS_MAX:
+            self._polls = 0
+            raise UsageError(
+                f"{_POLLS_MAX} polls with timeout 0 in a row at t = {self.queue.now_ns / 1e9} s: "
+                "time passes only while waiting; give the wait a timeout"
+            )
+
+    def _ready(self) -> _Waiter | None:
+        """Whoever asked first among those that can go on now; their answer is in the waiter."""
+        self._in_callback = True
+        try:
+            for waiter in self._waiters:
+                try:
+                    if waiter.done():
+                        waiter.result = True
+                        return waiter
+                except Exception as error:
+                    waiter.error = error
+                    return waiter
+        finally:
+            self._in_callback = False
+        return None
+
+    def _expired(self) -> _Waiter | None:
+        now_ns = self.queue.now_ns
+        for waiter in self._waiters:
+            if _NEVER != waiter.deadline_ns <= now_ns:
+                return waiter
+        return None
+
+    def _pump(self, mine: _Waiter | None) -> None:
+        """Events run until it is the turn of `mine` (None: until anybody has the baton)."""
+        queue = self.queue
+        while True:
+            ready = self._ready()
+            if ready is None:
+                next_ns = queue.next_time_ns()
+                if next_ns != queue.now_ns:
+                    ready = self._expired()
+                if ready is None:
+                    self._advance(next_ns)
+                    continue
+            self._waiters.remove(ready)
+            if ready is not mine:
+                ready.party.baton.release()
+                if mine is not None:
+                    self._await_baton(mine)
+            return
+
+    def _await_baton(self, mine: _Waiter) -> None:
+        try:
+            mine.party.baton.acquire()
+        except KeyboardInterrupt as interrupt:
+            # Another party runs just now: take the turn at its next wait, never beside it.
+            mine.done = _at_once
+            mine.error = interrupt
+            mine.party.baton.acquire()
+
+    def _advance(self, next_ns: int | None) -> None:
+        """The next event has run, or it is the next deadline."""
+        queue = self.queue
+        deadline_ns = _NEVER
+        for waiter in self._waiters:
+            if waiter.deadline_ns != _NEVER and not 0 <= deadline_ns <= waiter.deadline_ns:
+                deadline_ns = waiter.deadline_ns
+        if next_ns is None and deadline_ns == _NEVER:
+            self._nothing_will_happen()
+            return
+        if next_ns is None or 0 <= deadline_ns < next_ns:
+            if self._pace is not None:
+                self._pace(deadline_ns)
+            queue.run_until(deadline_ns)
+            self._polls = 0
+            return
+        if next_ns > queue.now_ns:
+            self._polls = 0
+        if self._pace is not None:
+            self._pace(next_ns)
+        self._in_callback = True
+        try:
+            queue.run_next()
+        finally:
+            self._in_callback = False
+
+    def _nothing_will_happen(self) -> None:
+        names = ", ".join(waiter.party.name for waiter in self._waiters)
+        for waiter in self._waiters:
+            waiter.done = _at_once
+            waiter.error = UsageError(
+                f"party {waiter.party.name!r} waits without a timeout for what can never happen: "
+                f"no event is due in the whole rig (waiting: {names}); give wait_until a timeout_s"
+            )
+
+    def _run_party(self, party: VirtualParty, function: Callable[[], None]) -> None:
+        self._parties[threading.get_ident()] = party
+        party.baton.acquire()
+        try:
+            if not self._closing:
+                function()
+        except _Cancelled:
+            pass
+        except BaseException as error:  # it is the joiner's, or close()'s, to raise
+            party.error = error
+        finally:
+            party.finished = True
+            del self._parties[threading.get_ident()]
+        if not self._closing:
+            self._leave(party)
+
+    def _leave(self, party: VirtualParty) -> None:
+        """The baton goes on to whoever is next; this thread runs events until there is one."""
+        try:
+            if self._waiters:
+                self._pump(None)
+        except BaseException as error:  # an event failed: tell whoever waits longest
+            waiter = self._waiters.pop(0)
+            waiter.error = error
+            waiter.party.baton.release()
+
+
+def _at_once() -> bool:
+    return True
+
+
+def _never() -> bool:
+    return False
+
+
+def _port_of(bus: "can.BusABC") -> _Port:
+    if hasattr(bus, "subscribe") and hasattr(bus, "transmit"):
+        port: _Port = bus
+        return port
+    raise UsageError(
+        f"{bus!r} is not a bus of this rig: virtual time reaches only emulated buses; "
+        "use rig.bus(name), or motorapi's WallRuntime on a real bus"
+    )

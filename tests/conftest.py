@@ -1,0 +1,27 @@
+"""Settings every test shares: Hypothesis is repeatable here and in CI alike."""
+
+import os
+from pathlib import Path
+
+import pytest
+from hypothesis import HealthCheck, settings
+
+settings.register_profile(
+    "ci",
+    derandomize=True,
+    deadline=None,
+    print_blob=True,
+    max_examples=60,
+    suppress_health_check=[HealthCheck.too_slow],
+)
+settings.register_profile("nightly", deadline=None, print_blob=True, max_examples=5000)
+settings.load_profile(os.environ.get("MOTORHIL_HYPOTHESIS", "ci"))
+
+
+@pytest.fixture(scope="session")
+def shared() -> Path:
+    """The folder of third-party data beside the checkout; without it, a skip that says so."""
+    folder = Path(os.environ.get("MOTORHIL_SHARED", Path(__file__).parents[2] / "shared"))
+    if not (folder / "data").is_dir():
+        pytest.skip(f"no third-party data at {folder}: set MOTORHIL_SHARED to run this")
+    return folder

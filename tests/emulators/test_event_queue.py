@@ -1,0 +1,62 @@
+from hypothesis import given
+from hypothesis import strategies as st
+
+from emulators.event_queue import EventQueue
+
+
+def test_events_of_one_time_run_in_the_order_of_asking():
+    queue = EventQueue()
+    log = []
+    alarms = [queue.alarm(lambda now, n=n: log.append((now, n))) for n in range(4)]
+    for n in (2, 0, 3, 1):
+        alarms[n].set(10)
+    queue.run_until(10)
+    assert log == [(10, 2), (10, 0), (10, 3), (10, 1)]
+
+
+def test_setting_the_same_time_again_keeps_the_turn_and_another_time_loses_it():
+    queue = EventQueue()
+    log = []
+    first = queue.alarm(lambda now: log.append("first"))
+    second = queue.alarm(lambda now: log.append("second"))
+    first.set(10)
+    second.set(10)
+    first.set(10)
+    queue.run_until(10)
+    assert log == ["first", "second"]
+    first.set(20)
+    second.set(20)
+    first.set(19)
+    first.set(20)
+    queue.run_until(20)
+    assert log == ["first", "second", "second", "first"]
+
+
+def test_a_time_in_the_past_means_now():
+    queue = EventQueue()
+    times = []
+    queue.run_until(100)
+    queue.alarm(times.append).set(5)
+    assert queue.next_time_ns() == 100
+    queue.run_until(100)
+    assert times == [100]
+
+
+@given(st.lists(st.tuples(st.integers(0, 3), st.none() | st.integers(0, 20)), max_size=40))
+def test_only_what_was_asked_for_last_happens(settings):
+    """Against the plainest model there is: a dict of the last setting of each alarm."""
+    queue = EventQueue()
+    log = []
+    alarms = [queue.alarm(lambda now, n=n: log.append((now, n))) for n in range(4)]
+    model = {}
+    for turn, (n, time_ns) in enumerate(settings):
+        alarms[n].set(time_ns)
+        if time_ns is None:
+            model.pop(n, None)
+        elif model.get(n, (None,))[0] != time_ns:
+            model[n] = (time_ns, turn)
+    expected = [(time, n) for (time, _), n in sorted((key, n) for n, key in model.items())]
+    while queue.run_next():
+        pass
+    assert log == expected
+    assert queue.next_time_ns() is None

@@ -1,0 +1,211 @@
+import threading
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from emulators.event_queue import EventQueue
+from harness.virtual_time import VirtualRuntime
+from motorapi.errors import UsageError
+
+MS = 1_000_000
+
+
+@pytest.fixture
+def runtime():
+    runtime = VirtualRuntime(EventQueue())
+    yield runtime
+    runtime.close()
+
+
+def test_a_wait_takes_exactly_its_timeout_and_no_wall_time_matters(runtime):
+    assert runtime.wait_until(lambda: False, timeout_s=3600.0) is False
+    assert runtime.now_ns() == 3600 * 10**9
+
+
+def test_a_wait_ends_at_the_event_that_fulfils_it(runtime):
+    happened = []
+    runtime.queue.alarm(lambda now: happened.append(now)).set(7 * MS)
+    assert runtime.wait_until(lambda: bool(happened), timeout_s=1.0) is True
+    assert runtime.now_ns() == 7 * MS
+
+
+@pytest.mark.parametrize(("event_ns", "result"), [(MS - 1, True), (MS, True), (MS + 1, False)])
+def test_what_happens_at_the_very_end_of_a_timeout_still_counts(runtime, event_ns, result):
+    happened = []
+    runtime.queue.alarm(lambda now: happened.append(now)).set(event_ns)
+    assert runtime.wait_until(lambda: bool(happened), timeout_s=0.001) is result
+    assert runtime.now_ns() == min(event_ns, MS)
+
+
+def test_a_periodic_action_runs_at_start_plus_k_periods_until_cancelled(runtime):
+    times = []
+    runtime.run_for(0.0005)
+    registration = runtime.every(0.001, lambda: times.append(runtime.now_ns()))
+    runtime.run_for(0.003)
+    registration.cancel()
+    runtime.run_for(0.003)
+    assert times == [1_500_000, 2_500_000, 3_500_000]
+
+
+def test_waiting_inside_a_callback_is_refused_and_says_what_to_do(runtime):
+    def callback():
+        runtime.wait_until(lambda: True)
+
+    runtime.every(0.001, callback)
+    with pytest.raises(UsageError, match=r"inside a callback.*spawn"):
+        runtime.run_for(0.01)
+
+
+def test_waiting_inside_a_condition_is_refused(runtime):
+    with pytest.raises(UsageError, match="inside a callback"):
+        runtime.wait_until(lambda: len([0]) == 2 or runtime.wait_until(lambda: True), 0.1)
+
+
+def test_a_foreign_thread_is_refused_and_told_of_spawn(runtime):
+    refusals = []
+
+    def foreign():
+        try:
+            runtime.wait_until(lambda: True)
+        except UsageError as error:
+            refusals.append(str(error))
+
+    thread = threading.Thread(target=foreign, name="stray")
+    thread.start()
+    thread.join()
+    assert "stray" in refusals[0]
+    assert "spawn" in refusals[0]
+
+
+def test_waiting_for_what_can_never_happen_is_an_error_not_a_hang(runtime):
+    with pytest.raises(UsageError, match="can never happen"):
+        runtime.wait_until(lambda: False)
+
+
+def test_polling_for_ever_without_waiting_is_an_error_not_a_hang(runtime):
+    def poll():
+        while not runtime.wait_until(lambda: False, timeout_s=0.0):
+            pass
+
+    with pytest.raises(UsageError, match="time passes only while waiting"):
+        poll()
+
+
+def test_a_failing_event_reaches_the_party_that_waited_and_time_can_go_on(runtime):
+    def fail(now_ns):
+        raise ValueError("planted")
+
+    runtime.queue.alarm(fail).set(MS)
+    with pytest.raises(ValueError, match="planted"):
+        runtime.run_for(1.0)
+    runtime.run_for(1.0)
+    assert runtime.now_ns() == 1_001 * MS
+
+
+def test_a_failed_condition_reaches_its_own_party_only(runtime):
+    ended = []
+
+    def bystander():
+        runtime.run_for(0.002)
+        ended.append(runtime.now_ns())
+
+    def broken():
+        return runtime.now_ns() >= MS and 1 // 0 == 0
+
+    party = runtime.spawn("bystander", bystander)
+    runtime.queue.alarm(lambda now: None).set(MS)
+    with pytest.raises(ZeroDivisionError):
+        runtime.wait_until(broken, 1.0)
+    assert party.join()
+    assert ended == [2 * MS]
+
+
+def run_parties(plans):
+    """Each party waits its own delays; the log of who went on when."""
+    runtime = VirtualRuntime(EventQueue())
+    log = []
+
+    def party(name, delays):
+        for delay in delays:
+            runtime.run_for(delay / 1e6)
+            log.append((runtime.now_ns(), name))
+
+    parties = [
+        runtime.spawn(str(number), lambda number=number, delays=delays: party(str(number), delays))
+        for number, delays in enumerate(plans)
+    ]
+    for one in parties:
+        assert one.join()
+    runtime.close()
+    return log
+
+
+@given(st.lists(st.lists(st.integers(0, 5), max_size=6), min_size=1, max_size=5))
+def test_parties_take_turns_by_time_and_each_keeps_its_own_times(plans):
+    log = run_parties(plans)
+    assert log == run_parties(plans)
+    assert [time for time, _ in log] == sorted(time for time, _ in log)
+    for number, delays in enumerate(plans):
+        own = [time for time, name in log if name == str(number)]
+        assert own == [sum(delays[: i + 1]) * 1000 for i in range(len(delays))]
+
+
+def test_parties_due_at_one_time_go_in_the_order_of_asking():
+    assert run_parties([[3], [2, 1], [1, 2]]) == [
+        (1000, "2"),
+        (2000, "1"),
+        (3000, "0"),  # asked at 0
+        (3000, "2"),  # asked at 1000
+        (3000, "1"),  # asked at 2000
+    ]
+
+
+def test_what_a_party_raised_is_there_when_it_is_joined(runtime):
+    def fails():
+        runtime.run_for(0.001)
+        raise KeyError("planted")
+
+    party = runtime.spawn("fails", fails)
+    assert party.join(1.0)
+    assert isinstance(party.error, KeyError)
+
+
+def test_what_a_party_raised_and_nobody_joined_comes_out_at_the_end():
+    runtime = VirtualRuntime(EventQueue())
+
+    def fails():
+        raise KeyError("planted")
+
+    runtime.spawn("fails", fails)
+    runtime.run_for(0.001)
+    with pytest.raises(KeyError, match="planted"):
+        runtime.close()
+
+
+def test_closing_ends_parties_that_wait_and_leaves_no_thread():
+    before = threading.active_count()
+    runtime = VirtualRuntime(EventQueue())
+    ended = []
+
+    def waits():
+        try:
+            runtime.wait_until(lambda: False, 100.0)
+        finally:
+            ended.append("cleaned up")
+
+    runtime.spawn("waits", waits)
+    runtime.spawn("never started", lambda: ended.append("ran"))
+    runtime.queue.alarm(lambda now: None).set(MS)
+    assert runtime.wait_until(lambda: runtime.now_ns() == MS, 1.0)
+    runtime.close()
+    assert ended == ["ran", "cleaned up"] or ended == ["cleaned up"]
+    assert threading.active_count() == before
+
+
+def test_pace_is_asked_before_time_moves():
+    paced = []
+    runtime = VirtualRuntime(EventQueue(), pace=paced.append)
+    runtime.queue.alarm(lambda now: None).set(2 * MS)
+    runtime.run_for(0.003)
+    assert paced == [2 * MS, 3 * MS]
