@@ -175,7 +175,7 @@ class Table:
         """True or false."""
         value = self._get(key, default, "true")
         if not isinstance(value, bool):
-            raise self._wrong_type(key, "true or false", value, "")
+            raise self._wrong_type(key, "true or false", value, "true")
         return value
 
     def integer(

@@ -1,0 +1,46 @@
+"""What is installed: emulated controllers and motor adaptations, by entry point.
+
+Their names come from package metadata; a module is loaded only when one of its kind is used.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from importlib import metadata
+from typing import Any, Final, final
+
+CONTROLLERS: Final = "motorhil.controllers"
+ADAPTATIONS: Final = "motorhil.adaptations"
+
+
+@final
+@dataclass(frozen=True, slots=True)
+class Plugin:
+    """One entry point.
+
+    Attributes:
+        name: what a rig calls it.
+        target: "module:function".
+        package: the distribution that brings it, and its version.
+    """
+
+    name: str
+    target: str
+    package: str
+    entry_point: metadata.EntryPoint
+
+    def load(self) -> Callable[..., Any]:
+        """The function that builds one; whatever importing it raises."""
+        loaded: Callable[..., Any] = self.entry_point.load()
+        return loaded
+
+
+def installed(group: str) -> dict[str, Plugin]:
+    """The plugins of a group by name, in alphabetical order; of two alike, the first found."""
+    found: dict[str, Plugin] = {}
+    for entry_point in metadata.entry_points(group=group):
+        package = ""
+        if entry_point.dist is not None:
+            package = f"{entry_point.dist.name} {entry_point.dist.version}"
+        plugin = Plugin(entry_point.name, entry_point.value, package, entry_point)
+        found.setdefault(entry_point.name, plugin)
+    return dict(sorted(found.items()))

@@ -1,0 +1,238 @@
+from pathlib import Path
+
+import pytest
+from hypothesis import event, given
+from hypothesis import strategies as st
+
+from harness.rig_file import Known, parse_rig, read_rig
+from harness.settings import RigError, Source
+from harness.wording import one_line
+
+KNOWN = Known(controllers=("cia402", "io"), adaptations=("cia402", "ideal"))
+
+GOOD = """\
+[rig]
+name = "two wheels"
+seed = 7
+
+[bus.can0]
+bitrate_bit_s = 1_000_000
+
+[controller.left]
+kind = "cia402"
+bus = "can0"
+node_id = 1
+[controller.left.plant]
+resistance_ohm = 1.5
+
+[controller.right]
+kind = "cia402"
+bus = "can0"
+node_id = 2
+plant.from_motor_model = true
+
+[motor.left]
+adaptation = "cia402"
+controller = "left"
+[motor.left.model]
+name = "wheel"
+
+[motor.spare]
+adaptation = "ideal"
+bus = "can0"
+node_id = 9
+heartbeat_s = 0.1
+model = {}
+
+[group.drive]
+motors = ["left", "spare"]
+
+[[fault]]
+bus = "can0"
+kind = "drop"
+id = 0x181
+until_s = 2
+
+[[fault]]
+bus = "can0"
+kind = "cut"
+nodes = ["right"]
+"""
+
+
+def parse(text, name="rig.toml"):
+    return parse_rig(Source(Path(name), text), KNOWN)
+
+
+def refusal(text):
+    error = mistake_in(text)
+    assert error is not None
+    return str(error)
+
+
+def mistake_in(text):
+    try:
+        parse(text)
+    except RigError as error:
+        return error
+    return None
+
+
+def test_a_rig_is_read_as_it_is_written():
+    rig = parse(GOOD)
+    assert (rig.name, rig.seed) == ("two wheels", 7)
+    assert rig.buses["can0"].bitrate_bit_s == 1_000_000
+    assert list(rig.controllers) == ["left", "right"]
+    assert rig.controllers["left"].settings == {"node_id": 1, "plant": {"resistance_ohm": 1.5}}
+    assert not rig.controllers["left"].plant_from_motor_model
+    assert rig.controllers["right"].settings == {"node_id": 2, "plant": {}}
+    assert rig.controllers["right"].plant_from_motor_model
+    left, spare = rig.motors.values()
+    assert (left.bus, left.node_id, left.controller) == ("can0", 1, "left")
+    assert left.model == {"name": "wheel"}
+    assert (spare.bus, spare.node_id, spare.controller) == ("can0", 9, None)
+    assert spare.settings == {"heartbeat_s": 0.1}
+    assert rig.groups["drive"].motors == ("left", "spare")
+    drop, cut = rig.faults
+    assert (drop.name, drop.id, drop.from_s, drop.until_s) == ("fault 1", 0x181, 0.0, 2.0)
+    assert (cut.name, cut.nodes, cut.probability) == ("fault 2", ("right",), 1.0)
+
+
+def test_a_rig_without_a_name_is_called_after_its_file():
+    assert parse("[bus.can0]\nbitrate_bit_s = 500_000\n", "bench.toml").name == "bench"
+
+
+# What a person may get wrong, and the one line told.
+REFUSALS = [
+    tuple(line[2:] for line in block.splitlines())
+    for block in (Path(__file__).parent / "rig_refusals.txt").read_text().split("\n\n")[1:]
+]
+
+
+def unescaped(text):
+    return text.replace("\\n", "\n").replace("\\\n", "\\n").replace("\\\\", "\\")
+
+
+@pytest.mark.parametrize(("old", "new", "told"), REFUSALS)
+def test_a_mistake_is_told_in_one_line_with_file_line_key_and_remedy(old, new, told):
+    old, new = unescaped(old), unescaped(new)
+    assert old in GOOD
+    message = refusal(GOOD.replace(old, new, 1))
+    assert one_line(message) == message
+    assert message == f"rig.toml:{told}"
+
+
+def test_an_empty_rig_is_told_what_to_add():
+    assert refusal("") == "rig.toml:1: the rig has no bus; add [bus.can0]"
+
+
+def test_the_attributes_hold_the_facts():
+    with pytest.raises(RigError) as caught:
+        parse(GOOD.replace("seed = 7", "sede = 7"))
+    error = caught.value
+    assert (error.file, error.line, error.key) == (Path("rig.toml"), 3, "rig.sede")
+    assert error.remedy == "did you mean seed?"
+
+
+def test_a_missing_rig_is_told_with_the_way_to_a_new_one(tmp_path):
+    path = tmp_path / "nope.toml"
+    with pytest.raises(RigError) as caught:
+        read_rig(path, KNOWN)
+    assert str(caught.value) == (
+        f"{path}: no such file; check the path, or write a new rig: motorhil new DIR"
+    )
+    with pytest.raises(RigError, match="is a folder, not a file"):
+        read_rig(tmp_path, KNOWN)
+
+
+def test_a_rig_that_is_not_text_is_told_with_the_line_of_the_byte(tmp_path):
+    path = tmp_path / "rig.toml"
+    path.write_bytes(b'[rig]\nname = "Stra\xdfe"\n')
+    with pytest.raises(RigError) as caught:
+        read_rig(path, KNOWN)
+    assert str(caught.value) == f"{path}:2: not UTF-8 (byte DFh); save it as UTF-8"
+
+
+def test_a_byte_order_mark_does_no_harm(tmp_path):
+    path = tmp_path / "rig.toml"
+    path.write_bytes(b"\xef\xbb\xbf[bus.can0]\r\nbitrate_bit_s = 500_000\r\n")
+    assert read_rig(path, KNOWN).buses["can0"].bitrate_bit_s == 500_000
+
+
+def test_depth_without_end_is_refused_not_suffered():
+    message = refusal("[rig]\nname = " + "[" * 100_000 + "]" * 100_000)
+    assert "nested too deeply" in message
+
+
+TOKENS = st.sampled_from(
+    [
+        *("[", "]", "[[", "]]", "{", "}", "=", ".", ",", '"', "'", '"""', "\n", "#", " ", "\\"),
+        *("rig", "bus", "can0", "node_id", "kind", "-1", "1e999", "nan", "true", "1979-05-27"),
+        *("0x1F", "[rig]\n", "[bus]\n", "[[bus]]\n", "a = 1\n", "motor.x = 1\n", "\x00", "\ud7ff"),
+        *("[[fault]]\n", "from_motor_model = true\n", "model = {}\n", "9" * 5000, "{" * 500),
+    ]
+)
+EDITS = st.lists(
+    st.tuples(st.integers(0, len(GOOD)), st.integers(0, 30), TOKENS | st.text(max_size=5)),
+    min_size=1,
+    max_size=4,
+)
+
+
+@given(EDITS)
+def test_whatever_the_text_it_is_a_rig_or_a_rig_error_of_one_line(edits):
+    text = GOOD
+    for at, length, token in edits:
+        text = text[:at] + token + text[at + length :]
+    error = mistake_in(text)
+    event(error.message.split("(")[0][:30] if error else "accepted")
+    if error:
+        assert str(error).startswith("rig.toml:")
+        assert len(str(error).splitlines()) == 1
+        assert 1 <= error.line <= text.count("\n") + 1
+
+
+@given(st.lists(st.integers(0, GOOD.count("\n") - 1), max_size=8), st.randoms())
+def test_lines_left_out_or_moved_give_a_rig_or_a_rig_error_of_one_line(dropped, random):
+    lines = [line for number, line in enumerate(GOOD.splitlines()) if number not in dropped]
+    if len(dropped) % 2:
+        line = lines.pop(random.randrange(len(lines)))
+        lines.insert(random.randrange(len(lines)), line)
+    error = mistake_in("\n".join(lines))
+    event(error.message.split("(")[0][:30] if error else "accepted")
+    assert error is None or len(str(error).splitlines()) == 1
+
+
+def test_a_table_where_an_array_of_tables_belongs_is_refused():
+    message = refusal('[bus.can0]\nbitrate_bit_s = 500_000\n[fault]\nkind = "cut"\n')
+    assert message == (
+        "rig.toml:3: fault: must be an array of tables, but is a table (1 entry); write [[fault]]"
+    )
+
+
+VALUES = st.recursive(
+    st.one_of(
+        st.sampled_from(["true", "false"]),
+        st.integers(-(2**70), 2**70).map(str),
+        st.sampled_from(["nan", "-inf", "1e-400", "07:32:00", '""', "'x'", '"can0"', '"left"']),
+    ),
+    lambda inner: st.one_of(
+        st.lists(inner, max_size=3).map(lambda items: "[" + ",".join(items) + "]"),
+        inner.map(lambda item: "{ name = " + item + " }"),
+    ),
+    max_leaves=3,
+)
+GOOD_LINES = GOOD.splitlines()
+ASSIGNMENTS = [number for number, line in enumerate(GOOD_LINES) if " = " in line]
+
+
+@given(st.sampled_from(ASSIGNMENTS), VALUES)
+def test_whatever_the_value_it_is_accepted_or_told_at_its_own_line(number, value):
+    lines = GOOD_LINES.copy()
+    lines[number] = lines[number].split(" = ")[0] + " = " + value
+    error = mistake_in("\n".join(lines))
+    event("refused" if error else "accepted")
+    if error:
+        assert len(str(error).splitlines()) == 1
+        # A node of the same number is told at the second one, a name at whoever refers to it.
+        assert error.line >= number + 1
