@@ -1,0 +1,122 @@
+"""What a motor can be told: control mode, control variable, limits, and the resolved motion.
+
+Source: the CLARAty motor interface (Pivtoraiko, Nesnas, Nayar), 3.3 and Figure 4. U stands for the
+motor's own unit of position throughout: rad for a rotary motor, m for a linear one.
+"""
+
+from dataclasses import dataclass
+from enum import Enum
+from math import inf, isnan
+from typing import TYPE_CHECKING, final
+
+from motorapi.errors import UsageError
+
+if TYPE_CHECKING:
+    from motorapi.trajectory import TrapezoidalTrajectory
+
+Range = tuple[float, float]
+"""(lowest, highest) allowed value; -inf and inf where one side has no limit."""
+
+
+@final
+class ControlMode(Enum):
+    """How a command is given: as a target value, or as a profile to follow."""
+
+    SETPOINT = "setpoint"
+    TRAJECTORY = "trajectory"
+
+
+@final
+class ControlVariable(Enum):
+    """The quantity being commanded."""
+
+    POSITION = "position"  # [U]
+    VELOCITY = "velocity"  # [U/s]
+    TORQUE = "torque"  # [N·m], of a linear motor force [N]
+    CURRENT = "current"  # [A]
+
+
+@final
+@dataclass(frozen=True, slots=True, init=False)
+class DerivativeLimits:
+    """Allowed ranges of a control variable and of its derivatives; None: the model's limit holds.
+
+    A single number x stands for the range (-x, x). With position as the control variable `first`
+    limits velocity [U/s], `second` acceleration [U/s²]; with velocity `first` is acceleration.
+
+    Raises:
+        UsageError: a range is empty, or leaves out 0, so that the motor could not be at rest.
+    """
+
+    value: Range | None
+    first: Range | None
+    second: Range | None
+    third: Range | None
+
+    def __init__(
+        self,
+        *,
+        value: Range | None = None,
+        first: Range | float | None = None,
+        second: Range | float | None = None,
+        third: Range | float | None = None,
+    ) -> None:
+        if value is not None and not value[0] <= value[1]:
+            raise UsageError(f"the range of the value, {value}, is empty")
+        object.__setattr__(self, "value", None if value is None else (value[0], value[1]))
+        object.__setattr__(self, "first", _around_zero("first", first))
+        object.__setattr__(self, "second", _around_zero("second", second))
+        object.__setattr__(self, "third", _around_zero("third", third))
+
+
+def _around_zero(name: str, limit: Range | float | None) -> Range | None:
+    if limit is None:
+        return None
+    low, high = limit if isinstance(limit, tuple) else (-limit, limit)
+    if isnan(low) or isnan(high) or not low < 0 < high:
+        raise UsageError(
+            f"the range of the {name} derivative, ({low:g}, {high:g}), must hold 0 inside:"
+            " a motor begins and ends at rest"
+        )
+    return (float(low), float(high))
+
+
+@final
+@dataclass(frozen=True, slots=True)
+class Setpoint:
+    """A target value that the motor tries to reach, without a prescribed profile."""
+
+    value: float
+    relative: bool = False
+    limits: DerivativeLimits | None = None
+
+
+@final
+@dataclass(frozen=True, slots=True)
+class Motion:
+    """One resolved command, ready for an adaptation: absolute, signed, SI, within the limits.
+
+    What the hooks get. For position, `start` is the reference position the motor holds now and
+    `target` the absolute one it shall hold at the end; `velocity`, `acceleration` and
+    `deceleration` are sizes > 0 that the motion must not exceed. For velocity, `target` is the
+    velocity, acceleration counts while its size grows and deceleration while it shrinks. For
+    torque and current, `slope` is the steepest change [N·m/s or A/s] (inf: none asked).
+    """
+
+    mode: ControlMode
+    variable: ControlVariable
+    start: float
+    target: float
+    velocity: float
+    acceleration: float
+    deceleration: float
+    slope: float = inf
+    duration_s: float | None = None
+    """What the profile takes by the closed form; None where none is prescribed (set-points)."""
+    trajectory: "TrapezoidalTrajectory | None" = None
+    """What was asked for, None for a set-point."""
+
+    @property
+    def distance(self) -> float:
+        """Signed way from start to target [U], for position."""
+        return self.target - self.start

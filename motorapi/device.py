@@ -1,0 +1,123 @@
+"""What all devices have in common, and groups of them."""
+
+from collections.abc import Callable, Iterator
+from types import TracebackType
+from typing import Concatenate, Generic, ParamSpec, Self, TypeVar, final
+
+from motorapi.errors import UsageError
+from motorapi.runtime import Runtime
+
+P = ParamSpec("P")
+R = TypeVar("R")
+D = TypeVar("D", bound="Device")
+
+
+class Device:
+    """Something with a name that lives in a runtime. Leaving a `with` block closes it."""
+
+    def __init__(self, name: str, runtime: Runtime) -> None:
+        self._name = name
+        self._runtime = runtime
+
+    @property
+    @final
+    def name(self) -> str:
+        """What messages and records call it."""
+        return self._name
+
+    @property
+    @final
+    def runtime(self) -> Runtime:
+        """Where this device waits."""
+        return self._runtime
+
+    def close(self) -> None:
+        """It is no longer used; closing again does nothing."""
+
+    @final
+    def __enter__(self) -> Self:
+        return self
+
+    @final
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        traceback: TracebackType | None,
+    ) -> None:
+        self.close()
+
+    def __repr__(self) -> str:
+        return f"<{type(self).__name__} {self._name!r}>"
+
+
+class DeviceGroup(Generic[D]):
+    """An ordered container of devices; the order is that of appending."""
+
+    def __init__(self, *devices: D) -> None:
+        self._devices: list[D] = []
+        for device in devices:
+            self.append(device)
+
+    @final
+    def append(self, device: D) -> None:
+        """`device` is the last of the group.
+
+        Raises:
+            UsageError: it is a member already, or another member has its name.
+        """
+        for member in self._devices:
+            if member is device:
+                raise UsageError(f"{device.name} is in the group already")
+            if member.name == device.name:
+                raise UsageError(f"the group has a device named {device.name} already")
+        self._check_member(device)
+        self._devices.append(device)
+
+    @final
+    def remove(self, device: D) -> None:
+        """`device` is no longer in the group.
+
+        Raises:
+            UsageError: it is not a member.
+        """
+        for place, member in enumerate(self._devices):
+            if member is device:
+                del self._devices[place]
+                return
+        raise UsageError(f"{device.name} is not in the group")
+
+    @final
+    def for_each(
+        self, method: Callable[Concatenate[D, P], R], *args: P.args, **kwargs: P.kwargs
+    ) -> list[R]:
+        """`method(device, *args, **kwargs)` was called for every device, in order.
+
+        Returns:
+            What each call returned, in the group's order. The first error ends it; a note on the
+            error says which member it was.
+        """
+        results: list[R] = []
+        for place, device in enumerate(self._devices):
+            try:
+                results.append(method(device, *args, **kwargs))
+            except Exception as error:
+                error.add_note(f"from {device.name}, member {place + 1} of {len(self._devices)}")
+                raise
+        return results
+
+    def _check_member(self, device: D) -> None:
+        """Refuse what cannot be a member."""
+
+    def __len__(self) -> int:
+        return len(self._devices)
+
+    def __iter__(self) -> Iterator[D]:
+        return iter(tuple(self._devices))
+
+    def __getitem__(self, place: int) -> D:
+        return self._devices[place]
+
+    def __repr__(self) -> str:
+        names = ", ".join(device.name for device in self._devices)
+        return f"<{type(self).__name__} of {len(self._devices)}: {names}>"

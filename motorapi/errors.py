@@ -1,0 +1,224 @@
+"""Every error of the motor interface, one tree on one screen.
+
+    MotorError
+    |-- UsageError            your mistake; nothing was sent
+    |   |-- LimitError        a value lies outside what the motor, or its model, allows
+    |   |-- StateError        not now: what the motor is doing, or is, forbids it
+    |   |-- UnsupportedError  this motor can never do it
+    |   `-- FileError         a file of yours says what it cannot mean: path, line, key, remedy
+    |-- MotorBusyError        somebody else holds the motor: who, since when
+    |-- MotionInterrupted     the motion waited for was stopped or replaced by somebody else
+    |-- PeerError             the device refused, or broke its protocol
+    |-- DeviceFault           the drive reports a fault: code, since when
+    |-- LinkError             the bus is off, closed, or the device is not there any more
+    |-- DeadlineExceeded      what was awaited, for how long, what was heard last
+    `-- PluginError           an adaptation, or a callback, broke its contract
+
+Attributes carry the facts, so that nobody has to parse a message; messages carry value, limit,
+unit and motor. All of them pickle. Adaptations add leaves below `PeerError`, nothing elsewhere.
+"""
+
+# ruff: noqa: N818 -- the names are the design's, and say what happened, not that it is an error
+
+from collections.abc import Callable
+from typing import final
+
+
+class MotorError(Exception):
+    """Anything that goes wrong between an application and a motor."""
+
+    def __reduce__(self) -> tuple[Callable[..., "MotorError"], tuple[object, ...]]:
+        return _restored, (type(self), self.args, dict(self.__dict__))
+
+
+def _restored(
+    kind: type[MotorError], args: tuple[object, ...], facts: dict[str, object]
+) -> MotorError:
+    error = kind.__new__(kind, *args)  # not __init__: its keywords are already facts
+    error.args = args
+    error.__dict__.update(facts)
+    return error
+
+
+class UsageError(MotorError):
+    """The caller's mistake: nothing was sent to any device."""
+
+
+@final
+class LimitError(UsageError):
+    """A value lies outside a limit of the motor, its model, or the command's own.
+
+    Attributes: motor (name), quantity ("velocity"), value, low and high (None: no limit on that
+    side), unit ("rad/s").
+    """
+
+    def __init__(
+        self,
+        *,
+        motor: str,
+        quantity: str,
+        value: float,
+        low: float | None,
+        high: float | None,
+        unit: str,
+        reason: str = "",
+    ) -> None:
+        self.motor = motor
+        self.quantity = quantity
+        self.value = value
+        self.low = low
+        self.high = high
+        self.unit = unit
+        if low is not None and high is not None:
+            allowed = f"{low:g} to {high:g} {unit}"
+        elif low is not None:
+            allowed = f"at least {low:g} {unit}"
+        else:
+            allowed = f"at most {high:g} {unit}"
+        tail = f" ({reason})" if reason else ""
+        super().__init__(f"{motor}: {quantity} {value:g} {unit}, allowed is {allowed}{tail}")
+
+
+@final
+class StateError(UsageError):
+    """What the motor is, or is doing, forbids the operation now.
+
+    Attributes: motor (name), operation ("start"), state (what was found), remedy (what to do).
+    """
+
+    def __init__(self, *, motor: str, operation: str, state: str, remedy: str) -> None:
+        self.motor = motor
+        self.operation = operation
+        self.state = state
+        self.remedy = remedy
+        super().__init__(f"{motor}: {operation} refused, {state}; {remedy}")
+
+
+@final
+class UnsupportedError(UsageError):
+    """This motor can never do what was asked.
+
+    Attributes: motor (name), feature (what was asked), supported (what there is instead).
+    """
+
+    def __init__(self, *, motor: str, feature: str, supported: str = "") -> None:
+        self.motor = motor
+        self.feature = feature
+        self.supported = supported
+        tail = f"; it supports {supported}" if supported else ""
+        super().__init__(f"{motor} does not support {feature}{tail}")
+
+
+@final
+class FileError(UsageError):
+    """A file says what it cannot mean.
+
+    Attributes: path, line (1.., None if the file as a whole), key (None likewise), remedy.
+    """
+
+    def __init__(
+        self, *, path: str, line: int | None, key: str | None, problem: str, remedy: str
+    ) -> None:
+        self.path = path
+        self.line = line
+        self.key = key
+        self.problem = problem
+        self.remedy = remedy
+        where = path if line is None else f"{path}:{line}"
+        what = problem if key is None else f"{key}: {problem}"
+        super().__init__(f"{where}: {what}; {remedy}")
+
+
+@final
+class MotorBusyError(MotorError):
+    """Somebody else holds the motor.
+
+    Attributes: motor (name), holder (who, in words), since_ns (of the runtime's time).
+    """
+
+    def __init__(self, *, motor: str, holder: str, since_ns: int) -> None:
+        self.motor = motor
+        self.holder = holder
+        self.since_ns = since_ns
+        super().__init__(f"{motor} is held by {holder} since {since_ns / 1e9:.6f} s")
+
+
+@final
+class MotionInterrupted(MotorError):
+    """The motion that was started or waited for was ended by somebody else, short of its target.
+
+    Attributes: motor (name), by (who and how, in words), at_ns.
+    """
+
+    def __init__(self, *, motor: str, by: str, at_ns: int) -> None:
+        self.motor = motor
+        self.by = by
+        self.at_ns = at_ns
+        super().__init__(f"{motor}: the motion was ended by {by} at {at_ns / 1e9:.6f} s")
+
+
+class PeerError(MotorError):
+    """The device refused a request, or broke its protocol."""
+
+
+@final
+class DeviceFault(MotorError):
+    """The drive reports a fault; it does not move until `Motor.reset_fault`.
+
+    Attributes: motor (name), code (the device's own error code), text, since_ns.
+    """
+
+    def __init__(self, *, motor: str, code: int, text: str, since_ns: int) -> None:
+        self.motor = motor
+        self.code = code
+        self.text = text
+        self.since_ns = since_ns
+        super().__init__(
+            f"{motor}: fault {code:04X}h ({text}) since {since_ns / 1e9:.6f} s;"
+            " remove the cause, then reset_fault()"
+        )
+
+
+@final
+class LinkError(MotorError):
+    """The way to the device is gone: bus off, closed, or the device is no longer heard.
+
+    Attributes: link ("can0", or "can0 node 3"), reason, since_ns (None if unknown).
+    """
+
+    def __init__(self, *, link: str, reason: str, since_ns: int | None = None) -> None:
+        self.link = link
+        self.reason = reason
+        self.since_ns = since_ns
+        tail = "" if since_ns is None else f" since {since_ns / 1e9:.6f} s"
+        super().__init__(f"{link}: {reason}{tail}")
+
+
+@final
+class DeadlineExceeded(MotorError):
+    """Something awaited did not happen in time.
+
+    Attributes: awaited (in words, with the motor's name), timeout_s, last_heard (in words).
+    """
+
+    def __init__(self, *, awaited: str, timeout_s: float, last_heard: str) -> None:
+        self.awaited = awaited
+        self.timeout_s = timeout_s
+        self.last_heard = last_heard
+        super().__init__(
+            f"{awaited}: did not happen within {timeout_s:g} s; last heard: {last_heard}"
+        )
+
+
+@final
+class PluginError(MotorError):
+    """Code plugged into the interface broke its contract; the cause is chained to it.
+
+    Attributes: plugin (class or function), where (which hook), problem.
+    """
+
+    def __init__(self, *, plugin: str, where: str, problem: str) -> None:
+        self.plugin = plugin
+        self.where = where
+        self.problem = problem
+        super().__init__(f"{plugin}: {where}: {problem}")

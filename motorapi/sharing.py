@@ -1,0 +1,174 @@
+"""One physical motor, many logical ones: who has it, and what it is doing for whom.
+
+A hardware object registers the physical motor it speaks for; a second one for the same motor is
+refused while the first lives. The record this yields is shared by all logical motors on that
+hardware object. It keeps three things apart:
+
+- a *transaction*: one operation at a time (an SDO here, an SDO there would mix settings of two
+  owners). Short, first come, first served. Nobody owns anything afterwards.
+- a *run*: one motion, from the command that began it to its end. While a run goes on, the motor is
+  held by the logical motor that began it: others read, and may stop it, but not command it.
+- the *token*: it grows when the motor changes hands. What a hardware object believes it wrote is
+  true only while the token it wrote under is the current one.
+
+Ownership across processes is to take its place behind the same three.
+"""
+
+import threading
+import weakref
+from collections import deque
+from collections.abc import Callable, Hashable, Iterator
+from contextlib import contextmanager
+from typing import TYPE_CHECKING, Final, final
+
+from motorapi.errors import MotorBusyError, UsageError
+from motorapi.runtime import Runtime
+
+if TYPE_CHECKING:
+    import can
+
+TRANSACTION_TIMEOUT_S: Final = 10.0
+"""How long an operation waits for the one before it; far longer than any drive takes."""
+
+
+@final
+class Run:
+    """One motion of a physical motor: who began it, and how it ended."""
+
+    __slots__ = ("finished", "interrupted_at_ns", "interrupted_by", "name", "owner", "since_ns")
+
+    def __init__(self, name: str, owner: object, since_ns: int) -> None:
+        self.name: Final = name
+        self.owner: Final = owner
+        self.since_ns: Final = since_ns
+        self.finished = False
+        self.interrupted_by: str | None = None
+        self.interrupted_at_ns = 0
+
+
+@final
+class PhysicalMotor:
+    """The record of one physical motor in this process. `label` is its name for people."""
+
+    def __init__(self, label: str, serial: int) -> None:
+        self.label: Final = label
+        self.order: Final = (label, serial)
+        """Transactions of several motors are taken in this order, so that none can deadlock."""
+        self.token = 0
+        self.run: Run | None = None
+        self._owner: object = None
+        self._queue: deque[_Ticket] = deque()
+
+    @contextmanager
+    def transaction(self, runtime: Runtime, who: str) -> Iterator[None]:
+        """No other operation on this motor runs inside the block; in order of asking.
+
+        Raises:
+            UsageError: this thread is inside a transaction on this motor already.
+            MotorBusyError: the one before took longer than `TRANSACTION_TIMEOUT_S`.
+        """
+        thread = threading.get_ident()
+        for other in tuple(self._queue):
+            if other.thread == thread:
+                raise UsageError(f"{who}: {other.who} is still at work in this very thread")
+        ticket = _Ticket(who, thread, runtime.now_ns())
+        self._queue.append(ticket)
+        try:
+            if self._queue[0] is not ticket and not runtime.wait_until(
+                lambda: self._queue[0] is ticket, TRANSACTION_TIMEOUT_S
+            ):
+                first = self._queue[0]
+                raise MotorBusyError(motor=self.label, holder=first.who, since_ns=first.since_ns)
+            yield
+        finally:
+            self._queue.remove(ticket)
+
+    def take(self, owner: object, motor: str, is_over: Callable[[Run], bool]) -> None:
+        """`owner` may command the motor.
+
+        Raises:
+            MotorBusyError: a run of another owner goes on; `is_over` tells whether it does.
+        """
+        run = self.run
+        if run is not None and run.owner is not owner and not self._has_ended(run, is_over):
+            raise MotorBusyError(motor=motor, holder=run.name, since_ns=run.since_ns)
+        if self._owner is not owner:
+            self._owner = owner
+            self.token += 1
+
+    def begin(self, run: Run, is_over: Callable[[Run], bool]) -> None:
+        """`run` is what the motor does now; what it did before was interrupted, if not over."""
+        self.end(run.name, run.since_ns, is_over)
+        self.run = run
+
+    def end(self, by: str, now_ns: int, is_over: Callable[[Run], bool]) -> None:
+        """Nothing goes on; what went on was interrupted by `by`, if it was not over."""
+        run = self.run
+        if run is not None and not self._has_ended(run, is_over):
+            run.interrupted_by = by
+            run.interrupted_at_ns = now_ns
+        self.run = None
+
+    @staticmethod
+    def _has_ended(run: Run, is_over: Callable[[Run], bool]) -> bool:
+        return run.finished or run.interrupted_by is not None or is_over(run)
+
+
+@final
+class _Ticket:
+    __slots__ = ("since_ns", "thread", "who")
+
+    def __init__(self, who: str, thread: int, since_ns: int) -> None:
+        self.who: Final = who
+        self.thread: Final = thread
+        self.since_ns: Final = since_ns
+
+
+_registry_lock: Final = threading.Lock()
+_registry: Final[dict[Hashable, "weakref.ref[object]"]] = {}
+_serial = 0
+
+
+def register_physical_motor(key: Hashable, label: str, hardware: object) -> PhysicalMotor:
+    """The record of the physical motor `key`, for the one hardware object that speaks for it.
+
+    Args:
+        key: says which physical motor: for a drive on CAN `(*bus_key(bus), node_id)`.
+        label: its name for people ("can0 node 3").
+        hardware: the hardware object. It is held weakly: dropping it lets go of the motor.
+
+    Raises:
+        UsageError: a hardware object for this motor lives already. It is named.
+    """
+    global _serial
+    with _registry_lock:
+        there = _registry.get(key)
+        first = None if there is None else there()
+        if first is not None:
+            raise UsageError(
+                f"{label} has a hardware object already: {first!r};"
+                " share that one, or close() it first"
+            )
+
+        def forget(reference: "weakref.ref[object]") -> None:
+            if _registry.get(key) is reference:
+                del _registry[key]
+
+        _registry[key] = weakref.ref(hardware, forget)
+        _serial += 1
+        return PhysicalMotor(label, _serial)
+
+
+def release_physical_motor(key: Hashable, hardware: object) -> None:
+    """`hardware` no longer speaks for the motor `key`; does nothing if it never did."""
+    with _registry_lock:
+        there = _registry.get(key)
+        if there is not None and there() is hardware:
+            del _registry[key]
+
+
+def bus_key(bus: "can.BusABC") -> tuple[Hashable, ...]:
+    """The same for every bus object on one physical bus, however it was opened in this process."""
+    channel = getattr(bus, "channel_info", "unknown")
+    where: Hashable = bus if channel == "unknown" else (type(bus).__name__, channel)
+    return ("can", getattr(bus, "runtime", None), where)

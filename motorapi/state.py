@@ -1,0 +1,39 @@
+"""What can be known of a motor: its state, its fault, and what was measured last."""
+
+from dataclasses import dataclass
+from enum import Enum
+from typing import final
+
+
+@final
+class MotorState(Enum):
+    """Whether the motor can move, in words common to all drives."""
+
+    OFFLINE = "offline"  # not heard, or not heard any more
+    DISABLED = "disabled"  # power stage off
+    ENABLED = "enabled"  # power stage on: moving, or holding its position
+    STOPPED = "stopped"  # after a quick stop: stopping or at rest, moves only after enable()
+    FAULT = "fault"  # moves only after reset_fault()
+
+
+@final
+@dataclass(frozen=True, slots=True)
+class Fault:
+    """What the drive says is wrong: its own error code, in words, and since when [ns]."""
+
+    code: int
+    text: str
+    since_ns: int
+
+
+@final
+@dataclass(frozen=True, slots=True)
+class Measurement:
+    """What was heard of a motor last, without asking it: time [ns], SI values, None: not heard."""
+
+    time_ns: int
+    state: MotorState
+    position: float | None = None
+    velocity: float | None = None
+    torque: float | None = None
+    following_error: float | None = None
