@@ -10,7 +10,7 @@ from typing import final
 
 from emulators.controller import Controller
 from emulators.event_queue import Alarm, EventQueue
-from emulators.media.can_bus import LOST, CanBus
+from emulators.media.can_bus import DELIVERED, HEARD, KIND_MASK, LOST, CanBus, hears
 
 HostListener = Callable[[bytes, int, bool], None]
 FrameTap = Callable[[str, int, str, bytes], None]
@@ -136,6 +136,16 @@ class BusSegment:
             self._listeners.append(endpoint)
         self._routes_valid = False
 
+    def free_name(self, wish: str) -> str:
+        """The name wished for, with a number behind it if it is taken."""
+        taken = [endpoint.name for endpoint in self._by_port]
+        name = wish
+        number = 1
+        while name in taken:
+            number += 1
+            name = f"{wish}-{number}"
+        return name
+
     def remove_listener(self, endpoint: Endpoint) -> None:
         """The endpoint hears nothing any more."""
         if endpoint in self._listeners:
@@ -181,7 +191,7 @@ class BusSegment:
             sender = by_port[sender_port]
             for tap in self.taps:
                 tap(self.name, now_ns, sender.name, frame)
-            if kind != LOST:
+            if kind & KIND_MASK != LOST:
                 if not self._routes_valid:
                     self._build_routes()
                 can_id = int.from_bytes(frame[:4], "little")
@@ -190,9 +200,10 @@ class BusSegment:
                 if receivers is None:
                     receivers = routes[-1]
                 for endpoint in receivers:
-                    if endpoint is not sender:
+                    if endpoint is not sender and (kind == DELIVERED or hears(kind, endpoint.port)):
                         endpoint.deliver(frame, now_ns)
-            sender.confirm(frame, now_ns)
+            if kind & KIND_MASK != HEARD:
+                sender.confirm(frame, now_ns)
         self._alarm.set(bus.next_deadline_ns())
 
 
@@ -236,8 +247,9 @@ class World:
         slot.settle(self.queue.now_ns)
 
     def add_host(self, bus: str, name: str, on_frame: HostListener) -> HostPort:
-        """An application's port on the bus; it hears every frame."""
+        """An application's port on the bus; it hears every frame. A second "host" is "host-2"."""
         segment = self._segments[bus]
+        name = segment.free_name(name)
         port = HostPort(name, segment.bus.attach(name), segment, on_frame)
         segment.join(port)
         return port

@@ -23,7 +23,7 @@ VCAN_MODULE = "drivers/net/can/vcan"
 NAMESPACES = (["unshare", "--net"], ["unshare", "--map-root-user", "--net"])
 
 
-class NoWay(Exception):
+class NoWayError(Exception):
     """This machine cannot do it; the message says why."""
 
 
@@ -64,7 +64,7 @@ def unpacked(package: str) -> Path:
         return folder
     for tool in ("apt-get", "dpkg-deb"):
         if shutil.which(tool) is None:
-            raise NoWay(f"no {tool} to fetch Debian's {package} with")
+            raise NoWayError(f"no {tool} to fetch Debian's {package} with")
     cache_folder().mkdir(parents=True, exist_ok=True)
     with tempfile.TemporaryDirectory(dir=cache_folder()) as scratch:
         command = ["apt-get", "-q", "-o", "APT::Sandbox::User=root", "download", package]
@@ -77,7 +77,7 @@ def unpacked(package: str) -> Path:
         archives = list(Path(scratch).glob("*.deb"))
         if fetched.returncode != 0 or not archives:
             reason = (fetched.stderr.strip().splitlines() or ["no archive came"])[-1]
-            raise NoWay(f"apt-get download {package} failed: {reason} (try 'apt-get update')")
+            raise NoWayError(f"apt-get download {package} failed: {reason} (try 'apt-get update')")
         root = Path(scratch) / "root"
         subprocess.run(["dpkg-deb", "-x", str(archives[0]), str(root)], check=True)
         try:
@@ -126,7 +126,7 @@ def run_in_guest(command: list[str], count: int, memory_mib: int) -> int:
     kernel = uml / "usr" / "bin" / "linux.uml"
     releases = sorted((uml / "usr" / "lib" / "uml" / "modules").glob("*"))
     if not kernel.is_file() or not releases:
-        raise NoWay(f"the package in {uml} holds no linux.uml with modules")
+        raise NoWayError(f"the package in {uml} holds no linux.uml with modules")
     tree = releases[-1] / "kernel"
     modules = [path for m in (*CAN_MODULES, VCAN_MODULE) if (path := tree / f"{m}.ko").is_file()]
     with tempfile.TemporaryDirectory(prefix="motorhil-vcan-", dir="/tmp") as folder:
@@ -168,7 +168,9 @@ def run_in_guest(command: list[str], count: int, memory_mib: int) -> int:
                 stream.write((run / name).read_text(errors="replace"))
                 stream.flush()
         if not (run / "status").is_file():
-            raise NoWay("the User Mode Linux guest ended without a word (is ptrace allowed here?)")
+            raise NoWayError(
+                "the User Mode Linux guest ended without a word (is ptrace allowed here?)"
+            )
         return int((run / "status").read_text())
 
 
@@ -176,7 +178,7 @@ def run(command: list[str], count: int = 2, memory_mib: int = 1024) -> int:
     """The command's exit status, run where vcan0 .. vcan(count-1) are up.
 
     Raises:
-        NoWay: this machine has no vcan and cannot get one; says why.
+        NoWayError: this machine has no vcan and cannot get one; says why.
     """
     prefix = native_prefix()
     if prefix is not None:
@@ -198,7 +200,7 @@ def main() -> int:
         parser.error("no command")
     try:
         return run(command, arguments.n)
-    except NoWay as reason:
+    except NoWayError as reason:
         print(f"no vcan here: {reason}", file=sys.stderr)
         return NO_WAY
 
