@@ -6,6 +6,7 @@ missing one. The first mistake ends the reading: RigError is one line, whatever 
 """
 
 import math
+import re
 import tomllib
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -79,9 +80,12 @@ class Source:
                 self.path, f"not TOML: {message}", "see https://toml.io", line=line
             ) from None
         except RecursionError:
-            raise RigError(self.path, "not readable: nested too deeply", "flatten it") from None
+            counts = [line.count("[") + line.count("{") for line in self.text.split("\n")]
+            line = counts.index(max(counts)) + 1
+            raise RigError(self.path, "nested too deeply", "flatten it", line=line) from None
         except ValueError as error:  # tomllib lets int() speak: more than 4300 digits
-            raise RigError(self.path, f"not readable: {error}", "shorten the number") from None
+            line = self.text.count("\n", 0, _longest_number_at(self.text)) + 1
+            raise RigError(self.path, f"{error}", "shorten the number", line=line) from None
         return Table(self, (), values)
 
     def _refuse_long_integers(self, path: KeyPath, value: object) -> None:
@@ -289,3 +293,8 @@ def _syntax_error(text: str, source: str) -> tuple[str, int]:
     if len(words) >= 2 and words[0] == "line" and words[1].isdigit():
         return message, int(words[1])
     return message, source.count("\n") + 1  # "at end of document"
+
+
+def _longest_number_at(text: str) -> int:
+    numbers = list(re.finditer(r"[0-9_]+", text))
+    return max(numbers, key=lambda found: found.end() - found.start()).start() if numbers else 0
