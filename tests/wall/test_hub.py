@@ -1,0 +1,151 @@
+import contextlib
+import socket
+import threading
+
+import can
+import pytest
+
+from emulators.event_queue import EventQueue
+from emulators.hub import HubError, HubServer
+from emulators.media.can_bus import CanBus
+from emulators.serve import WallLoop
+from emulators.world import World
+from tests.emulators.test_world import Echo
+
+pytestmark = pytest.mark.wall
+
+
+@contextlib.contextmanager
+def serving(path, *controllers):
+    queue = EventQueue()
+    world = World(queue)
+    world.add_bus(CanBus("can0", 1_000_000))
+    world.add_bus(CanBus("can1", 500_000))
+    for number, controller in enumerate(controllers):
+        world.add_controller(f"c{number}", controller, "can0")
+    loop = WallLoop(queue)
+    hub = HubServer(path, world)
+    loop.add(hub)
+    stop = threading.Event()
+    thread = threading.Thread(target=loop.run, args=(stop.is_set,))
+    thread.start()
+    try:
+        yield
+    finally:
+        stop.set()
+        thread.join()
+        loop.close()
+
+
+@pytest.fixture
+def path(tmp_path):
+    return str(tmp_path / "hub")
+
+
+def message(can_id, data=b""):
+    return can.Message(arbitration_id=can_id, data=data, is_extended_id=False)
+
+
+def test_a_program_talks_to_a_controller_in_another_loop(path):
+    with serving(path, Echo(0x180)), can.Bus(interface="emulated", channel=path) as bus:
+        bus.send(message(0x100, b"\x2a"))
+        answer = bus.recv(5.0)
+    assert (answer.arbitration_id, bytes(answer.data), answer.is_rx) == (0x180, b"\x2a", True)
+
+
+def test_nothing_is_lost_and_everybody_hears_one_order(path):
+    count = 3000
+    with (
+        serving(path),
+        can.Bus(interface="emulated", channel=path) as one,
+        can.Bus(interface="emulated", channel=path) as two,
+        can.Bus(interface="emulated", channel=path + "#can0") as witness,
+    ):
+        for number in range(count):
+            one.send(message(0x101, number.to_bytes(2, "big")))
+            two.send(message(0x102, number.to_bytes(2, "big")))
+        heard = [witness.recv(10.0) for _ in range(2 * count)]
+        two_heard = [two.recv(10.0) for _ in range(count)]
+    for sender in (0x101, 0x102):
+        numbers = [int.from_bytes(m.data, "big") for m in heard if m.arbitration_id == sender]
+        assert numbers == list(range(count))
+    assert [bytes(m.data) for m in two_heard] == [
+        bytes(m.data) for m in heard if m.arbitration_id == 0x101
+    ]
+
+
+def test_own_frames_come_back_when_transmitted_if_asked_for(path):
+    with (
+        serving(path),
+        can.Bus(interface="emulated", channel=path, receive_own_messages=True) as own,
+        can.Bus(interface="emulated", channel=path) as other,
+    ):
+        own.send(message(0x123))
+        echo, heard = own.recv(5.0), other.recv(5.0)
+    assert (echo.is_rx, heard.is_rx) == (False, True)
+    assert echo.timestamp == heard.timestamp > 0.0
+
+
+def test_the_other_bus_is_another_bus(path):
+    with (
+        serving(path),
+        can.Bus(interface="emulated", channel=path) as first,
+        can.Bus(interface="emulated", channel=path + "#can1") as second,
+    ):
+        first.send(message(0x123))
+        assert second.recv(0.2) is None
+
+
+def test_an_unknown_bus_is_refused_with_the_known_ones(path):
+    with (
+        serving(path),
+        pytest.raises(can.CanInitializationError, match=r"no bus 'can9' here.*can1"),
+    ):
+        can.Bus(interface="emulated", channel=path + "#can9")
+
+
+def test_a_stranger_is_told_so_in_words(path):
+    with serving(path), socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET) as stranger:
+        stranger.connect(path)
+        stranger.send(b"\x01hello")
+        assert stranger.recv(500).startswith(b"refused this is motorhil's hub")
+
+
+def test_nobody_there_says_how_to_start_one(path):
+    with pytest.raises(can.CanInitializationError, match="motorhil serve"):
+        can.Bus(interface="emulated", channel=path)
+
+
+def test_a_hub_that_goes_away_is_an_error_not_silence(path):
+    with serving(path):
+        bus = can.Bus(interface="emulated", channel=path)
+    with bus, pytest.raises(can.CanOperationError, match="closed the connection"):
+        bus.recv(5.0)
+
+
+def test_a_path_in_use_is_refused_and_a_dead_hubs_path_is_taken_over(path):
+    queue = EventQueue()
+    world = World(queue)
+    world.add_bus(CanBus("can0"))
+    with serving(path), pytest.raises(HubError, match="in use by a hub"):
+        HubServer(path, world)
+    with socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET) as killed:
+        killed.bind(path)
+    HubServer(path, world).close()
+
+
+def test_a_file_in_the_way_is_left_alone(tmp_path):
+    world = World(EventQueue())
+    world.add_bus(CanBus("can0"))
+    file = tmp_path / "precious"
+    file.write_text("keep")
+    with pytest.raises(HubError, match="no socket"):
+        HubServer(file, world)
+    assert file.read_text() == "keep"
+
+
+def test_a_path_too_long_is_told_with_the_limit(tmp_path):
+    world = World(EventQueue())
+    world.add_bus(CanBus("can0"))
+    with pytest.raises(HubError, match="107 bytes"):
+        HubServer(tmp_path / ("x" * 120), world)
