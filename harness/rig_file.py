@@ -19,21 +19,16 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Final, final
 
+from harness.rig_faults import HOST, FaultDescription, read_faults
 from harness.settings import RigError, Source, Table, read_source
 from harness.toml_lines import KeyPath
-from harness.wording import listed, nearest
+from harness.wording import listed
 
 RIG_KEYS: Final = ("name", "seed")
 BUS_KEYS: Final = ("kind", "bitrate_bit_s")
 BUS_KINDS: Final = ("can",)
 GROUP_KEYS: Final = ("motors",)
 TOP_KEYS: Final = ("rig", "bus", "controller", "motor", "group", "fault")
-
-FAULT_KINDS: Final = ("drop", "delay", "duplicate", "corrupt", "cut")
-FAULT_KEYS: Final = (
-    *("name", "bus", "kind", "id", "id_mask", "sender", "from_s", "until_s"),
-    *("probability", "count_max", "delay_s", "nodes"),
-)
 
 NAME: Final = re.compile(r"[A-Za-z][A-Za-z0-9_-]*")
 SEED_MAX: Final = 2**32 - 1
@@ -101,36 +96,6 @@ class GroupDescription:
 
     name: str
     motors: tuple[str, ...]
-
-
-@final
-@dataclass(frozen=True, slots=True)
-class FaultDescription:
-    """Something that goes wrong on a bus, each time it matches.
-
-    Attributes:
-        kind: one of FAULT_KINDS.
-        id, id_mask: frames whose identifier agrees with `id` in the bits of `id_mask`; None: all.
-        sender: only frames of this controller; None: anybody's.
-        from_s, until_s: the time window [s]; None: to the end.
-        probability: of each match, 0 to 1.
-        count_max: it happens at most so often; None: no limit.
-        delay_s: kind "delay": how much later [s].
-        nodes: kind "cut": who loses the bus, by controller name.
-    """
-
-    name: str
-    bus: str
-    kind: str
-    id: int | None
-    id_mask: int
-    sender: str | None
-    from_s: float
-    until_s: float | None
-    probability: float
-    count_max: int | None
-    delay_s: float
-    nodes: tuple[str, ...]
 
 
 @final
@@ -204,10 +169,7 @@ def parse_rig(source: Source, known: Known) -> RigDescription:
         controllers=MappingProxyType(controllers),
         motors=MappingProxyType(motors),
         groups=MappingProxyType(groups),
-        faults=tuple(
-            _fault(number, table, buses, controllers)
-            for number, table in enumerate(root.listed_tables("fault"), 1)
-        ),
+        faults=read_faults(root, _on_each(buses, controllers)),
         source=source,
     )
 
@@ -227,7 +189,7 @@ def _named(root: Table, key: str) -> "list[tuple[str, Table]]":
 
 def _bus(name: str, table: Table) -> BusDescription:
     table.refuse_unknown(BUS_KEYS)
-    kind = _one_of(table, "kind", BUS_KINDS, "bus kind", default="can")
+    kind = table.one_of("kind", BUS_KINDS, "bus kind", default="can")
     rate = table.integer(
         "bitrate_bit_s", low=1_000, high=1_000_000, unit="bit/s", example="1_000_000"
     )
@@ -243,13 +205,17 @@ def _bus(name: str, table: Table) -> BusDescription:
 def _controller(
     name: str, table: Table, buses: Mapping[str, BusDescription], known: Known
 ) -> ControllerDescription:
-    kind = _one_of(table, "kind", known.controllers, "controller kind")
-    bus = _reference(table, "bus", buses, "bus")
+    kind = table.one_of("kind", known.controllers, "controller kind")
+    bus = table.name_of("bus", list(buses), "bus")
     plant = table.table("plant")
     from_model = plant.flag("from_motor_model", False)
     settings = _without(table, ("kind", "bus"))
     if plant.has("from_motor_model"):
         settings["plant"] = _without(plant, ("from_motor_model",))
+    if name == HOST or name.startswith(f"{HOST}-"):
+        raise table.source.error(
+            table.path, "is what the application's ports are called on a bus", "rename it"
+        )
     return ControllerDescription(name, kind, bus, _node_id(table), settings, from_model)
 
 
@@ -260,17 +226,17 @@ def _motor(
     controllers: Mapping[str, ControllerDescription],
     known: Known,
 ) -> MotorDescription:
-    adaptation = _one_of(table, "adaptation", known.adaptations, "adaptation")
+    adaptation = table.one_of("adaptation", known.adaptations, "adaptation")
     controller: str | None = None
     if table.has("controller"):
-        controller = _reference(table, "controller", controllers, "controller")
+        controller = table.name_of("controller", list(controllers), "controller")
         for key in ("bus", "node_id"):
             if table.has(key):
                 raise table.error(key, "is the controller's to say", f"take out {key}")
         bus = controllers[controller].bus
         node_id = controllers[controller].node_id
     elif table.has("bus"):
-        bus = _reference(table, "bus", buses, "bus")
+        bus = table.name_of("bus", list(buses), "bus")
         node_id = _node_id(table)
     else:
         known_names = listed(controllers)
@@ -303,55 +269,10 @@ def _group(name: str, table: Table, motors: Mapping[str, MotorDescription]) -> G
     for index, member in enumerate(members):
         path = (*table.path, "motors", index)
         if member not in motors:
-            raise _no_such(table.source, path, member, motors, "motor")
+            raise table.source.no_such(path, member, list(motors), "motor")
         if member in members[:index]:
             raise table.source.error(path, f'"{member}" is in the group twice', "take one out")
     return GroupDescription(name, members)
-
-
-def _fault(
-    number: int,
-    table: Table,
-    buses: Mapping[str, BusDescription],
-    controllers: Mapping[str, ControllerDescription],
-) -> FaultDescription:
-    table.refuse_unknown(FAULT_KEYS)
-    bus = _reference(table, "bus", buses, "bus")
-    kind = _one_of(table, "kind", FAULT_KINDS, "fault kind")
-    for key, owner in (("delay_s", "delay"), ("nodes", "cut")):
-        if table.has(key) and kind != owner:
-            raise table.error(key, f'belongs to kind "{owner}", not "{kind}"', "take it out")
-    sender = _reference(table, "sender", controllers, "controller") if table.has("sender") else None
-    nodes = table.texts("nodes") if kind == "cut" else ()
-    for index, node in enumerate(nodes):
-        if node not in controllers:
-            path = (*table.path, "nodes", index)
-            raise _no_such(table.source, path, node, controllers, "controller")
-    start_s = table.number("from_s", 0.0, low=0.0, high=1e9, unit="s")
-    return FaultDescription(
-        name=table.text("name", f"fault {number}"),
-        bus=bus,
-        kind=kind,
-        id=table.integer("id", low=0, high=0x1FFFFFFF) if table.has("id") else None,
-        id_mask=table.integer("id_mask", 0x1FFFFFFF, low=0, high=0x1FFFFFFF),
-        sender=sender,
-        from_s=start_s,
-        until_s=(
-            table.number("until_s", low=start_s, high=1e9, unit="s")
-            if table.has("until_s")
-            else None
-        ),
-        probability=table.number("probability", 1.0, low=0.0, high=1.0),
-        count_max=(
-            table.integer("count_max", low=1, high=2**31) if table.has("count_max") else None
-        ),
-        delay_s=(
-            table.number("delay_s", low=0.0, high=1e6, unit="s", example="0.01")
-            if kind == "delay"
-            else 0.0
-        ),
-        nodes=nodes,
-    )
 
 
 def _refuse_shared_nodes(source: Source, controllers: Mapping[str, ControllerDescription]) -> None:
@@ -373,38 +294,19 @@ def _refuse_shared_nodes(source: Source, controllers: Mapping[str, ControllerDes
         taken[place] = name
 
 
+def _on_each(
+    buses: Mapping[str, BusDescription], controllers: Mapping[str, ControllerDescription]
+) -> dict[str, list[str]]:
+    return {
+        bus: [name for name, controller in controllers.items() if controller.bus == bus]
+        for bus in buses
+    }
+
+
 def _node_id(table: Table) -> int | None:
     if not table.has("node_id"):
         return None
     return table.integer("node_id", low=0, high=NODE_MAX, example="1")
-
-
-def _one_of(
-    table: Table, key: str, known: tuple[str, ...], what: str, default: str | None = None
-) -> str:
-    if default is not None and not table.has(key):
-        return default
-    value = table.text(key, example=" or ".join(f'"{name}"' for name in known[:4]))
-    if value not in known:
-        message = f'unknown {what} "{value}" (known: {listed(known)})'
-        raise table.error(key, message, nearest(value, known))
-    return value
-
-
-def _reference(table: Table, key: str, known: Mapping[str, object], what: str) -> str:
-    value = table.text(key, example=" or ".join(f'"{name}"' for name in list(known)[:4]))
-    if value not in known:
-        raise _no_such(table.source, (*table.path, key), value, known, what)
-    return value
-
-
-def _no_such(
-    source: Source, path: KeyPath, value: str, known: Mapping[str, object], what: str
-) -> RigError:
-    remedy = nearest(value, list(known))
-    if not remedy.startswith("did"):
-        remedy = f"name one of these, or add [{what}.{value}]"
-    return source.error(path, f'there is no {what} "{value}" (known: {listed(known)})', remedy)
 
 
 def _without(table: Table, keys: tuple[str, ...]) -> dict[str, object]:

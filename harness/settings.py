@@ -109,6 +109,13 @@ class Source:
         """The RigError for the value at `path`; to be raised."""
         return RigError(self.path, message, remedy, line=self.line(path), key=dotted(path))
 
+    def no_such(self, path: KeyPath, name: str, known: Sequence[str], what: str) -> RigError:
+        """The RigError for a name at `path` that refers to nothing; to be raised."""
+        remedy = nearest(name, known)
+        if not remedy.startswith("did"):
+            remedy = f"name one of these, or add [{what}.{name}]"
+        return self.error(path, f'there is no {what} "{name}" (known: {listed(known)})', remedy)
+
 
 def read_source(path: Path, remedy: str) -> Source:
     """The file's text.
@@ -173,6 +180,21 @@ class Table:
             raise self._wrong_type(key, "a string", value, example)
         if not value:
             raise self.error(key, "is empty", _write(key, example))
+        return value
+
+    def one_of(self, key: str, known: Sequence[str], what: str, default: object = _REQUIRED) -> str:
+        """A word out of `known`; `what` they are."""
+        value = self.text(key, default, _alternatives(known))
+        if value not in known:
+            message = f'unknown {what} "{value}" (known: {listed(known)})'
+            raise self.error(key, message, nearest(value, known))
+        return value
+
+    def name_of(self, key: str, known: Sequence[str], what: str) -> str:
+        """The name of something else in the file; `what` that is."""
+        value = self.text(key, example=_alternatives(known))
+        if value not in known:
+            raise self.source.no_such((*self.path, key), value, known, what)
         return value
 
     def flag(self, key: str, default: object = _REQUIRED) -> bool:
@@ -278,6 +300,10 @@ class Table:
 
 def _write(key: str, example: str) -> str:
     return f"write {key} = {example}" if example else ""
+
+
+def _alternatives(known: Sequence[str]) -> str:
+    return " or ".join(f'"{name}"' for name in known[:4])
 
 
 def _bracketed(unit: str) -> str:

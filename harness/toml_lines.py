@@ -12,7 +12,7 @@ from typing import Final
 
 KeyPath = tuple[str | int, ...]
 
-_BARE_KEY: Final = re.compile(r"[A-Za-z0-9_-]+")
+BARE_KEY: Final = re.compile(r"[A-Za-z0-9_-]+")
 _PLAIN_VALUE: Final = re.compile(r"[^,\]}#\n]+")  # number, boolean, date: ends at none of these
 _SPACE: Final = re.compile(r"[ \t]*")
 _SPACE_LINES_COMMENTS: Final = re.compile(r"(?:[ \t\n]|#[^\n]*)*")
@@ -107,7 +107,7 @@ class _Locator:
             self._skip(_SPACE)
             quoted = self._text[self._at] in "\"'"
             start = self._at
-            self._skip(_STRING[self._text[start]] if quoted else _BARE_KEY)
+            self._skip(_STRING[self._text[start]] if quoted else BARE_KEY)
             key = self._text[start : self._at]
             keys.append(tomllib.loads(f"key = {key}")["key"] if quoted else key)
             self._skip(_SPACE)

@@ -4,7 +4,7 @@ import difflib
 from collections.abc import Iterable, Sequence
 from typing import Final
 
-from harness.toml_lines import KeyPath
+from harness.toml_lines import BARE_KEY, KeyPath
 
 _SHOWN_MAX: Final = 60
 
@@ -16,7 +16,7 @@ def dotted(path: KeyPath) -> str:
         if isinstance(key, int):
             text += f"[{key}]"
         else:
-            quoted = key if key.isidentifier() or key.replace("-", "_").isalnum() else repr(key)
+            quoted = key if BARE_KEY.fullmatch(key) else repr(key)
             text += f".{quoted}" if text else quoted
     return text
 

@@ -4,6 +4,7 @@ import pytest
 from hypothesis import event, given
 from hypothesis import strategies as st
 
+from emulators.media.faults import FaultKind, FaultRule
 from harness.rig_file import Known, parse_rig, read_rig
 from harness.settings import RigError, Source
 from harness.wording import one_line
@@ -50,7 +51,7 @@ motors = ["left", "spare"]
 [[fault]]
 bus = "can0"
 kind = "drop"
-id = 0x181
+identifier = 0x181
 until_s = 2
 
 [[fault]]
@@ -94,8 +95,49 @@ def test_a_rig_is_read_as_it_is_written():
     assert spare.settings == {"heartbeat_s": 0.1}
     assert rig.groups["drive"].motors == ("left", "spare")
     drop, cut = rig.faults
-    assert (drop.name, drop.id, drop.from_s, drop.until_s) == ("fault 1", 0x181, 0.0, 2.0)
-    assert (cut.name, cut.nodes, cut.probability) == ("fault 2", ("right",), 1.0)
+    assert (drop.bus, drop.rule.name, drop.rule.kind) == ("can0", "fault 1", FaultKind.DROP)
+    assert (drop.rule.identifier, drop.rule.until_ns) == (0x181, 2_000_000_000)
+    assert (cut.rule.name, cut.rule.ports, cut.rule.probability) == ("fault 2", ("right",), 1.0)
+
+
+def test_every_condition_of_a_fault_reaches_its_rule():
+    conditions = """
+[[fault]]
+name = "bad gateway"
+bus = "can0"
+kind = "corrupt"
+identifier = 0x1ABCDEF0
+identifier_mask = 0x1FFFFF00
+extended = true
+sender = "host"
+nodes = ["left", "right"]
+from_s = 0.5
+until_s = 1.5
+probability = 0.25
+skip = 3
+limit = 4
+flip = "00 FF"
+[[fault]]
+bus = "can0"
+kind = "delay"
+delay_s = 0.02
+"""
+    corrupt, delay = [fault.rule for fault in parse(GOOD + conditions).faults[2:]]
+    assert corrupt == FaultRule(
+        name="bad gateway",
+        kind=FaultKind.CORRUPT,
+        identifier=0x9ABCDEF0,
+        mask=0x9FFFFF00,
+        sender="host",
+        ports=("left", "right"),
+        from_ns=500_000_000,
+        until_ns=1_500_000_000,
+        probability=0.25,
+        skip=3,
+        limit=4,
+        flip=b"\x00\xff",
+    )
+    assert delay == FaultRule(name="fault 4", kind=FaultKind.DELAY, delay_ns=20_000_000)
 
 
 def test_a_rig_without_a_name_is_called_after_its_file():
