@@ -1,0 +1,158 @@
+"""The drive's profile generator: demands as pieces of constant acceleration, in closed form.
+
+Time is counted in servo ticks from the moment of the command, so velocities are increments per
+tick and accelerations increments per tick^2. A profile is a tuple of pieces that follow one
+another; the last one never ends. The demand at any time comes straight from the piece that holds
+it: nothing is accumulated, so it does not matter how often, or whether, it was asked before.
+
+Only + - * / and sqrt are used, so the same command gives the same demands on every machine.
+
+Source: Biagiotti & Melchiorri, Trajectory Planning for Automatic Machines and Robots (2008), ch. 3,
+trapezoidal velocity profile with non-null initial velocity.
+"""
+
+from math import sqrt
+from typing import Final
+
+# end, start, position, slope, half acceleration, velocity, acceleration. At s = t - start:
+#   position demand = position + s * (slope + s * half acceleration)
+#   velocity demand = velocity + s * acceleration
+# (slope and velocity differ only where a cyclic demand has arrived and its velocity is still fed
+# forward for one tick.)
+Piece = tuple[float, float, float, float, float, float, float]
+Profile = tuple[Piece, ...]
+
+FOREVER: Final = 1e300
+
+
+def hold(position: float) -> Profile:
+    """Stand at `position` for good."""
+    return ((FOREVER, 0.0, position, 0.0, 0.0, 0.0, 0.0),)
+
+
+def line(start: float, end: float, ticks: float) -> Profile:
+    """Reach `end` evenly in `ticks` (cyclic demands), then stand; at once where ticks < 1.
+
+    The velocity demand is that of the last step: it outlives the arrival by one tick, in which the
+    next cyclic demand is expected.
+    """
+    if ticks < 1.0:
+        ticks = 1.0
+    slope = (end - start) / ticks
+    return (
+        (ticks, 0.0, start, slope, 0.0, slope, 0.0),
+        (ticks + 1.0, ticks, end, 0.0, 0.0, slope, 0.0),
+        (FOREVER, ticks + 1.0, end, 0.0, 0.0, 0.0, 0.0),
+    )
+
+
+def ramp(
+    position: float, velocity: float, wanted: float, acceleration: float, deceleration: float
+) -> Profile:
+    """Reach the velocity `wanted` and keep it; through standstill where the sign changes.
+
+    A ramp to standstill ends at the increment next to where it comes to rest.
+    """
+    pieces: list[Piece] = []
+    t = 0.0
+    if velocity * wanted <= 0.0 and velocity != 0.0:
+        t, position = _brake(pieces, position, velocity, deceleration)
+        velocity = 0.0
+    if wanted == 0.0:
+        pieces.append((FOREVER, t, (position + 0.5) // 1.0, 0.0, 0.0, 0.0, 0.0))
+        return tuple(pieces)
+    faster = (wanted > velocity) if wanted > 0.0 else (wanted < velocity)
+    size = acceleration if faster else deceleration
+    change = size if wanted > velocity else -size
+    duration = (wanted - velocity) / change
+    if duration > 0.0:
+        pieces.append((t + duration, t, position, velocity, 0.5 * change, velocity, change))
+        position += duration * (velocity + duration * (0.5 * change))
+        t += duration
+    pieces.append((FOREVER, t, position, wanted, 0.0, wanted, 0.0))
+    return tuple(pieces)
+
+
+def move(
+    position: float,
+    velocity: float,
+    target: float,
+    velocity_max: float,
+    acceleration: float,
+    deceleration: float,
+) -> Profile:
+    """Come to rest at `target` in the shortest time within the limits, from any start.
+
+    Too fast a start is braked to `velocity_max` first; one that leads away, or too close to stop in
+    time, is braked to standstill and then comes back. All three limits > 0.
+    """
+    pieces: list[Piece] = []
+    t = 0.0
+    stop = position + velocity * (velocity if velocity > 0.0 else -velocity) / (2.0 * deceleration)
+    if target == stop:
+        forward = 1.0 if velocity >= 0.0 else -1.0
+    else:
+        forward = 1.0 if target > stop else -1.0
+    if velocity * forward < 0.0:
+        t, position = _brake(pieces, position, velocity, deceleration)
+        velocity = 0.0
+    speed = velocity * forward
+    distance = (target - position) * forward
+    if speed > velocity_max:
+        peak = velocity_max
+        change = -deceleration
+    else:
+        peak_squared = deceleration * (2.0 * acceleration * distance + speed * speed)
+        peak_squared /= acceleration + deceleration
+        peak = sqrt(peak_squared) if peak_squared > 0.0 else 0.0
+        peak = max(speed, min(peak, velocity_max))
+        change = acceleration
+    duration = (peak - speed) / change
+    if duration > 0.0:
+        half = 0.5 * change * forward
+        pieces.append(
+            (t + duration, t, position, velocity, half, velocity, change * forward),
+        )
+        position += duration * (velocity + duration * half)
+        t += duration
+    braking = peak * peak / (2.0 * deceleration)
+    cruise = (target - position) * forward - braking
+    if cruise > 0.0 and peak >= velocity_max:
+        duration = cruise / peak
+        pieces.append((t + duration, t, position, peak * forward, 0.0, peak * forward, 0.0))
+        t += duration
+    if peak > 0.0:
+        duration = peak / deceleration
+        slower = -deceleration * forward
+        start = target - braking * forward
+        pieces.append(
+            (t + duration, t, start, peak * forward, 0.5 * slower, peak * forward, slower)
+        )
+        t += duration
+    pieces.append((FOREVER, t, target, 0.0, 0.0, 0.0, 0.0))
+    return tuple(pieces)
+
+
+def duration_ticks(profile: Profile) -> float:
+    """When the last piece begins: from then on nothing changes any more [ticks]."""
+    return profile[-1][1]
+
+
+def demand_at(profile: Profile, t: float) -> tuple[float, float]:
+    """Position and velocity demand, unrounded, `t` ticks after the command."""
+    index = 0
+    while t >= profile[index][0]:
+        index += 1
+    _, start, position, slope, half, velocity, change = profile[index]
+    s = t - start
+    return position + s * (slope + s * half), velocity + s * change
+
+
+def _brake(
+    pieces: list[Piece], position: float, velocity: float, deceleration: float
+) -> tuple[float, float]:
+    """Append the first piece, from `velocity` != 0 to standstill; when and where that is."""
+    change = -deceleration if velocity > 0.0 else deceleration
+    duration = -velocity / change
+    pieces.append((duration, 0.0, position, velocity, 0.5 * change, velocity, change))
+    return duration, position + duration * (0.5 * velocity)
