@@ -1,0 +1,274 @@
+"""What a rig may say about a CiA 402 drive, checked key by key.
+
+A wrong key or value is a `SettingError` that names the keys down to it and what would be right;
+whoever read the file adds file and line.
+"""
+
+import difflib
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, fields, replace
+from pathlib import Path
+from typing import Final, final
+
+from emulators.controller import SettingError
+from emulators.firmware.gains import ServoGains
+from emulators.plant.dc_motor import MotorPlant
+from emulators.plant.presets import PRESETS
+
+DEFAULT_PRESET: Final = "wheel_60w"
+OWN_EDS: Final = Path(__file__).parents[1] / "eds" / "motorhil_cia402.eds"
+
+# 6502h: bit = mode of operation - 1. Those with behaviour so far come first.
+EMULATED_MODES: Final[dict[str, int]] = {"pp": 1, "pv": 3, "hm": 6, "csp": 8}
+OTHER_MODES: Final = ("vl", "tq", "ip", "csv", "cst")
+
+_KEYS: Final = (
+    "node_id",
+    "eds",
+    "plant",
+    "servo",
+    "timing",
+    "units",
+    "objects",
+    "supported_modes",
+    "initial_position_rad",
+)
+_TIMING_KEYS: Final = ("boot_up_s", "sdo_reply_s", "enable_s")
+_UNIT_KEYS: Final = ("position_unit_inc", "velocity_unit_inc_s", "acceleration_unit_inc_s2")
+_SERVO_KEYS: Final = ("tick_s", "current_steps")
+_NS_PER_S: Final = 1_000_000_000
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True)
+class DriveSettings:
+    """One drive of a rig; everything has a default but the node-ID.
+
+    Attributes:
+        node_id: 1..127.
+        eds: where its object dictionary comes from.
+        plant, gains: the motor, and the servo that drives it.
+        tick_ns, current_steps: servo period, and current loop steps in each.
+        boot_up_ns: power-on to boot-up message.
+        sdo_reply_ns: SDO request to response.
+        enable_ns: the power stage's way from switched on to operation enabled.
+        position_unit_inc, velocity_unit_inc_s, acceleration_unit_inc_s2: what 1 means in its
+            objects; None: what the file says, else one increment (per second, squared).
+        objects: (index, sub-index, value) that replace what the file says.
+        supported_modes: names; None: what the file says, else all emulated ones.
+        initial_position_rad: at the output, at power-on.
+    """
+
+    node_id: int
+    eds: Path = OWN_EDS
+    plant: MotorPlant = PRESETS[DEFAULT_PRESET]
+    gains: ServoGains
+    tick_ns: int = 1_000_000
+    current_steps: int = 10
+    boot_up_ns: int = 300_000_000
+    sdo_reply_ns: int = 1_000_000
+    enable_ns: int = 20_000_000
+    position_unit_inc: float | None = None
+    velocity_unit_inc_s: float | None = None
+    acceleration_unit_inc_s2: float | None = None
+    objects: tuple[tuple[int, int, int | float | str], ...] = ()
+    supported_modes: tuple[str, ...] | None = None
+    initial_position_rad: float = 0.0
+
+
+def read_settings(table: Mapping[str, object], folder: Path) -> DriveSettings:
+    """The settings in a rig's table; relative paths start at `folder`.
+
+    Raises:
+        SettingError: a key is unknown, or a value is missing or wrong.
+    """
+    _refuse_unknown(table, _KEYS, ())
+    if "node_id" not in table:
+        raise SettingError(("node_id",), "is missing", "a number 1..127")
+    plant = _plant(_table(table, "plant"))
+    servo = _table(table, "servo")
+    tick_ns, current_steps, gains = _servo(servo, plant)
+    timing = _table(table, "timing")
+    _refuse_unknown(timing, _TIMING_KEYS, ("timing",))
+    units = _table(table, "units")
+    _refuse_unknown(units, _UNIT_KEYS, ("units",))
+    return DriveSettings(
+        node_id=_whole(table["node_id"], ("node_id",), 1, 127),
+        eds=_eds(table, folder),
+        plant=plant,
+        gains=gains,
+        tick_ns=tick_ns,
+        current_steps=current_steps,
+        boot_up_ns=_duration_ns(timing, "boot_up_s", 0.3, ("timing",)),
+        sdo_reply_ns=_duration_ns(timing, "sdo_reply_s", 0.001, ("timing",)),
+        enable_ns=_duration_ns(timing, "enable_s", 0.02, ("timing",)),
+        position_unit_inc=_positive(units, "position_unit_inc"),
+        velocity_unit_inc_s=_positive(units, "velocity_unit_inc_s"),
+        acceleration_unit_inc_s2=_positive(units, "acceleration_unit_inc_s2"),
+        objects=_objects(_table(table, "objects")),
+        supported_modes=_modes(table),
+        initial_position_rad=_number(
+            table.get("initial_position_rad", 0.0), ("initial_position_rad",)
+        ),
+    )
+
+
+def _eds(table: Mapping[str, object], folder: Path) -> Path:
+    value = table.get("eds")
+    if value is None:
+        return OWN_EDS
+    if not isinstance(value, str) or not value:
+        raise SettingError(("eds",), f"{value!r} is no path", 'a file name: eds = "drive.eds"')
+    path = folder / value
+    if not path.is_file():
+        raise SettingError(
+            ("eds",), f"there is no file {path}", "check the path; without eds our own is used"
+        )
+    return path
+
+
+def _plant(table: Mapping[str, object]) -> MotorPlant:
+    names = tuple(field.name for field in fields(MotorPlant))
+    _refuse_unknown(table, ("preset", *names), ("plant",))
+    preset = table.get("preset")
+    if preset is not None and preset not in PRESETS:
+        raise SettingError(
+            ("plant", "preset"), f"there is no preset {preset!r}", f"known: {', '.join(PRESETS)}"
+        )
+    numbers: dict[str, float] = {}
+    for name in names:
+        if name in table:
+            numbers[name] = (
+                _whole(table[name], ("plant", name), 1, 1 << 31)
+                if name == "encoder_increments_rev"
+                else _number(table[name], ("plant", name))
+            )
+    base = PRESETS[preset] if isinstance(preset, str) else PRESETS[DEFAULT_PRESET]
+    needed = [name for name in names if name not in numbers and name in _DATA_SHEET]
+    if preset is None and numbers and needed:
+        raise SettingError(
+            ("plant",),
+            f"{', '.join(needed)} missing",
+            f"give all data-sheet numbers, or start from a preset: {', '.join(PRESETS)}",
+        )
+    if preset is None and numbers:
+        base = replace(base, **_OPTIONAL)  # type: ignore[arg-type]
+    try:
+        return replace(base, **numbers)  # type: ignore[arg-type]
+    except ValueError as error:
+        name = str(error).split(" ", 1)[0]
+        raise SettingError(("plant", name), str(error).partition(": ")[2]) from error
+
+
+_OPTIONAL: Final[dict[str, float]] = {
+    "viscous_friction_n_m_s_rad": 0.0,
+    "gear_ratio": 1.0,
+    "load_inertia_kg_m2": 0.0,
+    "load_torque_n_m": 0.0,
+}
+_DATA_SHEET: Final = tuple(f.name for f in fields(MotorPlant) if f.name not in _OPTIONAL)
+
+
+def _servo(table: Mapping[str, object], plant: MotorPlant) -> tuple[int, int, ServoGains]:
+    names = tuple(field.name for field in fields(ServoGains))
+    _refuse_unknown(table, (*_SERVO_KEYS, *names), ("servo",))
+    tick_ns = _duration_ns(table, "tick_s", 0.001, ("servo",))
+    if tick_ns < 1000:
+        raise SettingError(("servo", "tick_s"), "is below a microsecond", "usual: 0.001")
+    steps = _whole(table.get("current_steps", 10), ("servo", "current_steps"), 1, 1000)
+    given = {name: _number(table[name], ("servo", name)) for name in names if name in table}
+    for name, value in given.items():
+        if value < 0.0:
+            raise SettingError(("servo", name), f"{value} is negative", "a gain >= 0")
+    return tick_ns, steps, replace(ServoGains.tuned(plant, tick_ns, steps), **given)
+
+
+def _objects(table: Mapping[str, object]) -> tuple[tuple[int, int, int | float | str], ...]:
+    entries: list[tuple[int, int, int | float | str]] = []
+    for key, value in table.items():
+        index_text, _, subindex_text = key.partition(":")
+        path = ("objects", key)
+        try:
+            index = int(index_text.removesuffix("h").removesuffix("H"), 16)
+            subindex = _subindex(subindex_text or "0")
+        except ValueError:
+            raise SettingError(path, "is no object", 'like "6065h" or "1A00h:1"') from None
+        if not (0x1000 <= index <= 0xFFFF and 0 <= subindex <= 254):
+            raise SettingError(path, "is no object", "1000h..FFFFh, sub-index 0..254")
+        if isinstance(value, bool) or not isinstance(value, int | float | str):
+            raise SettingError(path, f"{value!r} is no value", "a number, or a text for a string")
+        entries.append((index, subindex, value))
+    return tuple(entries)
+
+
+def _subindex(text: str) -> int:
+    return int(text[:-1], 16) if text[-1] in "hH" else int(text, 10)
+
+
+def _modes(table: Mapping[str, object]) -> tuple[str, ...] | None:
+    value = table.get("supported_modes")
+    if value is None:
+        return None
+    path = ("supported_modes",)
+    known = f"known: {', '.join(EMULATED_MODES)}"
+    if isinstance(value, str) or not isinstance(value, Sequence) or not value:
+        raise SettingError(path, f"{value!r} is no list of modes", f'["pp", "pv"]; {known}')
+    names: list[str] = []
+    for name in value:
+        if name in OTHER_MODES:
+            raise SettingError(path, f"mode {name} is not emulated", known)
+        if not isinstance(name, str) or name not in EMULATED_MODES:
+            raise SettingError(path, f"there is no mode {name!r}", known)
+        names.append(name)
+    return tuple(names)
+
+
+def _table(table: Mapping[str, object], key: str) -> Mapping[str, object]:
+    value = table.get(key, {})
+    if not isinstance(value, Mapping):
+        raise SettingError((key,), f"{value!r} is no table", f"write [controller.NAME.{key}]")
+    return value
+
+
+def _refuse_unknown(
+    table: Mapping[str, object], known: Sequence[str], path: tuple[str, ...]
+) -> None:
+    for key in table:
+        if key not in known:
+            close = difflib.get_close_matches(key, known, n=1)
+            guess = f"did you mean {close[0]}? " if close else ""
+            raise SettingError((*path, key), "is not known", f"{guess}known: {', '.join(known)}")
+
+
+def _number(value: object, path: tuple[str, ...]) -> float:
+    if isinstance(value, bool) or not isinstance(value, int | float):
+        raise SettingError(path, f"{value!r} is no number")
+    if not -1e30 < value < 1e30:
+        raise SettingError(path, f"{value} is not finite")
+    return float(value)
+
+
+def _whole(value: object, path: tuple[str, ...], low: int, high: int) -> int:
+    if isinstance(value, bool) or not isinstance(value, int):
+        raise SettingError(path, f"{value!r} is no whole number", f"{low}..{high}")
+    if not low <= value <= high:
+        raise SettingError(path, f"{value} is outside {low}..{high}")
+    return value
+
+
+def _positive(table: Mapping[str, object], key: str) -> float | None:
+    if key not in table:
+        return None
+    value = _number(table[key], ("units", key))
+    if value <= 0.0:
+        raise SettingError(("units", key), f"{value} is not > 0")
+    return value
+
+
+def _duration_ns(
+    table: Mapping[str, object], key: str, default_s: float, path: tuple[str, ...]
+) -> int:
+    value = _number(table.get(key, default_s), (*path, key))
+    if value < 0.0:
+        raise SettingError((*path, key), f"{value} s is negative")
+    return round(value * _NS_PER_S)

@@ -1,0 +1,144 @@
+"""What 1 means in a drive's position, velocity and acceleration objects.
+
+Inside, everything is counted in increments of the motor's encoder, per second and per second
+squared. Outside, a drive uses the units its factor group states (CiA 402-2, factor group):
+
+- position: 608Fh encoder resolution x 6091h gear ratio / 6092h feed constant increments per unit,
+  where 608Fh names the encoder the motor really has; otherwise the unit is one increment;
+- velocity: position unit per second x 6096h; acceleration: per second squared x 6097h;
+- where a file names units by dimension index (608Ch, 608Eh: A4h = turns of the motor per minute) or
+  SI unit (60A8h, 60A9h), these count instead;
+- what the rig's `units` table says wins over all of it.
+"""
+
+from dataclasses import dataclass
+from fractions import Fraction
+from typing import Final, final
+
+from emulators.canopen.object_dictionary import ObjectDictionary
+from emulators.plant.dc_motor import MotorPlant
+
+RPM_DIMENSION: Final = 0xA4  # 608Ch, 608Eh: turns per minute (and second), as maxon's files have it
+
+# 60A8h/60A9h: bits 31-24 power of ten, 23-16 numerator, 15-8 denominator (CiA 303-2 codes).
+_SI_TURNS: Final[dict[int, Fraction]] = {
+    0x41: Fraction(1, 360),  # degree
+    0x42: Fraction(1, 360 * 60),  # minute of arc
+    0x43: Fraction(1, 360 * 3600),  # second of arc
+    0xB4: Fraction(1),  # revolution
+}
+_SI_SECONDS: Final[dict[int, int]] = {0x00: 1, 0x03: 1, 0x47: 60}
+
+
+@final
+@dataclass(frozen=True, slots=True)
+class Units:
+    """Increments per unit, as exact ratios or floats.
+
+    Attributes:
+        position_numerator, position_divisor: increments per position unit, as whole numbers > 0.
+        velocity_unit_inc_s: increments per second per velocity unit.
+        acceleration_unit_inc_s2: increments per second squared per acceleration unit.
+    """
+
+    position_numerator: int
+    position_divisor: int
+    velocity_unit_inc_s: float
+    acceleration_unit_inc_s2: float
+
+    def position_inc(self, raw: int) -> int:
+        """Position units as increments, rounded to the nearest."""
+        divisor = self.position_divisor
+        numerator = self.position_numerator
+        if divisor == 1:
+            return raw * numerator
+        return (2 * raw * numerator + divisor) // (2 * divisor)
+
+    def position_raw(self, position_inc: int) -> int:
+        """Increments as position units, rounded to the nearest; signed 32 bit, wrapping round."""
+        numerator = self.position_numerator
+        raw = position_inc
+        if numerator != 1 or self.position_divisor != 1:
+            raw = (2 * position_inc * self.position_divisor + numerator) // (2 * numerator)
+        return (raw + 0x8000_0000 & 0xFFFF_FFFF) - 0x8000_0000
+
+    def velocity_raw(self, velocity_inc_s: float) -> int:
+        """A velocity as velocity units, rounded to the nearest; limited to signed 32 bit."""
+        return limited(velocity_inc_s / self.velocity_unit_inc_s, 0x7FFF_FFFF)
+
+
+def limited(value: float, size_max: int) -> int:
+    """The nearest whole number within -size_max - 1 .. size_max."""
+    if value >= size_max:
+        return size_max
+    if value <= -size_max - 1:
+        return -size_max - 1
+    return int(value + 0.5) if value >= 0.0 else -int(0.5 - value)
+
+
+def units_of(
+    od: ObjectDictionary,
+    plant: MotorPlant,
+    *,
+    position_unit_inc: float | None,
+    velocity_unit_inc_s: float | None,
+    acceleration_unit_inc_s2: float | None,
+) -> Units:
+    """The units of a drive with this dictionary and motor; a given number wins over the file."""
+    if position_unit_inc is None:
+        position = _position_unit(od, plant)
+    else:
+        position = Fraction(position_unit_inc).limit_denominator(1_000_000)
+    return Units(
+        position.numerator,
+        position.denominator,
+        velocity_unit_inc_s
+        if velocity_unit_inc_s is not None
+        else float(_rate_unit(od, plant, position, 0x608C, 0x6096)),
+        acceleration_unit_inc_s2
+        if acceleration_unit_inc_s2 is not None
+        else float(_rate_unit(od, plant, position, 0x608E, 0x6097)),
+    )
+
+
+def _ratio(od: ObjectDictionary, index: int) -> Fraction | None:
+    """Sub-index 1 over sub-index 2; None unless both are there and > 0."""
+    numerator = od.integer(index, 1, 0)
+    divisor = od.integer(index, 2, 0)
+    return Fraction(numerator, divisor) if numerator > 0 and divisor > 0 else None
+
+
+def _increments_per_turn(od: ObjectDictionary, plant: MotorPlant) -> Fraction:
+    """Encoder increments per turn of the shaft the application sees."""
+    return Fraction(plant.encoder_increments_rev) * (_ratio(od, 0x6091) or Fraction(1))
+
+
+def _position_unit(od: ObjectDictionary, plant: MotorPlant) -> Fraction:
+    si = od.integer(0x60A8, 0, 0)
+    turns = _SI_TURNS.get(si >> 16 & 0xFF)
+    if turns is not None:
+        return _increments_per_turn(od, plant) * turns * _power_of_ten(si)
+    resolution = _ratio(od, 0x608F)
+    feed = _ratio(od, 0x6092)
+    if resolution is None or feed is None or resolution != plant.encoder_increments_rev:
+        return Fraction(1)
+    return _increments_per_turn(od, plant) / feed
+
+
+def _rate_unit(
+    od: ObjectDictionary, plant: MotorPlant, position: Fraction, dimension: int, factor: int
+) -> Fraction:
+    """Increments per second (and second) per unit of velocity (608Ch, 6096h) or acceleration."""
+    si = od.integer(0x60A9, 0, 0)
+    turns = _SI_TURNS.get(si >> 16 & 0xFF)
+    seconds = _SI_SECONDS.get(si >> 8 & 0xFF)
+    if turns is not None and seconds is not None:
+        return _increments_per_turn(od, plant) * turns * _power_of_ten(si) / seconds
+    if od.integer(dimension, 0, 0) == RPM_DIMENSION:
+        return Fraction(plant.encoder_increments_rev, 60)
+    return position * (_ratio(od, factor) or Fraction(1))
+
+
+def _power_of_ten(si: int) -> Fraction:
+    exponent = (si >> 24 & 0xFF ^ 0x80) - 0x80
+    return Fraction(10) ** exponent
