@@ -27,6 +27,7 @@ from emulators.media.can_frame import (
 INTERMISSION_BITS: Final = 3
 KEY_SHIFT: Final = 24  # `measure` answers key << KEY_SHIFT | bits
 
+_BITS: Final = 0xFF_FFFF
 _POLYNOMIAL: Final = 0x4599
 _TAIL_BITS: Final = 13  # CRC delimiter, ACK slot and delimiter, end of frame, intermission
 _HEADERS_KEPT: Final = 4096  # then all are forgotten; a bound on memory, 1 MB at most
@@ -107,7 +108,7 @@ def frame_bits(frame: bytes) -> int:
     Raises:
         ValueError: as `measure`.
     """
-    return measure(frame) & ((1 << KEY_SHIFT) - 1)
+    return measure(frame) & _BITS
 
 
 def arbitration_key(frame: bytes) -> int:

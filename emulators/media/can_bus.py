@@ -8,61 +8,33 @@ frame, still takes part; nothing is scheduled for that, `submit` decides again.
 
 Two nodes that send one identifier and frame type break the rule of CAN that makes arbitration
 work. On a real bus they destroy each other's frames. Here the lower port goes first, and
-`collisions` counts it.
+`statistics.collisions` tells.
 
-Left for later, and where: error frames, error counters and bus-off (in `expire`, where a frame is
-complete; a sender nobody acknowledges succeeds here), CAN FD (`measure` tells frames apart by
-their size; a second bit rate comes here).
+Faults (`faults`, `fault_seam`) cost nothing while there are none: one flag is asked per call.
+
+Left for later, and where: error frames, error counters and bus-off (where a frame is complete; a
+sender nobody acknowledges succeeds here), CAN FD (`can_bits.measure` tells frames apart by their
+size; a second bit rate comes here).
 """
 
-from enum import Enum
 from heapq import heapify, heappop, heappush
-from typing import Final, final
+from typing import final
 
-from emulators.media.can_bits import INTERMISSION_BITS, KEY_SHIFT, can_id_of_key, measure
-from emulators.media.load import BusyTime
+from emulators.media.can_bits import INTERMISSION_BITS, KEY_SHIFT, measure
+from emulators.media.can_port import (
+    BITS_MASK,
+    CUT_OFF,
+    PORT_MASK,
+    PORT_SHIFT,
+    CanPort,
+    QueueOrder,
+)
+from emulators.media.can_statistics import CanStatistics
+from emulators.media.delivery import DELIVERED, HEARD, KIND_MASK, LOST, Delivery, hears
+from emulators.media.fault_seam import ERROR_FRAME_BITS, FaultSeam
+from emulators.media.faults import FaultEvent, FaultPlan, FaultRule
 
-# What became of a frame: (frame, port that sent it, kind). A kind of 0 is all there is without
-# faults. Otherwise its low two bits say what to do, and the bits above are the ports (1 << number)
-# that do not hear this frame, see `hears`.
-Delivery = tuple[bytes, int, int]
-DELIVERED: Final = 0  # all others hear it, and the sender is told that it was sent
-LOST: Final = 1  # the sender is told that it was sent; nobody hears it
-HEARD: Final = 2  # all others hear it; the sender is told nothing (not its own doing, or not yet)
-KIND_MASK: Final = 3
-_KIND_BITS: Final = 2
-
-# An entry in an arbitration: key << 24 | port << 8 | bits. The lowest wins.
-_PORT_SHIFT: Final = 8
-_PORT_MASK: Final = 0xFFFF
-_BITS_MASK: Final = 0xFF
-
-
-class QueueOrder(Enum):
-    """Which of a node's pending frames competes for the bus."""
-
-    FIFO = "fifo"  # the oldest: most drives, and Linux
-    PRIORITY = "priority"  # the one whose identifier wins; the oldest of several alike
-
-
-def hears(kind: int, port: int) -> bool:
-    """Whether this port, not the sender's, hears a delivery of this kind."""
-    return kind & KIND_MASK != LOST and not kind >> (_KIND_BITS + port) & 1
-
-
-@final
-class _Port:
-    """One node's transmit side: a candidate, and the frames behind it."""
-
-    def __init__(self, number: int, name: str, by_priority: bool) -> None:
-        self.name = name
-        self.tag = number << _PORT_SHIFT
-        self.by_priority = by_priority
-        self.entry = 0  # of the candidate, which competes or is in flight; 0: there is none
-        self.frame = b""  # the candidate
-        self.behind: list[tuple[int, int, int, bytes]] = []  # heap: (rank, turn, entry, frame)
-        self.starts_seen = 0  # the bus's count of arbitrations before this candidate's first
-        self.losses = 0
+__all__ = ["DELIVERED", "HEARD", "KIND_MASK", "LOST", "CanBus", "Delivery", "QueueOrder", "hears"]
 
 
 @final
@@ -72,14 +44,23 @@ class CanBus:
     Whoever drives it calls `expire` with the time of each `next_deadline_ns` as it comes, and
     never submits at a time later than a deadline still due.
 
-    Memory grows by at most 16 bytes per frame (`BusyTime`), by a dictionary entry per different
-    identifier, and by what is submitted and not yet sent.
+    Memory grows as `CanStatistics` says (at most 16 bytes per frame), by what is submitted and not
+    yet sent, and by the events of faults until they are taken.
 
-    Attributes (read only): name, bitrate_bit_s, bit_ns [ns]; frames and bits (incl. stuff bits and
-    intermission) sent completely so far.
+    Args:
+        name: how records call it.
+        bitrate_bit_s: nominal bit rate [bit/s]; a bit must be a whole number of nanoseconds.
+        faults: what goes wrong; None: nothing ever will. An empty plan costs nothing either.
+
+    Attributes (read only): name, bitrate_bit_s, bit_ns [ns], statistics.
+
+    Raises:
+        ValueError: a bit at this rate is no whole number of nanoseconds.
     """
 
-    def __init__(self, name: str, bitrate_bit_s: int = 1_000_000) -> None:
+    def __init__(
+        self, name: str, bitrate_bit_s: int = 1_000_000, faults: FaultPlan | None = None
+    ) -> None:
         if bitrate_bit_s <= 0 or 1_000_000_000 % bitrate_bit_s:
             raise ValueError(
                 f"bus {name}: a bit at {bitrate_bit_s} bit/s is no whole number of nanoseconds; "
@@ -88,21 +69,20 @@ class CanBus:
         self.name = name
         self.bitrate_bit_s = bitrate_bit_s
         self.bit_ns = 1_000_000_000 // bitrate_bit_s
-        self.frames = 0
-        self.bits = 0
-        self._ports: list[_Port] = []
+        self.statistics = CanStatistics()
+        self._ports: list[CanPort] = []
         self._competing: list[int] = []  # heap of the entries of candidates not in flight
         self._flight = 0  # entry in flight; 0: idle
         self._start_ns = 0
         self._joinable_ns = 0  # until then (exclusive) others may still take part
         self._end_ns = 0  # end of EOF of the frame in flight
         self._free_ns = 0  # end of the last intermission
-        self._turn = 0  # order of asking
         self._starts = 0  # arbitrations so far
         self._collided = False  # the frame in flight has won over one with its own key
-        self._busy = BusyTime()
-        self._counts: dict[int, int] = {}  # by key
-        self._collisions: dict[int, int] = {}  # by key
+        self._faults = FaultSeam(faults) if faults is not None else None
+        self._faulty = False
+        if faults is not None:
+            self._recheck_faults(0)
 
     def attach(self, name: str, queue: QueueOrder = QueueOrder.FIFO) -> int:
         """A new node is on the bus; its port number, counted from 0.
@@ -111,12 +91,14 @@ class CanBus:
             ValueError: the name is taken, or 65536 ports are attached.
         """
         number = len(self._ports)
-        if number > _PORT_MASK:
-            raise ValueError(f"bus {self.name}: no more than {_PORT_MASK + 1} ports")
-        for port in self._ports:
-            if port.name == name:
-                raise ValueError(f"bus {self.name}: a port is called {name} already")
-        self._ports.append(_Port(number, name, queue is QueueOrder.PRIORITY))
+        if number > PORT_MASK:
+            raise ValueError(f"bus {self.name}: no more than {PORT_MASK + 1} ports")
+        if name in self.port_names():
+            raise ValueError(f"bus {self.name}: a port is called {name} already")
+        node = CanPort(number, name, queue)
+        self._ports.append(node)
+        if self._faults is not None and self._faults.attach(name):
+            node.entry = CUT_OFF
         return number
 
     def submit(self, port: int, frame: bytes, now_ns: int) -> None:
@@ -132,96 +114,54 @@ class CanBus:
             return
         node.entry = entry
         node.frame = frame
-        if not self._flight:
+        if self._flight:
+            self._compete(node, now_ns)
+        else:
             self._starts += 1
             self._collided = False
             self._begin(entry, now_ns if now_ns > self._free_ns else self._free_ns)
-        elif now_ns < self._joinable_ns:
-            node.starts_seen = self._starts - 1
-            self._join(node)
-        else:
-            node.starts_seen = self._starts
-            heappush(self._competing, entry)
 
     def next_deadline_ns(self) -> int | None:
-        """When the frame in flight is complete [ns]; None if the bus is idle."""
+        """When something is complete, or a fault is due [ns]; None: only if something comes in."""
+        if self._faulty:
+            return self._next_deadline_with_faults_ns()
         return self._end_ns if self._flight else None
 
     def expire(self, now_ns: int) -> list[Delivery]:
         """What became complete up to `now_ns`, in order; the next arbitration is decided."""
         deliveries: list[Delivery] = []
+        if self._faulty:
+            self._expire_with_faults(now_ns, deliveries)
+            return deliveries
         while self._flight and self._end_ns <= now_ns:
             entry = self._flight
-            number = entry >> _PORT_SHIFT & _PORT_MASK
+            number = entry >> PORT_SHIFT & PORT_MASK
             node = self._ports[number]
             deliveries.append((node.frame, number, DELIVERED))
-            self._account(entry)
-            if node.behind:
-                self._promote(node)
-                node.starts_seen = self._starts
-                heappush(self._competing, node.entry)
-            else:
-                node.entry = 0
-            self._arbitrate()
+            self._succeed(node, entry)
+            self._arbitrate(self._free_ns)
         return deliveries
 
     def pending(self, port: int) -> int:
         """Frames of this port submitted and not yet sent completely."""
-        node = self._ports[port]
-        return len(node.behind) + (1 if node.entry else 0)
+        return self._ports[port].pending()
 
     def withdraw(self, port: int) -> int:
         """This port's pending frames are forgotten, except one in flight; how many they were."""
         node = self._ports[port]
         count = len(node.behind)
         node.behind.clear()
-        if node.entry and node.entry != self._flight:
+        if node.entry > 0 and node.entry != self._flight:
             self._drop_out(node.entry)
             node.losses += self._starts - node.starts_seen
             node.entry = 0
             count += 1
         return count
 
-    def load(self, from_ns: int, until_ns: int) -> float:
-        """The part of a window in which the bus was busy, intermissions included; 0.0 to 1.0.
-
-        The frame in flight counts with its part in the window.
-
-        Raises:
-            ValueError: the window is empty.
-        """
-        load = self._busy.load(from_ns, until_ns)
-        if self._flight:
-            until_free_ns = self._end_ns + INTERMISSION_BITS * self.bit_ns
-            overlap_ns = min(until_ns, until_free_ns) - max(from_ns, self._start_ns)
-            if overlap_ns > 0:
-                load += overlap_ns / (until_ns - from_ns)
-        return load
-
-    def peak_load(self, window_ns: int) -> float:
-        """The highest load of any window of this length so far, without the frame in flight.
-
-        Raises:
-            ValueError: window_ns is not above 0.
-        """
-        return self._busy.peak_load(window_ns)
-
-    def busy_ns(self) -> int:
-        """How long complete frames and their intermissions took altogether [ns]."""
-        return self._busy.busy_ns()
-
-    def counts(self) -> dict[int, int]:
-        """Frames sent completely, by can_id (identifier and flags), most urgent first."""
-        return {can_id_of_key(key): count for key, count in sorted(self._counts.items())}
-
-    def collisions(self) -> dict[int, int]:
-        """Times two nodes competed with one identifier and frame type, by can_id."""
-        return {can_id_of_key(key): count for key, count in sorted(self._collisions.items())}
-
     def arbitration_losses(self, port: int) -> int:
         """How often a frame of this port competed and had to wait for another node's."""
         node = self._ports[port]
-        if node.entry and node.entry != self._flight:
+        if node.entry > 0 and node.entry != self._flight:
             return node.losses + self._starts - node.starts_seen
         return node.losses
 
@@ -235,22 +175,31 @@ class CanBus:
         self._flight = entry
         self._start_ns = start_ns
         self._joinable_ns = start_ns + bit_ns
-        self._end_ns = start_ns + ((entry & _BITS_MASK) - INTERMISSION_BITS) * bit_ns
+        self._end_ns = start_ns + ((entry & BITS_MASK) - INTERMISSION_BITS) * bit_ns
 
-    def _arbitrate(self) -> None:
-        """The best of those competing starts when the bus is free; or it is idle."""
+    def _arbitrate(self, start_ns: int) -> None:
+        """The best of those competing starts; the bus is idle if there is none."""
         competing = self._competing
         if not competing:
             self._flight = 0
             return
         entry = heappop(competing)
-        node = self._ports[entry >> _PORT_SHIFT & _PORT_MASK]
+        node = self._ports[entry >> PORT_SHIFT & PORT_MASK]
         node.losses += self._starts - node.starts_seen
         self._starts += 1
         self._collided = bool(competing) and competing[0] >> KEY_SHIFT == entry >> KEY_SHIFT
-        self._begin(entry, self._free_ns)
+        self._begin(entry, start_ns)
 
-    def _join(self, node: _Port) -> None:
+    def _compete(self, node: CanPort, now_ns: int) -> None:
+        """A new candidate waits for the next arbitration, or still takes part in the last one."""
+        if now_ns < self._joinable_ns:
+            node.starts_seen = self._starts - 1
+            self._join(node)
+        else:
+            node.starts_seen = self._starts
+            heappush(self._competing, node.entry)
+
+    def _join(self, node: CanPort) -> None:
         """A candidate takes part in the arbitration that another node's frame has won so far."""
         entry = node.entry
         flight = self._flight
@@ -263,37 +212,39 @@ class CanBus:
             return
         before = self._starts - 1
         node.losses += before - node.starts_seen
-        self._ports[flight >> _PORT_SHIFT & _PORT_MASK].starts_seen = before
+        self._ports[flight >> PORT_SHIFT & PORT_MASK].starts_seen = before
         heappush(self._competing, flight)
         self._begin(entry, self._start_ns)
 
-    def _account(self, entry: int) -> None:
-        """A frame is complete: statistics, and the intermission begins."""
+    def _succeed(self, node: CanPort, entry: int) -> None:
+        """A frame is sent: statistics, and the node's next one competes."""
         key = entry >> KEY_SHIFT
-        bits = entry & _BITS_MASK
-        self.frames += 1
-        self.bits += bits
-        self._counts[key] = self._counts.get(key, 0) + 1
+        bits = entry & BITS_MASK
+        self.statistics.count(key, bits)
         if self._collided:
-            self._collisions[key] = self._collisions.get(key, 0) + 1
-        self._free_ns = self._start_ns + bits * self.bit_ns
-        self._busy.add(self._start_ns, self._free_ns)
+            self.statistics.count_collision(key)
+        self._occupy(bits)
+        if node.promote():
+            node.starts_seen = self._starts
+            heappush(self._competing, node.entry)
 
-    def _submit_behind(self, node: _Port, entry: int, frame: bytes, now_ns: int) -> None:
+    def _occupy(self, bits: int) -> None:
+        """What was in flight took so many bits, intermission included."""
+        self._free_ns = self._start_ns + bits * self.bit_ns
+        self.statistics.busy.add(self._start_ns, self._free_ns)
+
+    def _submit_behind(self, node: CanPort, entry: int, frame: bytes, now_ns: int) -> None:
         """The node has a candidate already; the frame takes its place, or waits behind it."""
-        self._turn += 1
         flying = node.entry == self._flight
         if (
             not node.by_priority
             or entry >> KEY_SHIFT >= node.entry >> KEY_SHIFT
             or (flying and now_ns >= self._joinable_ns)
         ):
-            rank = entry >> KEY_SHIFT if node.by_priority else 0
-            heappush(node.behind, (rank, self._turn, entry, frame))
+            node.queue(entry, frame)
             return
-        # The old candidate is older than all behind it, hence a turn below theirs.
         old = node.entry
-        heappush(node.behind, (old >> KEY_SHIFT, -self._turn, old, node.frame))
+        node.put_back()
         node.entry = entry
         node.frame = frame
         if flying:
@@ -311,6 +262,129 @@ class CanBus:
         self._competing.remove(entry)
         heapify(self._competing)
 
-    def _promote(self, node: _Port) -> None:
-        """The best of the frames behind is the candidate."""
-        _, _, node.entry, node.frame = heappop(node.behind)
+    # --- with faults
+
+    def inject(self, rule: FaultRule, now_ns: int) -> None:
+        """The rule holds from now on; `next_deadline_ns` may be another.
+
+        Raises:
+            ValueError: the bus was made without a fault plan, or has had a rule of that name.
+        """
+        self._fault_seam().plan.add(rule)
+        self._recheck_faults(now_ns)
+
+    def lift(self, name: str, now_ns: int) -> None:
+        """The rule of this name holds no longer; what it delayed still comes.
+
+        Raises:
+            ValueError: the bus was made without a fault plan, or has no such rule.
+        """
+        self._fault_seam().plan.remove(name)
+        self._recheck_faults(now_ns)
+
+    def take_fault_events(self) -> list[FaultEvent]:
+        """(time [ns], rule, what happened, frame) of each firing since last asked."""
+        return self._faults.plan.take_events() if self._faults is not None else []
+
+    def faults_fired(self) -> dict[str, int]:
+        """How often each rule has fired, by name, in the order of adding."""
+        return self._faults.plan.fired() if self._faults is not None else {}
+
+    def _fault_seam(self) -> FaultSeam:
+        if self._faults is None:
+            raise ValueError(f"bus {self.name} has no fault plan; give it one, empty if need be")
+        return self._faults
+
+    def _recheck_faults(self, now_ns: int) -> None:
+        """The rules have changed."""
+        faults = self._fault_seam()
+        self._keep_cuts(faults, now_ns)
+        self._faulty = not faults.is_idle()
+        if not self._faulty:
+            for node in self._ports:
+                node.repeated = b""
+
+    def _next_deadline_with_faults_ns(self) -> int | None:
+        due_ns = self._fault_seam().next_ns()
+        if self._flight and not 0 <= due_ns <= self._end_ns:
+            return self._end_ns
+        return due_ns if due_ns >= 0 else None
+
+    def _expire_with_faults(self, now_ns: int, out: list[Delivery]) -> None:
+        """As `expire`; of what is due at one time, cuts come first and late frames last."""
+        faults = self._fault_seam()
+        due_ns = self._next_deadline_with_faults_ns()
+        while due_ns is not None and due_ns <= now_ns:
+            if faults.is_cut_due(due_ns):
+                self._keep_cuts(faults, due_ns)
+            elif self._flight and self._end_ns == due_ns:
+                self._complete_with_faults(faults, out)
+            else:
+                faults.hear_late(due_ns, out)
+            due_ns = self._next_deadline_with_faults_ns()
+
+    def _complete_with_faults(self, faults: FaultSeam, out: list[Delivery]) -> None:
+        """The frame in flight is complete, or destroyed because its sender was cut off."""
+        entry = self._flight
+        number = entry >> PORT_SHIFT & PORT_MASK
+        node = self._ports[number]
+        bits = entry & BITS_MASK
+        if faults.was_cut(number):
+            self._occupy(bits)
+            self._send_again(node, faults.is_cut(number))
+        elif node.frame == node.repeated:
+            node.repeated = b""
+            faults.deliver(node.frame, number, out)
+            self._succeed(node, entry)
+        elif faults.complete(node.frame, number, self._end_ns, out):
+            node.repeated = node.frame
+            self._occupy(bits + ERROR_FRAME_BITS)
+            self._send_again(node, False)
+        else:
+            self._succeed(node, entry)
+        faults.forget_flight()
+        self._arbitrate(self._free_ns)
+
+    def _send_again(self, node: CanPort, cut_off: bool) -> None:
+        """The candidate was in flight and failed; it competes again, or waits cut off."""
+        if cut_off:
+            node.put_back()
+            node.entry = CUT_OFF
+        else:
+            node.starts_seen = self._starts
+            heappush(self._competing, node.entry)
+
+    def _keep_cuts(self, faults: FaultSeam, now_ns: int) -> None:
+        """Ports have left the bus or come back."""
+        changed = faults.keep_cuts(now_ns, self._flight != 0)
+        for number, node in enumerate(self._ports):
+            if changed >> number & 1:
+                if faults.is_cut(number):
+                    self._cut_off(node, now_ns)
+                else:
+                    self._reconnect(node, now_ns)
+
+    def _cut_off(self, node: CanPort, now_ns: int) -> None:
+        """The node competes no longer; what it has in flight runs on to its end, in vain."""
+        if node.entry == self._flight and self._flight:
+            if now_ns >= self._joinable_ns:
+                return
+            node.put_back()
+            self._starts -= 1  # the same arbitration, without this node
+            self._arbitrate(self._start_ns)
+        elif node.entry:
+            self._drop_out(node.entry)
+            node.losses += self._starts - node.starts_seen
+            node.put_back()
+        node.entry = CUT_OFF
+
+    def _reconnect(self, node: CanPort, now_ns: int) -> None:
+        """The node competes with what it has, unless it never stopped sending."""
+        if node.entry != CUT_OFF or not node.promote():
+            return
+        node.starts_seen = self._starts
+        if self._flight:
+            self._compete(node, now_ns)
+        else:
+            heappush(self._competing, node.entry)
+            self._arbitrate(max(now_ns, self._free_ns))

@@ -1,0 +1,73 @@
+"""A node's transmit side: the frame with which it competes for the bus, and those behind it."""
+
+from enum import Enum
+from heapq import heappop, heappush
+from typing import Final, final
+
+from emulators.media.can_bits import KEY_SHIFT
+
+# An entry in an arbitration: key << 24 | port << 8 | bits. The lowest wins.
+PORT_SHIFT: Final = 8
+PORT_MASK: Final = 0xFFFF
+BITS_MASK: Final = 0xFF
+CUT_OFF: Final = -1  # in place of the candidate's entry: off the bus, all frames wait
+
+
+class QueueOrder(Enum):
+    """Which of a node's pending frames competes for the bus."""
+
+    FIFO = "fifo"  # the oldest: most drives, and Linux
+    PRIORITY = "priority"  # the one whose identifier wins; the oldest of several alike
+
+
+@final
+class CanPort:
+    """One node's frames. The bus alone reads and writes it.
+
+    Attributes:
+        tag: the port's number, where an entry has it.
+        entry: of the candidate, which competes or is in flight; 0: there is none; CUT_OFF.
+        frame: the candidate.
+        behind: heap of (rank, turn, entry, frame); rank is the key, or 0 in a FIFO.
+        starts_seen: the bus's count of arbitrations before the candidate's first.
+        losses: arbitrations lost by earlier candidates.
+        repeated: a frame that a fault made the node send again.
+    """
+
+    def __init__(self, number: int, name: str, order: QueueOrder) -> None:
+        self.name = name
+        self.tag = number << PORT_SHIFT
+        self.by_priority = order is QueueOrder.PRIORITY
+        self.entry = 0
+        self.frame = b""
+        self.behind: list[tuple[int, int, int, bytes]] = []
+        self.starts_seen = 0
+        self.losses = 0
+        self.repeated = b""
+        self._turn = 0
+
+    def pending(self) -> int:
+        """How many frames there are."""
+        return len(self.behind) + (1 if self.entry > 0 else 0)
+
+    def queue(self, entry: int, frame: bytes) -> None:
+        """The frame is the last of its rank behind the candidate."""
+        self._turn += 1
+        heappush(self.behind, (self._rank(entry), self._turn, entry, frame))
+
+    def put_back(self) -> None:
+        """The candidate is the first of its rank behind, and there is none."""
+        self._turn += 1
+        heappush(self.behind, (self._rank(self.entry), -self._turn, self.entry, self.frame))
+        self.entry = 0
+
+    def promote(self) -> bool:
+        """The best of the frames behind is the candidate; False if there is none."""
+        if not self.behind:
+            self.entry = 0
+            return False
+        _, _, self.entry, self.frame = heappop(self.behind)
+        return True
+
+    def _rank(self, entry: int) -> int:
+        return entry >> KEY_SHIFT if self.by_priority else 0

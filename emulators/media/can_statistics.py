@@ -1,0 +1,63 @@
+"""What a CAN bus has carried so far."""
+
+from typing import final
+
+from emulators.media.can_bits import can_id_of_key
+from emulators.media.load import BusyTime
+
+
+@final
+class CanStatistics:
+    """Counts and load of one bus. The bus writes it; a frame counts when it is complete.
+
+    Grows by at most 16 bytes per frame (`BusyTime`) and an entry per different identifier.
+
+    Attributes (read only): frames, and bits (incl. stuff bits and intermission), of frames sent;
+    busy, when the bus was busy with these, with frames that failed, and with intermissions.
+    """
+
+    def __init__(self) -> None:
+        self.frames = 0
+        self.bits = 0
+        self.busy = BusyTime()
+        self._counts: dict[int, int] = {}  # by arbitration key
+        self._collisions: dict[int, int] = {}
+
+    def count(self, key: int, bits: int) -> None:
+        """A frame was sent."""
+        self.frames += 1
+        self.bits += bits
+        counts = self._counts
+        counts[key] = counts.get(key, 0) + 1
+
+    def count_collision(self, key: int) -> None:
+        """The frame sent had competed with one of another node with the same key."""
+        self._collisions[key] = self._collisions.get(key, 0) + 1
+
+    def busy_ns(self) -> int:
+        """How long the bus was busy altogether [ns]."""
+        return self.busy.busy_ns()
+
+    def load(self, from_ns: int, until_ns: int) -> float:
+        """The busy part of a window, 0.0 to 1.0.
+
+        Raises:
+            ValueError: the window is empty.
+        """
+        return self.busy.load(from_ns, until_ns)
+
+    def peak_load(self, window_ns: int) -> float:
+        """The highest load of any window of this length so far, 0.0 to 1.0.
+
+        Raises:
+            ValueError: window_ns is not above 0.
+        """
+        return self.busy.peak_load(window_ns)
+
+    def counts(self) -> dict[int, int]:
+        """Frames sent, by can_id (identifier and flags), most urgent first."""
+        return {can_id_of_key(key): count for key, count in sorted(self._counts.items())}
+
+    def collisions(self) -> dict[int, int]:
+        """Times two nodes competed with one identifier and frame type, by can_id."""
+        return {can_id_of_key(key): count for key, count in sorted(self._collisions.items())}
