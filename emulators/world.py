@@ -220,7 +220,7 @@ class World:
         self._segments: dict[str, BusSegment] = {}
         self._slots: dict[str, ControllerSlot] = {}
         self._touched: list[ControllerSlot] = []
-        self._event_tap: EventTap | None = None
+        self._event_taps: list[EventTap] = []
         self._sample_tap: SampleTap | None = None
         self._sample_period_ns = 0
         self._sampler = queue.alarm(self._sample)
@@ -279,7 +279,7 @@ class World:
 
     def tap_events(self, on_event: EventTap) -> None:
         """`on_event(time_ns, level, controller, text)` hears what controllers report."""
-        self._event_tap = on_event
+        self._event_taps.append(on_event)
 
     def tap_samples(self, period_ns: int, on_sample: SampleTap) -> None:
         """`on_sample(time_ns, controller, truth)` every `period_ns`, while the truth changes.
@@ -295,8 +295,8 @@ class World:
 
     def report(self, now_ns: int, level: str, name: str, text: str) -> None:
         """Something worth a line in the record happened."""
-        if self._event_tap is not None:
-            self._event_tap(now_ns, level, name, text)
+        for tap in self._event_taps:
+            tap(now_ns, level, name, text)
 
     def touch(self, slot: ControllerSlot) -> None:
         """Something happened in the controller: the next sample includes it."""
