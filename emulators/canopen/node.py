@@ -2,61 +2,38 @@
 
 A drive is composed of a node, it does not inherit from it: it answers the node's `NodeHost` calls
 and hands `receive`, `sent`, `expire`, `take_output` and the rest through.
+
+All communication objects must be in the dictionary before the node is made, for it attaches its
+checks to them; their power-on values count from `start` on. Each part of the node validates a write
+first (a variable's writer) and is then told to take its settings from the dictionary afresh, so the
+dictionary is the one place where a setting lives.
+
+Frames reach their part by one look into a dict keyed by the four identifier bytes. The dict holds
+what the present NMT state lets through, so no part asks for the state. Remote frames and 29-bit
+identifiers find no entry. Places left free: node guarding (a remote frame with 700h + node-ID), LSS
+(7E5h), TIME (100h).
 """
 
-from collections.abc import Sequence
-from typing import Final, Protocol, final
+from collections.abc import Callable, Sequence
+from typing import Final, final
 
+from emulators.canopen.access import DictionaryAccess
+from emulators.canopen.emcy import HEARTBEAT_LOST, EmcyProducer
+from emulators.canopen.heartbeat import HeartbeatConsumer, HeartbeatProducer
+from emulators.canopen.nmt import TRANSITIONS, NmtCommand, NmtState, commanded
 from emulators.canopen.object_dictionary import ObjectDictionary
+from emulators.canopen.pdo import PdoService
+from emulators.canopen.sdo_server import SdoServer
+from emulators.canopen.shared import MS as MS
+from emulators.canopen.shared import NEVER, Outbox
+from emulators.canopen.shared import NodeHost as NodeHost
+from emulators.canopen.shared import NodeTiming as NodeTiming
+from emulators.canopen.sync import SyncConsumer
 
-MS: Final = 1_000_000
+_Handler = Callable[[bytes, int], None]
 
-
-@final
-class NodeTiming:
-    """The delays of a node [ns]: real ones are never zero.
-
-    Attributes:
-        boot_up_ns: from power-on or reset node to the boot-up message.
-        reset_communication_ns: from reset communication to the boot-up message.
-        sdo_reply_ns: from an SDO request to its response.
-    """
-
-    def __init__(
-        self,
-        boot_up_ns: int = 300 * MS,
-        sdo_reply_ns: int = 1 * MS,
-        reset_communication_ns: int = 20 * MS,
-    ) -> None:
-        self.boot_up_ns = boot_up_ns
-        self.sdo_reply_ns = sdo_reply_ns
-        self.reset_communication_ns = reset_communication_ns
-
-
-class NodeHost(Protocol):
-    """The device around a node. All calls come from within the node's own calls."""
-
-    def on_nmt(self, state: int, now_ns: int) -> None:
-        """The NMT state (an `NmtState`) has changed; values and callbacks are settled."""
-
-    def on_reset(self, whole: bool, now_ns: int) -> None:
-        """NMT reset: `whole` reset node (and power-on), else reset communication.
-
-        The values concerned have just become their defaults, without any writer being asked:
-        1000h-1FFFh always, the others too if `whole`.
-        """
-
-    def on_write(self, now_ns: int) -> None:
-        """One SDO download, one RPDO, or all RPDOs of one SYNC have been written, writers asked."""
-
-    def on_sync(self, now_ns: int) -> None:
-        """SYNC came, in OPERATIONAL: latched RPDOs are written, TPDOs are not yet sampled."""
-
-    def before_read(self, now_ns: int) -> None:
-        """Values are about to be read (SDO upload, TPDO): readers must now answer as of now."""
-
-    def on_heartbeat_lost(self, node_id: int, now_ns: int) -> None:
-        """A node of 1016h fell silent; EMCY 8130h and what 1029h asks for have been done."""
+_INVALID: Final = 1 << 31
+_HEARTBEAT_KEY: Final = 0x1_0000  # EMCY: above all RPDO numbers
 
 
 @final
@@ -69,50 +46,95 @@ class CanopenNode:
     def __init__(
         self, od: ObjectDictionary, node_id: int, timing: NodeTiming, host: NodeHost
     ) -> None:
-        raise NotImplementedError
+        if not 1 <= node_id <= 127:
+            raise ValueError(f"a node-ID is 1..127, not {node_id}")
+        self.od = od
+        self.node_id = node_id
+        self.state: int = NmtState.INITIALISING
+        self._timing = timing
+        self._host = host
+        self._outbox = Outbox()
+        self._emcy = EmcyProducer(od, node_id, self._outbox)
+        self._sync = SyncConsumer(od)
+        self._sdo = SdoServer(DictionaryAccess(od, host, self), timing.sdo_reply_ns, self._outbox)
+        self._pdos = PdoService(od, node_id, self._emcy, self._outbox, host)
+        self._producer = HeartbeatProducer(od, node_id, self._outbox)
+        self._consumer = HeartbeatConsumer(od, self._outbox)
+        self._boot_ns: int = NEVER
+        self._deadline_ns: int = NEVER
+        self._handlers: dict[bytes, _Handler] = {}
+        self._identifiers: tuple[int, ...] = ()
+        self._identifiers_revision = 0
 
     # --- what a Controller (emulators/controller.py) hands through
 
     def start(self, now_ns: int) -> None:
         """Power comes on: all values are defaults; boot-up after `boot_up_ns`."""
-        raise NotImplementedError
+        self._outbox.frames.clear()
+        self._reset(True, now_ns)
 
     def receive(self, data: bytes, now_ns: int) -> None:
         """A frame was on the bus; whatever is not for this node is ignored."""
-        raise NotImplementedError
+        handler = self._handlers.get(data[:4])
+        if handler is not None:
+            handler(data, now_ns)
 
     def sent(self, data: bytes, now_ns: int) -> None:
         """An own frame has left the bus. Must be called: a TPDO waits for the one before it."""
-        raise NotImplementedError
+        self._pdos.confirm(data, now_ns)
+
+    def wants_sent(self) -> bool:
+        """True: `sent` must be called."""
+        return True
 
     def next_deadline_ns(self) -> int | None:
         """When `expire` must be called at the latest [ns]."""
-        raise NotImplementedError
+        if self._outbox.deadlines_moved:
+            self._find_deadline()
+        return None if self._deadline_ns == NEVER else self._deadline_ns
 
     def expire(self, now_ns: int) -> None:
         """What is due at `now_ns` is done."""
-        raise NotImplementedError
+        if self._boot_ns <= now_ns:
+            self._boot_up(now_ns)
+        if self._sdo.deadline_ns <= now_ns:
+            self._sdo.expire(now_ns)
+        if self._producer.deadline_ns <= now_ns:
+            self._producer.expire(self.state, now_ns)
+        if self._consumer.deadline_ns <= now_ns:
+            for node_id in self._consumer.expire(now_ns):
+                self._lose(node_id, now_ns)
+        if self._pdos.deadline_ns() <= now_ns:
+            self._pdos.expire(now_ns)
 
     def take_output(self) -> Sequence[bytes]:
         """The frames to send now, in order; () if none."""
-        raise NotImplementedError
+        frames = self._outbox.frames
+        if not frames:
+            return ()
+        self._outbox.frames = []
+        return frames
 
     def take_events(self) -> Sequence[tuple[str, str]]:
         """(level, text) of what happened since last asked; () if nothing."""
-        raise NotImplementedError
+        events = self._outbox.events
+        if not events:
+            return ()
+        self._outbox.events = []
+        return events
 
     def identifiers(self) -> Sequence[int]:
         """The CAN identifiers this node listens to, in any NMT state."""
-        raise NotImplementedError
+        return self._identifiers
 
     def identifiers_revision(self) -> int:
         """Grows whenever `identifiers` would answer something new."""
-        raise NotImplementedError
+        return self._identifiers_revision
 
     # --- what the device around it asks for
 
     def emergency(self, code: int, error_register: int, vendor: bytes, now_ns: int) -> None:
-        """EMCY is sent (not in STOPPED), 1001h and the history 1003h are kept.
+        """EMCY is sent (PRE-OPERATIONAL, OPERATIONAL); 1001h and the history 1003h are kept.
 
         Args:
             code: the error code (603Fh); 0000h says that errors are gone.
@@ -121,8 +143,168 @@ class CanopenNode:
             vendor: up to 5 manufacturer-specific bytes.
             now_ns: the time [ns].
         """
-        raise NotImplementedError
+        self._emcy.report(code, error_register, vendor)
+        self._pdos.changed(0x1001, 0, now_ns)
 
     def object_changed(self, index: int, subindex: int, now_ns: int) -> None:
         """An event for the TPDOs that map it: types 254, 255 at once (inhibit time), 0 at SYNC."""
-        raise NotImplementedError
+        self._pdos.changed(index, subindex, now_ns)
+
+    # --- what its parts ask for
+
+    def configured(self, index: int, now_ns: int) -> None:
+        """A client has written a sub-index of 1000h..1FFFh: that part takes its settings afresh."""
+        if 0x1400 <= index <= 0x1BFF:
+            self._pdos.configure(index, now_ns)
+        elif index == 0x1005:
+            self._sync.configure()
+        elif index == 0x1014:
+            self._emcy.configure()
+        elif index == 0x1016:
+            for node_id in self._consumer.configure():
+                self._emcy.repair(_HEARTBEAT_KEY + node_id)
+        elif index == 0x1017:
+            self._producer.configure(now_ns)
+            return
+        else:
+            return
+        self._listen()
+
+    def _find_deadline(self) -> None:
+        self._outbox.deadlines_moved = False
+        self._deadline_ns = min(
+            self._boot_ns,
+            self._sdo.deadline_ns,
+            self._producer.deadline_ns,
+            self._consumer.deadline_ns,
+            self._pdos.deadline_ns(),
+        )
+
+    # --- NMT
+
+    def _on_nmt_frame(self, frame: bytes, now_ns: int) -> None:
+        command = commanded(frame, self.node_id)
+        state = TRANSITIONS.get((self.state, command))
+        if state is None:
+            return
+        if state == NmtState.INITIALISING:
+            self._reset(command == NmtCommand.RESET_NODE, now_ns)
+        else:
+            self._enter(state, now_ns)
+
+    def _reset(self, whole: bool, now_ns: int) -> None:
+        self._sdo.stop()
+        self._producer.stop()
+        self._consumer.stop()
+        self._enter(NmtState.INITIALISING, now_ns)
+        if whole:
+            self.od.reset()
+        else:
+            self.od.reset(0x1000, 0x1FFF)
+        self._emcy.reset(whole)
+        self._configure_all()
+        timing = self._timing
+        delay_ns = timing.boot_up_ns if whole else timing.reset_communication_ns
+        self._boot_ns = now_ns + delay_ns
+        self._outbox.deadlines_moved = True
+        self._host.on_reset(whole, now_ns)
+
+    def _configure_all(self) -> None:
+        self._sync.configure()
+        self._emcy.configure()
+        self._consumer.configure()
+        self._pdos.configure_all()
+        self._sdo.configure(self._sdo_can_id(2, 0x580))
+        self._listen()
+
+    def _boot_up(self, now_ns: int) -> None:
+        self._boot_ns = NEVER
+        self._producer.boot_up(now_ns)
+        self._enter(NmtState.PRE_OPERATIONAL, now_ns)  # transition 2
+
+    def _enter(self, state: int, now_ns: int) -> None:
+        """The one place that writes `state`."""
+        before = self.state
+        if state == before:
+            return
+        self.state = state
+        self._emcy.may_send = state in (NmtState.PRE_OPERATIONAL, NmtState.OPERATIONAL)
+        if not self._emcy.may_send:
+            self._sdo.stop()
+        if before == NmtState.OPERATIONAL:
+            self._pdos.stop()
+        self._listen()
+        self._host.on_nmt(state, now_ns)
+        if state == NmtState.OPERATIONAL:
+            self._pdos.start(now_ns)
+
+    # --- who listens to what
+
+    def _listen(self) -> None:
+        """The handlers are those of the present state and settings."""
+        handlers: dict[bytes, _Handler] = {}
+        wanted: list[int] = []
+        state = self.state
+        can_talk = state in (NmtState.PRE_OPERATIONAL, NmtState.OPERATIONAL)
+        is_operational = state == NmtState.OPERATIONAL
+        routes: list[tuple[int, _Handler, bool]] = [
+            (0x000, self._on_nmt_frame, state != NmtState.INITIALISING),
+            (self._sync.can_id, self._on_sync, is_operational),
+            (self._sdo_can_id(1, 0x600), self._sdo.receive, can_talk),
+        ]
+        for can_id in self._consumer.can_ids():
+            routes.append((can_id, self._on_heartbeat, state != NmtState.INITIALISING))
+        for rpdo in self._pdos.rpdos:
+            if rpdo.can_id:
+                routes.append((rpdo.can_id, rpdo.receive, is_operational))
+        for can_id, handler, is_active in routes:
+            wanted.append(can_id)
+            if is_active:
+                key = can_id.to_bytes(4, "little")
+                taken = handlers.get(key)
+                handlers[key] = handler if taken is None else _Both(taken, handler).receive
+        self._handlers = handlers
+        identifiers = tuple(sorted(dict.fromkeys(wanted)))
+        if identifiers != self._identifiers:
+            self._identifiers = identifiers
+            self._identifiers_revision += 1
+
+    def _sdo_can_id(self, subindex: int, base: int) -> int:
+        """The identifier of 1200h; without a valid one there the default SDO channel."""
+        cob_id = self.od.integer(0x1200, subindex, 0)
+        if not cob_id & 0x7FF or cob_id & _INVALID:
+            return base + self.node_id
+        return cob_id & 0x7FF
+
+    def _on_sync(self, _frame: bytes, now_ns: int) -> None:
+        self._pdos.sync(now_ns)
+
+    def _on_heartbeat(self, frame: bytes, now_ns: int) -> None:
+        can_id = frame[0] | frame[1] << 8
+        if frame[4] and self._consumer.receive(can_id, now_ns):
+            self._emcy.repair(_HEARTBEAT_KEY + (can_id & 0x7F))
+
+    def _lose(self, node_id: int, now_ns: int) -> None:
+        """A heartbeat is lost: EMCY, the reaction that 1029h asks for, then the device."""
+        self._outbox.events.append(("warning", f"heartbeat of node {node_id} lost"))
+        self._emcy.find(_HEARTBEAT_KEY + node_id, HEARTBEAT_LOST, bytes((node_id,)))
+        if self.state == NmtState.OPERATIONAL:
+            reaction = self.od.integer(0x1029, 1, 0)
+            if reaction == 0:
+                self._enter(NmtState.PRE_OPERATIONAL, now_ns)
+            elif reaction == 2:
+                self._enter(NmtState.STOPPED, now_ns)
+        self._host.on_heartbeat_lost(node_id, now_ns)
+
+
+@final
+class _Both:
+    """Two parts of the node listen to one identifier."""
+
+    def __init__(self, first: _Handler, second: _Handler) -> None:
+        self._first = first
+        self._second = second
+
+    def receive(self, frame: bytes, now_ns: int) -> None:
+        self._first(frame, now_ns)
+        self._second(frame, now_ns)

@@ -223,6 +223,19 @@ class Variable:
         """Whether SDO download may change it."""
         return self.access not in ("ro", "const")
 
+    def can_hold(self, value: Value) -> bool:
+        """Whether the data type has room for this value."""
+        try:
+            encode(self.data_type, value)
+        except (TypeError, ValueError):
+            return False
+        return True
+
+    def integer(self) -> int:
+        """The whole number stored; 0 if it is none."""
+        value = self.value
+        return value if isinstance(value, int) else 0
+
     def read(self) -> Value:
         """The value as it is now."""
         reader = self.reader
@@ -285,6 +298,9 @@ class Variable:
 class ObjectDictionary:
     """All variables of one node.
 
+    Attributes:
+        dummies: data types (their index) that an RPDO may map to skip bytes it has no use for.
+
     An object that is not there is invisible to SDO and PDO, yet the behaviour behind it keeps the
     standard's default: `ensure` gives such behaviour a variable to work with all the same.
     """
@@ -293,6 +309,7 @@ class ObjectDictionary:
         self._variables: dict[int, Variable] = {}
         self._hidden: dict[int, Variable] = {}
         self._subindices: dict[int, list[int]] = {}
+        self.dummies: tuple[int, ...] = (1, 2, 3, 4, 5, 6, 7)
 
     def add(self, variable: Variable) -> Variable:
         """The variable is visible from now on; one with the same place is replaced."""
@@ -333,7 +350,7 @@ class ObjectDictionary:
         key = index << 8 | subindex
         variable = self._variables.get(key)
         if variable is not None:
-            if not variable.has_default and type(variable.default) is type(default):
+            if not variable.has_default and variable.can_hold(default):
                 variable.set_default(default)
             return variable
         hidden = self._hidden.get(key)

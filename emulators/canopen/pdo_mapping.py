@@ -1,0 +1,156 @@
+"""PDO mapping (CiA 301, 7.4.7 and 7.5.2.36): which variables lie where in a PDO's eight bytes.
+
+A mapping that `struct` can express, as practically all can, is packed and unpacked by one
+precompiled call on whole frames. The others (single bits, 24-bit integers) go bit by bit.
+"""
+
+import struct
+from typing import Final, final
+
+from emulators.canopen.abort_code import AbortCode
+from emulators.canopen.object_dictionary import (
+    STRUCT_FORMAT,
+    ObjectDictionary,
+    Variable,
+    decode,
+    length_bits,
+)
+
+MAX_ENTRIES: Final = 64
+MAX_BITS: Final = 64
+
+_READABLE: Final = ("ro", "rw", "rwr", "const")  # access that a TPDO may map
+_WRITABLE: Final = ("wo", "rw", "rww")  # access that an RPDO may map
+
+
+def is_dummy(entry: int, od: ObjectDictionary) -> bool:
+    """Whether a mapping entry (index, sub-index, bits) only fills space in an RPDO."""
+    index, subindex = entry >> 16, entry >> 8 & 0xFF
+    return index in od.dummies and subindex == 0 and entry & 0xFF == length_bits(index)
+
+
+def entry_refusal(od: ObjectDictionary, entry: int, receive: bool) -> int:
+    """The abort code for a mapping entry that cannot be; 0 if it can.
+
+    CiA 301, 7.5.2.36: an object that is not there or cannot be mapped is refused with 0602 0000h
+    or 0604 0041h.
+    """
+    if receive and is_dummy(entry, od):
+        return 0
+    index, subindex = entry >> 16, entry >> 8 & 0xFF
+    variable = od.get(index, subindex)
+    if variable is None:
+        if od.has_index(index):
+            return AbortCode.NO_SUCH_SUBINDEX
+        return AbortCode.NO_SUCH_OBJECT
+    allowed = _WRITABLE if receive else _READABLE
+    if not variable.pdo_mappable or variable.access not in allowed:
+        return AbortCode.NOT_MAPPABLE
+    return 0 if variable.bits == entry & 0xFF else AbortCode.NOT_MAPPABLE
+
+
+@final
+class PdoMapping:
+    """Mapped variables, ready for whole frames. An entry without variable fills space with zeros.
+
+    Attributes:
+        variables: the mapped ones, in order.
+        length_bytes: of the PDO.
+    """
+
+    def __init__(self, entries: list[tuple[Variable | None, int]]) -> None:
+        self.variables = tuple(variable for variable, _ in entries if variable is not None)
+        self.keys = tuple(variable.index << 8 | variable.subindex for variable in self.variables)
+        bits = sum(length for _, length in entries)
+        if bits > MAX_BITS:
+            raise ValueError(f"{bits} bits do not fit a PDO; {MAX_BITS} do")
+        self.length_bytes = (bits + 7) // 8
+        layout = _struct_layout(entries)
+        self._is_packable = layout is not None
+        padding = f"{8 - self.length_bytes}x"
+        self._reception = struct.Struct(f"<8x{layout or ''}")
+        self._frame = struct.Struct(f"<IB3x{layout or '8x'}{padding if layout is not None else ''}")
+        self._raw_frame = struct.Struct("<IB3xQ")
+        self._fields: list[tuple[Variable, int, int]] = []  # variable, offset, length [bit]
+        offset = 0
+        for variable, length in entries:
+            if variable is not None:
+                self._fields.append((variable, offset, length))
+            offset += length
+
+    def write(self, frame: bytes) -> None:
+        """The variables hold what the frame carries; a value one refuses leaves that one alone."""
+        if not self._is_packable:
+            self._write_bits(int.from_bytes(frame[8:16], "little"))
+            return
+        values: tuple[int | float, ...] = self._reception.unpack_from(frame)
+        variables = self.variables
+        for position, value in enumerate(values):
+            variables[position].write(value)
+
+    def build(self, can_id: int) -> bytes:
+        """The frame that carries the variables as they are now."""
+        if self._is_packable:
+            values: list[object] = [can_id, self.length_bytes]
+            for variable in self.variables:
+                reader = variable.reader
+                values.append(variable.value if reader is None else reader())
+            try:
+                return self._frame.pack(*values)
+            except struct.error:
+                pass  # a reader's number is wider than its object: cut it below
+        payload = 0
+        for variable, offset, length in self._fields:
+            number = int.from_bytes(variable.upload(), "little") & ((1 << length) - 1)
+            payload |= number << offset
+        return self._raw_frame.pack(can_id, self.length_bytes, payload)
+
+    def _write_bits(self, payload: int) -> None:
+        for variable, offset, length in self._fields:
+            number = payload >> offset & ((1 << length) - 1)
+            data = number.to_bytes((length + 7) // 8, "little")
+            variable.write(decode(variable.data_type, data))
+
+
+def _struct_layout(entries: list[tuple[Variable | None, int]]) -> str | None:
+    """The `struct` format of the entries; None if there is none."""
+    layout = ""
+    for variable, length in entries:
+        if variable is None and length % 8 == 0:
+            layout += f"{length // 8}x"
+        elif variable is not None and variable.data_type in STRUCT_FORMAT:
+            layout += STRUCT_FORMAT[variable.data_type]
+        else:
+            return None
+    return layout
+
+
+def stored_entries(od: ObjectDictionary, index: int) -> list[int]:
+    """The entries of the mapping object that its sub-index 0 enables."""
+    entries = [od.integer(index, sub, 0) for sub in od.subindices(index) if sub]
+    return entries[: od.integer(index, 0, 0)]
+
+
+def load(
+    od: ObjectDictionary, index: int, receive: bool
+) -> tuple[PdoMapping, list[tuple[int, int]]]:
+    """The mapping as the dictionary has it, and (entry, abort code) of entries that cannot be.
+
+    Those fill their space with zeros: power-on values of a vendor's file are not refused whole.
+    A mapping longer than a PDO is cut.
+    """
+    entries: list[tuple[Variable | None, int]] = []
+    refused: list[tuple[int, int]] = []
+    bits = 0
+    for entry in stored_entries(od, index):
+        code = entry_refusal(od, entry, receive)
+        length = entry & 0xFF
+        if bits + length > MAX_BITS:
+            refused.append((entry, AbortCode.PDO_TOO_LONG))
+            break
+        bits += length
+        if code:
+            refused.append((entry, code))
+        usable = code == 0 and not (receive and is_dummy(entry, od))
+        entries.append((od.get(entry >> 16, entry >> 8 & 0xFF) if usable else None, length))
+    return PdoMapping(entries), refused

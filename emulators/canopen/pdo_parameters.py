@@ -1,0 +1,115 @@
+"""The rules for changing a PDO by SDO (CiA 301, 7.5.2.35 to 7.5.2.38), as checks on its objects.
+
+The standard procedure: set the PDO invalid (bit 31 of its COB-ID), set sub-index 0 of the mapping
+to 0, write the entries, set sub-index 0 to their number, set the PDO valid. Whatever leaves it is
+refused with 0601 0000h; what cannot be mapped with 0604 0041h, what does not fit with 0604 0042h.
+"""
+
+from typing import Final, final
+
+from emulators.canopen.abort_code import AbortCode
+from emulators.canopen.object_dictionary import DataType, ObjectDictionary
+from emulators.canopen.pdo_mapping import MAX_BITS, MAX_ENTRIES, entry_refusal
+from emulators.canopen.sync import is_restricted
+
+INVALID: Final = 1 << 31
+_UPPER_BITS: Final = 0x3FFF_F800  # the 29-bit frame flag and what only such identifiers use
+_PREDEFINED: Final = ((0x180, 0x280, 0x380, 0x480), (0x200, 0x300, 0x400, 0x500))
+
+
+@final
+class PdoParameters:
+    """One PDO's communication and mapping objects: what they say, and what may be written."""
+
+    def __init__(self, od: ObjectDictionary, number: int, receive: bool, node_id: int) -> None:
+        self._od = od
+        self._receive = receive
+        self.communication = (0x1400 if receive else 0x1800) + number
+        self.mapping = (0x1600 if receive else 0x1A00) + number
+        predefined = _PREDEFINED[receive][number] + node_id if number < 4 else INVALID
+        self._cob_id = od.ensure(self.communication, 1, DataType.UNSIGNED32, predefined)
+        self._type = od.ensure(self.communication, 2, DataType.UNSIGNED8, 0xFF)
+        self._count = od.ensure(self.mapping, 0, DataType.UNSIGNED8, self._stated_entries())
+        self._attach()
+
+    def cob_id(self) -> int:
+        """COB-ID with its flags."""
+        return self._cob_id.integer()
+
+    def is_valid(self) -> bool:
+        """Whether the PDO exists, as bit 31 of its COB-ID has it."""
+        return not self.cob_id() & INVALID
+
+    def transmission_type(self) -> int:
+        """0..255."""
+        return self._type.integer()
+
+    def inhibit_100us(self) -> int:
+        """Inhibit time [100 us]."""
+        return self._od.integer(self.communication, 3, 0)
+
+    def event_timer_ms(self) -> int:
+        """Event timer [ms]."""
+        return self._od.integer(self.communication, 5, 0)
+
+    def _stated_entries(self) -> int:
+        """How many mapping entries have values: the count where none is stated (some DCFs)."""
+        od = self._od
+        values = [od.integer(self.mapping, sub, 0) for sub in od.subindices(self.mapping) if sub]
+        return values.index(0) if 0 in values else len(values)
+
+    def _attach(self) -> None:
+        self._cob_id.writer = self._check_cob_id
+        self._type.writer = self._check_transmission_type
+        inhibit_time = self._od.get(self.communication, 3)
+        if inhibit_time is not None:
+            inhibit_time.writer = self._check_inhibit_time
+        self._count.writer = self._check_count
+        for subindex in self._od.subindices(self.mapping):
+            variable = self._od.get(self.mapping, subindex)
+            if variable is not None and subindex:
+                variable.writer = self._check_entry
+
+    def _check_cob_id(self, value: int) -> int:
+        if value & _UPPER_BITS:
+            return AbortCode.INVALID_VALUE
+        if value & INVALID:
+            return 0
+        if is_restricted(value & 0x7FF):
+            return AbortCode.INVALID_VALUE
+        if self.is_valid() and (self.cob_id() ^ value) & 0x7FF:
+            return AbortCode.INVALID_VALUE  # set it invalid first
+        return 0
+
+    def _check_transmission_type(self, value: int) -> int:
+        # 252 and 253 (on remote request) are not built; 241..251 are reserved
+        return AbortCode.INVALID_VALUE if 240 < value < 254 else 0
+
+    def _check_inhibit_time(self, value: int) -> int:
+        if self._receive or not self.is_valid():
+            return 0
+        changed = value != self.inhibit_100us()
+        return AbortCode.INVALID_VALUE if changed else 0  # not while the PDO exists
+
+    def _check_count(self, value: int) -> int:
+        if self.is_valid():
+            return AbortCode.UNSUPPORTED_ACCESS
+        od = self._od
+        subindices = od.subindices(self.mapping)
+        if value > min(len(subindices) - 1, MAX_ENTRIES):
+            return AbortCode.PDO_TOO_LONG
+        bits = 0
+        for subindex in subindices[1 : value + 1]:
+            entry = od.integer(self.mapping, subindex, 0)
+            code = entry_refusal(od, entry, self._receive)
+            if code:
+                return code
+            bits += entry & 0xFF
+        return AbortCode.PDO_TOO_LONG if bits > MAX_BITS else 0
+
+    def _check_entry(self, value: int) -> int:
+        if self.is_valid() or self._count.integer() != 0:
+            return AbortCode.UNSUPPORTED_ACCESS
+        if value == 0:
+            return 0  # an entry not used
+        return entry_refusal(self._od, value, self._receive)

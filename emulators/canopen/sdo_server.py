@@ -1,0 +1,216 @@
+"""SDO server (CiA 301, 7.2.4): expedited and segmented transfers, and why they are aborted.
+
+A transfer is one of three things: none, an upload being handed out in segments, or a download being
+collected. A new initiate request takes the place of whatever went on before. Every response leaves
+`reply_ns` after its request; values are read and written when the request comes.
+
+Block transfer is refused with 0504 0001h; its command specifiers have their place in `receive`.
+"""
+
+from collections import deque
+from struct import Struct
+from typing import Final, final
+
+from emulators.canopen.abort_code import AbortCode
+from emulators.canopen.access import DictionaryAccess
+from emulators.canopen.shared import NEVER, Outbox
+
+MAX_DOWNLOAD_BYTES: Final = 1 << 20
+
+_RESPONSE: Final = Struct("<IB3xBHB4s")  # an SDO frame with command, index, sub-index and 4 bytes
+_SEGMENT: Final = Struct("<IB3xB7s")
+
+# Client command specifiers, bits 7..5 of the command byte
+_DOWNLOAD_SEGMENT: Final = 0
+_DOWNLOAD: Final = 1
+_UPLOAD: Final = 2
+_UPLOAD_SEGMENT: Final = 3
+_ABORT: Final = 4
+_BLOCK_UPLOAD: Final = 5
+_BLOCK_DOWNLOAD: Final = 6
+
+_IDLE: Final = -1
+
+_TOGGLE: Final = 0x10
+
+
+@final
+class SdoServer:
+    """One SDO channel. `receive` takes its requests; responses come out when they are due."""
+
+    def __init__(self, access: DictionaryAccess, reply_ns: int, outbox: Outbox) -> None:
+        self._access = access
+        self._reply_ns = reply_ns
+        self._outbox = outbox
+        self._response_id = 0
+        self._replies: deque[tuple[int, bytes]] = deque()
+        self.deadline_ns: int = NEVER
+        self._state: int = _IDLE  # or _UPLOAD_SEGMENT, _DOWNLOAD_SEGMENT: what is expected next
+        self._index = 0
+        self._subindex = 0
+        self._toggle = 0
+        self._data = b""  # what is left to hand out
+        self._parts: list[bytes] = []  # what has been collected
+        self._collected = 0
+        self._expected: int | None = None
+
+    def configure(self, response_id: int) -> None:
+        """Responses carry this identifier from now on."""
+        self._response_id = response_id
+
+    def stop(self) -> None:
+        """The transfer and all pending responses are forgotten."""
+        self._end()
+        self._replies.clear()
+        self.deadline_ns = NEVER
+        self._outbox.deadlines_moved = True
+
+    def receive(self, frame: bytes, now_ns: int) -> None:
+        """A request came."""
+        if frame[4] != 8:
+            return  # an SDO always has 8 bytes
+        command = frame[8]
+        specifier = command >> 5
+        if specifier == _UPLOAD:
+            self._begin_upload(frame[9] | frame[10] << 8, frame[11], now_ns)
+        elif specifier == _DOWNLOAD:
+            self._begin_download(command, frame, now_ns)
+        elif specifier == _UPLOAD_SEGMENT:
+            self._upload_segment(command, now_ns)
+        elif specifier == _DOWNLOAD_SEGMENT:
+            self._download_segment(command, frame, now_ns)
+        elif specifier == _ABORT:
+            self._end()
+        else:
+            if specifier in (_BLOCK_UPLOAD, _BLOCK_DOWNLOAD):
+                self._begin(frame[9] | frame[10] << 8, frame[11])
+            self._abort(AbortCode.COMMAND_SPECIFIER_UNKNOWN, now_ns)
+
+    def expire(self, now_ns: int) -> None:
+        """The responses due by now go out."""
+        replies = self._replies
+        while replies and replies[0][0] <= now_ns:
+            self._outbox.frames.append(replies.popleft()[1])
+        self.deadline_ns = replies[0][0] if replies else NEVER
+        self._outbox.deadlines_moved = True
+
+    def _begin_upload(self, index: int, subindex: int, now_ns: int) -> None:
+        self._begin(index, subindex)
+        data = self._access.upload(index, subindex, now_ns)
+        if isinstance(data, int):
+            self._abort(data, now_ns)
+            return
+        size = len(data)
+        if 0 < size <= 4:
+            command = 0x43 | (4 - size) << 2  # expedited, size indicated
+        else:
+            self._state = _UPLOAD_SEGMENT
+            self._data = data
+            command = 0x41
+            data = size.to_bytes(4, "little")
+        self._reply(_RESPONSE.pack(self._response_id, 8, command, index, subindex, data), now_ns)
+
+    def _upload_segment(self, command: int, now_ns: int) -> None:
+        if self._state != _UPLOAD_SEGMENT:
+            self._abort(AbortCode.COMMAND_SPECIFIER_UNKNOWN, now_ns)
+        elif command & _TOGGLE != self._toggle:
+            self._abort(AbortCode.TOGGLE_BIT_NOT_ALTERNATED, now_ns)
+        else:
+            part = self._data[:7]
+            self._data = self._data[7:]
+            response = self._toggle | (7 - len(part)) << 1
+            self._toggle ^= _TOGGLE
+            if not self._data:
+                response |= 1
+                self._end()
+            self._reply(_SEGMENT.pack(self._response_id, 8, response, part), now_ns)
+
+    def _begin_download(self, command: int, frame: bytes, now_ns: int) -> None:
+        index, subindex = frame[9] | frame[10] << 8, frame[11]
+        is_sized = command & 1 != 0
+        self._begin(index, subindex)
+        if command & 2:  # expedited
+            size = 4 - (command >> 2 & 3) if is_sized else self._access.size_bytes(index, subindex)
+            data = frame[12 : 12 + size] if 0 < size <= 4 else frame[12:16]
+            code = self._access.download(index, subindex, data, now_ns)
+            if code == 0:
+                self._accept(now_ns)
+            else:
+                self._abort(code, now_ns)
+            return
+        expected = int.from_bytes(frame[12:16], "little") if is_sized else None
+        code = self._access.refusal(index, subindex, expected)
+        if code == 0 and expected is not None and expected > MAX_DOWNLOAD_BYTES:
+            code = AbortCode.OUT_OF_MEMORY
+        if code:
+            self._abort(code, now_ns)
+            return
+        self._state = _DOWNLOAD_SEGMENT
+        self._expected = expected
+        self._accept(now_ns)
+
+    def _download_segment(self, command: int, frame: bytes, now_ns: int) -> None:
+        if self._state != _DOWNLOAD_SEGMENT:
+            self._abort(AbortCode.COMMAND_SPECIFIER_UNKNOWN, now_ns)
+            return
+        if command & _TOGGLE != self._toggle:
+            self._abort(AbortCode.TOGGLE_BIT_NOT_ALTERNATED, now_ns)
+            return
+        part = frame[9 : 16 - (command >> 1 & 7)]
+        self._parts.append(part)
+        self._collected += len(part)
+        is_last = command & 1 != 0
+        code = self._judge(is_last)
+        if code == 0 and is_last:
+            data = b"".join(self._parts)
+            code = self._access.download(self._index, self._subindex, data, now_ns)
+        if code:
+            self._abort(code, now_ns)
+            return
+        response = 0x20 | self._toggle
+        self._toggle ^= _TOGGLE
+        if is_last:
+            self._end()
+        self._reply(_SEGMENT.pack(self._response_id, 8, response, b""), now_ns)
+
+    def _judge(self, is_last: bool) -> int:
+        """What is wrong with the length collected so far; 0 if nothing."""
+        expected = self._expected
+        if expected is None:
+            return AbortCode.OUT_OF_MEMORY if self._collected > MAX_DOWNLOAD_BYTES else 0
+        if self._collected > expected:
+            return AbortCode.LENGTH_TOO_HIGH
+        return AbortCode.LENGTH_TOO_LOW if is_last and self._collected < expected else 0
+
+    def _begin(self, index: int, subindex: int) -> None:
+        self._end()
+        self._index = index
+        self._subindex = subindex
+
+    def _end(self) -> None:
+        self._state = _IDLE
+        self._index = 0
+        self._subindex = 0
+        self._toggle = 0
+        self._data = b""
+        self._parts = []
+        self._collected = 0
+        self._expected = None
+
+    def _accept(self, now_ns: int) -> None:
+        response = (self._response_id, 8, 0x60, self._index, self._subindex, b"")
+        self._reply(_RESPONSE.pack(*response), now_ns)
+
+    def _abort(self, code: int, now_ns: int) -> None:
+        data = int(code).to_bytes(4, "little")
+        response = (self._response_id, 8, 0x80, self._index, self._subindex, data)
+        self._end()
+        self._reply(_RESPONSE.pack(*response), now_ns)
+
+    def _reply(self, frame: bytes, now_ns: int) -> None:
+        if not self._reply_ns:
+            self._outbox.frames.append(frame)
+            return
+        self._replies.append((now_ns + self._reply_ns, frame))
+        self.deadline_ns = self._replies[0][0]
+        self._outbox.deadlines_moved = True
