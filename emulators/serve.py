@@ -57,6 +57,10 @@ class WallLoop:
         """The loop also wakes when this descriptor (a process's pidfd, say) becomes readable."""
         self._selector.register(descriptor, selectors.EVENT_READ, None)
 
+    def forget(self, descriptor: int) -> None:
+        """The loop no longer wakes on this descriptor."""
+        self._selector.unregister(descriptor)
+
     def start(self) -> None:
         """Wall time counts from now."""
         self._start_ns = time.monotonic_ns() - self._queue.now_ns

@@ -1,0 +1,165 @@
+"""`motorhil serve`: a rig in real time, for other processes, on a socket or on SocketCAN."""
+
+import argparse
+import os
+import select
+import signal
+import subprocess
+import sys
+import tempfile
+from contextlib import ExitStack
+from pathlib import Path
+from types import FrameType
+from typing import Final, final
+
+from emulators.hub import HubError, HubServer
+from emulators.serve import WallLoop
+from emulators.socketcan import SocketCanError, SocketCanGateway
+from harness.rig import Rig
+
+PASSED: Final = 0
+WRONG_USAGE: Final = 2
+_NOT_FOUND: Final = 127
+_GRACE_S: Final = 3.0
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """The words after `motorhil serve`."""
+    parser.add_argument("rig", type=Path, metavar="RIG", help="the rig file")
+    parser.add_argument(
+        "--socket",
+        type=Path,
+        metavar="PATH",
+        help="serve all buses on this socket: can.Bus(interface='emulated', channel='PATH'); "
+        "another bus than the first is 'PATH#can1' (default: a private socket, if no --on)",
+    )
+    parser.add_argument(
+        "--on",
+        action="append",
+        default=[],
+        metavar="[BUS=]INTERFACE",
+        help="join a bus (default: the first) with a SocketCAN interface; may be repeated",
+    )
+    parser.add_argument("--seed", type=int, metavar="N", help="instead of the rig's own")
+    parser.add_argument(
+        "-o", "--output", type=Path, metavar="FILE", help="record to this MCAP file"
+    )
+    parser.epilog = (
+        "With -- COMMAND, the command runs with the rig up (CAN_INTERFACE and CAN_CHANNEL name its "
+        "first bus), and its exit status is ours. Without, Ctrl-C stops."
+    )
+
+
+def run(options: argparse.Namespace) -> int:
+    """Exit status: 0, 2 wrong usage, or the command's own."""
+    with ExitStack() as cleanup:
+        rig = cleanup.enter_context(Rig.open(options.rig, seed=options.seed, record=options.output))
+        loop = WallLoop(rig.world.queue)
+        cleanup.callback(loop.close)
+        try:
+            doors = _open_doors(rig, loop, options, cleanup)
+        except (HubError, SocketCanError) as error:
+            print(f"motorhil serve: {error}", file=sys.stderr)
+            return WRONG_USAGE
+        service = _Service(loop)
+        cleanup.callback(service.restore)
+        if options.rest:
+            return service.run_command(options.rest, doors)
+        print(f"serving {rig.description.name}; Ctrl-C stops", file=sys.stderr)
+        for bus, (interface, channel) in doors.items():
+            print(f"{bus}: can.Bus(interface={interface!r}, channel={channel!r})", flush=True)
+        service.run_until_stopped()
+        print(
+            f"stopped; an event was at most {loop.late_ns_max / 1e6:.1f} ms late", file=sys.stderr
+        )
+    return PASSED
+
+
+def _open_doors(
+    rig: Rig, loop: WallLoop, options: argparse.Namespace, cleanup: ExitStack
+) -> dict[str, tuple[str, str]]:
+    """What python-can calls each bus: bus -> (interface, channel)."""
+    names = rig.world.bus_names()
+    doors: dict[str, tuple[str, str]] = {}
+    for text in options.on:
+        bus, _, interface = text.rpartition("=")
+        bus = bus or names[0]
+        if bus not in names:
+            known = ", ".join(names)
+            raise SocketCanError(f"--on {text}: the rig has no bus {bus!r}; it has {known}")
+        loop.add(SocketCanGateway(interface, rig.world, bus))
+        doors[bus] = ("socketcan", interface)
+    path = options.socket
+    if path is None and not options.on:
+        folder = cleanup.enter_context(tempfile.TemporaryDirectory(prefix="motorhil-"))
+        path = Path(folder) / "hub"
+    if path is not None:
+        loop.add(HubServer(path, rig.world))
+        for bus in names:
+            channel = str(path.absolute()) + ("" if bus == names[0] else f"#{bus}")
+            doors.setdefault(bus, ("emulated", channel))
+    return doors
+
+
+@final
+class _Service:
+    """The loop, until a signal or the command's end."""
+
+    def __init__(self, loop: WallLoop) -> None:
+        self._loop = loop
+        self._stopped = False
+        reader, self._writer = os.pipe()
+        os.set_blocking(self._writer, False)
+        self._reader = reader
+        loop.wake_on(reader)
+        self._old_wakeup = signal.set_wakeup_fd(self._writer, warn_on_full_buffer=False)
+        self._old_handlers = {
+            number: signal.signal(number, self._stop) for number in (signal.SIGINT, signal.SIGTERM)
+        }
+
+    def _stop(self, number: int, frame: FrameType | None) -> None:
+        self._stopped = True
+
+    def restore(self) -> None:
+        """Signals mean what they meant before."""
+        for number, handler in self._old_handlers.items():
+            signal.signal(number, handler)
+        signal.set_wakeup_fd(self._old_wakeup)
+        os.close(self._writer)
+        os.close(self._reader)
+
+    def run_until_stopped(self) -> None:
+        """SIGINT or SIGTERM has come."""
+        self._loop.start()
+        self._loop.run(lambda: self._stopped)
+
+    def run_command(self, command: list[str], doors: dict[str, tuple[str, str]]) -> int:
+        """The command has run with the rig up; its exit status (128 + n if signal n ended it)."""
+        interface, channel = next(iter(doors.values()))
+        environment = {**os.environ, "CAN_INTERFACE": interface, "CAN_CHANNEL": channel}
+        for bus, (_, bus_channel) in doors.items():
+            environment[f"MOTORHIL_CHANNEL_{bus.upper().replace('-', '_')}"] = bus_channel
+        try:
+            process = subprocess.Popen(command, env=environment)
+        except OSError as error:
+            print(f"motorhil serve: {command[0]}: {error.strerror}", file=sys.stderr)
+            return _NOT_FOUND
+        watch = os.pidfd_open(process.pid)
+        try:
+            self._loop.wake_on(watch)
+            self._loop.start()
+            self._loop.run(lambda: self._stopped or bool(select.select([watch], [], [], 0)[0]))
+            if process.poll() is None:  # we were told to stop: so is the command
+                process.terminate()
+                try:
+                    process.wait(_GRACE_S)
+                except subprocess.TimeoutExpired:
+                    process.kill()
+            status = process.wait()
+        finally:
+            if process.poll() is None:
+                process.kill()
+                process.wait()
+            self._loop.forget(watch)
+            os.close(watch)
+        return 128 - status if status < 0 else status
