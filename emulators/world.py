@@ -11,6 +11,7 @@ from typing import final
 from emulators.controller import Controller
 from emulators.event_queue import Alarm, EventQueue
 from emulators.media.can_bus import DELIVERED, HEARD, KIND_MASK, LOST, CanBus, hears
+from emulators.media.faults import FaultRule
 
 HostListener = Callable[[bytes, int, bool], None]
 FrameTap = Callable[[str, int, str, bytes], None]
@@ -115,17 +116,20 @@ class HostPort(Endpoint):
 class BusSegment:
     """One bus with everybody on it, and who listens to which identifier."""
 
-    def __init__(self, bus: CanBus, queue: EventQueue) -> None:
+    def __init__(self, bus: CanBus, world: "World") -> None:
         self.bus = bus
-        self.queue = queue
+        self.queue = world.queue
         self.name = bus.name
-        self._alarm: Alarm = queue.alarm(self._expire)
+        self._world = world
+        self._alarm: Alarm = world.queue.alarm(self._expire)
+        self._has_rules = bool(bus.faults_fired())  # faults are asked for only where there are any
         self._by_port: list[Endpoint] = []
         self._slots: list[ControllerSlot] = []
         self._listeners: list[Endpoint] = []  # hosts, and controllers that hear everything
         self._routes: dict[int, list[Endpoint]] = {}
         self._routes_valid = False
         self.taps: list[FrameTap] = []
+        self._settle(world.queue.now_ns)
 
     def join(self, endpoint: Endpoint) -> None:
         """The endpoint, whose port was attached last, takes part."""
@@ -159,6 +163,25 @@ class BusSegment:
     def submit(self, port: int, frame: bytes, now_ns: int) -> None:
         """The frame is queued, and the bus knows when it is next wanted."""
         self.bus.submit(port, frame, now_ns)
+        self._alarm.set(self.bus.next_deadline_ns())
+
+    def inject(self, rule: FaultRule) -> None:
+        """The rule holds from now on."""
+        self.bus.inject(rule, self.queue.now_ns)
+        self._has_rules = True
+        self._settle(self.queue.now_ns)
+
+    def lift(self, name: str) -> None:
+        """The rule holds no longer."""
+        self.bus.lift(name, self.queue.now_ns)
+        self._settle(self.queue.now_ns)
+
+    def _settle(self, now_ns: int) -> None:
+        """The bus is called when it wants to be, and what its faults did is told."""
+        if self._has_rules:
+            for time_ns, rule, what, frame in self.bus.take_fault_events():
+                can_id = f" {int.from_bytes(frame[:4], 'little') & 0x1FFF_FFFF:X}h" if frame else ""
+                self._world.report(time_ns, "warning", self.name, f"{rule}: {what}{can_id}")
         self._alarm.set(self.bus.next_deadline_ns())
 
     def _build_routes(self) -> None:
@@ -204,7 +227,10 @@ class BusSegment:
                         endpoint.deliver(frame, now_ns)
             if kind & KIND_MASK != HEARD:
                 sender.confirm(frame, now_ns)
-        self._alarm.set(bus.next_deadline_ns())
+        if self._has_rules:
+            self._settle(now_ns)
+        else:
+            self._alarm.set(bus.next_deadline_ns())
 
 
 def _port_of(endpoint: Endpoint) -> int:
@@ -227,7 +253,7 @@ class World:
 
     def add_bus(self, bus: CanBus) -> None:
         """The bus exists, with nobody on it."""
-        self._segments[bus.name] = BusSegment(bus, self.queue)
+        self._segments[bus.name] = BusSegment(bus, self)
 
     def bus(self, name: str) -> CanBus:
         """The bus's core, for its statistics and its faults."""
@@ -267,6 +293,22 @@ class World:
         slot = self._slots[name]
         slot.controller.stimulate(stimulus, value, self.queue.now_ns)
         slot.settle(self.queue.now_ns)
+
+    def inject(self, bus: str, rule: FaultRule) -> None:
+        """The fault rule holds on the bus from now on.
+
+        Raises:
+            ValueError: the bus was made without a fault plan, or has had a rule of that name.
+        """
+        self._segments[bus].inject(rule)
+
+    def lift(self, bus: str, name: str) -> None:
+        """The fault rule of this name holds no longer.
+
+        Raises:
+            ValueError: the bus has no such rule.
+        """
+        self._segments[bus].lift(name)
 
     def snapshot(self, name: str) -> Mapping[str, float]:
         """The truth inside the controller now."""
