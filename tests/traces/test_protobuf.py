@@ -1,0 +1,175 @@
+from contextlib import suppress
+
+import pytest
+from google.protobuf import timestamp_pb2
+from google.protobuf.descriptor_pb2 import FileDescriptorProto, FileDescriptorSet
+from google.protobuf.json_format import MessageToDict
+from hypothesis import given
+from hypothesis import strategies as st
+
+from tests.traces.protobuf_classes import google_class
+from traces.protobuf import decode, delimited, encode, file_descriptor_set, varint
+from traces.schema import (
+    CAN_FRAME,
+    GROUP_SYNC,
+    JOINT_STATE,
+    LOG,
+    MOTOR_LOCK,
+    TIMESTAMP,
+    truth_message,
+)
+
+TRUTH = truth_message("cia402", ["position_rad", "state"])
+MESSAGES = [CAN_FRAME, JOINT_STATE, LOG, MOTOR_LOCK, GROUP_SYNC, TIMESTAMP, TRUTH]
+
+# Every field of every message, with a value that is not the default one.
+FULL = {
+    CAN_FRAME.name: {
+        "id": 0x1ABCDEF0,
+        "extended": True,
+        "remote": True,
+        "error": True,
+        "fd": True,
+        "brs": True,
+        "esi": True,
+        "direction": 2,
+        "sender": "wheel_ä",
+        "remote_length": 300,
+        "data": b"\x00\xff",
+    },
+    JOINT_STATE.name: {
+        "timestamp": {"seconds": 3_000_000_000, "nanos": 999_999_999},
+        "name": ["a", "b"],
+        "position": [1.5, -2.0],
+        "velocity": [0.0],
+        "effort": [1e-300],
+    },
+    LOG.name: {
+        "timestamp": {"nanos": 1},
+        "level": 3,
+        "message": "x" * 200,
+        "name": "left",
+        "file": "f",
+        "line": 0xFFFFFFFF,
+    },
+    MOTOR_LOCK.name: {"action": 5, "owner": "a", "holder": "b", "waited_s": 0.5, "held_s": -1.0},
+    GROUP_SYNC.name: {
+        "phase": 1,
+        "motor": ["a", "b"],
+        "offset_s": [0.0, 1e-4],
+        "skew_s": 1e-4,
+        "predicted_skew_s": 2e-4,
+        "method": "sync",
+    },
+    TIMESTAMP.name: {"seconds": -1, "nanos": -2},
+    TRUTH.name: {"position_rad": 0.25, "state": 7.0},
+}
+
+
+def by_name(message):
+    return message.name
+
+
+# Source: protobuf.dev, "Encoding": 150 is 96 01; -2 is ten bytes; and the boundaries of one byte.
+@pytest.mark.parametrize(
+    ("value", "wire"),
+    [
+        (0, "00"),
+        (127, "7f"),
+        (128, "8001"),
+        (150, "9601"),
+        (-2, "feffffffffffffffff01"),
+    ],
+)
+def test_varints_are_as_in_the_encoding_guide(value, wire):
+    assert varint(value).hex() == wire
+
+
+@pytest.mark.parametrize("message", MESSAGES, ids=by_name)
+def test_google_reads_our_descriptors_and_would_write_the_same_bytes(message):
+    data = file_descriptor_set(message)
+    parsed = FileDescriptorSet.FromString(data)
+    assert parsed.SerializeToString(deterministic=True) == data
+    assert parsed.file[-1].message_type[0].name == message.name.rpartition(".")[2]
+
+
+def test_our_timestamp_is_the_well_known_one():
+    theirs = FileDescriptorProto.FromString(timestamp_pb2.DESCRIPTOR.serialized_pb)
+    ours = FileDescriptorSet.FromString(file_descriptor_set(TIMESTAMP)).file[0]
+    assert (ours.name, ours.package, ours.syntax) == (theirs.name, theirs.package, theirs.syntax)
+    for one, other in zip(ours.message_type[0].field, theirs.message_type[0].field, strict=True):
+        facts = (one.name, one.number, one.type, one.label)
+        assert facts == (other.name, other.number, other.type, other.label)
+
+
+@pytest.mark.parametrize("message", MESSAGES, ids=by_name)
+def test_google_reads_every_field_we_write_and_writes_the_same_bytes(message):
+    values = FULL[message.name]
+    assert list(values) == [field.name for field in message.fields]  # none is forgotten here
+    payload = encode(message, values)
+    parsed = google_class(message).FromString(payload)
+    assert parsed.SerializeToString(deterministic=True) == payload
+    for name, value in values.items():
+        if name == "timestamp":
+            assert MessageToDict(parsed)["timestamp"].startswith(
+                "2065" if "seconds" in value else "1970"
+            )
+        else:
+            assert getattr(parsed, name) == value, name
+
+
+@pytest.mark.parametrize("message", MESSAGES, ids=by_name)
+def test_what_was_encoded_is_decoded(message):
+    values = FULL[message.name]
+    assert decode(message, encode(message, values)) == values
+
+
+def test_numbers_that_are_not_packed_are_read_as_well():
+    # Source: protobuf.dev, "Packed repeated fields": parsers must accept both forms.
+    one_by_one = b"\x19" + bytes(7) + b"\x40" + b"\x19" + bytes(6) + b"\xf0\x3f"
+    assert decode(JOINT_STATE, one_by_one) == {"position": [2.0, 1.0]}
+
+
+def test_fields_of_a_later_version_are_skipped():
+    later = delimited(100, b"new") + b"\xa5\x06abcd" + b"\xa1\x06abcdefgh" + b"\xa0\x06\x05"
+    assert decode(LOG, later + b"\x10\x02") == {"level": 2}
+
+
+@pytest.mark.parametrize(
+    ("message", "payload", "complaint"),
+    [
+        (LOG, b"\x10", "varint without end"),
+        (LOG, b"\x1a\x05abc", "goes beyond the end"),
+        (LOG, b"\x18\x05", "foxglove.Log.message has wire type 0"),
+        (LOG, b"\x13", "wire type 3"),
+    ],
+)
+def test_a_broken_message_is_told(message, payload, complaint):
+    with pytest.raises(ValueError, match=complaint):
+        decode(message, payload)
+
+
+@given(st.binary(max_size=60), st.sampled_from(MESSAGES))
+def test_garbage_is_a_value_error_or_a_message_and_nothing_else(payload, message):
+    with suppress(ValueError):
+        decode(message, payload)
+
+
+def test_an_unknown_field_is_refused_and_the_known_ones_are_named():
+    with pytest.raises(ValueError, match="has no field 'speed'; it has action, owner"):
+        encode(MOTOR_LOCK, {"speed": 1.0})
+
+
+@pytest.mark.parametrize(
+    ("message", "values"),
+    [
+        (MOTOR_LOCK, {"owner": 3}),
+        (MOTOR_LOCK, {"waited_s": "long"}),
+        (GROUP_SYNC, {"motor": "left"}),
+        (GROUP_SYNC, {"offset_s": 1.0}),
+        (LOG, {"timestamp": 5}),
+    ],
+)
+def test_a_value_of_the_wrong_kind_is_refused(message, values):
+    with pytest.raises(ValueError, match=r"is .* not"):
+        encode(message, values)

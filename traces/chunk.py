@@ -1,0 +1,126 @@
+"""Messages on their way into a chunk: packed side by side into one buffer, in bulk.
+
+What is recorded most is the CAN frame, and of its record all is constant for one sender, identifier
+and length but the time and the data. So each such combination is packed by a `struct` of its own,
+straight into the buffer: one call, no bytes object a frame.
+"""
+
+import struct
+from collections import Counter
+from collections.abc import Callable
+from operator import itemgetter
+from typing import Final, final
+
+from traces.fields import can_frame_prefix
+from traces.records import MESSAGE, MESSAGE_HEAD
+
+Entry = tuple[int, int, bytes]
+"""(source, log time [ns], data).
+
+A source >= 0 is a sender on a channel, and the data a Linux can_frame or canfd_frame; a source < 0
+is a channel, negated, and the data is the message itself.
+"""
+
+_HEAD_SIZE: Final = MESSAGE_HEAD.size
+_CONSTANT: Final = struct.Struct("<BQHI")  # of a message's head, all before the times
+_REMEMBERED: Final = 1 << 16  # prefixes; a bus full of random identifiers must not fill the memory
+
+_Template = tuple[Callable[..., None], bytes, bytes, int, int]
+"""pack_into, head, middle, size of the record, size of the frame."""
+
+_source_of: Final = itemgetter(0)
+
+
+@final
+class ChunkBuffer:
+    """The messages of one chunk, not yet compressed; used again for the next one.
+
+    Attributes: used, bytes of it that are filled; first_ns and last_ns, the earliest and the latest
+    log time in it; counts, its messages by channel.
+    """
+
+    def __init__(self, size: int) -> None:
+        self.used: int = 0
+        self.first_ns: int = 0
+        self.last_ns: int = 0
+        self.counts: dict[int, int] = {}
+        self._buffer: bytearray = bytearray(size)
+        self._sources: list[tuple[int, bytes, int]] = []
+        self._known: dict[tuple[int, bytes], _Template] = {}
+        self._widest: int = 0
+
+    def add_source(self, channel: int, sender: str, direction: int) -> int:
+        """The number of a sender on a CAN channel."""
+        self._sources.append((channel, sender.encode(), direction))
+        return len(self._sources) - 1
+
+    def content(self) -> memoryview:
+        """The records in it; release the view before anything is added."""
+        return memoryview(self._buffer)[: self.used]
+
+    def clear(self) -> None:
+        """It is empty; what it knows about sources stays."""
+        self.used = 0
+        self.counts.clear()
+
+    def extend(self, entries: list[Entry]) -> None:
+        """These messages are in it, behind those before; or, if it raises, none of them is.
+
+        Raises:
+            ValueError: data of a CAN source is no CAN frame.
+            struct.error: a time is negative.
+        """
+        if not entries:
+            return
+        known = self._known
+        used = self.used
+        first = self.first_ns if used else entries[0][1]
+        last = self.last_ns if used else entries[0][1]
+        self._reserve(used + len(entries) * self._widest)
+        buffer = self._buffer
+        for source, time_ns, data in entries:
+            if time_ns > last:
+                last = time_ns
+            elif time_ns < first:
+                first = time_ns
+            if source < 0:
+                size = _HEAD_SIZE + len(data)
+                self._reserve(used + size + len(entries) * self._widest)
+                MESSAGE_HEAD.pack_into(
+                    buffer, used, MESSAGE, size - 9, -source, 0, time_ns, time_ns
+                )
+                buffer[used + _HEAD_SIZE : used + size] = data
+                used += size
+                continue
+            try:
+                pack_into, head, middle, size, frame_size = known[source, data[:8]]
+            except KeyError:
+                frame_size = 0
+            if len(data) != frame_size:
+                pack_into, head, middle, size, frame_size = self._learn(source, data)
+                self._reserve(used + len(entries) * self._widest)
+            pack_into(buffer, used, head, time_ns, time_ns, middle, data[8:])
+            used += size
+        self.used, self.first_ns, self.last_ns = used, first, last
+        for source, count in Counter(map(_source_of, entries)).items():
+            channel = self._sources[source][0] if source >= 0 else -source
+            self.counts[channel] = self.counts.get(channel, 0) + count
+
+    def _learn(self, source: int, data: bytes) -> _Template:
+        """How frames that begin like this one are packed."""
+        channel, sender, direction = self._sources[source]
+        middle, length = can_frame_prefix(data[:8], len(data), sender, direction)
+        # 15 bytes: the record's head up to the times; sequence 0, as mcap's own writer has it.
+        layout = struct.Struct(f"<15sQQ{len(middle)}s{length}s")
+        head = _CONSTANT.pack(MESSAGE, layout.size - 9, channel, 0)
+        template = (layout.pack_into, head, middle, layout.size, len(data))
+        if len(self._known) >= _REMEMBERED:
+            self._known.clear()
+        self._known[source, data[:8]] = template
+        self._widest = max(self._widest, layout.size)
+        return template
+
+    def _reserve(self, size: int) -> None:
+        """The buffer has room for `size` bytes."""
+        if size > len(self._buffer):
+            self._buffer.extend(bytes(size - len(self._buffer)))

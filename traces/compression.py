@@ -1,0 +1,52 @@
+"""How chunks are compressed: zstd by us, also lz4 or not at all by others."""
+
+from typing import Final, final
+
+import zstandard
+
+_PIECE: Final = 4096
+
+
+@final
+class CompressionError(Exception):
+    """What was compressed is damaged, or compressed by something unknown."""
+
+
+def decompress(compression: str, data: bytes, size: int) -> bytes:
+    """The `size` bytes that `data` is the compressed form of.
+
+    Raises:
+        CompressionError: they cannot be had.
+    """
+    try:
+        if compression == "zstd":
+            content = zstandard.ZstdDecompressor().decompress(data, max_output_size=size)
+        elif compression == "lz4":
+            import lz4.frame  # type: ignore[import-untyped]
+
+            content = bytes(lz4.frame.decompress(data))
+        elif compression:
+            raise CompressionError(f"{compression!r} is no compression known here")
+        else:
+            content = data
+    except (zstandard.ZstdError, RuntimeError, EOFError) as error:
+        raise CompressionError(str(error)) from error
+    if len(content) != size:
+        raise CompressionError(f"{len(content)} bytes in it, should be {size}")
+    return content
+
+
+def salvage(compression: str, data: bytes) -> bytes:
+    """As much as can still be had when the end of `data` is missing; zstd gives whole blocks."""
+    if not compression:
+        return data
+    if compression != "zstd":
+        return b""
+    stream = zstandard.ZstdDecompressor().decompressobj()
+    out: list[bytes] = []
+    try:
+        for start in range(0, len(data), _PIECE):
+            out.append(stream.decompress(data[start : start + _PIECE]))
+    except zstandard.ZstdError:  # the end is not only missing but overwritten
+        pass
+    return b"".join(out)

@@ -1,0 +1,193 @@
+"""What is recorded again and again, packed by hand: no object is made but the bytes themselves.
+
+A CAN frame comes as Linux has it: `struct can_frame` (16 bytes) or `struct canfd_frame` (72 bytes,
+with CANFD_FDF set in its flags): can_id with EFF, RTR and ERR bits, length, flags (FD only), two
+reserved bytes, data padded to 8 or 64. Source: linux/can.h.
+"""
+
+import struct
+from collections.abc import Iterable
+from dataclasses import dataclass
+from typing import Final, final
+
+from traces.protobuf import Kind, Message, decode, delimited, tag, varint
+from traces.schema import CAN_FRAME, Direction, Level
+
+CAN_FRAME_SIZE: Final = 16
+CANFD_FRAME_SIZE: Final = 72
+_EFF: Final = 0x8000_0000
+_RTR: Final = 0x4000_0000
+_ERR: Final = 0x2000_0000
+_SFF_MASK: Final = 0x7FF
+_EFF_MASK: Final = 0x1FFF_FFFF
+_BRS: Final = 0x01
+_ESI: Final = 0x02
+_FDF: Final = 0x04
+_HEADER: Final = struct.Struct("<IBBxx")
+_DOUBLE: Final = struct.Struct("<d")
+_ID_FIELD: Final = struct.Struct("<BI")
+
+# Tags of CanFrame, field number * 8 + wire type.
+_ID: Final = 0x0D
+_EXTENDED: Final = b"\x10\x01"  # a tag and the value 1
+_REMOTE: Final = b"\x18\x01"
+_ERROR: Final = b"\x20\x01"
+_FD_SET: Final = b"\x28\x01"
+_BRS_SET: Final = b"\x30\x01"
+_ESI_SET: Final = b"\x38\x01"
+_DIRECTION: Final = b"\x40"
+_REMOTE_LENGTH: Final = b"\x50"
+_DATA: Final = b"\x7a"
+
+
+def can_frame_prefix(header: bytes, size: int, sender: bytes, direction: int) -> tuple[bytes, int]:
+    """(all of a CanFrame but the bytes of its data, how many of those follow).
+
+    It depends on the frame's first 8 bytes only (and on the frame's size), so whoever records
+    periodic traffic needs it once an identifier.
+
+    Raises:
+        ValueError: no can_frame or canfd_frame: wrong size, a length beyond it, or no CANFD_FDF.
+    """
+    can_id, length, flags = _HEADER.unpack(header)
+    if size not in (CAN_FRAME_SIZE, CANFD_FRAME_SIZE):
+        raise ValueError(f"a CAN frame is 16 or 72 bytes, not {size}")
+    if length > size - 8:
+        raise ValueError(f"length {length} in a CAN frame with room for {size - 8}")
+    fd = size == CANFD_FRAME_SIZE
+    if fd and not flags & _FDF:
+        raise ValueError("a canfd_frame without CANFD_FDF (04h) in its flags")
+    out = bytearray(
+        _ID_FIELD.pack(_ID, can_id & (_EFF_MASK if can_id & (_EFF | _ERR) else _SFF_MASK))
+    )
+    if can_id & _EFF:
+        out += _EXTENDED
+    if can_id & _RTR:
+        out += _REMOTE
+    if can_id & _ERR:
+        out += _ERROR
+    if fd:
+        out += _FD_SET
+        if flags & _BRS:
+            out += _BRS_SET
+        if flags & _ESI:
+            out += _ESI_SET
+    if direction:
+        out += _DIRECTION + varint(direction)
+    if sender:
+        out += delimited(9, sender)
+    if can_id & _RTR:
+        if length:
+            out += _REMOTE_LENGTH + varint(length)
+        length = 0  # a remote frame asks for data and has none
+    out += _DATA + bytes((length,))
+    return bytes(out), length
+
+
+def encode_can_frame(
+    frame: bytes, sender: str = "", direction: Direction = Direction.UNKNOWN
+) -> bytes:
+    """A motorhil.CanFrame. In bulk the writer does the same with remembered prefixes."""
+    prefix, length = can_frame_prefix(frame[:8], len(frame), sender.encode(), direction)
+    return prefix + frame[8 : 8 + length]
+
+
+@final
+@dataclass(frozen=True, slots=True)
+class RecordedFrame:
+    """A CAN frame as it was recorded; `frame` is a can_frame or canfd_frame again."""
+
+    frame: bytes
+    sender: str
+    direction: Direction
+
+
+def decode_can_frame(payload: bytes) -> RecordedFrame:
+    """The frame in a motorhil.CanFrame, whoever wrote it.
+
+    Raises:
+        ValueError: the payload is not one.
+    """
+    fields = decode(CAN_FRAME, payload)
+    can_id, data = fields.get("id", 0), fields.get("data", b"")
+    direction, asked = fields.get("direction", 0), fields.get("remote_length", 0)
+    assert isinstance(can_id, int)  # the table says so, and decode holds to it
+    assert isinstance(data, bytes)
+    assert isinstance(direction, int)
+    assert isinstance(asked, int)
+    flags = 0
+    for bit, name in ((_FDF, "fd"), (_BRS, "brs"), (_ESI, "esi")):
+        flags |= bit if fields.get(name) else 0
+    for bit, name in ((_EFF, "extended"), (_RTR, "remote"), (_ERR, "error")):
+        can_id |= bit if fields.get(name) else 0
+    room = 64 if flags & _FDF else 8
+    length = asked if can_id & _RTR else len(data)
+    if max(length, len(data)) > room:
+        raise ValueError(f"a CanFrame of {max(length, len(data))} bytes with room for {room}")
+    return RecordedFrame(
+        _HEADER.pack(can_id, length, flags) + data.ljust(room, b"\0"),
+        str(fields.get("sender", "")),
+        Direction(direction) if direction in (1, 2) else Direction.UNKNOWN,
+    )
+
+
+def timestamp_field(time_ns: int) -> bytes:
+    """Field 1, a google.protobuf.Timestamp, as JointState and Log begin."""
+    seconds, nanos = divmod(time_ns, 1_000_000_000)
+    inner = (b"\x08" + varint(seconds) if seconds else b"") + (
+        b"\x10" + varint(nanos) if nanos else b""
+    )
+    return b"\x0a%c%b" % (len(inner), inner)
+
+
+def encode_log(time_ns: int, level: Level, text: str, name: str = "") -> bytes:
+    """A foxglove.Log."""
+    out = timestamp_field(time_ns) + b"\x10%c" % level + delimited(3, text.encode())
+    return out + delimited(4, name.encode()) if name else out
+
+
+@final
+class JointStateEncoder:
+    """Packs foxglove.JointState messages of one joint.
+
+    A message is `timestamp_field(time_ns) + body`; the body alone tells whether anything changed.
+    """
+
+    def __init__(self, name: str) -> None:
+        self._name: Final = delimited(2, name.encode())
+        self._pack: Final = struct.Struct("<2sd2sd2sd").pack
+
+    def body(self, position: float | None, velocity: float | None, effort: float | None) -> bytes:
+        """All but the time: rad or m, per second, N·m or N; what is None is left out."""
+        if position is not None and velocity is not None and effort is not None:
+            return self._name + self._pack(
+                b"\x1a\x08", position, b"\x22\x08", velocity, b"\x2a\x08", effort
+            )
+        out = self._name
+        for head, value in (
+            (b"\x1a\x08", position),
+            (b"\x22\x08", velocity),
+            (b"\x2a\x08", effort),
+        ):
+            if value is not None:  # arrays of length 1, packed
+                out += head + _DOUBLE.pack(value)
+        return out
+
+
+@final
+class TruthEncoder:
+    """Packs snapshots of one controller: every value a double, in the order of the message."""
+
+    def __init__(self, message: Message) -> None:
+        layout = "<"
+        self._arguments: list[bytes | float] = []
+        for field in message.fields:
+            head = tag(field.number, Kind.DOUBLE)
+            layout += f"{len(head)}sd"
+            self._arguments += [head, 0.0]
+        self._pack: Final = struct.Struct(layout).pack
+
+    def encode(self, values: Iterable[float]) -> bytes:
+        """The message; as many values as it has fields."""
+        self._arguments[1::2] = values
+        return self._pack(*self._arguments)

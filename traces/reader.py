@@ -1,0 +1,366 @@
+"""Reads recordings, whole ones and cut ones, ours and other writers'.
+
+Opening walks over the heads of the records only, chunk by chunk, so that it goes the same way
+through every file, whether it has a summary or ends in the middle of a chunk. Messages come in the
+order they were written.
+"""
+
+import os
+import struct
+import zlib
+from collections.abc import Collection, Iterator
+from dataclasses import dataclass
+from typing import BinaryIO, Final, Self, final
+
+from traces import records
+from traces.compression import CompressionError, decompress, salvage
+from traces.errors import TraceError
+from traces.schema import Schema
+
+_NAMES: Final = {
+    records.HEADER: "header",
+    records.FOOTER: "footer",
+    records.SCHEMA: "schema",
+    records.CHANNEL: "channel",
+    records.MESSAGE: "message",
+    records.CHUNK: "chunk",
+    records.ATTACHMENT: "attachment",
+    records.METADATA: "metadata",
+    records.DATA_END: "data end",
+}
+_STRUCTURE: Final = (
+    records.HEADER,
+    records.SCHEMA,
+    records.CHANNEL,
+    records.ATTACHMENT,
+    records.METADATA,
+)
+
+
+@final
+@dataclass(frozen=True, slots=True)
+class Channel:
+    """A topic and how its messages are encoded; `schema` is None if there is none."""
+
+    number: int
+    topic: str
+    encoding: str
+    schema: Schema | None
+    metadata: dict[str, str]
+
+
+@final
+@dataclass(frozen=True, slots=True)
+class Attachment:
+    """A file inside the file."""
+
+    name: str
+    media_type: str
+    log_time_ns: int
+    data: bytes
+
+
+@final
+@dataclass(frozen=True, slots=True)
+class Cut:
+    """A file ends too early: its bytes from `offset` on are no whole record.
+
+    Attributes: messages_missing is False if only what stands behind all messages is lost.
+    """
+
+    offset: int
+    size: int
+    reason: str
+    messages_missing: bool
+
+    def __str__(self) -> str:
+        rest = "" if self.messages_missing else "; no message is missing"
+        return f"cut at byte {self.offset}: {self.reason}, {self.size} bytes are left of it{rest}"
+
+
+@final
+@dataclass(frozen=True, slots=True)
+class _Chunk:
+    """A chunk's place and what its head says; or, uncompressed, messages outside of any chunk."""
+
+    offset: int
+    first_ns: int
+    last_ns: int
+    size: int
+    crc: int
+    compression: str
+    data_offset: int
+    data_size: int
+    whole: bool
+
+
+TraceMessage = tuple[Channel, int, bytes]
+"""(channel, log time [ns], payload)."""
+
+
+def read_trace(path: str | os.PathLike[str]) -> "Trace":
+    """The recording in this file, open.
+
+    Raises:
+        TraceError: it cannot be read, is no MCAP file, or is damaged before its first chunk.
+    """
+    name = os.fspath(path)
+    try:
+        file = open(name, "rb")  # noqa: SIM115  # the Trace closes it
+    except OSError as error:
+        raise TraceError(
+            name, f"cannot be read: {(error.strerror or str(error)).lower()}"
+        ) from error
+    try:
+        return Trace(name, file)
+    except BaseException:
+        file.close()
+        raise
+
+
+@final
+class Trace:
+    """An open recording; a context manager that closes it.
+
+    Attributes:
+        path: the file.
+        library: who wrote it.
+        metadata: tables of strings by name.
+        attachments: in the order they were written.
+        channels: by number. Those of other writers may become known only while messages are read.
+        cut: where the file ends too early; None: it is complete.
+        salvaged: messages that `messages` found in the chunk that was cut.
+    """
+
+    def __init__(self, path: str, file: BinaryIO) -> None:
+        """Use `read_trace`."""
+        self.path = path
+        self.library = ""
+        self.metadata: dict[str, dict[str, str]] = {}
+        self.attachments: list[Attachment] = []
+        self.channels: dict[int, Channel] = {}
+        self.cut: Cut | None = None
+        self.salvaged = 0
+        self._file = file
+        self._schemas: dict[int, Schema] = {}
+        self._chunks: list[_Chunk] = []
+        self._size = file.seek(0, os.SEEK_END)
+        self._scan()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """The file is closed."""
+        self._file.close()
+
+    def messages(
+        self,
+        topics: Collection[str] | None = None,
+        from_ns: int | None = None,
+        to_ns: int | None = None,
+    ) -> Iterator[TraceMessage]:
+        """Messages in the order they were written.
+
+        Of a chunk that was cut, all messages that can be had; `salvaged` then counts them.
+
+        Args:
+            topics: only of these; None: of all.
+            from_ns: log time, inclusive; None: from the beginning.
+            to_ns: log time, exclusive; None: to the end.
+
+        Raises:
+            TraceError: a chunk is damaged. What came before it is good.
+        """
+        self.salvaged = 0
+        for chunk in self._chunks:
+            if chunk.whole and (
+                (from_ns is not None and chunk.last_ns < from_ns)
+                or (to_ns is not None and chunk.first_ns >= to_ns)
+            ):
+                continue
+            for message in self._in_chunk(chunk):
+                if not chunk.whole:
+                    self.salvaged += 1
+                channel, time_ns, _ = message
+                if (
+                    (topics is None or channel.topic in topics)
+                    and (from_ns is None or time_ns >= from_ns)
+                    and (to_ns is None or time_ns < to_ns)
+                ):
+                    yield message
+
+    # --------------------------------------------------------------------- from head to head
+
+    def _scan(self) -> None:
+        """All but the messages is known; `cut` tells where whole records end."""
+        start = self._read(0, len(records.MAGIC))
+        if start != records.MAGIC:
+            what = "is empty" if not self._size else "is no MCAP file"
+            raise TraceError(self.path, what, remedy="give a recording, as `--record` makes them")
+        offset = len(start)
+        opcode = 0
+        data_ended = False
+        while opcode != records.FOOTER:
+            head = self._read(offset, records.RECORD_HEAD.size)
+            name = "record" if not head else _NAMES.get(head[0], f"record of kind {head[0]:02X}h")
+            if len(head) < records.RECORD_HEAD.size:
+                reason = f"in the head of a {name}" if head else "before the footer"
+                self.cut = Cut(offset, len(head), reason, not data_ended)
+                return
+            opcode, length = records.RECORD_HEAD.unpack(head)
+            end = offset + len(head) + length
+            if opcode == 0:
+                left = self._size - offset
+                self.cut = Cut(offset, left, "no record begins there", not data_ended)
+                return
+            if opcode == records.CHUNK:
+                self._add_chunk(offset, end)
+            if end > self._size:
+                left = self._size - offset
+                reason = f"in a {name} of {end - offset} bytes"
+                self.cut = Cut(offset, left, reason, not data_ended)
+                return
+            if opcode == records.MESSAGE:
+                self._add_loose(offset, end)
+            elif opcode in _STRUCTURE:
+                self._take(opcode, self._read(offset + 9, length), offset)
+            data_ended = data_ended or opcode == records.DATA_END
+            offset = end
+        if self._read(offset, len(records.MAGIC)) != records.MAGIC:
+            self.cut = Cut(offset, self._size - offset, "in the closing magic", False)
+
+    def _read(self, offset: int, size: int) -> bytes:
+        """Up to `size` bytes."""
+        self._file.seek(offset)
+        return self._file.read(size)
+
+    def _add_chunk(self, offset: int, end: int) -> None:
+        """The chunk is known, if its head is there."""
+        fixed = records.RECORD_HEAD.size + records.CHUNK_HEAD.size
+        head = self._read(offset, fixed + 64)
+        try:
+            first, last, size, crc = records.CHUNK_HEAD.unpack_from(head, 9)
+            compression, at = records.read_string(head, fixed)
+            (stored,) = records.UINT64.unpack_from(head, at)
+        except (struct.error, ValueError):  # cut in its head: nothing of it is there
+            return
+        data_offset = offset + at + 8
+        there = min(stored, max(0, self._size - data_offset))
+        whole = end <= self._size
+        self._chunks.append(
+            _Chunk(offset, first, last, size, crc, compression, data_offset, there, whole)
+        )
+
+    def _add_loose(self, offset: int, end: int) -> None:
+        """A message outside of any chunk belongs to the stretch of such messages."""
+        (time_ns,) = records.UINT64.unpack(self._read(offset + 15, 8))
+        start, first, last = offset, time_ns, time_ns
+        if self._chunks:
+            before = self._chunks[-1]
+            if before.offset == before.data_offset and before.offset + before.data_size == offset:
+                self._chunks.pop()
+                start = before.offset
+                first, last = min(before.first_ns, time_ns), max(before.last_ns, time_ns)
+        size = end - start
+        self._chunks.append(_Chunk(start, first, last, size, 0, "", start, size, True))
+
+    def _take(self, opcode: int, content: bytes, offset: int) -> None:
+        """What a record of the file's structure says is known."""
+        try:
+            if opcode == records.HEADER:
+                _, at = records.read_string(content, 0)
+                self.library, _ = records.read_string(content, at)
+            elif opcode == records.SCHEMA:
+                self._take_schema(content)
+            elif opcode == records.CHANNEL:
+                self._take_channel(content)
+            elif opcode == records.METADATA:
+                name, at = records.read_string(content, 0)
+                self.metadata[name] = records.read_string_map(content, at)
+            else:
+                self._take_attachment(content)
+        except (struct.error, ValueError, KeyError) as error:
+            raise TraceError(
+                self.path, f"damaged {_NAMES[opcode]} record ({error})", offset=offset
+            ) from error
+
+    def _take_schema(self, content: bytes) -> None:
+        (number,) = records.UINT16.unpack_from(content)
+        name, at = records.read_string(content, 2)
+        encoding, at = records.read_string(content, at)
+        (size,) = records.UINT32.unpack_from(content, at)
+        self._schemas[number] = Schema(name, content[at + 4 : at + 4 + size], encoding)
+
+    def _take_channel(self, content: bytes) -> None:
+        number, schema = struct.unpack_from("<HH", content)
+        topic, at = records.read_string(content, 4)
+        encoding, at = records.read_string(content, at)
+        known = self._schemas[schema] if schema else None
+        self.channels[number] = Channel(
+            number, topic, encoding, known, records.read_string_map(content, at)
+        )
+
+    def _take_attachment(self, content: bytes) -> None:
+        (time_ns,) = records.UINT64.unpack_from(content)
+        name, at = records.read_string(content, 16)
+        media_type, at = records.read_string(content, at)
+        (size,) = records.UINT64.unpack_from(content, at)
+        data = content[at + 8 : at + 8 + size]
+        (crc,) = records.UINT32.unpack_from(content, at + 8 + size)
+        if crc not in (0, zlib.crc32(content[: at + 8 + size])):
+            raise ValueError("its CRC does not fit")
+        self.attachments.append(Attachment(name, media_type, time_ns, data))
+
+    # ------------------------------------------------------------------------------- messages
+
+    def _in_chunk(self, chunk: _Chunk) -> Iterator[TraceMessage]:
+        """The messages of a chunk, as written."""
+        data = self._content(chunk)
+        end = len(data)
+        unpack = records.MESSAGE_HEAD.unpack_from
+        last_head = end - records.MESSAGE_HEAD.size
+        offset = 0
+        while offset + 9 <= end:
+            if offset <= last_head:
+                opcode, length, number, _, time_ns, _ = unpack(data, offset)
+            else:
+                opcode, length = records.RECORD_HEAD.unpack_from(data, offset)
+            stop = offset + 9 + length
+            if stop > end:
+                break
+            if opcode == records.MESSAGE and length >= 22:
+                channel = self.channels.get(number)
+                if channel is None:
+                    raise TraceError(
+                        self.path,
+                        f"a message of channel {number}, of which nothing is said",
+                        offset=chunk.offset,
+                    )
+                yield channel, time_ns, data[offset + 31 : stop]
+            elif opcode in (records.SCHEMA, records.CHANNEL):
+                self._take(opcode, data[offset + 9 : stop], chunk.offset)
+            offset = stop
+        if offset != end and chunk.whole:
+            raise TraceError(self.path, "a record goes beyond its chunk", offset=chunk.offset)
+
+    def _content(self, chunk: _Chunk) -> bytes:
+        """A chunk's records, uncompressed; of a cut chunk, what can be had."""
+        data = self._read(chunk.data_offset, chunk.data_size)
+        if not chunk.whole:
+            return salvage(chunk.compression, data)
+        try:
+            content = decompress(chunk.compression, data, chunk.size)
+        except CompressionError as error:
+            raise TraceError(self.path, f"damaged chunk ({error})", offset=chunk.offset) from error
+        if chunk.crc and zlib.crc32(content) != chunk.crc:
+            raise TraceError(
+                self.path,
+                f"damaged chunk (CRC {zlib.crc32(content):08X}h, should be {chunk.crc:08X}h)",
+                offset=chunk.offset,
+                remedy=f"all before {chunk.first_ns / 1e9:.3f} s is good",
+            )
+        return content

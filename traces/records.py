@@ -1,0 +1,176 @@
+"""The records an MCAP file is made of, as bytes, and their numbers.
+
+Source: mcap.dev/spec. A record is an opcode, the length of its content (8 bytes) and the content;
+all numbers are little-endian, strings and maps are preceded by their length in bytes (4 bytes).
+"""
+
+import struct
+from collections.abc import Mapping, Sequence
+from typing import Final
+
+MAGIC: Final = b"\x89MCAP0\r\n"
+
+HEADER: Final = 0x01
+FOOTER: Final = 0x02
+SCHEMA: Final = 0x03
+CHANNEL: Final = 0x04
+MESSAGE: Final = 0x05
+CHUNK: Final = 0x06
+MESSAGE_INDEX: Final = 0x07
+CHUNK_INDEX: Final = 0x08
+ATTACHMENT: Final = 0x09
+ATTACHMENT_INDEX: Final = 0x0A
+STATISTICS: Final = 0x0B
+METADATA: Final = 0x0C
+METADATA_INDEX: Final = 0x0D
+SUMMARY_OFFSET: Final = 0x0E
+DATA_END: Final = 0x0F
+
+RECORD_HEAD: Final = struct.Struct("<BQ")
+"""Opcode, length of the content."""
+
+MESSAGE_HEAD: Final = struct.Struct("<BQHIQQ")
+"""Opcode, length of the content (22 and the payload), channel, sequence, log and publish time."""
+
+CHUNK_HEAD: Final = struct.Struct("<QQQI")
+"""Earliest and latest log time, uncompressed size and CRC; then compression, size, records."""
+
+FOOTER_BODY: Final = struct.Struct("<QQI")
+"""Start of the summary section, start of the summary offset section, CRC of the summary."""
+
+UINT16: Final = struct.Struct("<H")
+UINT32: Final = struct.Struct("<I")
+UINT64: Final = struct.Struct("<Q")
+
+
+def record(opcode: int, content: bytes) -> bytes:
+    """A record."""
+    return RECORD_HEAD.pack(opcode, len(content)) + content
+
+
+def string(text: str) -> bytes:
+    """A string, its length before it."""
+    data = text.encode()
+    return UINT32.pack(len(data)) + data
+
+
+def string_map(values: Mapping[str, str]) -> bytes:
+    """A map of strings, its length before it."""
+    data = b"".join(string(key) + string(value) for key, value in values.items())
+    return UINT32.pack(len(data)) + data
+
+
+def header(profile: str, library: str) -> bytes:
+    """What a file begins with, behind the magic."""
+    return record(HEADER, string(profile) + string(library))
+
+
+def schema(number: int, name: str, encoding: str, data: bytes) -> bytes:
+    """A schema, from then on known by its number."""
+    content = UINT16.pack(number) + string(name) + string(encoding)
+    return record(SCHEMA, content + UINT32.pack(len(data)) + data)
+
+
+def channel(
+    number: int, schema_number: int, topic: str, encoding: str, metadata: Mapping[str, str]
+) -> bytes:
+    """A channel, from then on known by its number."""
+    content = UINT16.pack(number) + UINT16.pack(schema_number) + string(topic) + string(encoding)
+    return record(CHANNEL, content + string_map(metadata))
+
+
+def chunk(first_ns: int, last_ns: int, size: int, crc: int, compression: str, data: bytes) -> bytes:
+    """Records under one compression; times, size and CRC are of what is inside."""
+    content = CHUNK_HEAD.pack(first_ns, last_ns, size, crc) + string(compression)
+    return record(CHUNK, content + UINT64.pack(len(data)) + data)
+
+
+def chunk_index(  # its fields are the record's own
+    first_ns: int,
+    last_ns: int,
+    offset: int,
+    length: int,
+    compression: str,
+    compressed_size: int,
+    size: int,
+) -> bytes:
+    """Where a chunk is, in the summary; it says that there is no message index."""
+    content = struct.pack("<QQQQIQ", first_ns, last_ns, offset, length, 0, 0)
+    content += string(compression) + struct.pack("<QQ", compressed_size, size)
+    return record(CHUNK_INDEX, content)
+
+
+def attachment_content(time_ns: int, name: str, media_type: str, data: bytes) -> bytes:
+    """An attachment's content without the CRC that ends it; no time of creation."""
+    content = struct.pack("<QQ", time_ns, 0) + string(name) + string(media_type)
+    return content + UINT64.pack(len(data)) + data
+
+
+def attachment_index(
+    offset: int, length: int, time_ns: int, data_size: int, name: str, media_type: str
+) -> bytes:
+    """Where an attachment is."""
+    content = struct.pack("<QQQQQ", offset, length, time_ns, 0, data_size)
+    return record(ATTACHMENT_INDEX, content + string(name) + string(media_type))
+
+
+def metadata(name: str, values: Mapping[str, str]) -> bytes:
+    """A named table of strings."""
+    return record(METADATA, string(name) + string_map(values))
+
+
+def metadata_index(offset: int, length: int, name: str) -> bytes:
+    """Where a metadata record is."""
+    return record(METADATA_INDEX, struct.pack("<QQ", offset, length) + string(name))
+
+
+def statistics(  # its fields are the record's own
+    counts: Sequence[tuple[int, int]],
+    schemas: int,
+    attachments: int,
+    metadata_records: int,
+    chunks: int,
+    first_ns: int,
+    last_ns: int,
+) -> bytes:
+    """How much of everything; `counts` are (channel, messages), of every channel."""
+    per_channel = b"".join(struct.pack("<HQ", *one) for one in counts)
+    content = struct.pack(
+        "<QHIIIIQQI",
+        sum(count for _, count in counts),
+        schemas,
+        len(counts),
+        attachments,
+        metadata_records,
+        chunks,
+        first_ns,
+        last_ns,
+        len(per_channel),
+    )
+    return record(STATISTICS, content + per_channel)
+
+
+def summary_offset(opcode: int, start: int, length: int) -> bytes:
+    """Where the summary's records of one kind are."""
+    return record(SUMMARY_OFFSET, struct.pack("<BQQ", opcode, start, length))
+
+
+def read_string(data: bytes, offset: int) -> tuple[str, int]:
+    """(a string, offset behind it); ValueError if the data ends before it does."""
+    (size,) = UINT32.unpack_from(data, offset)
+    end = offset + 4 + int(size)
+    if end > len(data):
+        raise ValueError(f"a string of {size} bytes goes beyond the record")
+    return data[offset + 4 : end].decode(errors="replace"), end
+
+
+def read_string_map(data: bytes, offset: int) -> dict[str, str]:
+    """A map of strings; ValueError if the data ends before it does."""
+    (size,) = UINT32.unpack_from(data, offset)
+    at = offset + 4
+    end = at + size
+    out: dict[str, str] = {}
+    while at < end:
+        key, at = read_string(data, at)
+        out[key], at = read_string(data, at)
+    return out
