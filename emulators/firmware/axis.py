@@ -7,24 +7,34 @@ What the readings are never depends on who looked, or when, or how often.
 Positions are increments of the encoder. Tick k is at k * tick_ns.
 """
 
-from typing import final
+from typing import Final, final
 
-from emulators.firmware import flags as f
-from emulators.firmware import profile
+from emulators.firmware import profile, servo
+from emulators.firmware.flags import IN_TARGET_WINDOW, IN_VELOCITY_WINDOW, PROFILE_ACTIVE
 from emulators.firmware.gains import ServoGains
+from emulators.firmware.servo_tables import ServoTables
 from emulators.plant.dc_motor import PI, MotorPlant
 
-_OFF = 0
-_POSITION = 1
-_VELOCITY = 2
+_BUDGET_MAX: Final = 64  # ticks run ahead at most
+_PATIENCE_MAX: Final = 64  # undisturbed ticks to wait for, at most, before running ahead again
+_NEVER: Final = -1.0
+_NO_LIMIT: Final = 1e300
+
+_Ran = tuple[servo.State, int, bool]
 
 
 @final
 class Axis:
     """One motor with everything a drive's firmware does to it; sans-I/O, no clock.
 
-    `flags` (see emulators.firmware.flags) are those at the last `at`, except that a command changes
-    them at once: a move sets PROFILE_ACTIVE and takes IN_TARGET_WINDOW away until it is over.
+    `flags` (see emulators.firmware.flags) are those at the last `at`, except that a command which
+    starts a profile shows at once: PROFILE_ACTIVE comes, the two target windows go.
+
+    How it stays lazy and exact: the state is an immutable tuple, so a copy is a reference. `at`
+    keeps the state of the tick it was asked for; `next_event_ns` runs ahead from there, as far as
+    nothing changes that a drive would have to act on, and keeps that state too. If `at` is asked
+    for a tick in between, the few ticks up to it are run again. A command drops what was run ahead;
+    how far to run is learned from how often that happens.
     """
 
     def __init__(
@@ -35,98 +45,175 @@ class Axis:
         current_steps: int = 10,
         initial_position_inc: int = 0,
     ) -> None:
-        self.flags = 0
-        self._plant = plant
-        self._gains = gains
-        self._tick_ns = tick_ns
-        self._current_steps = current_steps
-        self._tick = 0
-        self._origin = 0
-        self._offset = 0
-        self._mode = _OFF
-        self._profile = profile.hold(float(initial_position_inc))
-        self._demand = float(initial_position_inc)
-        self._velocity = 0.0
-        self._target = float(initial_position_inc)
-        self._wanted = 0.0
-        self._cyclic = True
-        self._in_target_ticks = 0
+        if tick_ns < 1 or current_steps < 1 or tick_ns % current_steps:
+            raise ValueError(f"tick_ns = {tick_ns} does not hold {current_steps} equal steps")
+        self._tick_ns: Final = tick_ns
+        self._tick_s: Final = tick_ns / 1e9
+        self._tables: Final = ServoTables(plant, gains, tick_ns, current_steps)
+        self._tick_table: Final = self._tables.tick
+        self._step_table: Final = self._tables.step
+        self._current_steps: Final = current_steps
+        self._torque_n_m_a: Final = plant.torque_constant_n_m_a * plant.gear_ratio
+        self._output_rad_inc: Final = 2.0 * PI / (plant.encoder_increments_rev * plant.gear_ratio)
+        self._gear_ratio: Final = plant.gear_ratio
+        self._current_max_a: Final = plant.current_max_a
 
-    # --- time ---------------------------------------------------------------------------------
+        # commanded
+        self._offset_inc = 0
+        self._load_torque_n_m = plant.load_torque_n_m
+        self._load = self._tables.load(plant.load_torque_n_m)
+        self._current_limit_a = plant.current_max_a
+        self._windows: servo.Windows = (
+            10.0,
+            _NO_LIMIT,
+            500.0 * self._tick_s,
+            2000.0 * self._tick_s,
+            1,
+            1,
+            self._ticks_in_a_row(10_000_000),
+            self._ticks_in_a_row(10_000_000),
+        )
+        self._mode = servo.OFF
+        self._profile_tick = 0  # at which the profile's time is 0
+        self._profile = profile.hold(float(initial_position_inc))
+        self._orders: servo.Orders = (
+            *(servo.OFF, 0, _NEVER, self._profile),
+            *(False, 0.0, 0.0, plant.current_max_a),
+        )
+
+        # where it is, where it was run ahead to, and what is known between the two
+        self._tick = 0
+        self._state = servo.standing(float(initial_position_inc))
+        self._resting = False  # the state is that of every later tick too
+        self._ahead_tick = 0
+        self._ahead = self._state
+        self._ahead_resting = False
+        self._between: list[tuple[int, servo.State]] = []
+
+        # how far ahead to run
+        self._budget = 1
+        self._patience = 0
+        self._wait = 0
+        self._commanded = False
+        self._look_tick = 0  # the last look into the ticks between
+        self._look_period = 0  # ticks between the last two such looks
+
+        self.flags = self._state[servo.I_FLAGS]
+
+    # --- time -------------------------------------------------------------------------------------
 
     def at(self, now_ns: int) -> None:
-        """Readings and flags are now those of tick now_ns // tick_ns. Changes no behaviour."""
+        """Readings and flags are now those of tick now_ns // tick_ns. Changes no behaviour.
+
+        Raises:
+            ValueError: now_ns is before the tick of the last `at`.
+        """
         tick = now_ns // self._tick_ns
-        while self._tick < tick:
-            self._tick += 1
-            self._step()
+        if tick == self._tick:
+            return
+        if tick < self._tick:
+            raise ValueError(f"{now_ns} ns is before tick {self._tick}: time runs forward only")
+        if tick >= self._ahead_tick:
+            self._reach(tick)
+            self._state = self._ahead
+            self._resting = self._ahead_resting
+        else:
+            self._look_period = tick - self._look_tick
+            self._look_tick = tick
+            self._state = self._look_between(tick)
+        self._tick = tick
+        self.flags = self._state[servo.I_FLAGS]
 
     def next_event_ns(self, limit_ns: int | None = None) -> int | None:
         """When to call `at` and look again [ns], counted from the last `at`.
 
         It is the next tick at which the flags change, or an earlier time at which work must go on,
-        never later than `limit_ns`; None: nothing will ever change without a command.
+        never later than `limit_ns`; None: the flags will never change without a command, and the
+        axis comes to rest by itself.
         """
-        if self._at_rest():
+        if self._resting:
             return None
-        next_ns = (self._tick + 1) * self._tick_ns
+        if self._ahead_tick <= self._tick:
+            if not self._commanded:
+                self._learn()
+            self._commanded = False
+            stop = self._tick + self._budget
+            if limit_ns is not None:
+                stop = min(stop, limit_ns // self._tick_ns)
+            self._run_ahead(stop)
+        if self._ahead_resting and self._ahead[servo.I_FLAGS] == self.flags:
+            return None
+        next_tick = self._ahead_tick if self._ahead_tick > self._tick else self._tick + 1
+        next_ns = next_tick * self._tick_ns
         return next_ns if limit_ns is None or next_ns < limit_ns else limit_ns
 
-    # --- readings, at the time of the last at() -------------------------------------------------
+    # --- readings, at the time of the last at() ---------------------------------------------------
 
     def position_inc(self) -> int:
         """What the encoder counts, from the zero that was set."""
-        return int(self._demand) + self._offset
+        return int(self._state[servo.I_COUNT]) + self._offset_inc
 
     def velocity_inc_s(self) -> float:
         """Velocity as measured by the firmware from the encoder; exactly 0.0 at standstill."""
-        return self._velocity * 1e9 / self._tick_ns
+        return self._state[servo.I_VELOCITY] / self._tick_s
 
     def demand_inc(self) -> int:
         """Where the axis should be now; the actual position where no position is controlled."""
-        return int(self._demand) + self._offset
+        return int(self._state[servo.I_DEMAND]) + self._offset_inc
 
     def demand_velocity_inc_s(self) -> float:
         """How fast the axis should be now."""
-        return self._velocity * 1e9 / self._tick_ns
-
-    def target_inc(self) -> int:
-        """Where the last move, ramp or hold ends; the actual position where there is none."""
-        return int(self._target) + self._offset
+        return self._state[servo.I_DEMAND_VELOCITY] / self._tick_s
 
     def following_error_inc(self) -> int:
         """Demand minus actual position; 0 where no position is controlled."""
-        return 0
+        return int(self._state[servo.I_DEMAND] - self._state[servo.I_COUNT])
+
+    def target_inc(self) -> int:
+        """Where the present move, ramp or hold ends; the actual position where there is no end."""
+        if self._mode != servo.POSITION:
+            return self.position_inc()
+        return int(self._profile[-1][2]) + self._offset_inc
 
     def current_a(self) -> float:
         """Motor current."""
-        return 0.0
+        return self._state[servo.I_CURRENT]
 
     def current_demand_a(self) -> float:
         """Current asked for by the velocity loop, after the limit."""
-        return 0.0
+        return self._state[servo.I_WANTED]
 
     def torque_n_m(self) -> float:
         """Torque of the motor times the gear ratio: friction and inertia not taken off."""
-        return self.current_a() * self._plant.torque_constant_n_m_a * self._plant.gear_ratio
+        return self._state[servo.I_CURRENT] * self._torque_n_m_a
 
     def output_position_rad(self) -> float:
-        """The truth behind the gear, not quantised; `set_position` does not move it."""
-        turns = self._demand / self._plant.encoder_increments_rev
-        return turns * 2.0 * PI / self._plant.gear_ratio
+        """The truth behind the gear, not quantised; `set_position` does not change it."""
+        return (self._state[servo.I_POSITION] - 0.5) * self._output_rad_inc
 
     def output_velocity_rad_s(self) -> float:
         """The truth behind the gear, not quantised."""
-        turns_s = self.velocity_inc_s() / self._plant.encoder_increments_rev
-        return turns_s * 2.0 * PI / self._plant.gear_ratio
+        return self._state[servo.I_SPEED] / self._gear_ratio
 
-    # --- commands, from the tick after the last at() --------------------------------------------
+    def load_torque_n_m(self) -> float:
+        """The load's torque at the output, as set."""
+        return self._load_torque_n_m
+
+    def position_offset_inc(self) -> int:
+        """What is added to the encoder's own position."""
+        return self._offset_inc
+
+    # --- commands, from the tick after the last at() ----------------------------------------------
 
     def power(self, on: bool) -> None:
-        """On: the position is held where it is. Off: no current flows, the motor coasts."""
-        self._mode = _POSITION if on else _OFF
-        self._command(profile.hold(self._demand), cyclic=True)
-        self.flags = f.POWERED if on else 0
+        """On: the position is held where it is. Off: no current flows, the motor coasts.
+
+        Without effect where it is so already.
+        """
+        if on == (self._mode != servo.OFF):
+            return
+        self._mode = servo.POSITION if on else servo.OFF
+        self._hold(self._state[servo.I_COUNT])
 
     def move_to(
         self,
@@ -137,25 +224,26 @@ class Axis:
     ) -> None:
         """Come to rest at the target by a trapezoid, from the present demand.
 
-        With velocity 0 the axis ramps to rest where it is and the profile stays active.
+        With velocity 0 the axis ramps to rest where it is, and the profile stays active.
 
         Raises:
             ValueError: velocity < 0, or acceleration or deceleration <= 0.
             RuntimeError: power is off.
         """
-        self._require_power()
-        tick_s = self._tick_ns / 1e9
-        self._target = float(target_inc - self._offset)
-        pieces = profile.move(
-            self._demand,
-            self._velocity,
-            self._target,
-            velocity_inc_s * tick_s,
-            acceleration_inc_s2 * tick_s * tick_s,
-            deceleration_inc_s2 * tick_s * tick_s,
-        )
-        self._mode = _POSITION
-        self._command(pieces, cyclic=False)
+        position, velocity = self._start()
+        speed_max = velocity_inc_s * self._tick_s
+        faster = self._per_tick2(acceleration_inc_s2)
+        slower = self._per_tick2(deceleration_inc_s2)
+        if not speed_max >= 0.0:
+            raise ValueError(f"velocity {velocity_inc_s} inc/s: must be >= 0")
+        self._mode = servo.POSITION
+        if speed_max == 0.0:
+            pieces = profile.ramp(position, velocity, 0.0, slower, slower)
+            self._begin(pieces, profile.FOREVER, True, 0.0)
+            return
+        target = float(target_inc - self._offset_inc)
+        pieces = profile.move(position, velocity, target, speed_max, faster, slower)
+        self._begin(pieces, profile.duration_ticks(pieces), True, 0.0)
 
     def run_at(
         self, velocity_inc_s: float, acceleration_inc_s2: float, deceleration_inc_s2: float
@@ -166,32 +254,26 @@ class Axis:
             ValueError: acceleration or deceleration <= 0.
             RuntimeError: power is off.
         """
-        self._require_power()
-        tick_s = self._tick_ns / 1e9
-        pieces = profile.ramp(
-            self._demand,
-            self._velocity,
-            velocity_inc_s * tick_s,
-            acceleration_inc_s2 * tick_s * tick_s,
-            deceleration_inc_s2 * tick_s * tick_s,
-        )
-        self._mode = _VELOCITY
-        self._command(pieces, cyclic=False)
+        position, velocity = self._start()
+        faster = self._per_tick2(acceleration_inc_s2)
+        slower = self._per_tick2(deceleration_inc_s2)
+        wanted = velocity_inc_s * self._tick_s
+        pieces = profile.ramp(position, velocity, wanted, faster, slower)
+        self._mode = servo.VELOCITY
+        self._begin(pieces, profile.duration_ticks(pieces), False, wanted)
 
     def ramp_to_rest(self, deceleration_inc_s2: float) -> None:
-        """Brake along a ramp, then hold where it ends (quick stop, halt).
+        """Brake along a ramp, then hold where it ends (quick stop, halt); in position control.
 
         Raises:
             ValueError: deceleration <= 0.
             RuntimeError: power is off.
         """
-        self._require_power()
-        tick_s = self._tick_ns / 1e9
-        size = deceleration_inc_s2 * tick_s * tick_s
-        pieces = profile.ramp(self._demand, self._velocity, 0.0, size, size)
-        self._mode = _POSITION
-        self._target = pieces[-1][2]
-        self._command(pieces, cyclic=False)
+        position, velocity = self._start()
+        slower = self._per_tick2(deceleration_inc_s2)
+        pieces = profile.ramp(position, velocity, 0.0, slower, slower)
+        self._mode = servo.POSITION
+        self._begin(pieces, profile.duration_ticks(pieces), True, 0.0)
 
     def follow(self, position_inc: int, over_ns: int) -> None:
         """Go evenly from the present demand to this one in `over_ns`, then hold (csp).
@@ -201,11 +283,11 @@ class Axis:
         Raises:
             RuntimeError: power is off.
         """
-        self._require_power()
-        self._mode = _POSITION
-        self._target = float(position_inc - self._offset)
-        pieces = profile.line(self._demand, self._target, over_ns / self._tick_ns)
-        self._command(pieces, cyclic=True)
+        position, _ = self._start()
+        target = float(position_inc - self._offset_inc)
+        pieces = profile.line(position, target, over_ns / self._tick_ns)
+        self._mode = servo.POSITION
+        self._begin(pieces, _NEVER, False, 0.0)
 
     def hold(self) -> None:
         """Stand at the present demand at once, without a ramp.
@@ -213,9 +295,9 @@ class Axis:
         Raises:
             RuntimeError: power is off.
         """
-        self._require_power()
-        self._mode = _POSITION
-        self._command(profile.hold(self._demand), cyclic=False)
+        position, _ = self._start()
+        self._mode = servo.POSITION
+        self._hold((position + 0.5) // 1.0)
 
     def set_windows(
         self,
@@ -234,56 +316,172 @@ class Axis:
         A flag changes at the first tick at which its condition has held for the time. To switch a
         window off, make it huge.
         """
+        w = self._windows
+        windows = (
+            w[0] if target_window_inc is None else float(target_window_inc),
+            w[1] if following_window_inc is None else float(following_window_inc),
+            w[2] if velocity_threshold_inc_s is None else velocity_threshold_inc_s * self._tick_s,
+            w[3] if velocity_window_inc_s is None else velocity_window_inc_s * self._tick_s,
+            w[4] if target_window_ns is None else self._ticks_in_a_row(target_window_ns),
+            w[5] if following_window_ns is None else self._ticks_in_a_row(following_window_ns),
+            w[6] if velocity_threshold_ns is None else self._ticks_in_a_row(velocity_threshold_ns),
+            w[7] if velocity_window_ns is None else self._ticks_in_a_row(velocity_window_ns),
+        )
+        if windows != w:
+            self._drop_ahead()
+            self._windows = windows
 
     def set_load(self, torque_n_m: float) -> None:
         """The load's torque at the output; positive turns towards negative positions."""
+        if torque_n_m != self._load_torque_n_m:
+            self._drop_ahead()
+            self._load_torque_n_m = torque_n_m
+            self._load = self._tables.load(torque_n_m)
 
     def set_current_limit(self, current_a: float) -> None:
-        """The velocity loop asks for no more than this, nor than the plant's current_max_a."""
+        """The velocity loop asks for no more than this, nor than the plant's current_max_a.
+
+        Raises:
+            ValueError: current_a < 0.
+        """
+        if not current_a >= 0.0:
+            raise ValueError(f"current limit {current_a} A: must be >= 0")
+        self._current_limit_a = min(current_a, self._current_max_a)
+        self._drop_ahead()
+        self._orders = (*self._orders[:7], self._current_limit_a)
 
     def set_position(self, position_inc: int) -> None:
         """The present position is called `position_inc` from now on; nothing moves (homing)."""
-        self._offset = position_inc - int(self._demand)
+        self._offset_inc = position_inc - int(self._state[servo.I_COUNT])
 
     def set_position_offset(self, offset_inc: int) -> None:
         """Positions are the encoder's own plus this from now on; nothing moves."""
-        self._offset = offset_inc
+        self._offset_inc = offset_inc
 
-    def position_offset_inc(self) -> int:
-        """What is added to the encoder's own position."""
-        return self._offset
+    # --- inside: time -----------------------------------------------------------------------------
 
-    # --- inside -----------------------------------------------------------------------------------
-
-    def _require_power(self) -> None:
-        if self._mode == _OFF:
-            raise RuntimeError("the power stage is off: call power(True) first")
-
-    def _command(self, pieces: profile.Profile, *, cyclic: bool) -> None:
-        self._profile = pieces
-        self._origin = self._tick
-        self._cyclic = cyclic
-        self._in_target_ticks = 0
-        self.flags = f.POWERED if cyclic else f.POWERED | f.PROFILE_ACTIVE
-
-    def _at_rest(self) -> bool:
-        active = self.flags & f.PROFILE_ACTIVE != 0
-        return self._mode == _OFF or (
-            not active and self._tick - self._origin > profile.duration_ticks(self._profile) + 1
+    def _run(self, tick: int, state: servo.State, ticks: int, watch: bool) -> _Ran:
+        return servo.run(
+            self._tick_table,
+            self._step_table,
+            self._current_steps,
+            self._load,
+            self._windows,
+            self._orders,
+            state,
+            tick,
+            ticks,
+            watch,
         )
 
-    def _step(self) -> None:
-        t = float(self._tick - self._origin)
-        position, self._velocity = profile.demand_at(self._profile, t)
-        self._demand = (position + 0.5) // 1.0
-        flags = 0 if self._mode == _OFF else f.POWERED
-        if t < profile.duration_ticks(self._profile):
-            if not self._cyclic:
-                flags |= f.PROFILE_ACTIVE
-        elif self._mode == _POSITION and not self._cyclic:
-            flags |= f.IN_TARGET_WINDOW
-        if self._velocity == 0.0:
-            flags |= f.SPEED_ZERO
-        elif t >= profile.duration_ticks(self._profile):
-            flags |= f.IN_VELOCITY_WINDOW
+    def _reach(self, tick: int) -> None:
+        """`_ahead` is the state of `tick`, which is not before it."""
+        if tick > self._ahead_tick and not self._ahead_resting:
+            self._ahead, _, self._ahead_resting = self._run(
+                self._ahead_tick, self._ahead, tick - self._ahead_tick, False
+            )
+        self._ahead_tick = tick
+        self._between.clear()
+
+    def _look_between(self, tick: int) -> servo.State:
+        """The state of a tick before `_ahead_tick`, from the nearest one that was kept."""
+        start, state = self._tick, self._state
+        while self._between and self._between[0][0] <= tick:
+            start, state = self._between.pop(0)
+        if start < tick:
+            state, _, _ = self._run(start, state, tick - start, False)
+        return state
+
+    def _run_ahead(self, stop: int) -> None:
+        """Go on from `_ahead_tick` until `stop`, a change of flags, or rest.
+
+        States are kept where the next looks will fall if they go on as they did.
+        """
+        period = self._look_period
+        flags = self.flags
+        while self._ahead_tick < stop and not self._ahead_resting:
+            ticks = stop - self._ahead_tick
+            if period > 0:
+                ticks = min(ticks, period - (self._ahead_tick - self._look_tick) % period)
+            self._ahead, made, self._ahead_resting = self._run(
+                self._ahead_tick, self._ahead, ticks, True
+            )
+            self._ahead_tick += made
+            if self._ahead[servo.I_FLAGS] != flags:
+                break
+            self._between.append((self._ahead_tick, self._ahead))
+
+    def _drop_ahead(self) -> None:
+        """Something was commanded: what was run ahead is not what will be."""
+        if self._ahead_tick > self._tick and not self._ahead_resting:
+            self._budget = 0
+            self._patience = min(2 * self._patience + 1, _PATIENCE_MAX)
+            self._wait = self._patience
+        self._commanded = True
+        self._ahead_tick = self._tick
+        self._ahead = self._state
+        self._ahead_resting = False
+        self._resting = False
+        self._between.clear()
+
+    def _learn(self) -> None:
+        """What was run ahead has come true: run further next time, or wait less for trying."""
+        if self._wait > 0:
+            self._wait -= 1
+        elif self._budget == 0:
+            self._budget = 1
+        elif self._budget < _BUDGET_MAX:
+            self._budget *= 2
+        else:
+            self._patience = 0
+
+    # --- inside: commands -------------------------------------------------------------------------
+
+    def _start(self) -> tuple[float, float]:
+        """Position and velocity demand at the next tick, where a new profile takes over."""
+        if self._mode == servo.OFF:
+            raise RuntimeError("the power stage is off: call power(True) first")
+        t = float(self._tick + 1 - self._profile_tick)
+        position, velocity = profile.demand_at(self._profile, t)
+        if self._mode == servo.VELOCITY:
+            position = self._state[servo.I_COUNT] + velocity
+        return position, velocity
+
+    def _hold(self, position: float) -> None:
+        self._begin(profile.hold(position), _NEVER, True, 0.0)
+
+    def _begin(
+        self, pieces: profile.Profile, active: float, has_target: bool, run_velocity: float
+    ) -> None:
+        """From the next tick on these are the orders, and the flags tell so at once."""
+        self._drop_ahead()
+        self._profile = pieces
+        self._profile_tick = self._tick + 1
+        self._orders = (
+            self._mode,
+            self._profile_tick,
+            active,
+            pieces,
+            has_target,
+            pieces[-1][2],
+            run_velocity,
+            self._current_limit_a,
+        )
+        state = self._state
+        flags = state[servo.I_FLAGS] & ~(IN_TARGET_WINDOW | IN_VELOCITY_WINDOW)
+        if active >= 0.0:
+            flags |= PROFILE_ACTIVE
+        else:
+            flags &= ~PROFILE_ACTIVE
+        self._state = (*state[:14], flags, 0, state[16], state[17], 0)
+        self._ahead = self._state
         self.flags = flags
+
+    def _per_tick2(self, size_inc_s2: float) -> float:
+        if not size_inc_s2 > 0.0:
+            raise ValueError(f"acceleration or deceleration {size_inc_s2} inc/s^2: must be > 0")
+        return size_inc_s2 * self._tick_s * self._tick_s
+
+    def _ticks_in_a_row(self, time_ns: int) -> int:
+        """The tick at which something has been so for `time_ns` is this one in a row."""
+        return -(-time_ns // self._tick_ns) + 1

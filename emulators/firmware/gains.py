@@ -1,4 +1,4 @@
-"""The servo's gains: P position, PI velocity, PI current, feedforward; and a default from the plant."""
+"""The servo's gains (P position, PI velocity, PI current, feedforward), tuned from the plant."""
 
 from dataclasses import dataclass
 from typing import final

@@ -1,0 +1,371 @@
+"""The servo and the motor behind it, one tick after another: a pure function of a tuple.
+
+A tick of the servo (1 kHz, say), in this order:
+
+1. The motor moves on by one tick under the current wanted at the tick before; the current loop
+   steps several times meanwhile (10 kHz). See servo_tables for how ten steps become one map.
+2. The encoder is read: whole increments. The velocity is a moving average over the last four
+   ticks, (count - count four ticks ago) / 4: it is exactly zero once the shaft has stood still.
+3. Position loop (P, with the profile's velocity fed forward), velocity loop (PI, with the
+   profile's acceleration fed forward), limit of the current, conditional integration.
+4. Flags.
+
+Standstill is exact: the rotor sticks with speed 0.0 while the torque on it is within the Coulomb
+friction; the blocked motor's current loop is stepped as deviations from its steady state, which
+shrink to zero; and with whole increments equal, velocity and following error are zero too. So an
+axis at rest reaches a state that maps onto itself bit for bit, and `run` says so.
+
+Within this module velocities are increments per tick; the position x is half an increment ahead,
+so that the encoder's count is its floor. Only + - * / are used.
+"""
+
+from typing import Final
+
+from emulators.firmware.flags import (
+    CURRENT_SATURATED,
+    FOLLOWING_ERROR,
+    IN_TARGET_WINDOW,
+    IN_VELOCITY_WINDOW,
+    POWERED,
+    PROFILE_ACTIVE,
+    SPEED_ZERO,
+)
+from emulators.firmware.profile import Profile
+from emulators.firmware.servo_tables import LoadTable, StepTable, TickTable
+
+OFF: Final = 0
+POSITION: Final = 1
+VELOCITY: Final = 2
+
+# powered; current, integrator of the current loop, speed [rad/s], position; integrator of the
+# velocity loop, wanted current; counts of this tick and the three before; position and velocity
+# demand; measured velocity; flags; ticks in the target window, beyond the following window, below
+# the speed threshold, in the velocity window (each counts up to what is needed).
+State = tuple[
+    bool,
+    float,
+    float,
+    float,
+    float,
+    float,
+    float,
+    float,
+    float,
+    float,
+    float,
+    float,
+    float,
+    float,
+    int,
+    int,
+    int,
+    int,
+    int,
+]
+I_CURRENT: Final = 1
+I_SPEED: Final = 3
+I_POSITION: Final = 4
+I_WANTED: Final = 6
+I_COUNT: Final = 7
+I_DEMAND: Final = 11
+I_DEMAND_VELOCITY: Final = 12
+I_VELOCITY: Final = 13
+I_FLAGS: Final = 14
+
+# What was commanded: mode; the tick at which the profile starts; until which time in it
+# PROFILE_ACTIVE (below 0: never); the profile; whether there is a target, and where; the velocity
+# wanted by run_at; current limit.
+Orders = tuple[int, int, float, Profile, bool, float, float, float]
+
+# Half widths: target and following [increments], speed threshold and velocity [increments/tick];
+# then for how many ticks in a row each must hold, this one included.
+Windows = tuple[float, float, float, float, int, int, int, int]
+
+
+def standing(count: float) -> State:
+    """A motor without power that has always stood at `count`."""
+    return (
+        *(False, 0.0, 0.0, 0.0, count + 0.5, 0.0, 0.0),
+        *(count, count, count, count, count, 0.0, 0.0),
+        *(SPEED_ZERO, 0, 0, 1 << 30, 0),
+    )
+
+
+def run(
+    table: TickTable,
+    step_table: StepTable,
+    current_steps: int,
+    load_table: LoadTable,
+    windows: Windows,
+    orders: Orders,
+    state: State,
+    tick: int,
+    ticks: int,
+    watch: bool,
+) -> tuple[State, int, bool]:
+    """The state after `ticks` further ticks, counted from `tick` at which it is `state`.
+
+    Stops early at the first tick whose flags differ from the state's (if `watch`), and at a state
+    that the next tick would not change: then the third result is True. The second is how many
+    ticks were made.
+
+    One function, and long, because a call or an attribute costs as much here as a row of the map.
+    """
+    # fmt: off
+    (ii, iu, iw, ir, ui, uu, uw, ur, wi, wu, ww, wr, xi, xu, xw, xr,
+     resistance, k, guard_e, guard_d, bend, ee, es, se, ss, volts_e, volts_s, torque_guard,
+     supply, friction, coast_w, coast_x, kp, feed_v, kp_v, ki_v, feed_a) = table
+    (load, volts_max, bend_least,
+     fi, fu, fw, fx, fcw, fcx, bi, bu, bw, bx, bcw, bcx) = load_table
+    target_window, following_window, slow, velocity_window, need_t, need_f, need_z, need_v = windows
+    mode, origin, active, profile, has_target, target, run_velocity, limit = orders
+    (on, i, u, w, x, hold_a, wanted, c0, c1, c2, c3, demand, demand_v, velocity,
+     flags, in_target, behind, still, in_velocity) = state
+    # fmt: on
+    before = state
+    watched = flags
+    t = float(tick - origin)
+    index = 0
+    last = len(profile) - 1
+    end, start, p, slope, half, v, change = profile[0]
+    if mode == VELOCITY:
+        feed_v = 1.0
+    made = 0
+    resting = False
+    while made < ticks:
+        made += 1
+        # 1. the motor
+        if on:
+            error = wanted - i
+            if w != 0.0:
+                m = u - resistance * wanted - k * w
+                m = guard_e * (error if error > 0.0 else -error) + guard_d * (m if m > 0.0 else -m)
+                dip = bend * m + bend_least
+                one_by_one = True
+                if m - u < volts_max and m + u < volts_max:
+                    if w > dip:
+                        w1 = wi * i + wu * u + ww * w + wr * wanted + fw
+                        if w1 > dip:
+                            one_by_one = False
+                            x += xi * i + xu * u + xw * w + xr * wanted + fx
+                            i1 = ii * i + iu * u + iw * w + ir * wanted + fi
+                            u = ui * i + uu * u + uw * w + ur * wanted + fu
+                            i = i1
+                            w = w1
+                    elif w < -dip:
+                        w1 = wi * i + wu * u + ww * w + wr * wanted + bw
+                        if w1 < -dip:
+                            one_by_one = False
+                            x += xi * i + xu * u + xw * w + xr * wanted + bx
+                            i1 = ii * i + iu * u + iw * w + ir * wanted + bi
+                            u = ui * i + uu * u + uw * w + ur * wanted + bu
+                            i = i1
+                            w = w1
+                if one_by_one:
+                    i, u, w, x = steps(step_table, current_steps, load, wanted, i, u, w, x)
+            else:
+                base = resistance * wanted
+                s = u - base
+                m = volts_e * (error if error > 0.0 else -error) + volts_s * (s if s > 0.0 else -s)
+                net = k * wanted - load
+                slack = friction - torque_guard * m
+                if -slack <= net <= slack and m - base < supply and m + base < supply:
+                    i = wanted - (ee * error + es * s)
+                    u = base + (se * error + ss * s)
+                else:
+                    i, u, w, x = steps(step_table, current_steps, load, wanted, i, u, w, x)
+        elif w > 0.0:
+            w1 = coast_w * w + fcw
+            if w1 > 0.0:
+                x += coast_x * w + fcx
+                w = w1
+            else:
+                w, x = coast_steps(step_table, current_steps, load, w, x)
+        elif w < 0.0:
+            w1 = coast_w * w + bcw
+            if w1 < 0.0:
+                x += coast_x * w + bcx
+                w = w1
+            else:
+                w, x = coast_steps(step_table, current_steps, load, w, x)
+        elif load > friction or load < -friction:
+            w, x = coast_steps(step_table, current_steps, load, w, x)
+        # 2. the encoder
+        t += 1.0
+        c4 = c3
+        c3 = c2
+        c2 = c1
+        c1 = c0
+        c0 = x // 1.0
+        velocity = (c0 - c4) * 0.25
+        # 3. the servo
+        if mode == OFF:
+            on = False
+            i = u = hold_a = wanted = 0.0
+            demand = c0
+            demand_v = 0.0
+            flags = in_target = behind = in_velocity = 0
+        else:
+            on = True
+            flags = POWERED
+            while t >= end:
+                index += 1
+                end, start, p, slope, half, v, change = profile[index]
+            s = t - start
+            demand_v = v + s * change
+            # the measured velocity is two ticks old: compare it with the demand of that moment
+            s_then = s - 2.0
+            error_v = feed_v * (v + s_then * change if s_then > 0.0 else v) - velocity
+            if mode == POSITION:
+                demand = (p + s * (slope + s * half) + 0.5) // 1.0
+                error = demand - c0
+                error_v += kp * error
+                if error > following_window or error < -following_window:
+                    if behind < need_f:
+                        behind += 1
+                    if behind >= need_f:
+                        flags |= FOLLOWING_ERROR
+                else:
+                    behind = 0
+            else:
+                demand = c0
+                behind = 0
+            wanted = kp_v * error_v + hold_a + feed_a * change
+            if wanted > limit:
+                wanted = limit
+                flags |= CURRENT_SATURATED
+                if error_v < 0.0:
+                    hold_a += ki_v * error_v
+            elif wanted < -limit:
+                wanted = -limit
+                flags |= CURRENT_SATURATED
+                if error_v > 0.0:
+                    hold_a += ki_v * error_v
+            else:
+                hold_a += ki_v * error_v
+            # 4. the flags
+            if t < active:
+                flags |= PROFILE_ACTIVE
+                in_target = 0
+            elif has_target:
+                s = target - c0
+                if -target_window <= s <= target_window:
+                    if in_target < need_t:
+                        in_target += 1
+                    if in_target >= need_t:
+                        flags |= IN_TARGET_WINDOW
+                else:
+                    in_target = 0
+            if mode == VELOCITY:
+                s = velocity - run_velocity
+                if -velocity_window <= s <= velocity_window:
+                    if in_velocity < need_v:
+                        in_velocity += 1
+                    if in_velocity >= need_v:
+                        flags |= IN_VELOCITY_WINDOW
+                else:
+                    in_velocity = 0
+        if -slow <= velocity <= slow:
+            if still < need_z:
+                still += 1
+            if still >= need_z:
+                flags |= SPEED_ZERO
+        else:
+            still = 0
+        if watch and flags != watched:
+            break
+        if w == 0.0 and c0 == c4 and (mode == OFF or index == last):
+            # fmt: off
+            after = (on, i, u, w, x, hold_a, wanted, c0, c1, c2, c3, demand, demand_v, velocity,
+                     flags, in_target, behind, still, in_velocity)
+            # fmt: on
+            if after == before and repr(after) == repr(before):  # repr: 0.0 is not -0.0
+                resting = True
+                break
+            before = after
+    # fmt: off
+    return (on, i, u, w, x, hold_a, wanted, c0, c1, c2, c3, demand, demand_v, velocity,
+            flags, in_target, behind, still, in_velocity), made, resting
+    # fmt: on
+
+
+def steps(
+    table: StepTable,
+    count: int,
+    load: float,
+    wanted: float,
+    i: float,
+    u: float,
+    w: float,
+    x: float,
+) -> tuple[float, float, float, float]:
+    """Current, integrator, speed and position after `count` steps of the current loop, one by one.
+
+    The voltage is clipped to the supply, and then the integrator grows only towards the inside. A
+    rotor that passes through standstill stops for the rest of the step; it leaves again when the
+    torque at the start of a step exceeds the friction.
+    """
+    # fmt: off
+    (ii, iw, iv, it, wi, ww, wv, wt, xi, xw, xv, xt, _, _, _, _,
+     decay, gain, kp, ki, resistance, k, supply, friction) = table
+    # fmt: on
+    base = resistance * wanted
+    error = wanted - i
+    s = u - base
+    for _ in range(count):
+        v = kp * error + (s + base)
+        clipped = False
+        grows = True
+        if v > supply:
+            v = supply
+            clipped = True
+            grows = error < 0.0
+        elif v < -supply:
+            v = -supply
+            clipped = True
+            grows = error > 0.0
+        i = wanted - error
+        forward = w > 0.0
+        if w == 0.0:
+            net = k * i - load
+            if -friction <= net <= friction:
+                if clipped:
+                    e1 = wanted - (decay * i + gain * v)
+                else:  # as a deviation from steady current, which dies out exactly
+                    e1 = decay * error - gain * (kp * error + s)
+                if grows:
+                    s += ki * error
+                error = e1
+                continue
+            forward = net > 0.0
+        torque = -load - friction if forward else -load + friction
+        i1 = ii * i + iw * w + iv * v + it * torque
+        x += xi * i + xw * w + xv * v + xt * torque
+        w = wi * i + ww * w + wv * v + wt * torque
+        if w < 0.0 if forward else w > 0.0:
+            w = 0.0
+        if grows:
+            s += ki * error
+        error = wanted - i1
+    return wanted - error, s + base, w, x
+
+
+def coast_steps(
+    table: StepTable, count: int, load: float, w: float, x: float
+) -> tuple[float, float]:
+    """Speed and position after `count` steps without current; stops as in `steps`."""
+    # fmt: off
+    (_, _, _, _, _, _, _, _, _, _, _, _, ww, wt, xw, xt, _, _, _, _, _, _, _, friction) = table
+    # fmt: on
+    for _ in range(count):
+        forward = w > 0.0
+        if w == 0.0:
+            if -friction <= load <= friction:
+                break
+            forward = load < 0.0
+        torque = -load - friction if forward else -load + friction
+        x += xw * w + xt * torque
+        w = ww * w + wt * torque
+        if w < 0.0 if forward else w > 0.0:
+            w = 0.0
+    return w, x

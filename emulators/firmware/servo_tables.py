@@ -1,0 +1,214 @@
+"""The numbers the servo steps with, computed once per axis (and per load torque).
+
+Ten steps of the current loop, taken together, are one linear map of the axis' state: as long as
+the voltage stays within the supply and the rotor does not pass through standstill, a servo tick
+costs one such map instead of ten steps. This module builds that map by multiplying the ten steps
+out, and with it *guards*: bounds, from the same ten matrices, that tell from the tick's first
+instant whether any of its steps could clip or stop. Where they cannot rule it out, the steps are
+taken one by one. Either way it is the same arithmetic to within rounding, and which way is taken
+depends on the state alone.
+
+The step, with voltage v held by the power stage for one period h of the current loop:
+
+    e = wanted current - current;  v = kp e + u;  u grows by ki h e     (u: the integrator [V])
+    current, speed, position: exact, from plant.discretisation
+
+A tick's map acts on z = (current, u, speed, position, wanted current, torque).
+"""
+
+from typing import Final
+
+from emulators.firmware.gains import ServoGains
+from emulators.plant.dc_motor import MotorPlant
+from emulators.plant.discretisation import (
+    Matrix,
+    SampledMotor,
+    dot,
+    identity,
+    product,
+    sample,
+)
+
+# Flat, in the order in which servo.run and servo.steps unpack them.
+TickTable = tuple[float, ...]
+StepTable = tuple[float, ...]
+LoadTable = tuple[float, ...]
+
+_CURRENT: Final = 0
+_INTEGRATOR: Final = 1
+_SPEED: Final = 2
+_POSITION: Final = 3
+_WANTED: Final = 4
+_TORQUE: Final = 5
+
+_SLACK: Final = 1.0 + 1e-9  # guards must hold in rounded arithmetic too
+
+
+class ServoTables:
+    """Everything constant about one axis' stepping.
+
+    Attributes:
+        tick: what `servo.run` needs in every call.
+        step: what `servo.steps` needs when it goes step by step.
+        current_steps: steps of the current loop in a servo tick.
+    """
+
+    def __init__(
+        self, plant: MotorPlant, gains: ServoGains, tick_ns: int, current_steps: int
+    ) -> None:
+        self.current_steps = current_steps
+        self._plant = plant
+        step_s = tick_ns / (1e9 * current_steps)
+        self._motor = sample(plant, step_s)
+        self._kp = gains.current_kp_v_a
+        self._ki = gains.current_ki_v_a_s * step_s
+        self._powers = _powers(self._closed_step(), current_steps)
+        self._blocked_powers = _powers(self._blocked_step(), current_steps)
+        self._coasting = sample(plant, tick_ns / 1e9).coasting
+        self._voltage_guard, self._speed_guard = self._moving_guards()
+        self.tick = self._tick_table(gains, tick_ns / 1e9)
+        self.step = self._step_table()
+
+    def load(self, load_torque_n_m: float) -> LoadTable:
+        """What a constant torque of the load at the output changes; see servo.run for the order."""
+        plant = self._plant
+        load = load_torque_n_m / plant.gear_ratio
+        friction = plant.coulomb_friction_n_m
+        size = load if load > 0.0 else -load
+        speed_top_rad_s = (
+            2.0 * plant.supply_v + plant.resistance_ohm * plant.current_max_a
+        ) / plant.torque_constant_n_m_a
+        acceleration = (
+            plant.torque_constant_n_m_a * plant.current_max_a
+            + friction
+            + size
+            + plant.viscous_friction_n_m_s_rad * speed_top_rad_s
+        ) / plant.inertia_kg_m2()
+        voltage_max_v = plant.supply_v - self._voltage_guard[2] * acceleration * _SLACK
+        last = self._powers[-1]
+        table = [load, voltage_max_v, self._speed_guard[1] * acceleration * _SLACK]
+        for torque in (-load - friction, -load + friction):  # turning forward, backward
+            table += [last[row][_TORQUE] * torque for row in range(4)]
+            table += [self._coasting[row][2] * torque for row in range(2)]
+        return tuple(table)
+
+    def _closed_step(self) -> Matrix:
+        """One step of current loop and motor, not clipped, as a map of z."""
+        step = identity(6)
+        kp, ki = self._kp, self._ki
+        rows = (_CURRENT, _SPEED, _POSITION)
+        for row, (current, speed, position, voltage, torque) in zip(
+            rows, self._motor.driven, strict=True
+        ):
+            step[row] = [
+                current - voltage * kp,
+                voltage,
+                speed,
+                position,
+                voltage * kp,
+                torque,
+            ]
+        step[_INTEGRATOR] = [-ki, 1.0, 0.0, 0.0, ki, 0.0]
+        return step
+
+    def _blocked_step(self) -> Matrix:
+        """The same with a rotor that stands, as a map of (e, u - R * wanted current)."""
+        gain = self._motor.blocked_gain_a_v
+        return [[self._motor.blocked_decay - gain * self._kp, -gain], [self._ki, 1.0]]
+
+    def _moving_guards(self) -> tuple[tuple[float, float, float], tuple[float, float]]:
+        """Bounds of what happens within a tick.
+
+        In terms of e, d = u - R wanted - K speed (both 0 in steady motion) and the acceleration a0
+        at the start, the voltage never departs from u by more than
+
+            first[0] |e| + first[1] |d| + first[2] a_max   =: m + first[2] a_max
+
+        and the speed never from the straight line between its two ends by more than
+        second[0] * m + second[1] * a_max; a_max bounds |a0| for currents within the limit.
+        """
+        k = self._plant.torque_constant_n_m_a
+        inertia = self._plant.inertia_kg_m2()
+        unit_error = [-1.0, 0.0, 0.0, 0.0, 0.0, k]  # torque such that nothing accelerates
+        unit_mismatch = [0.0, 1.0, 0.0, 0.0, 0.0, 0.0]
+        unit_acceleration = [0.0, 0.0, 0.0, 0.0, 0.0, inertia]
+        voltages: list[float] = []
+        bends: list[float] = []
+        count = self.current_steps
+        for unit in (unit_error, unit_mismatch, unit_acceleration):
+            path = [[dot(row, unit) for row in power] for power in self._powers]
+            volts = [self._kp * (z[_WANTED] - z[_CURRENT]) + z[_INTEGRATOR] for z in path[:count]]
+            voltages.append(max(abs(v - unit[_INTEGRATOR]) for v in volts))
+            end = path[count][_SPEED]
+            bends.append(max(abs(z[_SPEED] - end * j / count) for j, z in enumerate(path)))
+        per_ampere = k / inertia  # a current off by e accelerates as well
+        first = (voltages[0] + voltages[2] * per_ampere) * _SLACK
+        second = max(voltages[1], 1e-6) * _SLACK
+        bend = max((bends[0] + bends[2] * per_ampere) / first, bends[1] / second) * _SLACK
+        return (first, second, voltages[2]), (bend, bends[2])
+
+    def _tick_table(self, gains: ServoGains, tick_s: float) -> TickTable:
+        plant = self._plant
+        last = self._powers[-1]
+        maps: list[float] = []
+        for row in (_CURRENT, _INTEGRATOR, _SPEED, _POSITION):
+            maps += [last[row][column] for column in (_CURRENT, _INTEGRATOR, _SPEED, _WANTED)]
+        blocked = self._blocked_powers[-1]
+        steps = self._blocked_powers[: self.current_steps]
+        kp = self._kp
+        volts_e = max(abs(kp * power[0][0] + power[1][0]) for power in steps) * _SLACK
+        volts_s = max(abs(kp * power[0][1] + power[1][1]) for power in steps) * _SLACK
+        amperes = _SLACK * max(
+            max(abs(power[0][0]) for power in steps) / volts_e,
+            max(abs(power[0][1]) for power in steps) / volts_s,
+        )
+        per_tick = 1.0 / tick_s
+        return (
+            *maps,
+            plant.resistance_ohm,
+            plant.torque_constant_n_m_a,
+            self._voltage_guard[0],
+            self._voltage_guard[1],
+            self._speed_guard[0],
+            *blocked[0],
+            *blocked[1],
+            volts_e,
+            volts_s,
+            plant.torque_constant_n_m_a * amperes,
+            plant.supply_v,
+            plant.coulomb_friction_n_m,
+            self._coasting[0][0],
+            self._coasting[1][0],
+            gains.position_kp_1_s * tick_s,
+            gains.velocity_feedforward,
+            gains.velocity_kp_a_s_inc * per_tick,
+            gains.velocity_ki_a_inc,
+            gains.acceleration_feedforward_a_s2_inc * per_tick * per_tick,
+        )
+
+    def _step_table(self) -> StepTable:
+        motor: SampledMotor = self._motor
+        driven, coasting = motor.driven, motor.coasting
+        return (
+            *(driven[0][column] for column in (0, 1, 3, 4)),
+            *(driven[1][column] for column in (0, 1, 3, 4)),
+            *(driven[2][column] for column in (0, 1, 3, 4)),
+            *(coasting[0][column] for column in (0, 2)),
+            *(coasting[1][column] for column in (0, 2)),
+            motor.blocked_decay,
+            motor.blocked_gain_a_v,
+            self._kp,
+            self._ki,
+            self._plant.resistance_ohm,
+            self._plant.torque_constant_n_m_a,
+            self._plant.supply_v,
+            self._plant.coulomb_friction_n_m,
+        )
+
+
+def _powers(matrix: Matrix, count: int) -> list[Matrix]:
+    """The matrix to the powers 0..count."""
+    powers = [identity(len(matrix))]
+    for _ in range(count):
+        powers.append(product(matrix, powers[-1]))
+    return powers
