@@ -1,49 +1,43 @@
-"""EDS and DCF files (CiA 306): read where the meaning is plain, refused in one line otherwise."""
+"""EDS and DCF files (CiA 306): read where the meaning is plain, refused in one line otherwise.
 
+`read_eds` gives a `DeviceDescription`, and that any number of object dictionaries. In a DCF a
+ParameterValue wins over the DefaultValue. Hexadecimal numbers of signed types are two's complement.
+$NODEID is the node-ID asked for. Sections decide what there is; lists and counts that say otherwise
+earn a warning. Wherever something was repaired or left out, a warning names file and line.
+"""
+
+import re
 from pathlib import Path
-from typing import final
+from typing import Final, final
 
-from emulators.canopen.object_dictionary import ObjectDictionary
+from emulators.canopen.device_description import DeviceDescription as DeviceDescription
+from emulators.canopen.device_description import VariableDescription
+from emulators.canopen.eds_text import EdsError as EdsError
+from emulators.canopen.eds_text import EdsText, Field, Section
+from emulators.canopen.eds_values import fit, parse_integer, parse_value, type_name
+from emulators.canopen.object_dictionary import DataType, Value, is_integer
 
-
-@final
-class EdsError(Exception):
-    """A file cannot be read as an EDS. Facts: path, line (0: whole file), text, remedy."""
-
-    def __init__(self, path: Path, line: int, text: str, remedy: str) -> None:
-        self.path = path
-        self.line = line
-        self.text = text
-        self.remedy = remedy
-        place = f"{path}:{line}" if line else str(path)
-        super().__init__(f"{place}: {text}; {remedy}")
-
-
-@final
-class DeviceDescription:
-    """What an EDS or DCF says of a device, for one node-ID.
-
-    Attributes:
-        path: the file.
-        vendor_name, product_name, order_code: [DeviceInfo]; "" where it says nothing.
-        vendor_number, product_number, revision_number: [DeviceInfo]; 0 where it says nothing.
-        node_id: what $NODEID stood for.
-        warnings: (path, line, text) of everything that was repaired or left out.
-    """
-
-    path: Path
-    vendor_name: str
-    product_name: str
-    order_code: str
-    vendor_number: int
-    product_number: int
-    revision_number: int
-    node_id: int
-    warnings: tuple[tuple[Path, int, str], ...]
-
-    def dictionary(self) -> ObjectDictionary:
-        """A new object dictionary: `Variable.has_default` tells where the file states a value."""
-        raise NotImplementedError
+_OBJECT: Final = re.compile(r"([0-9a-f]{4})(?:sub([0-9a-f]{1,2}))?")
+_LISTS: Final = ("mandatoryobjects", "optionalobjects", "manufacturerobjects")
+_DEFTYPE: Final = (0, 5, 6)  # NULL, DEFTYPE, DEFSTRUCT: nothing that holds a value
+_DOMAIN: Final = 2
+_VAR: Final = 7
+_ARRAY: Final = 8
+_RECORD: Final = 9
+_ACCESS: Final = ("ro", "wo", "rw", "rwr", "rww", "const")
+_ACCESS_WORDS: Final = {
+    "r": "ro",
+    "w": "wo",
+    "readonly": "ro",
+    "writeonly": "wo",
+    "readwrite": "rw",
+    "r/w": "rw",
+    "rw/r": "rwr",
+    "rw/w": "rww",
+    "constant": "const",
+    "c": "const",
+}
+_NO_FIELD: Final = Field("", 0)
 
 
 def read_eds(path: Path, node_id: int) -> DeviceDescription:
@@ -52,4 +46,267 @@ def read_eds(path: Path, node_id: int) -> DeviceDescription:
     Raises:
         EdsError: it cannot be read; names file, line and remedy.
     """
-    raise NotImplementedError
+    return _Reader(EdsText(Path(path)), node_id).read()
+
+
+@final
+class _Reader:
+    """Turns the sections of one file into a description."""
+
+    def __init__(self, text: EdsText, node_id: int) -> None:
+        self._text = text
+        self._node_id = node_id
+        self._found: dict[int, VariableDescription] = {}
+
+    def read(self) -> DeviceDescription:
+        description = DeviceDescription(self._text.path, self._node_id)
+        self._read_identity(description)
+        self._read_dummies(description)
+        self._check_commissioning()
+        indices: dict[int, dict[int, Section]] = {}
+        mains: dict[int, Section] = {}
+        for name, section in self._text.sections.items():
+            match = _OBJECT.fullmatch(name)
+            if match is None:
+                continue
+            index = int(match[1], 16)
+            if match[2] is None:
+                mains[index] = section
+            else:
+                indices.setdefault(index, {})[int(match[2], 16)] = section
+        for index in sorted({**mains, **indices}):
+            self._read_object(index, mains.get(index), indices.get(index, {}))
+        if not self._found:
+            remedy = "give an EDS or DCF file with sections such as [1000]"
+            raise EdsError(self._text.path, 0, "describes no object", remedy)
+        self._check_lists(mains, indices)
+        description.objects = tuple(self._found[key] for key in sorted(self._found))
+        description.warnings = tuple(sorted(self._text.warnings, key=lambda warning: warning[1]))
+        return description
+
+    # --- what is not an object
+
+    def _read_identity(self, description: DeviceDescription) -> None:
+        section = self._text.sections.get("deviceinfo")
+        if section is None:
+            self._text.warn(1, "no [DeviceInfo]")
+            return
+        description.vendor_name = section.text("vendorname")
+        description.product_name = section.text("productname")
+        description.order_code = section.text("ordercode")
+        description.vendor_number = self._number(section, "vendornumber", 0)
+        description.product_number = self._number(section, "productnumber", 0)
+        description.revision_number = self._number(section, "revisionnumber", 0)
+
+    def _read_dummies(self, description: DeviceDescription) -> None:
+        section = self._text.sections.get("dummyusage")
+        if section is None:
+            return
+        usable = []
+        for data_type in DataType:
+            if self._number(section, f"dummy{data_type:04x}", 0):
+                usable.append(int(data_type))
+        description.dummies = tuple(usable)
+
+    def _check_commissioning(self) -> None:
+        for name in ("devicecomissioning", "devicecommissioning"):
+            section = self._text.sections.get(name)
+            field = section.get("nodeid") if section else None
+            if section is None or field is None:
+                continue
+            node_id = self._number(section, "nodeid", self._node_id)
+            if node_id != self._node_id:
+                text = f"written for node {node_id}, used for node {self._node_id}"
+                self._text.warn(field.line, f"{text}: identifiers without $NODEID stay as they are")
+
+    def _check_lists(self, mains: dict[int, Section], subs: dict[int, dict[int, Section]]) -> None:
+        """Lists of objects that are too long or too short; the sections decide."""
+        for name in _LISTS:
+            section = self._text.sections.get(name)
+            if section is None:
+                continue
+            listed = 0
+            for key, field in section.fields.items():
+                if not key.isdigit() or not field.text:
+                    continue
+                listed += 1
+                index = self._number(section, key, -1)
+                if index not in mains and index not in subs:
+                    self._text.warn(field.line, f"{field.text} is listed but not described")
+            stated = section.get("supportedobjects")
+            if stated and self._number(section, "supportedobjects", listed) != listed:
+                text = f"SupportedObjects says {stated.text}, {listed} are listed"
+                self._text.warn(stated.line, text)
+
+    # --- objects
+
+    def _read_object(self, index: int, main: Section | None, subs: dict[int, Section]) -> None:
+        if main is None:
+            line = min(section.line for section in subs.values())
+            self._text.warn(line, f"sub-indices of {index:04X}h, which has no section of its own")
+            main = Section(f"{index:04x}", line)
+        object_type = self._number(main, "objecttype", _RECORD if subs else _VAR)
+        if object_type in _DEFTYPE or index < 0x1000:
+            return
+        if self._number(main, "compactsubobj", 0):
+            self._read_compact(index, main)
+        elif not subs:
+            if object_type in (_ARRAY, _RECORD):
+                self._text.warn(main.line, f"{index:04X}h has no sub-index; left out")
+            else:
+                self._add(index, 0, main, object_type)
+            return
+        for subindex, section in sorted(subs.items()):
+            self._add(index, subindex, section, self._number(section, "objecttype", _VAR))
+        if index << 8 not in self._found:
+            self._text.warn(main.line, f"{index:04X}h lacks sub-index 0; made up")
+            self._add_count(index, max(subs), main.line)
+        stated = main.get("subnumber")
+        if stated and subs and self._number(main, "subnumber", 0) != len(subs):
+            text = f"SubNumber of {index:04X}h says {stated.text}, {len(subs)} are described"
+            self._text.warn(stated.line, text)
+
+    def _read_compact(self, index: int, main: Section) -> None:
+        """CompactSubObj: one description for sub-indices 1..n, names and values in lists."""
+        count = self._number(main, "compactsubobj", 0)
+        if not 1 <= count <= 254:
+            raise self._error(main.fields["compactsubobj"], "is not 1..254", "correct the number")
+        names = self._text.sections.get(f"{index:04x}name", Section("", 0))
+        values = self._text.sections.get(f"{index:04x}value", Section("", 0))
+        self._add_count(index, count, main.line)
+        for subindex in range(1, count + 1):
+            section = Section(main.name, main.line)
+            section.fields = dict(main.fields)
+            name = names.get(str(subindex))
+            if name is not None:
+                section.fields["parametername"] = name
+            value = values.get(str(subindex))
+            if value is not None:
+                section.fields["parametervalue"] = value
+            self._add(index, subindex, section, _VAR)
+
+    def _add_count(self, index: int, count: int, line: int) -> None:
+        name = "Highest sub-index supported"
+        self._found[index << 8] = VariableDescription(
+            index, 0, name, DataType.UNSIGNED8, "ro", False, (None, None), count, line
+        )
+
+    def _add(self, index: int, subindex: int, section: Section, object_type: int) -> None:
+        if object_type in _DEFTYPE:
+            return
+        data_type = self._data_type(index, subindex, section, object_type)
+        default = self._default(section, data_type)
+        self._found[index << 8 | subindex] = VariableDescription(
+            index,
+            subindex,
+            section.text("parametername"),
+            data_type,
+            self._access(section, subindex),
+            self._number(section, "pdomapping", 0) != 0,
+            self._limits(section, data_type, default),
+            default,
+            section.line,
+        )
+
+    def _data_type(self, index: int, subindex: int, section: Section, object_type: int) -> int:
+        field = section.get("datatype")
+        if field is None:
+            if object_type == _DOMAIN:
+                return DataType.DOMAIN
+            if subindex == 0 and section.name.endswith(("sub0", "sub00")):
+                self._text.warn(section.line, "no DataType; sub-index 0 is an UNSIGNED8")
+                return DataType.UNSIGNED8
+            missing = f"{index:04X}h:{subindex:02X}h has no DataType"
+            raise EdsError(self._text.path, section.line, missing, "add DataType=0x....")
+        data_type = self._number(section, "datatype", 0)
+        own_type = self._text.sections.get(f"{data_type:x}sub1")  # as CANFestival writes ranges
+        if data_type > DataType.UNSIGNED64 and own_type is not None:
+            data_type = self._number(own_type, "defaultvalue", 0)
+        if type_name(data_type).startswith("data type"):
+            self._text.warn(field.line, f"unknown data type {field.text}; read as DOMAIN")
+            return DataType.DOMAIN
+        return data_type
+
+    def _access(self, section: Section, subindex: int) -> str:
+        field = section.get("accesstype")
+        if field is None:
+            access = "rw" if subindex or "sub" not in section.name else "ro"
+            self._text.warn(section.line, f"no AccessType; read as {access}")
+            return access
+        word = "".join(field.text.lower().replace("-", "").replace("_", "").split())
+        if word in _ACCESS:
+            return word
+        if word in _ACCESS_WORDS:
+            access = _ACCESS_WORDS[word]
+            self._text.warn(field.line, f"AccessType {field.text!r} read as {access}")
+            return access
+        raise self._error(field, "is no AccessType", f"write one of {', '.join(_ACCESS)}")
+
+    def _default(self, section: Section, data_type: int) -> Value | None:
+        for key in ("parametervalue", "defaultvalue"):
+            field = section.get(key)
+            if field is None:
+                continue
+            try:
+                value, remark = parse_value(field.text, data_type, self._node_id)
+            except ValueError as error:
+                remedy = f"write a value of {type_name(data_type)}"
+                raise EdsError(self._text.path, field.line, str(error), remedy) from None
+            if remark:
+                self._text.warn(field.line, f"{field.text!r}: {remark}")
+            return value
+        return None
+
+    def _limits(
+        self, section: Section, data_type: int, default: Value | None
+    ) -> tuple[int | None, int | None]:
+        """LowLimit and HighLimit; those that say nothing sensible are left out."""
+        if not is_integer(data_type):
+            return None, None
+        low = self._limit(section, "lowlimit", data_type)
+        high = self._limit(section, "highlimit", data_type)
+        line = section.fields.get("lowlimit", section.fields.get("highlimit", _NO_FIELD)).line
+        if low is not None and high is not None and low > high:
+            self._text.warn(line, f"limits {low}..{high} leave no value; left out")
+            return None, None
+        if isinstance(default, int) and (
+            (low is not None and default < low) or (high is not None and default > high)
+        ):
+            if low == high == 0:
+                self._text.warn(line, f"limits 0..0 with the value {default}; left out")
+                return None, None
+            self._text.warn(line, f"the value {default} lies outside its limits {low}..{high}")
+        return low, high
+
+    def _limit(self, section: Section, key: str, data_type: int) -> int | None:
+        field = section.get(key)
+        if field is None:
+            return None
+        try:
+            number, is_hex, remark = parse_integer(field.text, self._node_id)
+            limit, fit_remark = fit(number, data_type, is_hex)
+        except ValueError as error:
+            self._text.warn(field.line, f"{error}; this limit is left out")
+            return None
+        if remark or fit_remark:
+            self._text.warn(field.line, f"{field.text!r}: {remark or fit_remark}")
+        return limit
+
+    # --- fields
+
+    def _number(self, section: Section, key: str, otherwise: int) -> int:
+        """The whole number behind a key; `otherwise` if nothing is there."""
+        field = section.get(key)
+        if field is None:
+            return otherwise
+        try:
+            number, _, remark = parse_integer(field.text, self._node_id)
+        except ValueError as error:
+            remedy = f"write a number behind {key}"
+            raise EdsError(self._text.path, field.line, str(error), remedy) from None
+        if remark:
+            self._text.warn(field.line, f"{field.text!r}: {remark}")
+        return number
+
+    def _error(self, field: Field, text: str, remedy: str) -> EdsError:
+        return EdsError(self._text.path, field.line, f"{field.text!r} {text}", remedy)

@@ -1,0 +1,91 @@
+"""What a file says of a device, free of the file's form: the seed of object dictionaries."""
+
+from pathlib import Path
+from typing import final
+
+from emulators.canopen.object_dictionary import ObjectDictionary, Value, Variable
+
+
+@final
+class VariableDescription:
+    """What a file says of one sub-index; `default` None: it states none. `line`: where."""
+
+    def __init__(
+        self,
+        index: int,
+        subindex: int,
+        name: str,
+        data_type: int,
+        access: str,
+        pdo_mappable: bool,
+        limits: tuple[int | None, int | None],
+        default: Value | None,
+        line: int,
+    ) -> None:
+        self.index = index
+        self.subindex = subindex
+        self.name = name
+        self.data_type = data_type
+        self.access = access
+        self.pdo_mappable = pdo_mappable
+        self.low, self.high = limits
+        self.default = default
+        self.line = line
+
+    def variable(self) -> Variable:
+        """A new variable as described."""
+        return Variable(
+            self.index,
+            self.subindex,
+            self.data_type,
+            self.name,
+            self.access,
+            self.pdo_mappable,
+            self.low,
+            self.high,
+            self.default,
+        )
+
+
+@final
+class DeviceDescription:
+    """What an EDS or DCF says of a device, for one node-ID.
+
+    Attributes:
+        path: the file.
+        vendor_name, product_name, order_code: [DeviceInfo]; "" where it says nothing.
+        vendor_number, product_number, revision_number: [DeviceInfo]; 0 where it says nothing.
+        node_id: what $NODEID stood for.
+        objects: every sub-index, by index and sub-index.
+        dummies: data types an RPDO may map as dummies.
+        warnings: (path, line, text) of everything that was repaired or left out.
+    """
+
+    def __init__(self, path: Path, node_id: int) -> None:
+        self.path = path
+        self.node_id = node_id
+        self.vendor_name = ""
+        self.product_name = ""
+        self.order_code = ""
+        self.vendor_number = 0
+        self.product_number = 0
+        self.revision_number = 0
+        self.objects: tuple[VariableDescription, ...] = ()
+        self.dummies: tuple[int, ...] = (1, 2, 3, 4, 5, 6, 7)
+        self.warnings: tuple[tuple[Path, int, str], ...] = ()
+
+    def dictionary(self) -> ObjectDictionary:
+        """A new object dictionary: `Variable.has_default` tells where the file states a value.
+
+        Where 1018h states no identity, that of [DeviceInfo] stands.
+        """
+        od = ObjectDictionary()
+        od.dummies = self.dummies
+        for description in self.objects:
+            od.add(description.variable())
+        numbers = (self.vendor_number, self.product_number, self.revision_number)
+        for subindex, number in enumerate(numbers, start=1):
+            variable = od.get(0x1018, subindex)
+            if variable is not None and not variable.has_default and number:
+                variable.set_default(number)
+        return od
