@@ -234,13 +234,24 @@ def test_whatever_the_text_it_is_a_rig_or_a_rig_error_of_one_line(edits):
         assert 1 <= error.line <= text.count("\n") + 1
 
 
-@given(st.lists(st.integers(0, GOOD.count("\n") - 1), max_size=8), st.randoms())
-def test_lines_left_out_or_moved_give_a_rig_or_a_rig_error_of_one_line(dropped, random):
+LINE_EDITS = st.tuples(
+    st.lists(st.integers(0, GOOD.count("\n") - 1), max_size=8), st.booleans(), st.randoms()
+)
+
+
+def edited(edits):
+    """GOOD with some of its lines left out, and perhaps one moved."""
+    dropped, moves, random = edits
     lines = [line for number, line in enumerate(GOOD.splitlines()) if number not in dropped]
-    if len(dropped) % 2:
+    if moves:
         line = lines.pop(random.randrange(len(lines)))
         lines.insert(random.randrange(len(lines)), line)
-    error = mistake_in("\n".join(lines))
+    return "\n".join(lines)
+
+
+@given(LINE_EDITS)
+def test_lines_left_out_or_moved_give_a_rig_or_a_rig_error_of_one_line(edits):
+    error = mistake_in(edited(edits))
     event(error.message.split("(")[0][:30] if error else "accepted")
     assert error is None or len(str(error).splitlines()) == 1
 

@@ -1,0 +1,44 @@
+"""Which motorhil this is: its version, whether its cores are compiled, and from which source."""
+
+import hashlib
+from importlib import metadata
+from importlib.machinery import EXTENSION_SUFFIXES
+from importlib.util import find_spec
+from pathlib import Path
+from typing import Final
+
+import emulators
+
+_A_CORE: Final = "emulators.event_queue"  # compiled wherever any core is
+
+
+def version() -> str:
+    """The installed version; "unknown" when it runs from a folder that was never installed."""
+    try:
+        return metadata.version("motorhil")
+    except metadata.PackageNotFoundError:
+        return "unknown"
+
+
+def cores_are_compiled() -> bool:
+    """Whether the emulator cores run as machine code."""
+    spec = find_spec(_A_CORE)
+    origin = "" if spec is None or spec.origin is None else spec.origin
+    return origin.endswith(tuple(EXTENSION_SUFFIXES))
+
+
+def source_digest() -> str:
+    """A short digest of the emulators' source files: names and contents, in order of names."""
+    folder = Path(emulators.__file__).parent
+    digest = hashlib.sha256()
+    for path in sorted(folder.rglob("*.py")):
+        digest.update(path.relative_to(folder).as_posix().encode() + b"\0")
+        digest.update(path.read_bytes() + b"\0")
+    return digest.hexdigest()[:12]
+
+
+def describe() -> str:
+    """All of it, in one line."""
+    kind = "compiled" if cores_are_compiled() else "pure Python"
+    folder = Path(emulators.__file__).parent
+    return f"motorhil {version()}, {kind} cores, source {source_digest()} in {folder}"

@@ -1,0 +1,106 @@
+"""The command `motorhil`: one verb, one module, loaded when it is used.
+
+Exit status: 0 passed, 1 the thing under test failed, 2 wrong usage, 130 interrupted. Results go to
+stdout, reasons to stderr. A verb's module has `add_arguments(parser)` and `run(arguments)`; what
+stands after `--` on the command line is `arguments.rest`.
+"""
+
+import argparse
+import os
+import sys
+from collections.abc import Sequence
+from dataclasses import dataclass
+from importlib import import_module
+from importlib.util import find_spec
+from typing import Final, final
+
+PASSED: Final = 0
+FAILED: Final = 1
+WRONG_USAGE: Final = 2
+INTERRUPTED: Final = 130
+
+
+@final
+@dataclass(frozen=True, slots=True)
+class _Verb:
+    name: str
+    help: str
+    module: str
+    takes_rest: bool = False
+
+    def exists(self) -> bool:
+        return find_spec(self.module) is not None
+
+
+_VERBS: Final = (
+    _Verb("demo", "a six-wheel rover drives, crabs and turns on emulated drives", "harness.demo"),
+    _Verb("new", "write a working rig, and a script that drives it", "harness.verbs.new"),
+    _Verb("check", "say what is wrong in a rig file, or what it holds", "harness.verbs.check"),
+    _Verb("run", "run a script, or a prompt, with a rig around it", "harness.verbs.run", True),
+    _Verb("serve", "run a rig in real time for other processes", "harness.serving", True),
+    _Verb("list", "list controllers, adaptations or examples", "harness.verbs.list"),
+)
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """The command line has been obeyed; the exit status."""
+    words = list(sys.argv[1:] if arguments is None else arguments)
+    try:
+        status = _dispatch(words)
+        sys.stdout.flush()
+    except KeyboardInterrupt:
+        print("motorhil: interrupted", file=sys.stderr)
+        return INTERRUPTED
+    except BrokenPipeError:  # whoever read our output has left: nothing more to say
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return FAILED
+    return status
+
+
+def _dispatch(words: list[str]) -> int:
+    verbs = {verb.name: verb for verb in _VERBS if verb.exists()}
+    top = argparse.ArgumentParser(
+        prog="motorhil", description="Motor code on emulated drives, in virtual time."
+    )
+    top.add_argument("--version", action="store_true", help="say which version and cores these are")
+    commands = top.add_subparsers(metavar="VERB", dest="verb")
+    for verb in verbs.values():
+        commands.add_parser(verb.name, help=verb.help, add_help=False)
+    options = top.parse_args(words[:1])
+    if options.version:
+        return _print_version()
+    if options.verb is None:
+        top.print_help(sys.stderr)
+        return WRONG_USAGE
+    return _run_verb(verbs[options.verb], words[1:])
+
+
+def _run_verb(verb: _Verb, words: list[str]) -> int:
+    from harness.settings import RigError
+
+    module = import_module(verb.module)
+    parser = argparse.ArgumentParser(
+        prog=f"motorhil {verb.name}",
+        description=verb.help[0].upper() + verb.help[1:] + ".",
+        allow_abbrev=False,
+    )
+    module.add_arguments(parser)
+    rest: list[str] = []
+    if verb.takes_rest and "--" in words:
+        cut = words.index("--")
+        words, rest = words[:cut], words[cut + 1 :]
+    options = parser.parse_intermixed_args(words)
+    options.rest = rest
+    try:
+        status: int = module.run(options)
+    except RigError as error:
+        print(error, file=sys.stderr)
+        return WRONG_USAGE
+    return status
+
+
+def _print_version() -> int:
+    from harness.build_info import describe
+
+    print(describe())
+    return PASSED

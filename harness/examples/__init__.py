@@ -1,0 +1,1 @@
+"""Rigs and scripts to learn from; `motorhil new DIR` begins with one of them."""

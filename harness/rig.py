@@ -1,0 +1,387 @@
+"""A rig, open: buses, controllers and plants in virtual time, and the motors an application sees.
+
+    with Rig.open("rig.toml") as rig:
+        wheel = rig.motors["left"]
+        wheel.enable()
+        rig.runtime.run_for(1.0)
+
+A program written for python-can joins the same buses while the rig is open:
+`can.Bus(interface="emulated", channel="can0")`.
+"""
+
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from contextlib import ExitStack
+from pathlib import Path
+from random import Random
+from types import TracebackType
+from typing import TYPE_CHECKING, Any, Generic, Self, TypeVar, final
+
+from emulators.controller import Controller, ControllerContext, SettingError
+from emulators.event_queue import EventQueue
+from emulators.media.can_bus import CanBus
+from emulators.media.faults import FaultPlan, FaultRule
+from emulators.world import World
+from harness.pace import WallPace
+from harness.plant_from_model import plant_numbers
+from harness.plugins import ADAPTATIONS, CONTROLLERS, Plugin, installed
+from harness.rig_file import (
+    ControllerDescription,
+    Known,
+    MotorDescription,
+    RigDescription,
+    read_rig,
+)
+from harness.settings import RigError
+from harness.virtual_time import VirtualRuntime
+from motorapi.errors import FileError, UsageError
+from motorapi.model import MotorModel
+
+if TYPE_CHECKING:
+    from harness.can_plugin import EmulatedBus
+    from motorapi.group import MotorGroup
+    from motorapi.motor import Motor
+
+T = TypeVar("T")
+
+
+@final
+class RigController:
+    """An emulated controller of an open rig: what happens to it physically, and the truth in it.
+
+    Attributes: name; core, the controller itself.
+    """
+
+    def __init__(self, name: str, core: Controller, world: World) -> None:
+        self.name = name
+        self.core = core
+        self._world = world
+
+    def stimulate(self, stimulus: str, value: float) -> None:
+        """A physical input (load, switch) has this value from now on.
+
+        Raises:
+            ValueError: there is no such input; names the known ones.
+        """
+        self._world.stimulate(self.name, stimulus, value)
+
+    def snapshot(self) -> Mapping[str, float]:
+        """The truth inside now, units in the keys. Looking changes nothing."""
+        return self._world.snapshot(self.name)
+
+
+@final
+class RigFaults:
+    """What goes wrong in an open rig, and what has."""
+
+    def __init__(self, world: World) -> None:
+        self._world = world
+
+    def inject(self, bus: str, rule: FaultRule) -> None:
+        """The rule holds on the bus from now on.
+
+        Raises:
+            ValueError: the bus has had a rule of that name.
+        """
+        self._world.inject(bus, rule)
+
+    def lift(self, bus: str, name: str) -> None:
+        """The rule of this name holds no longer; its count stays.
+
+        Raises:
+            ValueError: the bus has no such rule.
+        """
+        self._world.lift(bus, name)
+
+    def fired(self) -> dict[str, int]:
+        """How often each rule has fired, over all buses, in the order of adding."""
+        counts: dict[str, int] = {}
+        for bus in self._world.bus_names():
+            for name, count in self._world.bus(bus).faults_fired().items():
+                counts[name] = counts.get(name, 0) + count
+        return counts
+
+
+@final
+class Named(Mapping[str, T], Generic[T]):
+    """Things of a rig by name, each made when it is first asked for; in the order of the file."""
+
+    def __init__(self, what: str, names: Iterable[str], make: Callable[[str], T]) -> None:
+        self._what = what
+        self._names = tuple(names)
+        self._make = make
+        self._made: dict[str, T] = {}
+
+    def __getitem__(self, name: str) -> T:
+        """The thing of this name.
+
+        Raises:
+            KeyError: there is none; names those there are.
+        """
+        if name not in self._made:
+            if name not in self._names:
+                known = ", ".join(self._names) or "none"
+                raise KeyError(f"no {self._what} {name!r} in this rig (known: {known})")
+            self._made[name] = self._make(name)
+        return self._made[name]
+
+    def __contains__(self, name: object) -> bool:
+        return name in self._names
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._names)
+
+    def __len__(self) -> int:
+        return len(self._names)
+
+
+@final
+class Rig:
+    """An open rig; leaving its `with` block closes everything in it, whatever happened.
+
+    Attributes (read only):
+        description: what the file says.
+        seed: of this run.
+        world: buses and controllers on one event queue.
+        runtime: where an application waits, and so lets time pass.
+        controllers, motors, groups: by name, in the order of the file; motors and groups are
+            made when they are first asked for.
+        faults: what goes wrong.
+        recording: the recorder; None if nothing is recorded.
+        notes: what a person should know who reads the rig's results, one line each.
+    """
+
+    def __init__(
+        self,
+        description: RigDescription,
+        *,
+        seed: int | None = None,
+        realtime: bool = False,
+        record: Path | None = None,
+    ) -> None:
+        self.description = description
+        self.seed = description.seed if seed is None else seed
+        self.notes: list[str] = []
+        self.recording: object | None = None
+        self._models = {name: _model(description, name) for name in description.motors}
+        self._plugins = {group: installed(group) for group in (CONTROLLERS, ADAPTATIONS)}
+        with ExitStack() as cleanup:
+            queue = EventQueue()
+            self.world = World(queue)
+            started: list[tuple[int, str, str, str]] = []
+            self.world.tap_events(lambda *event: started.append(event))
+            self._add_buses()
+            self._add_controllers()
+            self.notes += [f"{name}: {level}: {text}" for _, level, name, text in started]
+            self.runtime = VirtualRuntime(queue, WallPace() if realtime else None)
+            self._open_door(cleanup)
+            self._cleanup = cleanup.pop_all()
+        self._in_use = ExitStack()  # what applications were given; closed before the rest
+        self.faults = RigFaults(self.world)
+        self.controllers: Mapping[str, RigController] = Named(
+            "controller", description.controllers, self._controller
+        )
+        self._buses = Named("bus", description.buses, self._bus)
+        self.motors: Mapping[str, Motor] = Named("motor", description.motors, self._motor)
+        self.groups: Mapping[str, MotorGroup] = Named("group", description.groups, self._group)
+
+    @classmethod
+    def open(
+        cls,
+        path: str | Path,
+        seed: int | None = None,
+        realtime: bool = False,
+        record: str | Path | None = None,
+    ) -> Self:
+        """The rig of a file, switched on at time 0.
+
+        Args:
+            path: the rig file.
+            seed: instead of the rig's own.
+            realtime: time passes no faster than the wall clock.
+            record: an MCAP file to write everything to.
+
+        Raises:
+            RigError: the rig cannot be used as it is written; nothing is left open.
+        """
+        description = read_rig(Path(path), installed_plugins())
+        return cls(
+            description,
+            seed=seed,
+            realtime=realtime,
+            record=None if record is None else Path(record),
+        )
+
+    def bus(self, name: str) -> "EmulatedBus":
+        """The application's own connection to a bus: a python-can bus.
+
+        Raises:
+            KeyError: the rig has no such bus.
+        """
+        return self._buses[name]
+
+    def build_motors(self) -> None:
+        """Every motor and group has been made: what is wrong in their settings is told now.
+
+        Raises:
+            RigError: a motor cannot be made as the rig describes it.
+        """
+        for name in self.motors:
+            self.motors[name]
+        for name in self.groups:
+            self.groups[name]
+
+    def close(self) -> None:
+        """Parties have ended, motors and buses are closed, the record is complete."""
+        with self._cleanup, self._in_use:
+            self.runtime.close()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        traceback: TracebackType | None,
+    ) -> None:
+        self.close()
+
+    # --- putting it together -----------------------------------------------------------------
+
+    def _add_buses(self) -> None:
+        for bus in self.description.buses.values():
+            rules = [fault.rule for fault in self.description.faults if fault.bus == bus.name]
+            stream = Random(f"{self.seed}:bus.{bus.name}.faults")
+            self.world.add_bus(CanBus(bus.name, bus.bitrate_bit_s, FaultPlan(rules, stream.random)))
+
+    def _add_controllers(self) -> None:
+        built = [
+            (controller, self._build_controller(controller))
+            for controller in self.description.controllers.values()
+        ]
+        for controller, core in built:
+            self.world.add_controller(controller.name, core, controller.bus)
+
+    def _build_controller(self, controller: ControllerDescription) -> Controller:
+        place = ("controller", controller.name)
+        settings = dict(controller.settings)
+        if controller.plant_from_motor_model:
+            settings["plant"] = self._plant(controller)
+        context = ControllerContext(controller.name, self.description.folder, self.seed)
+        build = self._load(self._plugins[CONTROLLERS][controller.kind], (*place, "kind"))
+        try:
+            core: Controller = build(settings, context)
+        except SettingError as error:
+            raise self.description.error(
+                (*place, *error.path), error.message, error.remedy
+            ) from error
+        return core
+
+    def _plant(self, controller: ControllerDescription) -> dict[str, object]:
+        """The controller's plant table with what the model of its motor knows; told in a note."""
+        path = ("controller", controller.name, "plant", "from_motor_model")
+        motors = [m for m in self.description.motors.values() if m.controller == controller.name]
+        if not motors:
+            raise self.description.error(
+                path, "no motor of this rig has this controller", "take it out, or add one"
+            )
+        plant = controller.settings["plant"]
+        assert isinstance(plant, Mapping)
+        model = self._models[motors[0].name]
+        try:
+            numbers = plant_numbers(model, plant)
+        except ValueError as error:
+            raise self.description.error(path, str(error), "correct one of them") from None
+        if not numbers:
+            raise self.description.error(
+                path,
+                f'motor model "{model.name}" knows nothing the rig does not say',
+                "take it out",
+            )
+        taken = ", ".join(f"{key} = {value:g}" for key, value in numbers.items())
+        where = f"{self.description.source.path}:{self.description.source.line(path)}"
+        self.notes.append(
+            f"{where}: controller.{controller.name}.plant: {taken} taken from motor model "
+            f'"{model.name}": a mistake in it is on both sides'
+        )
+        return {**plant, **numbers}
+
+    def _load(self, plugin: Plugin, path: tuple[str, ...]) -> Callable[..., Any]:
+        try:
+            return plugin.load()
+        except Exception as error:
+            raise self.description.error(
+                path,
+                f'plugin "{plugin.name}" cannot be loaded from {plugin.target}: '
+                f"{type(error).__name__}: {error}",
+                f"reinstall {plugin.package or 'it'}",
+            ) from error
+
+    def _open_door(self, cleanup: ExitStack) -> None:
+        """`can.Bus()` in this process finds the buses by name."""
+        from can import CanInitializationError
+
+        from harness.can_plugin import close_rig, open_rig
+
+        try:
+            open_rig(self.world, self.runtime)
+        except CanInitializationError as error:
+            raise RigError(self.description.source.path, str(error), "close it first") from None
+        cleanup.callback(close_rig, self.world)
+
+    # --- what applications use ---------------------------------------------------------------
+
+    def _bus(self, name: str) -> "EmulatedBus":
+        from harness.can_plugin import EmulatedBus
+
+        bus = EmulatedBus(channel=name)
+        self._in_use.callback(bus.shutdown)
+        return bus
+
+    def _controller(self, name: str) -> RigController:
+        return RigController(name, self.world.controller(name), self.world)
+
+    def _motor(self, name: str) -> "Motor":
+        motor = self.description.motors[name]
+        place = ("motor", name)
+        build = self._load(self._plugins[ADAPTATIONS][motor.adaptation], (*place, "adaptation"))
+        settings = {"name": name, "node_id": motor.node_id, **motor.settings}
+        try:
+            built: Motor = build(self.bus(motor.bus), settings, self._models[name], self.runtime)
+        except UsageError as error:
+            raise self.description.error(place, str(error), "correct its settings") from error
+        self._in_use.callback(built.close)
+        return built
+
+    def _group(self, name: str) -> "MotorGroup":
+        from motorapi.group import MotorGroup
+
+        return MotorGroup(*(self.motors[motor] for motor in self.description.groups[name].motors))
+
+
+def installed_plugins() -> Known:
+    """The plugins of this Python environment that a rig may name."""
+    return Known(tuple(installed(CONTROLLERS)), tuple(installed(ADAPTATIONS)))
+
+
+def _model(description: RigDescription, motor: str) -> MotorModel:
+    """The motor's model, from its own file or the rig's.
+
+    Raises:
+        RigError: with the file and line of the model, wherever it stands.
+    """
+    model: MotorDescription = description.motors[motor]
+    try:
+        if isinstance(model.model, Path):
+            return MotorModel.load(model.model)
+        path = ("motor", motor, "model")
+        return MotorModel.from_table(
+            model.model,
+            path=str(description.source.path),
+            line_of=lambda key: description.source.line((*path, key)),
+            default_name=motor,
+        )
+    except FileError as error:
+        raise RigError(
+            error.path, error.problem, error.remedy, line=error.line, key=error.key or ""
+        ) from None

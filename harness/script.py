@@ -1,0 +1,180 @@
+"""A user's program inside an open rig: how it finds the bus, and how it is told what went wrong."""
+
+import builtins
+import code
+import linecache
+import os
+import sys
+import traceback
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass
+from pathlib import Path
+from types import CodeType, ModuleType
+from typing import TYPE_CHECKING, Final, final
+
+from harness.settings import RigError
+
+if TYPE_CHECKING:
+    from harness.rig import Rig
+
+STDIN: Final = "-"
+_STDIN_NAME: Final = "<stdin>"
+_CAN_SETTINGS: Final = ("CAN_INTERFACE", "CAN_CHANNEL", "CAN_BITRATE", "CAN_CONFIG")
+_OWN_FOLDER: Final = str(Path(__file__).parent.parent) + os.sep
+_OWN_PACKAGES: Final = tuple(
+    _OWN_FOLDER + package + os.sep for package in ("motorapi", "emulators", "traces", "harness")
+)
+
+
+@final
+@dataclass(frozen=True, slots=True)
+class Script:
+    """A Python program: what it says, and what tracebacks call it."""
+
+    name: str
+    source: bytes
+    folder: str
+
+
+def read_script(name: str) -> Script:
+    """The program in a file, or on standard input if the name is "-".
+
+    Raises:
+        RigError: it is not there, or not readable.
+    """
+    if name == STDIN:
+        return Script(_STDIN_NAME, sys.stdin.buffer.read(), "")
+    path = Path(name)
+    try:
+        return Script(name, path.read_bytes(), str(path.resolve().parent))
+    except FileNotFoundError:
+        raise RigError(path, "no such file", "name a Python program") from None
+    except (OSError, ValueError) as error:
+        reason = getattr(error, "strerror", None) or error
+        raise RigError(path, f"cannot be read: {reason}", "name a Python program") from None
+
+
+def run_script(rig: "Rig", script: Script, words: Sequence[str]) -> int:
+    """The program has run as `__main__`; its exit status, 1 if it raised.
+
+    What it raised is told on stderr, from its own first line on; KeyboardInterrupt is passed on.
+    """
+    main = ModuleType("__main__")
+    main.__dict__.update(__file__=script.name, __builtins__=builtins)
+    if script.name == _STDIN_NAME:  # tracebacks quote it all the same
+        lines = script.source.decode("utf-8", "replace").splitlines(keepends=True)
+        linecache.cache[_STDIN_NAME] = (len(script.source), None, lines, _STDIN_NAME)
+    with _as_main(main, script, words), bus_settings(rig):
+        try:
+            program: CodeType = compile(script.source, script.name, "exec", dont_inherit=True)
+            exec(program, main.__dict__)
+        except SystemExit as leaving:
+            return _status(leaving)
+        except Exception as error:
+            print_error(error, script.name)
+            return 1
+    return 0
+
+
+def run_prompt(rig: "Rig") -> int:
+    """The user has had a Python prompt in which `rig` is the rig, and left it."""
+    with suppress(ImportError):  # importing it gives the prompt its line editing
+        import readline  # noqa: F401
+    names = {"rig": rig, "__name__": "__console__", "__doc__": None}
+    with bus_settings(rig):
+        try:
+            code.interact(_banner(rig), local=names, exitmsg="")
+        except SystemExit as leaving:
+            return _status(leaving)
+    return 0
+
+
+def _banner(rig: "Rig") -> str:
+    return (
+        f"{rig.description.name}: motors {', '.join(rig.motors) or 'none'}; "
+        "time passes while you wait: rig.runtime.run_for(1.0). Leave with Ctrl-D."
+    )
+
+
+@contextmanager
+def bus_settings(rig: "Rig") -> Iterator[None]:
+    """Within it, a plain `can.Bus()` joins the rig's first bus, and `can.Bus("can1")` another."""
+    before = {name: os.environ.pop(name, None) for name in _CAN_SETTINGS}
+    os.environ["CAN_INTERFACE"] = "emulated"
+    os.environ["CAN_CHANNEL"] = next(iter(rig.description.buses))
+    try:
+        yield
+    finally:
+        for name, value in before.items():
+            os.environ.pop(name, None)
+            if value is not None:
+                os.environ[name] = value
+
+
+@contextmanager
+def _as_main(main: ModuleType, script: Script, words: Sequence[str]) -> Iterator[None]:
+    before = (sys.argv, sys.path.copy(), sys.modules["__main__"])
+    sys.argv = [script.name, *words]
+    sys.path.insert(0, script.folder)
+    sys.modules["__main__"] = main
+    try:
+        yield
+    finally:
+        sys.argv, sys.path[:], sys.modules["__main__"] = before
+
+
+def _status(leaving: SystemExit) -> int:
+    """What Python itself would answer to sys.exit(...)."""
+    if leaving.code is None:
+        return 0
+    if isinstance(leaving.code, int):
+        return leaving.code & 0xFF
+    print(leaving.code, file=sys.stderr)
+    return 1
+
+
+def print_error(error: BaseException, script: str) -> None:
+    """The traceback as the script's author needs it is on stderr.
+
+    It begins in the script. An error that the motor interface or python-can raised on purpose also
+    ends there: how it came about inside is nothing the author could act on.
+    """
+    on_purpose = _is_on_purpose(error)
+    report = traceback.TracebackException.from_exception(error)
+    if on_purpose:
+        report.__cause__ = report.__context__ = None
+    links = [report]
+    for link in links:
+        link.stack = _frames_of(link.stack, script, on_purpose)
+        links += [other for other in (link.__cause__, link.__context__) if other is not None]
+    header = isinstance(error, SyntaxError) and not report.stack
+    lines = report.format_exception_only() if header else report.format()
+    print("".join(lines), end="", file=sys.stderr)
+
+
+def _is_on_purpose(error: BaseException) -> bool:
+    kinds = [f"{kind.__module__}.{kind.__name__}" for kind in type(error).__mro__]
+    return (
+        "motorapi.errors.MotorError" in kinds
+        or "can.exceptions.CanError" in kinds
+        or isinstance(error, RigError)
+    )
+
+
+def _frames_of(
+    stack: traceback.StackSummary, script: str, on_purpose: bool
+) -> traceback.StackSummary:
+    frames = list(stack)
+    places = [number for number, frame in enumerate(frames) if frame.filename == script]
+    if places:
+        frames = frames[places[0] :]
+    elif all(frame.filename.startswith(_OWN_PACKAGES) for frame in frames):
+        frames = []
+    while on_purpose and frames and _is_own(frames[-1].filename, script):
+        frames.pop()
+    return traceback.StackSummary.from_list(frames)
+
+
+def _is_own(filename: str, script: str) -> bool:
+    return filename != script and filename.startswith(_OWN_PACKAGES)

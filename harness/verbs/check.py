@@ -1,0 +1,65 @@
+"""`motorhil check RIG`: a rig file is right, or the first thing wrong in it is told."""
+
+import argparse
+import json
+import sys
+from pathlib import Path
+
+from harness.settings import RigError
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """What `check` can be told."""
+    parser.add_argument("rig", type=Path, metavar="RIG", help="a rig file (TOML)")
+    parser.add_argument("--json", action="store_true", help="answer for a machine")
+
+
+def run(options: argparse.Namespace) -> int:
+    """The rig has been put together, controllers and all, and taken apart; no time has passed.
+
+    Raises:
+        RigError: what is wrong in it.
+    """
+    from harness.rig import Rig
+
+    try:
+        with Rig.open(options.rig) as rig:
+            rig.build_motors()
+            notes = rig.notes
+            counts = {
+                "buses": len(rig.description.buses),
+                "controllers": len(rig.description.controllers),
+                "motors": len(rig.description.motors),
+                "groups": len(rig.description.groups),
+                "faults": len(rig.description.faults),
+            }
+            name = rig.description.name
+    except RigError as error:
+        if not options.json:
+            raise
+        print(json.dumps({"right": False, **_facts(error)}))
+        return 2
+    if options.json:
+        print(json.dumps({"right": True, "name": name, **counts, "notes": notes}))
+        return 0
+    for note in notes:
+        print(note, file=sys.stderr)
+    parts = [f"{count} {_form(word, count)}" for word, count in counts.items() if count]
+    print(f"{options.rig}: {name}: {', '.join(parts)}")
+    return 0
+
+
+def _facts(error: RigError) -> dict[str, object]:
+    return {
+        "file": str(error.file),
+        "line": error.line,
+        "key": error.key,
+        "message": error.message,
+        "remedy": error.remedy,
+    }
+
+
+def _form(plural: str, count: int) -> str:
+    if count != 1:
+        return plural
+    return "bus" if plural == "buses" else plural.removesuffix("s")

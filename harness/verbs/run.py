@@ -1,0 +1,80 @@
+"""`motorhil run RIG [SCRIPT [ARGS]]`: a script, or a prompt, with a rig around it."""
+
+import argparse
+import shlex
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from harness.rig_file import SEED_MAX
+from harness.settings import RigError
+
+if TYPE_CHECKING:
+    from harness.rig import Rig
+
+_MORE = """\
+SCRIPT opens its bus with can.Bus(), as it would on real hardware: CAN_INTERFACE and CAN_CHANNEL say
+that it joins the rig. Time passes while the script waits. Without SCRIPT, a prompt in which `rig`
+is the rig; with "-", the script is read from standard input. What follows -- goes to the script.
+"""
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """What `run` can be told."""
+    parser.usage = (
+        "motorhil run [-h] [--realtime] [--seed N] [-o FILE] RIG [SCRIPT [ARGS ...]] [-- ARGS ...]"
+    )
+    parser.epilog = _MORE
+    parser.add_argument("rig", type=Path, metavar="RIG", help="a rig file (TOML)")
+    parser.add_argument("script", nargs="?", metavar="SCRIPT", help="a Python program, or -")
+    parser.add_argument("args", nargs="*", metavar="ARGS", help="the script's own arguments")
+    parser.add_argument("--realtime", action="store_true", help="no faster than the wall clock")
+    parser.add_argument("--seed", type=_seed, metavar="N", help="instead of the rig's own seed")
+    parser.add_argument("-o", "--output", type=Path, metavar="FILE", help="record to FILE (MCAP)")
+
+
+def _seed(text: str) -> int:
+    seed = int(text, 0)
+    if not 0 <= seed <= SEED_MAX:
+        raise ValueError
+    return seed
+
+
+_seed.__name__ = f"seed (0 to {SEED_MAX})"  # what argparse calls it when it is none
+
+
+def run(options: argparse.Namespace) -> int:
+    """The script's exit status; 1 if it raised.
+
+    Raises:
+        RigError: the rig, the script or the output file cannot be used; nothing was run.
+    """
+    from harness.rig import Rig
+    from harness.script import read_script, run_prompt, run_script
+
+    words = [*options.args, *options.rest]
+    script = None if options.script is None else read_script(options.script)
+    if script is None and words:
+        raise RigError(options.rig, "arguments, but no script to take them", "name a script")
+    with Rig.open(
+        options.rig, seed=options.seed, realtime=options.realtime, record=options.output
+    ) as rig:
+        for note in rig.notes:
+            print(note, file=sys.stderr)
+        if script is None:
+            return run_prompt(rig)
+        status = run_script(rig, script, words)
+        if status != 0:
+            print(f"again: {_again(options, rig, words)}", file=sys.stderr)
+        return status
+
+
+def _again(options: argparse.Namespace, rig: "Rig", words: list[str]) -> str:
+    command = ["motorhil", "run", str(options.rig), options.script, "--seed", str(rig.seed)]
+    if options.realtime:
+        command.append("--realtime")
+    if options.output is not None:
+        command += ["-o", str(options.output)]
+    if words:
+        command += ["--", *words]
+    return shlex.join(command)

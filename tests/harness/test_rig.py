@@ -1,0 +1,299 @@
+import threading
+import time
+
+import can
+import pytest
+
+from emulators.media.faults import FaultKind, FaultRule
+from harness.can_plugin import EmulatedBus
+from harness.rig import Rig
+from harness.settings import RigError
+
+GOOD = """\
+[rig]
+seed = 7
+[bus.can0]
+bitrate_bit_s = 1_000_000
+[controller.left]
+kind = "echo"
+bus = "can0"
+node_id = 1
+plant.resistance_ohm = 1.5
+[controller.right]
+kind = "echo"
+bus = "can0"
+node_id = 2
+[motor.left]
+adaptation = "bare"
+controller = "left"
+[motor.left.model]
+velocity_max_rad_s = 6.0
+acceleration_max_rad_s2 = 20.0
+[motor.right]
+adaptation = "bare"
+controller = "right"
+model = "wheel.toml"
+"""
+WHEEL = """\
+velocity_max_rad_s = 5.0
+acceleration_max_rad_s2 = 20.0
+current_max_a = 4.0
+increments_per_rad = 10185.9163
+"""
+
+
+@pytest.fixture
+def write(bench):
+    def write_rig(text):
+        (bench / "rig.toml").write_text(text)
+        (bench / "wheel.toml").write_text(WHEEL)
+        return bench / "rig.toml"
+
+    return write_rig
+
+
+def refusal(path):
+    with pytest.raises(RigError) as caught, Rig.open(path):
+        pass
+    return str(caught.value).replace(f"{path.parent}/", "")
+
+
+def answers(rig, count=20):
+    """Which of `count` requests to node 1 were answered within 10 ms each."""
+    bus = rig.bus("can0")
+    heard = []
+    for number in range(count):
+        bus.send(can.Message(arbitration_id=0x101, data=[number], is_extended_id=False))
+        rig.runtime.run_for(0.01)
+        while (message := bus.recv(0)) is not None:
+            if message.arbitration_id == 0x181:
+                heard.append(message.data[0])
+    return heard
+
+
+def test_frames_reach_controllers_of_third_parties_and_come_back_in_virtual_time(write):
+    with Rig.open(write(GOOD)) as rig:
+        bus = rig.bus("can0")
+        bus.send(can.Message(arbitration_id=0x101, data=[42], is_extended_id=False))
+        heard = [bus.recv(0.1) for _ in range(3)]
+        assert [message.arbitration_id for message in heard] == [0x701, 0x702, 0x181]
+        assert heard[2].data == b"\x2a"
+        assert 0.001 < heard[2].timestamp < 0.002  # the controller's delay, and the frames' length
+        assert bus.recv(3600.0) is None
+        assert rig.runtime.now_ns() > 3600 * 10**9
+
+
+def test_a_program_for_python_can_joins_the_rig_by_channel(write):
+    with Rig.open(write(GOOD)), can.Bus(interface="emulated", channel="can0") as bus:
+        bus.send(can.Message(arbitration_id=0x102, data=[1], is_extended_id=False))
+        assert bus.recv(0.1) is not None
+
+
+def test_controllers_motors_and_groups_are_found_by_name(write):
+    text = GOOD + '[group.both]\nmotors = ["right", "left"]\n'
+    with Rig.open(write(text)) as rig:
+        assert list(rig.controllers) == ["left", "right"]
+        assert list(rig.motors) == ["left", "right"]
+        assert list(rig.groups) == ["both"]
+        left = rig.motors["left"]
+        assert left is rig.motors["left"]
+        assert left.bus is rig.bus("can0")
+        assert left.settings == {"name": "left", "node_id": 1}
+        assert left.runtime is rig.runtime
+        assert left.model.velocity_max == 6.0
+        assert rig.motors["right"].model.name == "wheel"
+        with pytest.raises(KeyError, match=r"no motor 'lefft' in this rig \(known: left, right\)"):
+            rig.motors["lefft"]
+
+
+def test_a_controller_is_stimulated_and_looked_into(write):
+    with Rig.open(write(GOOD)) as rig:
+        left = rig.controllers["left"]
+        left.stimulate("load_torque_n_m", 0.5)
+        assert left.snapshot() == {"load_torque_n_m": 0.5}
+        assert rig.controllers["right"].snapshot() == {"load_torque_n_m": 0.0}
+        with pytest.raises(ValueError, match="known: load_torque_n_m"):
+            left.stimulate("load", 1.0)
+
+
+def test_a_controller_is_told_its_name_folder_and_seed(write):
+    path = write(GOOD)
+    with Rig.open(path) as rig:
+        context = rig.controllers["right"].core.context
+        assert (context.name, context.folder, context.seed) == ("right", path.parent, 7)
+    with Rig.open(path, seed=9) as rig:
+        assert rig.seed == 9
+        assert rig.controllers["right"].core.context.seed == 9
+
+
+def test_everything_is_closed_whatever_happened(write):
+    path = write(GOOD)
+    threads = threading.active_count()
+    motors = []
+
+    def fail_in_the_middle():
+        with Rig.open(path) as rig:
+            motors.append(rig.motors["left"])
+            rig.runtime.spawn("waits for ever", lambda: rig.runtime.wait_until(lambda: False))
+            rig.runtime.run_for(1.0)
+            assert threading.active_count() == threads + 1
+            raise ZeroDivisionError
+
+    with pytest.raises(ZeroDivisionError):
+        fail_in_the_middle()
+    assert motors[0].closed
+    assert threading.active_count() == threads
+    with pytest.raises(can.CanInitializationError, match="no rig open"):
+        EmulatedBus("can0")
+    with Rig.open(path):  # the names are free again
+        pass
+
+
+def test_a_rig_that_fails_half_way_leaves_nothing_open(write):
+    path = write(GOOD + "[controller.third]\nkind='echo'\nbus='can0'\nnode_id=3\nspeed=1\n")
+    assert refusal(path) == (
+        "rig.toml:28: controller.third.speed: unknown key; known: node_id, delay_s"
+    )
+    with pytest.raises(can.CanInitializationError, match="no rig open"):
+        EmulatedBus("can0")
+
+
+def test_a_second_rig_with_the_same_bus_is_refused(write):
+    path = write(GOOD)
+    with Rig.open(path):
+        assert "a rig that is open in this process has a bus of that name" in refusal(path)
+
+
+# (what is replaced, by what, the line told); the line is that of the value, in whatever file
+@pytest.mark.parametrize(
+    ("old", "new", "told"),
+    [
+        (
+            "plant.resistance_ohm = 1.5",
+            "plant.resistance_ohm = 0",
+            "rig.toml:9: controller.left.plant.resistance_ohm: must be > 0 ohm; write 1.0",
+        ),
+        (
+            'kind = "echo"',
+            'kind = "broken"',
+            'rig.toml:6: controller.left.kind: plugin "broken" cannot be loaded from '
+            "tests.harness.no_such_module:controller: ModuleNotFoundError: "
+            "No module named 'tests.harness.no_such_module'; reinstall bench 1.0",
+        ),
+        (
+            'kind = "echo"',
+            'kind = "ecco"',
+            'rig.toml:6: controller.left.kind: unknown controller kind "ecco" '
+            "(known: broken, cia402, echo); did you mean echo?",
+        ),
+        (
+            "velocity_max_rad_s = 6.0",
+            "velocity_max_rad_s = -6.0",
+            "rig.toml:18: velocity_max_rad_s: is -6, not > 0; correct it, or leave the key out",
+        ),
+    ],
+)
+def test_what_a_plugin_refuses_is_told_with_its_line(write, old, new, told):
+    assert old in GOOD
+    assert refusal(write(GOOD.replace(old, new, 1))) == told
+
+
+def test_a_mistake_in_a_model_file_is_told_with_that_files_line(write, bench):
+    path = write(GOOD)
+    (bench / "wheel.toml").write_text("velocity_max_rad_s = 5\nacceleration_max = 3\n")
+    assert refusal(path).startswith("wheel.toml:2: acceleration_max: a motor model has no such key")
+
+
+def test_what_an_adaptation_refuses_is_told_with_the_motors_line(write):
+    path = write(GOOD.replace('controller = "left"', 'controller = "left"\nheartbeat = 1'))
+    with Rig.open(path) as rig, pytest.raises(RigError) as caught:
+        rig.build_motors()
+    assert str(caught.value) == (
+        f"{path}:14: motor.left: heartbeat: unknown key; did you mean heartbeat_s?; "
+        "correct its settings"
+    )
+
+
+def test_warnings_at_power_on_are_notes(write):
+    with Rig.open(write(GOOD.replace("node_id = 2", 'node_id = 2\neds = "a.eds"'))) as rig:
+        assert rig.notes == ["right: warning: a.eds:3: mended"]
+
+
+def test_a_plant_takes_numbers_from_the_motor_model_only_if_asked_and_tells(write):
+    path = write(GOOD)
+    with Rig.open(path) as rig:
+        assert rig.notes == []
+        assert rig.controllers["right"].core.settings == {"node_id": 2}
+    asked = "node_id = 2\nplant.from_motor_model = true\nplant.gear_ratio = 16\n"
+    path = write(GOOD.replace("node_id = 2\n", asked))
+    with Rig.open(path) as rig:
+        assert rig.controllers["right"].core.settings["plant"] == {
+            "gear_ratio": 16,
+            "current_max_a": 4.0,
+            "encoder_increments_rev": 4000,  # 10185.9163 * 2 pi / 16
+        }
+        assert rig.notes == [
+            f"{path}:14: controller.right.plant: current_max_a = 4, encoder_increments_rev = 4000 "
+            'taken from motor model "wheel": a mistake in it is on both sides'
+        ]
+
+
+def test_what_the_rig_says_of_a_plant_counts_more_than_the_motor_model(write):
+    asked = "node_id = 2\n[controller.right.plant]\nfrom_motor_model = true\ncurrent_max_a = 9\n"
+    text = GOOD.replace("node_id = 2\n", asked + "gear_ratio = 16\n")
+    with Rig.open(write(text)) as rig:
+        assert rig.controllers["right"].core.settings["plant"]["current_max_a"] == 9
+
+
+def test_a_model_that_fits_no_whole_encoder_is_refused(write):
+    asked = "node_id = 2\nplant.from_motor_model = true\nplant.gear_ratio = 16.5\n"
+    assert refusal(write(GOOD.replace("node_id = 2\n", asked))) == (
+        "rig.toml:14: controller.right.plant.from_motor_model: increments_per_rad = 10185.9163 of "
+        "the motor model makes 3878.79 increments per motor turn with gear_ratio = 16.5; "
+        "correct one of them"
+    )
+
+
+FAULT = '[[fault]]\nname = "loss"\nbus = "can0"\nkind = "drop"\nidentifier = 0x181\n'
+
+
+def test_chance_is_the_seeds_and_only_the_seeds(write):
+    path = write(GOOD + FAULT + "probability = 0.5\n")
+
+    def heard(seed):
+        with Rig.open(path, seed=seed) as rig:
+            return answers(rig)
+
+    first = heard(1)
+    assert 2 < len(first) < 18
+    assert heard(1) == first
+    assert heard(2) != first
+
+
+def test_a_cut_bus_is_silent_for_exactly_its_time(write):
+    cut = '[[fault]]\nbus="can0"\nkind="cut"\nnodes=["left"]\nfrom_s=0.05\nuntil_s=0.15\n'
+    with Rig.open(write(GOOD + cut)) as rig:
+        assert answers(rig) == [0, 1, 2, 3, 4, *range(15, 20)]
+        assert rig.faults.fired() == {"fault 1": 1}
+
+
+def test_faults_come_and_go_while_the_rig_is_open(write):
+    with Rig.open(write(GOOD)) as rig:
+        told = []
+        rig.world.tap_events(lambda *event: told.append(event))
+        rig.faults.inject("can0", FaultRule(name="loss", kind=FaultKind.DROP, identifier=0x181))
+        assert answers(rig, 3) == []
+        assert rig.faults.fired() == {"loss": 3}
+        rig.faults.lift("can0", "loss")
+        assert answers(rig, 3) == [0, 1, 2]
+        assert [event[1:] for event in told] == [("warning", "can0", "loss: drop 181h")] * 3
+
+
+@pytest.mark.wall
+def test_in_real_time_nothing_happens_before_its_wall_time(write):
+    with Rig.open(write(GOOD), realtime=True) as rig:
+        start_s = time.monotonic()
+        rig.runtime.run_for(0.05)
+        rig.runtime.run_for(0.05)
+        assert time.monotonic() - start_s >= 0.1
+        assert rig.runtime.now_ns() == 100_000_000

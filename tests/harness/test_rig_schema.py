@@ -1,0 +1,103 @@
+"""The JSON Schema for editors says what the rig file's reader says, as far as structure goes."""
+
+import json
+import tomllib
+from dataclasses import fields
+from pathlib import Path
+
+import jsonschema
+import pytest
+from hypothesis import given
+
+import harness
+from emulators.cia402 import settings as drive_settings
+from emulators.media.faults import FaultKind
+from emulators.plant.dc_motor import MotorPlant
+from emulators.plant.presets import PRESETS
+from harness import rig_faults, rig_file
+from harness.scaffold import EXAMPLES
+from motorapi.model import MotorModel
+from tests.harness.test_rig_file import GOOD, LINE_EDITS, REFUSALS, edited, mistake_in, unescaped
+
+SCHEMA = json.loads((Path(harness.__file__).parent / "rig.schema.json").read_text())
+VALIDATOR = jsonschema.Draft202012Validator(SCHEMA)
+DEFS = SCHEMA["$defs"]
+
+# What only a reader of the whole file, and of what is installed, can know.
+BEYOND_STRUCTURE = (
+    "there is no ",
+    "already",
+    "no such file",
+    "whole number of nanoseconds",
+    "unknown controller kind",
+    "unknown adaptation",
+    "is not after from_s",
+)
+
+
+def is_accepted(text):
+    return VALIDATOR.is_valid(tomllib.loads(text))
+
+
+def test_the_schema_is_a_schema():
+    jsonschema.Draft202012Validator.check_schema(SCHEMA)
+
+
+def test_the_schema_knows_the_keys_that_the_readers_know():
+    assert tuple(SCHEMA["properties"]) == rig_file.TOP_KEYS
+    assert tuple(DEFS["rig"]["properties"]) == rig_file.RIG_KEYS
+    assert tuple(DEFS["bus"]["properties"]) == rig_file.BUS_KEYS
+    assert tuple(DEFS["group"]["properties"]) == rig_file.GROUP_KEYS
+    assert tuple(DEFS["fault"]["properties"]) == rig_faults.FAULT_KEYS
+    assert DEFS["fault"]["properties"]["kind"]["enum"] == [kind.value for kind in FaultKind]
+
+
+def test_the_schema_knows_the_drives_own_keys():
+    drive = DEFS["cia402"]["properties"]
+    assert set(drive) == {"kind", "bus", *drive_settings._KEYS}
+    assert set(drive["timing"]["properties"]) == set(drive_settings._TIMING_KEYS)
+    assert set(drive["units"]["properties"]) == set(drive_settings._UNIT_KEYS)
+    plant = {"preset", "from_motor_model", *(field.name for field in fields(MotorPlant))}
+    assert set(drive["plant"]["properties"]) == plant
+    assert drive["plant"]["properties"]["preset"]["examples"] == list(PRESETS)
+    assert drive["supported_modes"]["items"]["enum"] == list(drive_settings.EMULATED_MODES)
+
+
+def test_the_schema_knows_the_motor_models_keys(tmp_path):
+    limits = dict.fromkeys((field.name for field in fields(MotorModel)), 1.0)
+    limits.update(name="wheel", position_min=-1.0, requires_referencing=True)
+    for kind in ("rotary", "linear"):
+        limits["kind"] = next(k for k in type(MotorModel.__dataclass_fields__["kind"].default))
+        limits["kind"] = type(limits["kind"])(kind)
+        MotorModel(**limits).save(tmp_path / "model.toml")
+        written = tomllib.loads((tmp_path / "model.toml").read_text())
+        assert set(written) <= set(DEFS["model"]["properties"])
+
+
+@pytest.mark.parametrize("path", sorted(EXAMPLES.glob("*.toml")), ids=lambda path: path.stem)
+def test_the_schema_accepts_every_example(path):
+    table = tomllib.loads(path.read_text())
+    if "bus" in table:  # a rig; the others are motor models
+        VALIDATOR.validate(table)
+    else:
+        VALIDATOR.evolve(schema={**DEFS["model"], "$defs": DEFS}).validate(table)
+
+
+def test_the_schema_accepts_what_the_reader_accepts():
+    assert is_accepted(GOOD)
+
+
+@pytest.mark.parametrize(("old", "new", "told"), REFUSALS)
+def test_the_schema_refuses_what_the_reader_refuses(old, new, told):
+    if "not TOML" in told:
+        return
+    beyond = any(words in told for words in BEYOND_STRUCTURE)
+    assert is_accepted(GOOD.replace(unescaped(old), unescaped(new), 1)) is beyond
+
+
+@given(LINE_EDITS)
+def test_whatever_the_reader_accepts_the_schema_accepts(edits):
+    # A kind the schema does not know: what a drive needs, only its builder could refuse.
+    text = edited(edits).replace('kind = "cia402"', 'kind = "io"')
+    if mistake_in(text) is None:
+        VALIDATOR.validate(tomllib.loads(text))
