@@ -356,7 +356,7 @@ class CanBus:
 
     def _keep_cuts(self, faults: FaultSeam, now_ns: int) -> None:
         """Ports have left the bus or come back."""
-        changed = faults.keep_cuts(now_ns, self._flight != 0)
+        changed = faults.keep_cuts(now_ns, self._flight != 0 and now_ns > self._start_ns)
         for number, node in enumerate(self._ports):
             if changed >> number & 1:
                 if faults.is_cut(number):
@@ -379,12 +379,16 @@ class CanBus:
         node.entry = CUT_OFF
 
     def _reconnect(self, node: CanPort, now_ns: int) -> None:
-        """The node competes with what it has, unless it never stopped sending."""
+        """The node competes with what it has, unless it never stopped sending.
+
+        It cannot join a frame that has started: it was not there to see it.
+        """
         if node.entry != CUT_OFF or not node.promote():
             return
-        node.starts_seen = self._starts
-        if self._flight:
+        if self._flight and now_ns <= self._start_ns:
             self._compete(node, now_ns)
-        else:
-            heappush(self._competing, node.entry)
+            return
+        node.starts_seen = self._starts
+        heappush(self._competing, node.entry)
+        if not self._flight:
             self._arbitrate(max(now_ns, self._free_ns))

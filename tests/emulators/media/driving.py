@@ -1,0 +1,48 @@
+"""Running a bus in tests: the time of each delivery, and what each port makes of it."""
+
+from collections.abc import Iterable
+
+from emulators.media.can_bus import CanBus, Delivery
+from emulators.media.delivery import confirms, hears
+
+BIT = 1000  # [ns] at 1 Mbit/s
+Submission = tuple[int, int, bytes]  # (time [ns], port, frame)
+Timed = tuple[int, Delivery]
+
+
+def run(bus: CanBus, submissions: Iterable[Submission] = (), until_ns: int = 10**12) -> list[Timed]:
+    """All that the bus delivers, if it is called at every deadline and told in time."""
+    deliveries: list[Timed] = []
+    for time_ns, port, frame in submissions:
+        deliveries += expire_all(bus, time_ns)
+        bus.submit(port, frame, time_ns)
+    return deliveries + expire_all(bus, until_ns)
+
+
+def expire_all(bus: CanBus, until_ns: int) -> list[Timed]:
+    deliveries: list[Timed] = []
+    due_ns = bus.next_deadline_ns()
+    while due_ns is not None and due_ns <= until_ns:
+        deliveries += [(due_ns, delivery) for delivery in bus.expire(due_ns)]
+        again_ns = bus.next_deadline_ns()
+        assert again_ns is None or again_ns > due_ns, "a deadline that does not pass"
+        due_ns = again_ns
+    return deliveries
+
+
+def heard(deliveries: Iterable[Timed], port: int) -> list[tuple[int, bytes]]:
+    """What this port receives, and when."""
+    return [
+        (time_ns, frame)
+        for time_ns, (frame, sender, kind) in deliveries
+        if sender != port and hears(kind, port)
+    ]
+
+
+def confirmed(deliveries: Iterable[Timed], port: int) -> list[tuple[int, bytes]]:
+    """What this port knows to have sent, and when."""
+    return [
+        (time_ns, frame)
+        for time_ns, (frame, sender, kind) in deliveries
+        if sender == port and confirms(kind)
+    ]

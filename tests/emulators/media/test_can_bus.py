@@ -1,0 +1,265 @@
+import pytest
+
+from emulators.media.can_bits import frame_bits
+from emulators.media.can_bus import DELIVERED, CanBus, QueueOrder
+from emulators.media.can_frame import EFF_FLAG, RTR_FLAG, pack, pack_remote
+from tests.emulators.media.driving import BIT, expire_all, heard, run
+
+# Exact lengths with intermission: can-physics.md 6.2 (can-utils).
+SYNC = pack(0x080)  # 51 bits
+STATUS = pack(0x181, bytes.fromhex("3706"))  # 66 bits
+HEARTBEAT = pack(0x701, b"\x05")  # 58 bits
+COMMAND = pack(0x201, bytes.fromhex("0F0010270000"))  # 104 bits
+
+
+def _bus(*names: str, queue: QueueOrder = QueueOrder.FIFO) -> CanBus:
+    bus = CanBus("can0")
+    for name in names:
+        bus.attach(name, queue)
+    return bus
+
+
+def _sent(deliveries):
+    return [(time_ns, frame) for time_ns, (frame, _, _) in deliveries]
+
+
+@pytest.mark.parametrize(
+    "bitrate_bit_s",
+    [1_000_000, 800_000, 500_000, 250_000, 125_000, 100_000, 50_000, 20_000, 10_000],
+)
+def test_a_frame_on_an_idle_bus_takes_its_bits_without_intermission(bitrate_bit_s):
+    bus = CanBus("can0", bitrate_bit_s)
+    port = bus.attach("left")
+    bus.submit(port, STATUS, 7)
+    end_ns = 7 + 63 * (10**9 // bitrate_bit_s)
+    assert bus.next_deadline_ns() == end_ns
+    assert bus.expire(end_ns - 1) == []
+    assert bus.expire(end_ns) == [(STATUS, port, DELIVERED)]
+    assert bus.expire(end_ns) == []
+    assert bus.next_deadline_ns() is None
+
+
+@pytest.mark.parametrize("bitrate_bit_s", [0, -1, 83_333, 300_000])
+def test_a_bit_that_is_no_whole_number_of_nanoseconds_is_refused(bitrate_bit_s):
+    with pytest.raises(ValueError, match=f"{bitrate_bit_s} bit/s"):
+        CanBus("can0", bitrate_bit_s)
+
+
+def test_the_next_frame_starts_after_three_bits_of_intermission():
+    bus = _bus("left", "right")
+    assert _sent(run(bus, [(0, 0, SYNC), (0, 1, STATUS)])) == [
+        (48 * BIT, SYNC),
+        ((51 + 63) * BIT, STATUS),
+    ]
+
+
+def test_a_frame_submitted_in_the_intermission_of_an_idle_bus_waits_for_its_end():
+    for wait_ns, start_ns in ((0, 51), (2 * BIT, 51), (3 * BIT, 51), (3 * BIT + 1, 51)):
+        bus = _bus("left")
+        run(bus, [(0, 0, SYNC)])
+        bus.submit(0, STATUS, 48 * BIT + wait_ns)
+        assert bus.next_deadline_ns() == max(start_ns * BIT, 48 * BIT + wait_ns) + 63 * BIT
+
+
+@pytest.mark.parametrize(("later_ns", "first"), [(0, SYNC), (999, SYNC), (1000, STATUS)])
+def test_who_asks_within_the_first_bit_of_a_frame_takes_part_in_its_arbitration(later_ns, first):
+    bus = _bus("left", "right")
+    deliveries = run(bus, [(0, 0, STATUS), (later_ns, 1, SYNC)])
+    assert _sent(deliveries)[0] == ((frame_bits(first) - 3) * BIT, first)
+    assert _sent(deliveries)[1][0] == (51 + 66 - 3) * BIT  # the start is nobody's to move
+
+
+def test_who_asks_in_the_intermission_takes_part_in_the_arbitration_after_it():
+    for after_ns, second in ((0, SYNC), (2999, SYNC), (3999, SYNC), (4000, STATUS)):
+        bus = _bus("left", "right", "sync")
+        bus.submit(0, HEARTBEAT, 0)
+        bus.submit(1, STATUS, 0)
+        deliveries = expire_all(bus, 65 * BIT)  # STATUS won, and is complete at 63
+        assert _sent(deliveries) == [(63 * BIT, STATUS)]
+        bus.submit(1, STATUS, 63 * BIT)
+        bus.submit(2, SYNC, 63 * BIT + after_ns)
+        assert _sent(expire_all(bus, 10**9))[0][1] == second
+
+
+def test_the_frame_that_wins_is_the_one_that_is_most_dominant():
+    rivals = [
+        pack_remote(0x123 << 18 | EFF_FLAG),
+        pack(0x123 << 18 | EFF_FLAG),
+        pack_remote(0x123),
+        pack(0x124),
+        pack(0x123),
+        pack(0x122),
+    ]
+    bus = _bus(*"abcdef")
+    deliveries = run(bus, [(0, port, frame) for port, frame in enumerate(rivals)])
+    order = [5, 4, 2, 1, 0, 3]
+    assert [port for _, (_, port, _) in deliveries] == order
+
+
+def test_a_fifo_sends_in_the_order_of_submission_even_if_the_head_keeps_losing():
+    bus = _bus("left", "right")
+    deliveries = run(
+        bus, [(0, 0, HEARTBEAT), (0, 0, SYNC), (0, 1, STATUS), (0, 1, COMMAND), (0, 0, STATUS)]
+    )
+    assert [frame for _, frame in _sent(deliveries)] == [STATUS, COMMAND, HEARTBEAT, SYNC, STATUS]
+
+
+def test_a_priority_queue_sends_the_most_urgent_and_equals_in_order():
+    first, second = pack(0x181, b"\x01"), pack(0x181, b"\x02")
+    bus = _bus("host", queue=QueueOrder.PRIORITY)
+    deliveries = run(
+        bus,
+        [(0, 0, COMMAND), (BIT, 0, HEARTBEAT), (BIT, 0, first), (BIT, 0, second), (BIT, 0, SYNC)],
+    )
+    sent = [frame for _, frame in _sent(deliveries)]
+    assert sent == [COMMAND, SYNC, first, second, HEARTBEAT]
+
+
+def test_a_priority_queue_changes_its_mind_until_its_frame_has_started():
+    for later_ns, first in ((0, SYNC), (999, SYNC), (1000, COMMAND)):
+        bus = _bus("host", queue=QueueOrder.PRIORITY)
+        assert _sent(run(bus, [(0, 0, COMMAND), (later_ns, 0, SYNC)]))[0][1] == first
+
+
+def test_a_priority_queue_lets_the_urgent_frame_compete_in_place_of_the_other():
+    bus = CanBus("can0")
+    left = bus.attach("left")
+    host = bus.attach("host", QueueOrder.PRIORITY)
+    other = bus.attach("other")
+    submissions = [
+        (0, left, STATUS),
+        (2 * BIT, host, HEARTBEAT),
+        (2 * BIT, other, COMMAND),
+        (3 * BIT, host, SYNC),
+    ]
+    sent = [frame for _, frame in _sent(run(bus, submissions))]
+    assert sent == [STATUS, SYNC, COMMAND, HEARTBEAT]
+    assert bus.arbitration_losses(host) == 1  # HEARTBEAT against COMMAND
+
+
+def test_a_frame_that_loses_its_start_to_another_node_stays_the_first_of_its_node():
+    bus = _bus("left", "right")
+    deliveries = run(bus, [(0, 0, STATUS), (1, 1, SYNC), (2, 0, HEARTBEAT)])
+    assert [frame for _, frame in _sent(deliveries)] == [SYNC, STATUS, HEARTBEAT]
+
+
+def test_a_hundred_nodes_that_ask_at_once_go_in_the_order_of_their_identifiers():
+    bus = _bus(*[f"node {number}" for number in range(100)])
+    submissions = [(0, port, pack(0x200 + port * 37 % 100)) for port in range(100)]
+    deliveries = run(bus, submissions)
+    identifiers = [frame[0] | frame[1] << 8 for _, frame in _sent(deliveries)]
+    assert identifiers == list(range(0x200, 0x264))
+    assert {port for _, (_, port, _) in deliveries} == set(range(100))
+    assert sum(bus.arbitration_losses(port) for port in range(100)) == 99 * 100 // 2
+
+
+def test_everybody_but_the_sender_hears_a_frame():
+    bus = _bus("left", "right", "host")
+    deliveries = run(bus, [(0, 1, SYNC)])
+    assert [len(heard(deliveries, port)) for port in range(3)] == [1, 0, 1]
+
+
+def test_two_nodes_with_one_identifier_are_counted_and_the_lower_port_goes_first():
+    for order in ([0, 1], [1, 0]):
+        bus = _bus("left", "right")
+        twins = [pack(0x181, b"\x01"), pack(0x181, b"\x02")]
+        deliveries = run(bus, [(0, port, twins[port]) for port in order])
+        assert [port for _, (_, port, _) in deliveries] == [0, 1]
+        assert bus.statistics.collisions() == {0x181: 1}
+
+
+def test_one_identifier_of_two_nodes_at_different_times_is_no_collision():
+    bus = _bus("left", "right")
+    run(bus, [(0, 0, STATUS), (BIT, 1, STATUS)])
+    assert bus.statistics.collisions() == {}
+
+
+def test_a_collision_behind_a_more_urgent_frame_counts_when_it_comes_to_it():
+    bus = _bus("left", "right", "host")
+    run(bus, [(0, 0, STATUS), (0, 1, STATUS), (0, 2, SYNC)])
+    assert bus.statistics.collisions() == {0x181: 1}
+
+
+def test_a_data_and_a_remote_frame_with_one_identifier_do_not_collide():
+    bus = _bus("left", "right")
+    run(bus, [(0, 0, pack_remote(0x181)), (0, 1, pack(0x181))])
+    assert bus.statistics.collisions() == {}
+
+
+def test_lost_arbitrations_are_counted_as_they_are_lost():
+    bus = _bus("left", "right")
+    run(bus, [(0, 1, HEARTBEAT), (0, 0, STATUS), (10 * BIT, 0, SYNC)], until_ns=20 * BIT)
+    assert bus.arbitration_losses(1) == 1
+    expire_all(bus, 70 * BIT)  # SYNC has won the second arbitration
+    assert bus.arbitration_losses(1) == 2
+    expire_all(bus, 10**9)
+    assert bus.arbitration_losses(1) == 2
+    assert bus.arbitration_losses(0) == 0
+
+
+def test_pending_counts_what_is_not_sent_completely():
+    bus = _bus("left", "right")
+    run(bus, [(0, 0, SYNC), (0, 0, SYNC), (0, 1, STATUS)], until_ns=48 * BIT - 1)
+    assert [bus.pending(0), bus.pending(1)] == [2, 1]
+    expire_all(bus, 48 * BIT)
+    assert [bus.pending(0), bus.pending(1)] == [1, 1]
+    expire_all(bus, 10**9)
+    assert [bus.pending(0), bus.pending(1)] == [0, 0]
+
+
+def test_withdrawn_frames_are_never_sent_but_one_in_flight_is():
+    bus = _bus("left", "right")
+    submissions = [(0, 0, SYNC), (0, 0, STATUS), (0, 1, STATUS), (0, 1, HEARTBEAT)]
+    run(bus, submissions, until_ns=BIT)
+    assert bus.withdraw(0) == 1
+    assert bus.withdraw(1) == 2
+    assert _sent(expire_all(bus, 10**9)) == [(48 * BIT, SYNC)]
+    assert bus.arbitration_losses(1) == 1
+    bus.submit(1, STATUS, 10**9)
+    assert _sent(expire_all(bus, 2 * 10**9)) == [(10**9 + 63 * BIT, STATUS)]
+
+
+def test_statistics_count_frames_bits_and_identifiers():
+    bus = _bus("left", "right")
+    remote = pack_remote(0x701)
+    run(bus, [(0, 0, STATUS), (0, 1, SYNC), (0, 1, STATUS), (0, 0, remote)])
+    statistics = bus.statistics
+    assert statistics.frames == 4
+    assert statistics.bits == 51 + 2 * 66 + frame_bits(remote)
+    assert statistics.busy_ns() == statistics.bits * BIT
+    assert statistics.counts() == {0x080: 1, 0x181: 2, 0x701 | RTR_FLAG: 1}
+    assert list(statistics.counts()) == [0x080, 0x181, 0x701 | RTR_FLAG]
+
+
+def test_a_bus_that_never_pauses_has_a_load_of_one():
+    bus = _bus("left")
+    run(bus, [(0, 0, STATUS)] * 10)
+    assert bus.statistics.load(0, 660 * BIT) == 1.0
+    assert bus.statistics.load(330 * BIT, 990 * BIT) == 0.5
+    assert bus.statistics.peak_load(660 * BIT) == 1.0
+    assert bus.statistics.peak_load(1320 * BIT) == 0.5
+
+
+def test_who_is_called_late_hears_everything_in_order():
+    bus = _bus("left", "right")
+    for _ in range(3):
+        bus.submit(0, STATUS, 0)
+        bus.submit(1, SYNC, 0)
+    assert [frame for frame, _, _ in bus.expire(10**9)] == [SYNC] * 3 + [STATUS] * 3
+    assert bus.next_deadline_ns() is None
+
+
+def test_ports_have_numbers_in_order_and_names_of_their_own():
+    bus = _bus("left", "right")
+    assert bus.port_names() == ["left", "right"]
+    assert bus.attach("host") == 2
+    with pytest.raises(ValueError, match="left already"):
+        bus.attach("left")
+
+
+def test_a_frame_nobody_can_send_is_refused_and_changes_nothing():
+    bus = _bus("left")
+    with pytest.raises(ValueError, match="16 bytes"):
+        bus.submit(0, b"short", 0)
+    assert bus.next_deadline_ns() is None
+    assert bus.pending(0) == 0
