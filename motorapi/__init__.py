@@ -1,1 +1,89 @@
-"""The motor interface: what an application programs against."""
+"""The motor interface: what an application programs against.
+
+After the CLARAty motor interface (Pivtoraiko, Nesnas, Nayar: A Reusable Software Framework for
+Rover Motion Control). Adaptations to hardware are in `motorapi.adaptations`; they alone load the
+libraries their bus needs.
+"""
+
+from motorapi.commands import (
+    ControlMode,
+    ControlVariable,
+    DerivativeLimits,
+    Motion,
+    Range,
+    Setpoint,
+)
+from motorapi.device import Device, DeviceGroup
+from motorapi.errors import (
+    DeadlineExceeded,
+    DeviceFault,
+    FileError,
+    LimitError,
+    LinkError,
+    MotionInterrupted,
+    MotorBusyError,
+    MotorError,
+    PeerError,
+    PluginError,
+    StateError,
+    UnsupportedError,
+    UsageError,
+)
+from motorapi.generation import Trapezoid
+from motorapi.group import MotorGroup
+from motorapi.model import MotionKind, MotorModel
+from motorapi.motor import Motor
+from motorapi.runtime import Runtime, runtime_of
+from motorapi.state import Fault, Measurement, MotorState
+from motorapi.synchronization import (
+    MotionTimes,
+    SyncCapability,
+    SyncLevel,
+    SyncOffer,
+    SyncQuality,
+    Trigger,
+)
+from motorapi.trajectory import TrapezoidalTrajectory
+from motorapi.wall_runtime import WallRuntime
+
+__all__ = [
+    "ControlMode",
+    "ControlVariable",
+    "DeadlineExceeded",
+    "DerivativeLimits",
+    "Device",
+    "DeviceFault",
+    "DeviceGroup",
+    "Fault",
+    "FileError",
+    "LimitError",
+    "LinkError",
+    "Measurement",
+    "Motion",
+    "MotionInterrupted",
+    "MotionKind",
+    "MotionTimes",
+    "Motor",
+    "MotorBusyError",
+    "MotorError",
+    "MotorGroup",
+    "MotorModel",
+    "MotorState",
+    "PeerError",
+    "PluginError",
+    "Range",
+    "Runtime",
+    "Setpoint",
+    "StateError",
+    "SyncCapability",
+    "SyncLevel",
+    "SyncOffer",
+    "SyncQuality",
+    "Trapezoid",
+    "TrapezoidalTrajectory",
+    "Trigger",
+    "UnsupportedError",
+    "UsageError",
+    "WallRuntime",
+    "runtime_of",
+]

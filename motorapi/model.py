@@ -1,9 +1,39 @@
-"""What is constant of a motor, whatever the application: limits, resolution, kind."""
+"""What is constant of a motor, whatever the application: kind, limits, resolution.
 
-from dataclasses import dataclass
+A model is a TOML file of a few lines; units are in the key names, and a linear motor has m and N
+where a rotary one has rad and N·m:
+
+    name = "drive wheel"                 # default: the file's name
+    kind = "rotary"                      # or "linear"
+    velocity_max_rad_s = 6.0             # the only two that must be there
+    acceleration_max_rad_s2 = 20.0
+    deceleration_max_rad_s2 = 20.0       # default: as acceleration
+    jerk_max_rad_s3 = 500.0
+    torque_max_n_m = 12.0                # linear: force_max_n
+    current_max_a = 4.0
+    position_min_rad = -3.0              # default: no limit
+    position_max_rad = 3.0
+    position_tolerance_rad = 0.01        # how far off an absolute trajectory may begin
+    increments_per_rad = 10430.4         # of the drive's position; < 0: it counts the other way
+    velocity_unit_rad_s = 0.001          # what 1 in the drive's velocity objects means
+    acceleration_unit_rad_s2 = 0.01      # and in its acceleration objects
+    requires_referencing = false         # true: absolute targets only after homing
+
+Where the drive itself knows its units (factor objects), they are not needed here.
+"""
+
+import json
+import tomllib
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, fields
+from difflib import get_close_matches
 from enum import Enum
+from math import isfinite
 from pathlib import Path
-from typing import final
+from typing import Final, Self, final
+
+from motorapi.commands import ControlVariable
+from motorapi.errors import FileError, UsageError
 
 
 @final
@@ -14,12 +44,35 @@ class MotionKind(Enum):
     LINEAR = "linear"
 
 
+_UNIT: Final = {MotionKind.ROTARY: "rad", MotionKind.LINEAR: "m"}
+_TOLERANCE: Final = {MotionKind.ROTARY: 0.01, MotionKind.LINEAR: 0.0001}
+_NUMBER_KEYS: Final = {
+    "velocity_max": "velocity_max_{u}_s",
+    "acceleration_max": "acceleration_max_{u}_s2",
+    "deceleration_max": "deceleration_max_{u}_s2",
+    "jerk_max": "jerk_max_{u}_s3",
+    "torque_max": "torque_max_n_m",
+    "current_max": "current_max_a",
+    "position_min": "position_min_{u}",
+    "position_max": "position_max_{u}",
+    "position_tolerance": "position_tolerance_{u}",
+    "increments_per_unit": "increments_per_{u}",
+    "velocity_unit": "velocity_unit_{u}_s",
+    "acceleration_unit": "acceleration_unit_{u}_s2",
+}
+_REQUIRED: Final = ("velocity_max", "acceleration_max")
+_SIGNED: Final = ("position_min", "position_max", "increments_per_unit")
+
+
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class MotorModel:
     """The motor model (paper, 3.2): limits and units, immutable, shared between copies.
 
     U is rad or m, after `kind`. None means: no limit, or not known.
+
+    Raises:
+        UsageError: a number is not finite, a limit not > 0, or a range empty.
     """
 
     name: str
@@ -38,7 +91,237 @@ class MotorModel:
     acceleration_unit: float | None = None  # likewise for acceleration [U/s²]
     requires_referencing: bool = False
 
+    def __post_init__(self) -> None:
+        for field in _NUMBER_KEYS:
+            problem = _problem(field, getattr(self, field))
+            if problem:
+                raise UsageError(f"motor model {self.name}: {field} {problem}")
+        if _is_empty(self.position_min, self.position_max):
+            raise UsageError(f"motor model {self.name}: position_min is not below position_max")
+
+    @property
+    def unit(self) -> str:
+        """The unit U of position: "rad" or "m"."""
+        return _UNIT[self.kind]
+
+    def unit_of(self, variable: ControlVariable) -> str:
+        """The unit of a control variable of this motor ("rad/s")."""
+        if variable is ControlVariable.POSITION:
+            return self.unit
+        if variable is ControlVariable.VELOCITY:
+            return f"{self.unit}/s"
+        if variable is ControlVariable.CURRENT:
+            return "A"
+        return "N·m" if self.kind is MotionKind.ROTARY else "N"
+
+    @property
+    def deceleration(self) -> float:
+        """The limit while slowing down [U/s²]."""
+        return self.acceleration_max if self.deceleration_max is None else self.deceleration_max
+
+    @property
+    def start_tolerance(self) -> float:
+        """How far from its initial value an absolute trajectory may begin [U].
+
+        `position_tolerance`, or 0.01 rad (0.1 mm) where the model says nothing.
+        """
+        if self.position_tolerance is not None:
+            return self.position_tolerance
+        return _TOLERANCE[self.kind]
+
     @classmethod
-    def load(cls, path: str | Path) -> "MotorModel":
-        """The model in a TOML file."""
-        raise NotImplementedError
+    def load(cls, path: str | Path) -> Self:
+        """The model in a TOML file.
+
+        Raises:
+            FileError: there is no such file, it is no TOML, or a key or value means nothing here.
+        """
+        try:
+            text = Path(path).read_text(encoding="utf-8")
+        except (OSError, UnicodeDecodeError) as error:
+            reason = error.strerror if isinstance(error, OSError) else "not UTF-8"
+            raise FileError(
+                path=str(path),
+                line=None,
+                key=None,
+                problem=f"cannot be read: {reason}",
+                remedy="name a motor model, a TOML file",
+            ) from None
+        try:
+            table = tomllib.loads(text)
+        except tomllib.TOMLDecodeError as error:
+            raise FileError(
+                path=str(path),
+                line=_line_in(str(error)),
+                key=None,
+                problem=f"no TOML: {error}",
+                remedy="a line reads key = value, as in velocity_max_rad_s = 6.0",
+            ) from None
+        return cls.from_table(
+            table,
+            path=str(path),
+            line_of=lambda key: _line_of(text, key),
+            default_name=Path(path).stem,
+        )
+
+    @classmethod
+    def from_table(
+        cls,
+        table: Mapping[str, object],
+        *,
+        path: str,
+        line_of: Callable[[str], int | None] = lambda key: None,
+        default_name: str = "motor",
+    ) -> Self:
+        """The model in a table that was read from `path`, a model file or part of another file.
+
+        Args:
+            table: keys as in a model file.
+            path: which file errors name.
+            line_of: in which of its lines a key stands (None: not known).
+            default_name: the model's name, if the table has none.
+
+        Raises:
+            FileError: a key or value means nothing here.
+        """
+        reader = _Reader(table, path, line_of)
+        kind = reader.kind()
+        keys = _keys(kind)
+        reader.refuse_unknown(keys)
+        values = {field: reader.number(key, field) for key, field in keys.items()}
+        for field in _REQUIRED:
+            if values[field] is None:
+                key = _key_of(field, kind)
+                raise reader.error(key, "is missing", "every motor has this limit: add it")
+        if _is_empty(values["position_min"], values["position_max"]):
+            key = _key_of("position_min", kind)
+            raise reader.error(key, "is not below position_max", "exchange or correct them")
+        name = reader.text("name", default_name)
+        referencing = reader.flag("requires_referencing")
+        velocity, acceleration = values.pop("velocity_max"), values.pop("acceleration_max")
+        assert velocity is not None
+        assert acceleration is not None
+        return cls(
+            name=name,
+            kind=kind,
+            velocity_max=velocity,
+            acceleration_max=acceleration,
+            requires_referencing=referencing,
+            **values,
+        )
+
+    def save(self, path: str | Path) -> None:
+        """The model is in the TOML file `path`; `load` gives an equal one."""
+        lines = [f"name = {_quoted(self.name)}", f"kind = {_quoted(self.kind.value)}"]
+        for field in fields(self):
+            if field.name in _NUMBER_KEYS:
+                value = getattr(self, field.name)
+                if value is not None:
+                    lines.append(f"{_key_of(field.name, self.kind)} = {float(value)!r}")
+        if self.requires_referencing:
+            lines.append("requires_referencing = true")
+        Path(path).write_text("\n".join(lines) + "\n", encoding="utf-8")
+
+
+@final
+class _Reader:
+    """One table, read key by key; every error names file, line, key and remedy."""
+
+    def __init__(
+        self, table: Mapping[str, object], path: str, line_of: Callable[[str], int | None]
+    ) -> None:
+        self._table = table
+        self._path = path
+        self._line_of = line_of
+
+    def error(self, key: str, problem: str, remedy: str) -> FileError:
+        line = self._line_of(key) if key in self._table else None
+        return FileError(path=self._path, line=line, key=key, problem=problem, remedy=remedy)
+
+    def kind(self) -> MotionKind:
+        word = self.text("kind", MotionKind.ROTARY.value)
+        for kind in MotionKind:
+            if kind.value == word:
+                return kind
+        raise self.error("kind", f"{word!r} is no kind of motor", 'write "rotary" or "linear"')
+
+    def refuse_unknown(self, number_keys: Mapping[str, str]) -> None:
+        known = ("name", "kind", *number_keys, "requires_referencing")
+        for key in self._table:
+            if key not in known:
+                near = get_close_matches(key, known, n=1)
+                remedy = f"did you mean {near[0]}?" if near else f"known are {', '.join(known)}"
+                raise self.error(key, "a motor model has no such key", remedy)
+
+    def number(self, key: str, field: str) -> float | None:
+        value = self._table.get(key)
+        if value is None:
+            return None
+        if isinstance(value, bool) or not isinstance(value, int | float):
+            raise self.error(key, f"{value!r} is not a number", "write a number, without a unit")
+        problem = _problem(field, float(value))
+        if problem:
+            raise self.error(key, problem, "correct it, or leave the key out")
+        return float(value)
+
+    def text(self, key: str, default: str) -> str:
+        value = self._table.get(key, default)
+        if not isinstance(value, str) or not value:
+            raise self.error(key, f"{value!r} is not a text", 'write it in quotes, as in "wheel"')
+        return value
+
+    def flag(self, key: str) -> bool:
+        value = self._table.get(key, False)
+        if not isinstance(value, bool):
+            raise self.error(key, f"{value!r} is not a truth value", "write true or false")
+        return value
+
+
+def _key_of(field: str, kind: MotionKind) -> str:
+    if field == "torque_max" and kind is MotionKind.LINEAR:
+        return "force_max_n"
+    return _NUMBER_KEYS[field].format(u=_UNIT[kind])
+
+
+def _keys(kind: MotionKind) -> dict[str, str]:
+    return {_key_of(field, kind): field for field in _NUMBER_KEYS}
+
+
+def _problem(field: str, value: float | None) -> str:
+    """What is wrong with a number, in words; empty if nothing is."""
+    if value is None:
+        return ""
+    if not isfinite(value):
+        return f"is {value}, not a finite number"
+    if field == "increments_per_unit" and value == 0.0:
+        return "is 0"
+    if field not in _SIGNED and value <= 0.0:
+        return f"is {value:g}, not > 0"
+    return ""
+
+
+def _is_empty(low: float | None, high: float | None) -> bool:
+    return low is not None and high is not None and not low < high
+
+
+def _line_of(text: str, key: str) -> int | None:
+    """The line, from 1, with which `key` first has a value: tomllib gives no lines."""
+    lines = text.splitlines()
+    for count in range(1, len(lines) + 1):
+        try:
+            if key in tomllib.loads("\n".join(lines[:count])):
+                return count
+        except tomllib.TOMLDecodeError:
+            continue  # in the middle of a value of several lines
+    return None
+
+
+def _line_in(message: str) -> int | None:
+    """The line that a message of tomllib names: "... (at line 3, column 5)"."""
+    _, found, rest = message.rpartition("at line ")
+    number = rest.split(",")[0]
+    return int(number) if found and number.isdigit() else None
+
+
+def _quoted(text: str) -> str:
+    return json.dumps(text, ensure_ascii=False).replace("\x7f", "\\u007f")

@@ -1,231 +1,400 @@
-"""The base motor: what an application calls, and the few hooks a vendor fills in.
+"""The base motor: what an application calls.
 
-Public methods are final: they validate, take the motor, convert errors, and report. All a vendor
-writes are the protected hooks at the end of this module, in SI units and signed as the motor model
-says. Unless a hook says otherwise it may wait, through `self.runtime` only, and raises the errors
-of `motorapi.errors`; anything else it raises reaches the caller as a `PluginError`.
-U stands for the motor's unit of position: rad, or m for a linear motor.
+Algorithm 1 of the paper runs nearly word for word::
+
+    hw = Cia402HwMotor(bus, node_id=3)
+    motor = Cia402Motor(hw, model=MotorModel.load("wheel.toml"))
+    motor.set_control_mode(ControlMode.SETPOINT)
+    motor.set_setpoint(1.0)
+    motor.start()
+    motor.wait_until_done(timeout_s=5)
+    motor.set_control_mode(ControlMode.TRAJECTORY)
+    motor.set_trajectory(TrapezoidalTrajectory(1.0))
+    motor.start()
+
+Setting is local: nothing is sent, and other logical motors of the same physical motor see nothing
+of it. `start` takes the motor, pushes what differs, and starts, or raises and has moved nothing.
+Public methods are final: they validate, take the motor, convert errors, and report. What a vendor
+fills in is in `motorapi.hooks`. U stands for the motor's unit of position: rad, or m if linear.
 """
 
-from abc import abstractmethod
-from typing import final
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from typing import Final, ParamSpec, TypeVar, final
 
-from motorapi.commands import ControlMode, ControlVariable, DerivativeLimits, Motion
-from motorapi.device import Device
-from motorapi.errors import UnsupportedError
-from motorapi.model import MotorModel
-from motorapi.runtime import Runtime
-from motorapi.sharing import PhysicalMotor
+from motorapi import planning
+from motorapi.commands import ControlMode, ControlVariable, DerivativeLimits, Motion, Setpoint
+from motorapi.errors import (
+    MotionInterrupted,
+    MotorError,
+    PluginError,
+    StateError,
+    UnsupportedError,
+)
+from motorapi.execution import require_no_fault, require_rest, start_together, wait_for_all
+from motorapi.hooks import MotorHooks
+from motorapi.sharing import Run, RunStatus
 from motorapi.state import Fault, Measurement, MotorState
-from motorapi.synchronization import MotionTimes, SyncOffer, Trigger
 from motorapi.trajectory import TrapezoidalTrajectory
 
+P = ParamSpec("P")
+R = TypeVar("R")
 
-class Motor(Device):
+_HOMING_TIMEOUT_S: Final = 60.0
+
+
+class Motor(MotorHooks):
     """A logical motor: the user's view of one physical motor. Settings are kept here until start().
 
-    Args:
-        name: what messages and records call it.
-        model: what is constant of the motor, shared between copies.
-        runtime: where it waits.
-        physical: the record its hardware object got from `register_physical_motor`.
+    An adaptation derives from it and fills in the hooks; it cannot override what is public.
     """
 
-    def __init__(
-        self, *, name: str, model: MotorModel, runtime: Runtime, physical: PhysicalMotor
-    ) -> None:
-        super().__init__(name, runtime)
-        self._model = model
-        self._physical = physical
+    _mode: ControlMode | None = None
+    _variable: ControlVariable = ControlVariable.POSITION
+    _command: Setpoint | TrapezoidalTrajectory | None = None
+    _run: Run | None = None
+
+    def __init_subclass__(cls) -> None:
+        super().__init_subclass__()
+        for name in cls.__dict__:
+            if not name.startswith("_") and name != "close" and hasattr(Motor, name):
+                raise PluginError(
+                    plugin=cls.__qualname__,
+                    where=name,
+                    problem="public methods of Motor are final; fill in a hook instead",
+                )
+
+    # ---- what to do: kept here until start() ----
 
     @property
     @final
-    def model(self) -> MotorModel:
-        """What is constant of this motor."""
-        return self._model
+    def control_mode(self) -> ControlMode | None:
+        """How commands are given; None until `set_control_mode`."""
+        return self._mode
+
+    @property
+    @final
+    def control_variable(self) -> ControlVariable:
+        """The quantity being commanded."""
+        return self._variable
 
     @final
     def set_control_mode(
         self, mode: ControlMode, variable: ControlVariable = ControlVariable.POSITION
     ) -> None:
-        """Commands are given as `mode` says, for `variable`, from now on; nothing is sent."""
-        raise NotImplementedError
+        """Commands are given as `mode` says, for `variable`, from now on. Nothing is sent.
+
+        A command for another mode or variable is forgotten.
+
+        Raises:
+            UnsupportedError: this motor cannot be commanded so.
+        """
+        if not self._call(self._supports, mode, variable):
+            able = ", ".join(
+                f"{m.value} of {v.value}"
+                for m in ControlMode
+                for v in ControlVariable
+                if self._call(self._supports, m, v)
+            )
+            asked = f"{mode.value} of {variable.value}"
+            raise UnsupportedError(motor=self.name, feature=asked, supported=able)
+        if (mode, variable) != (self._mode, self._variable):
+            self._command = None
+        self._mode = mode
+        self._variable = variable
 
     @final
     def set_setpoint(
         self, value: float, relative: bool = False, limits: DerivativeLimits | None = None
     ) -> None:
-        """`value` is what start() aims at; nothing is sent."""
-        raise NotImplementedError
+        """`value` is what start() aims at. Nothing is sent.
+
+        Args:
+            value: the target, in the unit of the control variable (position: U).
+            relative: `value` is a distance from where the motor is when it starts.
+            limits: of the derivatives, where tighter than the model's.
+
+        Raises:
+            StateError: the control mode is not SETPOINT.
+            LimitError: the target or a limit exceeds the model's.
+        """
+        self._require_mode(ControlMode.SETPOINT, "set_setpoint")
+        setpoint = Setpoint(float(value), relative, limits)
+        planning.check_setpoint(self.name, self.model, self._variable, setpoint)
+        self._command = setpoint
 
     @final
     def set_trajectory(self, trajectory: TrapezoidalTrajectory) -> None:
-        """`trajectory` is what start() follows; nothing is sent."""
-        raise NotImplementedError
+        """`trajectory` is what start() follows. Nothing is sent.
+
+        Raises:
+            StateError: the control mode is not TRAJECTORY.
+            LimitError: a boundary value, a limit or the duration exceeds what the motor can do.
+        """
+        self._require_mode(ControlMode.TRAJECTORY, "set_trajectory")
+        planning.check_trajectory(self.name, self.model, self._variable, trajectory)
+        self._command = trajectory
+
+    # ---- doing it ----
 
     @final
     def start(self) -> None:
-        """The motion that was set has begun."""
-        raise NotImplementedError
+        """The motion that was set has begun, with the settings made here.
+
+        One atomic operation: the motor is taken, connected and enabled if it is not, every setting
+        that differs is pushed, the motion is started and acknowledged; or an error is raised and
+        nothing has moved. Starting again repeats the command. A position or velocity set-point
+        may be replaced in mid-motion by another of its kind; everything else starts from rest.
+
+        Raises:
+            StateError: nothing was set; a motion goes on; or it must be referenced first.
+            LimitError: the way leaves the limits.
+            MotorBusyError: another logical motor holds it.
+            DeviceFault: the drive reports a fault: reset_fault() first.
+            MotionInterrupted: somebody stopped the motor meanwhile.
+        """
+        start_together((self,))
 
     @final
     def wait_until_done(self, timeout_s: float | None = None) -> None:
-        """The motion, homing or stop that was commanded last is over."""
-        raise NotImplementedError
+        """What was commanded last here (motion, homing or stop) is over; at once if nothing was.
 
-    # ---- hooks: what the hardware can do. Answered at once, without the wire. ----
-
-    @abstractmethod
-    def _supports(self, mode: ControlMode, variable: ControlVariable) -> bool:
-        """Whether this motor can be commanded so."""
-
-    @abstractmethod
-    def _sync_offer(self) -> SyncOffer:
-        """What it offers for starting together with others, as it is configured now."""
-
-    @abstractmethod
-    def _quantise(self, motion: Motion) -> Motion:
-        """`motion` as the hardware will really make it, after rounding to its own units.
-
-        Target, velocity, acceleration and deceleration may differ from what was asked by one step
-        of the hardware; velocities and accelerations are rounded down, so that no limit is
-        exceeded (but not to 0). The end skew of a group is predicted from it.
-        """
-
-    # ---- hooks: connecting, state and measurements ----
-
-    def _connect(self) -> None:
-        """The hardware answers and is configured: booted, PDOs mapped, dead-man set up.
-
-        Called at the beginning of every public operation that needs the wire, so it is cheap when
-        there is nothing to do.
-        """
-
-    @abstractmethod
-    def _read_state(self) -> MotorState:
-        """The state; does not wait if the hardware reports it by itself. A fault is no error."""
-
-    @abstractmethod
-    def _read_fault(self) -> Fault | None:
-        """The fault the drive reports, None if there is none."""
-
-    @abstractmethod
-    def _read_referenced(self) -> bool:
-        """Whether position 0 is where the model means it to be (homed since power-on)."""
-
-    @abstractmethod
-    def _read_position(self) -> float:
-        """Measured position [U]."""
-
-    @abstractmethod
-    def _read_velocity(self) -> float:
-        """Measured velocity [U/s]."""
-
-    @abstractmethod
-    def _read_reference(self) -> float:
-        """The position the controller holds or moves through now [U]: the demand.
-
-        With the power stage off, the measured position. Relative motions are counted from here, so
-        that errors of the servo do not add up.
-        """
-
-    def _read_torque(self) -> float:
-        """Measured torque [N·m], of a linear motor force [N]."""
-        raise UnsupportedError(motor=self.name, feature="measuring torque")
-
-    def _read_following_error(self) -> float:
-        """Demand minus actual position [U]."""
-        raise UnsupportedError(motor=self.name, feature="measuring the following error")
-
-    def _latest(self) -> Measurement | None:
-        """What was heard last. Must neither wait nor send: recorders ask from callbacks."""
-        return None
-
-    def _refresh(self) -> float | None:
-        """What `_is_done` looks at is fresh.
-
-        Returns:
-            After how long to call again while waiting [s]; None if the hardware reports by itself.
-        """
-        return None
-
-    # ---- hooks: power, fault, reference ----
-
-    @abstractmethod
-    def _enable(self) -> None:
-        """The power stage is on and the motor holds its position, without having moved."""
-
-    @abstractmethod
-    def _disable(self) -> None:
-        """The power stage is off."""
-
-    @abstractmethod
-    def _reset_fault(self) -> None:
-        """The fault is acknowledged and gone (else DeviceFault); the power stage is off."""
-
-    @abstractmethod
-    def _home(self, method: int | None) -> None:
-        """Homing by `method` (CiA 402 numbering; None: the hardware's default) has begun.
-
-        `_is_done` tells when it is over. An unknown method is an `UnsupportedError`.
-        """
-
-    # ---- hooks: motion. Called in the order _arm, Trigger.fire, _confirm. ----
-
-    @abstractmethod
-    def _arm(self, motion: Motion, *, together: bool) -> Trigger:
-        """All that `motion` needs is in the hardware, confirmed, and nothing has moved yet.
-
-        Every setting that differs from what the hardware holds was pushed: mode, profile, target.
-        What the hardware was told is trusted only while `self._physical.token` is unchanged.
+        A velocity, torque or current set-point is done when it is reached, and goes on.
 
         Args:
-            motion: absolute and within the limits; the hardware's rounding is up to this hook.
-            together: whether one trigger is to start several motors, so that the shared one of
-                `SyncOffer.group` is needed; else any way of starting will do.
-
-        Returns:
-            What starts the motion. The same (or an equal one) for all motors of one group.
-        """
-
-    @abstractmethod
-    def _disarm(self) -> None:
-        """What `_arm` prepared will not start any more. Also called after an `_arm` that raised."""
-
-    @abstractmethod
-    def _confirm(self, motion: Motion) -> None:
-        """The hardware has acknowledged the start (waits for it, with a deadline of its own)."""
-
-    @abstractmethod
-    def _is_done(self) -> bool:
-        """Whether what was commanded last (motion, homing, stop, halt, quick stop) is over.
-
-        A position motion: at the target; a velocity set-point: reached; homing: attained; any way
-        of stopping: at rest. Called from inside waits and callbacks: must neither wait nor send.
+            timeout_s: [s]; None: as long as it takes.
 
         Raises:
-            DeviceFault: the drive reports a fault.
-            LinkError: the drive is no longer heard, or the bus is gone.
-            MotionInterrupted: the hardware ended the motion (power off, another master).
+            DeadlineExceeded: not within `timeout_s`; the motion goes on.
+            MotionInterrupted: it was stopped or replaced by somebody else.
+            DeviceFault: the drive has a fault.
+            LinkError: the drive is no longer heard.
+        """
+        wait_for_all((self,), timeout_s)
+
+    @final
+    def is_done(self) -> bool:
+        """Whether `wait_until_done` would return at once; raises as it does."""
+        return self._look(self._run)
+
+    @final
+    def stop(self) -> None:
+        """The motor is slowing down and its motion is over; wait_until_done() waits for rest.
+
+        Stopping takes nobody's permission, and may be done from a callback. So may `quick_stop`
+        and `halt`.
+        """
+        self._bring_to_rest("stop", self._stop)
+
+    @final
+    def quick_stop(self) -> None:
+        """The motor stops as its quick stop does; it moves again only after enable()."""
+        self._bring_to_rest("quick_stop", self._quick_stop)
+
+    @final
+    def halt(self) -> None:
+        """The motor stops as the drive's halt option says; its motion is over."""
+        self._bring_to_rest("halt", self._halt)
+
+    # ---- power, fault, reference ----
+
+    @final
+    def enable(self) -> None:
+        """The power stage is on and the motor holds its position.
+
+        Raises:
+            DeviceFault: the drive reports a fault: reset_fault() first.
+        """
+        with self._operation("enable"):
+            if require_no_fault(self) is not MotorState.ENABLED:
+                self._call(self._enable)
+
+    @final
+    def disable(self) -> None:
+        """The power stage is off; a motion is over, and a motor in motion coasts."""
+        with self._operation("disable"):
+            status = self._status()
+            self._call(self._disable)
+            self._physical.end(f"disable() of {self.name}", self.runtime.now_ns(), status)
+
+    @final
+    def reset_fault(self) -> None:
+        """There is no fault any more; the power stage is off if there was one.
+
+        Raises:
+            DeviceFault: its cause is still there.
+        """
+        with self._operation("reset_fault"):
+            fault = self._call(self._read_fault)
+            if fault is None:
+                return
+            self._call(self._reset_fault)
+            by = f"fault {fault.code:04X}h"
+            self._physical.end(by, self.runtime.now_ns(), RunStatus.FAILED)
+
+    @final
+    def home(
+        self, method: int | None = None, *, wait: bool = True, timeout_s: float = _HOMING_TIMEOUT_S
+    ) -> None:
+        """The motor knows where its position 0 is.
+
+        Args:
+            method: as CiA 402 numbers them (37: here is 0); None: the hardware's default.
+            wait: False: it has only begun; wait_until_done() waits for it.
+            timeout_s: how long it may take [s]; after that it is stopped.
+
+        Raises:
+            UnsupportedError: the motor does not know the method.
             PeerError: homing failed.
+            DeadlineExceeded: not within `timeout_s`.
         """
+        with self._operation("home"):
+            require_rest(self, "home")
+            if require_no_fault(self) is not MotorState.ENABLED:
+                self._call(self._enable)
+            self._begin("home", None)
+            try:
+                self._call(self._home, method)
+            except BaseException as error:
+                self._physical.end(f"{error!r}", self.runtime.now_ns(), RunStatus.FAILED)
+                raise
+        if not wait:
+            return
+        try:
+            self.wait_until_done(timeout_s)
+        except BaseException:
+            self.stop()
+            raise
 
-    @abstractmethod
-    def _stop(self) -> None:
-        """The motor slows down at the motion's deceleration, then holds; what it did is over.
+    @final
+    def is_referenced(self) -> bool:
+        """Whether position 0 is where it is meant to be."""
+        self._call(self._connect)
+        return self._call(self._read_referenced)
 
-        This and the two below are called without a transaction, possibly from a callback and while
-        another party is inside another hook of this motor: send, do not wait.
-        """
+    # ---- state and measurements: free for all, never disturb the owner ----
 
-    @abstractmethod
-    def _quick_stop(self) -> None:
-        """The motor stops as the drive's quick stop does; state STOPPED, until enabled again."""
+    @final
+    def state(self) -> MotorState:
+        """The state; OFFLINE if the motor is not heard."""
+        return self._call(self._read_state)
 
-    def _halt(self) -> None:
-        """The motor stops as the drive's halt does, then holds; the next start lifts the halt."""
-        self._stop()
+    @final
+    def fault(self) -> Fault | None:
+        """What the drive says is wrong; None if nothing is."""
+        return self._call(self._read_fault)
 
-    def _motion_times(self) -> MotionTimes | None:
-        """When the last motion began and ended, as the hardware told; None if it cannot tell."""
-        return None
+    @final
+    def position(self) -> float:
+        """Measured position [U]."""
+        self._call(self._connect)
+        return self._call(self._read_position)
+
+    @final
+    def velocity(self) -> float:
+        """Measured velocity [U/s]."""
+        self._call(self._connect)
+        return self._call(self._read_velocity)
+
+    @final
+    def torque(self) -> float:
+        """Measured torque [N·m], or force [N]."""
+        self._call(self._connect)
+        return self._call(self._read_torque)
+
+    @final
+    def following_error(self) -> float:
+        """Demand minus actual position [U]."""
+        self._call(self._connect)
+        return self._call(self._read_following_error)
+
+    @final
+    def latest(self) -> Measurement | None:
+        """What was heard of the motor last; nothing is sent, so callbacks may ask."""
+        return self._call(self._latest)
+
+    def __repr__(self) -> str:
+        text = f"<{type(self).__name__} {self.name!r} on {self._physical.label}"
+        latest = self._latest()
+        if latest is None:
+            return f"{text}>"
+        where = "" if latest.position is None else f", {latest.position:g} {self.model.unit}"
+        return f"{text}: {latest.state.value}{where}>"
+
+    # ---- inside: shared with motorapi.execution and motorapi.group ----
+
+    @final
+    def _call(self, hook: Callable[P, R], *args: P.args, **kwargs: P.kwargs) -> R:
+        """What the hook returns; its errors are of the error tree."""
+        try:
+            return hook(*args, **kwargs)
+        except MotorError:
+            raise
+        except Exception as error:
+            raise PluginError(
+                plugin=type(self).__qualname__, where=hook.__name__, problem=repr(error)
+            ) from error
+
+    @final
+    @contextmanager
+    def _operation(self, name: str) -> Iterator[None]:
+        """The motor is ours, connected, and nobody else operates on it inside the block."""
+        with self._physical.transaction(self.runtime, f"{name}() of {self.name}"):
+            self._physical.take(self, self.name, self._status())
+            self._call(self._connect)
+            yield
+
+    @final
+    def _status(self) -> RunStatus:
+        """How far the physical motor's run is; DONE if there is none."""
+        run = self._physical.run
+        if run is None or run.finished:
+            return RunStatus.DONE
+        try:
+            return RunStatus.DONE if self._call(self._is_done) else RunStatus.GOING
+        except MotorError:
+            return RunStatus.FAILED
+
+    @final
+    def _begin(self, operation: str, motion: Motion | None) -> Run:
+        name = f"{operation}() of {self.name}"
+        run = Run(name, self, self.runtime.now_ns(), motion)
+        self._physical.begin(run, self._status())
+        self._run = run
+        return run
+
+    @final
+    def _look(self, run: Run | None) -> bool:
+        """Whether the run is over; an error if it was ended short of its target."""
+        if run is None or run.finished:
+            return True
+        if run.interrupted_by is not None:
+            raise MotionInterrupted(
+                motor=self.name, by=run.interrupted_by, at_ns=run.interrupted_at_ns
+            )
+        if not self._call(self._is_done):
+            return False
+        if run.ends:
+            run.finished = True
+        return True
+
+    @final
+    def _bring_to_rest(self, operation: str, hook: Callable[[], None]) -> None:
+        status = self._status()
+        self._physical.interruptions += 1
+        self._call(self._connect)
+        self._call(hook)
+        run = Run(f"{operation}() of {self.name}", self, self.runtime.now_ns(), None)
+        self._physical.begin(run, status)
+        self._run = run
+
+    @final
+    def _require_mode(self, mode: ControlMode, operation: str) -> None:
+        if self._mode is not mode:
+            found = "not set" if self._mode is None else self._mode.name
+            raise StateError(
+                motor=self.name,
+                operation=operation,
+                state=f"its control mode is {found}",
+                remedy=f"call set_control_mode(ControlMode.{mode.name}) first",
+            )

@@ -52,3 +52,17 @@ class Runtime(Protocol):
 
     def send(self, bus: "can.BusABC", frame: bytes) -> None:
         """A can_frame is queued on `bus`; `listen` tells when it was transmitted."""
+
+
+def runtime_of(bus: "can.BusABC") -> Runtime:
+    """Where an application on this bus waits: the bus's own runtime if it has one, else the wall.
+
+    An emulated bus of a rig in this process has the rig's; all other buses of the process share
+    one `WallRuntime`.
+    """
+    own: Runtime | None = getattr(bus, "runtime", None)
+    if own is not None:
+        return own
+    from motorapi.wall_runtime import process_runtime
+
+    return process_runtime()

@@ -17,10 +17,12 @@ Ownership across processes is to take its place behind the same three.
 import threading
 import weakref
 from collections import deque
-from collections.abc import Callable, Hashable, Iterator
+from collections.abc import Hashable, Iterator
 from contextlib import contextmanager
+from enum import Enum
 from typing import TYPE_CHECKING, Final, final
 
+from motorapi.commands import ControlVariable, Motion
 from motorapi.errors import MotorBusyError, UsageError
 from motorapi.runtime import Runtime
 
@@ -32,18 +34,47 @@ TRANSACTION_TIMEOUT_S: Final = 10.0
 
 
 @final
+class RunStatus(Enum):
+    """How far a run is, as the hardware tells."""
+
+    GOING = "going"
+    DONE = "done"
+    FAILED = "failed"
+
+
+@final
 class Run:
-    """One motion of a physical motor: who began it, and how it ended."""
+    """One motion of a physical motor: who began it, what it is, and how it ended."""
 
-    __slots__ = ("finished", "interrupted_at_ns", "interrupted_by", "name", "owner", "since_ns")
+    __slots__ = (
+        "finished",
+        "interrupted_at_ns",
+        "interrupted_by",
+        "motion",
+        "name",
+        "owner",
+        "since_ns",
+    )
 
-    def __init__(self, name: str, owner: object, since_ns: int) -> None:
+    def __init__(self, name: str, owner: object, since_ns: int, motion: Motion | None) -> None:
         self.name: Final = name
         self.owner: Final = owner
         self.since_ns: Final = since_ns
+        self.motion: Final = motion
         self.finished = False
         self.interrupted_by: str | None = None
         self.interrupted_at_ns = 0
+
+    @property
+    def ends(self) -> bool:
+        """Whether it ends by itself. A velocity, torque or current set-point goes on."""
+        return self.motion is None or self.motion.variable is ControlVariable.POSITION
+
+    def interrupt(self, by: str, now_ns: int) -> None:
+        """It was ended by `by`, short of its target; the first one counts."""
+        if self.interrupted_by is None and not self.finished:
+            self.interrupted_at_ns = now_ns
+            self.interrupted_by = by  # last: a waiter looks at this one first
 
 
 @final
@@ -56,6 +87,8 @@ class PhysicalMotor:
         """Transactions of several motors are taken in this order, so that none can deadlock."""
         self.token = 0
         self.run: Run | None = None
+        self.interruptions = 0
+        """Grows with every stop, quick stop and halt, so that a start in progress notices."""
         self._owner: object = None
         self._queue: deque[_Ticket] = deque()
 
@@ -83,35 +116,36 @@ class PhysicalMotor:
         finally:
             self._queue.remove(ticket)
 
-    def take(self, owner: object, motor: str, is_over: Callable[[Run], bool]) -> None:
-        """`owner` may command the motor.
+    def take(self, owner: object, motor: str, status: RunStatus) -> None:
+        """`owner` may command the motor; `status` is that of the run there is, if any.
 
         Raises:
-            MotorBusyError: a run of another owner goes on; `is_over` tells whether it does.
+            MotorBusyError: a run of another owner goes on.
         """
         run = self.run
-        if run is not None and run.owner is not owner and not self._has_ended(run, is_over):
-            raise MotorBusyError(motor=motor, holder=run.name, since_ns=run.since_ns)
+        if run is not None and run.interrupted_by is None:
+            if status is RunStatus.DONE and run.ends:
+                run.finished = True
+            going_on = status is not RunStatus.FAILED and not run.finished
+            if going_on and run.owner is not owner:
+                raise MotorBusyError(motor=motor, holder=run.name, since_ns=run.since_ns)
         if self._owner is not owner:
             self._owner = owner
             self.token += 1
 
-    def begin(self, run: Run, is_over: Callable[[Run], bool]) -> None:
+    def begin(self, run: Run, status: RunStatus) -> None:
         """`run` is what the motor does now; what it did before was interrupted, if not over."""
-        self.end(run.name, run.since_ns, is_over)
+        self.end(run.name, run.since_ns, status)
         self.run = run
 
-    def end(self, by: str, now_ns: int, is_over: Callable[[Run], bool]) -> None:
+    def end(self, by: str, now_ns: int, status: RunStatus) -> None:
         """Nothing goes on; what went on was interrupted by `by`, if it was not over."""
         run = self.run
-        if run is not None and not self._has_ended(run, is_over):
-            run.interrupted_by = by
-            run.interrupted_at_ns = now_ns
+        if run is not None:
+            if status is RunStatus.DONE and run.interrupted_by is None:
+                run.finished = True
+            run.interrupt(by, now_ns)
         self.run = None
-
-    @staticmethod
-    def _has_ended(run: Run, is_over: Callable[[Run], bool]) -> bool:
-        return run.finished or run.interrupted_by is not None or is_over(run)
 
 
 @final

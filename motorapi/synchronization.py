@@ -6,7 +6,7 @@ signal. Motors whose hardware can share one signal (drives on one CAN bus: one S
 trigger group and are fired by one trigger; the others one after another.
 """
 
-from collections.abc import Hashable
+from collections.abc import Hashable, Sequence
 from dataclasses import dataclass
 from enum import IntEnum
 from typing import Protocol, final
@@ -60,3 +60,70 @@ class MotionTimes:
     ended_ns: int | None
     source: str
     """Where it was measured ("set-point acknowledge and target reached in TPDO 1")."""
+
+
+@final
+@dataclass(frozen=True, slots=True)
+class SyncCapability:
+    """How well a group can begin and end together, before it moves.
+
+    Attributes:
+        level: what starts it; that of the weakest member.
+        start_skew_s: bound on the time between the first and the last motor's start [s]; None if
+            no bound is known.
+        end_skew_s: predicted time between the first and the last end [s] for the trajectories set
+            now: what rounding to the hardware's units does. None if none can be started now.
+        weakest: the member that keeps it from being better.
+        reason: why, in words.
+    """
+
+    level: SyncLevel
+    start_skew_s: float | None
+    end_skew_s: float | None
+    weakest: str
+    reason: str
+
+
+@final
+@dataclass(frozen=True, slots=True)
+class SyncQuality:
+    """How well a group did begin and end together.
+
+    Attributes:
+        predicted_end_skew_s: from the profiles as the hardware rounded them [s].
+        start_skew_s: between the first and the last motor's start as measured [s]; None until all
+            of them told.
+        end_skew_s: likewise for the ends.
+        times: for each motor its name, and when it began and ended and where that was measured
+            (None: it does not tell).
+    """
+
+    predicted_end_skew_s: float
+    start_skew_s: float | None
+    end_skew_s: float | None
+    times: tuple[tuple[str, MotionTimes | None], ...]
+
+
+def predicted_start_skew_s(offers: Sequence[SyncOffer]) -> float | None:
+    """The bound on start skew of motors fired by one trigger [s]; None if there is none.
+
+    With several triggers one is fired after another, and how long that takes nobody promises.
+    """
+    if any(offer.group != offers[0].group for offer in offers):
+        return None
+    earliest_s: list[float] = []
+    latest_s: list[float] = []
+    for offer in offers:
+        if offer.latency_s is None:
+            return None
+        earliest_s.append(offer.latency_s[0])
+        latest_s.append(offer.latency_s[1])
+    return max(latest_s) - min(earliest_s)
+
+
+def spread_s(times_ns: Sequence[int | None]) -> float | None:
+    """Between the first and the last of these [s]; None if one is missing, or there is none."""
+    known = [time_ns for time_ns in times_ns if time_ns is not None]
+    if not known or len(known) < len(times_ns):
+        return None
+    return (max(known) - min(known)) / 1e9

@@ -1,0 +1,229 @@
+"""Where the wall's runtime gets frames from: python-can's buses, each in the best way it has.
+
+A source gives Linux can_frame bytes and tells own frames from those of others:
+
+- SocketCAN: the socket is read directly. The kernel gives own frames back when they were on the
+  wire (CAN_RAW_RECV_OWN_MSGS) and marks them with MSG_CONFIRM: exact, where python-can's `is_rx`
+  is False for whatever any process of this host has sent.
+- A bus that speaks frames itself (the emulated one, over a socket) is read as it speaks.
+- Any other: by `recv` and `send`. Such a bus does not tell when a frame was transmitted; it is
+  taken to be when `send` has returned.
+"""
+
+import errno
+import select
+import socket
+import struct
+import time
+from typing import TYPE_CHECKING, Final, Protocol, final
+
+from motorapi.errors import LinkError, UsageError
+
+if TYPE_CHECKING:
+    import can
+
+Heard = tuple[bytes, int, bool]
+"""(can_frame, its age [ns], whether it is an own frame that was transmitted)."""
+
+_FRAME: Final = struct.Struct("<IB3x8s")
+_FRAME_SIZE: Final = 16
+_EFF: Final = 0x8000_0000
+_RTR: Final = 0x4000_0000
+_ERR: Final = 0x2000_0000
+# Linux: linux/socket.h, uapi/linux/can.h, uapi/linux/can/raw.h, asm-generic/socket.h
+_AF_CAN: Final = 29
+_SOL_CAN_RAW: Final = 101
+_CAN_RAW_RECV_OWN_MSGS: Final = 4
+_SCM_TIMESTAMPNS: Final = 35
+_MSG_CONFIRM: Final = 0x800
+_FD_FRAME_SIZE: Final = 72
+_QUEUE_FULL_S: Final = 0.1
+_QUEUE_PAUSE_S: Final = 0.0005
+_TIMESPEC: Final = struct.Struct("@ll")
+
+
+class FrameSource(Protocol):
+    """One bus, as frames."""
+
+    reports_own: bool
+    """Whether `receive` gives own frames once they were transmitted."""
+
+    def open(self) -> None:
+        """Frames can be received.
+
+        Raises:
+            UsageError: a can.Notifier reads this bus object already.
+            LinkError: the bus is closed.
+        """
+
+    def receive(self, timeout_s: float) -> Heard | None:
+        """The next frame; None after `timeout_s` [s]. Raises if the bus is gone."""
+
+    def send(self, frame: bytes) -> None:
+        """The frame is queued.
+
+        Raises:
+            LinkError: the bus does not take it.
+        """
+
+    def close(self) -> None:
+        """The bus object is as it was before."""
+
+
+def source_of(bus: "can.BusABC") -> FrameSource:
+    """The best source this bus object has."""
+    if callable(getattr(bus, "receive_frame", None)) and callable(getattr(bus, "transmit", None)):
+        return _FrameBusSource(bus)
+    raw = getattr(bus, "socket", None)
+    one_channel = bool(getattr(bus, "channel", ""))  # "" is SocketCAN's "all channels"
+    if one_channel and isinstance(raw, socket.socket) and raw.family == _AF_CAN:
+        return _SocketCanSource(bus, raw)
+    return _MessageSource(bus)
+
+
+def _refuse_second_reader(bus: "can.BusABC") -> None:
+    import can
+
+    if can.Notifier.find_instances(bus):
+        raise UsageError(
+            f"{bus.channel_info}: a can.Notifier reads this bus object already, and every frame"
+            " goes to one reader only; stop it, or open another bus object for this channel"
+        )
+
+
+def _cannot_send(bus: "can.BusABC", error: Exception) -> LinkError:
+    return LinkError(link=str(bus.channel_info), reason=f"cannot send: {error}")
+
+
+class _FrameBus(Protocol):
+    """What a bus that speaks frames offers (harness.can_plugin.EmulatedBus over a socket)."""
+
+    def receive_frame(self, timeout_s: float) -> tuple[bytes, int, bool] | None:
+        """(frame, time_ns of its own, transmitted)."""
+
+    def transmit(self, frame: bytes) -> None: ...
+
+
+@final
+class _FrameBusSource:
+    def __init__(self, bus: "can.BusABC") -> None:
+        self.reports_own = True
+        self._bus = bus
+        self._frames: _FrameBus = bus  # type: ignore[assignment]  # source_of has looked
+
+    def open(self) -> None:
+        _refuse_second_reader(self._bus)
+
+    def receive(self, timeout_s: float) -> Heard | None:
+        heard = self._frames.receive_frame(timeout_s)
+        return None if heard is None else (heard[0], 0, heard[2])
+
+    def send(self, frame: bytes) -> None:
+        from can import CanError
+
+        try:
+            self._frames.transmit(frame)
+        except CanError as error:
+            raise _cannot_send(self._bus, error) from error
+
+    def close(self) -> None:
+        pass
+
+
+@final
+class _SocketCanSource:
+    def __init__(self, bus: "can.BusABC", raw: socket.socket) -> None:
+        self.reports_own = True
+        self._bus = bus
+        self._socket = raw
+        self._own_before = 0
+
+    def open(self) -> None:
+        _refuse_second_reader(self._bus)
+        try:
+            self._own_before = self._socket.getsockopt(_SOL_CAN_RAW, _CAN_RAW_RECV_OWN_MSGS)
+            self._socket.setsockopt(_SOL_CAN_RAW, _CAN_RAW_RECV_OWN_MSGS, 1)
+        except OSError as error:
+            reason = f"cannot be read: {error}"
+            raise LinkError(link=str(self._bus.channel_info), reason=reason) from error
+
+    def receive(self, timeout_s: float) -> Heard | None:
+        if not select.select([self._socket], [], [], timeout_s)[0]:
+            return None
+        frame, ancillary, flags, _ = self._socket.recvmsg(_FD_FRAME_SIZE, 64)
+        if len(frame) != _FRAME_SIZE:
+            return None  # CAN FD: the motor interface speaks classical CAN
+        age_ns = 0
+        for level, kind, data in ancillary:
+            if (level, kind) == (socket.SOL_SOCKET, _SCM_TIMESTAMPNS):
+                seconds, nanoseconds = _TIMESPEC.unpack(data)
+                age_ns = max(0, time.time_ns() - (seconds * 1_000_000_000 + nanoseconds))
+        return _without_padding(frame), age_ns, bool(flags & _MSG_CONFIRM)
+
+    def send(self, frame: bytes) -> None:
+        deadline_s = time.monotonic() + _QUEUE_FULL_S
+        while True:
+            try:
+                self._socket.send(frame)
+            except OSError as error:
+                # ENOBUFS: the interface's queue (10 frames by default) is full for the moment.
+                if error.errno != errno.ENOBUFS or time.monotonic() > deadline_s:
+                    raise _cannot_send(self._bus, error) from error
+                time.sleep(_QUEUE_PAUSE_S)
+            else:
+                return
+
+    def close(self) -> None:
+        self._socket.setsockopt(_SOL_CAN_RAW, _CAN_RAW_RECV_OWN_MSGS, self._own_before)
+
+
+def _without_padding(frame: bytes) -> bytes:
+    """The frame with zeros in what is padding, and after the data: drivers leave rubbish there."""
+    can_id, length, data = _FRAME.unpack(frame)
+    if can_id & _RTR:
+        return _FRAME.pack(can_id, length, b"")
+    return _FRAME.pack(can_id, length, data[:length])
+
+
+@final
+class _MessageSource:
+    def __init__(self, bus: "can.BusABC") -> None:
+        self.reports_own = False
+        self._bus = bus
+
+    def open(self) -> None:
+        _refuse_second_reader(self._bus)
+
+    def receive(self, timeout_s: float) -> Heard | None:
+        message = self._bus.recv(timeout_s)
+        if message is None or message.is_fd or not message.is_rx:
+            return None  # an own frame (receive_own_messages) was reported when it was sent
+        can_id = message.arbitration_id
+        if message.is_extended_id:
+            can_id |= _EFF
+        if message.is_error_frame:
+            can_id |= _ERR
+        if message.is_remote_frame:
+            return _FRAME.pack(can_id | _RTR, message.dlc, b""), 0, False
+        return _FRAME.pack(can_id, len(message.data), bytes(message.data)), 0, False
+
+    def send(self, frame: bytes) -> None:
+        from can import CanError, Message
+
+        can_id, length, data = _FRAME.unpack(frame)
+        extended = bool(can_id & _EFF)
+        remote = bool(can_id & _RTR)
+        message = Message(
+            arbitration_id=can_id & (0x1FFF_FFFF if extended else 0x7FF),
+            is_extended_id=extended,
+            is_remote_frame=remote,
+            dlc=length,
+            data=None if remote else data[:length],
+        )
+        try:
+            self._bus.send(message)
+        except CanError as error:
+            raise _cannot_send(self._bus, error) from error
+
+    def close(self) -> None:
+        pass

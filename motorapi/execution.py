@@ -1,0 +1,363 @@
+"""Executing commands: one motor or many, started as one operation, waited for as one.
+
+    take all (in one global order) -> plan -> enable -> plan -> arm all -> fire -> confirm all
+
+Whatever fails before firing: nothing has moved, and what was armed is disarmed. Whatever fails
+after: every motor of the start is stopped. A start of one motor is a start of a group of one.
+"""
+
+# ruff: noqa: SLF001 -- the one place beside Motor itself that works the hooks, of several motors
+
+from collections.abc import Sequence
+from contextlib import ExitStack
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, final
+
+from motorapi import planning
+from motorapi.commands import ControlMode, Motion, Setpoint
+from motorapi.errors import (
+    DeadlineExceeded,
+    DeviceFault,
+    LimitError,
+    LinkError,
+    MotionInterrupted,
+    StateError,
+    UsageError,
+)
+from motorapi.sharing import Run, RunStatus
+from motorapi.state import Fault, MotorState
+from motorapi.synchronization import Trigger
+from motorapi.trajectory import TrapezoidalTrajectory
+
+if TYPE_CHECKING:
+    from motorapi.motor import Motor
+
+
+@final
+@dataclass(frozen=True, slots=True)
+class Started:
+    """One motor of a start: what was asked of it, and what its hardware makes of that."""
+
+    motor: "Motor"
+    motion: Motion
+    quantised: Motion
+
+
+def start_together(motors: Sequence["Motor"]) -> tuple[Started, ...]:
+    """All motors have begun what was set for each; trajectories end together.
+
+    Raises:
+        MotorError: as `Motor.start`; a note says whose it is, if there are several.
+    """
+    for motor in motors:
+        _require_command(motor)
+    with ExitStack() as held:
+        for motor in sorted(motors, key=lambda motor: motor._physical.order):
+            held.enter_context(motor._operation("start"))
+        seen = [motor._physical.interruptions for motor in motors]
+        disabled = [motor for motor in motors if _require_movable(motor) is MotorState.DISABLED]
+        motions = plan(motors)
+        if disabled:
+            for motor in disabled:
+                motor._call(motor._enable)
+            motions = plan(motors)  # switching on may have moved what they hold
+        started = tuple(
+            Started(motor, motion, motor._call(motor._quantise, motion))
+            for motor, motion in zip(motors, motions, strict=True)
+        )
+        _fire(started, _arm(started, seen), seen)
+        return started
+
+
+def plan(motors: Sequence["Motor"]) -> list[Motion]:
+    """The motion of each motor from where it is now, stretched to a common duration.
+
+    Raises:
+        UsageError: one cannot be made; nothing was sent but questions.
+    """
+    motions = [_plan_one(motor) for motor in motors]
+    if len(motors) > 1:
+        motions = _common_duration(motors, motions)
+    return motions
+
+
+def _plan_one(motor: "Motor") -> Motion:
+    command = _require_command(motor)
+    _require_startable(motor)
+    absolute = not (command.relative if isinstance(command, Setpoint) else command.is_relative)
+    if absolute and motor.model.requires_referencing and not motor._call(motor._read_referenced):
+        raise StateError(
+            motor=motor.name,
+            operation="start",
+            state="its position is not referenced, and the target is absolute",
+            remedy="call home() first",
+        )
+    reference = motor._call(motor._read_reference)
+    if isinstance(command, Setpoint):
+        variable = motor.control_variable
+        return planning.plan_setpoint(motor.name, motor.model, variable, command, reference)
+    return planning.plan_trajectory(motor.name, motor.model, command, reference)
+
+
+def _require_command(motor: "Motor") -> Setpoint | TrapezoidalTrajectory:
+    if motor._command is None:
+        raise StateError(
+            motor=motor.name,
+            operation="start",
+            state="there is nothing to start",
+            remedy="call set_control_mode(), then set_setpoint() or set_trajectory()",
+        )
+    return motor._command
+
+
+def _require_startable(motor: "Motor") -> None:
+    """Nothing goes on, or a set-point that another of its kind may replace."""
+    run = motor._physical.run
+    before = None if run is None else run.motion
+    replaceable = (
+        before is not None
+        and before.mode is ControlMode.SETPOINT
+        and motor.control_mode is ControlMode.SETPOINT
+        and before.variable is motor.control_variable
+    )
+    if not replaceable:
+        require_rest(motor, "start")
+
+
+def _require_movable(motor: "Motor") -> MotorState:
+    state = require_no_fault(motor)
+    if state is MotorState.STOPPED:
+        raise StateError(
+            motor=motor.name,
+            operation="start",
+            state="it was brought to a quick stop",
+            remedy="call enable() when it is safe to move",
+        )
+    return state
+
+
+def require_no_fault(motor: "Motor") -> MotorState:
+    """The motor's state, which is neither FAULT nor OFFLINE.
+
+    Raises:
+        DeviceFault: the drive reports a fault.
+        LinkError: the motor is not heard.
+    """
+    state = motor._call(motor._read_state)
+    if state is MotorState.OFFLINE:
+        raise LinkError(link=motor._physical.label, reason=f"{motor.name} is not heard")
+    if state is MotorState.FAULT:
+        fault = motor._call(motor._read_fault)
+        if fault is None:
+            fault = Fault(0, "not told", motor.runtime.now_ns())
+        raise DeviceFault(
+            motor=motor.name, code=fault.code, text=fault.text, since_ns=fault.since_ns
+        )
+    return state
+
+
+def require_rest(motor: "Motor", operation: str) -> None:
+    """No motion goes on in a motor that was taken already.
+
+    Raises:
+        StateError: one does.
+    """
+    run = motor._physical.run
+    if run is None or run.finished or motor._status() is RunStatus.FAILED:
+        return
+    raise StateError(
+        motor=motor.name,
+        operation=operation,
+        state=f"{run.name} goes on since {run.since_ns / 1e9:.6f} s",
+        remedy="wait_until_done() or stop() first",
+    )
+
+
+def _common_duration(motors: Sequence["Motor"], motions: Sequence[Motion]) -> list[Motion]:
+    """Every trajectory takes as long as the slowest motor's, after its hardware's rounding."""
+    moving = [
+        place
+        for place, motion in enumerate(motions)
+        if motion.trajectory is not None and motion.distance != 0.0
+    ]
+    result = list(motions)
+    if not moving:
+        return result
+    rounded = {
+        place: motors[place]._call(motors[place]._quantise, motions[place]) for place in moving
+    }
+    shortest_s = {place: planning.duration_of(rounded[place]) for place in moving}
+    asked: dict[float, str] = {}
+    for place in moving:
+        trajectory = motions[place].trajectory
+        if trajectory is not None and trajectory.duration_s is not None:
+            asked.setdefault(trajectory.duration_s, motors[place].name)
+    if len(asked) > 1:
+        several = ", ".join(f"{duration:g} s for {name}" for duration, name in asked.items())
+        raise UsageError(f"motors of a group end together: durations differ ({several})")
+    duration_s = next(iter(asked)) if asked else max(shortest_s.values())
+    for place in moving:
+        motion = motions[place]
+        if motion.trajectory is not None and motion.trajectory.duration_s is not None:
+            continue  # planned for that very duration
+        if shortest_s[place] == duration_s:
+            continue
+        if shortest_s[place] > duration_s:
+            raise LimitError(
+                motor=motors[place].name,
+                quantity="duration",
+                value=duration_s,
+                low=shortest_s[place],
+                high=None,
+                unit="s",
+                reason=f"asked for by the trajectory of {asked[duration_s]}",
+            )
+        stretched = planning.stretch(rounded[place], duration_s)
+        result[place] = replace(stretched, start=motion.start, target=motion.target)
+    return result
+
+
+def _arm(started: Sequence[Started], seen: Sequence[int]) -> list[Trigger]:
+    """All are armed, confirmed; what fires them, each trigger once, in the order of motors."""
+    armed: list[Started] = []
+    triggers: list[Trigger] = []
+    try:
+        for one in started:
+            armed.append(one)
+            trigger = one.motor._call(one.motor._arm, one.motion, together=len(started) > 1)
+            if trigger not in triggers:
+                triggers.append(trigger)
+        _check_not_interrupted(started, seen)
+    except BaseException as error:
+        _note_member(error, armed[-1], started)
+        _disarm(armed, error)
+        raise
+    return triggers
+
+
+def _fire(started: Sequence[Started], triggers: Sequence[Trigger], seen: Sequence[int]) -> None:
+    """All have begun, and have said so."""
+    runs = [one.motor._begin("start", one.motion) for one in started]
+    current = started[0]
+    try:
+        for trigger in triggers:
+            current.motor._call(trigger.fire)
+        for current in started:
+            current.motor._call(current.motor._confirm, current.motion)
+        _check_not_interrupted(started, seen)
+    except BaseException as error:
+        _note_member(error, current, started)
+        _abandon(started, runs, error)
+        raise
+
+
+def _check_not_interrupted(started: Sequence[Started], seen: Sequence[int]) -> None:
+    for one, count in zip(started, seen, strict=True):
+        physical = one.motor._physical
+        if physical.interruptions != count:
+            run = physical.run
+            by = "a stop" if run is None else run.name
+            raise MotionInterrupted(motor=one.motor.name, by=by, at_ns=one.motor.runtime.now_ns())
+
+
+def _disarm(armed: Sequence[Started], error: BaseException) -> None:
+    for one in reversed(armed):
+        try:
+            one.motor._call(one.motor._disarm)
+        except Exception as further:
+            error.add_note(f"and {one.motor.name} could not be disarmed: {further}")
+
+
+def _abandon(started: Sequence[Started], runs: Sequence[Run], error: BaseException) -> None:
+    """A start that failed after firing: every motor is stopped, none may start any more."""
+    for one, run in zip(started, runs, strict=True):
+        try:
+            one.motor._call(one.motor._stop)
+        except Exception as further:
+            error.add_note(f"and {one.motor.name} could not be stopped: {further}")
+        if one.motor._physical.run is run:
+            now_ns = one.motor.runtime.now_ns()
+            one.motor._physical.end(f"a failed start ({error})", now_ns, RunStatus.FAILED)
+    _disarm(started, error)
+
+
+def _note_member(error: BaseException, one: Started, started: Sequence[Started]) -> None:
+    if len(started) > 1:
+        place = next(place for place, other in enumerate(started) if other is one)
+        error.add_note(f"from {one.motor.name}, motor {place + 1} of {len(started)}")
+
+
+def wait_for_all(motors: Sequence["Motor"], timeout_s: float | None) -> None:
+    """What was commanded last is over in all motors; the first to fail stops the others.
+
+    Raises:
+        DeadlineExceeded: not within `timeout_s` [s]; names who was not done. Nothing is stopped.
+        MotorError: how a motion failed.
+    """
+    waiting = [(motor, motor._run) for motor in motors]
+    runtime = motors[0].runtime
+    deadline_ns = None if timeout_s is None else runtime.now_ns() + round(timeout_s * 1e9)
+
+    def all_over() -> bool:
+        nonlocal waiting
+        waiting = [(motor, run) for motor, run in waiting if not _is_over(motor, run)]
+        return not waiting
+
+    while True:
+        again_s = [motor._call(motor._refresh) for motor, run in waiting if run is not None]
+        pauses_s = [pause_s for pause_s in again_s if pause_s is not None]
+        if deadline_ns is not None:
+            pauses_s.append(max(0, deadline_ns - runtime.now_ns()) / 1e9)
+        try:
+            if runtime.wait_until(all_over, min(pauses_s) if pauses_s else None):
+                return
+        except _MemberFailed as failed:
+            _stop_others(motors, failed)
+            raise failed.error from failed.error.__cause__
+        if deadline_ns is not None and runtime.now_ns() >= deadline_ns:
+            break
+    names = ", ".join(motor.name for motor, _ in waiting)
+    raise DeadlineExceeded(
+        awaited=f"end of motion of {names}",
+        timeout_s=0.0 if timeout_s is None else timeout_s,
+        last_heard="; ".join(_last_heard(motor) for motor, _ in waiting),
+    )
+
+
+@final
+class _MemberFailed(Exception):  # noqa: N818 -- never leaves this module
+    def __init__(self, motor: "Motor", error: Exception) -> None:
+        super().__init__()
+        self.motor = motor
+        self.error = error
+
+
+def _is_over(motor: "Motor", run: Run | None) -> bool:
+    try:
+        return motor._look(run)
+    except Exception as error:
+        raise _MemberFailed(motor, error) from error
+
+
+def _stop_others(motors: Sequence["Motor"], failed: _MemberFailed) -> None:
+    if len(motors) == 1:
+        return
+    failed.error.add_note(f"from {failed.motor.name}; the others of its group were stopped")
+    for motor in motors:
+        if motor is not failed.motor:
+            try:
+                motor.stop()
+            except Exception as further:
+                failed.error.add_note(f"but {motor.name} could not be stopped: {further}")
+
+
+def _last_heard(motor: "Motor") -> str:
+    latest = motor.latest()
+    if latest is None:
+        return f"{motor.name}: nothing"
+    text = f"{motor.name}: {latest.state.value} at {latest.time_ns / 1e9:.6f} s"
+    if latest.position is not None:
+        text += f", {latest.position:g} {motor.model.unit}"
+    if latest.velocity is not None:
+        text += f", {latest.velocity:g} {motor.model.unit}/s"
+    return text

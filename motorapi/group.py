@@ -1,0 +1,192 @@
+"""Motors that move together.
+
+Algorithm 2 of the paper runs nearly word for word::
+
+group = MotorGroup(motor1, motor2)
+group.for_each(Motor.set_control_mode, ControlMode.TRAJECTORY)
+group.set_trajectory(TrapezoidalTrajectory(1.0), TrapezoidalTrajectory(2.0))
+group.start()
+group.wait_until_done()
+"""
+
+# ruff: noqa: SLF001 -- a group works the hooks of its members, as Motor does its own
+
+from collections.abc import Callable
+
+from motorapi import planning
+from motorapi.device import DeviceGroup
+from motorapi.errors import MotorError, UsageError
+from motorapi.execution import Started, plan, start_together, wait_for_all
+from motorapi.motor import Motor
+from motorapi.synchronization import (
+    SyncCapability,
+    SyncLevel,
+    SyncOffer,
+    SyncQuality,
+    predicted_start_skew_s,
+    spread_s,
+)
+from motorapi.trajectory import TrapezoidalTrajectory
+
+
+class MotorGroup(DeviceGroup[Motor]):
+    """An arbitrary number of motors that are started, waited for and stopped as one."""
+
+    def __init__(self, *motors: Motor) -> None:
+        self._started: tuple[Started, ...] = ()
+        super().__init__(*motors)
+
+    def _check_member(self, device: Motor) -> None:
+        for member in self:
+            if member._physical is device._physical:
+                raise UsageError(
+                    f"{device.name} and {member.name} are the same physical motor,"
+                    f" {device._physical.label}: a group can move it only once"
+                )
+            if member.runtime is not device.runtime:
+                raise UsageError(
+                    f"{device.name} and {member.name} live in different runtimes:"
+                    " they have no common time to begin at"
+                )
+
+    def set_trajectory(self, *trajectories: TrapezoidalTrajectory) -> None:
+        """Each motor's trajectory is set, in the order of appending; all of them or none.
+
+        Raises:
+            UsageError: there are not as many as motors, or one cannot be made.
+        """
+        if len(trajectories) != len(self):
+            raise UsageError(
+                f"{len(trajectories)} trajectories for {len(self)} motors: give one for each"
+            )
+        before = [motor._command for motor in self]
+        try:
+            for motor, trajectory in zip(self, trajectories, strict=True):
+                motor.set_trajectory(trajectory)
+        except MotorError:
+            for motor, command in zip(self, before, strict=True):
+                motor._command = command
+            raise
+
+    def start(self) -> None:
+        """All motors have begun what was set for each: trajectories begin and end together.
+
+        They are as fast as the slowest of them allows, or take the duration that one of their
+        trajectories asks for. All are armed, and confirmed it, before the first is fired. If one
+        refuses, none has moved; if one fails to begin, all are stopped.
+
+        Raises:
+            MotorError: as `Motor.start`; a note on the error says whose it is.
+        """
+        self._started = start_together(self._members())
+
+    def wait_until_done(self, timeout_s: float | None = None) -> None:
+        """What was commanded last is over in every motor. If one fails, the others are stopped.
+
+        Raises:
+            DeadlineExceeded: not within `timeout_s` [s]; names who is not done.
+            MotorError: as `Motor.wait_until_done`.
+        """
+        wait_for_all(self._members(), timeout_s)
+
+    def is_done(self) -> bool:
+        """Whether `wait_until_done` would return at once; raises as it does."""
+        done = [motor.is_done() for motor in self]  # every member is looked at, and may raise
+        return all(done)
+
+    def stop(self) -> None:
+        """Every motor is slowing down; all are tried, then the first error is raised."""
+        self._every(Motor.stop)
+
+    def quick_stop(self) -> None:
+        """Every motor makes its quick stop; all are tried, then the first error is raised."""
+        self._every(Motor.quick_stop)
+
+    def halt(self) -> None:
+        """Every motor halts; all are tried, then the first error is raised."""
+        self._every(Motor.halt)
+
+    def sync_capability(self) -> SyncCapability:
+        """How well these motors can begin and end together, with what is set now.
+
+        Raises:
+            MotorError: a motor does not answer.
+        """
+        members = self._members()
+        offers: list[SyncOffer] = []
+        for motor in members:
+            motor._call(motor._connect)
+            offers.append(motor._call(motor._sync_offer))
+        weakest = min(range(len(offers)), key=lambda place: offers[place].level)
+        level, reason = offers[weakest].level, offers[weakest].reason
+        for place, offer in enumerate(offers):
+            if offer.group != offers[0].group and level is not SyncLevel.SEQUENTIAL:
+                level, weakest = SyncLevel.SEQUENTIAL, place
+                reason = f"it has another trigger ({offer.group}) than {members[0].name}"
+        return SyncCapability(
+            level=level,
+            start_skew_s=predicted_start_skew_s(offers),
+            end_skew_s=self._predicted_end_skew_s(),
+            weakest=members[weakest].name,
+            reason=reason,
+        )
+
+    def sync_quality(self) -> SyncQuality:
+        """How well the last start began and ended together; what has not happened yet is None.
+
+        Raises:
+            UsageError: the group was never started.
+        """
+        if not self._started:
+            raise UsageError("the group has not been started: there is no quality to tell")
+        times = tuple(
+            (one.motor.name, one.motor._call(one.motor._motion_times)) for one in self._started
+        )
+        known = [its for _, its in times]
+        return SyncQuality(
+            predicted_end_skew_s=_end_skew_s(self._started),
+            start_skew_s=spread_s([None if its is None else its.started_ns for its in known]),
+            end_skew_s=spread_s([None if its is None else its.ended_ns for its in known]),
+            times=times,
+        )
+
+    def _members(self) -> tuple[Motor, ...]:
+        if not len(self):
+            raise UsageError("the group is empty: append a motor first")
+        return tuple(self)
+
+    def _predicted_end_skew_s(self) -> float | None:
+        try:
+            motions = plan(self._members())
+        except UsageError:
+            return None
+        return _end_skew_s(
+            [
+                Started(motor, motion, motor._call(motor._quantise, motion))
+                for motor, motion in zip(self, motions, strict=True)
+            ]
+        )
+
+    def _every(self, method: Callable[[Motor], None]) -> None:
+        first: MotorError | None = None
+        for motor in self:
+            try:
+                method(motor)
+            except MotorError as error:
+                error.add_note(f"from {motor.name}")
+                if first is None:
+                    first = error
+                else:
+                    first.add_note(f"and {motor.name}: {error}")
+        if first is not None:
+            raise first
+
+
+def _end_skew_s(started: "tuple[Started, ...] | list[Started]") -> float:
+    """Between the ends of the profiles as the hardware makes them; motors at rest do not count."""
+    durations_s = [
+        planning.duration_of(one.quantised)
+        for one in started
+        if one.motion.trajectory is not None and one.motion.distance != 0.0
+    ]
+    return max(durations_s) - min(durations_s) if durations_s else 0.0

@@ -1,0 +1,212 @@
+"""What a vendor fills in: the protected hooks of a motor, on one page.
+
+An adaptation derives from `motorapi.motor.Motor`, contains a hardware object, and fills these in.
+All are in SI units and signed as the motor model says; increments stay inside the hardware object.
+Unless a hook says otherwise it may wait, through `self.runtime` only, and raises the errors of
+`motorapi.errors`; anything else it raises reaches the caller as a `PluginError`. The public methods
+have checked modes, limits and state before they call a hook, and see to it that no two hooks that
+act run at once on one physical motor (`_stop`, `_quick_stop` and `_halt` excepted).
+U stands for the motor's unit of position: rad, or m for a linear motor.
+"""
+
+from abc import ABC, abstractmethod
+from typing import final
+
+from motorapi.commands import ControlMode, ControlVariable, Motion
+from motorapi.device import Device
+from motorapi.errors import UnsupportedError
+from motorapi.model import MotorModel
+from motorapi.runtime import Runtime
+from motorapi.sharing import PhysicalMotor
+from motorapi.state import Fault, Measurement, MotorState
+from motorapi.synchronization import MotionTimes, SyncOffer, Trigger
+
+
+class MotorHooks(Device, ABC):
+    """The vendor's side of a motor; the application's side is `motorapi.motor.Motor`.
+
+    Args:
+        name: what messages and records call it.
+        model: what is constant of the motor, shared between copies.
+        runtime: where it waits.
+        physical: the record its hardware object got from `register_physical_motor`.
+    """
+
+    def __init__(
+        self, *, name: str, model: MotorModel, runtime: Runtime, physical: PhysicalMotor
+    ) -> None:
+        super().__init__(name, runtime)
+        self._model = model
+        self._physical = physical
+
+    @property
+    @final
+    def model(self) -> MotorModel:
+        """What is constant of this motor."""
+        return self._model
+
+    # ---- what the hardware can do: answered at once, without the wire ----
+
+    @abstractmethod
+    def _supports(self, mode: ControlMode, variable: ControlVariable) -> bool:
+        """Whether this motor can be commanded so."""
+
+    @abstractmethod
+    def _sync_offer(self) -> SyncOffer:
+        """What it offers for starting together with others, as it is configured now.
+
+        This and `_quantise` are called after `_connect`.
+        """
+
+    @abstractmethod
+    def _quantise(self, motion: Motion) -> Motion:
+        """`motion` as the hardware will really make it, after rounding to its own units.
+
+        Target, velocity, acceleration and deceleration may differ from what was asked by one step
+        of the hardware; velocities and accelerations are rounded down, so that no limit is
+        exceeded (but not to 0). What is rounded already stays as it is. The common duration of a
+        group, and its end skew, are predicted from it.
+        """
+
+    # ---- connecting, state and measurements ----
+
+    def _connect(self) -> None:
+        """The hardware answers and is configured: booted, PDOs mapped, dead-man set up.
+
+        Called at the beginning of every public operation that needs the wire, so it is cheap when
+        there is nothing to do. Two parties may call it at once: the second waits for the first.
+        """
+
+    @abstractmethod
+    def _read_state(self) -> MotorState:
+        """The state; does not wait if the hardware reports it by itself. A fault is no error."""
+
+    @abstractmethod
+    def _read_fault(self) -> Fault | None:
+        """The fault the drive reports, None if there is none."""
+
+    @abstractmethod
+    def _read_referenced(self) -> bool:
+        """Whether position 0 is where the model means it to be (homed since power-on)."""
+
+    @abstractmethod
+    def _read_position(self) -> float:
+        """Measured position [U]."""
+
+    @abstractmethod
+    def _read_velocity(self) -> float:
+        """Measured velocity [U/s]."""
+
+    @abstractmethod
+    def _read_reference(self) -> float:
+        """The position the controller holds or moves through now [U]: the demand.
+
+        With the power stage off, the measured position. Relative motions are counted from here, so
+        that errors of the servo do not add up.
+        """
+
+    def _read_torque(self) -> float:
+        """Measured torque [N·m], of a linear motor force [N]."""
+        raise UnsupportedError(motor=self.name, feature="measuring torque")
+
+    def _read_following_error(self) -> float:
+        """Demand minus actual position [U]."""
+        raise UnsupportedError(motor=self.name, feature="measuring the following error")
+
+    def _latest(self) -> Measurement | None:
+        """What was heard last. Must neither wait nor send: recorders ask from callbacks."""
+        return None
+
+    def _refresh(self) -> float | None:
+        """What `_is_done` looks at is fresh.
+
+        Returns:
+            After how long to call again while waiting [s]; None if the hardware reports by itself.
+        """
+        return None
+
+    # ---- power, fault, reference ----
+
+    @abstractmethod
+    def _enable(self) -> None:
+        """The power stage is on and the motor holds its position, without having moved."""
+
+    @abstractmethod
+    def _disable(self) -> None:
+        """The power stage is off."""
+
+    @abstractmethod
+    def _reset_fault(self) -> None:
+        """The fault is acknowledged and gone (else DeviceFault); the power stage is off."""
+
+    @abstractmethod
+    def _home(self, method: int | None) -> None:
+        """Homing by `method` (CiA 402 numbering; None: the hardware's default) has begun.
+
+        `_is_done` tells when it is over. An unknown method is an `UnsupportedError`.
+        """
+
+    # ---- motion. Called in the order _arm, Trigger.fire, _confirm. ----
+
+    @abstractmethod
+    def _arm(self, motion: Motion, *, together: bool) -> Trigger:
+        """All that `motion` needs is in the hardware, confirmed, and nothing has moved yet.
+
+        Every setting that differs from what the hardware holds was pushed: mode, profile, target.
+        What the hardware was told is trusted only while `self._physical.token` is unchanged.
+
+        Args:
+            motion: absolute and within the limits; the hardware's rounding is up to this hook.
+            together: whether one trigger is to start several motors, so that the shared one of
+                `SyncOffer.group` is needed; else any way of starting will do.
+
+        Returns:
+            What starts the motion. The same (or an equal one) for all motors of one group.
+        """
+
+    @abstractmethod
+    def _disarm(self) -> None:
+        """What `_arm` prepared and nothing has started yet will not start any more.
+
+        Also called after an `_arm`, a `Trigger.fire` or a `_confirm` that raised.
+        """
+
+    @abstractmethod
+    def _confirm(self, motion: Motion) -> None:
+        """The hardware has acknowledged the start (waits for it, with a deadline of its own)."""
+
+    @abstractmethod
+    def _is_done(self) -> bool:
+        """Whether what was commanded last (motion, homing, stop, halt, quick stop) is over.
+
+        A position motion: at the target; a velocity set-point: reached; homing: attained; any way
+        of stopping: at rest. False from `_arm` (or the command) on until the hardware has shown
+        otherwise *after* it: what it said of the motion before does not count. Called from inside
+        waits and callbacks: must neither wait nor send.
+
+        Raises:
+            DeviceFault: the drive reports a fault.
+            LinkError: the drive is no longer heard, or the bus is gone.
+            MotionInterrupted: the hardware ended the motion (power off, another master).
+            PeerError: homing failed.
+        """
+
+    @abstractmethod
+    def _stop(self) -> None:
+        """The motor slows down at the motion's deceleration, then holds; what it did is over.
+
+        This and the two below are called without a transaction, possibly from a callback and while
+        another party is inside another hook of this motor: send, do not wait.
+        """
+
+    @abstractmethod
+    def _quick_stop(self) -> None:
+        """The motor stops as the drive's quick stop does; state STOPPED, until enabled again."""
+
+    def _halt(self) -> None:
+        """The motor stops as the drive's halt does, then holds; the next start lifts the halt."""
+        self._stop()
+
+    def _motion_times(self) -> MotionTimes | None:
+        """When the last motion began and ended, as the hardware told; None if it cannot tell."""
+        return None
