@@ -1,0 +1,272 @@
+"""A CiA 402 drive on a CAN bus: one CANopen node, one power drive, one axis; sans-I/O.
+
+The drive looks at itself when something comes in, when the node has something to do, and at the
+exact tick at which the axis' flags change; in between, and at rest, it costs nothing.
+"""
+
+from collections.abc import Mapping, Sequence
+from typing import Final, final
+
+from emulators.canopen.nmt import NmtState
+from emulators.canopen.node import CanopenNode, NodeTiming
+from emulators.canopen.object_dictionary import ObjectDictionary
+from emulators.cia402.mode import NEVER
+from emulators.cia402.objects import DriveObjects
+from emulators.cia402.power_drive import NO_FAULT, PowerDrive
+from emulators.cia402.readings import Readings
+from emulators.cia402.settings import DriveSettings
+from emulators.firmware import flags as f
+from emulators.firmware.axis import Axis
+
+COMMUNICATION: Final = 0x8100
+HEARTBEAT: Final = 0x8130
+STIMULI: Final = ("load_torque_n_m", "fault", "power")
+
+# 1001h by the error code's first digits (CiA 301, 7.5.2.2; CiA 402-2, error codes).
+_REGISTER_GENERIC: Final = 0x01
+_REGISTER: Final[dict[int, int]] = {0x2: 0x02, 0x3: 0x04, 0x4: 0x08, 0xF: 0x80}
+_REGISTER_COMMUNICATION: Final = 0x10  # 81xxh, 82xxh
+_REGISTER_PROFILE: Final = 0x20  # 83xxh to 87xxh: torque, velocity, position, following error
+_FAULT_TEXT: Final[dict[int, str]] = {
+    0x2310: "continuous over-current",
+    0x3210: "DC-link over-voltage",
+    0x3220: "DC-link under-voltage",
+    0x4310: "drive too hot",
+    0x7300: "sensor",
+    0x8100: "communication",
+    0x8130: "heartbeat lost",
+    0x8611: "following error",
+}
+
+
+def error_register(code: int) -> int:
+    """The bits of 1001h that go with an error code; generic (bit 0) always does."""
+    group = code >> 12
+    if group == 0x8:
+        bits = _REGISTER_COMMUNICATION if code < 0x8300 else _REGISTER_PROFILE
+    else:
+        bits = _REGISTER.get(group, 0)
+    return _REGISTER_GENERIC | bits
+
+
+@final
+class Cia402Drive:
+    """Implements `emulators.controller.Controller` and `emulators.canopen.node.NodeHost`."""
+
+    def __init__(
+        self,
+        od: ObjectDictionary,
+        settings: DriveSettings,
+        events: Sequence[tuple[str, str]] = (),
+    ) -> None:
+        plant = settings.plant
+        radians = plant.gear_ratio * plant.increments_per_rad()
+        self.od = od
+        self.settings = settings
+        self.axis = Axis(
+            plant,
+            settings.gains,
+            settings.tick_ns,
+            settings.current_steps,
+            int(settings.initial_position_rad * radians // 1.0),
+        )
+        self._objects = DriveObjects(od, settings)
+        self._power_drive = PowerDrive(
+            self.axis, self._objects, settings.tick_ns, settings.enable_ns
+        )
+        Readings(self.axis, self._objects, self._power_drive).bind(od)
+        self._node = CanopenNode(
+            od,
+            settings.node_id,
+            NodeTiming(boot_up_ns=settings.boot_up_ns, sdo_reply_ns=settings.sdo_reply_ns),
+            self,
+        )
+        self._events: list[tuple[str, str]] = list(events)
+        self._statusword: int = 0  # as last told to the node's TPDOs
+        self._mode: int = 0
+        self._error_code: int = NO_FAULT
+        self._deadline_ns: int = NEVER
+        self._deadline_moved: bool = True
+
+    # --- Controller
+
+    def start(self, now_ns: int) -> None:
+        """Power comes on."""
+        self._node.start(now_ns)
+        self._deadline_moved = True
+
+    def receive(self, data: bytes, now_ns: int) -> None:
+        """A frame was on the bus."""
+        self._node.receive(data, now_ns)
+        self._publish(now_ns)
+
+    def sent(self, data: bytes, now_ns: int) -> None:
+        """An own frame left the bus."""
+        self._node.sent(data, now_ns)
+        self._deadline_moved = True
+
+    def wants_sent(self) -> bool:
+        """The node waits for its TPDOs to leave."""
+        return self._node.wants_sent()
+
+    def next_deadline_ns(self) -> int | None:
+        """When `expire` must be called at the latest [ns]."""
+        if self._deadline_moved:
+            self._find_deadline()
+        return None if self._deadline_ns == NEVER else self._deadline_ns
+
+    def expire(self, now_ns: int) -> None:
+        """What is due is done: first the motor's, then the node's."""
+        self.axis.at(now_ns)
+        self._power_drive.settle(now_ns)
+        self._publish(now_ns)
+        self._node.expire(now_ns)
+        self._publish(now_ns)
+
+    def take_output(self) -> Sequence[bytes]:
+        """The frames to send now."""
+        return self._node.take_output()
+
+    def take_events(self) -> Sequence[tuple[str, str]]:
+        """(level, text) of what happened since last asked."""
+        events = self._node.take_events()
+        if not self._events:
+            return events
+        own = self._events
+        self._events = []
+        return [*events, *own]
+
+    def stimulate(self, name: str, value: float, now_ns: int) -> None:
+        """The load at the output [N m], an error code to fail with, or the power stage's supply.
+
+        Raises:
+            ValueError: there is no such stimulus, or the value is none.
+        """
+        self.axis.at(now_ns)
+        self._power_drive.settle(now_ns)
+        if name == "load_torque_n_m":
+            self.axis.set_load(value)
+        elif name == "fault":
+            if not (1 <= value <= 0xFFFF and value == int(value)):
+                raise ValueError(f"fault takes an error code 0001h..FFFFh, not {value}")
+            self._power_drive.fault(int(value), now_ns)
+        elif name == "power":
+            if value not in (0, 1):
+                raise ValueError(f"power is 0 or 1, not {value}")
+            self._power_drive.set_voltage(value == 1, now_ns)
+        else:
+            raise ValueError(f"there is no stimulus {name!r}; known: {', '.join(STIMULI)}")
+        self._publish(now_ns)
+
+    def snapshot(self, now_ns: int) -> Mapping[str, float]:
+        """The truth at `now_ns`, behind the gear where it says rad and N m."""
+        axis = self.axis
+        axis.at(now_ns)
+        return {
+            "position_rad": axis.output_position_rad(),
+            "velocity_rad_s": axis.output_velocity_rad_s(),
+            "position_inc": float(axis.position_inc()),
+            "demand_inc": float(axis.demand_inc()),
+            "current_a": axis.current_a(),
+            "torque_n_m": axis.torque_n_m(),
+            "following_error_inc": float(axis.following_error_inc()),
+            "state": float(int(self._power_drive.fsa.state)),
+            "mode": float(self._power_drive.mode),
+        }
+
+    def identifiers(self) -> Sequence[int] | None:
+        """The CAN identifiers it listens to."""
+        return self._node.identifiers()
+
+    def identifiers_revision(self) -> int:
+        """Grows whenever `identifiers` would answer something new."""
+        return self._node.identifiers_revision()
+
+    # --- NodeHost
+
+    def on_nmt(self, state: int, now_ns: int) -> None:
+        """Once initialised, the power drive is too; in STOPPED nobody controls it."""
+        if state == NmtState.PRE_OPERATIONAL:
+            self.axis.at(now_ns)
+            self._power_drive.initialised(now_ns)
+        elif state == NmtState.STOPPED:
+            self._abort(COMMUNICATION, now_ns)
+
+    def on_reset(self, whole: bool, now_ns: int) -> None:
+        """Reset node starts the firmware afresh; reset communication takes the host away."""
+        if not whole:
+            self._abort(COMMUNICATION, now_ns)
+            return
+        self.axis.at(now_ns)
+        self._objects.reload()
+        self._power_drive.power_on()
+
+    def on_write(self, now_ns: int) -> None:
+        """Objects were written."""
+        objects = self._objects
+        written = objects.written
+        if not written:
+            return
+        objects.written = 0
+        self.axis.at(now_ns)
+        self._power_drive.settle(now_ns)
+        self._power_drive.written(written, now_ns)
+
+    def on_sync(self, now_ns: int) -> None:
+        """Targets of synchronous RPDOs have come by `on_write`."""
+
+    def before_read(self, now_ns: int) -> None:
+        """Readers answer as of now."""
+        self.axis.at(now_ns)
+        self._power_drive.settle(now_ns)
+
+    def on_heartbeat_lost(self, node_id: int, now_ns: int) -> None:
+        """6007h."""
+        self._abort(HEARTBEAT, now_ns)
+
+    # --- inside
+
+    def _abort(self, code: int, now_ns: int) -> None:
+        self.axis.at(now_ns)
+        self._power_drive.abort_connection(code, now_ns)
+
+    def _publish(self, now_ns: int) -> None:
+        """What has changed is told: EMCY first, then to the TPDOs that map it."""
+        self._deadline_moved = True
+        power_drive = self._power_drive
+        node = self._node
+        if power_drive.told:
+            for code in power_drive.told:
+                node.emergency(code, error_register(code) if code else 0, b"", now_ns)
+                self._tell(code)
+            power_drive.told.clear()
+        if power_drive.error_code != self._error_code:
+            self._error_code = power_drive.error_code
+            node.object_changed(0x603F, 0, now_ns)
+        if power_drive.mode != self._mode:
+            self._mode = power_drive.mode
+            node.object_changed(0x6061, 0, now_ns)
+        statusword = power_drive.statusword()
+        if statusword != self._statusword:
+            self._statusword = statusword
+            node.object_changed(0x6041, 0, now_ns)
+
+    def _tell(self, code: int) -> None:
+        if code == NO_FAULT:
+            self._events.append(("info", "fault reset"))
+            return
+        text = _FAULT_TEXT.get(code)
+        self._events.append(("error", f"fault {code:04X}h" + (f" ({text})" if text else "")))
+
+    def _find_deadline(self) -> None:
+        """The earliest of the node's, the power drive's and the axis' next event."""
+        self._deadline_moved = False
+        deadline_ns = self._power_drive.deadline_ns()
+        node_ns = self._node.next_deadline_ns()
+        if node_ns is not None and (deadline_ns == NEVER or node_ns < deadline_ns):
+            deadline_ns = node_ns
+        if self.axis.flags & f.POWERED:  # without power no flag matters
+            event_ns = self.axis.next_event_ns(None if deadline_ns == NEVER else deadline_ns)
+            if event_ns is not None and (deadline_ns == NEVER or event_ns < deadline_ns):
+                deadline_ns = event_ns
+        self._deadline_ns = deadline_ns

@@ -1,0 +1,120 @@
+"""A drive from its table in a rig: entry point `motorhil.controllers`, name `cia402`."""
+
+from collections.abc import Mapping
+from typing import Final
+
+from emulators.canopen.eds import EdsError, read_eds
+from emulators.canopen.object_dictionary import (
+    DataType,
+    ObjectDictionary,
+    Value,
+    Variable,
+    is_integer,
+    length_bits,
+)
+from emulators.cia402.drive import Cia402Drive
+from emulators.cia402.objects import EMULATED_MASK, DriveObjects
+from emulators.cia402.settings import DriveSettings, read_settings
+from emulators.controller import Controller, ControllerContext, SettingError
+
+_ABSENT: Final = -(1 << 70)
+
+# Communication objects whose behaviour a rig may set although the file lacks them.
+_COMMUNICATION: Final[dict[tuple[int, int], DataType]] = {
+    (0x1005, 0): DataType.UNSIGNED32,
+    (0x1014, 0): DataType.UNSIGNED32,
+    (0x1015, 0): DataType.UNSIGNED16,
+    (0x1016, 1): DataType.UNSIGNED32,
+    (0x1017, 0): DataType.UNSIGNED16,
+    (0x1029, 1): DataType.UNSIGNED8,
+}
+_MODE_NAMES: Final = ("pp", "vl", "pv", "tq", "-", "hm", "ip", "csp", "csv", "cst")
+
+
+def build(settings: Mapping[str, object], context: ControllerContext) -> Controller:
+    """The drive a rig describes.
+
+    Args:
+        settings: the controller's table without `kind` and `bus`.
+        context: its name, where relative paths start, the seed.
+
+    Raises:
+        SettingError: a key or value is wrong, or the EDS cannot be read; names the keys.
+    """
+    return build_drive(read_settings(settings, context.folder))
+
+
+def build_drive(settings: DriveSettings) -> Cia402Drive:
+    """The drive with these settings.
+
+    Raises:
+        SettingError: the EDS cannot be read, or an object of `settings.objects` cannot be set.
+    """
+    try:
+        description = read_eds(settings.eds, settings.node_id)
+    except EdsError as error:
+        place = f"{error.path}:{error.line}" if error.line else str(error.path)
+        raise SettingError(("eds",), f"{place}: {error.text}", error.remedy) from error
+    od = description.dictionary()
+    events = [("warning", f"{path}:{line}: {text}") for path, line, text in description.warnings]
+    stated = od.integer(0x6502, 0, 0)
+    _set_objects(od, settings)
+    if settings.supported_modes is None:
+        left_out = [
+            name
+            for bit, name in enumerate(_MODE_NAMES)
+            if stated >> bit & 1 and not EMULATED_MASK >> bit & 1
+        ]
+        if left_out:
+            text = f"6502h of {settings.eds.name} also names {', '.join(left_out)}: not emulated"
+            events.append(("info", text))
+    return Cia402Drive(od, settings, events)
+
+
+def _set_objects(od: ObjectDictionary, settings: DriveSettings) -> None:
+    """Power-on values the rig gives; an absent object may have one if something uses it."""
+    if not settings.objects:
+        return
+    behind = ObjectDictionary()
+    DriveObjects(behind, settings)
+    for index, subindex, value in settings.objects:
+        key = f"{index:04X}h:{subindex}" if subindex else f"{index:04X}h"
+        path = ("objects", key)
+        variable = od.get(index, subindex)
+        if variable is None:
+            variable = _hidden(od, behind, index, subindex)
+        if variable is None:
+            raise SettingError(
+                path,
+                f"{settings.eds.name} has no such object, and nothing behind it uses one",
+                "leave it out, or take an eds that has it",
+            )
+        try:
+            variable.set_default(_value(variable, value))
+        except (TypeError, ValueError) as error:
+            raise SettingError(path, str(error)) from error
+
+
+def _hidden(
+    od: ObjectDictionary, behind: ObjectDictionary, index: int, subindex: int
+) -> Variable | None:
+    data_type: int | None = _COMMUNICATION.get((index, subindex))
+    if data_type is None and behind.integer(index, subindex, _ABSENT) != _ABSENT:
+        data_type = behind.ensure(index, subindex, DataType.UNSIGNED32, 0).data_type
+    return None if data_type is None else od.ensure(index, subindex, data_type, 0)
+
+
+def _value(variable: Variable, value: int | float | str) -> Value:
+    """The rig's value in the Python type the variable holds."""
+    if isinstance(value, str):
+        if length_bits(variable.data_type):
+            raise TypeError(f"{value!r} is no number")
+        return value.encode("utf-8")
+    if not is_integer(variable.data_type):
+        return float(value)
+    if isinstance(value, float):
+        raise TypeError(f"{value} is no whole number")
+    low, high = variable.low, variable.high
+    if (low is not None and value < low) or (high is not None and value > high):
+        raise ValueError(f"{value} is outside {low}..{high}")
+    return value

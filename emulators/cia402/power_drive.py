@@ -1,0 +1,318 @@
+"""The power drive: state machine, power stage, option codes, faults and the mode that has the axis.
+
+`pds_fsa` says which transition a controlword asks for; here it is earned: transition 4 waits for
+the power stage, 5 and 8 for the motor to come to rest where 605Ch and 605Bh say so, 12 for the end
+of the quick stop, 14 for the end of the fault reaction.
+"""
+
+from typing import Final, final
+
+from emulators.cia402.cyclic_position import CyclicPosition
+from emulators.cia402.homing import Homing
+from emulators.cia402.mode import NEVER, Mode
+from emulators.cia402.objects import (
+    CONTROLWORD,
+    FACTORS,
+    MODE,
+    WINDOWS,
+    DriveObjects,
+)
+from emulators.cia402.pds_fsa import (
+    NO_TRANSITION,
+    Command,
+    PdsFsa,
+    PdsState,
+    decode_controlword,
+)
+from emulators.cia402.profile_position import ProfilePosition
+from emulators.cia402.profile_velocity import ProfileVelocity
+from emulators.cia402.settings import EMULATED_MODES
+from emulators.cia402.statusword import TARGET_REACHED, compose
+from emulators.firmware import flags as f
+from emulators.firmware.axis import Axis
+
+FOLLOWING_ERROR: Final = 0x8611
+UNDERVOLTAGE: Final = 0x3220
+NO_FAULT: Final = 0x0000
+
+# 6007h, 605Ah
+ABORT_FAULT: Final = 1
+ABORT_DISABLE_VOLTAGE: Final = 2
+ABORT_QUICK_STOP: Final = 3
+_POWERED_STATES: Final = (
+    PdsState.SWITCHED_ON,
+    PdsState.OPERATION_ENABLED,
+    PdsState.QUICK_STOP_ACTIVE,
+)
+_RUNNING_STATES: Final = (PdsState.OPERATION_ENABLED, PdsState.QUICK_STOP_ACTIVE)
+
+
+@final
+class PowerDrive:
+    """One power drive system. All calls come after `axis.at(now_ns)`.
+
+    Attributes:
+        error_code: 603Fh.
+        told: error codes since last cleared by the caller, in order; 0 says that a fault was reset.
+        voltage: whether the power stage has its supply.
+        mode: 6061h.
+    """
+
+    def __init__(self, axis: Axis, objects: DriveObjects, tick_ns: int, enable_ns: int) -> None:
+        self.fsa = PdsFsa(PdsState.NOT_READY_TO_SWITCH_ON)
+        self.error_code: int = NO_FAULT
+        self.told: list[int] = []
+        self.voltage: bool = True
+        self.mode: int = 0
+        self._axis = axis
+        self._objects = objects
+        self._enable_ns = enable_ns
+        self._enable_due_ns: int = NEVER
+        self._at_rest: int = NO_TRANSITION  # the transition to take when the motor has come to rest
+        self._homing = Homing(axis, objects, tick_ns)
+        self._modes: dict[int, Mode] = {
+            EMULATED_MODES["pp"]: ProfilePosition(axis, objects, tick_ns),
+            EMULATED_MODES["pv"]: ProfileVelocity(axis, objects, tick_ns),
+            EMULATED_MODES["hm"]: self._homing,
+            EMULATED_MODES["csp"]: CyclicPosition(axis, objects, tick_ns),
+        }
+        self._no_mode = Mode(axis, objects, tick_ns)
+        self._active: Mode = self._no_mode
+
+    # --- from outside
+
+    def power_on(self) -> None:
+        """Transition 0: the firmware starts; the motor has no current."""
+        self._active.leave()
+        self._axis.power(False)
+        self._enable_due_ns = NEVER
+        self._at_rest = NO_TRANSITION
+        self._homing.forget()
+        self.error_code = NO_FAULT
+        self.fsa.controlword = self._objects.controlword
+        self.fsa.take(0)
+        self._apply_windows()
+        self._select(self._objects.mode)
+
+    def initialised(self, now_ns: int) -> None:
+        """Transition 1: the firmware has started."""
+        if self.fsa.state is PdsState.NOT_READY_TO_SWITCH_ON:
+            self._take(1, now_ns)
+            self._obey_level(now_ns)
+
+    def written(self, what: int, now_ns: int) -> None:
+        """Objects were written: first what the numbers mean, then the mode, then the command."""
+        if what & FACTORS:
+            self._objects.reload_units()
+        if what & (WINDOWS | FACTORS):
+            self._apply_windows()
+        if what & MODE and self._objects.mode != self.mode:
+            self._switch_mode(now_ns)
+        if self.fsa.state is PdsState.OPERATION_ENABLED and self._at_rest == NO_TRANSITION:
+            self._active.written(what, now_ns)
+        if what & CONTROLWORD:
+            self._write_controlword(self._objects.controlword, now_ns)
+
+    def settle(self, now_ns: int) -> None:
+        """Whatever has become due by now, or shows in the axis' flags, is done."""
+        if self._enable_due_ns != NEVER and now_ns >= self._enable_due_ns:
+            self._enable_due_ns = NEVER
+            if self.voltage:
+                self._take(4, now_ns)
+            else:
+                self.fault(UNDERVOLTAGE, now_ns)
+        flags = self._axis.flags
+        state = self.fsa.state
+        if flags & f.FOLLOWING_ERROR and state in _RUNNING_STATES:
+            self.fault(FOLLOWING_ERROR, now_ns)
+        if self._at_rest != NO_TRANSITION and not self._axis.flags & f.PROFILE_ACTIVE:
+            transition = self._at_rest
+            self._at_rest = NO_TRANSITION
+            self._take(transition, now_ns)
+            self._obey_level(now_ns)
+        elif state is PdsState.OPERATION_ENABLED:
+            self._active.settle(now_ns)
+
+    def deadline_ns(self) -> int:
+        """When `settle` must be called at the latest [ns], flags aside; or NEVER."""
+        deadline_ns = self._enable_due_ns
+        wake_ns = self._active.wake_ns()
+        if wake_ns == NEVER or (deadline_ns != NEVER and deadline_ns < wake_ns):
+            return deadline_ns
+        return wake_ns
+
+    def fault(self, code: int, now_ns: int) -> None:
+        """Transition 13 with this error code (603Fh), and the reaction 605Eh asks for."""
+        self.told.append(code)
+        if self.fsa.state not in (PdsState.FAULT, PdsState.FAULT_REACTION_ACTIVE):
+            self._react(code, now_ns)
+
+    def set_voltage(self, present: bool, now_ns: int) -> None:
+        """The power stage's supply comes or goes; without it a motor cannot even be braked."""
+        self.voltage = present
+        state = self.fsa.state
+        if present:
+            return
+        if state is PdsState.FAULT_REACTION_ACTIVE:
+            self._at_rest = NO_TRANSITION
+            self._take(14, now_ns)
+        elif state in _RUNNING_STATES:
+            self.fault(UNDERVOLTAGE, now_ns)
+
+    def abort_connection(self, code: int, now_ns: int) -> None:
+        """The host is gone: 6007h says what follows while the power stage is on.
+
+        A fault that follows is not told here: whoever noticed has done so, or nobody can.
+        """
+        state = self.fsa.state
+        if state not in _POWERED_STATES:
+            return
+        option = self._objects.abort_connection_option()
+        if option == ABORT_FAULT:
+            self._react(code, now_ns)
+        elif option == ABORT_DISABLE_VOLTAGE:
+            self._advance(Command.DISABLE_VOLTAGE, now_ns)
+        elif option == ABORT_QUICK_STOP:
+            self._advance(Command.QUICK_STOP, now_ns)
+
+    # --- what shows
+
+    def statusword(self) -> int:
+        """6041h as of the axis' flags."""
+        state = self.fsa.state
+        active = self._active
+        if state is PdsState.OPERATION_ENABLED:
+            mode_bits = active.status_bits()
+        elif state is PdsState.QUICK_STOP_ACTIVE:
+            mode_bits = 0 if self._axis.flags & f.PROFILE_ACTIVE else TARGET_REACHED
+        else:
+            mode_bits = active.idle_bits()
+        return compose(
+            state,
+            mode_bits=mode_bits,
+            voltage=self.voltage,
+            remote=state is not PdsState.NOT_READY_TO_SWITCH_ON,
+            limit=active.limited,
+            warning=False,
+        )
+
+    # --- inside
+
+    def _write_controlword(self, word: int, now_ns: int) -> None:
+        fsa = self.fsa
+        previous = fsa.controlword
+        command = fsa.command(word)
+        if command is Command.ENABLE_OPERATION:
+            if self._at_rest in (5, 8):  # enabled again before it stood: nothing was disabled
+                self._at_rest = NO_TRANSITION
+                self._active.enter(word, now_ns)
+        elif command is not None:
+            self._enable_due_ns = NEVER
+        self._advance(command, now_ns)
+        if fsa.state is PdsState.OPERATION_ENABLED and self._at_rest == NO_TRANSITION:
+            self._active.obey(word, word & ~previous, now_ns)
+
+    def _obey_level(self, now_ns: int) -> None:
+        """A transition happened by itself: the controlword, as it stands, may ask for the next."""
+        word = self.fsa.controlword
+        self._advance(decode_controlword(word, word), now_ns)
+
+    def _advance(self, command: Command | None, now_ns: int) -> None:
+        """As far as the command leads without waiting."""
+        transition = self.fsa.asked(command)
+        while transition != NO_TRANSITION and self._is_earned(transition, now_ns):
+            self._take(transition, now_ns)
+            transition = self.fsa.asked(command)
+
+    def _is_earned(self, transition: int, now_ns: int) -> bool:
+        """Whether the transition may be taken at once; if not, what it waits for is under way."""
+        objects = self._objects
+        if transition == 4:
+            if self._enable_ns == 0 and self.voltage:
+                return True
+            if self._enable_due_ns == NEVER:
+                self._enable_due_ns = now_ns + self._enable_ns
+            return False
+        if transition == 15:
+            return self.voltage or self.error_code != UNDERVOLTAGE
+        if transition == 16:
+            return objects.quick_stop_option() >= 5
+        ramps = objects.disable_ramps() if transition == 5 else objects.shutdown_ramps()
+        if transition not in (5, 8) or not ramps:
+            return True
+        if self._at_rest not in (5, 8):
+            self._active.leave()
+            self._axis.ramp_to_rest(objects.deceleration_inc_s2())
+        self._at_rest = transition
+        return False
+
+    def _take(self, transition: int, now_ns: int) -> None:
+        """The transition and what the standard has the drive do in it."""
+        self.fsa.take(transition)
+        self._at_rest = NO_TRANSITION
+        if transition == 4:
+            self._axis.power(True)
+            self._active.enter(self.fsa.controlword, now_ns)
+        elif transition in (5, 8, 9, 12, 14):
+            self._active.leave()
+            self._axis.power(False)
+        elif transition == 11:
+            self._active.leave()
+            self._quick_stop(now_ns)
+        elif transition == 15:
+            self.error_code = NO_FAULT
+            self.told.append(NO_FAULT)
+        elif transition == 16:
+            self._active.enter(self.fsa.controlword, now_ns)
+
+    def _react(self, code: int, now_ns: int) -> None:
+        running = self.fsa.state in _RUNNING_STATES
+        self.error_code = code
+        self._active.leave()
+        self._enable_due_ns = NEVER
+        self._at_rest = NO_TRANSITION
+        self._take(13, now_ns)
+        deceleration = self._objects.fault_deceleration_inc_s2()
+        if running and self.voltage and deceleration is not None:
+            self._axis.ramp_to_rest(deceleration)
+            self._at_rest = 14
+        else:
+            self._take(14, now_ns)
+
+    def _quick_stop(self, now_ns: int) -> None:
+        """605Ah: 0 coasts, 1 and 5 brake on the slow-down ramp, all others on the quick stop's."""
+        option = self._objects.quick_stop_option()
+        if option == 0:
+            self._take(12, now_ns)
+            return
+        if option in (1, 5):
+            self._axis.ramp_to_rest(self._objects.deceleration_inc_s2())
+        else:
+            self._axis.ramp_to_rest(self._objects.quick_stop_deceleration_inc_s2())
+        if option < 5:
+            self._at_rest = 12
+
+    def _select(self, mode: int) -> None:
+        self.mode = mode
+        self._active = self._modes.get(mode, self._no_mode)
+
+    def _switch_mode(self, now_ns: int) -> None:
+        self._active.leave()
+        self._select(self._objects.mode)
+        if self.fsa.state is PdsState.OPERATION_ENABLED and self._at_rest == NO_TRANSITION:
+            if self._active is self._no_mode:
+                self._axis.ramp_to_rest(self._objects.deceleration_inc_s2())
+            self._active.enter(self.fsa.controlword, now_ns)
+
+    def _apply_windows(self) -> None:
+        windows = self._objects.windows()
+        self._axis.set_windows(
+            target_window_inc=windows[0],
+            target_window_ns=windows[1],
+            following_window_inc=windows[2],
+            following_window_ns=windows[3],
+            velocity_window_inc_s=windows[4],
+            velocity_window_ns=windows[5],
+            velocity_threshold_inc_s=windows[6],
+            velocity_threshold_ns=windows[7],
+        )

@@ -1,0 +1,198 @@
+"""Profile position mode (pp): the set-point handshake and the on-board profile.
+
+CiA 402-2, profile position mode. A rising edge of *new set-point* (bit 4) offers 607Ah with the
+6081h, 6083h and 6084h of that moment; the drive takes it and shows *set-point acknowledge* (bit
+12). One set-point can wait while another is being positioned; as long as it waits, acknowledge
+stays and a further offer without *change immediately* (bit 5) is not taken. Otherwise acknowledge
+goes when bit 4 goes. *Change on set-point* (bit 9) drives through a target, at speed, to the one
+that waits. *Target reached* (bit 10) is 0 from the edge until everything taken is done and the
+motor stands in the position window; under *halt* it means standstill.
+"""
+
+from typing import Final, final
+
+from emulators.cia402.mode import NEVER, Mode
+from emulators.cia402.objects import DriveObjects
+from emulators.cia402.pds_fsa import CW_HALT
+from emulators.cia402.statusword import FOLLOWING_ERROR, SET_POINT_ACKNOWLEDGE, TARGET_REACHED
+from emulators.firmware import flags as f
+from emulators.firmware.axis import Axis
+
+NEW_SET_POINT: Final = 0x0010
+CHANGE_IMMEDIATELY: Final = 0x0020
+RELATIVE: Final = 0x0040
+CHANGE_ON_SET_POINT: Final = 0x0200
+
+SLOWEST_INC_S: Final = 1.0  # 6081h = 0 would never arrive
+
+
+@final
+class SetPoint:
+    """One target with the profile that was in force when it was taken."""
+
+    def __init__(
+        self, target_inc: int, velocity: float, acceleration: float, deceleration: float
+    ) -> None:
+        self.target_inc = target_inc
+        self.velocity_inc_s = velocity
+        self.acceleration_inc_s2 = acceleration
+        self.deceleration_inc_s2 = deceleration
+
+
+@final
+class ProfilePosition(Mode):
+    """Mode 1."""
+
+    def __init__(self, axis: Axis, objects: DriveObjects, tick_ns: int) -> None:
+        super().__init__(axis, objects, tick_ns)
+        self._running: SetPoint | None = None
+        self._waiting: SetPoint | None = None
+        self._passing: bool = False  # the running target is driven through, at speed
+        self._acknowledged: bool = False
+        self._offered: bool = False  # bit 4 as last written
+        self._last_target_inc: int | None = None
+        self._wake_ns: int = NEVER
+
+    def enter(self, word: int, now_ns: int) -> None:
+        """The motor stands, or comes to rest; nothing has been offered yet."""
+        self.leave()
+        self.halted = word & CW_HALT != 0
+        self._offered = word & NEW_SET_POINT != 0
+        self.axis.ramp_to_rest(self.objects.deceleration_inc_s2())
+
+    def leave(self) -> None:
+        """Set-points not yet reached are forgotten."""
+        self._running = None
+        self._waiting = None
+        self._passing = False
+        self._acknowledged = False
+        self._last_target_inc = None
+        self._wake_ns = NEVER
+        self.halted = False
+        self.limited = False
+
+    def obey(self, word: int, rising: int, now_ns: int) -> None:
+        """Bits 4, 5, 6, 8 and 9."""
+        halt = word & CW_HALT != 0
+        if halt and not self.halted:
+            self.halted = True
+            self._wake_ns = NEVER
+            self.axis.ramp_to_rest(self.objects.halt_deceleration_inc_s2())
+        self._offered = word & NEW_SET_POINT != 0
+        if rising & NEW_SET_POINT:
+            self._take(word, now_ns)
+        elif not self._offered and self._waiting is None:
+            self._acknowledged = False
+        if self.halted and not halt:
+            self.halted = False
+            self._start(now_ns)  # "positioning shall be executed or continued"
+
+    def settle(self, now_ns: int) -> None:
+        """A target was reached, or driven through: on to the one that waits."""
+        self._wake_ns = NEVER
+        running = self._running
+        if running is None or self.halted:
+            return
+        if self._passing and self._waiting is not None:
+            if not self._is_past(running.target_inc, self._waiting.target_inc):
+                self._wake_ns = (now_ns // self.tick_ns + 1) * self.tick_ns
+                return
+        elif self.axis.flags & f.PROFILE_ACTIVE:
+            return
+        self._running = self._waiting
+        self._waiting = None
+        self._passing = False
+        if self._running is not None:
+            if not self._offered:
+                self._acknowledged = False
+            self._start(now_ns)
+
+    def wake_ns(self) -> int:
+        """Each tick while a target is being driven through."""
+        return self._wake_ns
+
+    def status_bits(self) -> int:
+        """Bits 10, 12 and 13."""
+        flags = self.axis.flags
+        bits = SET_POINT_ACKNOWLEDGE if self._acknowledged else 0
+        if self.halted:
+            if flags & (f.PROFILE_ACTIVE | f.SPEED_ZERO) == f.SPEED_ZERO:
+                bits |= TARGET_REACHED
+        elif self._waiting is None and flags & f.IN_TARGET_WINDOW:
+            bits |= TARGET_REACHED
+        if flags & f.FOLLOWING_ERROR:
+            bits |= FOLLOWING_ERROR
+        return bits
+
+    # --- inside
+
+    def _take(self, word: int, now_ns: int) -> None:
+        immediately = word & CHANGE_IMMEDIATELY != 0
+        if self._waiting is not None and not immediately:
+            return  # one runs, one waits: no room, and acknowledge says so
+        set_point = self._offered_set_point(word)
+        self._acknowledged = True
+        if immediately or self._running is None:
+            self._running = set_point
+            self._waiting = None
+            self._passing = False
+        else:
+            self._waiting = set_point
+            self._passing = word & CHANGE_ON_SET_POINT != 0 and self._continues(set_point)
+            if not self._passing:
+                return
+        if not self.halted:
+            self._start(now_ns)
+
+    def _offered_set_point(self, word: int) -> SetPoint:
+        objects = self.objects
+        target = objects.target_position_inc()
+        if word & RELATIVE:
+            target += self._origin_inc()
+        allowed = objects.within_limits_inc(target)
+        self.limited = allowed != target
+        self._last_target_inc = allowed
+        return SetPoint(
+            allowed,
+            max(SLOWEST_INC_S, objects.profile_velocity_inc_s()),
+            objects.acceleration_inc_s2(),
+            objects.deceleration_inc_s2(),
+        )
+
+    def _origin_inc(self) -> int:
+        """Where a relative set-point counts from (60F2h)."""
+        option = self.objects.relative_to()
+        if option == 2:
+            return self.axis.position_inc()
+        if option == 1 or self._last_target_inc is None:
+            return self.axis.demand_inc()
+        return self._last_target_inc
+
+    def _continues(self, waiting: SetPoint) -> bool:
+        """Whether the waiting target lies beyond the running one, seen from here."""
+        running = self._running
+        if running is None:
+            return False
+        first = running.target_inc - self.axis.demand_inc()
+        second = waiting.target_inc - running.target_inc
+        return (first > 0 and second > 0) or (first < 0 and second < 0)
+
+    def _is_past(self, target_inc: int, next_inc: int) -> bool:
+        demand = self.axis.demand_inc()
+        return demand >= target_inc if next_inc > target_inc else demand <= target_inc
+
+    def _start(self, now_ns: int) -> None:
+        """The axis goes for the running target, or through it for the one that waits."""
+        running = self._running
+        if running is None:
+            return
+        target_inc = running.target_inc
+        if self._passing and self._waiting is not None:
+            target_inc = self._waiting.target_inc
+            self._wake_ns = (now_ns // self.tick_ns + 1) * self.tick_ns
+        self.axis.move_to(
+            target_inc,
+            running.velocity_inc_s,
+            running.acceleration_inc_s2,
+            running.deceleration_inc_s2,
+        )

@@ -1,0 +1,115 @@
+"""What a host may read of the motion: readers bound to the objects the file has.
+
+Every reader answers for the time of the last `axis.at`.
+"""
+
+from typing import Final, final
+
+from emulators.canopen.object_dictionary import ObjectDictionary
+from emulators.cia402.objects import DriveObjects, integer
+from emulators.cia402.power_drive import PowerDrive
+from emulators.cia402.units import limited
+from emulators.firmware.axis import Axis
+
+_INTEGER16_MAX: Final = 0x7FFF
+
+
+@final
+class Readings:
+    """Actual values in the drive's units."""
+
+    def __init__(self, axis: Axis, objects: DriveObjects, power_drive: PowerDrive) -> None:
+        self._axis = axis
+        self._objects = objects
+        self._power_drive = power_drive
+        self._rated_ma = objects.settings.plant.current_max_a * 1000.0
+
+    def bind(self, od: ObjectDictionary) -> None:
+        """Visible objects answer with what is so now."""
+        for index, reader in (
+            (0x603F, self.error_code),
+            (0x6041, self.statusword),
+            (0x6061, self.mode),
+            (0x6062, self.position_demand),
+            (0x6063, self.position_internal),
+            (0x6064, self.position),
+            (0x6069, self.velocity_sensor),
+            (0x606B, self.velocity_demand),
+            (0x606C, self.velocity),
+            (0x6074, self.torque_demand),
+            (0x6077, self.torque),
+            (0x6078, self.torque),
+            (0x6079, self.supply),
+            (0x60F4, self.following_error),
+            (0x60FC, self.position_demand_internal),
+        ):
+            variable = od.get(index)
+            if variable is not None:
+                variable.reader = reader
+
+    def error_code(self) -> int:
+        """603Fh: the fault that is; 0 when it was reset."""
+        return self._power_drive.error_code
+
+    def statusword(self) -> int:
+        """6041h."""
+        return self._power_drive.statusword()
+
+    def mode(self) -> int:
+        """6061h."""
+        return self._power_drive.mode
+
+    def position_demand(self) -> int:
+        """6062h [position unit]."""
+        return self._objects.units.position_raw(self._axis.demand_inc())
+
+    def position_internal(self) -> int:
+        """6063h [increments], signed 32 bit, wrapping round."""
+        return _wrapped(self._axis.position_inc())
+
+    def position(self) -> int:
+        """6064h [position unit]."""
+        return self._objects.units.position_raw(self._axis.position_inc())
+
+    def velocity_sensor(self) -> int:
+        """6069h [inc/s]."""
+        return limited(self._axis.velocity_inc_s(), 0x7FFF_FFFF)
+
+    def velocity_demand(self) -> int:
+        """606Bh [velocity unit]."""
+        return self._objects.units.velocity_raw(self._axis.demand_velocity_inc_s())
+
+    def velocity(self) -> int:
+        """606Ch [velocity unit]."""
+        return self._objects.units.velocity_raw(self._axis.velocity_inc_s())
+
+    def torque_demand(self) -> int:
+        """6074h [1/1000 of 6076h]."""
+        return self._per_mille(self._axis.current_demand_a())
+
+    def torque(self) -> int:
+        """6077h and 6078h [1/1000 of 6076h, 6075h]: torque is proportional to current."""
+        return self._per_mille(self._axis.current_a())
+
+    def supply(self) -> int:
+        """6079h [mV]."""
+        volts = self._objects.settings.plant.supply_v if self._power_drive.voltage else 0.0
+        return int(volts * 1000.0)
+
+    def following_error(self) -> int:
+        """60F4h [position unit]."""
+        return self._objects.units.position_raw(self._axis.following_error_inc())
+
+    def position_demand_internal(self) -> int:
+        """60FCh [increments], signed 32 bit, wrapping round."""
+        return _wrapped(self._axis.demand_inc())
+
+    def _per_mille(self, current_a: float) -> int:
+        rated_ma = integer(self._objects.rated_current_ma)
+        return limited(
+            current_a * 1e6 / (rated_ma if rated_ma > 0 else self._rated_ma), _INTEGER16_MAX
+        )
+
+
+def _wrapped(value: int) -> int:
+    return (value + 0x8000_0000 & 0xFFFF_FFFF) - 0x8000_0000
