@@ -13,14 +13,13 @@ from emulators.firmware import profile, servo
 from emulators.firmware.flags import IN_TARGET_WINDOW, IN_VELOCITY_WINDOW, PROFILE_ACTIVE
 from emulators.firmware.gains import ServoGains
 from emulators.firmware.servo_tables import ServoTables
+from emulators.firmware.timeline import RESTS, Timeline
 from emulators.plant.dc_motor import PI, MotorPlant
 
-_BUDGET_MAX: Final = 64  # ticks run ahead at most
-_PATIENCE_MAX: Final = 64  # undisturbed ticks to wait for, at most, before running ahead again
 _NEVER: Final = -1.0
 _NO_LIMIT: Final = 1e300
 
-_Ran = tuple[servo.State, int, bool]
+_FAR_TICK: Final = 1 << 60
 
 
 @final
@@ -30,11 +29,7 @@ class Axis:
     `flags` (see emulators.firmware.flags) are those at the last `at`, except that a command which
     starts a profile shows at once: PROFILE_ACTIVE comes, the two target windows go.
 
-    How it stays lazy and exact: the state is an immutable tuple, so a copy is a reference. `at`
-    keeps the state of the tick it was asked for; `next_event_ns` runs ahead from there, as far as
-    nothing changes that a drive would have to act on, and keeps that state too. If `at` is asked
-    for a tick in between, the few ticks up to it are run again. A command drops what was run ahead;
-    how far to run is learned from how often that happens.
+    How it stays lazy and exact is told in emulators.firmware.timeline.
     """
 
     def __init__(
@@ -49,30 +44,15 @@ class Axis:
             raise ValueError(f"tick_ns = {tick_ns} does not hold {current_steps} equal steps")
         self._tick_ns: Final = tick_ns
         self._tick_s: Final = tick_ns / 1e9
-        self._tables: Final = ServoTables(plant, gains, tick_ns, current_steps)
-        self._tick_table: Final = self._tables.tick
-        self._step_table: Final = self._tables.step
-        self._current_steps: Final = current_steps
         self._torque_n_m_a: Final = plant.torque_constant_n_m_a * plant.gear_ratio
         self._output_rad_inc: Final = 2.0 * PI / (plant.encoder_increments_rev * plant.gear_ratio)
         self._gear_ratio: Final = plant.gear_ratio
         self._current_max_a: Final = plant.current_max_a
 
-        # commanded
         self._offset_inc = 0
         self._load_torque_n_m = plant.load_torque_n_m
-        self._load = self._tables.load(plant.load_torque_n_m)
         self._current_limit_a = plant.current_max_a
-        self._windows: servo.Windows = (
-            10.0,
-            _NO_LIMIT,
-            500.0 * self._tick_s,
-            2000.0 * self._tick_s,
-            1,
-            1,
-            self._ticks_in_a_row(10_000_000),
-            self._ticks_in_a_row(10_000_000),
-        )
+        self._windows: servo.Windows = self._default_windows()
         self._mode = servo.OFF
         self._profile_tick = 0  # at which the profile's time is 0
         self._profile = profile.hold(float(initial_position_inc))
@@ -80,25 +60,14 @@ class Axis:
             *(servo.OFF, 0, _NEVER, self._profile),
             *(False, 0.0, 0.0, plant.current_max_a),
         )
-
-        # where it is, where it was run ahead to, and what is known between the two
-        self._tick = 0
-        self._state = servo.standing(float(initial_position_inc))
-        self._resting = False  # the state is that of every later tick too
-        self._ahead_tick = 0
-        self._ahead = self._state
-        self._ahead_resting = False
-        self._between: list[tuple[int, servo.State]] = []
-
-        # how far ahead to run
-        self._budget = 1
-        self._patience = 0
-        self._wait = 0
-        self._commanded = False
-        self._look_tick = 0  # the last look into the ticks between
-        self._look_period = 0  # ticks between the last two such looks
-
-        self.flags = self._state[servo.I_FLAGS]
+        self._time = Timeline(
+            ServoTables(plant, gains, tick_ns, current_steps),
+            plant.load_torque_n_m,
+            self._windows,
+            self._orders,
+            servo.standing(float(initial_position_inc)),
+        )
+        self.flags = self._time.state[servo.I_FLAGS]
 
     # --- time -------------------------------------------------------------------------------------
 
@@ -109,20 +78,13 @@ class Axis:
             ValueError: now_ns is before the tick of the last `at`.
         """
         tick = now_ns // self._tick_ns
-        if tick == self._tick:
+        time = self._time
+        if tick == time.tick:
             return
-        if tick < self._tick:
-            raise ValueError(f"{now_ns} ns is before tick {self._tick}: time runs forward only")
-        if tick >= self._ahead_tick:
-            self._reach(tick)
-            self._state = self._ahead
-            self._resting = self._ahead_resting
-        else:
-            self._look_period = tick - self._look_tick
-            self._look_tick = tick
-            self._state = self._look_between(tick)
-        self._tick = tick
-        self.flags = self._state[servo.I_FLAGS]
+        if tick < time.tick:
+            raise ValueError(f"{now_ns} ns is before tick {time.tick}: time runs forward only")
+        time.reach(tick)
+        self.flags = time.state[servo.I_FLAGS]
 
     def next_event_ns(self, limit_ns: int | None = None) -> int | None:
         """When to call `at` and look again [ns], counted from the last `at`.
@@ -131,19 +93,10 @@ class Axis:
         never later than `limit_ns`; None: the flags will never change without a command, and the
         axis comes to rest by itself.
         """
-        if self._resting:
+        limit_tick = _FAR_TICK if limit_ns is None else limit_ns // self._tick_ns
+        next_tick = self._time.next_tick(limit_tick)
+        if next_tick == RESTS:
             return None
-        if self._ahead_tick <= self._tick:
-            if not self._commanded:
-                self._learn()
-            self._commanded = False
-            stop = self._tick + self._budget
-            if limit_ns is not None:
-                stop = min(stop, limit_ns // self._tick_ns)
-            self._run_ahead(stop)
-        if self._ahead_resting and self._ahead[servo.I_FLAGS] == self.flags:
-            return None
-        next_tick = self._ahead_tick if self._ahead_tick > self._tick else self._tick + 1
         next_ns = next_tick * self._tick_ns
         return next_ns if limit_ns is None or next_ns < limit_ns else limit_ns
 
@@ -151,23 +104,23 @@ class Axis:
 
     def position_inc(self) -> int:
         """What the encoder counts, from the zero that was set."""
-        return int(self._state[servo.I_COUNT]) + self._offset_inc
+        return int(self._time.state[servo.I_COUNT]) + self._offset_inc
 
     def velocity_inc_s(self) -> float:
         """Velocity as measured by the firmware from the encoder; exactly 0.0 at standstill."""
-        return self._state[servo.I_VELOCITY] / self._tick_s
+        return self._time.state[servo.I_VELOCITY] / self._tick_s
 
     def demand_inc(self) -> int:
         """Where the axis should be now; the actual position where no position is controlled."""
-        return int(self._state[servo.I_DEMAND]) + self._offset_inc
+        return int(self._time.state[servo.I_DEMAND]) + self._offset_inc
 
     def demand_velocity_inc_s(self) -> float:
         """How fast the axis should be now."""
-        return self._state[servo.I_DEMAND_VELOCITY] / self._tick_s
+        return self._time.state[servo.I_DEMAND_VELOCITY] / self._tick_s
 
     def following_error_inc(self) -> int:
         """Demand minus actual position; 0 where no position is controlled."""
-        return int(self._state[servo.I_DEMAND] - self._state[servo.I_COUNT])
+        return int(self._time.state[servo.I_DEMAND] - self._time.state[servo.I_COUNT])
 
     def target_inc(self) -> int:
         """Where the present move, ramp or hold ends; the actual position where there is no end."""
@@ -177,23 +130,23 @@ class Axis:
 
     def current_a(self) -> float:
         """Motor current."""
-        return self._state[servo.I_CURRENT]
+        return self._time.state[servo.I_CURRENT]
 
     def current_demand_a(self) -> float:
         """Current asked for by the velocity loop, after the limit."""
-        return self._state[servo.I_WANTED]
+        return self._time.state[servo.I_WANTED]
 
     def torque_n_m(self) -> float:
         """Torque of the motor times the gear ratio: friction and inertia not taken off."""
-        return self._state[servo.I_CURRENT] * self._torque_n_m_a
+        return self._time.state[servo.I_CURRENT] * self._torque_n_m_a
 
     def output_position_rad(self) -> float:
         """The truth behind the gear, not quantised; `set_position` does not change it."""
-        return (self._state[servo.I_POSITION] - 0.5) * self._output_rad_inc
+        return (self._time.state[servo.I_POSITION] - 0.5) * self._output_rad_inc
 
     def output_velocity_rad_s(self) -> float:
         """The truth behind the gear, not quantised."""
-        return self._state[servo.I_SPEED] / self._gear_ratio
+        return self._time.state[servo.I_SPEED] / self._gear_ratio
 
     def load_torque_n_m(self) -> float:
         """The load's torque at the output, as set."""
@@ -213,7 +166,7 @@ class Axis:
         if on == (self._mode != servo.OFF):
             return
         self._mode = servo.POSITION if on else servo.OFF
-        self._hold(self._state[servo.I_COUNT])
+        self._hold(self._time.state[servo.I_COUNT])
 
     def move_to(
         self,
@@ -328,15 +281,14 @@ class Axis:
             w[7] if velocity_window_ns is None else self._ticks_in_a_row(velocity_window_ns),
         )
         if windows != w:
-            self._drop_ahead()
             self._windows = windows
+            self._time.set_windows(windows)
 
     def set_load(self, torque_n_m: float) -> None:
         """The load's torque at the output; positive turns towards negative positions."""
         if torque_n_m != self._load_torque_n_m:
-            self._drop_ahead()
             self._load_torque_n_m = torque_n_m
-            self._load = self._tables.load(torque_n_m)
+            self._time.set_load(torque_n_m)
 
     def set_current_limit(self, current_a: float) -> None:
         """The velocity loop asks for no more than this, nor than the plant's current_max_a.
@@ -347,104 +299,27 @@ class Axis:
         if not current_a >= 0.0:
             raise ValueError(f"current limit {current_a} A: must be >= 0")
         self._current_limit_a = min(current_a, self._current_max_a)
-        self._drop_ahead()
         self._orders = (*self._orders[:7], self._current_limit_a)
+        self._time.order(self._orders, self._time.state)
 
     def set_position(self, position_inc: int) -> None:
         """The present position is called `position_inc` from now on; nothing moves (homing)."""
-        self._offset_inc = position_inc - int(self._state[servo.I_COUNT])
+        self._offset_inc = position_inc - int(self._time.state[servo.I_COUNT])
 
     def set_position_offset(self, offset_inc: int) -> None:
         """Positions are the encoder's own plus this from now on; nothing moves."""
         self._offset_inc = offset_inc
 
-    # --- inside: time -----------------------------------------------------------------------------
-
-    def _run(self, tick: int, state: servo.State, ticks: int, watch: bool) -> _Ran:
-        return servo.run(
-            self._tick_table,
-            self._step_table,
-            self._current_steps,
-            self._load,
-            self._windows,
-            self._orders,
-            state,
-            tick,
-            ticks,
-            watch,
-        )
-
-    def _reach(self, tick: int) -> None:
-        """`_ahead` is the state of `tick`, which is not before it."""
-        if tick > self._ahead_tick and not self._ahead_resting:
-            self._ahead, _, self._ahead_resting = self._run(
-                self._ahead_tick, self._ahead, tick - self._ahead_tick, False
-            )
-        self._ahead_tick = tick
-        self._between.clear()
-
-    def _look_between(self, tick: int) -> servo.State:
-        """The state of a tick before `_ahead_tick`, from the nearest one that was kept."""
-        start, state = self._tick, self._state
-        while self._between and self._between[0][0] <= tick:
-            start, state = self._between.pop(0)
-        if start < tick:
-            state, _, _ = self._run(start, state, tick - start, False)
-        return state
-
-    def _run_ahead(self, stop: int) -> None:
-        """Go on from `_ahead_tick` until `stop`, a change of flags, or rest.
-
-        States are kept where the next looks will fall if they go on as they did.
-        """
-        period = self._look_period
-        flags = self.flags
-        while self._ahead_tick < stop and not self._ahead_resting:
-            ticks = stop - self._ahead_tick
-            if period > 0:
-                ticks = min(ticks, period - (self._ahead_tick - self._look_tick) % period)
-            self._ahead, made, self._ahead_resting = self._run(
-                self._ahead_tick, self._ahead, ticks, True
-            )
-            self._ahead_tick += made
-            if self._ahead[servo.I_FLAGS] != flags:
-                break
-            self._between.append((self._ahead_tick, self._ahead))
-
-    def _drop_ahead(self) -> None:
-        """Something was commanded: what was run ahead is not what will be."""
-        if self._ahead_tick > self._tick and not self._ahead_resting:
-            self._budget = 0
-            self._patience = min(2 * self._patience + 1, _PATIENCE_MAX)
-            self._wait = self._patience
-        self._commanded = True
-        self._ahead_tick = self._tick
-        self._ahead = self._state
-        self._ahead_resting = False
-        self._resting = False
-        self._between.clear()
-
-    def _learn(self) -> None:
-        """What was run ahead has come true: run further next time, or wait less for trying."""
-        if self._wait > 0:
-            self._wait -= 1
-        elif self._budget == 0:
-            self._budget = 1
-        elif self._budget < _BUDGET_MAX:
-            self._budget *= 2
-        else:
-            self._patience = 0
-
-    # --- inside: commands -------------------------------------------------------------------------
+    # --- inside ----------------------------------------------------------------------------------
 
     def _start(self) -> tuple[float, float]:
         """Position and velocity demand at the next tick, where a new profile takes over."""
         if self._mode == servo.OFF:
             raise RuntimeError("the power stage is off: call power(True) first")
-        t = float(self._tick + 1 - self._profile_tick)
+        t = float(self._time.tick + 1 - self._profile_tick)
         position, velocity = profile.demand_at(self._profile, t)
         if self._mode == servo.VELOCITY:
-            position = self._state[servo.I_COUNT] + velocity
+            position = self._time.state[servo.I_COUNT] + velocity
         return position, velocity
 
     def _hold(self, position: float) -> None:
@@ -454,9 +329,8 @@ class Axis:
         self, pieces: profile.Profile, active: float, has_target: bool, run_velocity: float
     ) -> None:
         """From the next tick on these are the orders, and the flags tell so at once."""
-        self._drop_ahead()
         self._profile = pieces
-        self._profile_tick = self._tick + 1
+        self._profile_tick = self._time.tick + 1
         self._orders = (
             self._mode,
             self._profile_tick,
@@ -467,15 +341,22 @@ class Axis:
             run_velocity,
             self._current_limit_a,
         )
-        state = self._state
+        state = self._time.state
         flags = state[servo.I_FLAGS] & ~(IN_TARGET_WINDOW | IN_VELOCITY_WINDOW)
         if active >= 0.0:
             flags |= PROFILE_ACTIVE
         else:
             flags &= ~PROFILE_ACTIVE
-        self._state = (*state[:14], flags, 0, state[16], state[17], 0)
-        self._ahead = self._state
+        state = (*state[:14], flags, 0, state[16], state[17], 0)
+        self._time.order(self._orders, state)
         self.flags = flags
+
+    def _default_windows(self) -> servo.Windows:
+        return (
+            *(10.0, _NO_LIMIT, 500.0 * self._tick_s, 2000.0 * self._tick_s),
+            *(self._ticks_in_a_row(0), self._ticks_in_a_row(0)),
+            *(self._ticks_in_a_row(10_000_000), self._ticks_in_a_row(10_000_000)),
+        )
 
     def _per_tick2(self, size_inc_s2: float) -> float:
         if not size_inc_s2 > 0.0:

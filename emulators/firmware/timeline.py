@@ -1,0 +1,188 @@
+"""The servo's states along time, computed when somebody asks, and always the same ones.
+
+The state of a tick follows from the state before it and what was commanded, and from nothing else.
+So when it is computed, in how large portions, or how often, is free; this module uses that freedom:
+
+- `reach(tick)` computes up to a tick in one go: nobody looks, nothing is computed.
+- `next_tick(limit)` must know the next change of flags, so it runs *ahead*. What it computed is
+  kept, and is the answer when time gets there. If a command comes first, it is dropped.
+- If somebody looks in between, the few ticks up to there are run again from the last state kept.
+  (Looks tend to be periodic; states are kept where the next ones will fall.)
+
+How far to run ahead is learned from how often commands made it useless. It must not be learned from
+looks: when a drive wakes up decides its turn among simultaneous events, so it may depend on what is
+commanded, but not on who looks.
+"""
+
+from typing import Final, final
+
+from emulators.firmware import servo
+from emulators.firmware.servo_tables import LoadTable, ServoTables
+
+_BUDGET_MAX: Final = 64  # ticks run ahead at most
+_PATIENCE_MAX: Final = 64  # undisturbed ticks waited for, at most, before running ahead again
+
+RESTS: Final = -1
+
+
+@final
+class Timeline:
+    """State at one tick, `tick`, which only moves forward; and what is known of the ticks after it.
+
+    `state` is to be read by all, `resting` says that it is the state of every later tick too.
+    """
+
+    def __init__(
+        self,
+        tables: ServoTables,
+        load_torque_n_m: float,
+        windows: servo.Windows,
+        orders: servo.Orders,
+        state: servo.State,
+    ) -> None:
+        self._tables: Final = tables
+        self._tick_table: Final = tables.tick
+        self._step_table: Final = tables.step
+        self._current_steps: Final = tables.current_steps
+
+        self._load: LoadTable = tables.load(load_torque_n_m)
+        self._windows: servo.Windows = windows
+        self._orders: servo.Orders = orders
+
+        self.tick = 0
+        self.state: servo.State = state
+        self.resting = False
+
+        self._ahead_tick = 0
+        self._ahead: servo.State = state
+        self._ahead_resting = False
+        self._between: list[tuple[int, servo.State]] = []
+
+        self._budget = 1  # ticks to run ahead
+        self._patience = 0  # ticks to wait for after the next disappointment
+        self._wait = 0  # of them still to come
+        self._commanded = False  # since `next_tick` was last asked
+        self._look_tick = 0  # the last look at a tick before `_ahead_tick`
+        self._look_period = 0  # between the last two
+
+    # --- time -------------------------------------------------------------------------------------
+
+    def reach(self, tick: int) -> None:
+        """`state` is that of `tick`, which must not be before the present one."""
+        if tick < self._ahead_tick:
+            if tick == self.tick:
+                return
+            self._look_period = tick - self._look_tick
+            self._look_tick = tick
+            self.state = self._look_between(tick)
+        else:
+            if tick > self._ahead_tick and not self._ahead_resting:
+                self._ahead, _, self._ahead_resting = self._run(
+                    self._ahead_tick, self._ahead, tick - self._ahead_tick, False
+                )
+            self._ahead_tick = tick
+            self._between.clear()
+            self.state = self._ahead
+            self.resting = self._ahead_resting
+        self.tick = tick
+
+    def next_tick(self, limit_tick: int) -> int:
+        """The next tick > `tick` at which the flags change, or up to which they do not.
+
+        `RESTS` if they never will. It may be beyond the limit, but is not worked for there.
+        """
+        if self.resting:
+            return RESTS
+        if self._ahead_tick <= self.tick:
+            if not self._commanded:
+                self._learn()
+            self._commanded = False
+            self._run_ahead(min(self.tick + self._budget, limit_tick))
+        if self._ahead_resting and self._ahead[servo.I_FLAGS] == self.state[servo.I_FLAGS]:
+            return RESTS
+        return self._ahead_tick if self._ahead_tick > self.tick else self.tick + 1
+
+    # --- what is commanded ------------------------------------------------------------------------
+
+    def order(self, orders: servo.Orders, state: servo.State) -> None:
+        """From the next tick on these are the orders; `state` is what they make of the present."""
+        self._drop_ahead()
+        self._orders = orders
+        self.state = self._ahead = state
+
+    def set_load(self, torque_n_m: float) -> None:
+        """From now on this is the load's torque at the output."""
+        self._drop_ahead()
+        self._load = self._tables.load(torque_n_m)
+
+    def set_windows(self, windows: servo.Windows) -> None:
+        """From the next tick on these are the windows."""
+        self._drop_ahead()
+        self._windows = windows
+
+    # --- inside -----------------------------------------------------------------------------------
+
+    def _run(
+        self, tick: int, state: servo.State, ticks: int, watch: bool
+    ) -> tuple[servo.State, int, bool]:
+        return servo.run(
+            self._tick_table,
+            self._step_table,
+            self._current_steps,
+            self._load,
+            self._windows,
+            self._orders,
+            state,
+            tick,
+            ticks,
+            watch,
+        )
+
+    def _look_between(self, tick: int) -> servo.State:
+        """The state of a tick before `_ahead_tick`, from the nearest one that was kept."""
+        start, state = self.tick, self.state
+        while self._between and self._between[0][0] <= tick:
+            start, state = self._between.pop(0)
+        if start < tick:
+            state, _, _ = self._run(start, state, tick - start, False)
+        return state
+
+    def _run_ahead(self, stop: int) -> None:
+        """Go on from `_ahead_tick` until `stop`, a change of flags, or rest."""
+        period = self._look_period
+        flags = self._ahead[servo.I_FLAGS]
+        while self._ahead_tick < stop and not self._ahead_resting:
+            ticks = stop - self._ahead_tick
+            if period > 0:
+                ticks = min(ticks, period - (self._ahead_tick - self._look_tick) % period)
+            self._ahead, made, self._ahead_resting = self._run(
+                self._ahead_tick, self._ahead, ticks, True
+            )
+            self._ahead_tick += made
+            if self._ahead[servo.I_FLAGS] != flags:
+                break
+            self._between.append((self._ahead_tick, self._ahead))
+
+    def _drop_ahead(self) -> None:
+        """Something is commanded: what was run ahead is not what will be."""
+        if self._ahead_tick > self.tick and not self._ahead_resting:
+            self._budget = 0
+            self._patience = min(2 * self._patience + 1, _PATIENCE_MAX)
+            self._wait = self._patience
+        self._commanded = True
+        self._ahead_tick = self.tick
+        self._ahead = self.state
+        self._ahead_resting = False
+        self.resting = False
+        self._between.clear()
+
+    def _learn(self) -> None:
+        """What was run ahead has come true: run further next time, or wait less for trying."""
+        if self._wait > 0:
+            self._wait -= 1
+        elif self._budget == 0:
+            self._budget = 1
+        elif self._budget < _BUDGET_MAX:
+            self._budget *= 2
+        else:
+            self._patience = 0
