@@ -48,6 +48,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     try:
         status = _dispatch(words)
         sys.stdout.flush()
+    except SystemExit as leaving:  # argparse: help was given, or the usage is wrong
+        return leaving.code if isinstance(leaving.code, int) else PASSED
     except KeyboardInterrupt:
         print("motorhil: interrupted", file=sys.stderr)
         return INTERRUPTED

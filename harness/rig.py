@@ -9,17 +9,17 @@ A program written for python-can joins the same buses while the rig is open:
 `can.Bus(interface="emulated", channel="can0")`.
 """
 
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Mapping
 from contextlib import ExitStack
 from pathlib import Path
 from random import Random
 from types import TracebackType
-from typing import TYPE_CHECKING, Any, Generic, Self, TypeVar, final
+from typing import TYPE_CHECKING, Any, Self, final
 
 from emulators.controller import Controller, ControllerContext, SettingError
 from emulators.event_queue import EventQueue
 from emulators.media.can_bus import CanBus
-from emulators.media.faults import FaultPlan, FaultRule
+from emulators.media.faults import FaultPlan
 from emulators.world import World
 from harness.pace import WallPace
 from harness.plant_from_model import plant_numbers
@@ -31,6 +31,7 @@ from harness.rig_file import (
     RigDescription,
     read_rig,
 )
+from harness.rig_parts import Named, RigController, RigFaults
 from harness.settings import RigError
 from harness.virtual_time import VirtualRuntime
 from motorapi.errors import FileError, UsageError
@@ -38,100 +39,9 @@ from motorapi.model import MotorModel
 
 if TYPE_CHECKING:
     from harness.can_plugin import EmulatedBus
+    from harness.recorder import Recorder
     from motorapi.group import MotorGroup
     from motorapi.motor import Motor
-
-T = TypeVar("T")
-
-
-@final
-class RigController:
-    """An emulated controller of an open rig: what happens to it physically, and the truth in it.
-
-    Attributes: name; core, the controller itself.
-    """
-
-    def __init__(self, name: str, core: Controller, world: World) -> None:
-        self.name = name
-        self.core = core
-        self._world = world
-
-    def stimulate(self, stimulus: str, value: float) -> None:
-        """A physical input (load, switch) has this value from now on.
-
-        Raises:
-            ValueError: there is no such input; names the known ones.
-        """
-        self._world.stimulate(self.name, stimulus, value)
-
-    def snapshot(self) -> Mapping[str, float]:
-        """The truth inside now, units in the keys. Looking changes nothing."""
-        return self._world.snapshot(self.name)
-
-
-@final
-class RigFaults:
-    """What goes wrong in an open rig, and what has."""
-
-    def __init__(self, world: World) -> None:
-        self._world = world
-
-    def inject(self, bus: str, rule: FaultRule) -> None:
-        """The rule holds on the bus from now on.
-
-        Raises:
-            ValueError: the bus has had a rule of that name.
-        """
-        self._world.inject(bus, rule)
-
-    def lift(self, bus: str, name: str) -> None:
-        """The rule of this name holds no longer; its count stays.
-
-        Raises:
-            ValueError: the bus has no such rule.
-        """
-        self._world.lift(bus, name)
-
-    def fired(self) -> dict[str, int]:
-        """How often each rule has fired, over all buses, in the order of adding."""
-        counts: dict[str, int] = {}
-        for bus in self._world.bus_names():
-            for name, count in self._world.bus(bus).faults_fired().items():
-                counts[name] = counts.get(name, 0) + count
-        return counts
-
-
-@final
-class Named(Mapping[str, T], Generic[T]):
-    """Things of a rig by name, each made when it is first asked for; in the order of the file."""
-
-    def __init__(self, what: str, names: Iterable[str], make: Callable[[str], T]) -> None:
-        self._what = what
-        self._names = tuple(names)
-        self._make = make
-        self._made: dict[str, T] = {}
-
-    def __getitem__(self, name: str) -> T:
-        """The thing of this name.
-
-        Raises:
-            KeyError: there is none; names those there are.
-        """
-        if name not in self._made:
-            if name not in self._names:
-                known = ", ".join(self._names) or "none"
-                raise KeyError(f"no {self._what} {name!r} in this rig (known: {known})")
-            self._made[name] = self._make(name)
-        return self._made[name]
-
-    def __contains__(self, name: object) -> bool:
-        return name in self._names
-
-    def __iter__(self) -> Iterator[str]:
-        return iter(self._names)
-
-    def __len__(self) -> int:
-        return len(self._names)
 
 
 @final
@@ -161,7 +71,7 @@ class Rig:
         self.description = description
         self.seed = description.seed if seed is None else seed
         self.notes: list[str] = []
-        self.recording: object | None = None
+        self.recording: Recorder | None = None
         self._models = {name: _model(description, name) for name in description.motors}
         self._plugins = {group: installed(group) for group in (CONTROLLERS, ADAPTATIONS)}
         with ExitStack() as cleanup:
@@ -172,6 +82,8 @@ class Rig:
             self._add_buses()
             self._add_controllers()
             self.notes += [f"{name}: {level}: {text}" for _, level, name, text in started]
+            if record is not None:
+                self._record(record, started, cleanup)
             self.runtime = VirtualRuntime(queue, WallPace() if realtime else None)
             self._open_door(cleanup)
             self._cleanup = cleanup.pop_all()
@@ -317,6 +229,20 @@ class Rig:
                 f"reinstall {plugin.package or 'it'}",
             ) from error
 
+    def _record(
+        self, target: Path, started: list[tuple[int, str, str, str]], cleanup: ExitStack
+    ) -> None:
+        from harness.rig_recording import start_recording
+        from traces.errors import TraceError
+
+        try:
+            recorder = start_recording(target, self.description, self.seed, self.world, started)
+        except TraceError as error:
+            raise RigError(error.path, error.what, error.remedy) from None
+        self.recording = recorder
+        queue = self.world.queue
+        cleanup.callback(lambda: recorder.close(queue.now_ns))
+
     def _open_door(self, cleanup: ExitStack) -> None:
         """`can.Bus()` in this process finds the buses by name."""
         from can import CanInitializationError
@@ -351,6 +277,10 @@ class Rig:
         except UsageError as error:
             raise self.description.error(place, str(error), "correct its settings") from error
         self._in_use.callback(built.close)
+        if self.recording is not None:
+            from harness.rig_recording import watch_motor
+
+            watch_motor(self.recording, built, name, motor.bus, motor.controller)
         return built
 
     def _group(self, name: str) -> "MotorGroup":

@@ -1,0 +1,100 @@
+"""What an open rig hands out: its controllers, its faults, and things by name."""
+
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from typing import Generic, TypeVar, final
+
+from emulators.controller import Controller
+from emulators.media.faults import FaultRule
+from emulators.world import World
+
+T = TypeVar("T")
+
+
+@final
+class RigController:
+    """An emulated controller of an open rig: what happens to it physically, and the truth in it.
+
+    Attributes: name; core, the controller itself.
+    """
+
+    def __init__(self, name: str, core: Controller, world: World) -> None:
+        self.name = name
+        self.core = core
+        self._world = world
+
+    def stimulate(self, stimulus: str, value: float) -> None:
+        """A physical input (load, switch) has this value from now on.
+
+        Raises:
+            ValueError: there is no such input; names the known ones.
+        """
+        self._world.stimulate(self.name, stimulus, value)
+
+    def snapshot(self) -> Mapping[str, float]:
+        """The truth inside now, units in the keys. Looking changes nothing."""
+        return self._world.snapshot(self.name)
+
+
+@final
+class RigFaults:
+    """What goes wrong in an open rig, and what has."""
+
+    def __init__(self, world: World) -> None:
+        self._world = world
+
+    def inject(self, bus: str, rule: FaultRule) -> None:
+        """The rule holds on the bus from now on.
+
+        Raises:
+            ValueError: the bus has had a rule of that name.
+        """
+        self._world.inject(bus, rule)
+
+    def lift(self, bus: str, name: str) -> None:
+        """The rule of this name holds no longer; its count stays.
+
+        Raises:
+            ValueError: the bus has no such rule.
+        """
+        self._world.lift(bus, name)
+
+    def fired(self) -> dict[str, int]:
+        """How often each rule has fired, over all buses, in the order of adding."""
+        counts: dict[str, int] = {}
+        for bus in self._world.bus_names():
+            for name, count in self._world.bus(bus).faults_fired().items():
+                counts[name] = counts.get(name, 0) + count
+        return counts
+
+
+@final
+class Named(Mapping[str, T], Generic[T]):
+    """Things of a rig by name, each made when it is first asked for; in the order of the file."""
+
+    def __init__(self, what: str, names: Iterable[str], make: Callable[[str], T]) -> None:
+        self._what = what
+        self._names = tuple(names)
+        self._make = make
+        self._made: dict[str, T] = {}
+
+    def __getitem__(self, name: str) -> T:
+        """The thing of this name.
+
+        Raises:
+            KeyError: there is none; names those there are.
+        """
+        if name not in self._made:
+            if name not in self._names:
+                known = ", ".join(self._names) or "none"
+                raise KeyError(f"no {self._what} {name!r} in this rig (known: {known})")
+            self._made[name] = self._make(name)
+        return self._made[name]
+
+    def __contains__(self, name: object) -> bool:
+        return name in self._names
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._names)
+
+    def __len__(self) -> int:
+        return len(self._names)

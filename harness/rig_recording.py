@@ -1,0 +1,99 @@
+"""The record of an open rig: what was put together, and taps on everything that happens in it."""
+
+import hashlib
+import sys
+from collections.abc import Iterable
+from pathlib import Path
+from typing import TYPE_CHECKING, final
+
+from harness.recorder import PERIOD_NS, Reading, Recorder, run_metadata
+from harness.rig_file import RigDescription
+from traces.errors import TraceError
+from traces.writer import TraceWriter
+
+if TYPE_CHECKING:
+    from emulators.world import World
+    from motorapi.motor import Motor
+
+_TOML: str = "application/toml"
+
+
+def start_recording(
+    target: Path,
+    description: RigDescription,
+    seed: int,
+    world: "World",
+    before: Iterable[tuple[int, str, str, str]],
+) -> Recorder:
+    """Everything that happens in the world from now on is written to `target`.
+
+    Args:
+        target: the MCAP file.
+        description: of the rig; its file and those it names are attached.
+        seed: of the run.
+        world: buses and controllers, all of them.
+        before: (time, level, source, text) of what happened already.
+
+    Raises:
+        TraceError: the file cannot be written.
+    """
+    files = _files_of(description)
+    digest = hashlib.sha256()
+    for name, _, data in files:
+        digest.update(f"{name}\0{len(data)}\0".encode() + data)
+    metadata = run_metadata(seed=seed, rig_digest=digest.hexdigest(), command_line=sys.argv)
+    writer = TraceWriter(target, metadata)
+    try:
+        for name, media_type, data in files:
+            writer.attach(name, data, media_type)
+        kinds = {name: controller.kind for name, controller in description.controllers.items()}
+        recorder = Recorder(writer, kinds)
+        for event in before:
+            recorder.event(*event)
+        recorder.connect(world.queue.alarm(recorder.poll).set)
+        world.tap_frames(recorder.frame)
+        world.tap_events(recorder.event)
+        world.tap_samples(PERIOD_NS, recorder.truth)
+    except TraceError:
+        writer.close()
+        raise
+    return recorder
+
+
+def watch_motor(
+    recorder: Recorder, motor: "Motor", name: str, bus: str, controller: str | None
+) -> None:
+    """The motor's state is recorded while it changes, under the name the rig gives it."""
+    heard = () if controller is None else ((bus, controller),)
+    recorder.watch_motor(name, _Reader(motor).read, heard)
+
+
+@final
+class _Reader:
+    """What an application knows of a motor, without asking it."""
+
+    def __init__(self, motor: "Motor") -> None:
+        self._motor = motor
+
+    def read(self) -> Reading | None:
+        latest = self._motor.latest()
+        if latest is None:
+            return None
+        return latest.position, latest.velocity, latest.torque
+
+
+def _files_of(description: RigDescription) -> list[tuple[str, str, bytes]]:
+    """(name, media type, contents) of the rig and of every file it names, each once."""
+    source = description.source
+    files = [(source.path.name, _TOML, source.text.encode())]
+    paths = [(motor.model, _TOML) for motor in description.motors.values()]
+    for controller in description.controllers.values():
+        eds = controller.settings.get("eds")
+        if isinstance(eds, str):
+            paths.append((description.folder / eds, "text/plain"))
+    seen: list[Path] = []
+    for path, media_type in paths:
+        if isinstance(path, Path) and path not in seen and path.is_file():
+            seen.append(path)
+            files.append((path.name, media_type, path.read_bytes()))
+    return files
