@@ -49,9 +49,9 @@ def can_frame_prefix(header: bytes, size: int, sender: bytes, direction: int) ->
     Raises:
         ValueError: no can_frame or canfd_frame: wrong size, a length beyond it, or no CANFD_FDF.
     """
-    can_id, length, flags = _HEADER.unpack(header)
     if size not in (CAN_FRAME_SIZE, CANFD_FRAME_SIZE):
         raise ValueError(f"a CAN frame is 16 or 72 bytes, not {size}")
+    can_id, length, flags = _HEADER.unpack(header)
     if length > size - 8:
         raise ValueError(f"length {length} in a CAN frame with room for {size - 8}")
     fd = size == CANFD_FRAME_SIZE

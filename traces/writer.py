@@ -288,6 +288,12 @@ class TraceWriter:
         ending = summary + offsets + footer + records.UINT32.pack(crc)
         return data_end + ending + records.MAGIC
 
+    def _short_ending(self) -> bytes:
+        """The least that makes a file complete: no summary, so that readers go through it all."""
+        data_end = records.record(records.DATA_END, records.UINT32.pack(self._crc))
+        footer = records.record(records.FOOTER, records.FOOTER_BODY.pack(0, 0, 0))
+        return data_end + footer + records.MAGIC
+
     def _put(self, data: bytes) -> None:
         """`data`, whole records, is with the operating system; or all of it is not."""
         done = 0
@@ -313,7 +319,7 @@ class TraceWriter:
             f"cannot be written: {_reason(cause)}; the recording holds {reach}",
             remedy="free space there, or record to another place",
         )
-        for ending in (self._ending(), b""):
+        for ending in (self._ending(), self._short_ending(), b""):
             try:
                 self._file.seek(self._offset)
                 self._file.truncate()

@@ -1,0 +1,117 @@
+import hashlib
+import io
+import struct
+
+import pytest
+
+from tests.traces.recordings import MS, Recording, can_frame, write
+from traces.compare import first_mismatch
+from traces.digest import digest
+from traces.errors import TraceError
+from traces.fields import encode_can_frame
+from traces.schema import CAN_FRAME, LOG, Direction, Schema
+from traces.writer import TraceWriter
+
+
+def test_the_digest_is_what_its_definition_says(tmp_path):
+    path = tmp_path / "a.mcap"
+    writer = TraceWriter(path)
+    channel = writer.channel("/can/a", Schema.of(CAN_FRAME))
+    writer.can_frame(writer.source(channel, "x", Direction.RECEIVED), 5, can_frame(1, b"\2"))
+    writer.close()
+    payload = encode_can_frame(can_frame(1, b"\2"), "x", Direction.RECEIVED)
+    by_hand = struct.pack("<I", 6) + b"/can/a" + struct.pack("<QI", 5, len(payload)) + payload
+    assert digest(path) == hashlib.sha256(by_hand).hexdigest()
+
+
+def test_the_digest_knows_nothing_of_chunks_metadata_or_numbers_of_channels(tmp_path):
+    one, other = tmp_path / "a.mcap", tmp_path / "b.mcap"
+    recording = write(one)
+    second = TraceWriter(other, {"run": {"seed": "2", "versions": "others"}})
+    second.attach("rig.toml", b"x")
+    events = second.channel("/events", Schema.of(LOG))  # before the buses, this time
+    can = [second.channel(f"/can/can{i}", Schema.of(CAN_FRAME)) for i in (1, 0)]
+    host = second.source(can[1], "host", Direction.TRANSMITTED)
+    sources = [
+        second.source(can[1], "left", Direction.RECEIVED),
+        host,
+        second.source(can[0], "right", Direction.RECEIVED),
+    ]
+    for source, time_ns, data in recording.entries:
+        second.extend([(sources[source] if source >= 0 else -events, time_ns, data)])
+        second.flush()  # a chunk for every message
+    second.close()
+    assert one.read_bytes() != other.read_bytes()
+    assert digest(one) == digest(other)
+    assert first_mismatch(one, other) is None
+
+
+def changed(path, entries, at, entry):
+    recording = Recording(path)
+    recording.writer.extend([*entries[:at], entry(*entries[at]), *entries[at + 1 :]])
+    recording.writer.close()
+
+
+@pytest.mark.parametrize(
+    "entry",
+    [
+        lambda source, time_ns, data: (source, time_ns + 1, data),
+        lambda source, time_ns, data: (1 - source, time_ns, data),
+        lambda source, time_ns, data: (source, time_ns, data[:-1] + bytes([data[-1] ^ 1])),
+    ],
+    ids=["time", "sender", "one bit of data"],
+)
+def test_any_change_of_a_message_changes_the_digest_and_is_found(tmp_path, entry):
+    one, other = tmp_path / "a.mcap", tmp_path / "b.mcap"
+    changed(other, write(one, 30).entries, 12, entry)
+    assert digest(one) != digest(other)
+    found = first_mismatch(one, other)
+    assert found is not None
+    assert found.number == 12
+    assert found.first != found.second
+    assert str(found).startswith("message 12: /can/can0 at 0.600000000 s")
+
+
+def test_order_and_end_count(tmp_path):
+    paths = [tmp_path / name for name in ("a", "b", "c")]
+    frames = [(0, 7, can_frame(1)), (0, 7, can_frame(2))]
+    for path, entries in zip(paths, (frames, frames[::-1], frames[:1]), strict=True):
+        recording = Recording(path)
+        recording.writer.extend(entries)
+        recording.writer.close()
+    assert len({digest(path) for path in paths}) == 3
+    found = first_mismatch(paths[0], paths[2])
+    assert found is not None
+    assert (found.number, found.second) == (1, None)
+    assert str(found).endswith("against the end")
+
+
+def test_bytes_that_move_from_a_payload_to_the_next_topic_are_no_collision(tmp_path):
+    one, other = tmp_path / "a", tmp_path / "b"
+    for path, topic, payload in ((one, "/a", b"bc"), (other, "/ab", b"c")):
+        with TraceWriter(path) as writer:
+            writer.write(writer.channel(topic, Schema.of(LOG)), 1, payload)
+    assert digest(one) != digest(other)
+
+
+def test_a_file_without_its_end_has_no_digest_unless_no_message_is_missing(tmp_path):
+    path = tmp_path / "a.mcap"
+    recording = Recording(path).fill(30, 50 * MS)
+    recording.writer.flush()
+    size = path.stat().st_size
+    recording.writer.close()
+    data, whole = path.read_bytes(), digest(path)
+    path.write_bytes(data[:size])
+    with pytest.raises(TraceError, match="has no digest: cut at byte"):
+        digest(path)
+    path.write_bytes(data[: size + 13 + 20])  # data end is there, the summary is not
+    assert digest(path) == whole
+
+
+def test_a_file_object_serves_as_well_as_a_path(tmp_path):
+    path = tmp_path / "a.mcap"
+    write(path)
+    file = io.BytesIO()
+    write(file)
+    (tmp_path / "b.mcap").write_bytes(file.getvalue())
+    assert digest(tmp_path / "b.mcap") == digest(path)

@@ -1,0 +1,261 @@
+import io
+import struct
+
+import pytest
+from mcap.writer import CompressionType, IndexType, Writer
+
+from tests.traces.recordings import MS, SECOND, Recording, counted_frame, write
+from traces.errors import TraceError
+from traces.fields import encode_can_frame
+from traces.reader import read_trace
+from traces.schema import CAN_FRAME, Direction, Schema
+
+
+def payloads(trace, **options):
+    return [(c.topic, time_ns, payload) for c, time_ns, payload in trace.messages(**options)]
+
+
+def expected(recording):
+    """What the recording must hold, made without the writer's bulk packing."""
+    out = []
+    for source, time_ns, data in recording.entries:
+        if source < 0:
+            out.append(("/events", time_ns, data))
+        else:
+            sender = ("left", "host", "right")[source]
+            direction = (Direction.RECEIVED, Direction.TRANSMITTED, Direction.RECEIVED)[source]
+            topic = ("/can/can0", "/can/can0", "/can/can1")[source]
+            out.append((topic, time_ns, encode_can_frame(data, sender, direction)))
+    return out
+
+
+def test_a_recording_comes_back_as_it_was_written(tmp_path):
+    path = tmp_path / "a.mcap"
+    recording = Recording(path, {"run": {"seed": "7"}})
+    recording.writer.attach("rig.toml", b"x = 1\n", "application/toml", 3)
+    recording.fill(1000, 5 * MS).writer.close()
+    with read_trace(path) as trace:
+        assert payloads(trace) == expected(recording)
+        assert trace.cut is None
+        assert trace.metadata == {"run": {"seed": "7"}}
+        assert [(a.name, a.data, a.log_time_ns) for a in trace.attachments] == [
+            ("rig.toml", b"x = 1\n", 3)
+        ]
+        assert [c.topic for c in trace.channels.values()] == ["/can/can0", "/can/can1", "/events"]
+        assert trace.channels[1].schema == Schema.of(CAN_FRAME)
+        assert trace.library == "motorhil"
+
+
+def test_messages_can_be_chosen_by_topic_and_time(tmp_path):
+    recording = write(tmp_path / "a.mcap")
+    with read_trace(tmp_path / "a.mcap") as trace:
+        everything = payloads(trace)
+        assert payloads(trace, topics=["/events"]) == [m for m in everything if m[0] == "/events"]
+        low, high = 1 * SECOND + 50 * MS, 3 * SECOND
+        within = [m for m in everything if low <= m[1] < high]
+        assert payloads(trace, from_ns=low, to_ns=high) == within
+        assert len(within) == 39
+        assert payloads(trace, from_ns=99 * 50 * MS) == everything[-1:]
+        assert payloads(trace, from_ns=99 * 50 * MS + 1) == []
+        assert payloads(trace, to_ns=0) == []
+    assert len(everything) == len(recording.entries)
+
+
+def test_a_file_cut_anywhere_gives_every_message_of_its_whole_chunks(tmp_path):
+    whole, path = tmp_path / "whole.mcap", tmp_path / "cut.mcap"
+    recording = Recording(whole, {"run": {"seed": "1"}})
+    recording.writer.attach("rig.toml", b"x")
+    ends = []  # (size of the file, messages in it) after each chunk
+    for second in range(4):
+        recording.fill(20, 50 * MS, first=20 * second)
+        recording.writer.flush()
+        ends.append((whole.stat().st_size, 20 * (second + 1)))
+    recording.writer.close()
+    data, messages = whole.read_bytes(), expected(recording)
+    for size in range(len(data)):
+        path.write_bytes(data[:size])
+        if size < 8:
+            with pytest.raises(TraceError, match="is empty" if not size else "is no MCAP file"):
+                read_trace(path)
+            continue
+        with read_trace(path) as trace:
+            found = payloads(trace)
+            sure = max((count for end, count in ends if end <= size), default=0)
+            assert found == messages[: len(found)], size
+            assert len(found) - trace.salvaged == sure, size
+            assert trace.cut is not None, size
+            assert trace.cut.offset <= size
+            assert trace.cut.offset + trace.cut.size == size
+            if sure == 80 and trace.cut.offset > ends[-1][0]:
+                assert not trace.cut.messages_missing, size
+
+
+def test_the_end_of_a_cut_chunk_is_salvaged_as_far_as_its_blocks_go(tmp_path):
+    path = tmp_path / "a.mcap"
+    recording = Recording(path)
+    start = path.stat().st_size
+    recording.fill(15_000, 50_000).writer.close()  # 0.75 s: one chunk of about 1 MB
+    data = path.read_bytes()
+    path.write_bytes(data[: start + (len(data) - start) * 6 // 10])
+    with read_trace(path) as trace:
+        found = payloads(trace)
+        assert found == expected(recording)[: len(found)]
+        assert 5_000 < len(found) < 12_000
+        assert trace.salvaged == len(found)
+        assert trace.cut.offset == start
+        assert trace.cut.messages_missing
+        assert "in a chunk of" in str(trace.cut)
+        assert f"cut at byte {start}" in str(trace.cut)
+
+
+def test_an_end_overwritten_with_zeros_is_a_cut(tmp_path):
+    # What a file system may leave behind when the power fails.
+    path = tmp_path / "a.mcap"
+    recording = Recording(path).fill(40, 50 * MS)
+    recording.writer.flush()
+    size = path.stat().st_size
+    data = path.read_bytes()
+    recording.writer.close()
+    path.write_bytes(data + bytes(10_000))
+    with read_trace(path) as trace:
+        assert payloads(trace) == expected(recording)
+        assert trace.cut.offset == size
+        assert "no record begins there" in str(trace.cut)
+
+
+def test_a_damaged_chunk_is_told_with_its_place_and_what_is_before_it_is_good(tmp_path):
+    path = tmp_path / "a.mcap"
+    recording = Recording(path)
+    recording.fill(20, 50 * MS).writer.flush()
+    offset = path.stat().st_size
+    recording.fill(20, 50 * MS, first=20).writer.close()
+    data = bytearray(path.read_bytes())
+    for place in (offset + 60, offset + 9 + 24):  # inside the compressed data; its CRC
+        hurt = data.copy()
+        hurt[place] ^= 0x10
+        path.write_bytes(hurt)
+        with read_trace(path) as trace:
+            messages = trace.messages()
+            found = [next(messages) for _ in range(20)]
+            assert [(c.topic, t, p) for c, t, p in found] == expected(recording)[:20]
+            with pytest.raises(TraceError, match=f"damaged chunk .* at byte {offset}") as caught:
+                next(messages)
+        assert caught.value.offset == offset
+        assert caught.value.path == str(path)
+
+
+@pytest.mark.parametrize("place", ["schema", "channel", "attachment"])
+def test_a_damaged_record_is_told_with_its_place(tmp_path, place):
+    path = tmp_path / "a.mcap"
+    recording = Recording(path)
+    recording.writer.attach("rig", b"0123456789")
+    recording.fill(5, MS).writer.close()
+    data = bytearray(path.read_bytes())
+    opcode, inside = {"schema": (3, 14), "channel": (4, 16), "attachment": (9, -6)}[place]
+    offset = next(o for o, kind in walk(data) if kind == opcode)
+    end = offset + 9 + int.from_bytes(data[offset + 1 : offset + 9], "little")
+    data[(end if inside < 0 else offset) + inside] ^= 0x7F  # a length, or a byte under a CRC
+    path.write_bytes(data)
+    with pytest.raises(TraceError, match=f"damaged {place} record .* at byte {offset}"):
+        read_trace(path)
+
+
+def walk(data):
+    offset = 8
+    while offset < len(data) - 8:
+        yield offset, data[offset]
+        offset += 9 + int.from_bytes(data[offset + 1 : offset + 9], "little")
+
+
+@pytest.mark.parametrize(
+    ("content", "complaint"),
+    [(b"", "is empty"), (b"\x89MCAP1\r\n" + bytes(50), "no MCAP file"), (b"(0.0) can0", "no MCAP")],
+)
+def test_what_is_no_recording_is_refused_by_name(tmp_path, content, complaint):
+    path = tmp_path / "x.mcap"
+    path.write_bytes(content)
+    with pytest.raises(TraceError, match=complaint) as caught:
+        read_trace(path)
+    assert str(caught.value).startswith(str(path))
+
+
+def test_a_file_that_is_not_there_is_told_in_the_systems_words(tmp_path):
+    with pytest.raises(TraceError, match="cannot be read: no such file or directory"):
+        read_trace(tmp_path / "x.mcap")
+    with pytest.raises(TraceError, match="cannot be read: is a directory"):
+        read_trace(tmp_path)
+
+
+OTHER_WRITERS = {
+    "zstd": {"compression": CompressionType.ZSTD},
+    "lz4": {"compression": CompressionType.LZ4},
+    "uncompressed": {"compression": CompressionType.NONE},
+    "without-index": {"index_types": IndexType.NONE},
+    "small-chunks": {"chunk_size": 200},
+    "without-chunks": {"use_chunking": False},
+    "without-summary": {
+        "use_chunking": False,
+        "index_types": IndexType.NONE,
+        "repeat_channels": False,
+        "repeat_schemas": False,
+        "use_statistics": False,
+        "use_summary_offsets": False,
+    },
+}
+
+
+def written_by_mcap(options, count=300):
+    file = io.BytesIO()
+    writer = Writer(file, **options)
+    writer.start(profile="p", library="theirs")
+    schema = writer.register_schema("motorhil.CanFrame", "protobuf", Schema.of(CAN_FRAME).data)
+    channels = [writer.register_channel(f"/can/{i}", "protobuf", schema) for i in range(2)]
+    channels.append(writer.register_channel("/plain", "json", 0))
+    writer.add_attachment(1, 2, "a", "text/plain", b"data")
+    writer.add_metadata("m", {"k": "v"})
+    wanted = []
+    for number in range(count):
+        payload = b"" if number % 5 == 4 else encode_can_frame(counted_frame(number))
+        channel = channels[number % 3]
+        writer.add_message(channel, number * 7, payload, number * 6, number)
+        wanted.append((("/can/0", "/can/1", "/plain")[number % 3], number * 7, payload))
+    writer.finish()
+    return file.getvalue(), wanted
+
+
+@pytest.mark.parametrize("options", OTHER_WRITERS.values(), ids=OTHER_WRITERS)
+def test_files_of_another_writer_are_read_as_well(tmp_path, options):
+    path = tmp_path / "a.mcap"
+    data, wanted = written_by_mcap(options)
+    path.write_bytes(data)
+    with read_trace(path) as trace:
+        assert payloads(trace) == wanted
+        assert (trace.library, trace.cut) == ("theirs", None)
+        assert trace.metadata == {"m": {"k": "v"}}
+        assert [(a.name, a.data) for a in trace.attachments] == [("a", b"data")]
+        plain = next(c for c in trace.channels.values() if c.topic == "/plain")
+        assert (plain.schema, plain.encoding) == (None, "json")
+        assert payloads(trace, from_ns=700, to_ns=1400) == [m for m in wanted if 700 <= m[1] < 1400]
+
+
+@pytest.mark.parametrize("options", OTHER_WRITERS.values(), ids=OTHER_WRITERS)
+def test_files_of_another_writer_may_be_cut_too(tmp_path, options):
+    path = tmp_path / "a.mcap"
+    data, wanted = written_by_mcap(options)
+    for size in range(8, len(data), 97):
+        path.write_bytes(data[:size])
+        with read_trace(path) as trace:
+            found = payloads(trace)
+            assert found == wanted[: len(found)]
+            assert trace.cut is not None
+
+
+def test_records_of_the_future_are_skipped(tmp_path):
+    path = tmp_path / "a.mcap"
+    recording = write(path)
+    data = path.read_bytes()
+    first = next(o for o, kind in walk(data) if kind == 6)
+    new = b"\x90" + struct.pack("<Q", 5) + b"12345"
+    path.write_bytes(data[:first] + new + data[first:])
+    with read_trace(path) as trace:
+        assert payloads(trace) == expected(recording)

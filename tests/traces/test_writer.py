@@ -1,0 +1,281 @@
+"""The judge of what we write is mcap's own reader, with all its CRC checks."""
+
+import io
+import zlib
+from collections import Counter
+
+import pytest
+from mcap.reader import make_reader
+from mcap.records import Attachment, Chunk, DataEnd, Footer, Message, MessageIndex
+from mcap.stream_reader import StreamReader
+from mcap_protobuf.decoder import DecoderFactory
+
+from tests.traces.recordings import MS, SECOND, Recording, can_frame, counted_frame, write
+from traces.errors import TraceError
+from traces.fields import decode_can_frame
+from traces.schema import CAN_FRAME, LOG, Direction, Schema
+from traces.writer import CHUNK_BYTES, TraceWriter
+
+
+def records(data, **options):
+    return list(StreamReader(io.BytesIO(data), validate_crcs=True, **options).records)
+
+
+def chunks(data):
+    return [one for one in records(data, emit_chunks=True) if isinstance(one, Chunk)]
+
+
+def times(data):
+    return [one.log_time for one in records(data) if isinstance(one, Message)]
+
+
+def test_mcaps_own_readers_find_every_frame_as_it_was(tmp_path):
+    path = tmp_path / "a.mcap"
+    written = write(path)
+    with path.open("rb") as file:
+        reader = make_reader(file, validate_crcs=True, decoder_factories=[DecoderFactory()])
+        messages = list(reader.iter_decoded_messages(log_time_order=False))
+    assert len(messages) == len(written.entries)
+    topics = ["/can/can0", "/can/can0", "/can/can1"]
+    for message, (source, time_ns, data) in zip(messages, written.entries, strict=True):
+        assert message.message.log_time == message.message.publish_time == time_ns
+        if source < 0:
+            assert message.channel.topic == "/events"
+            assert message.message.data == data
+            continue
+        assert message.channel.topic == topics[source]
+        decoded = message.decoded_message
+        assert (decoded.id, decoded.data) == (data[0] + 256 * data[1], data[8:])
+        assert decoded.sender == ["left", "host", "right"][source]
+        assert decoded.direction == [1, 2, 1][source]
+
+
+def test_the_summary_says_what_is_in_the_file(tmp_path):
+    path = tmp_path / "a.mcap"
+    written = Recording(path, {"run": {"seed": "1"}, "versions": {"python": "3"}})
+    written.writer.attach("rig.toml", b"[rig]\n", "application/toml", 5)
+    written.fill(100, 50 * MS)
+    written.writer.close()
+    with path.open("rb") as file:
+        reader = make_reader(file, validate_crcs=True)
+        summary = reader.get_summary()
+        metadata = {one.name: one.metadata for one in reader.iter_metadata()}
+        attachments = list(reader.iter_attachments())
+    count = Counter(source for source, _, _ in written.entries)
+    statistics = summary.statistics
+    assert statistics.message_count == 100
+    assert statistics.channel_message_counts == {1: count[0] + count[1], 2: count[2], 3: 10}
+    assert (statistics.message_start_time, statistics.message_end_time) == (0, 99 * 50 * MS)
+    assert (statistics.schema_count, statistics.channel_count, statistics.chunk_count) == (2, 3, 5)
+    assert (statistics.metadata_count, statistics.attachment_count) == (2, 1)
+    assert [one.message_start_time for one in summary.chunk_indexes] == [
+        k * SECOND for k in range(5)
+    ]
+    assert [one.message_end_time for one in summary.chunk_indexes] == [
+        k * SECOND + 950 * MS for k in range(5)
+    ]
+    assert metadata == {"run": {"seed": "1"}, "versions": {"python": "3"}}
+    assert [(a.name, a.data, a.media_type, a.log_time) for a in attachments] == [
+        ("rig.toml", b"[rig]\n", "application/toml", 5)
+    ]
+
+
+def test_every_index_points_at_its_record(tmp_path):
+    path = tmp_path / "a.mcap"
+    recording = write(path)
+    data = path.read_bytes()
+    with path.open("rb") as file:
+        summary = make_reader(file).get_summary()
+    ends = 0
+    for index in summary.chunk_indexes:
+        assert data[index.chunk_start_offset] == 0x06
+        length = int.from_bytes(data[index.chunk_start_offset + 1 :][:8], "little")
+        assert index.chunk_length == 9 + length
+        assert ends <= index.chunk_start_offset
+        ends = index.chunk_start_offset + index.chunk_length
+    assert [c.uncompressed_size for c in chunks(data)] == [
+        index.uncompressed_size for index in summary.chunk_indexes
+    ]
+    assert recording.writer.error is None
+
+
+def test_all_crcs_are_there_and_right(tmp_path):
+    path = tmp_path / "a.mcap"
+    recording = Recording(path)
+    recording.writer.attach("a", b"data")
+    recording.fill(30, 50 * MS).writer.close()
+    data = path.read_bytes()
+    found = records(data)  # checks chunks and data section
+    assert next(r for r in found if isinstance(r, DataEnd)).data_section_crc != 0
+    assert all(chunk.uncompressed_crc != 0 for chunk in chunks(data))
+    footer = next(r for r in found if isinstance(r, Footer))
+    # Source: mcap.dev/spec, Footer: up to and including summary_offset_start; then CRC and magic.
+    assert footer.summary_crc == zlib.crc32(data[footer.summary_start : -8 - 4])
+    at = data.index(b"\x09" + (8 + 8 + 4 + 1 + 4 + 24 + 8 + 4 + 4).to_bytes(8, "little"))
+    end = at + 9 + int.from_bytes(data[at + 1 : at + 9], "little")
+    assert int.from_bytes(data[end - 4 : end], "little") == zlib.crc32(data[at + 9 : end - 4])
+    assert any(isinstance(r, Attachment) for r in found)
+
+
+def test_there_is_no_message_index_and_one_message_a_frame(tmp_path):
+    path = tmp_path / "a.mcap"
+    written = write(path)
+    found = records(path.read_bytes())
+    assert not any(isinstance(one, MessageIndex) for one in found)
+    assert sum(isinstance(one, Message) for one in found) == len(written.entries)
+
+
+def test_a_chunk_ends_with_its_second_and_not_before():
+    file = io.BytesIO()
+    recording = Recording(file)
+    for time_ns in (SECOND - 1, SECOND, 2 * SECOND - 1, 2 * SECOND, 7 * SECOND + 5):
+        recording.writer.can_frame(recording.sources[0], time_ns, can_frame(1))
+    recording.writer.close()
+    spans = [(c.message_start_time, c.message_end_time) for c in chunks(file.getvalue())]
+    assert spans == [
+        (SECOND - 1, SECOND - 1),
+        (SECOND, 2 * SECOND - 1),
+        (2 * SECOND, 2 * SECOND),
+        (7 * SECOND + 5, 7 * SECOND + 5),
+    ]
+
+
+@pytest.mark.parametrize("batch", [1, 7, 4095, 4096, 4097, 30_000])
+def test_chunks_end_at_the_same_seconds_however_frames_are_handed_over(batch):
+    file = io.BytesIO()
+    recording = Recording(file)
+    entries = [(0, number * 100_000, counted_frame(number)) for number in range(0, 30_000)]
+    for start in range(0, len(entries), batch):
+        recording.writer.extend(entries[start : start + batch])
+    recording.writer.close()
+    spans = [(c.message_start_time, c.message_end_time) for c in chunks(file.getvalue())]
+    assert spans == [(k * SECOND, (k + 1) * SECOND - 100_000) for k in range(3)]
+    assert times(file.getvalue()) == [time for _, time, _ in entries]
+
+
+def test_a_chunk_ends_at_a_mebibyte_within_its_second():
+    file = io.BytesIO()
+    recording = Recording(file).fill(40_000, 1_000)
+    recording.writer.close()
+    sizes = [chunk.uncompressed_size for chunk in chunks(file.getvalue())]
+    assert len(sizes) == 2
+    assert all(CHUNK_BYTES <= size < 2 * CHUNK_BYTES for size in sizes[:-1])
+    assert len(times(file.getvalue())) == 40_000
+
+
+def test_a_message_larger_than_any_chunk_is_written():
+    file = io.BytesIO()
+    recording = Recording(file)
+    large = b"\x1a" + bytes(5 * CHUNK_BYTES)
+    recording.writer.write(recording.events, 1, large)
+    recording.writer.extend([(0, 2, can_frame(1)), (-recording.events, 3, large)])
+    recording.writer.close()
+    data = [one.data for one in records(file.getvalue()) if isinstance(one, Message)]
+    assert [len(one) for one in data] == [len(large), len(data[1]), len(large)]
+
+
+def test_times_that_go_back_are_kept_and_the_chunk_says_so():
+    file = io.BytesIO()
+    recording = Recording(file)
+    wanted = [5 * SECOND, 4 * SECOND, 4 * SECOND + 7, 9 * SECOND, 2 * SECOND]
+    for time_ns in wanted:
+        recording.writer.can_frame(0, time_ns, can_frame(1))
+    recording.writer.close()
+    assert times(file.getvalue()) == wanted
+    spans = [(c.message_start_time, c.message_end_time) for c in chunks(file.getvalue())]
+    assert spans == [(4 * SECOND, 5 * SECOND), (2 * SECOND, 9 * SECOND)]
+    file.seek(0)
+    in_order = [m.log_time for _, _, m in make_reader(file).iter_messages()]
+    assert in_order == sorted(wanted)
+
+
+def test_a_second_that_is_over_is_in_the_file_without_any_further_frame(tmp_path):
+    path = tmp_path / "a.mcap"
+    recording = Recording(path)
+    before = path.stat().st_size
+    recording.writer.can_frame(0, 10, can_frame(1))
+    recording.writer.advance(SECOND - 1)
+    assert path.stat().st_size == before
+    recording.writer.advance(SECOND)
+    assert path.stat().st_size > before
+    recording.writer.close()
+
+
+def test_frames_with_and_without_fd_share_a_channel_and_stay_apart():
+    # The same first 8 bytes: only the size tells a canfd_frame from a can_frame.
+    header = b"\x23\x01\x00\x00\x08\x04\x00\x00"
+    classical, fd = header + b"12345678", header + b"abcdefgh".ljust(64, b"\0")
+    file = io.BytesIO()
+    recording = Recording(file)
+    recording.writer.extend([(0, 1, fd), (0, 2, classical), (0, 3, fd), (0, 4, classical)])
+    recording.writer.close()
+    data = [one.data for one in records(file.getvalue()) if isinstance(one, Message)]
+    assert [decode_can_frame(one).frame for one in data[::2]] == [fd, fd]
+    assert [decode_can_frame(one).frame[8:] for one in data[1::2]] == [b"12345678"] * 2
+    assert [len(decode_can_frame(one).frame) for one in data] == [72, 16, 72, 16]
+
+
+def test_more_identifiers_than_are_remembered_are_all_recorded():
+    file = io.BytesIO()
+    writer = TraceWriter(file)
+    source = writer.source(writer.channel("/can/a", Schema.of(CAN_FRAME)), "x", Direction.UNKNOWN)
+    ids = range(0, 70_000)
+    writer.extend([(source, 1, can_frame(0x80000000 | one)) for one in ids])
+    writer.close()
+    data = [one.data for one in records(file.getvalue()) if isinstance(one, Message)]
+    assert [int.from_bytes(one[1:5], "little") for one in data] == list(ids)
+
+
+def test_a_bad_frame_is_refused_and_the_batch_with_it_and_nothing_else():
+    file = io.BytesIO()
+    recording = Recording(file)
+    recording.writer.can_frame(0, 1, can_frame(1))
+    with pytest.raises(ValueError, match="16 or 72 bytes"):
+        recording.writer.extend([(0, 2, can_frame(1)), (0, 3, b"short")])
+    recording.writer.can_frame(0, 4, can_frame(1))
+    recording.writer.close()
+    assert times(file.getvalue()) == [1, 4]
+    file.seek(0)
+    assert make_reader(file).get_summary().statistics.message_count == 2
+
+
+def test_one_schema_serves_many_channels():
+    file = io.BytesIO()
+    writer = TraceWriter(file)
+    numbers = [
+        writer.channel(f"/can/{i}", Schema.of(CAN_FRAME), {"bitrate": "1"}) for i in range(5)
+    ]
+    writer.channel("/events", Schema.of(LOG))
+    writer.close()
+    file.seek(0)
+    summary = make_reader(file).get_summary()
+    assert numbers == [1, 2, 3, 4, 5]
+    assert len(summary.schemas) == 2
+    assert {c.schema_id for c in summary.channels.values()} == {1, 2}
+    assert summary.channels[3].metadata == {"bitrate": "1"}
+
+
+def test_a_recording_without_messages_is_a_file_all_the_same(tmp_path):
+    path = tmp_path / "empty.mcap"
+    TraceWriter(path).close()
+    with path.open("rb") as file:
+        assert list(make_reader(file, validate_crcs=True).iter_messages()) == []
+    assert len(records(path.read_bytes())) == 5  # header, data end, statistics, its offset, footer
+
+
+def test_after_close_nothing_more_is_written_and_closing_again_is_nothing():
+    writer = TraceWriter(io.BytesIO())
+    channel = writer.channel("/events", Schema.of(LOG))
+    writer.close()
+    writer.close()
+    with pytest.raises(TraceError, match="is closed"):
+        writer.write(channel, 1, b"")
+
+
+def test_a_channel_that_does_not_exist_is_refused():
+    writer = TraceWriter(io.BytesIO())
+    for number in (0, 1, -1):
+        with pytest.raises(ValueError, match="has no channel"):
+            writer.write(number, 1, b"")
+        with pytest.raises(ValueError, match="has no channel"):
+            writer.source(number, "x")

@@ -1,0 +1,216 @@
+"""Full disks, forbidden places and programs killed: what was written stays, and stays readable."""
+
+import errno
+import io
+import os
+import signal
+import subprocess
+import sys
+
+import pytest
+from mcap.reader import make_reader
+
+from tests.traces.recordings import MS, SECOND, Recording, can_frame
+from traces.errors import TraceError
+from traces.reader import read_trace
+from traces.schema import LOG, Schema
+from traces.writer import TraceWriter
+
+
+class SmallDisk(io.BytesIO):
+    """A file on a disk with room for so many bytes; the last write before it is full is short."""
+
+    name = "/media/stick/a.mcap"
+
+    def __init__(self, room):
+        super().__init__()
+        self.room = room
+
+    def write(self, data):
+        room = self.room - self.tell()
+        if room <= 0 and len(data):
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+        return super().write(bytes(data)[:room])
+
+
+def seconds_until_full(disk, a_second=100):
+    """(recording, error) after as many seconds of so many messages as there is room for."""
+    recording = Recording(disk)
+    with pytest.raises(TraceError) as caught:  # noqa: PT012  # the loop is what is tried
+        for second in range(1000):
+            recording.fill(a_second, SECOND // a_second, first=a_second * second)
+            recording.writer.flush()
+    return recording, caught.value
+
+
+def frames_in(data, path):
+    path.write_bytes(data)
+    with read_trace(path) as trace:
+        return trace.cut, [
+            (time, payload[-8:]) for c, time, payload in trace.messages() if "can" in c.topic
+        ]
+
+
+def test_a_full_disk_is_one_error_that_names_the_file_how_far_it_goes_and_the_remedy():
+    _, error = seconds_until_full(SmallDisk(20_000))
+    assert error.path == "/media/stick/a.mcap"
+    assert str(error) == (
+        "/media/stick/a.mcap: cannot be written: no space left on device; "
+        "the recording holds up to 10.990 s; free space there, or record to another place"
+    )
+
+
+@pytest.mark.parametrize("room", range(20_000, 20_900, 50))
+def test_what_was_written_before_the_disk_was_full_is_all_there(tmp_path, room):
+    disk = SmallDisk(room)
+    recording, _ = seconds_until_full(disk)
+    cut, found = frames_in(disk.getvalue(), tmp_path / "a.mcap")
+    wanted = [(time, data[8:]) for source, time, data in recording.entries if source >= 0]
+    assert found == wanted[: len(found)]
+    assert len(found) >= 7 * 90
+    assert len(found) % 90 == 0  # whole seconds, nothing of the one that did not fit
+    assert cut is None or not cut.size or cut.messages_missing
+
+
+@pytest.mark.parametrize(
+    ("room_left", "ending"),
+    [(0, "none"), (49, "none"), (50, "short"), (1000, "short"), (4000, "whole")],
+)
+def test_where_there_is_room_for_an_end_any_reader_can_open_what_there_is(
+    tmp_path, room_left, ending
+):
+    endless = io.BytesIO()
+    recording = Recording(endless)
+    for second in range(3):
+        recording.fill(1000, MS, first=1000 * second).writer.flush()
+    disk = SmallDisk(len(endless.getvalue()) + room_left)
+    seconds_until_full(disk, 1000)
+    cut, found = frames_in(disk.getvalue(), tmp_path / "a.mcap")
+    assert len(found) == 2700
+    if ending == "none":
+        assert cut is not None
+        assert disk.getvalue() == endless.getvalue()  # the piece that did not fit was taken back
+        return
+    assert cut is None
+    disk.seek(0)
+    reader = make_reader(disk, validate_crcs=True)
+    assert len(list(reader.iter_messages())) == 3000
+    summary = reader.get_summary()
+    assert (summary is None) == (ending == "short")
+    assert summary is None or summary.statistics.message_count == 3000
+
+
+def test_after_the_disk_was_full_every_call_says_so_and_close_is_quiet():
+    disk = SmallDisk(3_000)
+    recording, error = seconds_until_full(disk)
+    size = len(disk.getvalue())
+    for call in (
+        lambda: recording.writer.can_frame(0, 1, can_frame(1)),
+        lambda: recording.writer.channel("/x", Schema.of(LOG)),
+        lambda: recording.writer.attach("x", b""),
+        lambda: recording.writer.advance(10**18),
+    ):
+        with pytest.raises(TraceError) as caught:
+            call()
+        assert caught.value is error
+    recording.writer.close()
+    assert len(disk.getvalue()) == size
+    assert recording.writer.error is error
+
+
+def test_a_disk_full_when_the_recording_ends_is_told_by_close():
+    disk = SmallDisk(1_400)
+    recording = Recording(disk).fill(100, 10 * MS)
+    with pytest.raises(TraceError, match="no space left"):
+        recording.writer.close()
+    recording.writer.close()
+
+
+def test_a_disk_without_any_room_is_told_at_once():
+    with pytest.raises(TraceError, match="the recording holds nothing yet"):
+        TraceWriter(SmallDisk(10))
+
+
+def test_a_device_that_takes_one_byte_at_a_time_gets_the_whole_file(tmp_path):
+    class Slow(io.BytesIO):
+        def write(self, data):
+            return super().write(bytes(data)[:1])
+
+    slow, quick = Slow(), io.BytesIO()
+    for file in (slow, quick):
+        Recording(file).fill(50, 50 * MS).writer.close()
+    assert slow.getvalue() == quick.getvalue()
+
+
+def test_a_folder_that_does_not_exist_is_told_with_the_command_that_makes_it(tmp_path):
+    with pytest.raises(TraceError) as caught:
+        TraceWriter(tmp_path / "no" / "such" / "a.mcap")
+    folder = tmp_path / "no" / "such"
+    assert str(caught.value) == (
+        f"{folder}/a.mcap: cannot be written: no such file or directory; "
+        f"make the folder first: mkdir -p {folder}"
+    )
+
+
+@pytest.mark.parametrize("place", ["", "/proc/a.mcap"])
+def test_a_place_where_no_file_can_be_is_refused_by_name(tmp_path, place):
+    path = place or str(tmp_path)
+    with pytest.raises(
+        TraceError, match=r"cannot be written: .*; name a file in a folder"
+    ) as caught:
+        TraceWriter(path)
+    assert caught.value.path == path
+
+
+CHILD = """
+import resource, sys
+from tests.traces.recordings import Recording
+from traces.errors import TraceError
+recording = Recording(sys.argv[1])
+limit = int(sys.argv[2])
+if limit:
+    resource.setrlimit(resource.RLIMIT_FSIZE, (limit, limit))
+try:
+    for number in range(0, 100_000_000, 50):
+        recording.entries.clear()
+        recording.fill(50, 10_000_000, first=number)
+        print((number + 49) * 10_000_000, flush=True)
+except TraceError as error:
+    print(error)
+    recording.writer.close()
+"""
+
+
+def test_the_systems_own_limit_of_a_files_size_is_told_and_keeps_what_there_is(tmp_path):
+    path = tmp_path / "a.mcap"
+    done = subprocess.run(
+        [sys.executable, "-c", CHILD, path, "60000"], capture_output=True, text=True, check=True
+    )
+    *times, error = done.stdout.splitlines()
+    assert error.startswith(
+        f"{path}: cannot be written: file too large; the recording holds up to "
+    )
+    assert path.stat().st_size <= 60_000
+    with read_trace(path) as trace:
+        last = max(time for _, time, _ in trace.messages())
+    assert f"up to {last / 1e9:.3f} s" in error
+    assert int(times[-1]) - last <= SECOND
+
+
+@pytest.mark.wall
+def test_a_program_killed_in_the_middle_leaves_a_file_readable_up_to_its_last_second(tmp_path):
+    path = tmp_path / "a.mcap"
+    with subprocess.Popen(
+        [sys.executable, "-c", CHILD, path, "0"], stdout=subprocess.PIPE, text=True
+    ) as child:
+        assert child.stdout is not None
+        recorded_ns = 0
+        while recorded_ns < 20 * SECOND:
+            recorded_ns = int(child.stdout.readline())
+        child.send_signal(signal.SIGKILL)
+    assert child.returncode == -signal.SIGKILL
+    with read_trace(path) as trace:
+        times = [time for _, time, _ in trace.messages()]
+        assert trace.cut is not None
+    assert times == [10 * MS * number for number in range(len(times))]  # none is missing between
+    assert times[-1] >= recorded_ns - SECOND
