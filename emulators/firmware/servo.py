@@ -4,8 +4,9 @@ A tick of the servo (1 kHz, say), in this order:
 
 1. The motor moves on by one tick under the current wanted at the tick before; the current loop
    steps several times meanwhile (10 kHz). See servo_tables for how ten steps become one map.
-2. The encoder is read: whole increments. The velocity is a moving average over the last four
-   ticks, (count - count four ticks ago) / 4: it is exactly zero once the shaft has stood still.
+2. The encoder is read: whole increments. The velocity is a moving average, over two ticks for the
+   velocity loop (a longer one would come too late) and over four for everybody else (a shorter one
+   would be coarse): both are exactly zero once the shaft has stood still.
 3. Position loop (P, with the profile's velocity fed forward), velocity loop (PI, with the
    profile's acceleration fed forward), limit of the current, conditional integration.
 4. Flags.
@@ -213,9 +214,8 @@ def run(
                 end, start, p, slope, half, v, change = profile[index]
             s = t - start
             demand_v = v + s * change
-            # the measured velocity is two ticks old: compare it with the demand of that moment
-            s_then = s - 2.0
-            error_v = feed_v * (v + s_then * change if s_then > 0.0 else v) - velocity
+            # the average is one tick old: compare it with the demand of that moment
+            error_v = feed_v * (v + (s - 1.0) * change if s > 1.0 else v) - (c0 - c2) * 0.5
             if mode == POSITION:
                 demand = (p + s * (slope + s * half) + 0.5) // 1.0
                 error = demand - c0
