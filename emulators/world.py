@@ -247,7 +247,7 @@ class World:
         self._slots: dict[str, ControllerSlot] = {}
         self._touched: list[ControllerSlot] = []
         self._event_taps: list[EventTap] = []
-        self._sample_tap: SampleTap | None = None
+        self._sample_taps: list[SampleTap] = []
         self._sample_period_ns = 0
         self._sampler = queue.alarm(self._sample)
 
@@ -327,8 +327,16 @@ class World:
         """`on_sample(time_ns, controller, truth)` every `period_ns`, while the truth changes.
 
         A controller that nothing happens in, and whose truth stays the same, is not asked.
+
+        Raises:
+            ValueError: somebody samples at another period already.
         """
-        self._sample_tap = on_sample
+        if self._sample_taps and period_ns != self._sample_period_ns:
+            raise ValueError(
+                f"a sample every {period_ns} ns: the world is sampled every "
+                f"{self._sample_period_ns} ns already, for all"
+            )
+        self._sample_taps.append(on_sample)
         self._sample_period_ns = period_ns
         for slot in self._slots.values():
             slot.touched = True
@@ -342,7 +350,7 @@ class World:
 
     def touch(self, slot: ControllerSlot) -> None:
         """Something happened in the controller: the next sample includes it."""
-        if self._sample_tap is None:
+        if not self._sample_taps:
             return
         self._touched.append(slot)
         if len(self._touched) == 1:
@@ -350,9 +358,6 @@ class World:
             self._sampler.set((self.queue.now_ns // period_ns + 1) * period_ns)
 
     def _sample(self, now_ns: int) -> None:
-        tap = self._sample_tap
-        if tap is None:
-            return
         again: list[ControllerSlot] = []
         due = self._touched
         due.sort(key=_port_and_name)
@@ -361,7 +366,8 @@ class World:
             slot.touched = False
             if truth != slot.sample:
                 slot.sample = truth
-                tap(now_ns, slot.name, truth)
+                for tap in self._sample_taps:
+                    tap(now_ns, slot.name, truth)
                 slot.touched = True
                 again.append(slot)
         self._touched = again

@@ -1,0 +1,224 @@
+"""`motorhil demo`: a six-wheel rover drives an arc, a crab and a turn while its mast looks on.
+
+The application is `harness/examples/rover.py`, the rig `harness/examples/rover.toml`; this is the
+frame around them: progress, record, and a table of what came of it.
+"""
+
+import argparse
+import sys
+import time
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Final, final
+
+from harness.rig_file import SEED_MAX
+from harness.settings import RigError
+
+if TYPE_CHECKING:
+    from harness.examples.rover import Move, Rover
+    from harness.rig import Rig
+    from harness.rig_file import RigDescription
+
+PASSED: Final = 0
+FAILED: Final = 1
+RIG: Final = Path(__file__).parent / "examples" / "rover.toml"
+POINT_M: Final = (6.0, 1.5, 0.4)
+SAMPLE_NS: Final = 20_000_000
+PEAK_WINDOW_NS: Final = 100_000_000
+ERROR_MAX_RAD: Final = 0.002  # a motor that ends further off has not done its job
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """The words after `motorhil demo`."""
+    parser.add_argument(
+        "--eds",
+        action="append",
+        type=Path,
+        default=[],
+        metavar="FILE",
+        help="a vendor's EDS or DCF for the drives, instead of ours; several are dealt out in turn",
+    )
+    parser.add_argument("--seed", type=int, metavar="N", help="instead of the rig's own")
+    parser.add_argument(
+        "-o",
+        "--output",
+        type=Path,
+        default=Path("out/demo.mcap"),
+        metavar="FILE",
+        help="the record (default out/demo.mcap)",
+    )
+    parser.add_argument("--realtime", action="store_true", help="no faster than the wall clock")
+
+
+def run(options: argparse.Namespace) -> int:
+    """Exit status: 0 every motor arrived, 1 one did not.
+
+    Raises:
+        RigError: an option or an EDS file cannot be used.
+    """
+    from harness.examples.rover import Rover, manoeuvre
+    from harness.rig import Rig, installed_plugins
+    from harness.rig_file import read_rig
+    from motorapi import MotorError
+    from traces.digest import digest
+
+    if options.seed is not None and not 0 <= options.seed <= SEED_MAX:
+        raise RigError("--seed", f"{options.seed} is not within 0 to {SEED_MAX}", "another number")
+    description = _with_eds(read_rig(RIG, installed_plugins()), options.eds)
+    _make_folder(options.output.parent)
+    begun_s = time.perf_counter()
+    with Rig(
+        description, seed=options.seed, realtime=options.realtime, record=options.output
+    ) as rig:
+        for note in rig.notes:
+            print(note, file=sys.stderr)
+        peaks = _PeakFollowingError(rig)
+        rover = Rover(rig.groups["wheels"], rig.groups["steering"], rig.groups["mast"])
+
+        def told(text: str) -> None:
+            print(f"{rig.runtime.now_ns() / 1e9:7.3f} s  {text}", file=sys.stderr, flush=True)
+
+        try:
+            manoeuvre(rover, rig.runtime, POINT_M, told)
+        except MotorError as error:
+            print(f"motorhil demo: {error}", file=sys.stderr)
+            print(f"the record so far: {options.output}", file=sys.stderr)
+            return FAILED
+        arrived = _print_motors(rig, rover, peaks)
+        simulated_s = rig.runtime.now_ns() / 1e9
+        _print_buses(rig)
+        _print_groups(rig, rover)
+    spent_s = time.perf_counter() - begun_s
+    print(
+        f"\n{simulated_s:.1f} s simulated in {spent_s:.2f} s: "
+        f"{simulated_s / spent_s:.1f} simulated seconds per second"
+    )
+    print(f"record {options.output}, digest {digest(options.output)} (seed {rig.seed})")
+    return PASSED if arrived else FAILED
+
+
+def _make_folder(folder: Path) -> None:
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        reason = error.strerror or str(error)
+        raise RigError(folder, f"cannot be made: {reason}", "record elsewhere with -o") from None
+
+
+def _with_eds(description: "RigDescription", files: Sequence[Path]) -> "RigDescription":
+    """The rig with these files dealt out: one each to wheels, steering and mast, in turn."""
+    if not files:
+        return description
+    for file in files:
+        if not file.is_file():
+            raise RigError(file, "no such EDS file", "check the path given with --eds")
+    kinds = list(dict.fromkeys(name.split("_")[0] for name in description.controllers))
+    given = {kind: files[place % len(files)] for place, kind in enumerate(kinds)}
+    controllers = {
+        name: replace(
+            controller,
+            settings={**controller.settings, "eds": str(given[name.split("_")[0]].absolute())},
+        )
+        for name, controller in description.controllers.items()
+    }
+    return replace(description, controllers=controllers)
+
+
+@final
+class _PeakFollowingError:
+    """The largest following error of each controller, in increments, sampled at 20 ms."""
+
+    def __init__(self, rig: "Rig") -> None:
+        self._peaks = dict.fromkeys(rig.controllers, 0.0)
+        rig.world.tap_samples(SAMPLE_NS, self._sample)
+
+    def _sample(self, now_ns: int, controller: str, truth: Mapping[str, float]) -> None:
+        size = abs(truth["following_error_inc"])
+        if size > self._peaks[controller]:
+            self._peaks[controller] = size
+
+    def of(self, controller: str) -> float:
+        """The peak so far [increments]."""
+        return self._peaks[controller]
+
+
+def _print_table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
+    widths = [max(len(row[column]) for row in [head, *rows]) for column in range(len(head))]
+    for row in [head, *rows]:
+        first, *others = (cell.rjust(width) for cell, width in zip(row, widths, strict=True))
+        print("  ".join([row[0].ljust(len(first)), *others]).rstrip())
+
+
+def _print_motors(rig: "Rig", rover: "Rover", peaks: _PeakFollowingError) -> bool:
+    """One line a motor; whether all of them ended where they were told to."""
+    last: dict[str, tuple[float, Move, int]] = {}
+    for move in rover.moves:
+        for place, motor in enumerate(move.group):
+            last[motor.name] = (move.targets_rad[place], move, place)
+    rows = []
+    arrived = True
+    for name in rig.motors:
+        target_rad, move, place = last[name]
+        reached_rad = rig.controllers[name].snapshot()["position_rad"]
+        error_rad = reached_rad - target_rad
+        arrived = arrived and abs(error_rad) <= ERROR_MAX_RAD
+        times = move.quality.times[place][1]
+        took = "-"
+        if times is not None and times.started_ns is not None and times.ended_ns is not None:
+            took = f"{(times.ended_ns - times.started_ns) / 1e9:.3f}"
+        rows.append(
+            (
+                name,
+                f"{target_rad:.4f}",
+                f"{reached_rad:.4f}",
+                f"{error_rad * 1e3:+.3f}",
+                took,
+                f"{peaks.of(name):.0f}",
+            )
+        )
+    head = ("motor", "target rad", "reached rad", "error mrad", "last move s", "peak follow. inc")
+    print()
+    _print_table(head, rows)
+    return arrived
+
+
+def _print_buses(rig: "Rig") -> None:
+    rows = []
+    for name in rig.world.bus_names():
+        statistics = rig.world.bus(name).statistics
+        load = statistics.load(0, rig.runtime.now_ns())
+        peak = statistics.peak_load(PEAK_WINDOW_NS)
+        rows.append((name, f"{statistics.frames}", f"{load:.1%}", f"{peak:.1%}"))
+    print()
+    _print_table(("bus", "frames", "load", "peak load in 100 ms"), rows)
+
+
+def _print_groups(rig: "Rig", rover: "Rover") -> None:
+    """Per group: what skew was possible, and the largest there was."""
+    rows = []
+    for name in rig.groups:
+        moves = [move for move in rover.moves if move.group is rig.groups[name]]
+        predicted = [move.capability.start_skew_s for move in moves]
+        rows.append(
+            (
+                name,
+                f"{len(moves)}",
+                moves[0].capability.level.name,
+                _milliseconds(predicted),
+                _milliseconds([move.quality.start_skew_s for move in moves]),
+                _milliseconds([move.quality.predicted_end_skew_s for move in moves]),
+                _milliseconds([move.quality.end_skew_s for move in moves]),
+            )
+        )
+    print()
+    _print_table(
+        ("group", "moves", "start", "bound ms", "start skew ms", "rounding ms", "end skew ms"), rows
+    )
+
+
+def _milliseconds(values_s: Sequence[float | None]) -> str:
+    known = [value for value in values_s if value is not None]
+    if len(known) < len(values_s) or not known:
+        return "no bound"
+    return f"{max(known) * 1e3:.3f}"

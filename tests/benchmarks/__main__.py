@@ -1,0 +1,27 @@
+"""`make bench`: figures of this machine and this moment; where there is a peer, from the same run.
+
+python -m tests.benchmarks [NAME ...]      only the benchmarks whose name holds one of these
+"""
+
+import importlib
+import pkgutil
+import sys
+
+import tests.benchmarks
+from harness.build_info import describe
+
+
+def main(wanted: list[str]) -> int:
+    """Prints one line a figure."""
+    print(describe())
+    for module in sorted(m.name for m in pkgutil.iter_modules(tests.benchmarks.__path__)):
+        if not module.startswith("bench_") or (wanted and not any(w in module for w in wanted)):
+            continue
+        print(f"\n{module.removeprefix('bench_')}")
+        for name, figure, unit in importlib.import_module(f"tests.benchmarks.{module}").run():
+            print(f"  {name:<66} {figure:>12,.3f} {unit}", flush=True)
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:]))

@@ -1,0 +1,156 @@
+import can
+import pytest
+
+from emulators.event_queue import EventQueue
+from emulators.media.can_bus import CanBus
+from emulators.world import World
+from harness.can_plugin import close_rig, open_rig
+from harness.virtual_time import VirtualRuntime
+from tests.emulators.test_world import Echo
+
+MS = 1_000_000
+
+
+@pytest.fixture
+def rig():
+    queue = EventQueue()
+    world = World(queue)
+    world.add_bus(CanBus("can0"))
+    world.add_bus(CanBus("can1"))
+    world.add_controller("echo", Echo(0x180), "can0")
+    runtime = VirtualRuntime(queue)
+    open_rig(world, runtime)
+    yield runtime
+    close_rig(world)
+    runtime.close()
+
+
+def emulated(channel="can0", **options):
+    return can.Bus(interface="emulated", channel=channel, **options)
+
+
+def message(can_id, data=b"", **options):
+    return can.Message(arbitration_id=can_id, data=data, **{"is_extended_id": False, **options})
+
+
+def test_python_can_knows_the_interface_by_its_entry_point():
+    assert "emulated" in can.VALID_INTERFACES
+
+
+def test_an_answer_comes_in_the_rigs_time(rig):
+    with emulated() as bus:
+        bus.send(message(0x100, b"\x05"))
+        answer = bus.recv(1.0)
+    assert (answer.arbitration_id, bytes(answer.data), answer.channel) == (0x180, b"\x05", "can0")
+    assert answer.timestamp == rig.now_ns() / 1e9
+    assert 1 * MS < rig.now_ns() < 2 * MS
+
+
+def test_a_timeout_of_recv_is_the_rigs_time_to_the_nanosecond(rig):
+    with emulated() as bus:
+        assert bus.recv(0.1) is None
+        assert rig.now_ns() == 100 * MS
+        assert bus.recv(0) is None
+        assert rig.now_ns() == 100 * MS
+
+
+def test_frames_that_filters_refuse_do_not_prolong_the_timeout(rig):
+    with emulated(can_filters=[{"can_id": 0x180, "can_mask": 0x7FF}]) as bus, emulated() as other:
+        other.send_periodic(message(0x123), 0.001)
+        assert bus.recv(0.0105) is None
+        assert rig.now_ns() == 10_500_000
+
+
+def test_two_programs_hear_one_another_and_not_themselves(rig):
+    with emulated() as one, emulated() as two, emulated("can1") as elsewhere:
+        one.send(message(0x321, b"\x01\x02"))
+        assert two.recv(0.01).arbitration_id == 0x321
+        assert one.recv(0.01) is None
+        assert elsewhere.recv(0.01) is None
+
+
+def test_own_frames_are_heard_when_transmitted_if_asked_for(rig):
+    with emulated(receive_own_messages=True) as bus:
+        bus.send(message(0x321))
+        echo = bus.recv(0.01)
+    assert (echo.arbitration_id, echo.is_rx) == (0x321, False)
+    assert echo.timestamp > 0.0
+
+
+@pytest.mark.parametrize(
+    "sent",
+    [
+        message(0x7FF, bytes(range(8))),
+        message(0x000),
+        message(0x1FFFFFFF, b"\x01", is_extended_id=True),
+        message(0x123, is_extended_id=True),
+        message(0x123, is_remote_frame=True, dlc=5),
+    ],
+    ids=str,
+)
+def test_every_kind_of_classical_frame_comes_through_unchanged(rig, sent):
+    with emulated() as one, emulated() as two:
+        one.send(sent)
+        assert two.recv(0.01).equals(
+            sent, timestamp_delta=None, check_channel=False, check_direction=False
+        )
+
+
+@pytest.mark.parametrize(
+    ("sent", "reason"),
+    [
+        (message(0x123, bytes(12), is_fd=True), "CAN FD"),
+        (message(0x800), "11 bits"),
+        (message(0x123, bytes(9), dlc=9), "holds 8"),
+    ],
+)
+def test_what_is_no_classical_frame_is_refused_with_the_reason(rig, sent, reason):
+    with emulated() as bus, pytest.raises(can.CanOperationError, match=reason):
+        bus.send(sent)
+
+
+def test_periodic_messages_keep_the_rigs_time_and_stop(rig):
+    with emulated() as one, emulated() as two:
+        task = one.send_periodic([message(0x080), message(0x081)], 0.01, duration=0.045)
+        heard = []
+        while (got := two.recv(0.1)) is not None:
+            heard.append((round(got.timestamp, 3), got.arbitration_id))
+        assert heard == [(0.0, 0x80), (0.01, 0x81), (0.02, 0x80), (0.03, 0x81), (0.04, 0x80)]
+        task.start()
+        assert two.recv(0.02) is not None
+        task.stop()
+        assert two.recv(0.02) is None
+
+
+def test_a_bus_that_is_not_open_names_those_that_are(rig):
+    with pytest.raises(can.CanInitializationError, match=r"'can7'.*open: can0, can1"):
+        emulated("can7")
+
+
+def test_two_rigs_with_one_bus_name_are_not_open_together(rig):
+    world = World(EventQueue())
+    world.add_bus(CanBus("can0"))
+    with pytest.raises(can.CanInitializationError, match="close that rig first"):
+        open_rig(world, rig)
+
+
+def test_a_listener_hears_own_frames_when_they_were_transmitted(rig):
+    heard = []
+    with emulated() as bus:
+        registration = rig.listen(bus, lambda frame, t, own: heard.append((frame[:2], own)))
+        bus.send(message(0x100))
+        rig.run_for(0.01)
+        registration.cancel()
+        bus.send(message(0x100))
+        rig.run_for(0.01)
+    assert heard == [(b"\x00\x01", True), (b"\x80\x01", False)]
+
+
+def test_a_bus_nobody_reads_gives_up_the_oldest_and_counts_them(rig, monkeypatch):
+    monkeypatch.setattr("harness.can_plugin._BACKLOG_MAX", 3)
+    with emulated() as one, emulated() as two:
+        for number in range(5):
+            one.send(message(0x200 + number))
+        rig.run_for(0.01)
+        assert two.dropped == 2
+        assert two.recv(0.0).arbitration_id == 0x202
