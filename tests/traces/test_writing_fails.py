@@ -6,6 +6,7 @@ import os
 import signal
 import subprocess
 import sys
+from pathlib import Path
 
 import pytest
 from mcap.reader import make_reader
@@ -162,6 +163,7 @@ def test_a_place_where_no_file_can_be_is_refused_by_name(tmp_path, place):
     assert caught.value.path == path
 
 
+ROOT = Path(__file__).parents[2]
 CHILD = """
 import resource, sys
 from tests.traces.recordings import Recording
@@ -183,9 +185,8 @@ except TraceError as error:
 
 def test_the_systems_own_limit_of_a_files_size_is_told_and_keeps_what_there_is(tmp_path):
     path = tmp_path / "a.mcap"
-    done = subprocess.run(
-        [sys.executable, "-c", CHILD, path, "60000"], capture_output=True, text=True, check=True
-    )
+    command = [sys.executable, "-c", CHILD, path, "60000"]
+    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=True)
     *times, error = done.stdout.splitlines()
     assert error.startswith(
         f"{path}: cannot be written: file too large; the recording holds up to "
@@ -200,9 +201,8 @@ def test_the_systems_own_limit_of_a_files_size_is_told_and_keeps_what_there_is(t
 @pytest.mark.wall
 def test_a_program_killed_in_the_middle_leaves_a_file_readable_up_to_its_last_second(tmp_path):
     path = tmp_path / "a.mcap"
-    with subprocess.Popen(
-        [sys.executable, "-c", CHILD, path, "0"], stdout=subprocess.PIPE, text=True
-    ) as child:
+    command = [sys.executable, "-c", CHILD, path, "0"]
+    with subprocess.Popen(command, cwd=ROOT, stdout=subprocess.PIPE, text=True) as child:
         assert child.stdout is not None
         recorded_ns = 0
         while recorded_ns < 20 * SECOND:
