@@ -60,6 +60,7 @@ def start_together(motors: Sequence["Motor"]) -> tuple[Started, ...]:
         if disabled:
             for motor in disabled:
                 motor._call(motor._enable)
+            _check_not_interrupted(motors, seen)
             motions = plan(motors)  # switching on may have moved what they hold
         started = tuple(
             Started(motor, motion, motor._call(motor._quantise, motion))
@@ -227,7 +228,7 @@ def _arm(started: Sequence[Started], seen: Sequence[int]) -> list[Trigger]:
             trigger = one.motor._call(one.motor._arm, one.motion, together=len(started) > 1)
             if trigger not in triggers:
                 triggers.append(trigger)
-        _check_not_interrupted(started, seen)
+        _check_not_interrupted([one.motor for one in started], seen)
     except BaseException as error:
         _note_member(error, armed[-1], started)
         _disarm(armed, error)
@@ -244,20 +245,19 @@ def _fire(started: Sequence[Started], triggers: Sequence[Trigger], seen: Sequenc
             current.motor._call(trigger.fire)
         for current in started:
             current.motor._call(current.motor._confirm, current.motion)
-        _check_not_interrupted(started, seen)
+        _check_not_interrupted([one.motor for one in started], seen)
     except BaseException as error:
         _note_member(error, current, started)
         _abandon(started, runs, error)
         raise
 
 
-def _check_not_interrupted(started: Sequence[Started], seen: Sequence[int]) -> None:
-    for one, count in zip(started, seen, strict=True):
-        physical = one.motor._physical
+def _check_not_interrupted(motors: Sequence["Motor"], seen: Sequence[int]) -> None:
+    for motor, count in zip(motors, seen, strict=True):
+        physical = motor._physical
         if physical.interruptions != count:
-            run = physical.run
-            by = "a stop" if run is None else run.name
-            raise MotionInterrupted(motor=one.motor.name, by=by, at_ns=one.motor.runtime.now_ns())
+            by = "a stop" if physical.run is None else physical.run.name
+            raise MotionInterrupted(motor=motor.name, by=by, at_ns=motor.runtime.now_ns())
 
 
 def _disarm(armed: Sequence[Started], error: BaseException) -> None:

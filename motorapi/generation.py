@@ -93,7 +93,11 @@ def shortest(
     if way == 0.0:
         return Trapezoid(distance, 0.0, acceleration, deceleration, 0.0, 0.0, 0.0)
     k = _ramp_time(acceleration, deceleration)
-    return _trapezoid(distance, min(velocity, sqrt(way / k)), acceleration, deceleration)
+    triangle = sqrt(way / k)
+    if triangle <= velocity:
+        return _trapezoid(distance, triangle, acceleration, deceleration, 0.0)
+    plateau_s = max(0.0, way / velocity - k * velocity)
+    return _trapezoid(distance, velocity, acceleration, deceleration, plateau_s)
 
 
 def stretched(
@@ -123,7 +127,8 @@ def stretched(
             f" {deceleration:g}; it takes at least {2.0 * sqrt(k * way):g} s"
         )
     peak = 2.0 * way / (duration_s + sqrt(max(rest, 0.0)))
-    return _trapezoid(distance, peak, acceleration, deceleration)
+    plateau_s = max(0.0, way / peak - k * peak)
+    return _trapezoid(distance, peak, acceleration, deceleration, plateau_s)
 
 
 def common_duration_s(shortest_s: Sequence[float]) -> float:
@@ -141,20 +146,12 @@ def _ramp_time(acceleration: float, deceleration: float) -> float:
     return 0.5 / acceleration + 0.5 / deceleration
 
 
-def _trapezoid(distance: float, peak: float, acceleration: float, deceleration: float) -> Trapezoid:
-    way = abs(distance)
+def _trapezoid(
+    distance: float, peak: float, acceleration: float, deceleration: float, plateau_s: float
+) -> Trapezoid:
     up_s = peak / acceleration
-    down_s = peak / deceleration
-    plateau_s = max(0.0, way / peak - 0.5 * (up_s + down_s))
-    return Trapezoid(
-        distance,
-        peak,
-        acceleration,
-        deceleration,
-        up_s,
-        up_s + plateau_s,
-        up_s + plateau_s + down_s,
-    )
+    end_s = up_s + plateau_s + peak / deceleration
+    return Trapezoid(distance, peak, acceleration, deceleration, up_s, up_s + plateau_s, end_s)
 
 
 def _check(distance: float, *positive: float) -> None:

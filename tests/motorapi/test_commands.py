@@ -1,0 +1,82 @@
+import pickle
+from math import inf, nan
+
+import pytest
+
+from motorapi import DerivativeLimits, LimitError, TrapezoidalTrajectory, UsageError
+
+
+def test_one_number_is_a_range_around_zero():
+    limits = DerivativeLimits(first=2, second=(-1, 3))
+    assert limits.first == (-2.0, 2.0)
+    assert limits.second == (-1.0, 3.0)
+    assert limits.third is None
+    assert limits == DerivativeLimits(first=2.0, second=(-1.0, 3.0))
+
+
+@pytest.mark.parametrize("bad", [0, -1.0, (0.0, 1.0), (-1.0, 0.0), (1.0, -1.0), nan, (-1.0, nan)])
+def test_a_derivative_that_may_not_be_zero_is_refused(bad):
+    with pytest.raises(UsageError, match="must hold 0 inside"):
+        DerivativeLimits(first=bad)
+
+
+def test_the_value_itself_need_not_be_around_zero():
+    assert DerivativeLimits(value=(1, 2)).value == (1, 2)
+    with pytest.raises(UsageError, match="empty"):
+        DerivativeLimits(value=(2.0, 1.0))
+
+
+def test_trajectories_are_values():
+    one = TrapezoidalTrajectory(1, limits=DerivativeLimits(first=0.5), duration_s=3)
+    same = TrapezoidalTrajectory(1.0, limits=DerivativeLimits(first=0.5), duration_s=3.0)
+    assert one == same
+    assert hash(one) == hash(same)
+    assert pickle.loads(pickle.dumps(one)) == one
+    assert one != TrapezoidalTrajectory(1.0)
+    with pytest.raises(AttributeError):
+        one.final = 2.0  # type: ignore[misc]
+
+
+def test_a_trajectory_is_a_distance_unless_it_says_where_it_begins():
+    assert TrapezoidalTrajectory(1.0).is_relative
+    assert not TrapezoidalTrajectory(1.0, 0.0).is_relative
+
+
+@pytest.mark.parametrize(
+    ("trajectory", "shown"),
+    [
+        (TrapezoidalTrajectory(1.0), "<TrapezoidalTrajectory by 1.0 rad|m, as fast as allowed>"),
+        (
+            TrapezoidalTrajectory(
+                1.0, initial=0.25, duration_s=2.0, limits=DerivativeLimits(first=0.5)
+            ),
+            "<TrapezoidalTrajectory from 0.25 to 1.0 rad|m, in 2.0 s, "
+            "velocity at most 0.5 rad|m/s>",
+        ),
+        (
+            TrapezoidalTrajectory(-1.0, limits=DerivativeLimits(second=(-2, 1), value=(-3, 0))),
+            "<TrapezoidalTrajectory by -1.0 rad|m, as fast as allowed, value -3 to 0 rad|m, "
+            "acceleration -2.0 to 1.0 rad|m/s²>",
+        ),
+    ],
+)
+def test_a_trajectory_shows_itself_with_units(trajectory, shown):
+    assert repr(trajectory) == shown
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        {"final": nan},
+        {"final": inf},
+        {"final": 1.0, "initial": nan},
+        {"final": 1.0, "duration_s": 0.0},
+        {"final": 1.0, "duration_s": -1.0},
+        {"final": 1.0, "duration_s": inf},
+        {"final": 1.0, "initial": 0.0, "limits": DerivativeLimits(value=(0.0, 0.5))},
+    ],
+)
+def test_a_trajectory_that_cannot_be_is_refused(arguments):
+    with pytest.raises(UsageError) as caught:
+        TrapezoidalTrajectory(**arguments)
+    assert not isinstance(caught.value, LimitError)  # no motor yet, so none of its limits

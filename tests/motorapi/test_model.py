@@ -1,0 +1,152 @@
+from math import inf, nan
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from motorapi import ControlVariable, FileError, MotionKind, MotorModel, UsageError
+
+WHEEL = """\
+# A comment
+name = "drive wheel"
+velocity_max_rad_s = 6
+acceleration_max_rad_s2 = 20.0
+position_min_rad = -3.0
+increments_per_rad = -10430.4
+requires_referencing = true
+"""
+
+
+def refused(tmp_path, text):
+    path = tmp_path / "m.toml"
+    path.write_text(text, encoding="utf-8")
+    with pytest.raises(FileError) as caught:
+        MotorModel.load(path)
+    assert caught.value.path == str(path)
+    assert caught.value.remedy
+    return caught.value
+
+
+def test_a_model_is_read_with_its_units(tmp_path):
+    path = tmp_path / "wheel.toml"
+    path.write_text(WHEEL)
+    model = MotorModel.load(path)
+    assert model == MotorModel(
+        name="drive wheel",
+        velocity_max=6.0,
+        acceleration_max=20.0,
+        position_min=-3.0,
+        increments_per_unit=-10430.4,
+        requires_referencing=True,
+    )
+    assert model.deceleration == 20.0
+    assert model.position_max is None
+
+
+def test_a_linear_model_speaks_metres_and_newtons(tmp_path):
+    path = tmp_path / "slide.toml"
+    path.write_text(
+        'kind = "linear"\nvelocity_max_m_s = 0.5\nacceleration_max_m_s2 = 2.0\n'
+        "force_max_n = 30.0\nincrements_per_m = 1e6\ndeceleration_max_m_s2 = 1.0\n"
+    )
+    model = MotorModel.load(path)
+    assert (model.name, model.kind, model.unit) == ("slide", MotionKind.LINEAR, "m")
+    assert (model.torque_max, model.increments_per_unit, model.deceleration) == (30.0, 1e6, 1.0)
+    units = [model.unit_of(variable) for variable in ControlVariable]
+    assert units == ["m", "m/s", "N", "A"]
+    assert model.start_tolerance == 0.0001
+
+
+@pytest.mark.parametrize(
+    ("line", "key", "remedy"),
+    [
+        ("velocity_max_rads = 1.0", "velocity_max_rads", "did you mean velocity_max_rad_s?"),
+        ("velocity_max_m_s = 1.0", "velocity_max_m_s", "did you mean velocity_max_rad_s?"),
+        ("colour = 1", "colour", "known are name, kind, velocity_max_rad_s"),
+        ("[motor]", "motor", "known are name"),
+        ('jerk_max_rad_s3 = "1"', "jerk_max_rad_s3", "write a number"),
+        ("jerk_max_rad_s3 = true", "jerk_max_rad_s3", "write a number"),
+        ("jerk_max_rad_s3 = [\n1]", "jerk_max_rad_s3", "write a number"),
+        ("jerk_max_rad_s3 = 0", "jerk_max_rad_s3", "leave the key out"),
+        ("jerk_max_rad_s3 = -1", "jerk_max_rad_s3", "leave the key out"),
+        ("jerk_max_rad_s3 = nan", "jerk_max_rad_s3", "leave the key out"),
+        ("position_max_rad = inf", "position_max_rad", "leave the key out"),
+        ("increments_per_rad = 0.0", "increments_per_rad", "leave the key out"),
+        ('kind = "rotating"', "kind", '"rotary" or "linear"'),
+        ("name = 3", "name", "in quotes"),
+        ("requires_referencing = 1", "requires_referencing", "true or false"),
+    ],
+)
+def test_bad_key_is_refused_with_file_line_key_and_remedy(tmp_path, line, key, remedy):
+    good = "velocity_max_rad_s = 6.0 # [1]\n\nacceleration_max_rad_s2 = 20.0\n"
+    error = refused(tmp_path, good + line + "\n")
+    lines = 2 if "\n" in line else 1
+    assert (error.line, error.key) == (3 + lines, key)
+    assert remedy in error.remedy
+    assert f"m.toml:{error.line}: {key}" in str(error)
+
+
+def test_missing_limit_is_named(tmp_path):
+    error = refused(tmp_path, "velocity_max_rad_s = 6.0\n")
+    assert (error.line, error.key) == (None, "acceleration_max_rad_s2")
+
+
+def test_empty_position_range_is_refused(tmp_path):
+    error = refused(tmp_path, WHEEL + "position_max_rad = -3.0\n")
+    assert (error.line, error.key) == (5, "position_min_rad")
+
+
+def test_what_is_no_toml_is_refused_with_its_line(tmp_path):
+    error = refused(tmp_path, "velocity_max_rad_s = 6.0\nspeed: 3\n")
+    assert error.line == 2
+
+
+def test_missing_file_and_binary_file_are_refused(tmp_path):
+    with pytest.raises(FileError, match="No such file"):
+        MotorModel.load(tmp_path / "none.toml")
+    (tmp_path / "binary.toml").write_bytes(b"\xff\xfe")
+    with pytest.raises(FileError, match="not UTF-8"):
+        MotorModel.load(tmp_path / "binary.toml")
+
+
+def test_a_table_of_another_file_is_refused_with_that_files_line():
+    table = {"velocity_max_rad_s": 1.0, "acceleration_max_rad_s2": 1.0, "speed": 2}
+    with pytest.raises(FileError, match=r"rig\.toml:17: speed"):
+        MotorModel.from_table(table, path="rig.toml", line_of={"speed": 17}.get)
+    del table["speed"]
+    assert MotorModel.from_table(table, path="rig.toml", default_name="left").name == "left"
+
+
+def test_a_model_made_in_code_is_checked_too():
+    for bad in (0.0, -1.0, nan, inf):
+        with pytest.raises(UsageError, match="velocity_max"):
+            MotorModel(name="x", velocity_max=bad, acceleration_max=1.0)
+    with pytest.raises(UsageError, match="position_min"):
+        MotorModel(
+            name="x", velocity_max=1.0, acceleration_max=1.0, position_min=1.0, position_max=1.0
+        )
+
+
+POSITIVE = st.floats(1e-300, 1e300)
+
+
+@given(
+    st.builds(
+        MotorModel,
+        name=st.text(min_size=1),
+        kind=st.sampled_from(MotionKind),
+        velocity_max=POSITIVE,
+        acceleration_max=POSITIVE,
+        deceleration_max=st.none() | POSITIVE,
+        torque_max=st.none() | POSITIVE,
+        position_min=st.none() | st.floats(-1e9, -1.0),
+        position_max=st.none() | st.floats(-0.5, 1e9),
+        increments_per_unit=st.none() | POSITIVE,
+        velocity_unit=st.none() | POSITIVE,
+        requires_referencing=st.booleans(),
+    )
+)
+def test_what_was_saved_is_loaded_equal(tmp_path_factory, model):
+    path = tmp_path_factory.getbasetemp() / "saved.toml"
+    model.save(path)
+    assert MotorModel.load(path) == model

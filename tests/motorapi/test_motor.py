@@ -1,0 +1,512 @@
+from dataclasses import replace
+
+import pytest
+
+from motorapi import (
+    ControlMode,
+    ControlVariable,
+    DeadlineExceeded,
+    DerivativeLimits,
+    DeviceFault,
+    LimitError,
+    LinkError,
+    MotionInterrupted,
+    Motor,
+    MotorState,
+    PluginError,
+    StateError,
+    TrapezoidalTrajectory,
+    UnsupportedError,
+    UsageError,
+)
+from tests.motorapi.ideal import MODEL, IdealHwMotor, IdealMotor, fault_now
+
+SETPOINT, TRAJECTORY = ControlMode.SETPOINT, ControlMode.TRAJECTORY
+VELOCITY = ControlVariable.VELOCITY
+
+
+def aim(motor, value, **options):
+    motor.set_control_mode(SETPOINT)
+    motor.set_setpoint(value, **options)
+
+
+def follow(motor, *arguments, **options):
+    motor.set_control_mode(TRAJECTORY)
+    motor.set_trajectory(TrapezoidalTrajectory(*arguments, **options))
+
+
+def asked(hw):
+    return [entry[0] for entry in hw.log]
+
+
+def test_algorithm_1_ends_at_1_then_at_2(runtime):
+    hw = IdealHwMotor(runtime, position=0.25)
+    motor = IdealMotor(hw)
+    motor.set_control_mode(ControlMode.SETPOINT)
+    motor.set_setpoint(1.0)
+    motor.start()
+    motor.wait_until_done(timeout_s=5)
+    assert motor.position() == 1.0
+    motor.set_control_mode(ControlMode.TRAJECTORY)
+    motor.set_trajectory(TrapezoidalTrajectory(1.0))
+    motor.start()
+    motor.wait_until_done()
+    assert motor.position() == 2.0
+
+
+def test_a_trajectory_lasts_what_the_closed_form_says(runtime, motor):
+    follow(motor, 3.0)
+    motor.start()
+    began_ns = runtime.now_ns()
+    motor.wait_until_done()
+    # By hand: limits 2 and 4: ramps 0.5 s over 0.5 each, plateau 2 in 1 s; polled every 1 ms.
+    assert 2.0e9 <= runtime.now_ns() - began_ns <= 2.001e9
+
+
+def test_nothing_is_sent_before_start(motor, hw):
+    aim(motor, 1.0)
+    follow(motor, 1.0)
+    assert hw.log == []
+
+
+def test_start_enables_arms_fires_and_confirms_in_this_order(motor, hw):
+    aim(motor, 1.0)
+    motor.start()
+    assert asked(hw) == ["_enable", "_arm", "_confirm"]
+    motor.wait_until_done()
+    motor.start()
+    assert asked(hw) == ["_enable", "_arm", "_confirm", "_arm", "_confirm"]
+
+
+def test_starting_again_repeats_a_distance(motor):
+    follow(motor, 1.0)
+    for _ in range(3):
+        motor.start()
+        motor.wait_until_done()
+    assert motor.position() == 3.0
+
+
+def test_a_relative_set_point_counts_from_where_it_is(motor):
+    aim(motor, 1.0)
+    motor.start()
+    motor.wait_until_done()
+    aim(motor, -0.25, relative=True)
+    motor.start()
+    motor.wait_until_done()
+    assert motor.position() == 0.75
+
+
+def test_a_set_point_is_as_fast_as_the_model_allows_unless_limited(motor, hw):
+    aim(motor, 1.0)
+    motor.start()
+    assert (hw.motion.velocity, hw.motion.acceleration, hw.motion.duration_s) == (2.0, 4.0, None)
+    motor.wait_until_done()
+    aim(motor, 0.0, limits=DerivativeLimits(first=(-0.5, 1.0), second=(-3.0, 1.0)))
+    motor.start()
+    # Downwards: the lower end of each range, and braking is acceleration upwards.
+    motion = hw.motion
+    assert (motion.velocity, motion.acceleration, motion.deceleration) == (0.5, 3.0, 1.0)
+
+
+def test_nothing_to_start_is_told_without_touching_the_motor(motor, hw):
+    hw.fail["_connect"] = AssertionError("touched")
+    with pytest.raises(StateError, match="set_control_mode"):
+        motor.start()
+    motor.set_control_mode(SETPOINT)
+    with pytest.raises(StateError, match="set_setpoint"):
+        motor.start()
+
+
+def test_commands_of_the_other_mode_are_refused_and_forgotten(motor):
+    with pytest.raises(StateError, match=r"ControlMode\.SETPOINT"):
+        motor.set_setpoint(1.0)
+    aim(motor, 1.0)
+    with pytest.raises(StateError, match=r"its control mode is SETPOINT"):
+        motor.set_trajectory(TrapezoidalTrajectory(1.0))
+    motor.set_control_mode(SETPOINT)  # the same again changes nothing
+    motor.start()
+    motor.wait_until_done()
+    motor.set_control_mode(SETPOINT, VELOCITY)
+    with pytest.raises(StateError, match="nothing to start"):
+        motor.start()
+
+
+def test_what_a_motor_cannot_do_is_refused_when_set(motor):
+    with pytest.raises(UnsupportedError, match="setpoint of position, setpoint of velocity"):
+        motor.set_control_mode(TRAJECTORY, ControlVariable.CURRENT)
+    motor.set_control_mode(SETPOINT, VELOCITY)
+    with pytest.raises(UnsupportedError, match="relative"):
+        motor.set_setpoint(1.0, relative=True)
+    with pytest.raises(UnsupportedError, match="derivative"):
+        motor.set_setpoint(1.0, limits=DerivativeLimits(second=1.0))
+    motor.set_control_mode(SETPOINT)
+    with pytest.raises(UnsupportedError, match="derivative"):
+        motor.set_setpoint(1.0, limits=DerivativeLimits(third=1.0))
+    with pytest.raises(UnsupportedError, match="measuring torque"):
+        motor.torque()
+
+
+@pytest.fixture
+def bounded(runtime):
+    """A model with limits on everything: -1..3 rad, 2 rad/s, 4 rad/s², 5 N·m."""
+    model = replace(MODEL, position_min=-1.0, position_max=3.0, torque_max=5.0)
+    return IdealMotor(IdealHwMotor(runtime, node=9), model=model, name="joint")
+
+
+@pytest.mark.parametrize(
+    ("variable", "inside", "outside", "unit"),
+    [
+        (ControlVariable.POSITION, (-1.0, 3.0), (-1.001, 3.001), "rad"),
+        (ControlVariable.VELOCITY, (-2.0, 2.0), (-2.001, 2.001), "rad/s"),
+        (ControlVariable.TORQUE, (-5.0, 5.0), (-5.001, 5.001), "N·m"),
+    ],
+)
+def test_set_points_stay_inside_the_model(bounded, variable, inside, outside, unit):
+    bounded.set_control_mode(SETPOINT, variable)
+    for value in inside:
+        bounded.set_setpoint(value)
+    for value in outside:
+        with pytest.raises(LimitError) as caught:
+            bounded.set_setpoint(value)
+        error = caught.value
+        assert (error.motor, error.value, error.unit) == ("joint", value, unit)
+        assert (error.low, error.high) == inside
+        assert f"{value:g} {unit}" in str(error)
+    for value in (float("nan"), float("inf")):
+        with pytest.raises(UsageError, match="finite"):
+            bounded.set_setpoint(value)
+
+
+def test_a_distance_that_leaves_the_range_is_found_at_start(bounded):
+    aim(bounded, 2.0)
+    bounded.start()
+    bounded.wait_until_done()
+    follow(bounded, 1.0)
+    bounded.start()
+    bounded.wait_until_done()
+    follow(bounded, 0.001)
+    with pytest.raises(LimitError, match=r"3\.001 rad"):
+        bounded.start()
+    assert asked(bounded.hw).count("_arm") == 2  # the third one never got so far
+
+
+def test_a_commands_own_range_of_the_value_counts_too(motor):
+    motor.set_control_mode(SETPOINT)
+    with pytest.raises(LimitError, match="own limits"):
+        motor.set_setpoint(2.0, limits=DerivativeLimits(value=(0.0, 1.0)))
+    follow(motor, 2.0, limits=DerivativeLimits(value=(0.0, 1.0)))
+    with pytest.raises(LimitError, match="own limits"):
+        motor.start()
+
+
+def test_a_commands_limits_may_not_be_wider_than_the_models(motor):
+    motor.set_control_mode(SETPOINT)
+    motor.set_setpoint(1.0, limits=DerivativeLimits(first=2.0, second=4.0))
+    with pytest.raises(LimitError, match=r"velocity limit -2\.1 rad/s"):
+        motor.set_setpoint(1.0, limits=DerivativeLimits(first=2.1))
+    with pytest.raises(LimitError, match=r"acceleration limit -4\.1 rad/s²"):
+        motor.set_setpoint(1.0, limits=DerivativeLimits(second=(-4.1, 1.0)))
+    motor.set_control_mode(SETPOINT, VELOCITY)
+    with pytest.raises(LimitError, match="acceleration limit"):
+        motor.set_setpoint(1.0, limits=DerivativeLimits(first=4.1))
+
+
+def test_a_duration_too_short_is_refused_when_set_and_told(motor):
+    motor.set_control_mode(TRAJECTORY)
+    with pytest.raises(LimitError, match=r"duration 1\.9 s, allowed is at least 2 s \(for 3 rad"):
+        motor.set_trajectory(TrapezoidalTrajectory(3.0, duration_s=1.9))
+
+
+def test_a_given_duration_is_kept_by_a_lower_plateau(runtime, motor, hw):
+    follow(motor, 3.0, duration_s=4.0)
+    motor.start()
+    assert hw.motion.velocity < 2.0
+    began_ns = runtime.now_ns()
+    motor.wait_until_done()
+    assert 4.0e9 <= runtime.now_ns() - began_ns <= 4.001e9
+
+
+def test_an_absolute_trajectory_begins_where_it_says(motor):
+    follow(motor, 1.0, 0.02)
+    with pytest.raises(StateError, match=r"begins at 0\.02 rad, the motor is at 0 rad"):
+        motor.start()
+    follow(motor, 1.0, 0.009)  # within the model's tolerance
+    motor.start()
+    motor.wait_until_done()
+    assert motor.position() == 1.0
+
+
+def test_an_unreferenced_motor_makes_distances_only_if_its_model_says_so(runtime):
+    model = replace(MODEL, requires_referencing=True)
+    motor = IdealMotor(IdealHwMotor(runtime), model=model)
+    for command in (lambda: aim(motor, 1.0), lambda: follow(motor, 1.0, 0.0)):
+        command()
+        with pytest.raises(StateError, match=r"call home\(\) first"):
+            motor.start()
+    assert asked(motor.hw) == []
+    for command in (lambda: aim(motor, 0.5, relative=True), lambda: follow(motor, 0.5)):
+        command()
+        motor.start()
+        motor.wait_until_done()
+    assert not motor.is_referenced()
+    motor.home(37)
+    assert motor.is_referenced()
+    assert ("_home", 37) in motor.hw.log
+    aim(motor, 0.0)
+    motor.start()
+
+
+def test_waiting_ends_at_its_deadline_and_says_what_was_heard(runtime, motor):
+    follow(motor, 3.0)
+    motor.start()
+    began_ns = runtime.now_ns()
+    with pytest.raises(DeadlineExceeded) as caught:
+        motor.wait_until_done(timeout_s=1.0)
+    assert runtime.now_ns() - began_ns == 1_000_000_000
+    assert caught.value.timeout_s == 1.0
+    assert "end of motion of m1" in str(caught.value)
+    assert "enabled at" in caught.value.last_heard
+    assert "1.5 rad, 2 rad/s" in caught.value.last_heard
+    assert not motor.is_done()
+    motor.wait_until_done(timeout_s=1.001)
+    assert motor.is_done()
+
+
+def test_waiting_for_nothing_is_over_at_once(runtime, motor):
+    motor.wait_until_done()
+    assert motor.is_done()
+    assert runtime.now_ns() == 0
+
+
+def test_a_fault_in_mid_motion_ends_the_wait_with_its_facts(runtime, motor, hw):
+    follow(motor, 3.0)
+    motor.start()
+    runtime.spawn("trouble", lambda: (runtime.run_for(0.5), fault_now(hw, 0x8611, "lagging")))
+    with pytest.raises(DeviceFault) as caught:
+        motor.wait_until_done(timeout_s=5)
+    assert runtime.now_ns() <= 501_000_000
+    assert (caught.value.code, caught.value.text, caught.value.motor) == (0x8611, "lagging", "m1")
+    for refused in (motor.start, motor.enable, motor.home):
+        with pytest.raises(DeviceFault):
+            refused()
+    assert motor.fault().code == 0x8611
+    motor.reset_fault()
+    assert motor.fault() is None
+    assert motor.state() is MotorState.DISABLED
+    with pytest.raises(MotionInterrupted, match="fault 8611h"):
+        motor.wait_until_done()
+    motor.start()
+    motor.wait_until_done()
+
+
+def test_resetting_no_fault_does_nothing(motor, hw):
+    motor.reset_fault()
+    assert hw.log == []
+
+
+def test_a_motor_that_is_not_heard_is_told(runtime, motor, hw):
+    hw.state = MotorState.OFFLINE
+    assert motor.state() is MotorState.OFFLINE
+    aim(motor, 1.0)
+    with pytest.raises(LinkError, match="bus0 node 1"):
+        motor.start()
+    hw.state = MotorState.ENABLED
+    motor.start()
+    hw.heard = False
+    with pytest.raises(LinkError):
+        motor.wait_until_done()
+
+
+def test_own_stop_is_waited_for_and_the_motion_is_over(runtime, motor, hw):
+    follow(motor, 3.0)
+    motor.start()
+    runtime.run_for(1.0)
+    motor.stop()
+    motor.wait_until_done()
+    assert motor.position() == 1.5
+    motor.start()  # the command is still there
+    motor.wait_until_done()
+    assert motor.position() == 4.5
+
+
+@pytest.mark.parametrize("how", [Motor.stop, Motor.quick_stop, Motor.halt])
+def test_a_stop_from_elsewhere_ends_the_wait_and_names_who(runtime, motor, hw, how):
+    other = IdealMotor(hw, name="other")
+    follow(motor, 3.0)
+    motor.start()
+    runtime.spawn("other", lambda: (runtime.run_for(0.5), how(other)))
+    with pytest.raises(MotionInterrupted, match=rf"{how.__name__}\(\) of other") as caught:
+        motor.wait_until_done()
+    assert caught.value.at_ns == 500_000_000
+
+
+def test_stopping_is_allowed_in_a_callback(runtime, motor, hw):
+    follow(motor, 3.0)
+    motor.start()
+    runtime.every(0.75, motor.stop)
+    with pytest.raises(MotionInterrupted):
+        motor.wait_until_done()
+    assert runtime.now_ns() == 750_000_000
+    assert asked(hw)[-1] == "_stop"
+
+
+def test_after_a_quick_stop_it_moves_only_when_enabled(motor, hw):
+    follow(motor, 3.0)
+    motor.start()
+    motor.quick_stop()
+    motor.wait_until_done()
+    assert motor.state() is MotorState.STOPPED
+    with pytest.raises(StateError, match=r"enable\(\)"):
+        motor.start()
+    motor.enable()
+    motor.start()
+
+
+def test_disabling_ends_the_motion(motor):
+    follow(motor, 3.0)
+    motor.start()
+    motor.disable()
+    assert motor.state() is MotorState.DISABLED
+    with pytest.raises(MotionInterrupted, match=r"disable\(\) of m1"):
+        motor.wait_until_done()
+
+
+def test_a_trajectory_starts_from_rest_only(runtime, motor):
+    follow(motor, 3.0)
+    motor.start()
+    for refused in (motor.start, motor.home):
+        with pytest.raises(StateError, match=r"start\(\) of m1 goes on"):
+            refused()
+    aim(motor, 0.0)
+    with pytest.raises(StateError, match="stop"):
+        motor.start()
+    motor.wait_until_done()
+    motor.start()
+
+
+def test_a_set_point_may_replace_one_of_its_kind_in_mid_motion(runtime, motor, hw):
+    aim(motor, 3.0)
+    motor.start()
+    runtime.run_for(0.5)
+    motor.set_setpoint(0.0)
+    motor.start()
+    motor.wait_until_done()
+    assert motor.position() == 0.0
+    motor.set_setpoint(1.0)
+    motor.start()
+    motor.set_control_mode(SETPOINT, VELOCITY)
+    motor.set_setpoint(1.0)
+    with pytest.raises(StateError):
+        motor.start()
+
+
+def test_a_velocity_set_point_is_done_when_reached_and_goes_on(runtime, motor, hw):
+    motor.set_control_mode(SETPOINT, VELOCITY)
+    motor.set_setpoint(1.5)
+    motor.start()
+    motor.wait_until_done()
+    runtime.run_for(2.0)
+    assert motor.velocity() == 1.5
+    motor.set_setpoint(-1.0)
+    motor.start()
+    follow(motor, 1.0)
+    with pytest.raises(StateError, match="goes on"):
+        motor.start()
+    motor.stop()
+    motor.wait_until_done()
+    motor.start()
+
+
+def test_torque_keeps_the_slope_that_was_asked(motor, hw):
+    motor.set_control_mode(SETPOINT, ControlVariable.TORQUE)
+    motor.set_setpoint(0.5, limits=DerivativeLimits(first=(-3.0, 2.0)))
+    motor.start()
+    assert (hw.motion.target, hw.motion.slope) == (0.5, 2.0)
+
+
+@pytest.mark.parametrize("hook", ["_enable", "_arm"])
+def test_a_start_that_fails_before_firing_has_moved_nothing(motor, hw, hook):
+    hw.fail[hook] = LinkError(link="bus0", reason="gone")
+    aim(motor, 1.0)
+    with pytest.raises(LinkError):
+        motor.start()
+    assert hw.motion is None
+    assert hw.armed is None
+    assert hw.bus.fired == 0
+    assert asked(hw)[-1] == ("_disarm" if hook == "_arm" else "_enable")
+    motor.wait_until_done()  # nothing was begun
+    del hw.fail[hook]
+    motor.start()
+    motor.wait_until_done()
+    assert motor.position() == 1.0
+
+
+def test_a_start_that_is_not_acknowledged_is_stopped(motor, hw):
+    hw.fail["_confirm"] = DeadlineExceeded(awaited="bit 12", timeout_s=0.1, last_heard="")
+    aim(motor, 1.0)
+    with pytest.raises(DeadlineExceeded, match="bit 12"):
+        motor.start()
+    assert asked(hw)[-2:] == ["_stop", "_disarm"]
+    with pytest.raises(MotionInterrupted, match="failed start"):
+        motor.wait_until_done()
+
+
+@pytest.mark.parametrize("moment", ["_enable", "_arm", "_confirm"])
+def test_a_stop_during_start_wins(runtime, moment):
+    hw = IdealHwMotor(runtime, acts_s=0.1)
+    motor, other = IdealMotor(hw), IdealMotor(hw, name="other")
+    order = ["_enable", "_arm", "_confirm"]
+    at_s = 0.05 + 0.1 * order.index(moment)
+    aim(motor, 3.0)
+    runtime.spawn("other", lambda: (runtime.run_for(at_s), other.stop()))
+    with pytest.raises(MotionInterrupted, match=r"stop\(\) of other"):
+        motor.start()
+    assert hw.motion is None
+    assert hw.armed is None
+    assert hw.bus.fired == (1 if moment == "_confirm" else 0)
+    if moment == "_confirm":
+        with pytest.raises(MotionInterrupted):
+            motor.wait_until_done()
+    else:
+        motor.wait_until_done()  # nothing was begun
+
+
+def test_errors_of_an_adaptation_are_told_as_such_with_their_cause(motor, hw):
+    hw.fail["_arm"] = KeyError("6081h")
+    aim(motor, 1.0)
+    with pytest.raises(PluginError) as caught:
+        motor.start()
+    assert (caught.value.plugin, caught.value.where) == ("IdealMotor", "_arm")
+    assert isinstance(caught.value.__cause__, KeyError)
+    hw.fail = {"_is_done": ZeroDivisionError()}
+    motor.start()
+    with pytest.raises(PluginError, match="_is_done"):
+        motor.wait_until_done()
+
+
+def test_public_methods_cannot_be_overridden():
+    with pytest.raises(PluginError, match="final"):
+
+        class Cheat(IdealMotor):
+            def start(self):
+                pass
+
+
+def test_homing_waits_or_not(runtime, motor, hw):
+    motor.home(35, wait=False)
+    motor.wait_until_done()
+    hw.fail["_is_done"] = DeadlineExceeded(awaited="homing", timeout_s=1.0, last_heard="")
+    with pytest.raises(DeadlineExceeded):
+        motor.home()
+    assert asked(hw)[-1] == "_stop"
+
+
+def test_a_motor_tells_what_it_is(motor, hw):
+    assert repr(motor) == "<IdealMotor 'm1' on bus0 node 1: disabled, 0 rad>"
+    aim(motor, 1.0)
+    motor.start()
+    motor.wait_until_done()
+    assert repr(motor) == "<IdealMotor 'm1' on bus0 node 1: enabled, 1 rad>"
+    assert motor.latest().position == 1.0
+    assert motor.control_mode is SETPOINT
+    assert motor.control_variable is ControlVariable.POSITION
