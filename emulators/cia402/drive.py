@@ -15,7 +15,6 @@ from emulators.cia402.objects import DriveObjects
 from emulators.cia402.power_drive import NO_FAULT, PowerDrive
 from emulators.cia402.readings import Readings
 from emulators.cia402.settings import DriveSettings
-from emulators.firmware import flags as f
 from emulators.firmware.axis import Axis
 
 COMMUNICATION: Final = 0x8100
@@ -265,7 +264,7 @@ class Cia402Drive:
         node_ns = self._node.next_deadline_ns()
         if node_ns is not None and (deadline_ns == NEVER or node_ns < deadline_ns):
             deadline_ns = node_ns
-        if self.axis.flags & f.POWERED:  # without power no flag matters
+        if self._power_drive.is_powered():  # otherwise no flag matters
             event_ns = self.axis.next_event_ns(None if deadline_ns == NEVER else deadline_ns)
             if event_ns is not None and (deadline_ns == NEVER or event_ns < deadline_ns):
                 deadline_ns = event_ns

@@ -77,12 +77,11 @@ def _set_objects(od: ObjectDictionary, settings: DriveSettings) -> None:
         return
     behind = ObjectDictionary()
     DriveObjects(behind, settings)
-    for index, subindex, value in settings.objects:
-        key = f"{index:04X}h:{subindex}" if subindex else f"{index:04X}h"
-        path = ("objects", key)
-        variable = od.get(index, subindex)
+    for wanted in settings.objects:
+        path = ("objects", wanted.key)
+        variable = od.get(wanted.index, wanted.subindex)
         if variable is None:
-            variable = _hidden(od, behind, index, subindex)
+            variable = _hidden(od, behind, wanted.index, wanted.subindex)
         if variable is None:
             raise SettingError(
                 path,
@@ -90,7 +89,7 @@ def _set_objects(od: ObjectDictionary, settings: DriveSettings) -> None:
                 "leave it out, or take an eds that has it",
             )
         try:
-            variable.set_default(_value(variable, value))
+            variable.set_default(_value(variable, wanted.value))
         except (TypeError, ValueError) as error:
             raise SettingError(path, str(error)) from error
 

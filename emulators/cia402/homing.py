@@ -17,13 +17,12 @@ from enum import IntEnum
 from typing import Final, final
 
 from emulators.cia402.mode import NEVER, Mode
-from emulators.cia402.objects import DriveObjects
+from emulators.cia402.objects import HOMING_METHODS, DriveObjects
 from emulators.cia402.pds_fsa import CW_HALT
 from emulators.cia402.statusword import HOMING_ATTAINED, HOMING_ERROR, TARGET_REACHED
 from emulators.firmware.axis import Axis
 
 HOMING_START: Final = 0x0010
-ON_CURRENT_POSITION: Final = (35, 37)  # 35 is the old number of 37
 
 
 @final
@@ -97,7 +96,7 @@ class Homing(Mode):
 
     def _begin(self, now_ns: int) -> None:
         method = self.objects.homing_method()
-        if method not in ON_CURRENT_POSITION or self._moves():
+        if method not in HOMING_METHODS or self._moves():
             self.state = HomingState.FAILED
             return
         self.state = HomingState.IN_PROGRESS

@@ -22,6 +22,7 @@ RAMPS: Final = 16
 WINDOWS: Final = 32
 FACTORS: Final = 64
 
+HOMING_METHODS: Final = (35, 37)  # on the present position; 35 is the old number of 37
 NO_WINDOW: Final = 0xFFFF_FFFF
 EMULATED_MASK: Final = sum(1 << (code - 1) for code in EMULATED_MODES.values())
 _STANDARD_MODES: Final = 0xFFFF  # 6502h: bits 16 to 31 are the manufacturer's
@@ -139,6 +140,7 @@ class DriveObjects:
         self._limit_max = ensure(0x607D, 2, _D.INTEGER32, 0)
         self._home_offset = ensure(0x607C, 0, _D.INTEGER32, 0)
         self._homing_method = ensure(0x6098, 0, _D.INTEGER8, 37)
+        self._homing_method.writer = self._write_homing_method
         self._velocity_max = ensure(0x607F, 0, _D.UNSIGNED32, NO_WINDOW)
         self._motor_rpm_max = ensure(0x6080, 0, _D.UNSIGNED32, defaults.motor_rpm_max)
         self._velocity = ensure(0x6081, 0, _D.UNSIGNED32, defaults.velocity)
@@ -361,6 +363,9 @@ class DriveObjects:
         self.target_velocity_raw = value
         self.written |= TARGET_VELOCITY
         return OK
+
+    def _write_homing_method(self, value: int) -> int:
+        return OK if value in HOMING_METHODS else AbortCode.INVALID_VALUE
 
     def _write_quick_stop(self, value: int) -> int:
         return OK if value in (0, 1, 2, 5, 6) else AbortCode.INVALID_VALUE

@@ -133,6 +133,11 @@ class PowerDrive:
         elif state is PdsState.OPERATION_ENABLED:
             self._active.settle(now_ns)
 
+    def is_powered(self) -> bool:
+        """Whether the motor has current: only then do the axis' flags matter."""
+        state = self.fsa.state
+        return state in _RUNNING_STATES or state is PdsState.FAULT_REACTION_ACTIVE
+
     def deadline_ns(self) -> int:
         """When `settle` must be called at the latest [ns], flags aside; or NEVER."""
         deadline_ns = self._enable_due_ns

@@ -40,6 +40,17 @@ _NS_PER_S: Final = 1_000_000_000
 
 
 @final
+@dataclass(frozen=True, slots=True)
+class ObjectValue:
+    """What the rig wants an object to be at power-on; `key` as the rig writes it."""
+
+    key: str
+    index: int
+    subindex: int
+    value: int | float | str
+
+
+@final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class DriveSettings:
     """One drive of a rig; everything has a default but the node-ID.
@@ -54,7 +65,7 @@ class DriveSettings:
         enable_ns: the power stage's way from switched on to operation enabled.
         position_unit_inc, velocity_unit_inc_s, acceleration_unit_inc_s2: what 1 means in its
             objects; None: what the file says, else one increment (per second, squared).
-        objects: (index, sub-index, value) that replace what the file says.
+        objects: power-on values that replace what the file says.
         supported_modes: names; None: what the file says, else all emulated ones.
         initial_position_rad: at the output, at power-on.
     """
@@ -71,7 +82,7 @@ class DriveSettings:
     position_unit_inc: float | None = None
     velocity_unit_inc_s: float | None = None
     acceleration_unit_inc_s2: float | None = None
-    objects: tuple[tuple[int, int, int | float | str], ...] = ()
+    objects: tuple[ObjectValue, ...] = ()
     supported_modes: tuple[str, ...] | None = None
     initial_position_rad: float = 0.0
 
@@ -131,7 +142,7 @@ def _plant(table: Mapping[str, object]) -> MotorPlant:
     names = tuple(field.name for field in fields(MotorPlant))
     _refuse_unknown(table, ("preset", *names), ("plant",))
     preset = table.get("preset")
-    if preset is not None and preset not in PRESETS:
+    if preset is not None and (not isinstance(preset, str) or preset not in PRESETS):
         raise SettingError(
             ("plant", "preset"), f"there is no preset {preset!r}", f"known: {', '.join(PRESETS)}"
         )
@@ -176,6 +187,9 @@ def _servo(table: Mapping[str, object], plant: MotorPlant) -> tuple[int, int, Se
     if tick_ns < 1000:
         raise SettingError(("servo", "tick_s"), "is below a microsecond", "usual: 0.001")
     steps = _whole(table.get("current_steps", 10), ("servo", "current_steps"), 1, 1000)
+    if tick_ns % steps:
+        message = f"{steps} steps do not divide a servo period of {tick_ns} ns"
+        raise SettingError(("servo", "current_steps"), message, "usual: 10")
     given = {name: _number(table[name], ("servo", name)) for name in names if name in table}
     for name, value in given.items():
         if value < 0.0:
@@ -183,8 +197,8 @@ def _servo(table: Mapping[str, object], plant: MotorPlant) -> tuple[int, int, Se
     return tick_ns, steps, replace(ServoGains.tuned(plant, tick_ns, steps), **given)
 
 
-def _objects(table: Mapping[str, object]) -> tuple[tuple[int, int, int | float | str], ...]:
-    entries: list[tuple[int, int, int | float | str]] = []
+def _objects(table: Mapping[str, object]) -> tuple[ObjectValue, ...]:
+    entries: list[ObjectValue] = []
     for key, value in table.items():
         index_text, _, subindex_text = key.partition(":")
         path = ("objects", key)
@@ -197,7 +211,7 @@ def _objects(table: Mapping[str, object]) -> tuple[tuple[int, int, int | float |
             raise SettingError(path, "is no object", "1000h..FFFFh, sub-index 0..254")
         if isinstance(value, bool) or not isinstance(value, int | float | str):
             raise SettingError(path, f"{value!r} is no value", "a number, or a text for a string")
-        entries.append((index, subindex, value))
+        entries.append(ObjectValue(key, index, subindex, value))
     return tuple(entries)
 
 

@@ -1,0 +1,139 @@
+"""Cyclic synchronous position: targets at SYNC, evenly in between. CiA 402-2, csp."""
+
+import struct
+
+import pytest
+from bench import MS, NODE, Bench
+
+FOLLOWS = 0x1000
+FOLLOWING_ERROR = 0x2000
+
+
+def target(bench: Bench, position: int, word: int = 0x0F) -> None:
+    """607Ah in RPDO 3 (6040h, 607Ah)."""
+    bench.send(0x400 + NODE, struct.pack("<Hi", word, position))
+
+
+@pytest.fixture
+def bench() -> Bench:
+    """RPDO 3 synchronous (type 1), csp, enabled."""
+    bench = Bench(
+        objects={"1402h:2": 1, "6065h": 0xFFFF_FFFF},
+        plant={"preset": "wheel_60w", "load_inertia_kg_m2": 0.0},
+    )
+    bench.enable(mode=8)
+    bench.run(10 * MS)
+    return bench
+
+
+def test_a_target_counts_at_sync_and_not_before(bench):
+    target(bench, 100)
+    bench.run(5 * MS)
+    assert bench.truth("demand_inc") == 0
+    bench.sync()
+    bench.run(2 * MS)
+    assert bench.truth("demand_inc") == 100
+
+
+def test_demand_goes_evenly_over_the_sync_period(bench):
+    for cycle in range(5):
+        target(bench, 40 * cycle)
+        bench.sync()
+        demands = []
+        for _ in range(4):
+            bench.run(1 * MS)
+            demands.append(bench.truth("demand_inc"))
+        if cycle >= 2:  # the period is known from the second on
+            start = 40 * (cycle - 1)
+            # a profile begins at the tick after the command, and ends where the next one begins
+            assert demands == [start, start + 10, start + 20, start + 30]
+
+
+def test_demand_goes_evenly_over_60c2h(bench):
+    bench.set(0x60C2, 1, 8, 1)
+    target(bench, 80)
+    bench.sync()
+    demands = []
+    for _ in range(10):
+        bench.run(1 * MS)
+        demands.append(bench.truth("demand_inc"))
+    assert demands == [0, 10, 20, 30, 40, 50, 60, 70, 80, 80]
+
+
+@pytest.mark.parametrize(
+    ("value", "exponent", "ns"), [(1, -3, MS), (50, -4, 5 * MS), (3, -2, 30 * MS)]
+)
+def test_60c2h_is_value_times_a_power_of_ten(bench, value, exponent, ns):
+    bench.set(0x60C2, 1, value, 1)
+    bench.set(0x60C2, 2, exponent, 1)
+    target(bench, 1000)
+    bench.sync()
+    begins = (bench.now // MS + 1) * MS
+    bench.run_until(begins + ns - 1)
+    assert bench.truth("demand_inc") < 1000
+    bench.run_until(begins + ns)
+    assert bench.truth("demand_inc") == 1000
+
+
+def test_arbitration_jitter_of_sync_does_not_shake_the_period(bench):
+    times = [0, 4.1, 8.0, 12.2, 16.0, 20.05]
+    start = bench.now
+    for cycle, offset in enumerate(times):
+        bench.run_until(start + round(offset * MS))
+        target(bench, 40 * cycle)
+        bench.sync()
+    bench.run_until(start + 23 * MS)
+    assert bench.truth("demand_inc") == 180  # half way after 2 of 4 ticks
+
+
+def test_status_follows_command(bench):
+    assert bench.statusword() & FOLLOWS
+    target(bench, 0, word=0x010F)
+    bench.sync()
+    assert not bench.statusword() & FOLLOWS  # halt
+    target(bench, 500, word=0x010F)
+    bench.sync()
+    bench.run(20 * MS)
+    assert bench.truth("demand_inc") == 0
+    target(bench, 500)
+    bench.sync()
+    assert bench.statusword() & FOLLOWS
+    target(bench, 500)
+    bench.sync()
+    bench.run(30 * MS)
+    assert bench.truth("demand_inc") == 500
+
+
+def test_target_reached_is_not_used(bench):
+    target(bench, 10)
+    bench.sync()
+    bench.run(100 * MS)
+    assert not bench.statusword() & 0x0400
+
+
+def test_enabling_does_not_jump_to_an_old_target():
+    bench = Bench(objects={"607Ah": 5000})
+    bench.enable(mode=8)
+    bench.run(100 * MS)
+    assert bench.truth("position_inc") == 0
+
+
+def test_software_limits_hold_the_demand_back(bench):
+    bench.set(0x607D, 1, -100, 4)
+    bench.set(0x607D, 2, 100, 4)
+    target(bench, 150)
+    bench.sync()
+    bench.run(50 * MS)
+    assert bench.truth("demand_inc") == 100
+    word = bench.statusword()
+    assert word & 0x0800  # internal limit active
+    assert not word & FOLLOWS  # the target is not what it follows
+
+
+def test_a_jump_it_cannot_follow_is_a_following_error():
+    bench = Bench(objects={"1402h:2": 1, "6065h": 500, "6066h": 5})
+    bench.enable(mode=8)
+    target(bench, 30_000)
+    bench.sync()
+    bench.run(50 * MS)
+    assert bench.last(0x085)[:3] == bytes.fromhex("118621")
