@@ -79,6 +79,7 @@ def _dispatch(words: list[str]) -> int:
 
 def _run_verb(verb: _Verb, words: list[str]) -> int:
     from harness.settings import RigError
+    from traces.errors import TraceError
 
     module = import_module(verb.module)
     parser = argparse.ArgumentParser(
@@ -95,7 +96,7 @@ def _run_verb(verb: _Verb, words: list[str]) -> int:
     options.rest = rest
     try:
         status: int = module.run(options)
-    except RigError as error:
+    except (RigError, TraceError) as error:
         print(error, file=sys.stderr)
         return WRONG_USAGE
     return status

@@ -187,6 +187,9 @@ class Rig:
             raise self.description.error(
                 (*place, *error.path), error.message, error.remedy
             ) from error
+        except (ValueError, ArithmeticError) as error:  # numbers that are right only one by one
+            message = f"cannot be built: {error}"
+            raise self.description.error(place, message, "correct its numbers") from error
         return core
 
     def _plant(self, controller: ControllerDescription) -> dict[str, object]:

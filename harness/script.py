@@ -72,6 +72,8 @@ def run_script(rig: "Rig", script: Script, words: Sequence[str]) -> int:
         except SystemExit as leaving:
             return _status(leaving)
         except Exception as error:
+            if rig.recording is not None and error is rig.recording.error:
+                raise  # the record failed, not the program
             print_error(error, script.name)
             return 1
     return 0

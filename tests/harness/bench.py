@@ -4,6 +4,7 @@ import struct
 
 from emulators.controller import SettingError
 from motorapi.errors import UsageError
+from motorapi.state import Measurement, MotorState
 
 MS = 1_000_000
 
@@ -81,6 +82,9 @@ class BareMotor:
 
     def close(self):
         self.closed = True
+
+    def latest(self):
+        return Measurement(self.runtime.now_ns(), MotorState.DISABLED, position=0.5)
 
 
 def controller(settings, context):

@@ -303,6 +303,21 @@ def test_output_that_nobody_reads_is_no_error(rig):
     assert "Exception ignored" not in done.stderr
 
 
+def test_a_record_that_cannot_be_finished_is_one_line_and_not_the_scripts_fault(rig):
+    (rig / "script.py").write_text(
+        "from motorapi import runtime_of\nimport can\nwith can.Bus() as bus:\n"
+        "    task = bus.send_periodic(can.Message(arbitration_id=1), 0.0005)\n"
+        "    runtime_of(bus).wait_until(lambda: False, 10.0)\n"
+    )
+    command = f"ulimit -f 8; {sys.executable} -m harness run rig.toml script.py -o x.mcap"
+    done = subprocess.run(
+        ["bash", "-c", command], env=environment(), capture_output=True, text=True, timeout=30
+    )
+    assert done.returncode == 2
+    assert done.stderr.startswith("x.mcap: ")
+    assert done.stderr.count("\n") == 1
+
+
 @pytest.mark.wall
 def test_realtime_takes_its_time(rig, say):
     (rig / "script.py").write_text(

@@ -1,0 +1,130 @@
+"""The shipped CiA 402 drive in a rig file: whatever is written there, it is told in one line."""
+
+import json
+import tomllib
+from pathlib import Path
+
+import can
+import jsonschema
+import pytest
+from hypothesis import event, given
+from hypothesis import strategies as st
+
+import harness
+from harness.rig import Rig, installed_plugins
+from harness.rig_file import parse_rig
+from harness.settings import RigError, Source
+from harness.wording import one_line
+
+SCHEMA = json.loads((Path(harness.__file__).parent / "rig.schema.json").read_text())
+VALIDATOR = jsonschema.Draft202012Validator(SCHEMA)
+
+GOOD = """\
+[bus.can0]
+bitrate_bit_s = 500_000
+[controller.left]
+kind = "cia402"
+bus = "can0"
+node_id = 5
+supported_modes = ["pp", "csp"]
+initial_position_rad = 0.25
+[controller.left.plant]
+preset = "wheel_60w"
+gear_ratio = 33.0
+load_torque_n_m = -0.5
+[controller.left.servo]
+tick_s = 0.001
+current_steps = 10
+[controller.left.timing]
+boot_up_s = 0.1
+sdo_reply_s = 0.002
+enable_s = 0.0
+[controller.left.units]
+velocity_unit_inc_s = 10.0
+[controller.left.objects]
+"6065h" = 2000
+"1017h" = 100
+"""
+LINES = GOOD.splitlines()
+ASSIGNMENTS = [number for number, line in enumerate(LINES) if " = " in line]
+
+
+def opened(text):
+    return Rig(parse_rig(Source(Path("rig.toml"), text), installed_plugins()))
+
+
+def mistake_in(text):
+    try:
+        opened(text).close()
+    except RigError as error:
+        return error
+    return None
+
+
+def test_the_rig_reaches_the_drive():
+    VALIDATOR.validate(tomllib.loads(GOOD))
+    with opened(GOOD) as rig:
+        truth = rig.controllers["left"].snapshot()
+        assert truth["position_rad"] == pytest.approx(0.25, abs=1e-3)  # to an increment
+        bus = rig.bus("can0")
+        boot_up = bus.recv(1.0)
+        assert boot_up.arbitration_id == 0x705
+        # 300 ms would be the default; on top, the frame's own 57 bits or so at 500 kbit/s.
+        assert 0.1 < boot_up.timestamp < 0.1002
+        sent = can.Message(
+            arbitration_id=0x605, data=bytes.fromhex("4065600000000000"), is_extended_id=False
+        )
+        bus.send(sent)
+        reply = bus.recv(1.0)
+        while reply.arbitration_id != 0x585:  # heartbeats, every 100 ms
+            reply = bus.recv(1.0)
+        assert int.from_bytes(reply.data[4:], "little") == 2000
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "told"),
+    [
+        ("node_id = 5", "node_id = 0", "6: controller.left.node_id: "),
+        ("node_id = 5", "", "3: controller.left.node_id: is missing"),
+        ("gear_ratio = 33.0", "gear = 33.0", "11: controller.left.plant.gear: "),
+        ("gear_ratio = 33.0", "gear_ratio = -1", "11: controller.left.plant.gear_ratio: "),
+        ("boot_up_s = 0.1", "boot_up_ms = 100", "17: controller.left.timing.boot_up_ms: "),
+        ('"wheel_60w"', '"wheel_600w"', "10: controller.left.plant.preset: "),
+        ('"6065h" = 2000', '"6065x" = 2000', "23: controller.left.objects.6065x: "),
+        ("node_id = 5", 'node_id = 5\neds = "no.eds"', "7: controller.left.eds: "),
+    ],
+)
+def test_a_drives_settings_are_told_with_their_line(old, new, told):
+    assert old in GOOD
+    message = str(mistake_in(GOOD.replace(old, new, 1)))
+    assert message.startswith(f"rig.toml:{told}")
+    assert one_line(message) == message
+
+
+ODD_VALUES = [
+    *("0", "1", "-1", "127", "128", "nan", "inf", "true", '""', '"pp"', "[]", "{}", "[1]"),
+    *("1979-05-27", '["pp","pp"]', '{preset="mast_20w"}', "1e-320", "0.0", "2147484"),
+]
+ODD_KEYS = [
+    *("plant", "servo", "eds", '"6081h"', '"607Dh:1"', '"1A00h:0"', '"1016h:1"'),
+    "from_motor_model",
+]
+VALUES = st.one_of(
+    st.integers(-(2**63) + 1, 2**63 - 1).map(str),
+    st.floats().map(lambda value: f"{value!r}" if "e" not in f"{value!r}" else "1e300"),
+    st.sampled_from(ODD_VALUES),
+)
+KEYS = st.sampled_from([*sorted({LINES[n].split(" = ")[0] for n in ASSIGNMENTS}), *ODD_KEYS])
+EDITS = st.lists(st.tuples(st.sampled_from(ASSIGNMENTS), st.none() | KEYS, VALUES), max_size=3)
+
+
+@given(EDITS)
+def test_whatever_a_drives_settings_are_it_is_a_rig_or_a_rig_error(edits):
+    lines = LINES.copy()
+    for number, key, value in edits:
+        lines[number] = f"{key or LINES[number].split(' = ')[0]} = {value}"
+    error = mistake_in("\n".join(lines))
+    event("refused" if error else "accepted")
+    if error:
+        assert len(str(error).splitlines()) == 1
+        assert error.remedy or error.message
