@@ -102,6 +102,7 @@ class SdoServer:
             return
         size = len(data)
         if 0 < size <= 4:
+            self._end()
             command = 0x43 | (4 - size) << 2  # expedited, size indicated
         else:
             self._state = _UPLOAD_SEGMENT
@@ -135,6 +136,7 @@ class SdoServer:
             code = self._access.download(index, subindex, data, now_ns)
             if code == 0:
                 self._accept(now_ns)
+                self._end()
             else:
                 self._abort(code, now_ns)
             return
