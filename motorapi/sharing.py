@@ -142,7 +142,7 @@ class PhysicalMotor:
         """Nothing goes on; what went on was interrupted by `by`, if it was not over."""
         run = self.run
         if run is not None:
-            if status is RunStatus.DONE and run.interrupted_by is None:
+            if status is RunStatus.DONE and run.ends and run.interrupted_by is None:
                 run.finished = True
             run.interrupt(by, now_ns)
         self.run = None

@@ -13,8 +13,8 @@ import os
 import threading
 import time
 from collections import deque
-from collections.abc import Callable
-from contextlib import suppress
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
 from typing import TYPE_CHECKING, Final, ParamSpec, final
 
 from motorapi.bus_sources import FrameSource, source_of
@@ -108,6 +108,7 @@ class WallRuntime:
         self._threads: list[threading.Thread] = []  # of links, also of those just ending
         self._parties: list[WallParty] = []
         self._timers = Timers(self.now_ns, self._run_timer)
+        self._waiting = 0
         self._closed = False
 
     # --- Runtime ---------------------------------------------------------------------------
@@ -128,7 +129,7 @@ class WallRuntime:
             raise UsageError(f"timeout_s = {timeout_s}: must be a number of seconds >= 0")
         self._refuse_in_callback()
         deadline_ns = None if timeout_s is None else self.now_ns() + round(timeout_s * 1e9)
-        with self._changed:
+        with self._changed, self._counted():
             while True:
                 self._check_open()
                 if self._failures:
@@ -246,6 +247,14 @@ class WallRuntime:
                 "set a flag there and wait for it outside, or start a party with runtime.spawn"
             )
 
+    @contextmanager
+    def _counted(self) -> Iterator[None]:
+        self._waiting += 1
+        try:
+            yield
+        finally:
+            self._waiting -= 1
+
     def _check_open(self) -> None:
         if not self._closed:
             return
@@ -319,7 +328,8 @@ class WallRuntime:
     def _link_broke(self, link: _BusLink, error: Exception) -> None:
         with self._changed:
             self._links.remove(link)
-            if link.listeners and not self._closed:
+            deliberate = getattr(link.bus, "_is_shutdown", False) and not self._waiting
+            if link.listeners and not self._closed and not deliberate:
                 broken = LinkError(
                     link=str(link.bus.channel_info),
                     reason=f"cannot receive: {error}",

@@ -1,0 +1,16 @@
+import subprocess
+import sys
+
+HEAVY = ("can", "canopen", "pymodbus", "numpy", "asyncio")
+
+
+def test_the_interface_loads_no_bus_library_and_no_numpy():
+    script = (
+        "import sys, motorapi\n"
+        "motorapi.WallRuntime().close()\n"
+        f"print([name for name in {HEAVY} if name in sys.modules])"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", script], capture_output=True, text=True, check=True
+    )
+    assert done.stdout.strip() == "[]"

@@ -1,0 +1,274 @@
+import gc
+
+import can
+import pytest
+
+from emulators.event_queue import EventQueue
+from harness.virtual_time import VirtualRuntime
+from motorapi import (
+    ControlMode,
+    ControlVariable,
+    DeviceFault,
+    MotionInterrupted,
+    Motor,
+    MotorBusyError,
+    TrapezoidalTrajectory,
+    UsageError,
+)
+from motorapi.sharing import (
+    TRANSACTION_TIMEOUT_S,
+    bus_key,
+    register_physical_motor,
+    release_physical_motor,
+)
+from tests.motorapi.ideal import IdealBus, IdealHwMotor, IdealMotor, fault_now
+
+
+def follow(motor, way):
+    motor.set_control_mode(ControlMode.TRAJECTORY)
+    motor.set_trajectory(TrapezoidalTrajectory(way))
+
+
+@pytest.fixture
+def logical(hw):
+    """Two logical motors of one physical one."""
+    return [IdealMotor(hw, name=name) for name in ("drive", "other")]
+
+
+def test_a_second_hardware_object_is_refused_and_the_first_is_named(runtime, hw):
+    with pytest.raises(UsageError, match=r"bus0 node 1 .*IdealHwMotor\('bus0', node=1\).*close"):
+        IdealHwMotor(runtime, node=1)
+    IdealHwMotor(runtime, node=2)
+    IdealHwMotor(runtime, node=1, bus=IdealBus("bus1"))
+    IdealHwMotor(VirtualRuntime(EventQueue()), node=1)  # another world
+
+
+def test_a_closed_or_forgotten_hardware_object_makes_room(runtime, hw):
+    hw.close()
+    hw.close()
+    second = IdealHwMotor(runtime, node=1)
+    hw.close()  # not its motor any more
+    with pytest.raises(UsageError):
+        IdealHwMotor(runtime, node=1)
+    second.bus.hardware.clear()
+    del second
+    gc.collect()
+    IdealHwMotor(runtime, node=1)
+
+
+def test_one_bus_is_one_key_however_often_it_is_opened():
+    buses = [
+        can.Bus(interface="virtual", channel=channel)
+        for channel in ("sharing-a", "sharing-a", "sharing-b")
+    ]
+    try:
+        keys = [bus_key(bus) for bus in buses]
+    finally:
+        for bus in buses:
+            bus.shutdown()
+    assert keys[0] == keys[1] != keys[2]
+
+    class Nameless:
+        channel_info = "unknown"
+
+    first, second = Nameless(), Nameless()
+    assert bus_key(first) == bus_key(first) != bus_key(second)
+
+
+def test_releasing_a_motor_nobody_has_does_nothing():
+    release_physical_motor(("nobody", 1), object())
+    mine = register_physical_motor(
+        "a key", "a label", test_releasing_a_motor_nobody_has_does_nothing
+    )
+    release_physical_motor("a key", test_releasing_a_motor_nobody_has_does_nothing)
+    assert mine.label == "a label"
+
+
+def test_settings_of_one_logical_motor_do_not_reach_another(logical):
+    drive, other = logical
+    follow(drive, 1.0)
+    assert other.control_mode is None
+    follow(other, -2.0)
+    drive.start()
+    drive.wait_until_done()
+    assert drive.position() == other.position() == 1.0
+
+
+def test_while_it_moves_for_one_another_cannot_command_it(runtime, logical, hw):
+    drive, other = logical
+    follow(drive, 3.0)
+    follow(other, 1.0)
+    drive.start()
+    log = list(hw.log)
+    for refused in (other.start, other.enable, other.disable, other.home, other.reset_fault):
+        with pytest.raises(MotorBusyError) as caught:
+            refused()
+        assert caught.value.holder == "start() of drive"
+        assert caught.value.since_ns == 0
+    assert hw.log == log
+    assert other.position() == 0.0  # reading is free
+    drive.wait_until_done()
+    other.start()
+    with pytest.raises(MotorBusyError, match="other"):
+        drive.start()
+
+
+def test_a_motion_that_ended_unseen_frees_the_motor_and_stays_done(runtime, logical):
+    drive, other = logical
+    follow(drive, 1.0)
+    drive.start()
+    runtime.run_for(5.0)
+    follow(other, 1.0)
+    other.start()
+    drive.wait_until_done()  # it did end at its target
+    assert not other.is_done()
+    assert drive.is_done()
+
+
+def test_a_velocity_set_point_holds_the_motor_until_it_is_stopped(logical):
+    drive, other = logical
+    drive.set_control_mode(ControlMode.SETPOINT, ControlVariable.VELOCITY)
+    drive.set_setpoint(1.0)
+    drive.start()
+    drive.wait_until_done()
+    follow(other, 1.0)
+    with pytest.raises(MotorBusyError):
+        other.start()
+    other.stop()  # anybody may
+    other.start()
+    with pytest.raises(MotionInterrupted, match=r"stop\(\) of other"):
+        drive.wait_until_done()
+
+
+def test_a_fault_frees_the_motor(logical, hw):
+    drive, other = logical
+    follow(drive, 3.0)
+    drive.start()
+    fault_now(hw)
+    follow(other, 1.0)
+    with pytest.raises(DeviceFault):
+        other.start()
+    other.reset_fault()
+    other.start()
+
+
+def test_the_token_grows_when_the_motor_changes_hands(logical, hw):
+    drive, other = logical
+    tokens = []
+    for motor in (drive, drive, other, drive):
+        follow(motor, 0.1)
+        motor.start()
+        motor.wait_until_done()
+        tokens.append(hw.physical.token)
+    assert tokens == [1, 1, 2, 3]
+
+
+def test_operations_of_parties_take_turns_in_order_of_asking(runtime):
+    hw = IdealHwMotor(runtime, acts_s=0.1)
+    order = []
+
+    def enable_and_disable(name):
+        motor = IdealMotor(hw, name=name)
+        motor.enable()
+        order.append((name, "enabled", runtime.now_ns()))
+        motor.disable()
+        order.append((name, "disabled", runtime.now_ns()))
+
+    parties = [runtime.spawn(name, lambda name=name: enable_and_disable(name)) for name in "abc"]
+    for party in parties:
+        assert party.join(timeout_s=10)
+        assert party.error is None
+    # a enables; b and c find it enabled when their turn comes; then each disables in turn.
+    assert [entry[:2] for entry in order] == [
+        *[("a", "enabled"), ("b", "enabled"), ("c", "enabled")],
+        *[("a", "disabled"), ("b", "disabled"), ("c", "disabled")],
+    ]
+    assert [entry[2] for entry in order] == [k * 100_000_000 for k in (1, 1, 1, 2, 3, 4)]
+
+
+def test_two_starts_at_once_are_one_after_the_other(runtime):
+    hw = IdealHwMotor(runtime, acts_s=0.01)
+    outcomes = []
+
+    def move(name, way):
+        motor = IdealMotor(hw, name=name)
+        follow(motor, way)
+        try:
+            motor.start()
+        except MotorBusyError as error:
+            outcomes.append((name, error.holder))
+            return
+        motor.wait_until_done()
+        outcomes.append((name, hw.position()))
+
+    parties = [
+        runtime.spawn("a", lambda: move("a", 1.0)),
+        runtime.spawn("b", lambda: move("b", 2.0)),
+    ]
+    for party in parties:
+        party.join()
+        assert party.error is None
+    assert outcomes == [("b", "start() of a"), ("a", 1.0)]
+
+
+def test_waiting_for_a_turn_ends_with_the_name_of_who_has_it(runtime, hw):
+    motor, late = IdealMotor(hw, name="slow"), IdealMotor(hw, name="late")
+    hw.acts_s = TRANSACTION_TIMEOUT_S + 1.0
+    runtime.spawn("slow", motor.enable)
+    runtime.run_for(0.5)
+    with pytest.raises(MotorBusyError, match=r"enable\(\) of slow since 0\.000000 s"):
+        late.enable()
+    runtime.run_for(1.0)
+    hw.acts_s = 0.0
+    late.enable()  # nothing is left behind of the turn that was given up
+
+
+def test_a_callback_cannot_begin_an_operation_in_the_middle_of_another(runtime):
+    hw = IdealHwMotor(runtime, acts_s=0.1)
+    motor = IdealMotor(hw)
+    refused = []
+
+    def meddle():
+        try:
+            motor.disable()
+        except UsageError as error:
+            refused.append(str(error))
+
+    timer = runtime.every(0.05, meddle)
+    motor.enable()
+    timer.cancel()
+    assert len(refused) >= 1
+    assert "enable() of m1 is still at work in this very thread" in refused[0]
+
+
+def test_groups_that_share_motors_in_opposite_orders_do_not_lock_each_other(runtime):
+    bus = IdealBus()
+    hardware = [IdealHwMotor(runtime, node, bus, acts_s=0.001) for node in (1, 2, 3)]
+    rounds = []
+
+    def drive(name, order):
+        from motorapi import MotorGroup
+
+        group = MotorGroup(*(IdealMotor(hardware[k], name=f"{name}{k}") for k in order))
+        group.for_each(Motor.set_control_mode, ControlMode.TRAJECTORY)
+        group.set_trajectory(*[TrapezoidalTrajectory(0.01)] * 3)
+        done = 0
+        while done < 20:
+            try:
+                group.start()
+            except MotorBusyError:
+                runtime.run_for(0.003)
+                continue
+            group.wait_until_done(timeout_s=5)
+            done += 1
+        rounds.append(name)
+
+    parties = [
+        runtime.spawn("up", lambda: drive("up", (0, 1, 2))),
+        runtime.spawn("down", lambda: drive("down", (2, 1, 0))),
+    ]
+    for party in parties:
+        assert party.join(timeout_s=60)
+        assert party.error is None
+    assert sorted(rounds) == ["down", "up"]
+    assert [hw.position() for hw in hardware] == pytest.approx([0.4] * 3)  # sums of 0.01

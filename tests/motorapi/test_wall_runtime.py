@@ -1,0 +1,352 @@
+"""On the wall's clock. Nothing here waits for time to pass except by `wait_until`; bounds on how
+late something may be are generous (seconds), bounds on how early are exact."""
+
+import struct
+import threading
+from itertools import pairwise
+
+import can
+import pytest
+
+from motorapi import DeadlineExceeded, LinkError, UsageError, WallRuntime, runtime_of
+from motorapi.wall_runtime import close_process_runtime, process_runtime
+
+pytestmark = pytest.mark.wall
+
+# Linux struct can_frame (include/uapi/linux/can.h), written by hand.
+FRAME = struct.pack("<IB3x8s", 0x123, 3, b"\x01\x02\x03")
+EXTENDED = struct.pack("<IB3x8s", 0x8000_0000 | 0x1ABCDEF0, 0, b"")
+REMOTE = struct.pack("<IB3x8s", 0x4000_0000 | 0x701, 4, b"")
+LATE_S = 10.0
+
+
+@pytest.fixture
+def runtime():
+    before = set(threading.enumerate())
+    runtime = WallRuntime()
+    yield runtime
+    runtime.close()
+    assert set(threading.enumerate()) <= before
+
+
+@pytest.fixture
+def bus():
+    with can.Bus(interface="virtual", channel="wall-test") as bus:
+        yield bus
+
+
+@pytest.fixture
+def peer(bus):
+    with can.Bus(interface="virtual", channel="wall-test") as peer:
+        yield peer
+
+
+def work(runtime, duration_s):
+    """A callback that takes its time."""
+    end_ns = runtime.now_ns() + round(duration_s * 1e9)
+    while runtime.now_ns() < end_ns:
+        pass
+
+
+def test_time_begins_at_zero_and_only_grows(runtime):
+    first_ns = runtime.now_ns()
+    assert 0 <= first_ns < 1_000_000_000
+    assert runtime.now_ns() >= first_ns
+
+
+def test_a_wait_ends_at_once_or_at_its_deadline_never_before(runtime):
+    assert runtime.wait_until(lambda: True)
+    assert runtime.wait_until(lambda: True, 0.0)
+    assert not runtime.wait_until(lambda: False, 0.0)
+    began_ns = runtime.now_ns()
+    assert not runtime.wait_until(lambda: False, 0.05)
+    assert runtime.now_ns() - began_ns >= 50_000_000
+    with pytest.raises(UsageError, match="timeout_s"):
+        runtime.wait_until(lambda: True, -1.0)
+
+
+def test_what_another_thread_changes_is_noticed(runtime):
+    flag = threading.Event()
+    party = runtime.spawn("setter", flag.set)
+    assert runtime.wait_until(flag.is_set, LATE_S)
+    assert party.join(LATE_S)
+    assert party.error is None
+    foreign = threading.Thread(target=lambda: results.append(runtime.wait_until(flag.is_set, 1.0)))
+    results = []
+    foreign.start()
+    foreign.join()
+    assert results == [True]  # on the wall, any thread may wait
+
+
+def test_timers_keep_their_grid_and_end(runtime):
+    times_ns = []
+    began_ns = runtime.now_ns()
+    timer = runtime.every(0.02, lambda: times_ns.append(runtime.now_ns()))
+    assert runtime.wait_until(lambda: len(times_ns) >= 3, LATE_S)
+    timer.cancel()
+    timer.cancel()
+    count = len(times_ns)
+    for time_ns in times_ns:
+        assert time_ns - began_ns >= 20_000_000
+    assert times_ns == sorted(times_ns)
+    assert not runtime.wait_until(lambda: len(times_ns) > count, 0.06)
+    with pytest.raises(UsageError):
+        runtime.every(0.0, lambda: None)
+
+
+def test_a_late_timer_skips_what_it_missed(runtime):
+    runs = []
+    runtime.every(0.01, lambda: (runs.append(runtime.now_ns()), work(runtime, 0.05)))
+    assert runtime.wait_until(lambda: len(runs) >= 3, LATE_S)
+    assert all(late - early >= 50_000_000 for early, late in pairwise(runs))
+
+
+def test_frames_are_heard_as_can_frames(runtime, bus, peer):
+    heard = []
+    runtime.listen(bus, lambda frame, time_ns, own: heard.append((frame, own)))
+    peer.send(can.Message(arbitration_id=0x123, data=[1, 2, 3], is_extended_id=False))
+    peer.send(can.Message(arbitration_id=0x1ABCDEF0, is_extended_id=True))
+    peer.send(can.Message(arbitration_id=0x701, dlc=4, is_remote_frame=True, is_extended_id=False))
+    assert runtime.wait_until(lambda: len(heard) == 3, LATE_S)
+    assert heard == [(FRAME, False), (EXTENDED, False), (REMOTE, False)]
+
+
+def test_frames_are_sent_and_reported_as_transmitted_in_order(runtime, bus, peer):
+    heard = []
+    runtime.listen(bus, lambda frame, time_ns, own: heard.append((frame, own)))
+    for frame in (FRAME, EXTENDED, REMOTE):
+        runtime.send(bus, frame)
+    assert heard == [(FRAME, True), (EXTENDED, True), (REMOTE, True)]
+    got = [peer.recv(LATE_S) for _ in range(3)]
+    assert [message.arbitration_id for message in got] == [0x123, 0x1ABCDEF0, 0x701]
+    assert [bytes(message.data) for message in got] == [b"\x01\x02\x03", b"", b""]
+    assert [message.is_remote_frame for message in got] == [False, False, True]
+    assert got[2].dlc == 4
+
+
+def test_own_frames_are_reported_once_even_if_the_bus_gives_them_back(runtime):
+    with can.Bus(interface="virtual", channel="wall-own", receive_own_messages=True) as bus:
+        heard = []
+        runtime.listen(bus, lambda frame, time_ns, own: heard.append((frame, own)))
+        runtime.send(bus, FRAME)
+        with can.Bus(interface="virtual", channel="wall-own") as peer:
+            peer.send(can.Message(arbitration_id=0x1ABCDEF0))
+            assert runtime.wait_until(lambda: len(heard) >= 2, LATE_S)
+        assert heard == [(FRAME, True), (EXTENDED, False)]
+
+
+def test_sending_without_listening_works(runtime, bus, peer):
+    runtime.send(bus, FRAME)
+    assert peer.recv(LATE_S).arbitration_id == 0x123
+
+
+def test_listeners_are_told_in_order_until_cancelled(runtime, bus, peer):
+    heard = []
+    first = runtime.listen(bus, lambda frame, time_ns, own: heard.append("first"))
+    runtime.listen(bus, lambda frame, time_ns, own: heard.append("second"))
+    peer.send(can.Message(arbitration_id=1))
+    assert runtime.wait_until(lambda: len(heard) == 2, LATE_S)
+    first.cancel()
+    first.cancel()
+    peer.send(can.Message(arbitration_id=1))
+    assert runtime.wait_until(lambda: len(heard) == 3, LATE_S)
+    assert heard == ["first", "second", "second"]
+
+
+def test_an_answer_sent_from_a_callback_is_reported_after_it(runtime, bus, peer):
+    order = []
+
+    def answer(frame, time_ns, own):
+        order.append(("begin", own))
+        if not own:
+            runtime.send(bus, FRAME)
+        order.append(("end", own))
+
+    runtime.listen(bus, answer)
+    peer.send(can.Message(arbitration_id=1))
+    assert runtime.wait_until(lambda: len(order) == 4, LATE_S)
+    assert order == [("begin", False), ("end", False), ("begin", True), ("end", True)]
+
+
+def test_callbacks_and_conditions_run_one_at_a_time(runtime, bus, peer):
+    inside = []
+    overlaps = []
+    heard = []
+
+    def alone(*_):
+        inside.append(1)
+        if len(inside) > 1:
+            overlaps.append(1)
+        work(runtime, 0.0005)
+        heard.append(1)
+        inside.pop()
+
+    runtime.listen(bus, alone)
+    runtime.every(0.001, alone)
+    sender = runtime.spawn(
+        "sender", lambda: [peer.send(can.Message(arbitration_id=k)) for k in range(50)] and None
+    )
+
+    def enough():
+        alone()
+        return len(heard) > 120
+
+    assert runtime.wait_until(enough, LATE_S)
+    assert sender.join(LATE_S)
+    assert overlaps == []
+
+
+@pytest.mark.parametrize("kind", ["timer", "listener", "done"])
+def test_waiting_inside_a_callback_is_refused_and_says_what_to_do(runtime, bus, peer, kind):
+    errors = []
+
+    def wait_here(*_):
+        try:
+            runtime.wait_until(lambda: True, 1.0)
+        except UsageError as error:
+            errors.append(str(error))
+        return True
+
+    if kind == "timer":
+        runtime.every(0.001, wait_here)
+    elif kind == "listener":
+        runtime.listen(bus, wait_here)
+        peer.send(can.Message(arbitration_id=1))
+    else:
+        runtime.wait_until(wait_here)
+    assert runtime.wait_until(lambda: bool(errors), LATE_S)
+    assert "inside a callback" in errors[0]
+    assert "runtime.spawn" in errors[0]
+
+
+def test_what_a_callback_raises_reaches_whoever_waits(runtime, bus, peer):
+    def broken(*_):
+        raise ZeroDivisionError("in a callback")
+
+    listener = runtime.listen(bus, broken)
+    peer.send(can.Message(arbitration_id=1))
+    with pytest.raises(ZeroDivisionError, match="in a callback"):
+        runtime.wait_until(lambda: False, LATE_S)
+    listener.cancel()
+    assert not runtime.wait_until(lambda: False, 0.0)  # told once
+
+
+def test_what_nobody_waited_for_is_raised_at_close(bus, peer):
+    runtime = WallRuntime()
+    seen = threading.Event()
+
+    def broken(*_):
+        seen.set()
+        raise ZeroDivisionError("in a callback")
+
+    runtime.listen(bus, broken)
+    peer.send(can.Message(arbitration_id=1))
+    assert seen.wait(LATE_S)
+    with pytest.raises(ZeroDivisionError):
+        runtime.close()
+    runtime.close()
+
+
+def test_errors_of_parties_are_kept_for_who_joins_else_raised_at_close():
+    runtime = WallRuntime()
+
+    def fail():
+        raise ZeroDivisionError("in a party")
+
+    joined = runtime.spawn("joined", fail)
+    assert joined.join(LATE_S)
+    assert isinstance(joined.error, ZeroDivisionError)
+    runtime.close()
+    runtime = WallRuntime()
+    alone = runtime.spawn("alone", fail)
+    assert runtime.wait_until(lambda: alone.finished, LATE_S)
+    with pytest.raises(ZeroDivisionError):
+        runtime.close()
+
+
+def test_closing_ends_parties_that_wait_and_refuses_further_use():
+    before = set(threading.enumerate())
+    runtime = WallRuntime()
+    ends = []
+
+    def forever():
+        try:
+            runtime.wait_until(lambda: False)
+        finally:
+            ends.append("ended")
+
+    party = runtime.spawn("waiter", forever)
+    runtime.every(1000.0, lambda: None)
+    runtime.close()
+    runtime.close()
+    assert ends == ["ended"]
+    assert party.error is None
+    assert set(threading.enumerate()) <= before
+    for refused in (
+        lambda: runtime.wait_until(lambda: True),
+        lambda: runtime.every(1.0, lambda: None),
+        lambda: runtime.spawn("late", lambda: None),
+    ):
+        with pytest.raises(UsageError, match="closed"):
+            refused()
+
+
+def test_a_party_that_never_ends_is_named(monkeypatch):
+    monkeypatch.setattr("motorapi.wall_runtime._CLOSE_S", 0.05)
+    runtime = WallRuntime()
+    go_on = threading.Event()
+    runtime.spawn("stubborn", lambda: go_on.wait(LATE_S) and None)
+    with pytest.raises(DeadlineExceeded, match="stubborn"):
+        runtime.close()
+    go_on.set()
+    runtime.close()
+
+
+def test_a_bus_that_breaks_is_told_to_whoever_waits_and_to_senders(runtime):
+    bus = can.Bus(interface="virtual", channel="wall-broken")
+    runtime.listen(bus, lambda *_: None)
+    closer = iter([False, False, True])
+
+    def close_the_second_time():
+        if next(closer, False):
+            bus.shutdown()
+        return False
+
+    with pytest.raises(LinkError, match="cannot receive"):
+        runtime.wait_until(close_the_second_time, LATE_S)
+    with pytest.raises(LinkError, match="cannot send"):
+        runtime.send(bus, FRAME)
+
+
+def test_a_bus_that_its_user_closed_troubles_nobody_afterwards(runtime):
+    bus = can.Bus(interface="virtual", channel="wall-closed")
+    runtime.listen(bus, lambda *_: None)
+    bus.shutdown()
+    threads = [thread for thread in threading.enumerate() if "wall-closed" in thread.name]
+    for thread in threads:
+        thread.join(LATE_S)
+    assert not runtime.wait_until(lambda: False, 0.0)
+
+
+def test_a_bus_object_has_one_reader(runtime, bus):
+    with can.Notifier(bus, []), pytest.raises(UsageError, match="Notifier"):
+        runtime.listen(bus, lambda *_: None)
+    runtime.listen(bus, lambda *_: None)
+
+
+def test_a_bus_with_its_own_time_is_refused(runtime, bus):
+    bus.runtime = runtime
+    with pytest.raises(UsageError, match="runtime_of"):
+        WallRuntime().listen(bus, lambda *_: None)
+
+
+def test_all_real_buses_of_a_process_share_one_runtime(bus, peer):
+    shared = runtime_of(bus)
+    assert shared is runtime_of(peer) is process_runtime()
+    bus.runtime = mine = WallRuntime()
+    assert runtime_of(bus) is mine
+    mine.close()
+    close_process_runtime()
+    again = process_runtime()
+    assert again is not shared
+    close_process_runtime()
