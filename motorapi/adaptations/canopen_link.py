@@ -1,0 +1,363 @@
+"""One host on one CANopen bus: frames in, frames out, confirmation, SYNC, NMT and heartbeats.
+
+A link is shared by every hardware object of its bus. Frames are Linux can_frame (16 bytes). What
+comes in is handed on by identifier, at the cost of one dictionary look-up; own frames are reported
+when they were *transmitted*, which is what arming rests on: SYNC (080h) wins arbitration over any
+RPDO that still waits (CiA 301 default identifiers), so a SYNC sent too early fires without it.
+"""
+
+import struct
+from collections import deque
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from typing import TYPE_CHECKING, Final, final
+
+from motorapi.errors import DeadlineExceeded, LinkError, UsageError
+from motorapi.runtime import Registration, Runtime
+
+if TYPE_CHECKING:
+    import can
+    import canopen
+
+FrameHandler = Callable[[bytes, int], None]
+"""(frame, time_ns) of a frame with the identifier that was asked for."""
+
+SYNC_ID: Final = 0x080
+NMT_ID: Final = 0x000
+HEARTBEAT_ID: Final = 0x700
+OPERATIONAL: Final = 0x05
+
+_FRAME: Final = struct.Struct("<IB3x8s")
+_ID: Final = struct.Struct("<I")
+_UNCONFIRMED_MAX: Final = 1000
+
+
+def can_frame(can_id: int, data: bytes) -> bytes:
+    """The Linux can_frame with this identifier (with its flags) and up to 8 bytes."""
+    return _FRAME.pack(can_id, len(data), data)
+
+
+@final
+class Transmission:
+    """One frame on its way; `time_ns` is when it was complete on the bus, None before that."""
+
+    __slots__ = ("frame", "time_ns")
+
+    def __init__(self, frame: bytes) -> None:
+        self.frame = frame
+        self.time_ns: int | None = None
+
+
+@final
+class TurnLock:
+    """One party at a time, first come first served; those who wait let time pass."""
+
+    def __init__(self, runtime: Runtime) -> None:
+        self._runtime = runtime
+        self._tickets: deque[object] = deque()
+
+    @contextmanager
+    def turn(self, timeout_s: float, awaited: str) -> Iterator[None]:
+        """The block is run alone.
+
+        Raises:
+            DeadlineExceeded: others kept it for `timeout_s` [s]; `awaited` says what for.
+        """
+        ticket = object()
+        tickets = self._tickets
+        tickets.append(ticket)
+        try:
+            if tickets[0] is not ticket and not self._runtime.wait_until(
+                lambda: tickets[0] is ticket, timeout_s
+            ):
+                raise DeadlineExceeded(
+                    awaited=awaited,
+                    timeout_s=timeout_s,
+                    last_heard=f"{len(tickets) - 1} others before it",
+                )
+            yield
+        finally:
+            tickets.remove(ticket)
+
+
+@final
+class _HostHeartbeat:
+    """The heartbeat of one host node-ID, as long as somebody needs it."""
+
+    def __init__(self, period_ms: int, registration: Registration) -> None:
+        self.period_ms = period_ms
+        self.registration = registration
+        self.users = 1
+
+
+@final
+class CanopenLink:
+    """The host's end of one CANopen bus. Get one by `open_link`; it costs nothing to share.
+
+    Attributes:
+        name: what messages call it ("can0").
+        confirms: whether an own frame has ever been reported as transmitted.
+        sync_id: the identifier of SYNC.
+    """
+
+    def __init__(self, bus: "can.BusABC", runtime: Runtime) -> None:
+        self.bus = bus
+        self.runtime = runtime
+        self.name = bus_name(bus)
+        self.confirms = False
+        self.sync_id = SYNC_ID
+        self.users = 0
+        self._handlers: dict[bytes, FrameHandler] = {}
+        self._awaited: dict[bytes, deque[Transmission]] = {}
+        self._heartbeats: dict[int, _HostHeartbeat] = {}
+        self._sync: tuple[int, Registration] | None = None
+        self._sync_listeners: list[Callable[[], None]] = []
+        self._at_sync: list[Callable[[int], None]] = []
+        self._sync_key = _ID.pack(SYNC_ID)
+        self._network: canopen.Network | None = None
+        self.handle(SYNC_ID, self._sync_passed)  # of another producer: it fires as well as ours
+        self._registration = runtime.listen(bus, self._on_frame)
+
+    @property
+    def network(self) -> "canopen.Network":
+        """A canopen.Network on this link, never connected: for SDO clients and extra nodes."""
+        if self._network is None:
+            from motorapi.adaptations.sdo_channel import LinkNetwork
+
+            self._network = LinkNetwork(self)
+        return self._network
+
+    # --- frames ---------------------------------------------------------------------------
+
+    def handle(self, can_id: int, handler: FrameHandler) -> None:
+        """Frames with this identifier go to `handler`, in place of whoever had them before."""
+        self._handlers[_ID.pack(can_id)] = handler
+
+    def ignore(self, can_id: int) -> None:
+        """Frames with this identifier go to nobody."""
+        self._handlers.pop(_ID.pack(can_id), None)
+
+    def is_handled(self, can_id: int) -> bool:
+        """Whether somebody on this link takes frames with this identifier."""
+        return _ID.pack(can_id) in self._handlers
+
+    def send(self, frame: bytes) -> None:
+        """The frame waits its turn on the bus.
+
+        Raises:
+            LinkError: the bus does not take it.
+        """
+        try:
+            self.runtime.send(self.bus, frame)
+        except Exception as error:
+            from can import CanError
+
+            if isinstance(error, CanError):
+                raise LinkError(link=self.name, reason=f"cannot send: {error}") from error
+            raise
+
+    def send_tracked(self, frame: bytes) -> Transmission:
+        """As `send`; the answer tells when the frame was transmitted.
+
+        Every frame of an identifier must be sent tracked, or none of them.
+
+        Raises:
+            LinkError: the bus does not take it, or has not transmitted anything for a long time.
+        """
+        transmission = Transmission(frame)
+        waiting = self._awaited.get(frame[:4])
+        if waiting is None:
+            waiting = self._awaited[frame[:4]] = deque()
+        elif len(waiting) >= _UNCONFIRMED_MAX:
+            if self.confirms:
+                raise LinkError(
+                    link=self.name, reason=f"{len(waiting)} frames wait, none is transmitted"
+                )
+            waiting.popleft()  # a bus that never tells of own frames
+        waiting.append(transmission)
+        try:
+            self.send(frame)
+        except BaseException:
+            waiting.remove(transmission)
+            raise
+        return transmission
+
+    def confirmed(self, transmissions: Sequence[Transmission], timeout_s: float = 0.5) -> None:
+        """All of these have been on the wire.
+
+        Raises:
+            LinkError: not within `timeout_s` [s].
+        """
+        if self.runtime.wait_until(lambda: _all_sent(transmissions), timeout_s):
+            return
+        missing = [one for one in transmissions if one.time_ns is None]
+        can_id = _ID.unpack_from(missing[0].frame)[0]
+        hint = ""
+        if not self.confirms:
+            hint = "; this bus never reported an own frame: open it with receive_own_messages=True"
+        raise LinkError(
+            link=self.name,
+            reason=f"{len(missing)} of {len(transmissions)} frames (first {can_id:03X}h) were not"
+            f" transmitted within {timeout_s:g} s{hint}",
+        )
+
+    def _on_frame(self, frame: bytes, time_ns: int, transmitted: bool) -> None:
+        if transmitted:
+            self.confirms = True
+            waiting = self._awaited.get(frame[:4])
+            if waiting:
+                self._confirm(waiting, frame, time_ns)
+            if self._at_sync and frame[:4] == self._sync_key:
+                self._sync_passed(frame, time_ns)
+            return
+        handler = self._handlers.get(frame[:4])
+        if handler is not None:
+            handler(frame, time_ns)
+        elif self._network is not None:
+            can_id, length, data = _FRAME.unpack(frame)
+            if can_id in self._network.subscribers:
+                self._network.notify(can_id, bytearray(data[:length]), time_ns / 1e9)
+
+    def _confirm(self, waiting: deque[Transmission], frame: bytes, time_ns: int) -> None:
+        """Of one identifier's frames the oldest equal one was sent; those before it never were."""
+        for place, transmission in enumerate(waiting):
+            if transmission.frame == frame:
+                transmission.time_ns = time_ns
+                for _ in range(place + 1):
+                    waiting.popleft()
+                return
+
+    # --- NMT, SYNC, heartbeat -------------------------------------------------------------
+
+    def nmt(self, command: int, node_id: int) -> None:
+        """An NMT command (CiA 301: 01h start, 02h stop, 80h pre-operational, 81h, 82h resets)."""
+        self.send(can_frame(NMT_ID, bytes((command, node_id))))
+
+    def sync(self) -> Transmission:
+        """One SYNC waits for the bus. Whoever armed something first awaits its confirmation."""
+        return self.send_tracked(can_frame(self.sync_id, b""))
+
+    def at_next_sync(self, action: Callable[[int], None]) -> None:
+        """`action` is told when the next SYNC was on the wire [ns], whoever sends it."""
+        self._at_sync.append(action)
+
+    def _sync_passed(self, frame: bytes, time_ns: int) -> None:
+        actions, self._at_sync = self._at_sync, []
+        for action in actions:
+            action(time_ns)
+
+    @property
+    def sync_period_ns(self) -> int | None:
+        """The period of the cyclic SYNC [ns]; None while none is produced here."""
+        return None if self._sync is None else self._sync[0]
+
+    def on_sync(self, period_s: float, action: Callable[[], None]) -> Registration:
+        """A cyclic SYNC runs, and `action` just after each one was queued; it must not wait.
+
+        Raises:
+            UsageError: SYNC runs with another period on this bus.
+        """
+        period_ns = round(period_s * 1e9)
+        if self._sync is None:
+            registration = self.runtime.every(period_s, self._produce_sync)
+            self._sync = (period_ns, registration)
+        elif self._sync[0] != period_ns:
+            raise UsageError(
+                f"{self.name}: SYNC runs every {self._sync[0] / 1e6:g} ms already, so not every "
+                f"{period_ns / 1e6:g} ms; all drives of a bus share one SYNC"
+            )
+        self._sync_listeners.append(action)
+        return _SyncRegistration(self, action)
+
+    def leave_sync(self, action: Callable[[], None]) -> None:
+        """`action` runs no more; SYNC ends with its last user."""
+        if action in self._sync_listeners:
+            self._sync_listeners.remove(action)
+        if not self._sync_listeners and self._sync is not None:
+            self._sync[1].cancel()
+            self._sync = None
+
+    def _produce_sync(self) -> None:
+        self.send_tracked(can_frame(self.sync_id, b""))
+        for action in tuple(self._sync_listeners):
+            action()
+
+    def produce_heartbeat(self, host_node_id: int, period_ms: int) -> None:
+        """The host is heard as a node, at once and then every `period_ms` [ms].
+
+        Raises:
+            UsageError: another period was asked for before.
+        """
+        known = self._heartbeats.get(host_node_id)
+        if known is not None:
+            if known.period_ms != period_ms:
+                raise UsageError(
+                    f"{self.name}: host node {host_node_id} has a heartbeat of {known.period_ms}"
+                    f" ms already, so not of {period_ms} ms; give it one period for all drives"
+                )
+            known.users += 1
+            return
+        frame = can_frame(HEARTBEAT_ID + host_node_id, bytes((OPERATIONAL,)))
+        registration = self.runtime.every(period_ms / 1e3, lambda: self.send(frame))
+        self._heartbeats[host_node_id] = _HostHeartbeat(period_ms, registration)
+        self.send(frame)
+
+    def release_heartbeat(self, host_node_id: int) -> None:
+        """One user less; after the last one the host falls silent."""
+        known = self._heartbeats[host_node_id]
+        known.users -= 1
+        if known.users == 0:
+            known.registration.cancel()
+            del self._heartbeats[host_node_id]
+
+    def close(self) -> None:
+        """Nothing is sent or heard any more."""
+        self._registration.cancel()
+        for heartbeat in self._heartbeats.values():
+            heartbeat.registration.cancel()
+        self._heartbeats.clear()
+        self._sync_listeners.clear()
+        if self._sync is not None:
+            self._sync[1].cancel()
+            self._sync = None
+
+
+@final
+class _SyncRegistration:
+    def __init__(self, link: CanopenLink, action: Callable[[], None]) -> None:
+        self._link = link
+        self._action = action
+
+    def cancel(self) -> None:
+        """It has ended; cancelling again does nothing."""
+        self._link.leave_sync(self._action)
+
+
+def _all_sent(transmissions: Sequence[Transmission]) -> bool:
+    return all(one.time_ns is not None for one in transmissions)
+
+
+def bus_name(bus: "can.BusABC") -> str:
+    """What messages call a bus: its channel, where python-can knows it."""
+    channel = getattr(bus, "channel", None)
+    return str(channel) if channel is not None else str(bus.channel_info)
+
+
+_LINKS: dict[int, CanopenLink] = {}  # by id(bus), which stays its own while the link holds the bus
+
+
+def open_link(bus: "can.BusABC", runtime: Runtime) -> CanopenLink:
+    """The link of this bus object, made if it is the first use; `release_link` ends the use."""
+    link = _LINKS.get(id(bus))
+    if link is None:
+        link = _LINKS[id(bus)] = CanopenLink(bus, runtime)
+    link.users += 1
+    return link
+
+
+def release_link(link: CanopenLink) -> None:
+    """One user less; the last one closes the link, not the bus."""
+    link.users -= 1
+    if link.users == 0:
+        _LINKS.pop(id(link.bus), None)
+        link.close()

@@ -1,0 +1,267 @@
+"""The hardware class of a CiA 402 drive: the whole drive, free of inheritance, in its own units.
+
+One object per physical motor and process. It knows what the drive is able to do, and nothing of
+what an application means by it: positions are increments, velocities the drive's own integers.
+Objects are read and written by index or by the standard's name:
+
+    hw.read("position_actual_value"); hw.write(0x6065, 2000); hw.upload(0x2000, 1)
+"""
+
+import weakref
+from collections.abc import Callable, Sequence
+from typing import TYPE_CHECKING, Final, final
+
+from motorapi.adaptations.canopen_link import (
+    CanopenLink,
+    TurnLock,
+    bus_name,
+    open_link,
+    release_link,
+)
+from motorapi.adaptations.cia402_objects import Mode, PdsState, Value
+from motorapi.adaptations.drive_control import DriveControl
+from motorapi.adaptations.drive_node import DriveNode, Emergency
+from motorapi.adaptations.drive_objects import DriveObjects
+from motorapi.adaptations.drive_setup import DriveFacts, HwOptions, bring_up
+from motorapi.errors import LinkError, UsageError
+from motorapi.sharing import (
+    PhysicalMotor,
+    bus_key,
+    register_physical_motor,
+    release_physical_motor,
+)
+
+if TYPE_CHECKING:
+    import can
+    from canopen.sdo.client import SdoClient
+
+    from motorapi.adaptations.csp_stream import CspStream
+    from motorapi.adaptations.motion_watch import MotionWatch
+    from motorapi.runtime import Runtime
+
+
+@final
+class Cia402HwMotor:
+    """One drive on one CANopen bus, by node-ID. Shared by all logical motors and threads.
+
+    `control` commands it, `objects` is its object dictionary, `node` is what is heard of it,
+    `physical` is the record that logical motors share.
+
+    Nothing is sent before it is needed; `connect()` does it at once. Use it directly for what the
+    motor interface has no word for, while no logical motor uses it.
+
+    Args:
+        bus: an open python-can bus, of whatever interface.
+        node_id: the drive's, 1..127.
+        runtime: where to wait; None: the bus's own (virtual time), else the wall's.
+        options: see HwOptions.
+
+    Attributes:
+        quick_stopped: whether a quick stop was the last thing commanded to its power stage.
+        users: how many motors were built on it by settings; the last one closes it.
+
+    Raises:
+        UsageError: a hardware object for this drive exists already; it is named.
+    """
+
+    def __init__(
+        self,
+        bus: "can.BusABC",
+        node_id: int,
+        *,
+        runtime: "Runtime | None" = None,
+        options: HwOptions | None = None,
+    ) -> None:
+        if not 1 <= node_id <= 127:
+            raise UsageError(f"node_id = {node_id}: a node-ID is 1 to 127")
+        if runtime is None:
+            from motorapi.runtime import runtime_of
+
+            runtime = runtime_of(bus)
+        self.node_id: Final = node_id
+        self.options: Final = options if options is not None else HwOptions()
+        self.runtime: Final = runtime
+        self.label: Final = f"{bus_name(bus)} node {node_id}"
+        self._facts: DriveFacts | None = None
+        self._key = (*bus_key(bus), node_id)
+        self.physical: Final[PhysicalMotor] = register_physical_motor(self._key, self.label, self)
+        self.link: Final[CanopenLink] = open_link(bus, runtime)
+        self.node: Final = DriveNode(
+            self.link,
+            node_id,
+            sdo_timeout_s=self.options.sdo_timeout_s,
+            quarantine_s=self.options.sdo_quarantine_s,
+            heartbeat_timeout_ms=self.options.heartbeat_timeout_ms,
+        )
+        self.objects: Final = DriveObjects(self.node, self.physical)
+        self._setting_up = TurnLock(runtime)
+        self.control: Final = DriveControl(self.link, self.node, self.objects)
+        self.users = 0
+        self.quick_stopped = False
+        self._homed_at_boot: int | None = None
+        self._close = weakref.finalize(self, _let_go, self.link, self.node, self.options)
+        self._close.atexit = False
+
+    def __repr__(self) -> str:
+        if self._facts is None:
+            return f"<Cia402HwMotor {self.label}: not connected>"
+        what = self.node.describe_status() if self._close.alive else "closed"
+        return f"<Cia402HwMotor {self.label}: {what}>"
+
+    def close(self) -> None:
+        """Nothing is sent or heard any more; the drive's dead-man stops it if it moves."""
+        release_physical_motor(self._key, self)
+        self._close()
+
+    @property
+    def is_closed(self) -> bool:
+        """Whether `close` was called."""
+        return not self._close.alive
+
+    @property
+    def is_homed(self) -> bool:
+        """Whether a homing succeeded since the drive was last heard to boot."""
+        return self._homed_at_boot == self.node.boots
+
+    def was_homed(self) -> None:
+        """A homing has succeeded."""
+        self._homed_at_boot = self.node.boots
+
+    # --- bringing up ---------------------------------------------------------------------
+
+    def connect(self) -> DriveFacts:
+        """The drive is up and configured; costs nothing if it is already. See `bring_up`."""
+        facts = self._facts
+        if facts is not None and not self.node.has_booted and self._close.alive:
+            return facts
+        if not self._close.alive:
+            raise LinkError(link=self.label, reason="this hardware object is closed")
+        options = self.options
+        with self._setting_up.turn(4 * options.connect_timeout_s, f"{self.label}: its set-up"):
+            if self._facts is not None and not self.node.has_booted:
+                return self._facts
+            if options.heartbeat_ms and not self.node.uses_host_heartbeat:
+                self.link.produce_heartbeat(options.host_node_id, options.heartbeat_ms)
+                self.node.uses_host_heartbeat = True
+            self.objects.doubt()
+            self.control.forget()
+            self._facts = self.control.facts = bring_up(self.node, options)
+            return self._facts
+
+    @property
+    def facts(self) -> DriveFacts | None:
+        """What `connect` found; None before it."""
+        return self._facts
+
+    # --- objects -------------------------------------------------------------------------
+
+    @property
+    def sdo(self) -> "SdoClient":
+        """The SDO client of canopen, for block transfer and streams."""
+        return self.node.sdo.client
+
+    def upload(self, index: int, subindex: int = 0) -> bytes:
+        """The bytes of an object, as the drive sends them. Raises as `DriveObjects.upload`."""
+        return self.objects.upload(index, subindex)
+
+    def download(self, index: int, subindex: int, data: bytes) -> None:
+        """The drive has `data` in an object. Raises as `DriveObjects.upload`."""
+        self.objects.download(index, subindex, data)
+
+    def read(self, what: int | str, subindex: int = 0, kind: str | None = None) -> Value:
+        """The value of an object, by index or by the standard's name ("target_position").
+
+        Args:
+            what: index, or name.
+            subindex: of an index.
+            kind: its data type ("u8" to "i64", "f32", "string", "bytes") if the standard has none
+                for it; without, such an object is read as "bytes".
+        """
+        return self.objects.read(what, subindex, kind)
+
+    def write(
+        self, what: int | str, value: Value, subindex: int = 0, kind: str | None = None
+    ) -> None:
+        """An object of the drive has this value; arguments as in `read`.
+
+        Raises:
+            UsageError: the value does not fit its type, or the type is not known.
+        """
+        self.objects.write(what, value, subindex, kind)
+
+    # --- what is heard -------------------------------------------------------------------
+
+    @property
+    def statusword(self) -> int:
+        """The last statusword heard."""
+        return self.node.statusword
+
+    @property
+    def state(self) -> PdsState | None:
+        """The state it shows."""
+        return self.node.state
+
+    @property
+    def position_inc(self) -> int:
+        """The last position heard, in increments."""
+        return self.node.position_inc
+
+    @property
+    def emergencies(self) -> Sequence[Emergency]:
+        """EMCY heard, oldest first (the last 100)."""
+        return tuple(self.node.emergencies)
+
+    def refresh(self) -> None:
+        """Statusword and position are fresh where the drive does not repeat them by itself."""
+        self.node.refresh()
+
+    def follow(self, watch: "MotionWatch | None") -> None:
+        """Every status from now on is shown to `watch`."""
+        self.node.watch = watch
+
+    # --- commanding, the common part; the rest is in `control` ------------------------------
+
+    def enable(self) -> None:
+        """Operation is enabled. See `DriveControl.enable`."""
+        self.connect()
+        self.control.enable()
+
+    def disable(self) -> None:
+        """The power stage is off."""
+        self.connect()
+        self.control.disable()
+
+    def reset_fault(self) -> None:
+        """The fault is acknowledged. See `DriveControl.reset_fault`."""
+        self.connect()
+        self.control.reset_fault()
+
+    def halt(self) -> None:
+        """The drive stops as 605Dh says, and holds; does not wait."""
+        self.connect()
+        self.control.send_halt()
+
+    def quick_stop(self) -> None:
+        """The drive stops as 605Ah says; does not wait."""
+        self.connect()
+        self.control.send_quick_stop()
+
+    def set_mode(self, mode: Mode) -> None:
+        """The drive is in this mode of operation. See `DriveControl.set_mode`."""
+        self.connect()
+        self.control.set_mode(mode)
+
+    def stream_positions(
+        self, period_s: float, next_target: Callable[[int], int | None]
+    ) -> "CspStream":
+        """Csp: one target position per SYNC, from `next_target(cycle)`, until that is None."""
+        from motorapi.adaptations.csp_stream import CspStream
+
+        return CspStream(self, period_s, next_target)
+
+
+def _let_go(link: CanopenLink, node: DriveNode, options: HwOptions) -> None:
+    node.close()
+    if node.uses_host_heartbeat:
+        link.release_heartbeat(options.host_node_id)
+    release_link(link)

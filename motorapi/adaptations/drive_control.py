@@ -1,0 +1,305 @@
+"""Commanding a drive by its controlword: power, modes, stopping, set-points. In its own units."""
+
+import struct
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Final, final
+
+from motorapi.adaptations.canopen_link import CanopenLink, Transmission
+from motorapi.adaptations.cia402_objects import (
+    ACKNOWLEDGE,
+    CHANGE_IMMEDIATELY,
+    DISABLE_VOLTAGE,
+    ENABLE_OPERATION,
+    FAULT_BIT,
+    FAULT_RESET,
+    HALT,
+    NEW_SET_POINT,
+    QUICK_STOP,
+    SHUTDOWN,
+    SWITCH_ON,
+    Mode,
+    PdsState,
+)
+from motorapi.adaptations.drive_node import DriveNode
+from motorapi.adaptations.drive_objects import DriveObjects
+from motorapi.errors import DeadlineExceeded, UnsupportedError
+
+if TYPE_CHECKING:
+    from motorapi.adaptations.drive_setup import DriveFacts
+
+_STATE_TIMEOUT_S: Final = 2.0
+_MODE_TIMEOUT_S: Final = 0.5
+_ACKNOWLEDGE_TIMEOUT_S: Final = 0.5
+_RESET_TIMEOUT_S: Final = 0.5
+_POLL_S: Final = 0.002
+_STEPS_MAX: Final = 8
+_CONTROL: Final = struct.Struct("<IB3xH6x")
+_CONTROL_TARGET: Final = struct.Struct("<IB3xHi2x")
+_NEXT_COMMAND: Final = {
+    PdsState.SWITCH_ON_DISABLED: SHUTDOWN,
+    PdsState.READY_TO_SWITCH_ON: SWITCH_ON,
+    PdsState.SWITCHED_ON: ENABLE_OPERATION,
+    PdsState.QUICK_STOP_ACTIVE: ENABLE_OPERATION,
+}
+
+
+@final
+class DriveControl:
+    """Everything that is done through the controlword (6040h) and the mode of operation (6060h).
+
+    It goes by SDO where there is time to wait for the confirmation, else by RPDO. `facts` is set
+    by whoever brings the drive up.
+    """
+
+    def __init__(self, link: CanopenLink, node: DriveNode, objects: DriveObjects) -> None:
+        self.facts: DriveFacts | None = None
+        self._link = link
+        self._node = node
+        self._objects = objects
+        self._mode: Mode | None = None
+        self._halted = False
+        self._armed_id: int | None = None
+
+    def forget(self) -> None:
+        """The drive has booted, or is new: nothing is known of it."""
+        self._mode = None
+        self._halted = False
+        self._armed_id = None
+
+    def supports(self, mode: Mode) -> bool:
+        """Whether the drive names the mode in 6502h; what is not known is not denied."""
+        facts = self.facts
+        return facts is None or facts.modes is None or mode in facts.modes
+
+    # --- power ---------------------------------------------------------------------------
+
+    def write_controlword(self, word: int) -> None:
+        """The drive has this controlword (6040h), by SDO: confirmed."""
+        self._objects.download(0x6040, 0, word.to_bytes(2, "little"))
+
+    def send_controlword(self, word: int) -> Transmission | None:
+        """The controlword is on its way, by RPDO; does not wait (None: it was written by SDO)."""
+        facts = self.facts
+        if facts is None or facts.control_id is None:
+            self.write_controlword(word)
+            return None
+        return self._link.send_tracked(_CONTROL.pack(facts.control_id, 2, word))
+
+    def enable(self) -> None:
+        """Operation is enabled, step by step from whatever state the statusword shows.
+
+        Raises:
+            DeadlineExceeded: the drive did not follow a step.
+            DeviceFault: it is in fault.
+        """
+        node = self._node
+        node.refresh()
+        for _ in range(_STEPS_MAX):
+            state = node.state
+            if state is PdsState.OPERATION_ENABLED:
+                self._halted = False
+                return
+            if state in (PdsState.FAULT, PdsState.FAULT_REACTION_ACTIVE):
+                raise node.fault_error(self._node.label)
+            word = DISABLE_VOLTAGE if state is None else _NEXT_COMMAND.get(state)
+            if word is not None:
+                self.write_controlword(word)
+            before = "unknown" if state is None else state.value
+            node.wait_for_status(
+                _differs(node, state),
+                _STATE_TIMEOUT_S,
+                f"leaving state {before!r} on the way to operation enabled",
+            )
+        raise DeadlineExceeded(
+            awaited=f"{self._node.label}: operation enabled, in {_STEPS_MAX} steps",
+            timeout_s=_STEPS_MAX * _STATE_TIMEOUT_S,
+            last_heard=node.describe_status(),
+        )
+
+    def disable(self) -> None:
+        """The power stage is off, by disable voltage."""
+        self.write_controlword(DISABLE_VOLTAGE)
+        self._node.wait_for_status(_is_off, _STATE_TIMEOUT_S, "power stage off")
+        self._halted = False
+
+    def reset_fault(self) -> None:
+        """The fault is acknowledged; the state is switch on disabled.
+
+        Raises:
+            DeviceFault: its cause is still there.
+        """
+        node = self._node
+        node.refresh()
+        if not node.statusword & FAULT_BIT:
+            return
+        node.wait_for_status(_no_reaction, _STATE_TIMEOUT_S, "end of the fault reaction")
+        self.write_controlword(0)  # the reset is a rising edge
+        self.write_controlword(FAULT_RESET)
+        try:
+            node.wait_for_status(_no_fault, _RESET_TIMEOUT_S, "fault reset")
+        except DeadlineExceeded:
+            raise node.fault_error(self._node.label) from None
+        finally:
+            self.write_controlword(0)
+
+    def send_halt(self) -> None:
+        """The drive stops as 605Dh says and holds, until something new is commanded."""
+        self._halted = True
+        self._drop_armed()
+        self.send_controlword(ENABLE_OPERATION | HALT)
+
+    def send_quick_stop(self) -> None:
+        """The drive stops as 605Ah says."""
+        self._halted = True
+        self._drop_armed()
+        self.send_controlword(QUICK_STOP)
+
+    # --- modes and set-points ------------------------------------------------------------
+
+    def set_mode(self, mode: Mode) -> None:
+        """The drive is in this mode of operation, as 6061h confirms.
+
+        Raises:
+            UnsupportedError: 6502h does not name it.
+            DeadlineExceeded: 6061h did not follow.
+        """
+        if not self.supports(mode):
+            modes = self.facts.modes if self.facts is not None and self.facts.modes else ()
+            names = ", ".join(one.name for one in sorted(modes))
+            raise UnsupportedError(
+                motor=self._node.label, feature=f"mode {mode.name}", supported=names
+            )
+        if not self._objects.push(0x6060, mode) and self._mode is mode:
+            return
+        self._mode = None
+        deadline_ns = self._link.runtime.now_ns() + round(_MODE_TIMEOUT_S * 1e9)
+        while True:
+            display = self._objects.read_int(0x6061)
+            if display == mode:
+                self._mode = mode
+                return
+            if self._link.runtime.now_ns() >= deadline_ns:
+                self._objects.doubt(0x6060)
+                raise DeadlineExceeded(
+                    awaited=f"{self._node.label}: mode {mode.name} in 6061h",
+                    timeout_s=_MODE_TIMEOUT_S,
+                    last_heard=f"mode {display}",
+                )
+            self._link.runtime.wait_until(_never, _POLL_S)
+
+    def is_in(self, mode: Mode) -> bool:
+        """Whether 6061h confirmed this mode, and nobody can have changed it since."""
+        return self._mode is mode and self._objects.is_believed(0x6060, mode)
+
+    @property
+    def is_halted(self) -> bool:
+        """Whether it was told to stop since `take_set_points`."""
+        return self._halted
+
+    def take_set_points(self) -> None:
+        """Pp: bit 4 is low, and the acknowledge with it. A halt goes on until the next set-point.
+
+        From now on `is_halted` tells of stops that came after this.
+        """
+        self.write_controlword(self._holding_word())
+        if self._node.statusword & ACKNOWLEDGE or not self._node.status_is_cyclic:
+            self._node.wait_for_status(
+                _not_acknowledged, _ACKNOWLEDGE_TIMEOUT_S, "set-point acknowledge to fall"
+            )
+        self._halted = False
+
+    def keep_halt(self) -> None:
+        """A halt goes on until the next set-point; `is_halted` tells of stops from now on."""
+        self._halted = False
+
+    def release(self) -> None:
+        """The controlword is plain operation enabled: no halt, no bit of a mode."""
+        self._halted = False
+        self.write_controlword(ENABLE_OPERATION)
+
+    def send_set_point(self) -> Transmission | None:
+        """Pp: target position 607Ah is what counts, at once (bits 4 and 5); a halt is lifted.
+
+        Nothing of it if the drive was told to stop after `take_set_points`.
+        """
+        word = self._holding_word()
+        if not self._halted:
+            word |= NEW_SET_POINT | CHANGE_IMMEDIATELY
+        return self.send_controlword(word)
+
+    def send_holding_word(self) -> Transmission | None:
+        """Operation enabled, halted or not as it was told last, every other bit low."""
+        return self.send_controlword(self._holding_word())
+
+    def _holding_word(self) -> int:
+        return ENABLE_OPERATION | (HALT if self._halted else 0)
+
+    def arm(
+        self, target: int, *, velocity: bool = False, fired: Callable[[int], None] | None = None
+    ) -> None:
+        """The next SYNC makes `target` count: position (with bits 4 and 5), or velocity.
+
+        Returns when the drive has it: its frame was on the wire.
+
+        Args:
+            target: in the drive's units.
+            velocity: whether it is a target velocity.
+            fired: is told when that SYNC was on the wire [ns].
+        """
+        facts = self.facts
+        can_id = None
+        if facts is not None:
+            can_id = facts.velocity_id if velocity else facts.position_id
+        if can_id is None:
+            raise UnsupportedError(motor=self._node.label, feature="starting by SYNC")
+        word = ENABLE_OPERATION | (0 if velocity else NEW_SET_POINT | CHANGE_IMMEDIATELY)
+        self._armed_id = can_id
+
+        def on_sync(time_ns: int) -> None:
+            if self._armed_id is not None:
+                self._armed_id = None
+                if fired is not None:
+                    fired(time_ns)
+
+        transmission = self._link.send_tracked(_CONTROL_TARGET.pack(can_id, 6, word, target))
+        self._link.confirmed([transmission])
+        self._link.at_next_sync(on_sync)
+
+    def disarm(self) -> None:
+        """What was armed will not start: it was overwritten, and that is on the wire."""
+        transmission = self._drop_armed()
+        if transmission is not None:
+            self._link.confirmed([transmission])
+
+    def _drop_armed(self) -> Transmission | None:
+        can_id, self._armed_id = self._armed_id, None
+        facts = self.facts
+        if can_id is None or facts is None:
+            return None
+        target = 0 if can_id == facts.velocity_id else self._node.position_inc
+        frame = _CONTROL_TARGET.pack(can_id, 6, self._holding_word(), target)
+        return self._link.send_tracked(frame)
+
+
+def _differs(node: DriveNode, state: PdsState | None) -> Callable[[int], bool]:
+    return lambda word: node.state is not state
+
+
+def _is_off(word: int) -> bool:
+    return word & 0x4F in (0x40, 0x08) or word & 0x6F == 0x21
+
+
+def _no_reaction(word: int) -> bool:
+    return word & 0x4F != 0x0F
+
+
+def _no_fault(word: int) -> bool:
+    return not word & FAULT_BIT
+
+
+def _not_acknowledged(word: int) -> bool:
+    return not word & ACKNOWLEDGE
+
+
+def _never() -> bool:
+    return False

@@ -1,0 +1,353 @@
+"""One drive as the host hears it: statusword and position, EMCY, heartbeat, and its SDO channel.
+
+The TPDO decoder is the hot path: one call per frame, straight from the link's dispatch.
+"""
+
+import struct
+from collections import deque
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Final, final
+
+from motorapi.adaptations.canopen_link import HEARTBEAT_ID, OPERATIONAL, CanopenLink
+from motorapi.adaptations.cia402_objects import (
+    ENABLED_MASK,
+    ENABLED_VALUE,
+    FAULT_BIT,
+    PdsState,
+    Value,
+    decode,
+    decode_state,
+    error_text,
+    type_of,
+)
+from motorapi.errors import DeadlineExceeded, DeviceFault, LinkError, MotionInterrupted
+
+if TYPE_CHECKING:
+    from motorapi.adaptations.motion_watch import MotionWatch
+    from motorapi.runtime import Registration
+
+EMCY_ID: Final = 0x080
+_EMCY: Final = struct.Struct("<8xHB5s")
+_STATUS_POSITION: Final = struct.Struct("<8xHi").unpack_from
+_STATUSWORD: Final = 0x6041
+_POSITION: Final = 0x6064
+_POLL_S: Final = 0.002
+_EMERGENCIES_MAX: Final = 100
+
+
+@final
+@dataclass(frozen=True, slots=True)
+class Emergency:
+    """One EMCY: error code (603Fh), error register (1001h), 5 vendor bytes, when it came [ns]."""
+
+    code: int
+    register: int
+    vendor: bytes
+    time_ns: int
+
+    def __str__(self) -> str:
+        return f"EMCY {self.code:04X}h at {self.time_ns / 1e9:.6f} s: {error_text(self.code)}"
+
+
+@final
+class DriveNode:
+    """What was heard of a drive last. Written by frame handlers, read by everybody.
+
+    Attributes:
+        statusword, position_inc, status_ns: the last status and when it came (-1: none yet).
+        values: other objects that TPDOs brought, by (index, sub-index).
+        status_is_cyclic: whether a TPDO repeats the status by itself.
+        boots: how often it was heard to boot; whoever configured it compares.
+        lost_since_ns: since when it is not heard, None while it is.
+        malformed: frames of a wrong length.
+    """
+
+    def __init__(
+        self,
+        link: CanopenLink,
+        node_id: int,
+        *,
+        sdo_timeout_s: float,
+        quarantine_s: float,
+        heartbeat_timeout_ms: int,
+    ) -> None:
+        from motorapi.adaptations.sdo_channel import SdoChannel  # loads canopen
+
+        self.link: Final = link
+        self.node_id: Final = node_id
+        self.label: Final = f"{link.name} node {node_id}"
+        self.sdo: SdoChannel = SdoChannel(
+            link, node_id, timeout_s=sdo_timeout_s, quarantine_s=quarantine_s
+        )
+        self.statusword = 0
+        self.position_inc = 0
+        self.status_ns = -1
+        self.values: dict[tuple[int, int], int] = {}
+        self.status_is_cyclic = False
+        self.watch: MotionWatch | None = None
+        self.fault_since_ns: int | None = None
+        self.emergencies: deque[Emergency] = deque(maxlen=_EMERGENCIES_MAX)
+        self.nmt_state: int | None = None
+        self.boots = 0
+        self.lost_since_ns: int | None = None
+        self.malformed = 0
+        self.uses_host_heartbeat = False
+        self._watches_nmt = False
+        self._was_operational = False
+        self._boots_known = 0
+        self._word = -1
+        self._heartbeat_timeout_ms = heartbeat_timeout_ms
+        self._silence: Registration | None = None
+        self._tpdo_ids: list[int] = []
+        link.handle(HEARTBEAT_ID + node_id, self._on_heartbeat)
+        link.handle(EMCY_ID + node_id, self._on_emergency)
+
+    # --- TPDOs ---------------------------------------------------------------------------
+
+    def listen_to_tpdo(self, can_id: int, mapping: Sequence[int]) -> None:
+        """TPDO `can_id` brings the objects of `mapping` (as in 1A00h: index, sub-index, bits)."""
+        if tuple(mapping) == (_STATUSWORD << 16 | 16, _POSITION << 16 | 32):
+            self.link.handle(can_id, self._on_status_position)
+        else:
+            self.link.handle(can_id, TpdoDecoder(self, mapping).decode)
+        self._tpdo_ids.append(can_id)
+
+    def _on_status_position(self, frame: bytes, time_ns: int) -> None:
+        if frame[4] != 6:
+            self.malformed += 1
+            return
+        word, position_inc = _STATUS_POSITION(frame)
+        self.position_inc = position_inc
+        self.status_ns = time_ns
+        if word != self._word:
+            self._new_statusword(word, time_ns)
+        if self.watch is not None:
+            self.watch.see(word, position_inc, time_ns)
+
+    def take_status(self, word: int, position_inc: int, time_ns: int) -> None:
+        """A status that came in another way than the usual TPDO."""
+        self.position_inc = position_inc
+        self.status_ns = time_ns
+        if word != self._word:
+            self._new_statusword(word, time_ns)
+        if self.watch is not None:
+            self.watch.see(word, position_inc, time_ns)
+
+    def _new_statusword(self, word: int, time_ns: int) -> None:
+        self._word = self.statusword = word
+        if word & FAULT_BIT:
+            if self.fault_since_ns is None:
+                self.fault_since_ns = time_ns
+        else:
+            self.fault_since_ns = None
+
+    # --- EMCY and heartbeat --------------------------------------------------------------
+
+    def _on_emergency(self, frame: bytes, time_ns: int) -> None:
+        if frame[4] != 8:
+            self.malformed += 1
+            return
+        code, register, vendor = _EMCY.unpack(frame)
+        self.emergencies.append(Emergency(code, register, vendor, time_ns))
+
+    def _on_heartbeat(self, frame: bytes, time_ns: int) -> None:
+        if frame[4] != 1:
+            self.malformed += 1
+            return
+        state = frame[8] & 0x7F
+        if state == 0:
+            self.boots += 1
+            self.sdo.rebooted()
+        self.nmt_state = state
+        if state == OPERATIONAL and self._watches_nmt:
+            self._was_operational = True
+        self.lost_since_ns = None
+        if self._silence is not None:
+            self._silence.cancel()
+            self._watch_heartbeat()
+
+    def expect_heartbeat(self) -> None:
+        """From now on silence means that the drive is lost."""
+        if self._heartbeat_timeout_ms and self._silence is None:
+            self._watch_heartbeat()
+
+    def _watch_heartbeat(self) -> None:
+        self._silence = self.link.runtime.every(self._heartbeat_timeout_ms / 1e3, self._fell_silent)
+
+    def _fell_silent(self) -> None:
+        if self.lost_since_ns is None:
+            self.lost_since_ns = self.link.runtime.now_ns()
+
+    def may_change_state(self) -> None:
+        """It is being brought up: booting, and other NMT states, are no loss."""
+        self._watches_nmt = self._was_operational = False
+        self._boots_known = self.boots
+
+    def stays_operational(self) -> None:
+        """It is up: from the first heartbeat that says OPERATIONAL on, any other is a loss."""
+        self._watches_nmt = True
+        self._boots_known = self.boots
+
+    @property
+    def has_booted(self) -> bool:
+        """Whether it was heard to boot since it was brought up: its configuration is gone."""
+        return self._watches_nmt and self.boots != self._boots_known
+
+    def close(self) -> None:
+        """It is heard no more."""
+        if self._silence is not None:
+            self._silence.cancel()
+            self._silence = None
+        first = (HEARTBEAT_ID, EMCY_ID, 0x580)
+        for can_id in (*(base + self.node_id for base in first), *self._tpdo_ids):
+            self.link.ignore(can_id)
+
+    # --- what it amounts to --------------------------------------------------------------
+
+    @property
+    def state(self) -> PdsState | None:
+        """The state in the last statusword; None if it shows none."""
+        return decode_state(self.statusword)
+
+    @property
+    def error_code(self) -> int:
+        """The error code of the last EMCY that told one; 0 if none did since the last reset."""
+        for emergency in reversed(self.emergencies):
+            if emergency.code & 0xFF00 == 0:
+                return 0
+            return emergency.code
+        return 0
+
+    def check_heard(self) -> None:
+        """Raises LinkError if the drive is not heard."""
+        if self.lost_since_ns is not None:
+            raise LinkError(
+                link=self.label,
+                reason=f"no heartbeat for {self._heartbeat_timeout_ms} ms",
+                since_ns=self.lost_since_ns,
+            )
+
+    def check_link(self) -> None:
+        """Raises LinkError if the drive is not heard, or is not in the NMT state it was put in."""
+        self.check_heard()
+        if self.has_booted:
+            raise LinkError(link=self.label, reason="it has booted: its configuration is gone")
+        if self._was_operational and self.nmt_state != OPERATIONAL:
+            raise LinkError(
+                link=self.label,
+                reason=f"its NMT state is {self.nmt_state or 0:02X}h, not OPERATIONAL any more",
+            )
+
+    def check_motion(self, motor: str) -> None:
+        """Raises what ends a motion from outside; see `Motor._is_done`."""
+        self.check_link()
+        word = self.statusword
+        if word & FAULT_BIT:
+            raise self.fault_error(motor)
+        if word & ENABLED_MASK != ENABLED_VALUE:
+            state = self.state
+            raise MotionInterrupted(
+                motor=motor,
+                by=f"the drive, now in state {state.value!r}" if state else "the drive",
+                at_ns=self.status_ns,
+            )
+
+    def fault_error(self, motor: str) -> DeviceFault:
+        """The fault it reports, as an error."""
+        code = self.error_code
+        since_ns = self.fault_since_ns if self.fault_since_ns is not None else self.status_ns
+        return DeviceFault(motor=motor, code=code, text=error_text(code), since_ns=since_ns)
+
+    # --- asking and waiting ----------------------------------------------------------------
+
+    def read(self, index: int, subindex: int = 0) -> Value:
+        """The value of an object of the standard, by SDO."""
+        return decode(type_of(index, subindex) or "u32", self.sdo.upload(index, subindex))
+
+    def read_int(self, index: int, subindex: int = 0) -> int:
+        """As `read`, for objects that hold an integer."""
+        value = self.read(index, subindex)
+        return value if isinstance(value, int) else 0
+
+    def refresh(self) -> None:
+        """Statusword and position are fresh where no TPDO repeats them."""
+        if not self.status_is_cyclic:
+            self.poll_status()
+
+    def poll_status(self) -> None:
+        """Statusword and position are fresh, by SDO."""
+        word = self.read_int(_STATUSWORD)
+        position_inc = self.read_int(_POSITION)
+        self.take_status(word, position_inc, self.link.runtime.now_ns())
+
+    def wait_for_status(self, wanted: Callable[[int], bool], timeout_s: float, awaited: str) -> int:
+        """The first statusword that is `wanted`, from TPDOs, or by SDO where there are none.
+
+        Raises:
+            DeadlineExceeded: it did not come within `timeout_s` [s].
+            LinkError: the drive was lost meanwhile.
+        """
+        runtime = self.link.runtime
+        deadline_ns = runtime.now_ns() + round(timeout_s * 1e9)
+
+        def is_over() -> bool:
+            return self.lost_since_ns is not None or wanted(self.statusword)
+
+        while True:
+            if not self.status_is_cyclic:
+                self.poll_status()
+            left_s = max(0, deadline_ns - runtime.now_ns()) / 1e9
+            pause_s = left_s if self.status_is_cyclic else min(_POLL_S, left_s)
+            over = runtime.wait_until(is_over, pause_s)
+            self.check_link()
+            if over:
+                return self.statusword
+            if runtime.now_ns() >= deadline_ns:
+                raise DeadlineExceeded(
+                    awaited=f"{self.label}: {awaited}",
+                    timeout_s=timeout_s,
+                    last_heard=self.describe_status(),
+                )
+
+    def describe_status(self) -> str:
+        """The last status in words."""
+        state = self.state
+        name = "no state of CiA 402" if state is None else state.value
+        return (
+            f"statusword {self.statusword:04X}h ({name}), position {self.position_inc} increments"
+        )
+
+
+@final
+class TpdoDecoder:
+    """Any other mapping than the usual one: status and position to the node, the rest by key."""
+
+    def __init__(self, node: DriveNode, mapping: Sequence[int]) -> None:
+        self._node = node
+        self._fields = tuple(
+            ((entry >> 16, entry >> 8 & 0xFF), (entry & 0xFF) // 8) for entry in mapping
+        )
+        self._length = sum(size for _, size in self._fields)
+
+    def decode(self, frame: bytes, time_ns: int) -> None:
+        """A frame of this TPDO came."""
+        node = self._node
+        if frame[4] != self._length:
+            node.malformed += 1
+            return
+        word, position_inc, at = node.statusword, node.position_inc, 8
+        has_status = False
+        for key, size in self._fields:
+            kind = type_of(*key) or "u32"
+            raw = int.from_bytes(frame[at : at + size], "little", signed=kind[0] == "i")
+            at += size
+            if key == (_STATUSWORD, 0):
+                word, has_status = raw, True
+            elif key == (_POSITION, 0):
+                position_inc = raw
+                node.position_inc = raw
+            else:
+                node.values[key] = raw
+        if has_status:
+            node.take_status(word, position_inc, time_ns)

@@ -1,0 +1,116 @@
+"""A drive's object dictionary as the host uses it: by name or index, typed, not written twice."""
+
+import difflib
+from typing import TYPE_CHECKING, Final, final
+
+from motorapi.adaptations.canopen_errors import SdoAborted
+from motorapi.adaptations.cia402_objects import OBJECTS, Value, decode, encode, type_of
+from motorapi.errors import UsageError
+
+if TYPE_CHECKING:
+    from motorapi.adaptations.drive_node import DriveNode
+    from motorapi.sharing import PhysicalMotor
+
+
+@final
+class DriveObjects:
+    """Reads and writes by SDO; remembers what it wrote while the motor does not change hands."""
+
+    def __init__(self, node: "DriveNode", physical: "PhysicalMotor") -> None:
+        self._node: Final = node
+        self._physical: Final = physical
+        self._believed: dict[tuple[int, int], bytes] = {}
+        self._token = -1
+
+    def upload(self, index: int, subindex: int = 0) -> bytes:
+        """The bytes of an object, as the drive sends them.
+
+        Raises:
+            SdoAborted, DeadlineExceeded, ProtocolViolation: see `SdoChannel`.
+            LinkError: the drive is lost.
+        """
+        self._node.check_heard()
+        return self._node.sdo.upload(index, subindex)
+
+    def download(self, index: int, subindex: int, data: bytes) -> None:
+        """The drive has `data` in an object. Raises as `upload`."""
+        self._node.check_heard()
+        self._believed.pop((index, subindex), None)
+        self._node.sdo.download(index, subindex, data)
+
+    def read(self, what: int | str, subindex: int = 0, kind: str | None = None) -> Value:
+        """The value of an object; see `Cia402HwMotor.read`."""
+        index, subindex, kind = place_of(what, subindex, kind)
+        return decode(kind or "bytes", self.upload(index, subindex))
+
+    def read_int(self, what: int | str, subindex: int = 0) -> int:
+        """As `read`, of an object that holds an integer."""
+        value = self.read(what, subindex)
+        if not isinstance(value, int):
+            raise UsageError(f"{self._node.label}: {what} holds no integer known to the standard")
+        return value
+
+    def read_optional(self, index: int, subindex: int = 0) -> int | None:
+        """The integer in an object; None if the drive refuses to tell."""
+        self._node.check_heard()
+        try:
+            return self._node.read_int(index, subindex)
+        except SdoAborted:
+            return None
+
+    def write(
+        self, what: int | str, value: Value, subindex: int = 0, kind: str | None = None
+    ) -> None:
+        """An object of the drive has this value; see `Cia402HwMotor.write`."""
+        index, subindex, kind = place_of(what, subindex, kind)
+        if kind is None and not isinstance(value, bytes):
+            raise UsageError(
+                f"{index:04X}h:{subindex:02X}h is not in the standard: say kind=, one of u8 i8 u16"
+                " i16 u32 i32 u64 i64 f32 f64 string, or give bytes"
+            )
+        self.download(index, subindex, encode(kind or "bytes", value))
+
+    def push(self, index: int, value: int, subindex: int = 0) -> bool:
+        """As `write`, but only if the drive is not believed to have it; whether it was written.
+
+        What was written is believed until the motor changes hands or boots.
+        """
+        if self.is_believed(index, value, subindex):
+            return False
+        data = encode(type_of(index, subindex) or "u32", value)
+        self.download(index, subindex, data)
+        self._believed[index, subindex] = data
+        return True
+
+    def is_believed(self, index: int, value: int, subindex: int = 0) -> bool:
+        """Whether this value was written, and the motor has not changed hands since."""
+        token = self._physical.token
+        if token != self._token:
+            self._believed.clear()
+            self._token = token
+        return self._believed.get((index, subindex)) == encode(
+            type_of(index, subindex) or "u32", value
+        )
+
+    def doubt(self, index: int | None = None, subindex: int = 0) -> None:
+        """What was written to an object (None: to any) is not believed any more."""
+        if index is None:
+            self._believed.clear()
+        else:
+            self._believed.pop((index, subindex), None)
+
+
+def place_of(what: int | str, subindex: int, kind: str | None) -> tuple[int, int, str | None]:
+    """(index, sub-index, data type) of an object by index or by the standard's name.
+
+    Raises:
+        UsageError: the standard has no such name.
+    """
+    if isinstance(what, int):
+        return what, subindex, kind or type_of(what, subindex)
+    known = OBJECTS.get(what)
+    if known is None:
+        near = difflib.get_close_matches(what, OBJECTS, 1)
+        hint = f"; did you mean {near[0]!r}?" if near else "; give its index"
+        raise UsageError(f"the standard has no object named {what!r}{hint}")
+    return known[0], known[1], kind or known[2]

@@ -1,0 +1,217 @@
+"""A motion as the drive will make it: its integers, and how long they really take.
+
+Profile velocity and accelerations are whole numbers of the drive's units, so a profile of a given
+duration is met only nearly. Of the whole numbers around, those are taken that come closest, without
+ever exceeding a limit: a cruise one step faster with slower ramps often is better than one slower.
+"""
+
+from dataclasses import dataclass, replace
+from typing import Final, final
+
+from motorapi import planning
+from motorapi.adaptations.cia402_units import DriveUnits
+from motorapi.commands import ControlVariable, Motion
+from motorapi.errors import LimitError
+from motorapi.generation import shortest
+from motorapi.model import MotorModel
+
+_ROUNDING: Final = 1e-12
+
+
+@final
+@dataclass(frozen=True, slots=True)
+class DriveLimits:
+    """What the drive itself allows, in its own units; None: it does not say.
+
+    Attributes:
+        position: 607Dh, software position limits; None also if both are 0, which means none.
+        speed: 607Fh, maximum profile velocity.
+        acceleration, deceleration: 60C5h, 60C6h.
+        window: 6067h, position window; None if it is switched off or absent.
+        has_deceleration: whether there is 6084h; without, ramps down are as those up.
+    """
+
+    position: tuple[int, int] | None
+    speed: int | None
+    acceleration: int | None
+    deceleration: int | None
+    window: int | None
+    has_deceleration: bool
+
+
+@final
+@dataclass(frozen=True, slots=True)
+class DriveProfile:
+    """One motion in the drive's integers: 607Ah or 60FFh, 6081h, 6083h, 6084h."""
+
+    target: int
+    speed: int
+    acceleration: int
+    deceleration: int
+
+
+def profile_of(
+    motion: Motion, model: MotorModel, units: DriveUnits, limits: DriveLimits
+) -> DriveProfile:
+    """The integers that make `motion`, as nearly as the drive's units allow.
+
+    Raises:
+        LimitError: they do not fit the drive.
+        UsageError: a unit is not known.
+    """
+    up, down = motion.acceleration, motion.deceleration
+    if not limits.has_deceleration:
+        up = down = min(up, down)
+    acceleration = units.acceleration_raw(up)
+    deceleration = units.acceleration_raw(down)
+    if motion.variable is ControlVariable.VELOCITY:
+        target = units.velocity_raw(motion.target)
+        return DriveProfile(target, abs(target), acceleration, deceleration)
+    target = units.position_inc(motion.target)
+    speed = units.speed_raw(motion.velocity)
+    profile = DriveProfile(target, speed, acceleration, deceleration)
+    distance_inc = target - units.position_inc(motion.start)
+    if motion.duration_s is not None and motion.trajectory is not None and distance_inc:
+        top = _speed_limit(motion, model)
+        if limits.speed:
+            top = min(top, units.speed(limits.speed))
+        distance = abs(units.position(distance_inc))
+        profile = _nearest(profile, distance, motion.duration_s, top, units)
+    return profile
+
+
+def check_limits(motor: str, profile: DriveProfile, units: DriveUnits, limits: DriveLimits) -> None:
+    """The drive itself would not clip this motion.
+
+    Raises:
+        LimitError: it would; names the object that says so.
+    """
+    pairs = (
+        ("velocity", profile.speed, limits.speed, units.speed, "607Fh", "/s"),
+        (
+            "acceleration",
+            profile.acceleration,
+            limits.acceleration,
+            units.acceleration,
+            "60C5h",
+            "/s²",
+        ),
+        (
+            "deceleration",
+            profile.deceleration,
+            limits.deceleration,
+            units.acceleration,
+            "60C6h",
+            "/s²",
+        ),
+    )
+    for quantity, raw, highest, scale, name, per in pairs:
+        if highest and raw > highest:
+            raise LimitError(
+                motor=motor,
+                quantity=quantity,
+                value=scale(raw),
+                low=None,
+                high=scale(highest),
+                unit=f"U{per}",
+                reason=f"{name} in the drive is {highest}",
+            )
+
+
+def check_target(motor: str, target: int, units: DriveUnits, limits: DriveLimits) -> None:
+    """The drive's own software position limits allow the target [increments].
+
+    Raises:
+        LimitError: they do not.
+    """
+    if limits.position is None or limits.position[0] <= target <= limits.position[1]:
+        return
+    ends = sorted(units.position(end) for end in limits.position)
+    raise LimitError(
+        motor=motor,
+        quantity="target position",
+        value=units.position(target),
+        low=ends[0],
+        high=ends[1],
+        unit="U",
+        reason="607Dh in the drive",
+    )
+
+
+def as_motion(motion: Motion, profile: DriveProfile, units: DriveUnits) -> Motion:
+    """What `profile` amounts to, in SI units, with its exact duration."""
+    acceleration = units.acceleration(profile.acceleration)
+    deceleration = units.acceleration(profile.deceleration)
+    if motion.variable is ControlVariable.VELOCITY:
+        return replace(
+            motion,
+            target=units.velocity(profile.target),
+            acceleration=acceleration,
+            deceleration=deceleration,
+        )
+    made = replace(
+        motion,
+        start=units.position(units.position_inc(motion.start)),
+        target=units.position(profile.target),
+        velocity=units.speed(profile.speed),
+        acceleration=acceleration,
+        deceleration=deceleration,
+    )
+    if motion.duration_s is None:
+        return made
+    return replace(made, duration_s=planning.duration_of(made))
+
+
+def expected_s(motion: Motion, profile: DriveProfile, units: DriveUnits) -> float:
+    """How long the profile takes over the motion's distance [s]."""
+    made = as_motion(replace(motion, duration_s=0.0), profile, units)
+    return made.duration_s or 0.0
+
+
+def _speed_limit(motion: Motion, model: MotorModel) -> float:
+    """What the model and the command allow, which may be more than this motion needs [U/s]."""
+    top = model.velocity_max
+    limits = None if motion.trajectory is None else motion.trajectory.limits
+    if limits is not None and limits.first is not None:
+        top = min(top, limits.first[1] if motion.distance >= 0.0 else -limits.first[0])
+    return max(top, motion.velocity)
+
+
+def _nearest(
+    first: DriveProfile, distance: float, duration_s: float, top: float, units: DriveUnits
+) -> DriveProfile:
+    """The profile whose duration is nearest to `duration_s`, `first` where nothing is nearer."""
+    best, best_s = first, abs(_duration_s(first, distance, units) - duration_s)
+    half = 0.5 / units.acceleration(first.acceleration) + 0.5 / units.acceleration(
+        first.deceleration
+    )
+    for speed in (first.speed, first.speed + 1):
+        peak = units.speed(speed)
+        if speed != first.speed and peak > top * (1.0 + _ROUNDING):
+            continue
+        ramps_s = duration_s - distance / peak
+        if ramps_s < peak * half or ramps_s > distance / peak:
+            continue  # the ramps cannot be so steep, or would not reach the peak
+        flatter = peak * half / ramps_s
+        for up in _around(first.acceleration, flatter):
+            for down in _around(first.deceleration, flatter):
+                candidate = DriveProfile(first.target, speed, up, down)
+                off_s = abs(_duration_s(candidate, distance, units) - duration_s)
+                if off_s < best_s:
+                    best, best_s = candidate, off_s
+    return best
+
+
+def _around(raw: int, factor: float) -> tuple[int, ...]:
+    """The whole numbers next to raw * factor, not 0 and not above raw."""
+    floor = int(raw * factor)
+    return tuple(number for number in (floor, floor + 1) if 1 <= number <= raw)
+
+
+def _duration_s(profile: DriveProfile, distance: float, units: DriveUnits) -> float:
+    return shortest(
+        distance,
+        units.speed(profile.speed),
+        units.acceleration(profile.acceleration),
+        units.acceleration(profile.deceleration),
+    ).duration_s

@@ -1,0 +1,285 @@
+"""Bringing a drive up: it answers, says what it is, watches us, and sends what we need.
+
+Nothing is written that the drive has already, so that a second program may join at any time.
+"""
+
+from dataclasses import dataclass
+from typing import Final, final
+
+from motorapi.adaptations.canopen_errors import SdoAborted
+from motorapi.adaptations.cia402_objects import Mode
+from motorapi.adaptations.drive_node import DriveNode
+from motorapi.adaptations.pdo_setup import (
+    CONTROLWORD,
+    EVENT_DRIVEN,
+    POSITION,
+    STATUSWORD,
+    SYNCHRONOUS,
+    TARGET_POSITION,
+    TARGET_VELOCITY,
+    TORQUE,
+    VELOCITY,
+    PdoFound,
+    PdoSetUp,
+    PdoWish,
+    read_optional,
+    usable_as_it_is,
+)
+from motorapi.errors import DeadlineExceeded, UsageError
+
+_PROFILE_402: Final = 0x0192
+_TPDOS: Final = 4
+_FIRST_STATUS_S: Final = 0.5
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True)
+class HwOptions:
+    """How a hardware object treats its drive; the defaults suit most.
+
+    Attributes:
+        host_node_id: the node-ID under which the host sends its heartbeat.
+        heartbeat_ms: period of the drive's and the host's heartbeats; 0 does without.
+        heartbeat_timeout_ms: silence after which either side takes the other for lost.
+        status_period_ms: the drive repeats statusword and position so often; 0: on change only.
+        status_inhibit_ms: and not more often than this, however fast they change.
+        velocity_period_ms: the drive tells velocity and torque so often; 0: only when asked.
+        connection_loss: what the drive does without the host (6007h); None leaves it as it is.
+        servo_period_ms: the drive's profile tick, for predicting skew; None: not known.
+        connect_timeout_s: how long a drive may take to boot.
+        sdo_timeout_s: how long it may take to answer.
+        sdo_quarantine_s: how long after an unanswered request an old answer may still come.
+    """
+
+    host_node_id: int = 127
+    heartbeat_ms: int = 100
+    heartbeat_timeout_ms: int = 300
+    status_period_ms: int = 20
+    status_inhibit_ms: float = 2.0
+    velocity_period_ms: int = 0
+    connection_loss: int | None = 1
+    servo_period_ms: float | None = None
+    connect_timeout_s: float = 3.0
+    sdo_timeout_s: float = 0.3
+    sdo_quarantine_s: float = 1.0
+
+    def __post_init__(self) -> None:
+        if not 1 <= self.host_node_id <= 127:
+            raise UsageError(f"host_node_id = {self.host_node_id}: a node-ID is 1 to 127")
+        for name in ("heartbeat_ms", "heartbeat_timeout_ms", "status_period_ms"):
+            if not 0 <= getattr(self, name) <= 65535:
+                raise UsageError(f"{name} = {getattr(self, name)}: must be 0 to 65535 ms")
+        if 0 < self.heartbeat_timeout_ms <= self.heartbeat_ms:
+            raise UsageError(
+                f"heartbeat_timeout_ms = {self.heartbeat_timeout_ms}: must be longer than"
+                f" heartbeat_ms = {self.heartbeat_ms}, better three times as long"
+            )
+        for name in ("connect_timeout_s", "sdo_timeout_s", "sdo_quarantine_s"):
+            if not getattr(self, name) > 0.0:
+                raise UsageError(f"{name} = {getattr(self, name)}: must be > 0 s")
+
+
+@final
+@dataclass(frozen=True, slots=True)
+class Identity:
+    """What the drive says it is (1000h, 1018h); None where it says nothing."""
+
+    device_type: int | None
+    vendor_id: int | None
+    product_code: int | None
+    revision_number: int | None
+    serial_number: int | None
+
+
+@final
+@dataclass(frozen=True, slots=True)
+class DriveFacts:
+    """What was found and agreed when the drive was brought up.
+
+    Attributes:
+        identity: what it is.
+        modes: what 6502h names; None if the drive does not say.
+        control_id: identifier of the RPDO that brings the controlword at once; None: by SDO.
+        position_id: of the RPDO with controlword and target position, latched at SYNC; or None.
+        velocity_id: of the one with target velocity; or None.
+        status: the TPDO that brings the statusword; None: asked for by SDO.
+        limitations: what this drive cannot do for us, in words.
+    """
+
+    identity: Identity
+    modes: frozenset[Mode] | None
+    control_id: int | None
+    position_id: int | None
+    velocity_id: int | None
+    status: PdoFound | None
+    limitations: tuple[str, ...]
+
+
+def bring_up(node: DriveNode, options: HwOptions) -> DriveFacts:
+    """The drive is OPERATIONAL, configured, and heard.
+
+    Raises:
+        DeadlineExceeded: it does not answer.
+        UsageError: it is no CiA 402 drive.
+        PeerError: it refused what is indispensable.
+    """
+    node.may_change_state()
+    identity = _identity(node, _first_answer(node, options.connect_timeout_s))
+    limitations: list[str] = []
+    _set_up_dead_man(node, options, limitations)
+    sync_id = read_optional(node, 0x1005)
+    latched = sync_id is None or sync_id & 0x7FF == node.link.sync_id
+    if not latched:
+        limitations.append(f"its SYNC is {sync_id or 0:03X}h, ours {node.link.sync_id:03X}h")
+    pdos = PdoSetUp(node)
+    receive = _receive_pdos(pdos, latched)
+    status = _status_pdo(node, pdos, options)
+    for number in range(3 if options.velocity_period_ms else 2, _TPDOS + 1):
+        pdos.switch_off(number, keep=None if status is None else status[0])
+    limitations += pdos.refusals
+    if status is not None:
+        node.listen_to_tpdo(status[0], status[1].mapping)
+    _velocity_pdo(node, pdos, options)
+    pdos.finish()
+    facts = DriveFacts(
+        identity=identity,
+        modes=_modes(node),
+        control_id=receive[0],
+        position_id=receive[1],
+        velocity_id=receive[2],
+        status=None if status is None else status[1],
+        limitations=tuple(limitations),
+    )
+    _await_first_status(node, facts, options)
+    return facts
+
+
+def _first_answer(node: DriveNode, timeout_s: float) -> int:
+    """1000h; a drive that boots answers once it has booted."""
+    runtime = node.link.runtime
+    deadline_ns = runtime.now_ns() + round(timeout_s * 1e9)
+    while True:
+        try:
+            return node.read_int(0x1000)
+        except SdoAborted:
+            return _PROFILE_402  # it answers, that is all we need
+        except DeadlineExceeded as error:
+            if runtime.now_ns() >= deadline_ns:
+                raise DeadlineExceeded(
+                    awaited=f"{node.label}: any answer",
+                    timeout_s=timeout_s,
+                    last_heard="a boot-up" if node.boots else "nothing",
+                ) from error
+
+
+def _identity(node: DriveNode, device_type: int) -> Identity:
+    if device_type & 0xFFFF not in (_PROFILE_402, 0):
+        raise UsageError(
+            f"{node.label} is no CiA 402 drive: its device type 1000h is {device_type:08X}h"
+        )
+    numbers = [read_optional(node, 0x1018, place) for place in range(1, 5)]
+    return Identity(device_type, *numbers)
+
+
+def _modes(node: DriveNode) -> frozenset[Mode] | None:
+    word = read_optional(node, 0x6502)
+    if word is None:
+        return None
+    return frozenset(mode for mode in Mode if mode is not Mode.NONE and word & mode.supported_bit)
+
+
+def _set_up_dead_man(node: DriveNode, options: HwOptions, limitations: list[str]) -> None:
+    """Each side watches the other: 1017h there and here, 1016h and 6007h there."""
+    if options.connection_loss is not None:
+        _write_if_different(
+            node, 0x6007, 0, options.connection_loss, 2, limitations, "what it does without us"
+        )
+    _write_if_different(
+        node, 0x1017, 0, options.heartbeat_ms, 2, limitations, "its heartbeat: we cannot miss it"
+    )
+    if options.heartbeat_ms and options.heartbeat_timeout_ms:
+        consumer = options.host_node_id << 16 | options.heartbeat_timeout_ms
+        _write_if_different(
+            node, 0x1016, 1, consumer, 4, limitations, "whom to watch: it does not notice our end"
+        )
+        if read_optional(node, 0x1017) == options.heartbeat_ms:
+            node.expect_heartbeat()
+
+
+def _write_if_different(
+    node: DriveNode,
+    index: int,
+    subindex: int,
+    value: int,
+    size: int,
+    limitations: list[str],
+    meaning: str,
+) -> None:
+    if read_optional(node, index, subindex) == value:
+        return
+    try:
+        node.sdo.download(index, subindex, (value & (1 << 8 * size) - 1).to_bytes(size, "little"))
+    except SdoAborted as error:
+        limitations.append(f"it does not let us set {meaning} ({error})")
+
+
+def _receive_pdos(pdos: PdoSetUp, latched: bool) -> tuple[int | None, int | None, int | None]:
+    """(control, position, velocity): the identifiers of the RPDOs the drive gives us."""
+    control = pdos.configure(PdoWish(False, 1, (CONTROLWORD,), EVENT_DRIVEN))
+    position = velocity = None
+    if latched:
+        mapping = (CONTROLWORD, TARGET_POSITION)
+        position = pdos.configure(PdoWish(False, 2, mapping, SYNCHRONOUS))
+        mapping = (CONTROLWORD, TARGET_VELOCITY)
+        velocity = pdos.configure(PdoWish(False, 3, mapping, SYNCHRONOUS))
+    return (
+        None if control is None else control[0],
+        None if position is None else position[0],
+        None if velocity is None else velocity[0],
+    )
+
+
+def _status_pdo(node: DriveNode, pdos: PdoSetUp, options: HwOptions) -> tuple[int, PdoFound] | None:
+    wish = PdoWish(
+        True,
+        1,
+        (STATUSWORD, POSITION),
+        EVENT_DRIVEN,
+        inhibit_100us=round(options.status_inhibit_ms * 10),
+        event_ms=options.status_period_ms,
+    )
+    return (
+        pdos.configure(wish)
+        or usable_as_it_is(node, (STATUSWORD, POSITION))
+        or usable_as_it_is(node, (STATUSWORD,))
+    )
+
+
+def _velocity_pdo(node: DriveNode, pdos: PdoSetUp, options: HwOptions) -> None:
+    period_ms = options.velocity_period_ms
+    if not period_ms:
+        return
+    for mapping in ((VELOCITY, TORQUE), (VELOCITY,)):
+        wish = PdoWish(
+            True, 2, mapping, EVENT_DRIVEN, inhibit_100us=period_ms * 10, event_ms=period_ms
+        )
+        made = pdos.configure(wish)
+        if made is not None:
+            node.listen_to_tpdo(made[0], mapping)
+            return
+
+
+def _await_first_status(node: DriveNode, facts: DriveFacts, options: HwOptions) -> None:
+    """The node runs: its status came, by itself where it does that."""
+    status = facts.status
+    node.status_is_cyclic = status is not None and bool(status.event_ms)
+    if node.status_is_cyclic:
+        seen_ns = node.status_ns
+        heard = node.link.runtime.wait_until(
+            lambda: node.status_ns != seen_ns,
+            max(_FIRST_STATUS_S, 3 * options.status_period_ms / 1e3),
+        )
+        node.status_is_cyclic = heard
+    if not node.status_is_cyclic:
+        node.poll_status()
+    node.stays_operational()

@@ -1,0 +1,157 @@
+"""What statuswords say about one commanded motion: acknowledged, under way, over. Sans-I/O.
+
+A watch is told every statusword with the position that came with it. Bits that belong to what
+happened before the command (a target reached long ago, an attained homing) are never believed.
+"""
+
+from collections.abc import Callable
+from typing import Final, Protocol, final
+
+from motorapi.adaptations.cia402_objects import (
+    ACKNOWLEDGE,
+    HOMING_ATTAINED,
+    HOMING_ERROR,
+    TARGET_REACHED,
+)
+
+SETTLE_NS: Final = 20_000_000
+"""A drive may show bits of before for so long; any servo tick and TPDO latency is shorter."""
+
+_STILL_INC: Final = 2
+
+
+class MotionWatch(Protocol):
+    """Follows what was commanded last."""
+
+    started_ns: int | None  # when the drive showed that it had begun; None: not yet
+    ended_ns: int | None  # when the drive showed that it was over; None: not yet
+    failed: bool
+
+    def see(self, statusword: int, position_inc: int, time_ns: int) -> None:
+        """A statusword came, with the position sampled with it."""
+
+
+@final
+class SetpointWatch:
+    """One set-point in pp, or (without acknowledge) one target velocity in pv.
+
+    Over is when *target reached* rises after the start. If it never was seen low (a move of zero
+    length, a drive that shows it late, lost frames), the motion is believed only once its own
+    duration has passed and the position is at the target: drives are known to show the bit of the
+    motion before for a while.
+    """
+
+    def __init__(
+        self,
+        *,
+        commanded_ns: int | None,
+        expected_ns: int,
+        acknowledged: bool,
+        target_inc: int | None,
+        tolerance_inc: int | None,
+    ) -> None:
+        self.started_ns: int | None = None
+        self.ended_ns: int | None = None
+        self.failed = False
+        self.commanded_ns = commanded_ns
+        self._expected_ns = expected_ns
+        self._needs_acknowledge = acknowledged
+        self._target_inc = target_inc
+        self._tolerance_inc = tolerance_inc
+        self._seen_low = False
+
+    def begin(self, time_ns: int) -> None:
+        """The command was on the wire."""
+        if self.commanded_ns is None:
+            self.commanded_ns = time_ns
+
+    def see(self, statusword: int, position_inc: int, time_ns: int) -> None:
+        """A statusword came, with the position sampled with it."""
+        if self.started_ns is None:
+            if self._needs_acknowledge and not statusword & ACKNOWLEDGE:
+                return
+            if self.commanded_ns is None or time_ns <= self.commanded_ns:
+                return
+            self.started_ns = time_ns
+        if self.ended_ns is not None:
+            return
+        if not statusword & TARGET_REACHED:
+            self._seen_low = True
+        elif self._seen_low or (
+            time_ns >= self.started_ns + self._expected_ns and self._is_there(position_inc)
+        ):
+            self.ended_ns = time_ns
+
+    def _is_there(self, position_inc: int) -> bool:
+        if self._target_inc is None or self._tolerance_inc is None:
+            return True
+        return abs(position_inc - self._target_inc) <= self._tolerance_inc
+
+
+@final
+class RestWatch:
+    """Any way of stopping: over when the drive says so and the position stands still."""
+
+    def __init__(self, *, commanded_ns: int, needs_bit: bool) -> None:
+        self.started_ns: int | None = commanded_ns
+        self.ended_ns: int | None = None
+        self.failed = False
+        self._commanded_ns = commanded_ns
+        self._needs_bit = needs_bit
+        self._position_inc: int | None = None
+        self._still_since_ns = 0
+
+    def see(self, statusword: int, position_inc: int, time_ns: int) -> None:
+        """A statusword came, with the position sampled with it."""
+        if time_ns < self._commanded_ns or self.ended_ns is not None:
+            return
+        before = self._position_inc
+        if before is None or abs(position_inc - before) > _STILL_INC:
+            self._position_inc = position_inc
+            self._still_since_ns = time_ns
+        elif time_ns - self._still_since_ns >= SETTLE_NS and (
+            statusword & TARGET_REACHED or not self._needs_bit
+        ):
+            self.ended_ns = time_ns
+
+
+@final
+class HomingWatch:
+    """One homing (statusword bits 10, 12 and 13 in hm).
+
+    *Homing attained* counts once it was seen low since the start, or has been shown for longer
+    than a drive may show old bits: a homing before leaves it set.
+    """
+
+    def __init__(
+        self,
+        *,
+        commanded_ns: int,
+        method: int | None = None,
+        on_success: Callable[[], None] | None = None,
+    ) -> None:
+        self.method = method
+        self._on_success = on_success
+        self.started_ns: int | None = None
+        self.ended_ns: int | None = None
+        self.failed = False
+        self._commanded_ns = commanded_ns
+        self._fresh = False
+
+    def see(self, statusword: int, position_inc: int, time_ns: int) -> None:
+        """A statusword came, with the position sampled with it."""
+        if time_ns < self._commanded_ns or self.ended_ns is not None:
+            return
+        if self.started_ns is None:
+            self.started_ns = time_ns
+        if not statusword & (HOMING_ATTAINED | HOMING_ERROR):
+            self._fresh = True
+        if not self._fresh and time_ns < self._commanded_ns + SETTLE_NS:
+            return
+        if statusword & HOMING_ERROR:
+            self.failed = True
+            self.ended_ns = time_ns
+        elif statusword & HOMING_ATTAINED and statusword & TARGET_REACHED:
+            self.ended_ns = time_ns
+            if self._on_success is not None:
+                self._on_success()

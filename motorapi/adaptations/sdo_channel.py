@@ -1,0 +1,242 @@
+"""SDO transfers by canopen's client, waiting in a Runtime. Importing this loads canopen.
+
+canopen's client blocks on a queue and on the wall clock. Here it blocks in `Runtime.wait_until`,
+with a deadline of the runtime's own time, and never believes a stale answer:
+
+- An answer to another object than the one asked for is counted and dropped, and so is one that
+  came before the request itself was on the wire.
+- After a request that was not answered in time the channel is in *quarantine*: the next request
+  waits until the late answer has come (it is dropped), the node has booted, or a bound has passed.
+  Without that, asking the same object again would return the old value.
+"""
+
+import queue
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Final, TypeVar, final
+
+import canopen
+from canopen.sdo.client import SdoClient
+from canopen.sdo.exceptions import SdoAbortedError, SdoCommunicationError
+
+from motorapi.adaptations.canopen_errors import ProtocolViolation, SdoAborted
+from motorapi.adaptations.canopen_link import CanopenLink, Transmission, TurnLock, can_frame
+from motorapi.errors import DeadlineExceeded
+
+if TYPE_CHECKING:
+    from motorapi.runtime import Runtime
+
+_RTR: Final = 0x4000_0000
+_EFF: Final = 0x8000_0000
+_ABORT: Final = 0x80
+_REQUEST_ID: Final = 0x600
+_RESPONSE_ID: Final = 0x580
+_TURN_TIMEOUT_S: Final = 10.0
+_OTHER_CLIENTS: Final = "another SDO client may be using this channel"
+
+_T = TypeVar("_T")
+
+
+@final
+class LinkNetwork(canopen.Network):
+    """canopen's network over a link: never connected, so it has no thread and no Notifier."""
+
+    def __init__(self, link: CanopenLink) -> None:
+        super().__init__()
+        self._link = link
+
+    def send_message(self, can_id: int, data: bytes, remote: bool = False) -> None:
+        """The frame waits its turn on the link's bus."""
+        if can_id > 0x7FF:
+            can_id |= _EFF
+        if remote:
+            can_id |= _RTR
+        self._link.send(can_frame(can_id, bytes(data)))
+
+
+@final
+class _NoAnswer(SdoCommunicationError):  # noqa: N818
+    """Nothing came in time."""
+
+
+@final
+class _Client(SdoClient):
+    """canopen's SDO client, blocking in the runtime instead of on the wall clock."""
+
+    RESPONSE_TIMEOUT = 0.0  # whatever is awaited has been awaited before
+    MAX_RETRIES = 1  # a request is sent once: who asks again is the caller, after quarantine
+
+    def __init__(self, link: CanopenLink, node_id: int, timeout_s: float) -> None:
+        nothing_known = canopen.ObjectDictionary()  # type: ignore[no-untyped-call]
+        super().__init__(  # type: ignore[no-untyped-call]
+            _REQUEST_ID + node_id, _RESPONSE_ID + node_id, nothing_known
+        )
+        self.network = link.network
+        self.timeout_s = timeout_s
+        self.strays = 0
+        self.booted = False
+        self._link = link
+        self._runtime: Runtime = link.runtime
+        self._request: Transmission | None = None
+        self._opened = b""  # index and sub-index of the transfer
+        self._place = b""  # the same while it is being initiated, b"" for later segments
+        self._has_answer = False
+        self._quarantine_ns: int | None = None
+
+    # --- canopen's hooks
+
+    def send_request(self, request: bytearray) -> None:
+        """The request is on its way; what came before it is no answer to it."""
+        data = bytes(request)
+        command = data[0] >> 5
+        initiates = command in (1, 2) or (command in (5, 6) and not data[0] & 0x01)
+        self._place = data[1:4] if initiates and data[0] != _ABORT else b""
+        self._has_answer = False
+        transmission = self._link.send_tracked(can_frame(self.rx_cobid, data))
+        self._request = None if data[0] == _ABORT else transmission
+
+    def read_response(self) -> bytes:
+        """The answer, within the runtime's deadline."""
+        if not self.responses.empty() or self._wait():
+            response: bytes = super().read_response()  # type: ignore[no-untyped-call]
+            self._has_answer = not self.responses.empty()
+            return response
+        raise _NoAnswer(f"nothing within {self.timeout_s:g} s")
+
+    def abort(self, abort_code: int = 0x0800_0000) -> None:
+        """The server is told that the transfer is over; what went wrong is raised, not logged."""
+        self.send_request(
+            bytearray(bytes((_ABORT,)) + self._opened + abort_code.to_bytes(4, "little"))
+        )
+
+    # --- the channel's side
+
+    def _wait(self) -> bool:
+        return self._runtime.wait_until(self._is_over, self.timeout_s) and self._has_answer
+
+    def _is_over(self) -> bool:
+        return self._has_answer or self.booted
+
+    def heard(self, frame: bytes, time_ns: int) -> None:
+        """A frame of the server; kept if it can be the answer to the request that waits."""
+        request = self._request
+        if request is None or (request.time_ns is None and self._link.confirms):
+            self.strays += 1
+            self._quarantine_ns = None  # the late answer, most likely: nothing else can come
+            return
+        data = frame[8:16]
+        place = self._place
+        if place and data[1:4] != place and data[0] >> 5 in (2, 3, 4):
+            self.strays += 1
+            return
+        if not place and data[0] == _ABORT and data[1:4] not in (self._opened, b"\0\0\0"):
+            self.strays += 1
+            return
+        self.responses.put(data)
+        self._has_answer = True
+
+    def begin(self, place: bytes) -> None:
+        """A transfer of this object begins; it waits while an old answer may still come."""
+        self._opened = place
+        self.booted = False
+        if self._quarantine_ns is not None:
+            left_ns = self._quarantine_ns - self._runtime.now_ns()
+            if left_ns > 0:
+                self._runtime.wait_until(self._is_clean, left_ns / 1e9)
+            self._quarantine_ns = None
+            self.booted = False
+        if not self.responses.empty():
+            self.responses = queue.Queue()
+
+    def end(self) -> None:
+        """The transfer is over: whatever comes now is stray."""
+        self._request = None
+
+    def _is_clean(self) -> bool:
+        return self._quarantine_ns is None or self.booted
+
+    def quarantine(self, until_ns: int) -> None:
+        """An answer may still come until then."""
+        self._request = None
+        self._quarantine_ns = until_ns
+
+
+@final
+class SdoChannel:
+    """The default SDO channel of one node: 600h + node-ID there, 580h + node-ID back.
+
+    `client` is canopen's SdoClient for what is not wrapped here (block transfer, `open`); use it
+    inside `alone()`.
+    """
+
+    def __init__(
+        self, link: CanopenLink, node_id: int, *, timeout_s: float, quarantine_s: float
+    ) -> None:
+        self._link = link
+        self._node_id = node_id
+        self._quarantine_ns = round(quarantine_s * 1e9)
+        self._client = _Client(link, node_id, timeout_s)
+        self._lock = TurnLock(link.runtime)
+        link.handle(_RESPONSE_ID + node_id, self._client.heard)
+
+    @property
+    def client(self) -> SdoClient:
+        """The client of canopen on this channel."""
+        return self._client
+
+    @property
+    def strays(self) -> int:
+        """How many answers came to nothing that was asked."""
+        return self._client.strays
+
+    def rebooted(self) -> None:
+        """The node has booted: what it was asked before is forgotten."""
+        self._client.booted = True
+
+    def upload(self, index: int, subindex: int = 0) -> bytes:
+        """The bytes of an object, read from the device.
+
+        Raises:
+            SdoAborted: the device refused.
+            DeadlineExceeded: it did not answer in time.
+            ProtocolViolation: it answered something else.
+        """
+        client = self._client
+        return self._transfer(index, subindex, lambda: client.upload(index, subindex))
+
+    def download(self, index: int, subindex: int, data: bytes) -> None:
+        """`data` was written to an object of the device.
+
+        Raises: as `upload`. After DeadlineExceeded it is not known whether the device has it.
+        """
+        client = self._client
+        self._transfer(index, subindex, lambda: client.download(index, subindex, data))
+
+    def _transfer(self, index: int, subindex: int, transfer: Callable[[], _T]) -> _T:
+        client = self._client
+        where = f"SDO {index:04X}h:{subindex:02X}h"
+        with self._lock.turn(_TURN_TIMEOUT_S, f"the SDO channel of node {self._node_id}"):
+            client.begin(index.to_bytes(2, "little") + bytes((subindex,)))
+            bound_ns = self._link.runtime.now_ns() + self._quarantine_ns
+            try:
+                return transfer()
+            except SdoAbortedError as error:
+                raise SdoAborted(
+                    node_id=self._node_id, index=index, subindex=subindex, abort_code=error.code
+                ) from None
+            except _NoAnswer:
+                client.quarantine(bound_ns)
+                raise DeadlineExceeded(
+                    awaited=f"node {self._node_id} on {self._link.name}: answer to {where}",
+                    timeout_s=client.timeout_s,
+                    last_heard="a boot-up" if client.booted else "nothing",
+                ) from None
+            except SdoCommunicationError as error:
+                client.quarantine(bound_ns)
+                raise ProtocolViolation(
+                    node_id=self._node_id, where=where, problem=f"{error} ({_OTHER_CLIENTS})"
+                ) from None
+            except BaseException:  # interrupted in the middle: an answer is still to come
+                client.quarantine(bound_ns)
+                raise
+            finally:
+                client.end()
