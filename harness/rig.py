@@ -278,7 +278,9 @@ class Rig:
         try:
             built: Motor = build(self.bus(motor.bus), settings, self._models[name], self.runtime)
         except UsageError as error:
-            raise self.description.error(place, str(error), "correct its settings") from error
+            word = str(error).partition(" ")[0].rstrip(":")  # mostly the key at fault
+            path = (*place, word) if word in settings else place
+            raise self.description.error(path, str(error), "correct its settings") from error
         self._in_use.callback(built.close)
         if self.recording is not None:
             from harness.rig_recording import watch_motor

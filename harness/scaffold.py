@@ -6,12 +6,21 @@ from typing import Final
 from harness.settings import RigError
 
 EXAMPLES: Final = Path(__file__).parent / "examples"
+SCHEMA: Final = Path(__file__).parent / "rig.schema.json"
 _START: Final = "two_wheels"  # what a new rig begins as
 _FILES: Final = (  # (in the examples, in the new folder)
     (f"{_START}.toml", "rig.toml"),
     ("wheel_model.toml", "wheel_model.toml"),
     (f"{_START}.py", "drive.py"),
+    ("../rig.schema.json", "rig.schema.json"),
 )
+
+
+def example_rigs() -> list[Path]:
+    """The shipped rigs, in alphabetical order; the other TOML files beside them are models."""
+    return [
+        path for path in sorted(EXAMPLES.glob("*.toml")) if "\n[bus." in path.read_text("utf-8")
+    ]
 
 
 def first_comment(path: Path) -> str:
@@ -22,21 +31,27 @@ def first_comment(path: Path) -> str:
 
 
 def write_new_rig(folder: Path) -> list[Path]:
-    """A working rig, a motor model and a script are in the folder; the files written.
+    """A working rig, a motor model, a script and the schema for editors are in the folder.
+
+    Returns:
+        The files written.
 
     Raises:
-        RigError: one of them is there already, or the folder cannot be written; nothing is changed.
+        RigError: one of them is there already, or the folder cannot be written.
     """
-    texts = [(folder / new, (EXAMPLES / old).read_text("utf-8")) for old, new in _FILES]
-    for path, _ in texts:
+    texts = {folder / new: (EXAMPLES / old).read_text("utf-8") for old, new in _FILES}
+    texts[folder / "rig.toml"] = texts[folder / "rig.toml"].replace(
+        f"#:schema ../{SCHEMA.name}", f"#:schema ./{SCHEMA.name}"
+    )
+    for path in texts:
         if path.exists():
             raise RigError(path, "is there already", "name another folder: motorhil new DIR")
     try:
         folder.mkdir(parents=True, exist_ok=True)
-        for path, text in texts:
+        for path, text in texts.items():
             with path.open("x", encoding="utf-8") as file:
                 file.write(text)
     except OSError as error:
         reason = error.strerror or str(error)
         raise RigError(folder, f"cannot be written: {reason}", "name another folder") from None
-    return [path for path, _ in texts]
+    return list(texts)

@@ -59,10 +59,9 @@ def own_eds(target: str) -> Path | None:
 
 
 def _examples() -> list[dict[str, str]]:
-    from harness.scaffold import EXAMPLES, first_comment
+    from harness.scaffold import example_rigs, first_comment
 
     return [
         {"name": path.stem, "path": str(path), "about": first_comment(path)}
-        for path in sorted(EXAMPLES.glob("*.toml"))
-        if first_comment(path)
+        for path in example_rigs()
     ]

@@ -1,3 +1,4 @@
+import json
 import os
 import signal
 import subprocess
@@ -327,6 +328,50 @@ def test_realtime_takes_its_time(rig, say):
     start_s = time.monotonic()
     assert say("run", "--realtime", "rig.toml", "script.py") == (0, "", "")
     assert time.monotonic() - start_s >= 0.1
+
+
+# --- new, and the examples
+
+
+def test_new_writes_a_rig_that_is_right_and_a_script_that_runs(bench, say):
+    status, out, err = say("new", "wheels")
+    assert (status, err) == (0, "next: motorhil run wheels/rig.toml wheels/drive.py\n")
+    assert out.splitlines() == [
+        "wheels/rig.toml",
+        "wheels/wheel_model.toml",
+        "wheels/drive.py",
+        "wheels/rig.schema.json",
+    ]
+    assert say("check", "wheels/rig.toml")[0] == 0
+    status, out, _ = say("run", "wheels/rig.toml", "wheels/drive.py")
+    assert (status, out) == (
+        0,
+        "left is at 6.2832 rad\nleft is at 0.0000 rad\nright is at 3.1416 rad\n",
+    )
+    assert "#:schema ./rig.schema.json" in (bench / "wheels/rig.toml").read_text()
+
+
+def test_new_writes_over_nothing(bench, say):
+    (bench / "drive.py").write_text("mine")
+    assert say("new", ".") == (
+        2,
+        "",
+        "drive.py: is there already; name another folder: motorhil new DIR\n",
+    )
+    assert [path.name for path in bench.iterdir()] == ["drive.py"]
+    status, _, err = say("new", "drive.py/below")
+    assert (status, err.count("\n")) == (2, 1)
+    assert err.startswith("drive.py/below: cannot be written: ")
+
+
+def test_every_example_is_listed_and_right(bench, say):
+    status, out, _ = say("list", "examples", "--json")
+    examples = json.loads(out)
+    assert [example["name"] for example in examples] == ["rover", "two_wheels"]
+    for example in examples:
+        status, _, err = say("check", example["path"])
+        assert (status, err) == (0, "")
+        assert example["about"]
 
 
 # --- list

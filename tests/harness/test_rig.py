@@ -209,7 +209,7 @@ def test_what_an_adaptation_refuses_is_told_with_the_motors_line(write):
     with Rig.open(path) as rig, pytest.raises(RigError) as caught:
         rig.build_motors()
     assert str(caught.value) == (
-        f"{path}:14: motor.left: heartbeat: unknown key; did you mean heartbeat_s?; "
+        f"{path}:17: motor.left.heartbeat: heartbeat: unknown key; did you mean heartbeat_s?; "
         "correct its settings"
     )
 
