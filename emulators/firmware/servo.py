@@ -302,8 +302,8 @@ def steps(
     """Current, integrator, speed and position after `count` steps of the current loop, one by one.
 
     The voltage is clipped to the supply, and then the integrator grows only towards the inside. A
-    rotor that passes through standstill stops for the rest of the step; it leaves again when the
-    torque at the start of a step exceeds the friction.
+    rotor that passes through standstill stops for the rest of the step; it leaves again in the
+    first step at whose start or end the torque on it exceeds the friction.
     """
     # fmt: off
     (ii, iw, iv, it, wi, ww, wv, wt, xi, xw, xv, xt, _, _, _, _,
@@ -325,25 +325,31 @@ def steps(
             clipped = True
             grows = error > 0.0
         i = wanted - error
-        forward = w > 0.0
         if w == 0.0:
+            if clipped:
+                e1 = wanted - (decay * i + gain * v)
+            else:  # as a deviation from steady current, which dies out exactly
+                e1 = decay * error - gain * (kp * error + s)
             net = k * i - load
-            if -friction <= net <= friction:
-                if clipped:
-                    e1 = wanted - (decay * i + gain * v)
-                else:  # as a deviation from steady current, which dies out exactly
-                    e1 = decay * error - gain * (kp * error + s)
+            net1 = k * (wanted - e1) - load
+            if -friction <= net <= friction and -friction <= net1 <= friction:
                 if grows:
                     s += ki * error
                 error = e1
                 continue
-            forward = net > 0.0
+            forward = net1 > friction or (net1 >= -friction and net > friction)
+        else:
+            forward = w > 0.0
         torque = -load - friction if forward else -load + friction
         i1 = ii * i + iw * w + iv * v + it * torque
-        x += xi * i + xw * w + xv * v + xt * torque
-        w = wi * i + ww * w + wv * v + wt * torque
-        if w < 0.0 if forward else w > 0.0:
-            w = 0.0
+        x1 = x + (xi * i + xw * w + xv * v + xt * torque)
+        w1 = wi * i + ww * w + wv * v + wt * torque
+        if w1 < 0.0 if forward else w1 > 0.0:
+            if w == 0.0:
+                x1 = x  # it did not leave after all
+            w1 = 0.0
+        x = x1
+        w = w1
         if grows:
             s += ki * error
         error = wanted - i1

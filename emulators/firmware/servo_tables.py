@@ -159,8 +159,8 @@ class ServoTables:
         volts_e = max(abs(kp * power[0][0] + power[1][0]) for power in steps) * _SLACK
         volts_s = max(abs(kp * power[0][1] + power[1][1]) for power in steps) * _SLACK
         amperes = _SLACK * max(
-            max(abs(power[0][0]) for power in steps) / volts_e,
-            max(abs(power[0][1]) for power in steps) / volts_s,
+            max(abs(power[0][0]) for power in self._blocked_powers) / volts_e,
+            max(abs(power[0][1]) for power in self._blocked_powers) / volts_s,
         )
         per_tick = 1.0 / tick_s
         return (
