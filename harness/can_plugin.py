@@ -218,6 +218,10 @@ class EmulatedBus(can.BusABC):
             if self._own or not transmitted:
                 return to_message(frame, time_ns, self.channel, received=not transmitted), False
 
+    def receive_frame(self, timeout_s: float) -> tuple[bytes, int, bool] | None:
+        """(frame, time_ns of the hub, transmitted), own frames too; over a socket only."""
+        return None if self._hub is None else self._hub.receive(timeout_s)
+
     def fileno(self) -> int:
         """The socket's descriptor; -1 in a rig of this process, which needs none."""
         return -1 if self._hub is None else self._hub.fileno()

@@ -1,0 +1,49 @@
+"""The wall's runtime on an emulated bus over a socket: own frames are told once transmitted."""
+
+import struct
+
+import can
+import pytest
+
+from motorapi import LinkError, WallRuntime
+from motorapi.bus_sources import source_of
+from tests.emulators.test_world import Echo
+from tests.wall.test_hub import serving
+
+pytestmark = pytest.mark.wall
+
+ASK = struct.pack("<IB3x8s", 0x100, 1, b"\x07")
+ANSWER = struct.pack("<IB3x8s", 0x200, 1, b"\x07")
+LATE_S = 10.0
+
+
+@pytest.fixture
+def runtime():
+    runtime = WallRuntime()
+    yield runtime
+    runtime.close()
+
+
+def test_own_frames_are_told_when_the_bus_has_carried_them(tmp_path, runtime):
+    path = str(tmp_path / "hub.sock")
+    with serving(path, Echo(0x200)), can.Bus(interface="emulated", channel=path) as bus:
+        heard = []
+        runtime.listen(bus, lambda frame, time_ns, own: heard.append((frame, own)))
+        assert source_of(bus).reports_own  # so it is the hub that tells, not `send` that returned
+        runtime.send(bus, ASK)
+        assert runtime.wait_until(lambda: len(heard) == 2, LATE_S)
+        assert heard == [(ASK, True), (ANSWER, False)]
+
+
+def test_a_hub_that_goes_away_is_told(tmp_path, runtime):
+    path = str(tmp_path / "hub.sock")
+    with serving(path):
+        bus = can.Bus(interface="emulated", channel=path)
+        runtime.listen(bus, lambda *_: None)
+    try:
+        with pytest.raises(LinkError, match="hub has closed"):
+            runtime.wait_until(lambda: False, LATE_S)
+        with pytest.raises(LinkError, match="cannot send"):
+            runtime.send(bus, ASK)
+    finally:
+        bus.shutdown()
