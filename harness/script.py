@@ -150,8 +150,9 @@ def print_error(error: BaseException, script: str) -> None:
     for link in links:
         link.stack = _frames_of(link.stack, script, on_purpose)
         links += [other for other in (link.__cause__, link.__context__) if other is not None]
-    header = isinstance(error, SyntaxError) and not report.stack
-    lines = report.format_exception_only() if header else report.format()
+    in_script = any(frame.filename == script for frame in report.stack)
+    is_no_python = isinstance(error, SyntaxError) and not in_script
+    lines = report.format_exception_only() if is_no_python else report.format()
     print("".join(lines), end="", file=sys.stderr)
 
 
@@ -171,8 +172,6 @@ def _frames_of(
     places = [number for number, frame in enumerate(frames) if frame.filename == script]
     if places:
         frames = frames[places[0] :]
-    elif all(frame.filename.startswith(_OWN_PACKAGES) for frame in frames):
-        frames = []
     while on_purpose and frames and _is_own(frames[-1].filename, script):
         frames.pop()
     return traceback.StackSummary.from_list(frames)

@@ -12,6 +12,8 @@ from harness.settings import RigError
 if TYPE_CHECKING:
     from harness.rig import Rig
 
+PASSED = 0
+FAILED = 1
 _MORE = """\
 SCRIPT opens its bus with can.Bus(), as it would on real hardware: CAN_INTERFACE and CAN_CHANNEL say
 that it joins the rig. Time passes while the script waits. Without SCRIPT, a prompt in which `rig`
@@ -50,23 +52,29 @@ def run(options: argparse.Namespace) -> int:
         RigError: the rig, the script or the output file cannot be used; nothing was run.
     """
     from harness.rig import Rig
-    from harness.script import read_script, run_prompt, run_script
+    from harness.script import print_error, read_script, run_prompt, run_script
+    from traces.errors import TraceError
 
     words = [*options.args, *options.rest]
     script = None if options.script is None else read_script(options.script)
     if script is None and words:
         raise RigError(options.rig, "arguments, but no script to take them", "name a script")
-    with Rig.open(
-        options.rig, seed=options.seed, realtime=options.realtime, record=options.output
-    ) as rig:
-        for note in rig.notes:
-            print(note, file=sys.stderr)
-        if script is None:
-            return run_prompt(rig)
-        status = run_script(rig, script, words)
-        if status != 0:
-            print(f"again: {_again(options, rig, words)}", file=sys.stderr)
-        return status
+    rig = Rig.open(options.rig, seed=options.seed, realtime=options.realtime, record=options.output)
+    for note in rig.notes:
+        print(note, file=sys.stderr)
+    name = "<prompt>" if script is None else script.name
+    status = PASSED
+    try:
+        with rig:
+            status = run_prompt(rig) if script is None else run_script(rig, script, words)
+    except (RigError, TraceError):
+        raise
+    except Exception as error:  # of a party that nobody joined, or while closing what is in use
+        print_error(error, name)
+        status = FAILED
+    if status != PASSED and script is not None:
+        print(f"again: {_again(options, rig, words)}", file=sys.stderr)
+    return status
 
 
 def _again(options: argparse.Namespace, rig: "Rig", words: list[str]) -> str:

@@ -10,6 +10,7 @@ import pytest
 
 from harness.cli import main
 from tests.harness.test_rig import GOOD, WHEEL
+from traces.digest import digest
 
 SCRIPT = """\
 import sys
@@ -242,6 +243,40 @@ def test_what_the_motor_interface_refuses_is_told_without_its_insides(rig, say):
         "    runtime_of(bus).wait_until(lambda: False, -1.0)",
     ]
     assert err.splitlines()[3].startswith("motorapi.errors.UsageError: timeout_s = -1.0")
+
+
+def test_what_a_party_raised_and_nobody_asked_for_is_the_scripts_failure(rig, say):
+    (rig / "script.py").write_text(
+        "import can\nfrom motorapi import runtime_of\nwith can.Bus() as bus:\n"
+        "    runtime = runtime_of(bus)\n    runtime.spawn('second', lambda: 1 / 0)\n"
+        "    runtime.wait_until(lambda: False, 1.0)\n"
+    )
+    status, _, err = say("run", "rig.toml", "script.py")
+    assert status == 1
+    lines = err.splitlines()
+    assert lines[:2] == [
+        "Traceback (most recent call last):",
+        '  File "script.py", line 5, in <lambda>',
+    ]
+    assert "ZeroDivisionError: division by zero" in lines
+    assert lines[-1].startswith("again: motorhil run")
+
+
+def test_one_seed_is_one_record_whatever_the_hash_seed(bench, say):
+    say("new", ".")
+    digests = []
+    for hash_seed in ("0", "1"):
+        target = f"{hash_seed}.mcap"
+        done = subprocess.run(
+            [sys.executable, "-m", "harness", "run", "rig.toml", "drive.py", "-o", target],
+            env={**environment(), "PYTHONHASHSEED": hash_seed},
+            capture_output=True,
+            timeout=30,
+            check=True,
+        )
+        assert b"right is at 3.1416" in done.stdout
+        digests.append(digest(target))
+    assert digests[0] == digests[1]
 
 
 def test_a_script_that_is_no_python_is_told_like_python_does(rig, say):
