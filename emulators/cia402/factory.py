@@ -56,6 +56,12 @@ def build_drive(settings: DriveSettings) -> Cia402Drive:
         place = f"{error.path}:{error.line}" if error.line else str(error.path)
         raise SettingError(("eds",), f"{place}: {error.text}", error.remedy) from error
     od = description.dictionary()
+    if od.get(0x6040) is None or od.get(0x6041) is None:
+        raise SettingError(
+            ("eds",),
+            f"{settings.eds} has no 6040h and 6041h: it is no CiA 402 drive's file",
+            "take the drive's own EDS, or leave eds out for ours",
+        )
     events = [("warning", f"{path}:{line}: {text}") for path, line, text in description.warnings]
     stated = od.integer(0x6502, 0, 0)
     _set_objects(od, settings)

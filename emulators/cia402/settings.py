@@ -249,7 +249,8 @@ def _refuse_unknown(
 ) -> None:
     for key in table:
         if key not in known:
-            close = difflib.get_close_matches(key, known, n=1)
+            close = [name for name in known if name.startswith(key)]
+            close = close or difflib.get_close_matches(key, known, n=1)
             guess = f"did you mean {close[0]}? " if close else ""
             raise SettingError((*path, key), "is not known", f"{guess}known: {', '.join(known)}")
 

@@ -16,12 +16,13 @@ from fractions import Fraction
 from typing import Final, final
 
 from emulators.canopen.object_dictionary import ObjectDictionary
-from emulators.plant.dc_motor import MotorPlant
+from emulators.plant.dc_motor import PI, MotorPlant
 
 RPM_DIMENSION: Final = 0xA4  # 608Ch, 608Eh: turns per minute (and second), as maxon's files have it
 
 # 60A8h/60A9h: bits 31-24 power of ten, 23-16 numerator, 15-8 denominator (CiA 303-2 codes).
 _SI_TURNS: Final[dict[int, Fraction]] = {
+    0x10: Fraction(1.0 / (2.0 * PI)).limit_denominator(1_000_000),  # radian
     0x41: Fraction(1, 360),  # degree
     0x42: Fraction(1, 360 * 60),  # minute of arc
     0x43: Fraction(1, 360 * 3600),  # second of arc

@@ -1,0 +1,120 @@
+"""canopen's BaseNode402 brings the drive up and works it: somebody else's reading of CiA 402.
+
+What it cannot do itself (bits 4, 5 and 6 of the pp handshake) the test writes.
+"""
+
+import canopen
+import pytest
+from bench import MS, Bench
+from canopen.profiles.p402 import State402
+from canopen_client import connect, set_up
+
+from emulators.cia402.settings import OWN_EDS
+
+
+@pytest.fixture
+def bench() -> Bench:
+    return Bench()
+
+
+@pytest.fixture
+def client(bench, monkeypatch):
+    network, node = connect(bench, str(OWN_EDS), monkeypatch)
+    set_up(network, node)
+    return network, node
+
+
+def test_it_enables_step_by_step_and_back(client):
+    _, node = client
+    assert node.state == "SWITCH ON DISABLED"
+    for state in (
+        "READY TO SWITCH ON",
+        "SWITCHED ON",
+        "OPERATION ENABLED",
+        "SWITCHED ON",
+        "READY TO SWITCH ON",
+        "SWITCH ON DISABLED",
+    ):
+        node.state = state
+        assert node.state == state
+
+
+def test_it_enables_in_one_go(client, bench):
+    _, node = client
+    node.state = "OPERATION ENABLED"
+    assert node.state == "OPERATION ENABLED"
+    assert bench.truth("state") == 4
+
+
+def test_it_completes_a_pp_move(client, bench):
+    network, node = client
+    node.op_mode = "PROFILED POSITION"
+    assert node.op_mode == "PROFILED POSITION"
+    node.state = "OPERATION ENABLED"
+    for target, extra in ((20_000, 0x00), (-5_000, 0x20), (1_000, 0x40)):
+        node.sdo[0x607A].raw = target
+        node.controlword = State402.CW_OPERATION_ENABLED | 0x10 | extra
+        assert network.pump_until(lambda: node.statusword & 0x1000, 0.1)
+        assert not node.statusword & 0x0400
+        node.controlword = State402.CW_OPERATION_ENABLED
+        assert network.pump_until(lambda: not node.statusword & 0x1000, 0.1)
+        assert network.pump_until(lambda: node.statusword & 0x0400, 3.0)
+    assert node.sdo[0x6062].raw == -4_000  # relative to the set-point before
+    assert abs(node.sdo[0x6064].raw + 4_000) <= 10
+
+
+def test_it_runs_at_a_velocity(client):
+    network, node = client
+    node.op_mode = "PROFILED VELOCITY"
+    node.state = "OPERATION ENABLED"
+    node.sdo[0x60FF].raw = -25_000
+    assert network.pump_until(lambda: node.check_statusword() & 0x0400, 1.0)
+    assert node.sdo[0x606C].raw == pytest.approx(-25_000, abs=2_000)
+    node.sdo[0x60FF].raw = 0
+    assert network.pump_until(lambda: node.check_statusword() & 0x1000, 1.0)
+
+
+def test_it_homes(client, bench):
+    network, node = client
+    node.op_mode = "PROFILED POSITION"
+    node.state = "OPERATION ENABLED"
+    node.sdo[0x607A].raw = 3_000
+    node.controlword = 0x1F
+    network.pump(1000 * MS)
+    node.controlword = 0x0F
+    node.sdo[0x6098].raw = 37
+    assert node.homing() is True
+    assert node.op_mode == "HOMING"
+    assert node.sdo[0x6064].raw == 0
+    assert node.is_homed()
+
+
+def test_it_resets_a_fault(client, bench):
+    network, node = client
+    node.state = "OPERATION ENABLED"
+    bench.drive.stimulate("fault", 0x2310, bench.now)
+    bench._drain()
+    assert network.pump_until(lambda: node.state == "FAULT", 1.0)
+    assert node.emcy.active[0].code == 0x2310
+    assert node.emcy.active[0].register == 0x03
+    node.reset_from_fault()
+    assert node.state == "OPERATION ENABLED"
+    assert node.emcy.active == []
+
+
+def test_it_is_refused_a_mode_the_drive_does_not_name(client):
+    _, node = client
+    assert not node.is_op_mode_supported("INTERPOLATED POSITION")
+    with pytest.raises(canopen.SdoAbortedError) as refused:
+        node.sdo[0x6060].raw = 7
+    assert refused.value.code == 0x0609_0030
+
+
+def test_quick_stop_from_operation_enabled(client):
+    _, node = client
+    node.sdo[0x605A].raw = 6
+    node.state = "OPERATION ENABLED"
+    node.state = "QUICK STOP ACTIVE"
+    assert node.state == "QUICK STOP ACTIVE"
+    node.state = "OPERATION ENABLED"  # transition 16
+    assert node.state == "OPERATION ENABLED"

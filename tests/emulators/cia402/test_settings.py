@@ -1,0 +1,145 @@
+"""A rig's table: every mistake is told with the keys down to it and the way out."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+from bench import Bench, new_drive
+
+from emulators.cia402.settings import OWN_EDS, read_settings
+from emulators.controller import SettingError
+from emulators.plant.presets import PRESETS
+
+HERE = Path(__file__).parent
+
+
+def refused(**table: object) -> str:
+    with pytest.raises(SettingError) as caught:
+        new_drive(**table)
+    return str(caught.value)
+
+
+def test_a_node_id_is_all_it_takes():
+    settings = read_settings({"node_id": 7}, HERE)
+    assert settings.node_id == 7
+    assert settings.eds == OWN_EDS
+    assert OWN_EDS.is_file()
+    assert settings.plant == PRESETS["wheel_60w"]
+    assert (settings.boot_up_ns, settings.sdo_reply_ns, settings.enable_ns) == (
+        300_000_000,
+        1_000_000,
+        20_000_000,
+    )
+
+
+def test_numbers_arrive():
+    settings = read_settings(
+        {
+            "node_id": 1,
+            "plant": {"preset": "mast_20w", "gear_ratio": 50, "load_torque_n_m": -0.5},
+            "servo": {"tick_s": 0.0005, "current_steps": 4, "position_kp_1_s": 12.5},
+            "timing": {"boot_up_s": 0, "sdo_reply_s": 0.0025, "enable_s": 0.1},
+            "units": {"velocity_unit_inc_s": 33.3, "acceleration_unit_inc_s2": 10},
+            "objects": {"6065h": 2000, "1A00h:1": 0x60640020, "1018h:0Ah": 1, "1008h": "mine"},
+            "supported_modes": ["pp", "csp"],
+            "initial_position_rad": 0.25,
+        },
+        HERE,
+    )
+    assert settings.plant == replace(PRESETS["mast_20w"], gear_ratio=50.0, load_torque_n_m=-0.5)
+    assert (settings.tick_ns, settings.current_steps) == (500_000, 4)
+    assert settings.gains.position_kp_1_s == 12.5
+    assert (settings.boot_up_ns, settings.sdo_reply_ns, settings.enable_ns) == (
+        0,
+        2_500_000,
+        100_000_000,
+    )
+    assert settings.velocity_unit_inc_s == 33.3
+    assert [(o.index, o.subindex, o.value) for o in settings.objects] == [
+        (0x6065, 0, 2000),
+        (0x1A00, 1, 0x60640020),
+        (0x1018, 10, 1),
+        (0x1008, 0, "mine"),
+    ]
+    assert settings.supported_modes == ("pp", "csp")
+    assert settings.initial_position_rad == 0.25
+
+
+@pytest.mark.parametrize(
+    ("table", "text"),
+    [
+        ({"node_id": 0}, "node_id: 0 is outside 1..127"),
+        ({"node_id": 128}, "node_id: 128 is outside 1..127"),
+        ({"node_id": "5"}, "node_id: '5' is no whole number; 1..127"),
+        ({"node_id": True}, "node_id: True is no whole number"),
+        ({"edz": "x"}, "edz: is not known; did you mean eds? known: node_id, eds, plant"),
+        ({"eds": "none.eds"}, "eds: there is no file"),
+        ({"eds": 3}, "eds: 3 is no path"),
+        (
+            {"plant": {"preset": "tank"}},
+            "plant.preset: there is no preset 'tank'; known: wheel_60w",
+        ),
+        ({"plant": {"gear": 3}}, "plant.gear: is not known; did you mean gear_ratio? known:"),
+        ({"plant": {"gear_ratio": 3}}, "plant: resistance_ohm, inductance_h"),
+        ({"plant": {"preset": "mast_20w", "gear_ratio": 0}}, "plant.gear_ratio: must be finite"),
+        ({"plant": {"preset": "mast_20w", "encoder_increments_rev": 2.5}}, "is no whole number"),
+        ({"plant": 3}, "plant: 3 is no table; write [controller.NAME.plant]"),
+        ({"servo": {"kp": 3}}, "servo.kp: is not known; "),
+        ({"servo": {"position_kp_1_s": -1}}, "servo.position_kp_1_s: -1.0 is negative"),
+        ({"servo": {"tick_s": 1e-9}}, "servo.tick_s: is below a microsecond"),
+        ({"timing": {"boot_s": 3}}, "timing.boot_s: is not known; did you mean boot_up_s?"),
+        ({"timing": {"enable_s": -1}}, "timing.enable_s: -1.0 s is negative"),
+        ({"timing": {"enable_s": "soon"}}, "timing.enable_s: 'soon' is no number"),
+        ({"timing": {"enable_s": float("nan")}}, "timing.enable_s: nan is not finite"),
+        ({"units": {"velocity_unit_inc_s": 0}}, "units.velocity_unit_inc_s: 0.0 is not > 0"),
+        ({"units": {"velocity": 1}}, "units.velocity: is not known; did you mean velocity_unit_"),
+        ({"objects": {"xyz": 1}}, 'objects.xyz: is no object; like "6065h" or "1A00h:1"'),
+        ({"objects": {"60650h": 1}}, "objects.60650h: is no object; 1000h..FFFFh"),
+        ({"objects": {"6065h": [1]}}, "objects.6065h: [1] is no value"),
+        ({"objects": {"6065h": 1.5}}, "objects.6065h: 1.5 is no whole number"),
+        ({"objects": {"6065h": -1}}, "objects.6065h: -1 does not fit data type 07h"),
+        ({"objects": {"605Dh": 3}}, "objects.605Dh: 3 is outside 1..2"),
+        ({"objects": {"6065h": "a"}}, "objects.6065h: 'a' is no number"),
+        ({"objects": {"2000h": 1}}, "objects.2000h: motorhil_cia402.eds has no such object"),
+        ({"objects": {"60c2h:3": 1}}, "objects.60c2h:3: motorhil_cia402.eds has no such object"),
+        ({"supported_modes": "pp"}, "supported_modes: 'pp' is no list of modes"),
+        ({"supported_modes": []}, "supported_modes: [] is no list of modes"),
+        ({"supported_modes": ["ip"]}, "supported_modes: mode ip is not emulated; known: pp, pv"),
+        ({"supported_modes": ["p"]}, "supported_modes: there is no mode 'p'; known: pp, pv"),
+        ({"initial_position_rad": "x"}, "initial_position_rad: 'x' is no number"),
+    ],
+)
+def test_mistakes_are_told(table, text):
+    assert text in refused(**table)
+
+
+def test_a_missing_node_id_is_told():
+    with pytest.raises(SettingError, match="node_id: is missing"):
+        read_settings({}, HERE)
+
+
+def test_a_file_that_is_no_drives_is_refused(tmp_path):
+    text = OWN_EDS.read_text()
+    (tmp_path / "other.eds").write_text(text.replace("6041", "6042"))
+    assert "no CiA 402 drive's file" in refused(folder=tmp_path, eds="other.eds")
+
+
+def test_a_broken_file_is_refused_with_its_line(tmp_path):
+    (tmp_path / "broken.eds").write_text("[1000]\nParameterName=x\nthis is no eds\n")
+    message = refused(folder=tmp_path, eds="broken.eds")
+    assert message.startswith("eds: ")
+    assert "broken.eds" in message
+
+
+def test_initial_position_is_where_the_output_stands():
+    bench = Bench(initial_position_rad=0.25)
+    bench.boot()
+    assert bench.truth("position_rad") == pytest.approx(0.25, abs=1e-4)
+    assert bench.read(0x6064) == 0.25 / 6.283185307179586 * 132_000 // 1
+
+
+def test_an_object_the_file_lacks_may_have_a_value_behind_the_scenes():
+    bench = Bench(objects={"60F2h": 1})  # relative moves count from the demand
+    bench.boot()
+    assert bench.write(0x60F2, 0, 0, 2) == 0x0602_0000
+    assert new_drive(objects={"60C5h": 100}).od.integer(0x60C5, 0, 0) == 100
