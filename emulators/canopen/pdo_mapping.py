@@ -13,12 +13,15 @@ from emulators.canopen.object_dictionary import (
     ObjectDictionary,
     Variable,
     decode,
+    is_integer,
+    is_signed,
     length_bits,
 )
 
 MAX_ENTRIES: Final = 64
 MAX_BITS: Final = 64
 
+_INTEGER_FORMAT: Final = {8: "b", 16: "h", 32: "i", 64: "q"}
 _READABLE: Final = ("ro", "rw", "rwr", "const")  # access that a TPDO may map
 _WRITABLE: Final = ("wo", "rw", "rww")  # access that an RPDO may map
 
@@ -29,11 +32,12 @@ def is_dummy(entry: int, od: ObjectDictionary) -> bool:
     return index in od.dummies and subindex == 0 and entry & 0xFF == length_bits(index)
 
 
-def entry_refusal(od: ObjectDictionary, entry: int, receive: bool) -> int:
+def entry_refusal(od: ObjectDictionary, entry: int, receive: bool, any_length: bool = False) -> int:
     """The abort code for a mapping entry that cannot be; 0 if it can.
 
     CiA 301, 7.5.2.36: an object that is not there or cannot be mapped is refused with 0602 0000h
-    or 0604 0041h.
+    or 0604 0041h. `any_length` lets pass what some vendors' own mappings have: an object in more
+    bits than its data type has (Roboteq: INTEGER16 in 32) or in fewer (Elmo: UNSIGNED64 in 32).
     """
     if receive and is_dummy(entry, od):
         return 0
@@ -46,12 +50,16 @@ def entry_refusal(od: ObjectDictionary, entry: int, receive: bool) -> int:
     allowed = _WRITABLE if receive else _READABLE
     if not variable.pdo_mappable or variable.access not in allowed:
         return AbortCode.NOT_MAPPABLE
-    return 0 if variable.bits == entry & 0xFF else AbortCode.NOT_MAPPABLE
+    length = entry & 0xFF
+    fits = variable.bits == length or (any_length and is_integer(variable.data_type) and length)
+    return 0 if fits else AbortCode.NOT_MAPPABLE
 
 
 @final
 class PdoMapping:
     """Mapped variables, ready for whole frames. An entry without variable fills space with zeros.
+
+    An entry longer than its variable is sign-extended, a shorter one holds the lower bits.
 
     Attributes:
         variables: the mapped ones, in order.
@@ -67,6 +75,9 @@ class PdoMapping:
         self.length_bytes = (bits + 7) // 8
         layout = _struct_layout(entries)
         self._is_packable = layout is not None
+        self._is_unpackable = layout is not None and all(
+            variable is None or variable.bits >= length for variable, length in entries
+        )
         padding = f"{8 - self.length_bytes}x"
         self._reception = struct.Struct(f"<8x{layout or ''}")
         self._frame = struct.Struct(f"<IB3x{layout or '8x'}{padding if layout is not None else ''}")
@@ -80,7 +91,7 @@ class PdoMapping:
 
     def write(self, frame: bytes) -> None:
         """The variables hold what the frame carries; a value one refuses leaves that one alone."""
-        if not self._is_packable:
+        if not self._is_unpackable:
             self._write_bits(int.from_bytes(frame[8:16], "little"))
             return
         values: tuple[int | float, ...] = self._reception.unpack_from(frame)
@@ -101,15 +112,22 @@ class PdoMapping:
                 pass  # a reader's number is wider than its object: cut it below
         payload = 0
         for variable, offset, length in self._fields:
-            number = int.from_bytes(variable.upload(), "little") & ((1 << length) - 1)
-            payload |= number << offset
+            value = variable.read()
+            if not isinstance(value, int):
+                value = int.from_bytes(variable.upload(), "little")
+            payload |= (value & ((1 << length) - 1)) << offset
         return self._raw_frame.pack(can_id, self.length_bytes, payload)
 
     def _write_bits(self, payload: int) -> None:
         for variable, offset, length in self._fields:
-            number = payload >> offset & ((1 << length) - 1)
-            data = number.to_bytes((length + 7) // 8, "little")
-            variable.write(decode(variable.data_type, data))
+            bits = min(length, variable.bits)
+            number = payload >> offset & ((1 << bits) - 1)
+            if not is_integer(variable.data_type):
+                variable.write(decode(variable.data_type, number.to_bytes(bits // 8, "little")))
+            elif is_signed(variable.data_type) and number >> (bits - 1):
+                variable.write_integer(number - (1 << bits))
+            else:
+                variable.write_integer(number)
 
 
 def _struct_layout(entries: list[tuple[Variable | None, int]]) -> str | None:
@@ -118,8 +136,13 @@ def _struct_layout(entries: list[tuple[Variable | None, int]]) -> str | None:
     for variable, length in entries:
         if variable is None and length % 8 == 0:
             layout += f"{length // 8}x"
-        elif variable is not None and variable.data_type in STRUCT_FORMAT:
+        elif variable is not None and variable.bits == length:
+            if variable.data_type not in STRUCT_FORMAT:
+                return None
             layout += STRUCT_FORMAT[variable.data_type]
+        elif variable is not None and length in _INTEGER_FORMAT:
+            letter = _INTEGER_FORMAT[length]
+            layout += letter if is_signed(variable.data_type) else letter.upper()
         else:
             return None
     return layout
@@ -143,7 +166,7 @@ def load(
     refused: list[tuple[int, int]] = []
     bits = 0
     for entry in stored_entries(od, index):
-        code = entry_refusal(od, entry, receive)
+        code = entry_refusal(od, entry, receive, any_length=True)
         length = entry & 0xFF
         if bits + length > MAX_BITS:
             refused.append((entry, AbortCode.PDO_TOO_LONG))

@@ -30,6 +30,7 @@ class PdoParameters:
         self._cob_id = od.ensure(self.communication, 1, DataType.UNSIGNED32, predefined)
         self._type = od.ensure(self.communication, 2, DataType.UNSIGNED8, 0xFF)
         self._count = od.ensure(self.mapping, 0, DataType.UNSIGNED8, self._stated_entries())
+        self._own_entries = self._power_on_entries()
         self._attach()
 
     def cob_id(self) -> int:
@@ -57,6 +58,16 @@ class PdoParameters:
         od = self._od
         values = [od.integer(self.mapping, sub, 0) for sub in od.subindices(self.mapping) if sub]
         return values.index(0) if 0 in values else len(values)
+
+    def _power_on_entries(self) -> tuple[int, ...]:
+        """The entries that the device has by itself: they may be written again, as odd as any."""
+        variables = [self._od.get(self.mapping, sub) for sub in self._od.subindices(self.mapping)]
+        defaults = [variable.default for variable in variables[1:] if variable is not None]
+        return tuple(default for default in defaults if isinstance(default, int))
+
+    def _refusal(self, entry: int) -> int:
+        is_own = entry in self._own_entries
+        return entry_refusal(self._od, entry, self._receive, any_length=is_own)
 
     def _attach(self) -> None:
         self._cob_id.writer = self._check_cob_id
@@ -101,7 +112,7 @@ class PdoParameters:
         bits = 0
         for subindex in subindices[1 : value + 1]:
             entry = od.integer(self.mapping, subindex, 0)
-            code = entry_refusal(od, entry, self._receive)
+            code = self._refusal(entry)
             if code:
                 return code
             bits += entry & 0xFF
@@ -112,4 +123,4 @@ class PdoParameters:
             return AbortCode.UNSUPPORTED_ACCESS
         if value == 0:
             return 0  # an entry not used
-        return entry_refusal(self._od, value, self._receive)
+        return self._refusal(value)

@@ -128,9 +128,14 @@ def dictionary() -> ObjectDictionary:
 class Bench:
     """A node and its time. `sent` follows every frame at once unless `is_bus_stuck`."""
 
-    def __init__(self, od: ObjectDictionary | None = None, sdo_reply_ns: int = 1 * MS) -> None:
+    def __init__(
+        self,
+        od: ObjectDictionary | None = None,
+        sdo_reply_ns: int = 1 * MS,
+        host: Host | None = None,
+    ) -> None:
         self.od = dictionary() if od is None else od
-        self.host = Host()
+        self.host = Host() if host is None else host
         timing = NodeTiming(300 * MS, sdo_reply_ns, 20 * MS)
         self.node = CanopenNode(self.od, NODE_ID, timing, self.host)
         self.now_ns = 0

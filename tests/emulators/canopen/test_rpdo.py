@@ -162,3 +162,19 @@ def test_a_mapping_that_cannot_be_is_told_and_filled_with_zeros():
     bench.operate()
     bench.tell(0x202, "AA BB 0F 00")
     assert values(od, 0x6040) == [0x0F]
+
+
+def test_a_vendor_s_mapping_of_another_length_holds_the_lower_bits():
+    # as Elmo maps UNSIGNED64 2012h in 32 bits, and Roboteq INTEGER16 2100h in 32 bits
+    bench = bench_with((0x2006_0020, 0x6060_0010), 255)
+    bench.tell(0x202, "FF FF FF FF FC FF")
+    assert values(bench.od, 0x2006, 0x6060) == [0xFFFF_FFFF, -4]
+    for index, subindex, value, size in (
+        (0x1400, 1, 0x8000_0202, 4),
+        (0x1600, 0, 0, 1),
+        (0x1600, 1, 0x2006_0020, 4),  # the device's own mapping may be written again
+        (0x1600, 0, 2, 1),
+    ):
+        assert bench.download(index, subindex, value, size) == ""
+    assert bench.download(0x1600, 0, 0, 1) == ""
+    assert bench.download(0x1600, 1, 0x2006_0010, 4) == "0604 0041"  # none of its own

@@ -243,3 +243,15 @@ def test_several_tpdos_of_one_sync_come_in_their_order_and_the_device_is_asked_o
     bench.tell(0x080)
     assert bench.frames() == ["182 40 02", "282 00 00 00 00"]
     assert bench.host.names() == ["sync", "read"]
+
+
+def test_a_vendor_s_mapping_of_another_length_is_sign_extended_or_cut():
+    bench = bench_with(1, entries=(0x2006_0020, 0x2004_0020))  # UNSIGNED64, INTEGER24
+    start(bench)
+    bench.od.get(0x2006).value = 0x1_0000_0005
+    bench.od.get(0x2004).value = -2
+    bench.tell(0x080)
+    assert bench.frames() == ["182 05 00 00 00 FE FF FF FF"]
+    bench.od.get(0x2006).value = 7
+    bench.tell(0x080)
+    assert bench.frames() == ["182 07 00 00 00 FE FF FF FF"]
