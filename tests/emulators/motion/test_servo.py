@@ -1,0 +1,136 @@
+"""Ten steps as one map are ten steps; and the whole axis is what its equations say."""
+
+import math
+from dataclasses import replace
+
+import pytest
+from hypothesis import event, given
+from hypothesis import strategies as st
+
+from emulators.firmware import profile, servo
+from emulators.firmware.axis import Axis
+from emulators.firmware.gains import ServoGains
+from emulators.firmware.servo_tables import ServoTables
+from emulators.plant.presets import PRESETS, WHEEL_60W
+from tests.emulators.motion.reference import ReferenceAxis
+
+MS = 1_000_000
+WINDOWS = (10.0, 1e300, 0.5, 2.0, 1, 1, 11, 11)
+TABLES = {name: ServoTables(p, ServoGains.tuned(p, MS, 10), MS, 10) for name, p in PRESETS.items()}
+
+
+def one_tick(tables, load_table, state):
+    """The state one tick later, at hold; `one by one` if the load table forbids the map."""
+    orders = (servo.POSITION, 0, -1.0, profile.hold(0.0), True, 0.0, 0.0, 8.0)
+    after, made, _ = servo.run(
+        *(tables.tick, tables.step, tables.current_steps, load_table),
+        *(WINDOWS, orders, state, 0, 1, False),
+    )
+    assert made == 1
+    return after
+
+
+def state_with(i, u, w, wanted):
+    quiet = servo.standing(0.0)
+    return (True, i, u, w, 0.5, 0.0, wanted, *quiet[7:])
+
+
+def check_one_tick(name, current, error, speed, mismatch, load):
+    plant, tables = PRESETS[name], TABLES[name]
+    wanted = max(-8.0, min(8.0, current + error))
+    u = plant.resistance_ohm * wanted + plant.torque_constant_n_m_a * speed + mismatch
+    u = max(-24.0, min(24.0, u))
+    state = state_with(current, u, speed, wanted)
+    mapped = one_tick(tables, tables.load(load * plant.gear_ratio), state)
+    singly = servo.steps(tables.step, 10, load, wanted, current, u, speed, 0.5)
+    got = mapped[1:5]
+    event("step by step" if got == singly else "mapped")
+    # Ten products of matrices against ten steps: rounding, relative to the quantities there are.
+    assert got[0] == pytest.approx(singly[0], rel=1e-9, abs=1e-10)
+    assert got[1] == pytest.approx(singly[1], rel=1e-9, abs=1e-9)
+    assert got[2] == pytest.approx(singly[2], rel=1e-9, abs=1e-8)
+    assert got[3] == pytest.approx(singly[3], rel=1e-9, abs=1e-7)
+
+
+NAMES = st.sampled_from(sorted(PRESETS))
+LOADS_N_M = st.floats(-0.01, 0.01)
+
+
+@given(
+    NAMES,
+    st.floats(-4.0, 4.0),
+    st.floats(-8.0, 8.0) | st.floats(-0.3, 0.3),
+    st.floats(-500.0, 500.0) | st.floats(-5.0, 5.0) | st.floats(-0.3, 0.3),
+    st.floats(-30.0, 30.0) | st.floats(-0.3, 0.3),
+    LOADS_N_M,
+)
+def test_ten_steps_as_one_map_are_ten_steps(name, current, error, speed, mismatch, load):
+    check_one_tick(name, current, error, speed, mismatch, load)
+
+
+@given(
+    NAMES,
+    st.floats(-0.03, 0.03),
+    st.floats(-0.03, 0.03),
+    st.floats(-0.03, 0.03) | st.floats(-0.2, 0.2),
+    st.floats(-0.0005, 0.0005),
+)
+def test_ten_steps_of_a_rotor_that_sticks_are_one_map_too(name, current, error, mismatch, load):
+    check_one_tick(name, current, error, 0.0, mismatch, load)
+
+
+@pytest.mark.parametrize("name", PRESETS)
+def test_an_axis_in_motion_is_mapped_and_not_stepped(name, monkeypatch):
+    """Or the map would be no use: only starting, stopping and clipping are worth single steps."""
+    plant = PRESETS[name]
+    axis = Axis(plant, ServoGains.tuned(plant, MS, 10), MS, 10)
+    stepped = 0
+    steps = servo.steps
+
+    def counted(*arguments):
+        nonlocal stepped
+        stepped += 1
+        return steps(*arguments)
+
+    monkeypatch.setattr(servo, "steps", counted)
+    axis.power(True)
+    axis.at(10 * MS)
+    axis.move_to(200_000, 100_000.0, 400_000.0, 400_000.0)
+    axis.at(2_400 * MS)
+    assert axis.position_inc() == 200_000
+    assert stepped < 60
+
+
+def furthest_apart(plant, load_n_m, ticks):
+    """How far the axis and its twin of small steps ever are from one another in a move [inc]."""
+    gains = ServoGains.tuned(plant, MS, 10)
+    axis = Axis(plant, gains, MS, 10)
+    axis.set_load(load_n_m)
+    axis.power(True)
+    axis.move_to(3_000, 60_000.0, 900_000.0, 900_000.0)
+    pieces = profile.move(0.0, 0.0, 3_000.0, 60.0, 0.9, 0.9)
+    twin = ReferenceAxis(plant, gains, load_n_m)
+    worst = 0.0
+    for k in range(1, ticks):
+        t = k - 1.0  # the profile starts at the tick after the command
+        position, _ = profile.demand_at(pieces, t)
+        _, start, _, _, _, velocity, change = next(piece for piece in pieces if t < piece[0])
+        a_tick_ago = velocity + max(t - 1.0 - start, 0.0) * change
+        twin.tick(math.floor(position + 0.5), a_tick_ago * 1e3, change * 1e6)
+        axis.at(k * MS)
+        inc_rad = plant.encoder_increments_rev * plant.gear_ratio / (2 * math.pi)
+        worst = max(worst, abs(axis.output_position_rad() * inc_rad - twin.position))
+    return worst
+
+
+def test_until_the_encoder_splits_them_the_axis_and_its_equations_are_one():
+    """Pushed by its load from the start, the rotor never sticks: rounding and small steps only."""
+    assert furthest_apart(WHEEL_60W, -1.5, 100) < 0.01
+
+
+@pytest.mark.parametrize("load_n_m", [0.0, 1.5, -1.5])
+@pytest.mark.parametrize("friction_n_m", [0.0, 0.004, 0.02])
+def test_a_move_is_what_the_equations_say(load_n_m, friction_n_m):
+    """An increment seen a tick sooner or later parts the two, but by less than an increment."""
+    plant = replace(WHEEL_60W, coulomb_friction_n_m=friction_n_m)
+    assert furthest_apart(plant, load_n_m, 200) < 1.0
