@@ -97,7 +97,10 @@ class PdoMapping:
         values: tuple[int | float, ...] = self._reception.unpack_from(frame)
         variables = self.variables
         for position, value in enumerate(values):
-            variables[position].write(value)
+            if isinstance(value, int):
+                variables[position].write_integer(value)
+            else:
+                variables[position].write(value)
 
     def build(self, can_id: int) -> bytes:
         """The frame that carries the variables as they are now."""
