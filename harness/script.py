@@ -71,6 +71,8 @@ def run_script(rig: "Rig", script: Script, words: Sequence[str]) -> int:
             exec(program, main.__dict__)
         except SystemExit as leaving:
             return _status(leaving)
+        except BrokenPipeError:
+            raise  # whoever read its output has left: as with any command
         except Exception as error:
             if rig.recording is not None and error is rig.recording.error:
                 raise  # the record failed, not the program

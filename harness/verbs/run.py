@@ -67,7 +67,7 @@ def run(options: argparse.Namespace) -> int:
     try:
         with rig:
             status = run_prompt(rig) if script is None else run_script(rig, script, words)
-    except (RigError, TraceError):
+    except (RigError, TraceError, BrokenPipeError):
         raise
     except Exception as error:  # of a party that nobody joined, or while closing what is in use
         print_error(error, name)

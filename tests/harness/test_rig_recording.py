@@ -41,6 +41,7 @@ def test_a_record_holds_frames_truth_and_events_each_at_its_time(rig, tmp_path):
     assert topics.count("/controller/left/truth") == 3  # at first, held, and after the stimulus
     assert topics.count("/controller/right/truth") == 1
     assert 2 < topics.count("/events") < 18
+    assert b"drive.eds:3: mended" in next(data for c, _, data in messages if c.topic == "/events")
     times = [time_ns for _, time_ns, _ in messages]
     assert times[0] == 0
     assert max(times) == 2_000_000_000 + 20_000_000
