@@ -1,7 +1,7 @@
 """Turns what happens in a rig into a recording: taps for a world, and samples of motors.
 
 The recorder is told everything (`frame`, `truth`, `event`) with its time and asks no clock. Frames
-only become a tuple in a list; they are packed in bulk, once a second or every few thousand.
+only become a tuple in a list; they are packed in bulk, four times a second.
 
 A rig at rest makes no work: a motor is looked at after a frame of its drive has passed, and again
 every period as long as it changes. What a chunk still holds is written when its second is over.
@@ -19,7 +19,7 @@ from typing import Final, final
 from harness.build_info import source_digest, version
 from traces.chunk import Entry
 from traces.errors import TraceError
-from traces.fields import JointStateEncoder, TruthEncoder, encode_log, timestamp_field
+from traces.fields import JointStateEncoder, TruthEncoder, encode_log
 from traces.protobuf import Message, Value, encode
 from traces.schema import (
     CAN_FRAME,
@@ -33,7 +33,7 @@ from traces.schema import (
 from traces.writer import CHUNK_NS, TraceWriter
 
 PERIOD_NS: Final = 20_000_000
-_BATCH: Final = 4096
+_HAND_OVER_NS: Final = CHUNK_NS // 4  # how long frames wait to be packed in bulk; divides a second
 _NEVER: Final = 1 << 62
 
 Reading = tuple[float | None, float | None, float | None]
@@ -67,7 +67,7 @@ class _Motor:
         self.encoder = JointStateEncoder(name)
         self.active = True
         self.always = False
-        self.body = b""
+        self.payload = b""
         self.sampled_ns = 0
 
 
@@ -119,6 +119,7 @@ class Recorder:
         self._kinds: dict[str, str] = dict(kinds or {})
         self._period_ns = period_ns
         self._pending: list[Entry] = []
+        self._hand_over_ns = 0
         self._due_ns = 0
         self._unwritten = False
         self._closed = False
@@ -136,10 +137,11 @@ class Recorder:
 
     def frame(self, bus: str, time_ns: int, sender: str, frame: bytes) -> None:
         """A Linux can_frame or canfd_frame of `sender` was complete on `bus`."""
-        source = self._sources.get((bus, sender))
-        if source is None:
+        try:
+            source = self._sources[bus, sender]
+        except KeyError:
             source = self._add_source(bus, sender)
-        if time_ns >= self._due_ns or len(self._pending) >= _BATCH:
+        if time_ns >= self._hand_over_ns:
             self._hand_over(time_ns)
         self._pending.append((source.number, time_ns, frame))
         for motor in source.motors:
@@ -218,6 +220,7 @@ class Recorder:
         if now_ns >= self._due_ns:
             self._write(now_ns)
             self._unwritten = False
+            self._hand_over_ns = 0  # the next message begins a second
         self._arm()
 
     def close(self, now_ns: int | None = None) -> None:
@@ -243,13 +246,14 @@ class Recorder:
 
     def _add(self, time_ns: int, channel: int, payload: bytes) -> None:
         """An encoded message takes its place behind the frames before it."""
-        if time_ns >= self._due_ns or len(self._pending) >= _BATCH:
+        if time_ns >= self._hand_over_ns:
             self._hand_over(time_ns)
         self._pending.append((-channel, time_ns, payload))
 
     def _hand_over(self, time_ns: int) -> None:
         """What is pending is with the writer; a new second has begun, if it has."""
         self._write(time_ns)
+        self._hand_over_ns = (time_ns // _HAND_OVER_NS + 1) * _HAND_OVER_NS
         if time_ns >= self._due_ns:
             self._due_ns = (time_ns // CHUNK_NS + 1) * CHUNK_NS
             self._unwritten = True
@@ -290,13 +294,12 @@ class Recorder:
         self._active.sort(key=_number_of)  # not in the order in which they woke
         for motor in self._active:
             reading = motor.read()
-            body = b"" if reading is None else motor.encoder.body(*reading)
-            if body and body != motor.body:
-                if motor.body and now_ns - motor.sampled_ns > self._period_ns:
-                    held = timestamp_field(now_ns - self._period_ns) + motor.body
-                    self._add(now_ns, motor.channel, held)
-                self._add(now_ns, motor.channel, timestamp_field(now_ns) + body)
-                motor.body = body
+            payload = b"" if reading is None else motor.encoder.encode(*reading)
+            if payload and payload != motor.payload:
+                if motor.payload and now_ns - motor.sampled_ns > self._period_ns:
+                    self._add(now_ns, motor.channel, motor.payload)
+                self._add(now_ns, motor.channel, payload)
+                motor.payload = payload
                 motor.sampled_ns = now_ns
                 again.append(motor)
             elif motor.always:

@@ -6,6 +6,8 @@ straight into the buffer: one call, no bytes object a frame.
 """
 
 import struct
+import sys
+from array import array
 from collections import Counter
 from collections.abc import Callable
 from operator import itemgetter
@@ -25,8 +27,8 @@ _HEAD_SIZE: Final = MESSAGE_HEAD.size
 _CONSTANT: Final = struct.Struct("<BQHI")  # of a message's head, all before the times
 _REMEMBERED: Final = 1 << 16  # prefixes; a bus full of random identifiers must not fill the memory
 
-_Template = tuple[Callable[..., None], bytes, bytes, int, int]
-"""pack_into, head, middle, size of the record, size of the frame."""
+_Template = tuple[Callable[..., None], bytes, bytes, int, int, Callable[[int], None]]
+"""pack_into, head, middle, size of the record, size of the frame, what the index is told by."""
 
 _source_of: Final = itemgetter(0)
 
@@ -39,7 +41,8 @@ class ChunkBuffer:
     log time in it; counts, its messages by channel.
     """
 
-    def __init__(self, size: int) -> None:
+    def __init__(self, size: int, indexed: bool) -> None:
+        """Empty; if indexed, it knows where each message begins."""
         self.used: int = 0
         self.first_ns: int = 0
         self.last_ns: int = 0
@@ -48,6 +51,8 @@ class ChunkBuffer:
         self._sources: list[tuple[int, bytes, int]] = []
         self._known: dict[tuple[int, bytes], _Template] = {}
         self._widest: int = 0
+        self._indexed: bool = indexed
+        self._index: dict[int, array[int]] = {}  # by channel: time, offset, time, offset, ...
 
     def add_source(self, channel: int, sender: str, direction: int) -> int:
         """The number of a sender on a CAN channel."""
@@ -58,10 +63,23 @@ class ChunkBuffer:
         """The records in it; release the view before anything is added."""
         return memoryview(self._buffer)[: self.used]
 
+    def index(self) -> list[tuple[int, bytes]]:
+        """(channel, (log time, offset) of each of its messages as MCAP packs them)."""
+        out: list[tuple[int, bytes]] = []
+        for channel, places in self._index.items():
+            if places:
+                if sys.byteorder == "big":
+                    places = array("Q", places)
+                    places.byteswap()
+                out.append((channel, places.tobytes()))
+        return out
+
     def clear(self) -> None:
         """It is empty; what it knows about sources stays."""
         self.used = 0
         self.counts.clear()
+        for places in self._index.values():
+            del places[:]  # the array stays: templates know it
 
     def extend(self, entries: list[Entry]) -> None:
         """These messages are in it, behind those before; or, if it raises, none of them is.
@@ -72,12 +90,26 @@ class ChunkBuffer:
         """
         if not entries:
             return
+        marks = {channel: len(places) for channel, places in self._index.items()}
+        try:
+            self._pack(entries)
+        except BaseException:
+            for channel, places in self._index.items():
+                del places[marks.get(channel, 0) :]
+            raise
+        for source, count in Counter(map(_source_of, entries)).items():
+            channel = self._sources[source][0] if source >= 0 else -source
+            self.counts[channel] = self.counts.get(channel, 0) + count
+
+    def _pack(self, entries: list[Entry]) -> None:
+        """The records are in the buffer; it is told how much of it is used when all of them are."""
         known = self._known
         used = self.used
         first = self.first_ns if used else entries[0][1]
         last = self.last_ns if used else entries[0][1]
         self._reserve(used + len(entries) * self._widest)
         buffer = self._buffer
+        indexed = self._indexed
         for source, time_ns, data in entries:
             if time_ns > last:
                 last = time_ns
@@ -90,21 +122,23 @@ class ChunkBuffer:
                     buffer, used, MESSAGE, size - 9, -source, 0, time_ns, time_ns
                 )
                 buffer[used + _HEAD_SIZE : used + size] = data
+                if indexed:
+                    self._places(-source).extend((time_ns, used))
                 used += size
                 continue
             try:
-                pack_into, head, middle, size, frame_size = known[source, data[:8]]
+                pack_into, head, middle, size, frame_size, note = known[source, data[:8]]
             except KeyError:
                 frame_size = 0
             if len(data) != frame_size:
-                pack_into, head, middle, size, frame_size = self._learn(source, data)
+                pack_into, head, middle, size, frame_size, note = self._learn(source, data)
                 self._reserve(used + len(entries) * self._widest)
             pack_into(buffer, used, head, time_ns, time_ns, middle, data[8:])
+            if indexed:
+                note(time_ns)
+                note(used)
             used += size
         self.used, self.first_ns, self.last_ns = used, first, last
-        for source, count in Counter(map(_source_of, entries)).items():
-            channel = self._sources[source][0] if source >= 0 else -source
-            self.counts[channel] = self.counts.get(channel, 0) + count
 
     def _learn(self, source: int, data: bytes) -> _Template:
         """How frames that begin like this one are packed."""
@@ -113,12 +147,20 @@ class ChunkBuffer:
         # 15 bytes: the record's head up to the times; sequence 0, as mcap's own writer has it.
         layout = struct.Struct(f"<15sQQ{len(middle)}s{length}s")
         head = _CONSTANT.pack(MESSAGE, layout.size - 9, channel, 0)
-        template = (layout.pack_into, head, middle, layout.size, len(data))
+        note = self._places(channel).append
+        template = (layout.pack_into, head, middle, layout.size, len(data), note)
         if len(self._known) >= _REMEMBERED:
             self._known.clear()
         self._known[source, data[:8]] = template
         self._widest = max(self._widest, layout.size)
         return template
+
+    def _places(self, channel: int) -> "array[int]":
+        """Where the channel's messages are."""
+        places = self._index.get(channel)
+        if places is None:
+            places = self._index[channel] = array("Q")
+        return places
 
     def _reserve(self, size: int) -> None:
         """The buffer has room for `size` bytes."""

@@ -132,7 +132,7 @@ def decode_can_frame(payload: bytes) -> RecordedFrame:
 
 
 def timestamp_field(time_ns: int) -> bytes:
-    """Field 1, a google.protobuf.Timestamp, as JointState and Log begin."""
+    """Field 1, a google.protobuf.Timestamp."""
     seconds, nanos = divmod(time_ns, 1_000_000_000)
     inner = (b"\x08" + varint(seconds) if seconds else b"") + (
         b"\x10" + varint(nanos) if nanos else b""
@@ -148,28 +148,19 @@ def encode_log(time_ns: int, level: Level, text: str, name: str = "") -> bytes:
 
 @final
 class JointStateEncoder:
-    """Packs foxglove.JointState messages of one joint.
-
-    A message is `timestamp_field(time_ns) + body`; the body alone tells whether anything changed.
-    """
+    """Packs foxglove.JointState messages of one joint."""
 
     def __init__(self, name: str) -> None:
-        self._name: Final = delimited(2, name.encode())
-        self._pack: Final = struct.Struct("<2sd2sd2sd").pack
+        self._name: Final = delimited(1, name.encode())
+        self._pack: Final = struct.Struct("<BdBdBd").pack
 
-    def body(self, position: float | None, velocity: float | None, effort: float | None) -> bytes:
-        """All but the time: rad or m, per second, N·m or N; what is None is left out."""
+    def encode(self, position: float | None, velocity: float | None, effort: float | None) -> bytes:
+        """The message: rad or m, per second, N·m or N; what is None is left out."""
         if position is not None and velocity is not None and effort is not None:
-            return self._name + self._pack(
-                b"\x1a\x08", position, b"\x22\x08", velocity, b"\x2a\x08", effort
-            )
+            return self._name + self._pack(0x11, position, 0x19, velocity, 0x29, effort)
         out = self._name
-        for head, value in (
-            (b"\x1a\x08", position),
-            (b"\x22\x08", velocity),
-            (b"\x2a\x08", effort),
-        ):
-            if value is not None:  # arrays of length 1, packed
+        for head, value in ((b"\x11", position), (b"\x19", velocity), (b"\x29", effort)):
+            if value is not None:
                 out += head + _DOUBLE.pack(value)
         return out
 

@@ -63,12 +63,16 @@ class Enumeration:
 @final
 @dataclass(frozen=True, slots=True)
 class Field:
-    """One line of a message's table; `of` is the type of an ENUM or MESSAGE field."""
+    """One line of a message's table; `of` is the type of an ENUM or MESSAGE field.
+
+    An optional field can be told to be absent; of any other, absent and zero are the same.
+    """
 
     number: int
     name: str
     kind: Kind
     repeated: bool = False
+    optional: bool = False
     of: "Enumeration | Message | None" = None
 
 
@@ -170,19 +174,26 @@ def _file_descriptor(message: Message) -> bytes:
 
 
 def _descriptor(short: str, message: Message) -> bytes:
-    """DescriptorProto: name 1, field 2, enum_type 4."""
+    """DescriptorProto: name 1, field 2, enum_type 4, oneof_decl 8 (name 1).
+
+    Each optional field of proto3 is alone in a "oneof" named after it.
+    """
     parts = [delimited(1, short.encode())]
-    parts += [delimited(2, _field_descriptor(message.name, field)) for field in message.fields]
+    optional = [field for field in message.fields if field.optional]
+    for field in message.fields:
+        oneof = optional.index(field) if field.optional else None
+        parts.append(delimited(2, _field_descriptor(message.name, field, oneof)))
     enums: list[Enumeration] = []
     for field in message.fields:
         if isinstance(field.of, Enumeration) and field.of not in enums:
             enums.append(field.of)
     parts += [delimited(4, _enum_descriptor(one)) for one in enums]
+    parts += [delimited(8, delimited(1, f"_{field.name}".encode())) for field in optional]
     return b"".join(parts)
 
 
-def _field_descriptor(owner: str, field: Field) -> bytes:
-    """FieldDescriptorProto: name 1, number 3, label 4, type 5, type_name 6."""
+def _field_descriptor(owner: str, field: Field, oneof: int | None) -> bytes:
+    """FieldDescriptorProto: name 1, number 3, label 4, type 5, type_name 6, 9 and 17: optional."""
     parts = [
         delimited(1, field.name.encode()),
         _number(3, field.number),
@@ -193,6 +204,8 @@ def _field_descriptor(owner: str, field: Field) -> bytes:
         parts.append(delimited(6, f".{field.of.name}".encode()))
     elif isinstance(field.of, Enumeration):
         parts.append(delimited(6, f".{owner}.{field.of.name}".encode()))
+    if oneof is not None:
+        parts.append(_number(9, oneof) + _number(17, 1))
     return b"".join(parts)
 
 

@@ -85,17 +85,27 @@ def chunk(first_ns: int, last_ns: int, size: int, crc: int, compression: str, da
     return record(CHUNK, content + UINT64.pack(len(data)) + data)
 
 
+def message_index(channel: int, places: bytes) -> bytes:
+    """Where a channel's messages are in the chunk before: packed (log time, offset)."""
+    content = UINT16.pack(channel) + UINT32.pack(len(places)) + places
+    return record(MESSAGE_INDEX, content)
+
+
 def chunk_index(  # its fields are the record's own
     first_ns: int,
     last_ns: int,
     offset: int,
     length: int,
+    message_indexes: Mapping[int, int],
+    message_indexes_length: int,
     compression: str,
     compressed_size: int,
     size: int,
 ) -> bytes:
-    """Where a chunk is, in the summary; it says that there is no message index."""
-    content = struct.pack("<QQQQIQ", first_ns, last_ns, offset, length, 0, 0)
+    """Where a chunk is, and the message index of each channel behind it (offsets in the file)."""
+    content = struct.pack("<QQQQ", first_ns, last_ns, offset, length)
+    offsets = b"".join(struct.pack("<HQ", *one) for one in message_indexes.items())
+    content += UINT32.pack(len(offsets)) + offsets + UINT64.pack(message_indexes_length)
     content += string(compression) + struct.pack("<QQ", compressed_size, size)
     return record(CHUNK_INDEX, content)
 

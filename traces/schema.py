@@ -86,19 +86,20 @@ CAN_FRAME: Final = Message(
     ),
 )
 
-# Source: foxglove-sdk, schemas/proto/foxglove/JointState.proto. SI units; one joint a message.
+# Source: foxglove-schemas-protobuf 0.4.0, foxglove/JointState.proto. SI units; what is not known is
+# absent. (Before its release the draft of that message held arrays.)
 JOINT_STATE: Final = Message(
     "foxglove.JointState",
     (
-        Field(1, "timestamp", Kind.MESSAGE, of=TIMESTAMP),
-        Field(2, "name", Kind.STRING, repeated=True),
-        Field(3, "position", Kind.DOUBLE, repeated=True),
-        Field(4, "velocity", Kind.DOUBLE, repeated=True),
-        Field(5, "effort", Kind.DOUBLE, repeated=True),
+        Field(1, "name", Kind.STRING),
+        Field(2, "position", Kind.DOUBLE, optional=True),
+        Field(3, "velocity", Kind.DOUBLE, optional=True),
+        Field(4, "acceleration", Kind.DOUBLE, optional=True),
+        Field(5, "effort", Kind.DOUBLE, optional=True),
     ),
 )
 
-# Source: foxglove-sdk, schemas/proto/foxglove/Log.proto (its fields 100 and up are left out).
+# Source: foxglove-schemas-protobuf 0.4.0, foxglove/Log.proto.
 LOG: Final = Message(
     "foxglove.Log",
     (

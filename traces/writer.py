@@ -3,9 +3,12 @@
 Everything a reader needs stands in the file before it is needed, whole and uncompressed: schemas,
 channels, metadata, attachments. Messages go into chunks (zstd, CRC); a chunk ends with each second
 of log time, or at 1 MiB, and is handed to the operating system at once, in one piece. So whatever
-ends the program, the file is readable up to its last second. There is no message index: it would
-be two thirds of the file, and chunks are small enough to be read whole. The summary at the end
-makes it a complete MCAP file for every other reader.
+ends the program, the file is readable up to its last second. The summary at the end makes it a
+complete MCAP file for every other reader.
+
+Behind each chunk is a message index. It is two thirds of the file, and our own reader never looks
+at it; but without it @mcap/core (and so Foxglove) refuses the file, and mcap for Python before 1.6
+finds no message in it. Whoever wants a third of the size instead asks for a compact recording.
 
 The writer reads no clock: log times are what it is told.
 """
@@ -46,12 +49,14 @@ class TraceWriter:
         self,
         target: str | os.PathLike[str] | BinaryIO,
         metadata: Mapping[str, Mapping[str, str]] | None = None,
+        compact: bool = False,
     ) -> None:
         """The file is begun; one of that name is written over.
 
         Args:
             target: a path, or a binary file open for writing, at its beginning.
             metadata: tables of strings by name ("run": seed, versions, ...).
+            compact: without a message index.
 
         Raises:
             TraceError: it cannot be written.
@@ -77,7 +82,7 @@ class TraceWriter:
         self._first_ns: int | None = None
         self._last_ns: int = 0
         self._due_ns: int = 0
-        self._chunk: ChunkBuffer = ChunkBuffer(2 * CHUNK_BYTES)
+        self._chunk: ChunkBuffer = ChunkBuffer(2 * CHUNK_BYTES, not compact)
         self._compressor: zstandard.ZstdCompressor = zstandard.ZstdCompressor(level=_LEVEL)
         self._closed: bool = False
         self._put(records.MAGIC + records.header("", _LIBRARY))
@@ -243,13 +248,29 @@ class TraceWriter:
             data = self._compressor.compress(content)
             crc = zlib.crc32(content)
         offset, size, first, last = self._offset, chunk.used, chunk.first_ns, chunk.last_ns
-        record = records.chunk(first, last, size, crc, _COMPRESSION, data)
-        self._put(record)
+        parts = [records.chunk(first, last, size, crc, _COMPRESSION, data)]
+        length = end = len(parts[0])
+        index_offsets: dict[int, int] = {}
+        for channel, places in chunk.index():
+            index_offsets[channel] = offset + end
+            parts.append(records.message_index(channel, places))
+            end += len(parts[-1])
+        self._put(b"".join(parts))
         for channel, count in chunk.counts.items():
             self._counts[channel] += count
         chunk.clear()
         self._chunk_indexes.append(
-            records.chunk_index(first, last, offset, len(record), _COMPRESSION, len(data), size)
+            records.chunk_index(
+                first,
+                last,
+                offset,
+                length,
+                index_offsets,
+                end - length,
+                _COMPRESSION,
+                len(data),
+                size,
+            )
         )
         self._first_ns = first if self._first_ns is None else min(first, self._first_ns)
         self._last_ns = max(last, self._last_ns)

@@ -21,8 +21,8 @@ def counted_frame(number):
 class Recording:
     """A writer with two CAN channels and events, and what was written so far."""
 
-    def __init__(self, target, metadata=None):
-        self.writer = TraceWriter(target, metadata)
+    def __init__(self, target, metadata=None, compact=False):
+        self.writer = TraceWriter(target, metadata, compact)
         self.can = [self.writer.channel(f"/can/can{i}", Schema.of(CAN_FRAME)) for i in (0, 1)]
         self.events = self.writer.channel("/events", Schema.of(LOG))
         self.sources = [
@@ -46,8 +46,8 @@ class Recording:
         return self
 
 
-def write(path, count=100, step_ns=50 * MS):
-    recording = Recording(path, {"run": {"seed": "1"}})
+def write(path, count=100, step_ns=50 * MS, compact=False):
+    recording = Recording(path, {"run": {"seed": "1"}}, compact)
     recording.fill(count, step_ns)
     recording.writer.close()
     return recording

@@ -116,7 +116,7 @@ def test_a_recorded_frame_with_more_data_than_can_has_is_refused():
     ],
 )
 def test_google_reads_our_times(time_ns, seconds, nanos):
-    parsed = GOOGLE_JOINT_STATE.FromString(timestamp_field(time_ns))
+    parsed = google_class(LOG).FromString(timestamp_field(time_ns))
     assert (parsed.timestamp.seconds, parsed.timestamp.nanos) == (seconds, nanos)
     assert parsed.HasField("timestamp")
 
@@ -125,16 +125,17 @@ def test_google_reads_our_times(time_ns, seconds, nanos):
     "reading", [(0.25, -1.0, 0.0), (None, -1.0, None), (1.0, None, None), (None, None, None)]
 )
 def test_google_reads_a_joint_state_and_what_is_unknown_is_absent(reading):
-    payload = timestamp_field(1_500_000_000) + JointStateEncoder("left").body(*reading)
+    payload = JointStateEncoder("left").encode(*reading)
     parsed = GOOGLE_JOINT_STATE.FromString(payload)
-    assert list(parsed.name) == ["left"]
-    arrays = (parsed.position, parsed.velocity, parsed.effort)
-    assert [list(a) for a in arrays] == [[] if one is None else [one] for one in reading]
+    assert parsed.name == "left"
+    known = {
+        name: value
+        for name, value in zip(("position", "velocity", "effort"), reading, strict=True)
+        if value is not None
+    }
+    assert {f.name: v for f, v in parsed.ListFields() if f.name != "name"} == known
     # The table's own encoder, which google agrees with, writes the same bytes.
-    fields = zip(("position", "velocity", "effort"), reading, strict=True)
-    values = {name: [value] for name, value in fields if value is not None}
-    time = {"seconds": 1, "nanos": 500_000_000}
-    assert payload == encode(JOINT_STATE, {"timestamp": time, "name": ["left"], **values})
+    assert payload == encode(JOINT_STATE, {"name": "left", **known})
 
 
 def test_google_reads_an_event():

@@ -1,41 +1,39 @@
+from google.protobuf.descriptor_pb2 import FileDescriptorSet
+
 from tests.traces.protobuf_classes import google_class
+from traces.protobuf import file_descriptor_set
 from traces.schema import CAN_FRAME, JOINT_STATE, LOG, Direction, Level, Schema, truth_message
 
-# Source: foxglove-sdk, schemas/proto/foxglove/{JointState,Log}.proto, read 2026-11.
-FOXGLOVE_JOINT_STATE = [
-    (1, "timestamp", "google.protobuf.Timestamp", False),
-    (2, "name", "string", True),
-    (3, "position", "double", True),
-    (4, "velocity", "double", True),
-    (5, "effort", "double", True),
-]
-FOXGLOVE_LOG = [
-    (1, "timestamp", "google.protobuf.Timestamp", False),
-    (2, "level", "foxglove.Log.Level", False),
-    (3, "message", "string", False),
-    (4, "name", "string", False),
-    (5, "file", "string", False),
-    (6, "line", "fixed32", False),
-]
-FOXGLOVE_LEVELS = {"UNKNOWN": 0, "DEBUG": 1, "INFO": 2, "WARNING": 3, "ERROR": 4, "FATAL": 5}
-TYPES = {1: "double", 7: "fixed32", 9: "string"}
+# Source: foxglove-schemas-protobuf 0.4.0 (PyPI), `DESCRIPTOR.serialized_pb` of each file.
+FOXGLOVE_JOINT_STATE = (
+    "0a19666f78676c6f76652f4a6f696e7453746174652e70726f746f1208666f78676c6f766522ae010a0a4a6f696e74"
+    "5374617465120c0a046e616d6518012001280912150a08706f736974696f6e180220012801480088010112150a0876"
+    "656c6f63697479180320012801480188010112190a0c616363656c65726174696f6e18042001280148028801011213"
+    "0a066566666f72741805200128014803880101420b0a095f706f736974696f6e420b0a095f76656c6f63697479420f"
+    "0a0d5f616363656c65726174696f6e42090a075f6566666f7274620670726f746f33"
+)
+FOXGLOVE_LOG = (
+    "0a12666f78676c6f76652f4c6f672e70726f746f1208666f78676c6f76651a1f676f6f676c652f70726f746f627566"
+    "2f74696d657374616d702e70726f746f22e1010a034c6f67122d0a0974696d657374616d7018012001280b321a2e67"
+    "6f6f676c652e70726f746f6275662e54696d657374616d7012220a056c6576656c18022001280e32132e666f78676c"
+    "6f76652e4c6f672e4c6576656c120f0a076d657373616765180320012809120c0a046e616d65180420012809120c0a"
+    "0466696c65180520012809120c0a046c696e65180620012807224c0a054c6576656c120b0a07554e4b4e4f574e1000"
+    "12090a054445425547100112080a04494e464f1002120b0a075741524e494e47100312090a054552524f5210041209"
+    "0a05464154414c1005620670726f746f33"
+)
 
 
-def facts(message):
-    out = []
-    for field in google_class(message).DESCRIPTOR.fields:
-        of = field.message_type or field.enum_type
-        kind = of.full_name if of else TYPES[field.type]
-        out.append((field.number, field.name, kind, field.is_repeated))
-    return out
+def test_joint_state_and_log_are_foxgloves_own_byte_for_byte():
+    for message, theirs in ((JOINT_STATE, FOXGLOVE_JOINT_STATE), (LOG, FOXGLOVE_LOG)):
+        ours = FileDescriptorSet.FromString(file_descriptor_set(message)).file[-1]
+        assert ours.SerializeToString().hex() == theirs
 
 
-def test_joint_state_and_log_are_foxgloves():
-    assert facts(JOINT_STATE) == FOXGLOVE_JOINT_STATE
-    assert facts(LOG) == FOXGLOVE_LOG
+def test_levels_of_events_are_foxgloves():
     levels = google_class(LOG).DESCRIPTOR.fields_by_name["level"].enum_type.values_by_name
-    assert {name: value.number for name, value in levels.items()} == FOXGLOVE_LEVELS
-    assert {level.name: level.value for level in Level} == FOXGLOVE_LEVELS
+    assert {name: value.number for name, value in levels.items()} == {
+        level.name: level.value for level in Level
+    }
 
 
 def test_field_numbers_of_a_can_frame_are_kept_forever():

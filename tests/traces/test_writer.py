@@ -1,16 +1,19 @@
 """The judge of what we write is mcap's own reader, with all its CRC checks."""
 
 import io
+import struct
 import zlib
 from collections import Counter
 
 import pytest
+import zstandard
 from mcap.reader import make_reader
 from mcap.records import Attachment, Chunk, DataEnd, Footer, Message, MessageIndex
 from mcap.stream_reader import StreamReader
 from mcap_protobuf.decoder import DecoderFactory
 
 from tests.traces.recordings import MS, SECOND, Recording, can_frame, counted_frame, write
+from traces.digest import digest
 from traces.errors import TraceError
 from traces.fields import decode_can_frame
 from traces.schema import CAN_FRAME, LOG, Direction, Schema
@@ -117,12 +120,45 @@ def test_all_crcs_are_there_and_right(tmp_path):
     assert any(isinstance(r, Attachment) for r in found)
 
 
-def test_there_is_no_message_index_and_one_message_a_frame(tmp_path):
+def test_the_message_index_of_a_chunk_leads_to_every_message_of_every_channel(tmp_path):
     path = tmp_path / "a.mcap"
-    written = write(path)
-    found = records(path.read_bytes())
-    assert not any(isinstance(one, MessageIndex) for one in found)
-    assert sum(isinstance(one, Message) for one in found) == len(written.entries)
+    written = write(path, 1000, 5 * MS)
+    data = path.read_bytes()
+    found = records(data, emit_chunks=True)
+    places = 0
+    for number, chunk in enumerate(found):
+        if not isinstance(chunk, Chunk):
+            continue
+        content = zstandard.decompress(chunk.data)
+        heads = found[number + 1 : number + 4]  # one of each channel, at once behind the chunk
+        assert [type(head) for head in heads] == [MessageIndex] * 3
+        assert sorted(head.channel_id for head in heads) == [1, 2, 3]
+        for head in heads:
+            for time_ns, offset in head.records:
+                opcode, _, channel, _, log_time = struct.unpack_from("<BQHIQ", content, offset)
+                assert (opcode, channel, log_time) == (5, head.channel_id, time_ns)
+                places += 1
+    assert places == len(written.entries)
+    with path.open("rb") as file:
+        summary = make_reader(file).get_summary()
+    for index in summary.chunk_indexes:
+        offsets = sorted(index.message_index_offsets.values())
+        assert offsets[0] == index.chunk_start_offset + index.chunk_length
+        lengths = [9 + int.from_bytes(data[o + 1 : o + 9], "little") for o in offsets]
+        assert index.message_index_length == sum(lengths)
+        for channel, offset in index.message_index_offsets.items():
+            assert (data[offset], data[offset + 9]) == (7, channel)
+
+
+def test_a_compact_recording_has_the_same_messages_and_no_message_index(tmp_path):
+    paths = tmp_path / "a.mcap", tmp_path / "b.mcap"
+    for path in paths:
+        write(path, 5000, MS, compact=path is paths[1])
+    assert digest(paths[0]) == digest(paths[1])
+    assert not any(isinstance(one, MessageIndex) for one in records(paths[1].read_bytes()))
+    assert paths[1].stat().st_size + 5000 * 16 < paths[0].stat().st_size
+    with paths[1].open("rb") as file:
+        assert len(list(make_reader(file, validate_crcs=True).iter_messages())) == 5000
 
 
 def test_a_chunk_ends_with_its_second_and_not_before():
@@ -232,9 +268,13 @@ def test_a_bad_frame_is_refused_and_the_batch_with_it_and_nothing_else():
     recording.writer.can_frame(0, 1, can_frame(1))
     with pytest.raises(ValueError, match="16 or 72 bytes"):
         recording.writer.extend([(0, 2, can_frame(1)), (0, 3, b"short")])
+    with pytest.raises(struct.error):
+        recording.writer.extend([(1, 2, can_frame(1)), (0, -1, can_frame(1))])
     recording.writer.can_frame(0, 4, can_frame(1))
     recording.writer.close()
     assert times(file.getvalue()) == [1, 4]
+    indexes = [one for one in records(file.getvalue()) if isinstance(one, MessageIndex)]
+    assert [[time for time, _ in one.records] for one in indexes] == [[1, 4]]
     file.seek(0)
     assert make_reader(file).get_summary().statistics.message_count == 2
 

@@ -36,7 +36,7 @@ class SmallDisk(io.BytesIO):
 
 def seconds_until_full(disk, a_second=100):
     """(recording, error) after as many seconds of so many messages as there is room for."""
-    recording = Recording(disk)
+    recording = Recording(disk, compact=True)
     with pytest.raises(TraceError) as caught:  # noqa: PT012  # the loop is what is tried
         for second in range(1000):
             recording.fill(a_second, SECOND // a_second, first=a_second * second)
@@ -81,7 +81,7 @@ def test_where_there_is_room_for_an_end_any_reader_can_open_what_there_is(
     tmp_path, room_left, ending
 ):
     endless = io.BytesIO()
-    recording = Recording(endless)
+    recording = Recording(endless, compact=True)
     for second in range(3):
         recording.fill(1000, MS, first=1000 * second).writer.flush()
     disk = SmallDisk(len(endless.getvalue()) + room_left)
