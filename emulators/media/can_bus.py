@@ -299,6 +299,10 @@ class CanBus:
         """The rules have changed."""
         faults = self._fault_seam()
         self._keep_cuts(faults, now_ns)
+        self._settle_faults(faults)
+
+    def _settle_faults(self, faults: FaultSeam) -> None:
+        """From now on faults cost something, or nothing."""
         self._faulty = not faults.is_idle()
         if not self._faulty:
             for node in self._ports:
@@ -322,6 +326,7 @@ class CanBus:
             else:
                 faults.hear_late(due_ns, out)
             due_ns = self._next_deadline_with_faults_ns()
+        self._settle_faults(faults)
 
     def _complete_with_faults(self, faults: FaultSeam, out: list[Delivery]) -> None:
         """The frame in flight is complete, or destroyed because its sender was cut off."""

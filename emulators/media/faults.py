@@ -41,7 +41,7 @@ class FaultKind(Enum):
 
 
 @final
-@dataclass(frozen=True)
+@dataclass(frozen=True, slots=True)
 class FaultRule:
     """Which frames are hit, and how. A rule without conditions hits every frame.
 

@@ -137,6 +137,21 @@ def test_a_priority_queue_lets_the_urgent_frame_compete_in_place_of_the_other():
     assert bus.arbitration_losses(host) == 1  # HEARTBEAT against COMMAND
 
 
+def test_what_a_priority_queue_lost_with_one_frame_counts_if_another_wins_at_once():
+    bus = CanBus("can0")
+    left = bus.attach("left")
+    host = bus.attach("host", QueueOrder.PRIORITY)
+    submissions = [(0, left, STATUS), (0, host, HEARTBEAT), (999, host, SYNC)]
+    assert [frame for _, frame in _sent(run(bus, submissions))] == [SYNC, STATUS, HEARTBEAT]
+    assert bus.arbitration_losses(host) == 1  # HEARTBEAT against STATUS, later
+    bus = CanBus("can0")
+    left = bus.attach("left")
+    host = bus.attach("host", QueueOrder.PRIORITY)
+    submissions = [(0, left, STATUS), (0, left, STATUS), (0, host, HEARTBEAT)]
+    run(bus, [*submissions, (64 * BIT, host, SYNC)])
+    assert bus.arbitration_losses(host) == 2  # HEARTBEAT against both; SYNC against none
+
+
 def test_a_frame_that_loses_its_start_to_another_node_stays_the_first_of_its_node():
     bus = _bus("left", "right")
     deliveries = run(bus, [(0, 0, STATUS), (1, 1, SYNC), (2, 0, HEARTBEAT)])
@@ -180,6 +195,14 @@ def test_a_collision_behind_a_more_urgent_frame_counts_when_it_comes_to_it():
     assert bus.statistics.collisions() == {0x181: 1}
 
 
+def test_a_collision_counts_once_even_if_the_other_node_gives_up():
+    bus = _bus("left", "right")
+    run(bus, [(0, 0, STATUS), (0, 1, STATUS)], until_ns=BIT)
+    bus.withdraw(1)
+    run(bus, [(1000 * BIT, 0, STATUS), (2000 * BIT, 0, SYNC)])
+    assert bus.statistics.collisions() == {0x181: 1}
+
+
 def test_a_data_and_a_remote_frame_with_one_identifier_do_not_collide():
     bus = _bus("left", "right")
     run(bus, [(0, 0, pack_remote(0x181)), (0, 1, pack(0x181))])
@@ -217,6 +240,16 @@ def test_withdrawn_frames_are_never_sent_but_one_in_flight_is():
     assert bus.arbitration_losses(1) == 1
     bus.submit(1, STATUS, 10**9)
     assert _sent(expire_all(bus, 2 * 10**9)) == [(10**9 + 63 * BIT, STATUS)]
+
+
+def test_withdrawing_the_most_urgent_leaves_the_others_in_order():
+    bus = _bus(*"abcdefgh")
+    run(bus, [(0, 0, SYNC)], until_ns=BIT)
+    for port, can_id in enumerate((0x101, 0x105, 0x102, 0x106, 0x107, 0x103, 0x104), 1):
+        bus.submit(port, pack(can_id), 2 * BIT)
+    bus.withdraw(1)
+    identifiers = [frame[0] for _, frame in _sent(expire_all(bus, 10**9))]
+    assert identifiers == [0x80, 2, 3, 4, 5, 6, 7]
 
 
 def test_statistics_count_frames_bits_and_identifiers():

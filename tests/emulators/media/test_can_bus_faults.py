@@ -81,6 +81,22 @@ def test_a_delay_for_some_leaves_the_others_in_time():
     assert confirmed(deliveries, HOST) == [(48 * BIT, SYNC)]
 
 
+def test_frames_heard_late_at_the_same_time_come_in_the_order_they_were_sent():
+    bus = _bus(
+        FaultRule("long", FaultKind.DELAY, identifier=0x080, delay_ns=200 * BIT),
+        FaultRule("short", FaultKind.DELAY, identifier=0x181, delay_ns=(200 - 66) * BIT),
+    )
+    deliveries = run(bus, [(0, LEFT, SYNC), (0, RIGHT, STATUS)])
+    assert heard(deliveries, HOST) == [(248 * BIT, SYNC), (248 * BIT, STATUS)]
+
+
+def test_what_a_rule_delayed_still_comes_when_the_rule_has_gone():
+    bus = _bus(FaultRule("gateway", FaultKind.DELAY, delay_ns=100 * BIT))
+    run(bus, [(0, LEFT, SYNC)], until_ns=100 * BIT)
+    bus.lift("gateway", 100 * BIT)
+    assert heard(expire_all(bus, 10**9), HOST) == [(148 * BIT, SYNC)]
+
+
 def test_frames_delayed_alike_stay_in_order():
     bus = _bus(FaultRule("gateway", FaultKind.DELAY, delay_ns=100 * BIT))
     frames = [pack(0x181, bytes([number])) for number in range(10)]
@@ -127,6 +143,23 @@ def test_a_duplicate_that_is_displaced_before_it_is_repeated_is_still_repeated_o
     assert [frame for _, frame in heard(deliveries, 1)].count(STATUS) == 2
     assert [frame for _, frame in heard(deliveries, 1)].count(SYNC) == 2
     assert [frame for _, frame in confirmed(deliveries, host)] == [STATUS, SYNC]
+
+
+def test_a_duplicate_does_not_reach_a_port_cut_off_with_either_copy():
+    bus = _bus(FaultRule("eof", FaultKind.DUPLICATE), _cut(0, None, "right"))
+    deliveries = run(bus, [(0, LEFT, STATUS)])
+    assert heard(deliveries, RIGHT) == []
+    assert len(heard(deliveries, HOST)) == 2
+
+
+def test_a_frame_repeated_after_its_rule_has_gone_leaves_nothing_behind():
+    bus = _bus(FaultRule("eof", FaultKind.DUPLICATE))
+    run(bus, [(0, LEFT, STATUS)], until_ns=100 * BIT)
+    bus.lift("eof", 100 * BIT)
+    expire_all(bus, 500 * BIT)
+    bus.inject(FaultRule("noise", FaultKind.DROP), 500 * BIT)
+    deliveries = run(bus, [(600 * BIT, LEFT, STATUS)])
+    assert deliveries == [(663 * BIT, (STATUS, LEFT, LOST))]
 
 
 def test_corrupted_data_are_heard_by_those_hit_and_the_sender_knows_the_true_ones():
@@ -242,6 +275,12 @@ def test_a_sender_cut_off_at_the_start_leaves_the_bus_to_the_next(from_ns):
     assert bus.arbitration_losses(HOST) == 1
 
 
+def test_a_sender_cut_off_in_its_first_bit_leaves_its_start_to_the_other():
+    bus = _bus(_cut(100 * BIT + 999, None, "left"))
+    deliveries = run(bus, [(100 * BIT, LEFT, SYNC), (100 * BIT, RIGHT, STATUS)])
+    assert deliveries == [(163 * BIT, (STATUS, RIGHT, 1 << LEFT << 2))]
+
+
 def test_a_sender_cut_off_alone_at_its_start_leaves_the_bus_idle():
     bus = _bus(_cut(1, None, "left"))
     assert run(bus, [(0, LEFT, SYNC)]) == []
@@ -253,6 +292,19 @@ def test_a_candidate_cut_off_while_it_waits_competes_no_more():
     bus = _bus(_cut(20 * BIT, None, "left"))
     deliveries = run(bus, [(0, RIGHT, STATUS), (10 * BIT, LEFT, SYNC), (10 * BIT, HOST, HEARTBEAT)])
     assert [frame for _, (frame, _, _) in deliveries] == [STATUS, HEARTBEAT]
+    assert bus.arbitration_losses(LEFT) == 0
+
+
+def test_arbitrations_lost_before_a_cut_count():
+    bus = _bus(_cut(20 * BIT, None, "left"))
+    run(bus, [(0, LEFT, STATUS), (0, RIGHT, SYNC)])
+    assert bus.arbitration_losses(LEFT) == 1
+
+
+def test_a_port_that_comes_back_in_the_intermission_waits_for_its_end():
+    bus = _bus(_cut(0, 49 * BIT, "left"))
+    deliveries = run(bus, [(0, LEFT, STATUS), (0, RIGHT, SYNC)])
+    assert [time_ns for time_ns, _ in deliveries] == [48 * BIT, (51 + 63) * BIT]
 
 
 def test_a_port_attached_during_a_cut_is_cut_off():
@@ -270,6 +322,7 @@ def test_a_delayed_frame_does_not_reach_a_port_cut_off_meanwhile():
     deliveries = run(bus, [(0, LEFT, SYNC)])
     assert heard(deliveries, RIGHT) == []
     assert heard(deliveries, HOST) == [(END + 100, SYNC)]
+    assert bus.take_fault_events()[-1] == (END + 50, "cable", "right cut off", b"")
 
 
 def test_withdrawing_from_a_port_cut_off_forgets_all_its_frames():
@@ -296,6 +349,14 @@ def test_a_rule_can_come_and_go_while_the_bus_runs():
         (10, "cable", "right cut off", b""),
         (100 * BIT, "cable", "right back", b""),
     ]
+
+
+def test_a_cut_lifted_during_a_frame_leaves_the_port_deaf_to_it_and_then_costs_nothing():
+    bus = _bus(_cut(0, None, "right"))
+    run(bus, [(0, LEFT, STATUS), (0, LEFT, SYNC)], until_ns=10 * BIT)
+    bus.lift("cable", 10 * BIT)
+    assert heard(expire_all(bus, 10**9), RIGHT) == [((66 + 48) * BIT, SYNC)]
+    assert not bus._faulty
 
 
 def test_lifting_a_cut_sends_what_has_waited():

@@ -145,6 +145,19 @@ def test_cuts_are_told_when_they_begin_and_when_they_end():
     assert plan.fired() == {"cable": 1}
 
 
+def test_the_next_change_is_the_first_of_all_cuts():
+    cuts = [
+        FaultRule(f"{from_ns}", FaultKind.CUT, ports=("a",), from_ns=from_ns, until_ns=until_ns)
+        for from_ns, until_ns in ((30, 40), (10, 35), (20, 50))
+    ]
+    plan = FaultPlan(cuts, _no_draw)
+    changes = [0]
+    while (next_ns := plan.next_cut_ns(changes[-1])) != NEVER_NS:
+        changes.append(next_ns)
+    assert changes == [0, 10, 20, 30, 35, 40, 50]
+    assert [len(plan.keep_cuts(time_ns)) for time_ns in changes] == [0, 1, 2, 3, 2, 1, 0]
+
+
 @pytest.mark.parametrize(
     ("settings", "told"),
     [
