@@ -84,6 +84,7 @@ class Cia402Drive:
         self._statusword: int = 0  # as last told to the node's TPDOs
         self._mode: int = 0
         self._error_code: int = NO_FAULT
+        self._touched: bool = False  # something other than time may have changed what shows
         self._deadline_ns: int = NEVER
         self._deadline_moved: bool = True
 
@@ -97,7 +98,9 @@ class Cia402Drive:
     def receive(self, data: bytes, now_ns: int) -> None:
         """A frame was on the bus."""
         self._node.receive(data, now_ns)
-        self._publish(now_ns)
+        self._deadline_moved = True
+        if self._touched:
+            self._publish(now_ns)
 
     def sent(self, data: bytes, now_ns: int) -> None:
         """An own frame left the bus."""
@@ -185,6 +188,7 @@ class Cia402Drive:
 
     def on_nmt(self, state: int, now_ns: int) -> None:
         """Once initialised, the power drive is too; in STOPPED nobody controls it."""
+        self._touched = True
         if state == NmtState.PRE_OPERATIONAL:
             self.axis.at(now_ns)
             self._power_drive.initialised(now_ns)
@@ -196,6 +200,7 @@ class Cia402Drive:
         if not whole:
             self._abort(COMMUNICATION, now_ns)
             return
+        self._touched = True
         self.axis.at(now_ns)
         self._objects.reload()
         self._power_drive.power_on()
@@ -207,6 +212,7 @@ class Cia402Drive:
         if not written:
             return
         objects.written = 0
+        self._touched = True
         self.axis.at(now_ns)
         self._power_drive.settle(now_ns)
         self._power_drive.written(written, now_ns)
@@ -216,6 +222,7 @@ class Cia402Drive:
 
     def before_read(self, now_ns: int) -> None:
         """Readers answer as of now."""
+        self._touched = True
         self.axis.at(now_ns)
         self._power_drive.settle(now_ns)
 
@@ -226,11 +233,13 @@ class Cia402Drive:
     # --- inside
 
     def _abort(self, code: int, now_ns: int) -> None:
+        self._touched = True
         self.axis.at(now_ns)
         self._power_drive.abort_connection(code, now_ns)
 
     def _publish(self, now_ns: int) -> None:
         """What has changed is told: EMCY first, then to the TPDOs that map it."""
+        self._touched = False
         self._deadline_moved = True
         power_drive = self._power_drive
         node = self._node

@@ -1,0 +1,194 @@
+"""What holds whatever a host does; and that looking at a drive changes nothing."""
+
+import struct
+
+from bench import MS, NODE, Bench
+from hypothesis import event, example, given, settings
+from hypothesis import strategies as st
+
+from emulators.cia402.pds_fsa import ENDS, PdsState
+
+S = PdsState
+RUNNING = {S.OPERATION_ENABLED, S.QUICK_STOP_ACTIVE, S.FAULT_REACTION_ACTIVE}
+STATE_BITS = {  # canopen.profiles.p402, State402.SW_MASK
+    S.NOT_READY_TO_SWITCH_ON: (0x4F, 0x00),
+    S.SWITCH_ON_DISABLED: (0x4F, 0x40),
+    S.READY_TO_SWITCH_ON: (0x6F, 0x21),
+    S.SWITCHED_ON: (0x6F, 0x23),
+    S.OPERATION_ENABLED: (0x6F, 0x27),
+    S.QUICK_STOP_ACTIVE: (0x6F, 0x07),
+    S.FAULT_REACTION_ACTIVE: (0x4F, 0x0F),
+    S.FAULT: (0x4F, 0x08),
+}
+
+WORDS = st.sampled_from(
+    [0x00, 0x02, 0x06, 0x07, 0x0F, 0x1F, 0x3F, 0x5F, 0x010F, 0x80, 0x8F, 0x021F]
+)
+ACTIONS = st.one_of(
+    st.tuples(st.just("word"), WORDS | st.integers(0, 0xFFFF)),
+    st.tuples(st.just("mode"), st.sampled_from([0, 1, 3, 6, 8])),
+    st.tuples(st.just("target"), st.integers(-20_000, 20_000)),
+    st.tuples(st.just("velocity"), st.integers(-60_000, 60_000)),
+    st.tuples(st.just("quick stop code"), st.sampled_from([0, 1, 2, 5, 6])),
+    st.tuples(st.just("wait"), st.sampled_from([0.3, 1, 20, 77, 300])),
+    st.tuples(st.just("sync"), st.just(0)),
+    st.tuples(st.just("fault"), st.sampled_from([0x2310, 0x8611, 0xFF01])),
+    st.tuples(st.just("power"), st.sampled_from([0, 1])),
+    st.tuples(st.just("load"), st.sampled_from([0.0, 5.0, 40.0])),
+    st.tuples(st.just("nmt"), st.sampled_from([0x01, 0x02, 0x80])),
+)
+ENABLED = [("word", 0x06), ("word", 0x0F), ("wait", 20)]
+STARTS = st.sampled_from(
+    [
+        [],
+        ENABLED,
+        [*ENABLED, ("target", 9_000), ("word", 0x1F), ("wait", 77)],
+        [("mode", 3), ("velocity", 40_000), *ENABLED, ("wait", 77)],
+        [*ENABLED, ("word", 0x02)],
+    ]
+)
+RUNS = st.builds(lambda start, rest: [*start, *rest], STARTS, st.lists(ACTIONS, max_size=25))
+
+
+def new_bench() -> Bench:
+    bench = Bench(
+        objects={"1402h:2": 1, "1800h:3": 0, "6066h": 3},
+        timing={"boot_up_s": 0.01},
+        plant={"preset": "wheel_60w", "load_inertia_kg_m2": 0.0},
+    )
+    bench.run_until(10 * MS)
+    bench.nmt(0x01)
+    return bench
+
+
+def act(bench: Bench, what: str, value: float) -> None:
+    if what == "word":
+        bench.controlword(int(value))
+    elif what == "mode":
+        bench.send(
+            0x300 + NODE, struct.pack("<Hb", bench.drive.od.integer(0x6040, 0, 0), int(value))
+        )
+    elif what == "target":
+        word = bench.drive.od.integer(0x6040, 0, 0)
+        bench.send(0x400 + NODE, struct.pack("<Hi", word, int(value)))
+    elif what == "velocity":
+        word = bench.drive.od.integer(0x6040, 0, 0)
+        bench.send(0x500 + NODE, struct.pack("<Hi", word, int(value)))
+    elif what == "quick stop code":
+        bench.drive.od.get(0x605A).write(int(value))
+    elif what == "wait":
+        bench.run(round(value * MS))
+    elif what == "sync":
+        bench.sync()
+    elif what == "nmt":
+        bench.nmt(int(value))
+    else:
+        name = "load_torque_n_m" if what == "load" else what
+        bench.drive.stimulate(name, value, bench.now)
+        bench._drain()
+
+
+@given(RUNS)
+@example([*ENABLED, ("target", 20_000), ("word", 0x1F), ("wait", 77), ("power", 0), ("word", 0x80)])
+@example([*ENABLED, ("load", 40.0), ("wait", 300), ("load", 0.0), ("word", 0x80), *ENABLED])
+@settings(max_examples=80)
+def test_states_follow_the_table_and_only_running_states_have_current(run):
+    bench = new_bench()
+    drive = bench.drive
+    for what, value in run:
+        act(bench, what, value)
+        state = PdsState(int(bench.truth("state")))
+        event(state.name)
+        mask, bits = STATE_BITS[state]
+        assert drive._power_drive.statusword() & mask == bits
+        if state not in RUNNING:
+            bench.run(1 * MS)  # what was ordered takes effect at a tick
+            state = PdsState(int(bench.truth("state")))
+            if state not in RUNNING:
+                assert abs(bench.truth("current_a")) < 1e-6
+                assert drive.axis.flags & 1 == 0
+    taken = drive._power_drive.fsa.taken
+    arrivals = [0] * 8
+    for number, count in enumerate(taken):
+        arrivals[ENDS[number][1]] += count
+    assert taken[14] <= taken[13] <= taken[14] + 1  # a fault reaction ends in fault
+    assert taken[15] <= taken[14]
+    assert taken[4] + taken[16] <= arrivals[S.SWITCHED_ON] + arrivals[S.QUICK_STOP_ACTIVE]
+
+
+def test_every_transition_is_reached_on_the_way():
+    """Without this the property above could be empty: one run takes all of them."""
+    bench = new_bench()
+    drive = bench.drive
+    drive.od.get(0x605A).write(6)
+    script = [
+        *[("word", word) for word in (0x06, 0x00, 0x06, 0x07, 0x06, 0x07, 0x00, 0x06, 0x0F)],
+        ("wait", 20), ("word", 0x07), ("wait", 20), ("word", 0x0F), ("wait", 20), ("word", 0x06),
+        ("wait", 20), ("word", 0x0F), ("wait", 20), ("word", 0x00), *ENABLED, ("word", 0x02),
+        ("word", 0x0F), ("word", 0x02), ("word", 0x00), *ENABLED, ("fault", 0x2310), ("wait", 300),
+        ("word", 0x80),
+    ]  # fmt: skip
+    for what, value in script:
+        act(bench, what, value)
+    assert all(count > 0 for count in drive._power_drive.fsa.taken)
+
+
+@given(
+    RUNS, st.lists(st.integers(0, 30), min_size=1, max_size=40), st.randoms(use_true_random=False)
+)
+@settings(max_examples=40)
+def test_looking_changes_nothing(run, looks, dice):
+    plain, watched = new_bench(), new_bench()
+    for number, (what, value) in enumerate(run):
+        act(plain, what, value)
+        if what == "wait":
+            end = watched.now + round(value * MS)
+            for _ in range(looks[number % len(looks)]):
+                watched.run_until(watched.now + dice.randrange(end - watched.now + 1))
+                watched.drive.snapshot(watched.now)
+                watched.drive.next_deadline_ns()
+                watched.drive.identifiers()
+                watched.drive.take_events()
+            watched.run_until(end)
+        else:
+            act(watched, what, value)
+    assert plain.sent == watched.sent
+    assert plain.drive.snapshot(plain.now) == watched.drive.snapshot(watched.now)
+
+
+def test_a_drive_at_rest_waits_for_nothing():
+    bench = new_bench()
+    assert bench.drive.next_deadline_ns() is None
+    bench.enable(mode=1)
+    bench.run(500 * MS)
+    assert bench.drive.next_deadline_ns() is None
+    bench.set(0x1017, 0, 100, 2)
+    first = bench.drive.next_deadline_ns()
+    assert first is not None
+    count = len(bench.sent)
+    bench.run(1000 * MS)
+    assert bench.hex_since(count) == ["705#05"] * 10  # heartbeats and nothing else
+
+
+def test_a_coasting_motor_costs_nothing_until_somebody_looks():
+    bench = new_bench()
+    bench.enable(mode=3)
+    bench.send(0x505, struct.pack("<Hi", 0x0F, 50_000))
+    bench.run(300 * MS)
+    bench.controlword(0x00)
+    assert bench.drive.next_deadline_ns() is None
+    bench.run(3_600_000 * MS)
+    assert bench.truth("velocity_rad_s") == 0.0
+
+
+def test_a_switched_tpdo_tells_the_statusword_at_the_very_tick():
+    """Target reached: the frame is due at a multiple of the tick, not at the next poll."""
+    bench = new_bench()
+    bench.enable(mode=1)
+    bench.run(50 * MS + 300_000)  # off the grid
+    bench.send(0x405, struct.pack("<Hi", 0x1F, 5_000))
+    bench.sync()
+    bench.run(1000 * MS)
+    assert bench.last(0x185) == bytes.fromhex("3716")
+    assert bench.times(0x185)[-1] % MS == 0
+    assert bench.times(0x185)[-2] % MS == 300_000  # the acknowledge, at once
