@@ -38,7 +38,7 @@ from motorapi.adaptations.drive_profile import (
     profile_of,
 )
 from motorapi.adaptations.drive_setup import DriveFacts
-from motorapi.adaptations.motion_watch import HomingWatch, RestWatch, SetpointWatch
+from motorapi.adaptations.motion_watch import HomingWatch, MotionWatch, RestWatch, SetpointWatch
 from motorapi.commands import ControlMode, ControlVariable, Motion
 from motorapi.errors import DeadlineExceeded, UnsupportedError
 from motorapi.motor import Motor
@@ -94,6 +94,7 @@ class Cia402Motor(Motor):
         self._units: DriveUnits | None = None
         self._limits: DriveLimits | None = None
         self._setpoint: SetpointWatch | None = None
+        self._before: MotionWatch | None = None
         self._held: tuple[int | None, float] = (None, 0.0)  # the last target, in increments and U
         self._together = False
 
@@ -138,18 +139,18 @@ class Cia402Motor(Motor):
     # --- connecting ------------------------------------------------------------------------
 
     def _connect(self) -> None:
-        facts = self._hardware.connect()
-        if facts is not self._facts:
-            read = self._objects.read_optional
-            self._units = drive_units(self.model, read)
-            self._limits = _read_limits(self._hardware)
-            self._facts = facts
+        self._hardware.connect()
 
     def _known(self) -> tuple[DriveUnits, DriveLimits]:
-        if self._units is None or self._limits is None:
-            self._connect()
-        assert self._units is not None
-        assert self._limits is not None
+        """Units and limits, read from the drive once after each time it was brought up.
+
+        Not in `_connect`: any logical motor may stop the drive, at any time, without waiting.
+        """
+        facts = self._hardware.connect()
+        if self._units is None or self._limits is None or facts is not self._facts:
+            self._units = drive_units(self.name, self.model, self._objects.read_optional)
+            self._limits = _read_limits(self._hardware)
+            self._facts = facts
         return self._units, self._limits
 
     @property
@@ -189,6 +190,7 @@ class Cia402Motor(Motor):
         return self._hardware.is_homed
 
     def _read_position(self) -> float:
+        self._node.check_heard()
         self._node.refresh()
         return self.units.position(self._node.position_inc)
 
@@ -196,6 +198,8 @@ class Cia402Motor(Motor):
         return self.units.velocity(self._objects.read_int(0x606C))
 
     def _read_reference(self) -> float:
+        self.units.require_all()  # a motion is planned: what is missing is told before it is begun
+        self._node.check_link()
         self._node.refresh()
         if self._node.state is PdsState.OPERATION_ENABLED:
             demand = self._objects.read_optional(0x6062)
@@ -334,10 +338,14 @@ class Cia402Motor(Motor):
             self._objects.push(0x6084, profile.deceleration)
 
     def _follow(self, watch: SetpointWatch) -> None:
+        self._before = self._node.watch
         self._setpoint = watch
         self._hardware.follow(watch)
 
     def _disarm(self) -> None:
+        watch = self._setpoint
+        if watch is not None and watch is self._node.watch and watch.commanded_ns is None:
+            self._hardware.follow(self._before)  # a stop that came while it was being armed, say
         self._control.disarm()
 
     def _confirm(self, motion: Motion) -> None:

@@ -51,9 +51,11 @@ class DriveUnits:
         velocity_unit: what 1 means in 6081h, 606Ch, 60FFh [U/s], > 0.
         acceleration_unit: what 1 means in 6083h, 6084h [U/s²], > 0.
         sources: where each of them comes from, in words.
+        motor, unit: the motor's name and U, for messages.
     """
 
     motor: str
+    unit: str
     increments_per_unit: float | None
     velocity_unit: float | None
     acceleration_unit: float | None
@@ -73,6 +75,29 @@ class DriveUnits:
         if self.acceleration_unit is None:
             raise _missing(self.motor, "acceleration_unit", self.sources[2])
         return self.acceleration_unit
+
+    def require_all(self) -> None:
+        """Raises UsageError if one of them is not known: a motion needs them all."""
+        self._position()
+        self._velocity()
+        self._acceleration()
+
+    def _rounded_down(self, quantity: str, value: float, unit: float, largest: int) -> int:
+        if value == 0.0:
+            return 0
+        steps = value / unit
+        raw = floor(steps * (1.0 + 4e-16) + 1e-9)  # a whole number of steps stays what it is
+        if raw > largest:
+            raise LimitError(
+                motor=self.motor,
+                quantity=quantity,
+                value=value,
+                low=None,
+                high=largest * unit,
+                unit=f"{self.unit}/s" if quantity == "velocity" else f"{self.unit}/s²",
+                reason=f"the drive counts it in steps of {unit:g} and holds {largest}",
+            )
+        return max(raw, 1)
 
     # --- position
 
@@ -96,7 +121,7 @@ class DriveUnits:
                 value=position,
                 low=-reach,
                 high=reach,
-                unit="U",
+                unit=self.unit,
                 reason="607Ah has 32 bits",
             )
         return raw
@@ -111,12 +136,12 @@ class DriveUnits:
     def velocity_raw(self, velocity: float) -> int:
         """A velocity [U/s] in the drive's units, signed, rounded towards 0 but never to 0."""
         unit = self._velocity()
-        raw = _rounded_down(self.motor, "velocity", abs(velocity), unit, _INT32_MAX)
+        raw = self._rounded_down("velocity", abs(velocity), unit, _INT32_MAX)
         return -raw if (velocity < 0.0) != (self._position() < 0.0) else raw
 
     def speed_raw(self, speed: float) -> int:
         """A size of velocity [U/s], > 0, in the drive's units, rounded down but never to 0."""
-        return _rounded_down(self.motor, "velocity", speed, self._velocity(), _UINT32_MAX)
+        return self._rounded_down("velocity", speed, self._velocity(), _UINT32_MAX)
 
     def speed(self, speed_raw: int) -> float:
         """The size of a velocity [U/s]."""
@@ -125,7 +150,7 @@ class DriveUnits:
     def acceleration_raw(self, acceleration: float) -> int:
         """A size of acceleration [U/s²], > 0, in the drive's units, rounded down but never to 0."""
         unit = self._acceleration()
-        return _rounded_down(self.motor, "acceleration", acceleration, unit, _UINT32_MAX)
+        return self._rounded_down("acceleration", acceleration, unit, _UINT32_MAX)
 
     def acceleration(self, acceleration_raw: int) -> float:
         """The size of an acceleration [U/s²]."""
@@ -136,31 +161,17 @@ def _missing(motor: str, key: str, why: str) -> UsageError:
     return UsageError(f"{motor}: {key} is not known: {why}; write {key} into the motor model")
 
 
-def _rounded_down(motor: str, quantity: str, value: float, unit: float, largest: int) -> int:
-    if value == 0.0:
-        return 0
-    steps = value / unit
-    raw = floor(steps * (1.0 + 4e-16) + 1e-9)  # a whole number of steps stays what it is
-    if raw > largest:
-        raise LimitError(
-            motor=motor,
-            quantity=quantity,
-            value=value,
-            low=None,
-            high=largest * unit,
-            unit="U/s" if quantity == "velocity" else "U/s²",
-            reason=f"the drive counts it in steps of {unit:g} and holds {largest}",
-        )
-    return max(raw, 1)
-
-
-def drive_units(model: MotorModel, read: ReadObject) -> DriveUnits:
+def drive_units(motor: str, model: MotorModel, read: ReadObject) -> DriveUnits:
     """The units of a drive, from the model where it says, else from the drive's objects.
+
+    Args:
+        motor: its name, for messages.
+        model: its model.
+        read: reads an object of the drive.
 
     Raises:
         UsageError: the model gives a number that cannot be one.
     """
-    motor = model.name
     scale, position_source = model.increments_per_unit, "the motor model"
     if scale is None:
         scale, position_source = _position_unit(model, read)
@@ -176,7 +187,7 @@ def drive_units(model: MotorModel, read: ReadObject) -> DriveUnits:
         if value is not None and value <= 0.0:
             raise UsageError(f"{motor}: {key} is {value:g}; it must be > 0")
     sources = (position_source, velocity_source, acceleration_source)
-    return DriveUnits(motor, scale, velocity, acceleration, sources)
+    return DriveUnits(motor, model.unit, scale, velocity, acceleration, sources)
 
 
 def _ratio(read: ReadObject, index: int) -> float | None:

@@ -113,7 +113,7 @@ def check_limits(motor: str, profile: DriveProfile, units: DriveUnits, limits: D
                 value=scale(raw),
                 low=None,
                 high=scale(highest),
-                unit=f"U{per}",
+                unit=f"{units.unit}{per}",
                 reason=f"{name} in the drive is {highest}",
             )
 
@@ -133,7 +133,7 @@ def check_target(motor: str, target: int, units: DriveUnits, limits: DriveLimits
         value=units.position(target),
         low=ends[0],
         high=ends[1],
-        unit="U",
+        unit=units.unit,
         reason="607Dh in the drive",
     )
 

@@ -1,0 +1,51 @@
+"""Rigs for the adaptations: drives of our own on one bus, and what they say."""
+
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack
+from pathlib import Path
+
+import pytest
+
+from harness.rig import Rig
+
+HEAD = """
+[rig]
+name = "adaptations"
+seed = 1
+[bus.can0]
+bitrate_bit_s = 1_000_000
+"""
+DRIVE = """
+[controller.{name}]
+kind = "cia402"
+bus = "can0"
+node_id = {node_id}
+{controller}
+[motor.{name}]
+adaptation = "cia402"
+controller = "{name}"
+{motor}
+[motor.{name}.model]
+name = "wheel"
+velocity_max_rad_s = 3.0
+acceleration_max_rad_s2 = 10.0
+{model}
+"""
+
+
+def drive(name: str, node_id: int, controller: str = "", motor: str = "", model: str = "") -> str:
+    """One drive and its motor, as a rig file has them."""
+    return DRIVE.format(name=name, node_id=node_id, controller=controller, motor=motor, model=model)
+
+
+@pytest.fixture
+def open_rig(tmp_path: Path) -> Iterator[Callable[..., Rig]]:
+    """Opens rigs from the text of their files; all are closed at the end."""
+    with ExitStack() as stack:
+
+        def opened(*parts: str) -> Rig:
+            path = tmp_path / "rig.toml"
+            path.write_text(HEAD + "".join(parts))
+            return stack.enter_context(Rig.open(path))
+
+        yield opened

@@ -1,0 +1,143 @@
+"""The host's end of a bus: confirmation, SYNC, heartbeats, dispatch."""
+
+import pytest
+
+from motorapi.adaptations.canopen_link import CanopenLink, can_frame, open_link, release_link
+from motorapi.errors import LinkError, UsageError
+from tests.motorapi.adaptations.scripted import FRAME_NS, MS, ScriptedBus, frame, text_of
+
+
+def link_on(bus: ScriptedBus) -> CanopenLink:
+    return CanopenLink(bus, bus.runtime)
+
+
+def test_a_can_frame_is_linux_struct_can_frame():
+    # linux/can.h: can_id u32, len u8, 3 bytes of padding and reserve, data[8]
+    assert can_frame(0x201, b"\x0f\x00").hex() == "01020000020000000f00000000000000"
+
+
+def test_a_tracked_frame_tells_when_it_was_on_the_wire():
+    bus = ScriptedBus()
+    link = link_on(bus)
+    sent = link.send_tracked(frame("301#0F0001000000"))
+    assert sent.time_ns is None
+    link.confirmed([sent])
+    assert sent.time_ns == bus.runtime.now_ns() == FRAME_NS
+
+
+def test_equal_frames_are_confirmed_in_the_order_they_were_sent():
+    bus = ScriptedBus()
+    link = link_on(bus)
+    first, second = (link.send_tracked(frame("301#0F00")) for _ in range(2))
+    link.confirmed([first])
+    link.confirmed([second])
+    assert first.time_ns is not None
+
+
+def test_what_is_not_transmitted_is_an_error_that_names_the_frame():
+    bus = ScriptedBus(confirms=False)
+    link = link_on(bus)
+    with pytest.raises(
+        LinkError, match=r"301h\) were not transmitted within 0.5 s; this bus never"
+    ):
+        link.confirmed([link.send_tracked(frame("301#0F00"))])
+
+
+def test_frames_go_to_whoever_asked_for_their_identifier():
+    bus = ScriptedBus()
+    link = link_on(bus)
+    heard: list[tuple[str, int]] = []
+    link.handle(0x181, lambda data, time_ns: heard.append((text_of(data), time_ns)))
+    bus.deliver("181#3706", 5 * MS)
+    bus.deliver("182#3706", 6 * MS)
+    bus.runtime.run_for(0.01)
+    assert heard == [("181#3706", 5 * MS)]
+    link.ignore(0x181)
+    bus.deliver("181#3706")
+    bus.runtime.run_for(0.01)
+    assert len(heard) == 1
+
+
+def test_other_identifiers_reach_the_canopen_network():
+    bus = ScriptedBus()
+    link = link_on(bus)
+    heard: list[bytes] = []
+    link.network.subscribe(0x193, lambda can_id, data, time_s: heard.append(bytes(data)))
+    bus.deliver("193#0102")
+    bus.runtime.run_for(0.01)
+    assert heard == [b"\x01\x02"]
+    link.network.send_message(0x613, b"\x40")
+    assert bus.texts == ["613#40"]
+
+
+def test_the_host_heartbeat_is_heard_at_once_and_then_every_period():
+    bus = ScriptedBus()
+    link = link_on(bus)
+    link.produce_heartbeat(127, 100)
+    link.produce_heartbeat(127, 100)  # a second drive needs it too
+    bus.runtime.run_for(0.25)
+    assert bus.sent == [(0, "77F#05"), (100 * MS, "77F#05"), (200 * MS, "77F#05")]
+    link.release_heartbeat(127)
+    bus.runtime.run_for(0.1)
+    assert len(bus.sent) == 4
+    link.release_heartbeat(127)
+    bus.runtime.run_for(1.0)
+    assert len(bus.sent) == 4
+
+
+def test_one_host_has_one_heartbeat_period():
+    link = link_on(ScriptedBus())
+    link.produce_heartbeat(127, 100)
+    with pytest.raises(UsageError, match="heartbeat of 100 ms already, so not of 50 ms"):
+        link.produce_heartbeat(127, 50)
+
+
+def test_cyclic_sync_is_one_for_all_and_ends_with_its_last_user():
+    bus = ScriptedBus()
+    link = link_on(bus)
+    turns: list[str] = []
+    one = link.on_sync(0.01, lambda: turns.append("one"))
+    two = link.on_sync(0.01, lambda: turns.append("two"))
+    with pytest.raises(UsageError, match="SYNC runs every 10 ms already, so not every 20 ms"):
+        link.on_sync(0.02, lambda: None)
+    bus.runtime.run_for(0.0251)
+    assert bus.sent == [(10 * MS, "080#"), (20 * MS, "080#")]
+    assert turns == ["one", "two", "one", "two"]
+    one.cancel()
+    two.cancel()
+    bus.runtime.run_for(0.1)
+    assert len(bus.sent) == 2
+
+
+@pytest.mark.parametrize("own", [True, False])
+def test_whoever_waits_for_the_next_sync_is_told_its_time_whoever_sends_it(own: bool):
+    bus = ScriptedBus()
+    link = link_on(bus)
+    told: list[int] = []
+    link.at_next_sync(told.append)
+    if own:
+        link.sync()
+    else:
+        bus.deliver("080#", FRAME_NS)
+    bus.runtime.run_for(0.01)
+    assert told == [FRAME_NS]
+    link.sync()
+    bus.runtime.run_for(0.01)
+    assert told == [FRAME_NS]  # the next one only
+
+
+def test_a_bus_has_one_link_until_its_last_user_lets_go():
+    bus = ScriptedBus()
+    link = open_link(bus, bus.runtime)
+    assert open_link(bus, bus.runtime) is link
+    link.produce_heartbeat(127, 100)
+    release_link(link)
+    assert open_link(bus, bus.runtime) is link
+    release_link(link)
+    release_link(link)
+    sent = len(bus.sent)
+    bus.runtime.run_for(1.0)
+    assert len(bus.sent) == sent  # nothing goes on
+    other = open_link(bus, bus.runtime)
+    assert other is not link
+    release_link(other)

@@ -1,0 +1,455 @@
+"""Motors on emulated CiA 402 drives: every command, and every way a motion can end."""
+
+from collections.abc import Callable
+from contextlib import suppress
+from math import pi
+
+import pytest
+
+from emulators.media.faults import FaultKind, FaultRule
+from harness.rig import Rig
+from motorapi.adaptations.canopen_errors import HomingFailed
+from motorapi.adaptations.cia402 import Cia402HwMotor, Cia402Motor
+from motorapi.adaptations.cia402_objects import PdsState
+from motorapi.commands import ControlMode, ControlVariable, DerivativeLimits
+from motorapi.errors import (
+    DeadlineExceeded,
+    DeviceFault,
+    LinkError,
+    MotionInterrupted,
+    UnsupportedError,
+    UsageError,
+)
+from motorapi.group import MotorGroup
+from motorapi.motor import Motor
+from motorapi.state import MotorState
+from motorapi.synchronization import SyncLevel
+from motorapi.trajectory import TrapezoidalTrajectory
+from tests.motorapi.adaptations.conftest import drive
+
+OpenRig = Callable[..., Rig]
+MS = 1_000_000
+INCREMENT_RAD = 2 * pi / 132_000  # 4000 x 33, our own drive's default motor and gear
+
+
+@pytest.fixture
+def rig(open_rig: OpenRig) -> Rig:
+    return open_rig(drive("left", 1), drive("right", 2))
+
+
+def motor_of(rig: Rig, name: str = "left") -> Cia402Motor:
+    motor = rig.motors[name]
+    assert isinstance(motor, Cia402Motor)
+    return motor
+
+
+def truth(rig: Rig, name: str = "left") -> float:
+    return rig.controllers[name].snapshot()["position_rad"]
+
+
+def go_to(motor: Motor, target: float, limits: DerivativeLimits | None = None) -> None:
+    motor.set_control_mode(ControlMode.SETPOINT)
+    motor.set_setpoint(target, limits=limits)
+    motor.start()
+
+
+def frames_on(rig: Rig) -> list[tuple[int, str, int, bytes]]:
+    """(time, sender, identifier, data) of every frame from now on."""
+    heard: list[tuple[int, str, int, bytes]] = []
+
+    def on_frame(bus: str, time_ns: int, sender: str, frame: bytes) -> None:
+        can_id = int.from_bytes(frame[:4], "little")
+        heard.append((time_ns, sender, can_id, frame[8 : 8 + frame[4]]))
+
+    rig.world.tap_frames(on_frame)
+    return heard
+
+
+# --- moving ------------------------------------------------------------------------------------
+
+
+def test_algorithm_1_of_the_paper(rig: Rig):
+    hw = Cia402HwMotor(rig.bus("can0"), node_id=1)
+    motor = Cia402Motor(hw, model=rig.motors["right"].model)
+    motor.set_control_mode(ControlMode.SETPOINT)
+    motor.set_setpoint(1.0)
+    motor.start()
+    motor.wait_until_done(timeout_s=5)
+    assert abs(truth(rig) - 1.0) <= INCREMENT_RAD
+    motor.set_control_mode(ControlMode.TRAJECTORY)
+    motor.set_trajectory(TrapezoidalTrajectory(1.0))
+    motor.start()
+    motor.wait_until_done(timeout_s=5)
+    assert abs(truth(rig) - 2.0) <= INCREMENT_RAD
+    assert abs(motor.position() - 2.0) <= INCREMENT_RAD
+    hw.close()
+
+
+def test_nothing_is_sent_before_it_is_needed(rig: Rig):
+    heard = frames_on(rig)
+    motor = motor_of(rig)
+    motor.set_control_mode(ControlMode.SETPOINT)
+    motor.set_setpoint(1.0)
+    assert motor.state() is MotorState.OFFLINE
+    rig.runtime.run_for(1.0)
+    assert [sender for _, sender, _, _ in heard if sender == "host"] == []
+
+
+def test_relative_moves_do_not_add_up_rounding(rig: Rig):
+    motor = motor_of(rig)
+    motor.set_control_mode(ControlMode.TRAJECTORY)
+    for _ in range(10):
+        motor.set_trajectory(TrapezoidalTrajectory(0.01))  # 210.08 increments
+        motor.start()
+        motor.wait_until_done(timeout_s=5)
+    assert abs(truth(rig) - 0.1) <= INCREMENT_RAD
+
+
+def test_a_set_point_takes_the_commands_velocity_limit(rig: Rig):
+    motor = motor_of(rig)
+    go_to(motor, 1.0, DerivativeLimits(first=0.5))
+    started_ns = rig.runtime.now_ns()
+    motor.wait_until_done(timeout_s=5)
+    # D/v + v/a of 1 rad, 0.5 rad/s, 10 rad/s2, then the position window time of the drive
+    assert 2.05 <= (rig.runtime.now_ns() - started_ns) / 1e9 <= 2.08
+
+
+def test_a_set_point_may_be_replaced_in_mid_motion(rig: Rig):
+    motor = motor_of(rig)
+    go_to(motor, 3.0)
+    rig.runtime.run_for(0.4)
+    motor.set_setpoint(-0.5)
+    motor.start()
+    motor.wait_until_done(timeout_s=5)
+    assert abs(truth(rig) + 0.5) <= INCREMENT_RAD
+
+
+def test_a_move_of_length_zero_is_done(rig: Rig):
+    motor = motor_of(rig)
+    go_to(motor, 0.5)
+    motor.wait_until_done(timeout_s=5)
+    motor.start()
+    motor.wait_until_done(timeout_s=0.2)
+
+
+def test_velocity_is_reached_kept_and_stopped(rig: Rig):
+    motor = motor_of(rig)
+    motor.set_control_mode(ControlMode.SETPOINT, ControlVariable.VELOCITY)
+    motor.set_setpoint(-2.0)
+    motor.start()
+    motor.wait_until_done(timeout_s=5)
+    rig.runtime.run_for(0.5)
+    assert rig.controllers["left"].snapshot()["velocity_rad_s"] == pytest.approx(
+        -2.0, rel=0.02
+    )  # the servo's ripple over one encoder increment
+    motor.set_setpoint(1.0)
+    motor.start()
+    motor.wait_until_done(timeout_s=5)
+    motor.stop()
+    motor.wait_until_done(timeout_s=5)
+    assert rig.controllers["left"].snapshot()["velocity_rad_s"] == 0.0
+    assert motor.state() is MotorState.ENABLED
+
+
+def test_an_old_target_velocity_never_counts_again(rig: Rig):
+    motor = motor_of(rig)
+    motor.set_control_mode(ControlMode.SETPOINT, ControlVariable.VELOCITY)
+    motor.set_setpoint(2.0)
+    motor.start()
+    motor.wait_until_done(timeout_s=5)
+    motor.stop()
+    motor.wait_until_done(timeout_s=5)
+    motor.disable()
+    motor.enable()
+    at = truth(rig)
+    rig.runtime.run_for(0.5)
+    assert abs(truth(rig) - at) <= INCREMENT_RAD
+    motor.set_setpoint(0.5)
+    motor.start()
+    motor.wait_until_done(timeout_s=5)
+    assert 0 < rig.controllers["left"].snapshot()["velocity_rad_s"] < 1.0
+
+
+def test_torque_is_not_supported_and_says_what_is(rig: Rig):
+    with pytest.raises(UnsupportedError, match="setpoint of position"):
+        motor_of(rig).set_control_mode(ControlMode.SETPOINT, ControlVariable.TORQUE)
+
+
+# --- stopping ----------------------------------------------------------------------------------
+
+
+def test_stop_ends_at_rest_short_of_the_target_and_nothing_resumes(rig: Rig):
+    motor = motor_of(rig)
+    go_to(motor, 3.0)
+    rig.runtime.run_for(0.5)
+    motor.stop()
+    motor.wait_until_done(timeout_s=5)
+    at = truth(rig)
+    assert 0.1 < at < 2.9
+    rig.runtime.run_for(1.0)
+    assert abs(truth(rig) - at) <= INCREMENT_RAD
+    motor.set_setpoint(at - 0.5)  # not back to 3.0 first
+    motor.start()
+    rig.runtime.run_for(0.05)
+    assert truth(rig) < at
+    motor.wait_until_done(timeout_s=5)
+    assert abs(truth(rig) - (at - 0.5)) <= INCREMENT_RAD
+
+
+def test_stop_may_come_from_a_callback_and_ends_the_wait_of_the_other(rig: Rig):
+    motor = motor_of(rig)
+    other = Cia402Motor(motor.hardware, motor.model, name="other")
+    go_to(motor, 3.0)
+    rig.world.queue.alarm(lambda now_ns: other.stop()).set(rig.runtime.now_ns() + 300 * MS)
+    with pytest.raises(MotionInterrupted, match=r"stop\(\) of other"):
+        motor.wait_until_done(timeout_s=5)
+    other.wait_until_done(timeout_s=5)
+    assert rig.controllers["left"].snapshot()["velocity_rad_s"] == 0.0
+
+
+@pytest.mark.parametrize("delay_us", range(0, 6000, 250))
+def test_a_stop_while_starting_never_lets_it_move_on(rig: Rig, delay_us: int):
+    motor = motor_of(rig)
+    motor.enable()
+    motor.set_control_mode(ControlMode.SETPOINT)
+    motor.set_setpoint(2.0)
+    stopper = rig.world.queue.alarm(lambda now_ns: motor.stop())
+    stopper.set(rig.runtime.now_ns() + delay_us * 1000)
+    with suppress(MotionInterrupted):
+        motor.start()
+    with suppress(MotionInterrupted):
+        motor.wait_until_done(timeout_s=5)
+    rig.runtime.run_for(1.0)
+    at = truth(rig)
+    assert at < 0.5
+    rig.runtime.run_for(0.5)
+    assert abs(truth(rig) - at) <= INCREMENT_RAD
+
+
+def test_quick_stop_needs_enable_before_anything_moves(rig: Rig):
+    motor = motor_of(rig)
+    go_to(motor, 3.0)
+    rig.runtime.run_for(0.5)
+    motor.quick_stop()
+    motor.wait_until_done(timeout_s=5)
+    assert motor.state() is MotorState.STOPPED
+    with pytest.raises(UsageError, match="enable"):
+        motor.start()
+    motor.enable()
+    at = truth(rig)
+    motor.set_setpoint(at + 0.2)
+    motor.start()
+    motor.wait_until_done(timeout_s=5)
+    assert abs(truth(rig) - (at + 0.2)) <= INCREMENT_RAD
+
+
+# --- homing ------------------------------------------------------------------------------------
+
+
+def test_homing_makes_this_position_0_and_twice_means_twice(rig: Rig):
+    motor = motor_of(rig)
+    assert not motor.is_referenced()
+    for _ in range(2):
+        go_to(motor, 0.5)
+        motor.wait_until_done(timeout_s=5)
+        motor.home(37)
+        assert abs(motor.position()) <= INCREMENT_RAD
+        assert motor.is_referenced()
+    assert abs(truth(rig) - 1.0) <= 2 * INCREMENT_RAD  # the plant has moved twice
+
+
+def test_an_unknown_homing_method_is_refused(rig: Rig):
+    with pytest.raises(UnsupportedError, match="homing by method 99"):
+        motor_of(rig).home(99)
+
+
+def test_a_failed_homing_is_an_error(rig: Rig):
+    motor = motor_of(rig)
+    motor.enable()
+    motor.home(37, wait=False)
+    watch = motor.hardware.node.watch
+    assert watch is not None
+    watch.see(0x0237, 0, rig.runtime.now_ns())
+    watch.see(0x2637, 0, rig.runtime.now_ns())  # homing error, drives.md: 2400h
+    with pytest.raises(HomingFailed, match="method 37"):
+        motor.wait_until_done(timeout_s=1)
+
+
+# --- how a motion fails --------------------------------------------------------------------------
+
+
+def test_a_fault_in_mid_motion_ends_the_wait_when_its_frame_arrives(rig: Rig):
+    motor = motor_of(rig)
+    go_to(motor, 3.0)
+    heard = frames_on(rig)
+    rig.runtime.run_for(0.3)
+    rig.controllers["left"].stimulate("fault", 0x3210)
+    with pytest.raises(DeviceFault, match=r"fault 3210h \(DC link over-voltage\)") as caught:
+        motor.wait_until_done(timeout_s=5)
+    first = next(
+        time_ns
+        for time_ns, _, can_id, data in heard
+        if can_id == 0x181 and int.from_bytes(data[:2], "little") & 0x08
+    )
+    assert rig.runtime.now_ns() == first
+    assert caught.value.code == 0x3210
+    with pytest.raises(DeviceFault):
+        motor.start()
+    rig.runtime.run_for(1.0)
+    motor.reset_fault()
+    assert motor.fault() is None
+    assert motor.state() is MotorState.DISABLED
+    go_to(motor, 0.0)
+    motor.wait_until_done(timeout_s=5)
+    assert [emergency.code for emergency in motor.hardware.emergencies] == [0x3210, 0x0000]
+
+
+def test_a_lost_drive_ends_the_wait_within_the_heartbeat_time(rig: Rig):
+    motor = motor_of(rig)
+    go_to(motor, 3.0)
+    heard = frames_on(rig)
+    rig.runtime.run_for(0.25)
+    lost_ns = rig.runtime.now_ns()
+    rig.faults.inject("can0", FaultRule("cut", FaultKind.CUT, ports=("left",), from_ns=lost_ns))
+    with pytest.raises(LinkError, match="can0 node 1: no heartbeat for 300 ms"):
+        motor.wait_until_done(timeout_s=5)
+    last = max(time_ns for time_ns, _, can_id, _ in heard if can_id == 0x701)
+    assert rig.runtime.now_ns() == last + 300 * MS
+    assert rig.runtime.now_ns() <= lost_ns + 300 * MS
+    assert motor.state() is MotorState.OFFLINE
+    with pytest.raises(LinkError):
+        motor.position()
+
+
+def test_a_drive_that_boots_again_is_brought_up_again(rig: Rig):
+    motor = motor_of(rig)
+    go_to(motor, 1.0)
+    motor.wait_until_done(timeout_s=5)
+    motor.home(37)
+    motor.hardware.link.nmt(0x81, 1)
+    rig.runtime.run_for(0.5)
+    assert not motor.is_referenced()
+    go_to(motor, 0.25)
+    motor.wait_until_done(timeout_s=5)
+
+
+def test_a_drive_that_boots_in_mid_motion_is_a_lost_link(rig: Rig):
+    motor = motor_of(rig)
+    go_to(motor, 3.0)
+    rig.runtime.run_for(0.2)
+    motor.hardware.link.nmt(0x81, 1)
+    with pytest.raises(LinkError):
+        motor.wait_until_done(timeout_s=5)
+
+
+def test_a_drive_that_is_switched_off_by_somebody_else_interrupts_the_motion(rig: Rig):
+    motor = motor_of(rig)
+    go_to(motor, 3.0)
+    rig.runtime.run_for(0.2)
+    motor.hardware.control.send_controlword(0x0000)
+    with pytest.raises(MotionInterrupted, match="switch on disabled"):
+        motor.wait_until_done(timeout_s=5)
+
+
+def test_a_drive_that_leaves_operational_is_a_lost_link(rig: Rig):
+    motor = motor_of(rig)
+    go_to(motor, 3.0)
+    rig.runtime.run_for(0.2)
+    motor.hardware.link.nmt(0x80, 1)
+    with pytest.raises(LinkError, match="NMT state is 7Fh"):
+        motor.wait_until_done(timeout_s=5)
+
+
+def test_the_drive_stops_when_the_host_falls_silent(rig: Rig):
+    motor = motor_of(rig)
+    go_to(motor, 3.0)
+    rig.runtime.run_for(0.2)
+    motor.hardware.close()  # the host's end: no heartbeat any more
+    rig.runtime.run_for(1.0)
+    assert rig.controllers["left"].snapshot()["velocity_rad_s"] == 0.0
+    assert truth(rig) < 2.5
+
+
+# --- together ------------------------------------------------------------------------------------
+
+
+def test_algorithm_2_of_the_paper(rig: Rig):
+    group = MotorGroup(rig.motors["left"], rig.motors["right"])
+    group.for_each(Motor.set_control_mode, ControlMode.TRAJECTORY)
+    group.set_trajectory(TrapezoidalTrajectory(1.0), TrapezoidalTrajectory(2.0))
+    group.start()
+    group.wait_until_done(timeout_s=10)
+    assert abs(truth(rig, "left") - 1.0) <= INCREMENT_RAD
+    assert abs(truth(rig, "right") - 2.0) <= INCREMENT_RAD
+    quality = group.sync_quality()
+    assert quality.start_skew_s == 0.0
+    assert quality.predicted_end_skew_s < 1e-6
+    assert quality.end_skew_s is not None
+    assert quality.end_skew_s < 0.002  # a profile tick, and two frames on one bus
+    assert group.sync_capability().level is SyncLevel.TRIGGERED
+
+
+def test_sync_comes_after_every_armed_rpdo_is_on_the_wire(rig: Rig):
+    group = MotorGroup(rig.motors["left"], rig.motors["right"])
+    group.for_each(Motor.enable)
+    group.for_each(Motor.set_control_mode, ControlMode.SETPOINT)
+    group.for_each(Motor.set_setpoint, 1.0)
+    heard = frames_on(rig)
+    group.start()
+    armed = [time_ns for time_ns, _, can_id, _ in heard if can_id in (0x301, 0x302)]
+    sync = [time_ns for time_ns, _, can_id, _ in heard if can_id == 0x080]
+    assert len(armed) == 2
+    assert len(sync) == 1
+    assert max(armed) < sync[0]
+    group.wait_until_done(timeout_s=5)
+
+
+def test_what_was_armed_and_not_fired_is_disarmed(rig: Rig):
+    left, right = motor_of(rig, "left"), motor_of(rig, "right")
+    group = MotorGroup(left, right)
+    group.for_each(Motor.enable)
+    group.for_each(Motor.set_control_mode, ControlMode.SETPOINT)
+    group.for_each(Motor.set_setpoint, 1.0)
+    lose = FaultRule("lose", FaultKind.DROP, identifier=0x602, from_ns=rig.runtime.now_ns())
+    rig.faults.inject("can0", lose)  # every SDO request to the right one
+    with pytest.raises(DeadlineExceeded, match="node 2"):
+        group.start()
+    left.hardware.link.sync()
+    rig.runtime.run_for(0.5)
+    assert abs(truth(rig, "left")) <= INCREMENT_RAD
+
+
+def test_velocities_start_at_one_sync(rig: Rig):
+    group = MotorGroup(rig.motors["left"], rig.motors["right"])
+    group.for_each(Motor.set_control_mode, ControlMode.SETPOINT, ControlVariable.VELOCITY)
+    group.for_each(Motor.set_setpoint, 1.5)
+    group.start()
+    group.wait_until_done(timeout_s=5)
+    quality = group.sync_quality()
+    assert quality.start_skew_s == 0.0
+    group.stop()
+    group.wait_until_done(timeout_s=5)
+    assert rig.controllers["right"].snapshot()["velocity_rad_s"] == 0.0
+
+
+# --- one object per drive ------------------------------------------------------------------------
+
+
+def test_a_second_hardware_object_for_a_drive_is_refused_and_the_first_is_named(rig: Rig):
+    hw = Cia402HwMotor(rig.bus("can0"), node_id=5)
+    with pytest.raises(UsageError, match="can0 node 5 has a hardware object already: <Cia402HwM"):
+        Cia402HwMotor(rig.bus("can0"), node_id=5)
+    hw.close()
+    hw.close()
+    Cia402HwMotor(rig.bus("can0"), node_id=5).close()
+
+
+def test_dropping_a_hardware_object_lets_go_of_drive_and_bus(rig: Rig):
+    hw = Cia402HwMotor(rig.bus("can0"), node_id=1)
+    hw.connect()
+    assert hw.state is PdsState.SWITCH_ON_DISABLED
+    del hw
+    heard = frames_on(rig)
+    rig.runtime.run_for(0.5)
+    assert [can_id for _, sender, can_id, _ in heard if sender == "host"] == []
+    Cia402HwMotor(rig.bus("can0"), node_id=1).close()

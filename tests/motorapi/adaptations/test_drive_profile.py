@@ -1,0 +1,136 @@
+"""The whole numbers a motion becomes, and the duration they really take."""
+
+import pytest
+from hypothesis import assume, given
+from hypothesis import strategies as st
+
+from motorapi import planning
+from motorapi.adaptations.cia402_units import DriveUnits
+from motorapi.adaptations.drive_profile import (
+    DriveLimits,
+    as_motion,
+    check_limits,
+    check_target,
+    profile_of,
+)
+from motorapi.commands import ControlMode, ControlVariable, Motion
+from motorapi.errors import LimitError
+from motorapi.model import MotorModel
+from motorapi.trajectory import TrapezoidalTrajectory
+
+MODEL = MotorModel(name="wheel", velocity_max=3.0, acceleration_max=9.0, deceleration_max=6.0)
+NO_LIMITS = DriveLimits(None, None, None, None, None, has_deceleration=True)
+COARSE = DriveUnits("wheel", "rad", 1000.0, 0.01, 0.1, ("", "", ""))
+
+
+def trajectory(distance: float, duration_s: float | None = None, start: float = 0.0) -> Motion:
+    asked = TrapezoidalTrajectory(distance, duration_s=duration_s)
+    return planning.plan_trajectory("wheel", MODEL, asked, start)
+
+
+def test_a_set_point_is_rounded_down_to_the_drives_steps():
+    motion = Motion(ControlMode.SETPOINT, ControlVariable.POSITION, 0.0, 1.0004, 2.999, 8.99, 5.99)
+    profile = profile_of(motion, MODEL, COARSE, NO_LIMITS)
+    assert (profile.target, profile.speed) == (1000, 299)
+    assert (profile.acceleration, profile.deceleration) == (89, 59)
+    made = as_motion(motion, profile, COARSE)
+    assert made.target == 1.0
+    assert made.duration_s is None
+
+
+def test_a_drive_without_6084h_slows_down_as_it_speeds_up():
+    limits = DriveLimits(None, None, None, None, None, has_deceleration=False)
+    profile = profile_of(trajectory(1.0), MODEL, COARSE, limits)
+    assert profile.acceleration == profile.deceleration == 60
+
+
+@given(
+    st.floats(0.01, 50.0),
+    st.floats(1.001, 20.0),
+    st.sampled_from([1e-4, 1e-3, 0.01, 0.05]),
+    st.sampled_from([1e-3, 0.01, 0.1, 0.5]),
+)
+def test_a_stretched_profile_keeps_every_limit_and_comes_nearest(
+    distance: float, factor: float, velocity_unit: float, acceleration_unit: float
+):
+    units = DriveUnits("wheel", "rad", 1e6, velocity_unit, acceleration_unit, ("", "", ""))
+    shortest_s = trajectory(distance).duration_s
+    assert shortest_s is not None
+    motion = trajectory(distance, duration_s=shortest_s * factor)
+    profile = profile_of(motion, MODEL, units, NO_LIMITS)
+    made = as_motion(motion, profile, units)
+
+    assert made.acceleration <= motion.acceleration * (1 + 1e-9)
+    assert made.deceleration <= motion.deceleration * (1 + 1e-9)
+    assert made.velocity <= MODEL.velocity_max * (1 + 1e-9)
+    assert made.velocity < motion.velocity * (1 + 1e-9) + velocity_unit
+    # never worse than plainly rounding down
+    plain = Motion(
+        motion.mode, motion.variable, motion.start, motion.target, motion.velocity,
+        motion.acceleration, motion.deceleration,
+    )  # fmt: skip
+    down = as_motion(motion, profile_of(plain, MODEL, units, NO_LIMITS), units)
+    assert made.duration_s is not None
+    assert motion.duration_s is not None
+    assert down.duration_s is not None
+    assert abs(made.duration_s - motion.duration_s) <= abs(down.duration_s - motion.duration_s)
+
+
+@given(st.floats(0.01, 50.0), st.floats(1.0, 20.0))
+def test_what_is_rounded_already_stays_as_it_is(distance: float, factor: float):
+    shortest_s = trajectory(distance).duration_s
+    assert shortest_s is not None
+    motion = trajectory(distance, duration_s=shortest_s * factor)
+    once = as_motion(motion, profile_of(motion, MODEL, COARSE, NO_LIMITS), COARSE)
+    again = as_motion(once, profile_of(once, MODEL, COARSE, NO_LIMITS), COARSE)
+    assert again == once
+
+
+def test_a_finer_fit_than_rounding_down_is_found_where_there_is_one():
+    motion = trajectory(2.0, duration_s=1.5)  # peak 1.558: 155 steps of 0.01 are too slow
+    profile = profile_of(motion, MODEL, COARSE, NO_LIMITS)
+    made = as_motion(motion, profile, COARSE)
+    assert profile.speed == 156
+    assert profile.acceleration < 90
+    assert made.duration_s is not None
+    assert abs(made.duration_s - 1.5) < 1e-3  # 155, 90, 60 would take 5.6 ms longer
+
+
+def test_the_fastest_profile_never_exceeds_the_velocity_limit_to_be_nearer():
+    limits = DriveUnits("wheel", "rad", 1000.0, 0.07, 0.1, ("", "", ""))
+    motion = trajectory(20.0)
+    made = as_motion(motion, profile_of(motion, MODEL, limits, NO_LIMITS), limits)
+    assert made.velocity <= 3.0
+
+
+@given(st.integers(-2000, 2000), st.integers(-2000, 2000))
+def test_the_duration_is_that_of_the_way_in_increments(start_inc: int, distance_inc: int):
+    assume(distance_inc != 0)
+    start = start_inc / 1000 + 0.0003
+    motion = trajectory(distance_inc / 1000, start=start)
+    made = as_motion(motion, profile_of(motion, MODEL, COARSE, NO_LIMITS), COARSE)
+    assert made.target == round(motion.target * 1000) / 1000
+    assert made.duration_s == planning.duration_of(made)
+
+
+def test_what_the_drive_itself_would_clip_is_refused_and_named():
+    profile = profile_of(trajectory(1.0), MODEL, COARSE, NO_LIMITS)
+    for name, limits in {
+        "607Fh": DriveLimits(None, 299, None, None, None, has_deceleration=True),
+        "60C5h": DriveLimits(None, None, 89, None, None, has_deceleration=True),
+        "60C6h": DriveLimits(None, None, None, 59, None, has_deceleration=True),
+    }.items():
+        with pytest.raises(LimitError, match=name):
+            check_limits("wheel", profile, COARSE, limits)
+    exact = DriveLimits(None, 300, 90, 60, None, has_deceleration=True)
+    check_limits("wheel", profile, COARSE, exact)
+
+
+def test_the_drives_software_position_limits_hold_at_their_ends():
+    limits = DriveLimits((-500, 1000), None, None, None, None, has_deceleration=True)
+    check_target("wheel", 1000, COARSE, limits)
+    check_target("wheel", -500, COARSE, limits)
+    for target in (1001, -501):
+        with pytest.raises(LimitError, match=r"-0\.5 to 1 rad \(607Dh"):
+            check_target("wheel", target, COARSE, limits)
+    check_target("wheel", 5000, COARSE, NO_LIMITS)
