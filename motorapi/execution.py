@@ -176,11 +176,7 @@ def require_rest(motor: "Motor", operation: str) -> None:
 
 def _common_duration(motors: Sequence["Motor"], motions: Sequence[Motion]) -> list[Motion]:
     """Every trajectory takes as long as the slowest motor's, after its hardware's rounding."""
-    moving = [
-        place
-        for place, motion in enumerate(motions)
-        if motion.trajectory is not None and motion.distance != 0.0
-    ]
+    moving = [place for place, motion in enumerate(motions) if motion.trajectory is not None]
     result = list(motions)
     if not moving:
         return result

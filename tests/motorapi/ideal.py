@@ -84,6 +84,8 @@ class IdealHwMotor:
         self.ended_ns = None
         self.speed = 0.0
         self.after_fire = None
+        self.connecting_s = 0.0
+        self.sag = 0.0  # how far it drops when its brake is released
 
     def __repr__(self):
         return f"IdealHwMotor({self.bus.name!r}, node={self.node})"
@@ -177,6 +179,8 @@ class IdealMotor(Motor):
     def _connect(self):
         if "_connect" in self.hw.fail:
             raise self.hw.fail["_connect"]
+        if self.hw.connecting_s:
+            self.runtime.wait_until(lambda: False, self.hw.connecting_s)
 
     def _read_state(self):
         return self.hw.state
@@ -205,6 +209,7 @@ class IdealMotor(Motor):
 
     def _enable(self):
         self.hw.act("_enable")
+        self.hw.held -= self.hw.sag
         self.hw.state = MotorState.ENABLED
 
     def _disable(self):

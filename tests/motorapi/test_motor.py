@@ -236,6 +236,41 @@ def test_an_absolute_trajectory_begins_where_it_says(motor):
     assert motor.position() == 1.0
 
 
+def test_an_absolute_trajectory_is_as_long_as_its_way(motor, hw):
+    aim(motor, 1.0)
+    motor.start()
+    motor.wait_until_done()
+    follow(motor, 4.0, 1.0, duration_s=2.0)  # 3 rad: just possible; 4 rad would not be
+    motor.start()
+    assert hw.motion.duration_s == 2.0
+
+
+def test_limits_by_direction_hold_for_absolute_trajectories_too(motor, hw):
+    aim(motor, 4.0)
+    motor.start()
+    motor.wait_until_done()
+    follow(motor, 1.0, 4.0, limits=DerivativeLimits(first=(-0.5, 1.0)))
+    motor.start()
+    assert hw.motion.velocity == 0.5
+
+
+def test_a_distance_counts_from_where_the_motor_is_once_its_brake_is_open(motor, hw):
+    hw.sag = 0.5
+    follow(motor, 1.0)
+    motor.start()
+    motor.wait_until_done()
+    assert motor.position() == 0.5
+
+
+def test_what_was_done_stays_done(motor, hw):
+    follow(motor, 1.0)
+    motor.start()
+    motor.wait_until_done()
+    fault_now(hw)
+    assert motor.is_done()
+    motor.wait_until_done()
+
+
 def test_an_unreferenced_motor_makes_distances_only_if_its_model_says_so(runtime):
     model = replace(MODEL, requires_referencing=True)
     motor = IdealMotor(IdealHwMotor(runtime), model=model)

@@ -244,6 +244,8 @@ def test_a_callback_cannot_begin_an_operation_in_the_middle_of_another(runtime):
 def test_groups_that_share_motors_in_opposite_orders_do_not_lock_each_other(runtime):
     bus = IdealBus()
     hardware = [IdealHwMotor(runtime, node, bus, acts_s=0.001) for node in (1, 2, 3)]
+    for one in hardware:
+        one.connecting_s = 0.001
     rounds = []
 
     def drive(name, order):

@@ -3,7 +3,6 @@ late something may be are generous (seconds), bounds on how early are exact."""
 
 import struct
 import threading
-from itertools import pairwise
 
 import can
 import pytest
@@ -95,10 +94,31 @@ def test_timers_keep_their_grid_and_end(runtime):
 
 
 def test_a_late_timer_skips_what_it_missed(runtime):
+    runs_ns = []
+
+    def slow_once():
+        runs_ns.append(runtime.now_ns())
+        if len(runs_ns) == 1:
+            work(runtime, 0.05)
+
+    runtime.every(0.01, slow_once)
+    assert runtime.wait_until(lambda: len(runs_ns) >= 5, LATE_S)
+    # The second is late; the third to fifth are on the grid: two whole periods between them.
+    assert runs_ns[4] - runs_ns[1] >= 20_000_000
+
+
+def test_a_timer_cancelled_in_a_callback_does_not_run_once_more(runtime):
     runs = []
-    runtime.every(0.01, lambda: (runs.append(runtime.now_ns()), work(runtime, 0.05)))
-    assert runtime.wait_until(lambda: len(runs) >= 3, LATE_S)
-    assert all(late - early >= 50_000_000 for early, late in pairwise(runs))
+    timer = runtime.every(0.01, lambda: runs.append(1))
+
+    def cancel_when_it_is_due():
+        work(runtime, 0.03)
+        timer.cancel()
+        return True
+
+    assert runtime.wait_until(cancel_when_it_is_due)
+    assert not runtime.wait_until(lambda: False, 0.03)
+    assert runs == []
 
 
 def test_frames_are_heard_as_can_frames(runtime, bus, peer):
@@ -133,6 +153,17 @@ def test_own_frames_are_reported_once_even_if_the_bus_gives_them_back(runtime):
             peer.send(can.Message(arbitration_id=0x1ABCDEF0))
             assert runtime.wait_until(lambda: len(heard) >= 2, LATE_S)
         assert heard == [(FRAME, True), (EXTENDED, False)]
+
+
+def test_frames_of_another_protocol_are_not_mistaken_for_classical_ones(runtime):
+    options = {"interface": "virtual", "channel": "wall-fd", "protocol": can.CanProtocol.CAN_FD}
+    with can.Bus(**options) as bus, can.Bus(**options) as peer:
+        heard = []
+        runtime.listen(bus, lambda frame, time_ns, own: heard.append(frame))
+        peer.send(can.Message(arbitration_id=1, is_fd=True, data=bytes(8)))
+        peer.send(can.Message(arbitration_id=0x1ABCDEF0))
+        assert runtime.wait_until(lambda: bool(heard), LATE_S)
+        assert heard == [EXTENDED]
 
 
 def test_sending_without_listening_works(runtime, bus, peer):
