@@ -9,6 +9,7 @@ from typing import Final
 
 import emulators
 
+_PACKAGES: Final = ("motorapi", "emulators", "traces", "harness")
 _A_CORE: Final = "emulators.event_queue"  # compiled wherever any core is
 
 
@@ -28,17 +29,21 @@ def cores_are_compiled() -> bool:
 
 
 def source_digest() -> str:
-    """A short digest of the emulators' source files: names and contents, in order of names."""
-    folder = Path(emulators.__file__).parent
+    """A short digest of the packages' source files: names and contents, in order of names."""
+    root = _root()
     digest = hashlib.sha256()
-    for path in sorted(folder.rglob("*.py")):
-        digest.update(path.relative_to(folder).as_posix().encode() + b"\0")
-        digest.update(path.read_bytes() + b"\0")
+    for package in _PACKAGES:
+        for path in sorted((root / package).rglob("*.py")):
+            digest.update(path.relative_to(root).as_posix().encode() + b"\0")
+            digest.update(path.read_bytes() + b"\0")
     return digest.hexdigest()[:12]
 
 
 def describe() -> str:
     """All of it, in one line."""
     kind = "compiled" if cores_are_compiled() else "pure Python"
-    folder = Path(emulators.__file__).parent
-    return f"motorhil {version()}, {kind} cores, source {source_digest()} in {folder}"
+    return f"motorhil {version()}, {kind} cores, source {source_digest()} in {_root()}"
+
+
+def _root() -> Path:
+    return Path(emulators.__file__).parent.parent

@@ -274,7 +274,9 @@ class Rig:
         motor = self.description.motors[name]
         place = ("motor", name)
         build = self._load(self._plugins[ADAPTATIONS][motor.adaptation], (*place, "adaptation"))
-        settings = {"name": name, "node_id": motor.node_id, **motor.settings}
+        settings: dict[str, object] = {"name": name, **motor.settings}
+        if motor.node_id is not None:
+            settings["node_id"] = motor.node_id
         try:
             built: Motor = build(self.bus(motor.bus), settings, self._models[name], self.runtime)
         except UsageError as error:
@@ -306,10 +308,10 @@ def _model(description: RigDescription, motor: str) -> MotorModel:
         RigError: with the file and line of the model, wherever it stands.
     """
     model: MotorDescription = description.motors[motor]
+    path = ("motor", motor, "model")
     try:
         if isinstance(model.model, Path):
             return MotorModel.load(model.model)
-        path = ("motor", motor, "model")
         return MotorModel.from_table(
             model.model,
             path=str(description.source.path),
@@ -317,6 +319,8 @@ def _model(description: RigDescription, motor: str) -> MotorModel:
             default_name=motor,
         )
     except FileError as error:
-        raise RigError(
-            error.path, error.problem, error.remedy, line=error.line, key=error.key or ""
-        ) from None
+        key = error.key or ""
+        if not isinstance(model.model, Path):
+            at = (*path, key) if key else path
+            raise description.error(at, error.problem, error.remedy) from None
+        raise RigError(error.path, error.problem, error.remedy, line=error.line, key=key) from None

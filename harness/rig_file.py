@@ -226,6 +226,8 @@ def _motor(
     controllers: Mapping[str, ControllerDescription],
     known: Known,
 ) -> MotorDescription:
+    if table.has("name"):
+        raise table.error("name", f'the motor is called "{name}", as its table', "take it out")
     adaptation = table.one_of("adaptation", known.adaptations, "adaptation")
     controller: str | None = None
     if table.has("controller"):

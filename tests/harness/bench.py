@@ -24,6 +24,8 @@ class Echo:
         if plant.get("resistance_ohm", 1) <= 0:
             raise SettingError(("plant", "resistance_ohm"), "must be > 0 ohm", "write 1.0")
         self.node_id = settings["node_id"]
+        if settings.get("delay_s", 0.0) < 0.0:
+            raise ValueError("delay_s = -1.0: must be >= 0")
         self.delay_ns = round(settings.get("delay_s", 0.001) * 1e9)
         self.settings = settings
         self.context = context

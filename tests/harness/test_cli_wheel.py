@@ -8,6 +8,8 @@ from pathlib import Path
 
 import pytest
 
+from harness.build_info import source_digest
+
 CHECKOUT = Path(__file__).parents[2]
 PACKAGES = ("motorapi", "emulators", "traces", "harness")
 
@@ -38,14 +40,29 @@ def test_the_wheel_carries_every_file_that_is_no_program(wheel):
         assert wanted <= set(archive.namelist())
 
 
-def test_from_the_wheel_alone_a_new_rig_is_made_and_is_right(wheel, tmp_path):
-    site = tmp_path / "site"
+@pytest.fixture(scope="module")
+def installed(wheel, tmp_path_factory):
+    """Runs a command line with what the wheel holds, and nothing of the checkout."""
+    site = tmp_path_factory.mktemp("site")
     with zipfile.ZipFile(wheel) as archive:
         archive.extractall(site)
-    for words in (["new", str(tmp_path / "bench")], ["check", str(tmp_path / "bench/rig.toml")]):
-        # -P and -c: not the checkout's harness, though it is installed for development.
-        code = f"import sys; sys.path.insert(0, {str(site)!r}); from harness.cli import main; "
-        code += f"import harness; assert harness.__file__.startswith({str(site)!r}); "
-        command = [sys.executable, "-P", "-c", code + f"sys.exit(main({words!r}))"]
-        done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, timeout=30)
+    start = f"import sys; sys.path.insert(0, {str(site)!r}); from harness.cli import main; "
+    start += f"import harness; assert harness.__file__.startswith({str(site)!r}); "
+
+    def run(*words):
+        command = [sys.executable, "-P", "-c", start + f"sys.exit(main({list(words)!r}))"]
+        return subprocess.run(command, cwd=site, capture_output=True, text=True, timeout=30)
+
+    return run
+
+
+def test_from_the_wheel_alone_a_new_rig_is_made_and_runs(installed, tmp_path):
+    bench = tmp_path / "bench"
+    for words in (["new", bench], ["run", bench / "rig.toml", bench / "drive.py"]):
+        done = installed(*map(str, words))
         assert (done.returncode, done.stderr.count("Traceback")) == (0, 0), done.stderr
+    assert "right is at 3.1416 rad" in done.stdout
+
+
+def test_the_same_source_has_the_same_digest_wherever_it_is(installed):
+    assert f"source {source_digest()} in " in installed("--version").stdout

@@ -174,6 +174,12 @@ def test_a_second_rig_with_the_same_bus_is_refused(write):
             "rig.toml:9: controller.left.plant.resistance_ohm: must be > 0 ohm; write 1.0",
         ),
         (
+            "plant.resistance_ohm = 1.5",
+            "delay_s = -1.0",
+            "rig.toml:5: controller.left: cannot be built: delay_s = -1.0: must be >= 0; "
+            "correct its numbers",
+        ),
+        (
             'kind = "echo"',
             'kind = "broken"',
             'rig.toml:6: controller.left.kind: plugin "broken" cannot be loaded from '
@@ -189,7 +195,8 @@ def test_a_second_rig_with_the_same_bus_is_refused(write):
         (
             "velocity_max_rad_s = 6.0",
             "velocity_max_rad_s = -6.0",
-            "rig.toml:18: velocity_max_rad_s: is -6, not > 0; correct it, or leave the key out",
+            "rig.toml:18: motor.left.model.velocity_max_rad_s: is -6, not > 0; correct it, "
+            "or leave the key out",
         ),
     ],
 )

@@ -44,6 +44,16 @@ velocity_unit_inc_s = 10.0
 [controller.left.objects]
 "6065h" = 2000
 "1017h" = 100
+[motor.left]
+adaptation = "cia402"
+controller = "left"
+heartbeat_ms = 200
+heartbeat_timeout_ms = 600
+connect_timeout_s = 1.5
+[motor.left.model]
+velocity_max_rad_s = 6.0
+acceleration_max_rad_s2 = 20.0
+increments_per_rad = 1000
 """
 LINES = GOOD.splitlines()
 ASSIGNMENTS = [number for number, line in enumerate(LINES) if " = " in line]
@@ -55,7 +65,8 @@ def opened(text):
 
 def mistake_in(text):
     try:
-        opened(text).close()
+        with opened(text) as rig:
+            rig.build_motors()
     except RigError as error:
         return error
     return None
@@ -91,6 +102,10 @@ def test_the_rig_reaches_the_drive():
         ("boot_up_s = 0.1", "boot_up_ms = 100", "17: controller.left.timing.boot_up_ms: "),
         ('"wheel_60w"', '"wheel_600w"', "10: controller.left.plant.preset: "),
         ('"6065h" = 2000', '"6065x" = 2000', "23: controller.left.objects.6065x: "),
+        ("heartbeat_ms = 200", "heartbeat = 200", "28: motor.left.heartbeat: "),
+        ("heartbeat_ms = 200", "heartbeat_ms = -1", "28: motor.left.heartbeat_ms: "),
+        ("velocity_max_rad_s", "velocity_max", "32: motor.left.model.velocity_max: a motor model"),
+        ("velocity_max_rad_s = 6.0", "", "31: motor.left.model.velocity_max_rad_s: is missing"),
         ("node_id = 5", 'node_id = 5\neds = "no.eds"', "7: controller.left.eds: "),
     ],
 )
@@ -107,7 +122,7 @@ ODD_VALUES = [
 ]
 ODD_KEYS = [
     *("plant", "servo", "eds", '"6081h"', '"607Dh:1"', '"1A00h:0"', '"1016h:1"'),
-    "from_motor_model",
+    *("from_motor_model", "sdo_timeout_s", "status_inhibit_ms", "jerk_max_rad_s3"),
 ]
 VALUES = st.one_of(
     st.integers(-(2**63) + 1, 2**63 - 1).map(str),

@@ -239,10 +239,10 @@ LINE_EDITS = st.tuples(
 )
 
 
-def edited(edits):
-    """GOOD with some of its lines left out, and perhaps one moved."""
+def edited(edits, text=GOOD):
+    """The text with some of its lines left out, and perhaps one moved."""
     dropped, moves, random = edits
-    lines = [line for number, line in enumerate(GOOD.splitlines()) if number not in dropped]
+    lines = [line for number, line in enumerate(text.splitlines()) if number not in dropped]
     if moves:
         line = lines.pop(random.randrange(len(lines)))
         lines.insert(random.randrange(len(lines)), line)

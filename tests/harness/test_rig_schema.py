@@ -16,6 +16,7 @@ from emulators.plant.dc_motor import MotorPlant
 from emulators.plant.presets import PRESETS
 from harness import rig_faults, rig_file
 from harness.scaffold import EXAMPLES
+from motorapi.adaptations.drive_setup import HwOptions
 from motorapi.model import MotorModel
 from tests.harness.test_rig_file import GOOD, LINE_EDITS, REFUSALS, edited, mistake_in, unescaped
 
@@ -63,6 +64,14 @@ def test_the_schema_knows_the_drives_own_keys():
     assert drive["supported_modes"]["items"]["enum"] == list(drive_settings.EMULATED_MODES)
 
 
+def test_the_schema_knows_the_motors_own_keys():
+    common = {"adaptation", "controller", "bus", "node_id", "model"}
+    own = {field.name for field in fields(HwOptions)}
+    assert set(DEFS["cia402_motor"]["properties"]) == common | own
+    for field in fields(HwOptions):
+        assert DEFS["cia402_motor"]["properties"][field.name].get("default") == field.default
+
+
 def test_the_schema_knows_the_motor_models_keys(tmp_path):
     limits = dict.fromkeys((field.name for field in fields(MotorModel)), 1.0)
     limits.update(name="wheel", position_min=-1.0, requires_referencing=True)
@@ -95,9 +104,16 @@ def test_the_schema_refuses_what_the_reader_refuses(old, new, told):
     assert is_accepted(GOOD.replace(unescaped(old), unescaped(new), 1)) is beyond
 
 
+# Kinds the schema does not know, and no model's keys: there only a builder could refuse.
+FOREIGN = (
+    GOOD.replace('kind = "cia402"', 'kind = "io"')
+    .replace('adaptation = "cia402"', 'adaptation = "ideal"')
+    .replace('[motor.left.model]\nname = "wheel"', "model = {}")
+)
+
+
 @given(LINE_EDITS)
 def test_whatever_the_reader_accepts_the_schema_accepts(edits):
-    # A kind the schema does not know: what a drive needs, only its builder could refuse.
-    text = edited(edits).replace('kind = "cia402"', 'kind = "io"')
+    text = edited(edits, FOREIGN)
     if mistake_in(text) is None:
         VALIDATOR.validate(tomllib.loads(text))
