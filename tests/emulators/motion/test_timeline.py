@@ -1,0 +1,257 @@
+"""Who looks, when and how often changes nothing: not the motion, and not when a drive wakes up."""
+
+from dataclasses import replace
+
+from hypothesis import event, given
+from hypothesis import strategies as st
+
+from emulators.firmware import servo
+from emulators.firmware.axis import Axis
+from emulators.firmware.flags import IN_TARGET_WINDOW, PROFILE_ACTIVE
+from emulators.firmware.gains import ServoGains
+from emulators.firmware.servo_tables import ServoTables
+from emulators.plant.presets import MAST_20W, WHEEL_60W
+
+MS = 1_000_000
+TICK_NS = MS
+PLANTS = {
+    "wheel": WHEEL_60W,
+    "mast": MAST_20W,
+    "sliding": replace(MAST_20W, coulomb_friction_n_m=0.0, encoder_increments_rev=400),
+}
+TABLES = {name: ServoTables(p, ServoGains.tuned(p, MS, 10), MS, 10) for name, p in PLANTS.items()}
+
+# Commands: name and arguments. Small moves and short ramps, so that ends and rests come up.
+SPEEDS = st.sampled_from([500.0, 20_000.0, 150_000.0])
+RAMPS = st.sampled_from([50_000.0, 1_000_000.0])
+COMMANDS = st.one_of(
+    st.tuples(st.just("move_to"), st.integers(-3000, 3000), SPEEDS, RAMPS, RAMPS),
+    st.tuples(st.just("move_to"), st.integers(-3, 3), SPEEDS, RAMPS, RAMPS),
+    st.tuples(st.just("run_at"), st.sampled_from([0.0, -3000.0, 80_000.0]), RAMPS, RAMPS),
+    st.tuples(st.just("ramp_to_rest"), RAMPS),
+    st.tuples(st.just("follow"), st.integers(-500, 500), st.sampled_from([MS, 4 * MS, 2_500_000])),
+    st.tuples(st.just("hold")),
+    st.tuples(st.just("power"), st.booleans()),
+    st.tuples(st.just("set_load"), st.sampled_from([0.0, 1.0, -2.0])),
+    st.tuples(st.just("set_current_limit"), st.sampled_from([0.5, 8.0])),
+    st.tuples(st.just("set_position"), st.integers(-100, 100)),
+)
+WAITS_NS = st.sampled_from([0, 1, 300_000, MS, MS + 1, 3 * MS, 10 * MS, 64 * MS, 400 * MS])
+ASKS = st.tuples(st.just("next_event_ns"), st.none() | WAITS_NS)
+LOOKS = st.tuples(st.just("look"))
+ACTIONS = st.lists(st.tuples(WAITS_NS, st.one_of(LOOKS, ASKS, ASKS, COMMANDS)), max_size=40)
+
+POWERED_FIRST = [(0, ("power", True)), (MS, ("next_event_ns", None))]
+
+
+class Plain:
+    """The same servo run one tick at a time, whatever happens; the orders are the axis' own."""
+
+    def __init__(self, name: str, axis: Axis) -> None:
+        self.tables = TABLES[name]
+        self.axis = axis
+        self.tick = 0
+        self.state = servo.standing(0.0)
+        self.load = self.tables.load(PLANTS[name].load_torque_n_m)
+
+    def one_more(self, tick: int, state: servo.State) -> servo.State:
+        time = self.axis._time
+        after, made, _ = servo.run(
+            *(self.tables.tick, self.tables.step, 10, self.load),
+            *(time._windows, time._orders, state, tick, 1, False),
+        )
+        assert made == 1
+        return after
+
+    def reach(self, tick: int) -> None:
+        while self.tick < tick:
+            self.state = self.one_more(self.tick, self.state)
+            self.tick += 1
+
+    def flags_after(self, ticks: int) -> list[int]:
+        """The flags of the ticks to come, if nothing is commanded."""
+        flags, state = [], self.state
+        for tick in range(self.tick, self.tick + ticks):
+            state = self.one_more(tick, state)
+            flags.append(state[servo.I_FLAGS])
+        return flags
+
+
+def make(name: str) -> tuple[Axis, Plain]:
+    plant = PLANTS[name]
+    axis = Axis(plant, ServoGains.tuned(plant, MS, 10), TICK_NS, 10)
+    return axis, Plain(name, axis)
+
+
+def command(axis: Axis, name: str, *arguments) -> None:
+    """As a drive does it: only what the power stage's state allows."""
+    powered = axis._mode != servo.OFF
+    if powered or name in ("power", "set_load", "set_current_limit", "set_position"):
+        getattr(axis, name)(*arguments)
+
+
+@given(st.sampled_from(sorted(PLANTS)), ACTIONS)
+def test_whatever_is_asked_and_when_the_states_are_those_of_a_plain_run(name, actions):
+    axis, plain = make(name)
+    now = 0
+    for wait, (what, *arguments) in POWERED_FIRST + actions:
+        now += wait
+        plain.reach(now // TICK_NS)
+        axis.at(now)
+        assert repr(axis._time.state) == repr(plain.state)  # repr: to the bit
+        assert axis.flags == plain.state[servo.I_FLAGS]
+        if what == "next_event_ns":
+            check_next_event(axis, plain, now, arguments[0])
+        elif what != "look":
+            command(axis, what, *arguments)
+            event(what)
+            plain.state = axis._time.state  # a command may change the flags
+            if what == "set_load":
+                plain.load = plain.tables.load(arguments[0])
+
+
+def check_next_event(axis: Axis, plain: Plain, now: int, within_ns: int | None) -> None:
+    """Never later than the first change of flags, nor than the limit; later than now."""
+    limit = None if within_ns is None else now + within_ns
+    answer = axis.next_event_ns(limit)
+    flags = axis.flags
+    if answer is None:
+        event("rest")
+        assert set(plain.flags_after(120)) == {flags}
+        return
+    assert limit is None or answer <= limit
+    assert answer > now or answer == limit
+    quiet = -(-answer // TICK_NS) - plain.tick - 1  # ticks strictly before the answer
+    assert all(other == flags for other in plain.flags_after(quiet))
+
+
+@given(
+    st.sampled_from(sorted(PLANTS)),
+    st.lists(st.tuples(st.integers(1, 200), COMMANDS), max_size=8),
+    st.lists(st.integers(0, 40 * MS), max_size=60),
+    st.sampled_from([None, 20 * MS]),
+)
+def test_a_drive_sees_every_change_of_flags_and_wakes_the_same_whoever_looks(
+    name, commands, looks, limit_step_ns
+):
+    seen, wakes = drive(name, commands, [], limit_step_ns)
+    seen_too, wakes_too = drive(name, commands, looks, limit_step_ns)
+    assert wakes == wakes_too
+    assert seen == seen_too == every_change(name, commands)
+    event("many wakes" if len(wakes) > 200 else "few wakes")
+
+
+def schedule(commands) -> list[tuple[int, tuple]]:
+    due, now = [(0, ("power", True))], 0
+    for wait_ms, what in commands:
+        now += wait_ms * MS + 123_456
+        due.append((now, what))
+    return due
+
+
+def drive(name, commands, looks, limit_step_ns):
+    """(tick, flags) at each change, and when it woke up; looks are times since what was last."""
+    axis, _ = make(name)
+    due = schedule(commands)
+    end = due[-1][0] + 500 * MS
+    looks = [*looks]
+    now, seen, wakes, flags = 0, [], [], axis.flags
+    while now < end:
+        if axis.flags != flags:
+            flags = axis.flags
+            seen.append((now // TICK_NS, flags))
+        if due and due[0][0] == now:
+            command(axis, *due.pop(0)[1])
+            if axis.flags != flags:
+                flags = axis.flags
+                seen.append((now // TICK_NS, flags))
+            continue
+        limit = None if limit_step_ns is None else (now // limit_step_ns + 1) * limit_step_ns
+        wake = axis.next_event_ns(limit)
+        after = due[0][0] if due else end
+        if limit is not None:
+            after = min(after, limit)
+        after = after if wake is None else min(after, wake)
+        look = now
+        while looks and look + looks[0] < after:
+            look += looks.pop(0)
+            axis.at(look)
+        now = after
+        wakes.append(now)
+        axis.at(now)
+    return seen, wakes
+
+
+def every_change(name, commands) -> list[tuple[int, int]]:
+    axis, _ = make(name)
+    due = schedule(commands)
+    end = due[-1][0] + 500 * MS
+    seen, flags = [], axis.flags
+    for tick in range(-(-end // TICK_NS)):
+        axis.at(tick * TICK_NS)
+        if axis.flags != flags:
+            flags = axis.flags
+            seen.append((tick, flags))
+        while due and due[0][0] // TICK_NS == tick:
+            command(axis, *due.pop(0)[1])
+            if axis.flags != flags:
+                flags = axis.flags
+                seen.append((tick, flags))
+    axis.at(end)
+    if axis.flags != flags:
+        seen.append((end // TICK_NS, axis.flags))
+    return seen
+
+
+def test_a_move_can_begin_end_and_be_seen_at_all():  # an axis that never changes would pass above
+    seen, wakes = drive("wheel", [(10, ("move_to", 3000, 20_000.0, 1e6, 1e6))], [], None)
+    assert any(flags & PROFILE_ACTIVE for _, flags in seen)
+    assert seen[-1][1] & IN_TARGET_WINDOW
+    assert len(wakes) < 30  # of some 500 ticks: it ran ahead, and rested
+
+
+def test_commands_every_tick_are_not_computed_twice(monkeypatch):
+    """Cyclic demands make running ahead useless; it stops, but for a try now and then."""
+    axis, _ = make("wheel")
+    made = 0
+    run = servo.run
+
+    def counted(*arguments):
+        nonlocal made
+        result = run(*arguments)
+        made += result[1]
+        return result
+
+    monkeypatch.setattr(servo, "run", counted)
+    axis.power(True)
+    for k in range(2000):
+        axis.at(k * MS)
+        axis.next_event_ns()
+        axis.at(k * MS + 200_000)
+        axis.follow(10 * k, MS)
+        axis.next_event_ns()
+    assert made < 2000 * 1.05
+
+
+def test_periodic_looks_cost_no_second_computation(monkeypatch):
+    axis, _ = make("wheel")
+    made = 0
+    run = servo.run
+
+    def counted(*arguments):
+        nonlocal made
+        result = run(*arguments)
+        made += result[1]
+        return result
+
+    monkeypatch.setattr(servo, "run", counted)
+    axis.power(True)
+    axis.move_to(10**9, 50_000.0, 1e6, 1e6)
+    wake = axis.next_event_ns()
+    for k in range(20, 4000, 20):
+        while wake is not None and wake < k * MS:
+            axis.at(wake)
+            wake = axis.next_event_ns()
+        axis.at(k * MS)
+        wake = axis.next_event_ns()
+    assert made < 4000 * 1.2
