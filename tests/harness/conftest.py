@@ -1,5 +1,8 @@
 import pytest
 
+from harness.cli import main
+from tests.harness.rigs import GOOD, SCRIPT, WHEEL
+
 ENTRY_POINTS = """\
 [motorhil.controllers]
 echo = tests.harness.bench:controller
@@ -21,3 +24,23 @@ def bench(tmp_path, monkeypatch):
     folder.mkdir()
     monkeypatch.chdir(folder)
     return folder
+
+
+@pytest.fixture
+def rig(bench):
+    (bench / "rig.toml").write_text(GOOD)
+    (bench / "wheel.toml").write_text(WHEEL)
+    (bench / "script.py").write_text(SCRIPT)
+    return bench
+
+
+@pytest.fixture
+def say(capsys):
+    """Runs a command line; (exit status, stdout, stderr)."""
+
+    def run(*words):
+        status = main(words)
+        said = capsys.readouterr()
+        return status, said.out, said.err
+
+    return run

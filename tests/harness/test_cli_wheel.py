@@ -1,5 +1,6 @@
 """What a user installs carries everything the commands need."""
 
+import os
 import shutil
 import subprocess
 import sys
@@ -10,7 +11,7 @@ import pytest
 
 from harness.build_info import source_digest
 
-CHECKOUT = Path(__file__).parents[2]
+CHECKOUT = Path(os.environ.get("MOTORHIL_CHECKOUT", Path(__file__).parents[2]))
 PACKAGES = ("motorapi", "emulators", "traces", "harness")
 
 

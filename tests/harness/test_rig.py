@@ -8,38 +8,7 @@ from emulators.media.faults import FaultKind, FaultRule
 from harness.can_plugin import EmulatedBus
 from harness.rig import Rig
 from harness.settings import RigError
-
-GOOD = """\
-[rig]
-seed = 7
-[bus.can0]
-bitrate_bit_s = 1_000_000
-[controller.left]
-kind = "echo"
-bus = "can0"
-node_id = 1
-plant.resistance_ohm = 1.5
-[controller.right]
-kind = "echo"
-bus = "can0"
-node_id = 2
-[motor.left]
-adaptation = "bare"
-controller = "left"
-[motor.left.model]
-velocity_max_rad_s = 6.0
-acceleration_max_rad_s2 = 20.0
-[motor.right]
-adaptation = "bare"
-controller = "right"
-model = "wheel.toml"
-"""
-WHEEL = """\
-velocity_max_rad_s = 5.0
-acceleration_max_rad_s2 = 20.0
-current_max_a = 4.0
-increments_per_rad = 10185.9163
-"""
+from tests.harness.rigs import FAULT, GOOD, WHEEL
 
 
 @pytest.fixture
@@ -259,9 +228,6 @@ def test_a_model_that_fits_no_whole_encoder_is_refused(write):
         "the motor model makes 3878.79 increments per motor turn with gear_ratio = 16.5; "
         "correct one of them"
     )
-
-
-FAULT = '[[fault]]\nname = "loss"\nbus = "can0"\nkind = "drop"\nidentifier = 0x181\n'
 
 
 def test_chance_is_the_seeds_and_only_the_seeds(write):

@@ -3,7 +3,7 @@ import pytest
 
 from harness.rig import Rig
 from harness.settings import RigError
-from tests.harness.test_rig import FAULT, GOOD, WHEEL
+from tests.harness.rigs import FAULT, GOOD, WHEEL
 from traces.digest import digest
 from traces.reader import read_trace
 

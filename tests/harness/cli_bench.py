@@ -1,0 +1,23 @@
+"""Running the command line in tests: in this process, or in another one."""
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+
+def environment():
+    """For another process: it finds the plugins of bench.py, and bench.py itself."""
+    folders = [str(Path.cwd().parent / "site"), str(Path(__file__).parents[2])]
+    return {**os.environ, "PYTHONPATH": os.pathsep.join(folders)}
+
+
+def in_another_process(*words, **options):
+    return subprocess.run(
+        [sys.executable, "-m", "harness", *words],
+        env=environment(),
+        capture_output=True,
+        text=True,
+        timeout=30,
+        **options,
+    )

@@ -1,0 +1,196 @@
+import os
+import signal
+import subprocess
+import sys
+import time
+
+import pytest
+
+from tests.harness.cli_bench import environment, in_another_process
+from tests.harness.rigs import SCRIPT
+from traces.digest import digest
+
+
+def test_a_script_joins_the_rig_with_a_plain_can_bus(rig, say):
+    assert say("run", "rig.toml", "script.py") == (0, "[] __main__ 2a\n", "")
+
+
+def test_a_script_leaves_no_trace_in_the_process(rig, say, monkeypatch):
+    monkeypatch.setenv("CAN_INTERFACE", "socketcan")
+    monkeypatch.setenv("CAN_CONFIG", '{"fd": true}')
+    before = (dict(os.environ), sys.argv, sys.path.copy(), sys.modules["__main__"])
+    assert say("run", "rig.toml", "script.py") == (0, "[] __main__ 2a\n", "")
+    assert (dict(os.environ), sys.argv, sys.path, sys.modules["__main__"]) == before
+
+
+def test_options_may_stand_anywhere_and_the_scripts_own_come_behind_two_dashes(rig, say):
+    expected = (0, "['a', '--seed', '--', 'b'] __main__ 2a\n", "")
+    words = ("--seed", "3", "rig.toml", "script.py", "a", "--", "--seed", "--", "b")
+    assert say("run", *words) == expected
+    words = ("rig.toml", "script.py", "--seed=3", "a", "--", "--seed", "--", "b")
+    assert say("run", *words) == expected
+
+
+@pytest.mark.parametrize(
+    ("line", "status", "told"),
+    [
+        ("sys.exit()", 0, ""),
+        ("sys.exit(3)", 3, ""),
+        ("sys.exit('enough')", 1, "enough\n"),
+    ],
+)
+def test_a_scripts_exit_status_is_ours(rig, say, line, status, told):
+    (rig / "script.py").write_text(f"import sys\n{line}\n")
+    again = "again: motorhil run rig.toml script.py --seed 7\n" if status else ""
+    assert say("run", "rig.toml", "script.py") == (status, "", told + again)
+
+
+def test_a_scripts_exception_is_told_from_the_scripts_first_line_on(rig, say):
+    (rig / "helper.py").write_text("def divide(a, b):\n    return a / b\n")
+    (rig / "script.py").write_text("import helper\n\nhelper.divide(1, 0)\n")
+    status, out, err = say("run", "rig.toml", "script.py", "-o", "x.mcap", "--", "a b")
+    assert (status, out) == (1, "")
+    assert err == (
+        "Traceback (most recent call last):\n"
+        '  File "script.py", line 3, in <module>\n'
+        "    helper.divide(1, 0)\n"
+        f'  File "{rig}/helper.py", line 2, in divide\n'
+        "    return a / b\n"
+        "           ~~^~~\n"
+        "ZeroDivisionError: division by zero\n"
+        "again: motorhil run rig.toml script.py --seed 7 -o x.mcap -- 'a b'\n"
+    )
+
+
+def test_what_the_motor_interface_refuses_is_told_without_its_insides(rig, say):
+    (rig / "script.py").write_text(
+        "import can\nfrom motorapi import runtime_of\nbus = can.Bus()\n"
+        "runtime_of(bus).wait_until(lambda: False, -1.0)\n"
+    )
+    status, _, err = say("run", "rig.toml", "script.py")
+    assert status == 1
+    assert err.splitlines()[:3] == [
+        "Traceback (most recent call last):",
+        '  File "script.py", line 4, in <module>',
+        "    runtime_of(bus).wait_until(lambda: False, -1.0)",
+    ]
+    assert err.splitlines()[3].startswith("motorapi.errors.UsageError: timeout_s = -1.0")
+
+
+def test_what_a_party_raised_and_nobody_asked_for_is_the_scripts_failure(rig, say):
+    (rig / "script.py").write_text(
+        "import can\nfrom motorapi import runtime_of\nwith can.Bus() as bus:\n"
+        "    runtime = runtime_of(bus)\n    runtime.spawn('second', lambda: 1 / 0)\n"
+        "    runtime.wait_until(lambda: False, 1.0)\n"
+    )
+    status, _, err = say("run", "rig.toml", "script.py")
+    assert status == 1
+    lines = err.splitlines()
+    assert lines[:2] == [
+        "Traceback (most recent call last):",
+        '  File "script.py", line 5, in <lambda>',
+    ]
+    assert "ZeroDivisionError: division by zero" in lines
+    assert lines[-1].startswith("again: motorhil run")
+
+
+def test_one_seed_is_one_record_whatever_the_hash_seed(bench, say):
+    say("new", ".")
+    digests = []
+    for hash_seed in ("0", "1"):
+        target = f"{hash_seed}.mcap"
+        done = subprocess.run(
+            [sys.executable, "-m", "harness", "run", "rig.toml", "drive.py", "-o", target],
+            env={**environment(), "PYTHONHASHSEED": hash_seed},
+            capture_output=True,
+            timeout=30,
+            check=True,
+        )
+        assert b"right is at 3.1416" in done.stdout
+        digests.append(digest(target))
+    assert digests[0] == digests[1]
+
+
+def test_a_script_that_is_no_python_is_told_like_python_does(rig, say):
+    (rig / "script.py").write_text("a = = 1\n")
+    status, _, err = say("run", "rig.toml", "script.py")
+    assert status == 1
+    assert err.startswith('  File "script.py", line 1\n')
+    assert "SyntaxError: invalid syntax" in err
+
+
+def test_errors_a_script_chains_are_all_told(rig, say):
+    (rig / "script.py").write_text("try:\n    1/0\nexcept Exception as e:\n    raise KeyError(1)\n")
+    _, _, err = say("run", "rig.toml", "script.py")
+    assert err.index("ZeroDivisionError") < err.index("During handling") < err.index("KeyError: 1")
+    assert "harness" not in err
+
+
+def test_a_script_can_come_from_standard_input(rig):
+    done = in_another_process("run", "rig.toml", "-", "a", input=SCRIPT)
+    assert (done.returncode, done.stdout) == (0, "['a'] __main__ 2a\n")
+    done = in_another_process("run", "rig.toml", "-", input="x = 1\nx / 0\n")
+    assert done.returncode == 1
+    assert '  File "<stdin>", line 2, in <module>\n    x / 0\n' in done.stderr
+
+
+def test_without_a_script_there_is_a_prompt_with_the_rig(rig):
+    lines = "rig.seed + 35\nrig.runtime.run_for(2.5); rig.runtime.now_ns()\nexit(3)\n"
+    done = in_another_process("run", "rig.toml", input=lines)
+    assert done.returncode == 3
+    assert "42" in done.stdout
+    assert "2500000000" in done.stdout
+    assert "rig: motors left, right; time passes while you wait" in done.stderr
+    assert in_another_process("run", "rig.toml", input="").returncode == 0
+
+
+@pytest.mark.wall
+def test_ctrl_c_ends_a_script_with_130_and_one_line(rig):
+    (rig / "script.py").write_text(
+        "from motorapi import runtime_of\nimport can\nwith can.Bus() as bus:\n"
+        "    print('up', flush=True)\n    runtime_of(bus).wait_until(lambda: False, 3600.0)\n"
+    )
+    command = [sys.executable, "-m", "harness", "run", "--realtime", "rig.toml", "script.py"]
+    with subprocess.Popen(
+        command, env=environment(), stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+    ) as process:
+        assert process.stdout.readline() == "up\n"
+        process.send_signal(signal.SIGINT)
+        _, err = process.communicate(timeout=10)
+    assert process.returncode == 130
+    assert err == "motorhil: interrupted\n"
+
+
+def test_output_that_nobody_reads_is_no_error(rig):
+    (rig / "script.py").write_text("for n in range(100_000): print('line', n)\n")
+    command = f"{sys.executable} -m harness run rig.toml script.py | head -n 1"
+    done = subprocess.run(
+        command, shell=True, env=environment(), capture_output=True, text=True, timeout=30
+    )
+    assert (done.stdout, done.stderr) == ("line 0\n", "")
+
+
+def test_a_record_that_cannot_be_finished_is_one_line_and_not_the_scripts_fault(rig):
+    (rig / "script.py").write_text(
+        "from motorapi import runtime_of\nimport can\nwith can.Bus() as bus:\n"
+        "    task = bus.send_periodic(can.Message(arbitration_id=1), 0.0005)\n"
+        "    runtime_of(bus).wait_until(lambda: False, 10.0)\n"
+    )
+    command = f"ulimit -f 8; {sys.executable} -m harness run rig.toml script.py -o x.mcap"
+    done = subprocess.run(
+        ["bash", "-c", command], env=environment(), capture_output=True, text=True, timeout=30
+    )
+    assert done.returncode == 2
+    assert done.stderr.startswith("x.mcap: ")
+    assert done.stderr.count("\n") == 1
+
+
+@pytest.mark.wall
+def test_realtime_takes_its_time(rig, say):
+    (rig / "script.py").write_text(
+        "from motorapi import runtime_of\nimport can\n"
+        "runtime_of(can.Bus()).wait_until(lambda: False, 0.1)\n"
+    )
+    start_s = time.monotonic()
+    assert say("run", "--realtime", "rig.toml", "script.py") == (0, "", "")
+    assert time.monotonic() - start_s >= 0.1
