@@ -296,6 +296,7 @@ class Cia402Motor(Motor):
             acknowledged=True,
             target_inc=profile.target,
             tolerance_inc=limits.window,
+            distance_inc=profile.target - self._node.position_inc,
         )
         self._follow(watch)
         self._held = (profile.target, motion.target)

@@ -4,6 +4,7 @@ import struct
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Final, final
 
+from motorapi.adaptations.canopen_errors import SdoAborted
 from motorapi.adaptations.cia402_objects import ENABLE_OPERATION, Mode
 from motorapi.errors import UnsupportedError, UsageError
 
@@ -55,14 +56,26 @@ class CspStream:
 
     def _set_up(self, period_ms: int) -> None:
         hardware = self._hardware
-        for subindex, value in ((1, period_ms), (2, -3)):
-            if hardware.objects.read_optional(0x60C2, subindex) != value:
-                hardware.objects.push(0x60C2, value, subindex)
+        try:
+            for subindex, value in ((1, period_ms), (2, -3)):
+                if hardware.objects.read_optional(0x60C2, subindex) not in (None, value):
+                    hardware.objects.push(0x60C2, value, subindex)
+        except SdoAborted as error:
+            raise UnsupportedError(
+                motor=hardware.label,
+                feature=f"a set-point every {period_ms} ms ({error})",
+                supported=self._own_period(),
+            ) from error
         # The target must be where the drive is before csp looks at it.
         held = hardware.objects.read_optional(0x6062)
         self._target = hardware.objects.read_int(0x6064) if held is None else held
         hardware.write(0x607A, self._target)
         hardware.set_mode(Mode.CYCLIC_SYNC_POSITION)
+
+    def _own_period(self) -> str:
+        value = self._hardware.objects.read_optional(0x60C2, 1)
+        exponent = self._hardware.objects.read_optional(0x60C2, 2)
+        return f"one every {value} x 10^{exponent} s (60C2h)"
 
     def _frame(self, target: int) -> bytes:
         return _SETPOINT.pack(self._can_id, 6, ENABLE_OPERATION, target)

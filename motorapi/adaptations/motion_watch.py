@@ -18,6 +18,7 @@ SETTLE_NS: Final = 20_000_000
 """A drive may show bits of before for so long; any servo tick and TPDO latency is shorter."""
 
 _STILL_INC: Final = 2
+_NEAR: Final = 4  # "most of the way": within this part of it
 
 
 class MotionWatch(Protocol):
@@ -35,7 +36,8 @@ class MotionWatch(Protocol):
 class SetpointWatch:
     """One set-point in pp, or (without acknowledge) one target velocity in pv.
 
-    Over is when *target reached* rises after the start. If it never was seen low (a move of zero
+    Over is when *target reached* rises after the start, with the position most of the way there (a
+    frame of before may have been delayed on its way). If it never was seen low (a move of zero
     length, a drive that shows it late, lost frames), the motion is believed only once its own
     duration has passed and the position is at the target: drives are known to show the bit of the
     motion before for a while.
@@ -49,6 +51,7 @@ class SetpointWatch:
         acknowledged: bool,
         target_inc: int | None,
         tolerance_inc: int | None,
+        distance_inc: int = 0,
     ) -> None:
         self.started_ns: int | None = None
         self.ended_ns: int | None = None
@@ -58,6 +61,7 @@ class SetpointWatch:
         self._needs_acknowledge = acknowledged
         self._target_inc = target_inc
         self._tolerance_inc = tolerance_inc
+        self._near_inc = max(tolerance_inc or 0, abs(distance_inc) // _NEAR)
         self._seen_low = False
 
     def begin(self, time_ns: int) -> None:
@@ -77,15 +81,17 @@ class SetpointWatch:
             return
         if not statusword & TARGET_REACHED:
             self._seen_low = True
-        elif self._seen_low or (
-            time_ns >= self.started_ns + self._expected_ns and self._is_there(position_inc)
-        ):
-            self.ended_ns = time_ns
+        elif self._seen_low:
+            if self._is_within(self._near_inc, position_inc):
+                self.ended_ns = time_ns
+        elif time_ns >= self.started_ns + self._expected_ns:
+            within = self._tolerance_inc
+            if within is None or self._is_within(within, position_inc):
+                self.ended_ns = time_ns
 
-    def _is_there(self, position_inc: int) -> bool:
-        if self._target_inc is None or self._tolerance_inc is None:
-            return True
-        return abs(position_inc - self._target_inc) <= self._tolerance_inc
+    def _is_within(self, within_inc: int, position_inc: int) -> bool:
+        target_inc = self._target_inc
+        return target_inc is None or abs(position_inc - target_inc) <= within_inc
 
 
 @final

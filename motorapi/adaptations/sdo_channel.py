@@ -3,8 +3,9 @@
 canopen's client blocks on a queue and on the wall clock. Here it blocks in `Runtime.wait_until`,
 with a deadline of the runtime's own time, and never believes a stale answer:
 
-- An answer to another object than the one asked for is counted and dropped, and so is one that
-  came before the request itself was on the wire.
+- An answer to another object or another service than the one asked for, or with the toggle bit of
+  the segment before, is counted and dropped, and so is one that came before the request itself was
+  on the wire. Buses repeat frames when their last bit is hit (ISO 11898-1), servers are slow.
 - After a request that was not answered in time the channel is in *quarantine*: the next request
   waits until the late answer has come (it is dropped), the node has booted, or a bound has passed.
   Without that, asking the same object again would return the old value.
@@ -28,6 +29,13 @@ if TYPE_CHECKING:
 _RTR: Final = 0x4000_0000
 _EFF: Final = 0x8000_0000
 _ABORT: Final = 0x80
+_TOGGLE: Final = 0x10
+_NO_PLACE: Final = b"\0\0\0"
+# client command specifiers
+_DOWNLOAD_SEGMENT: Final = 0
+_DOWNLOAD: Final = 1
+_UPLOAD: Final = 2
+_UPLOAD_SEGMENT: Final = 3
 _REQUEST_ID: Final = 0x600
 _RESPONSE_ID: Final = 0x580
 _TURN_TIMEOUT_S: Final = 10.0
@@ -78,7 +86,7 @@ class _Client(SdoClient):
         self._runtime: Runtime = link.runtime
         self._request: Transmission | None = None
         self._opened = b""  # index and sub-index of the transfer
-        self._place = b""  # the same while it is being initiated, b"" for later segments
+        self.odd: bytes | None = None  # a frame during the transfer that was no answer to it
         self._has_answer = False
         self._quarantine_ns: int | None = None
 
@@ -87,9 +95,6 @@ class _Client(SdoClient):
     def send_request(self, request: bytearray) -> None:
         """The request is on its way; what came before it is no answer to it."""
         data = bytes(request)
-        command = data[0] >> 5
-        initiates = command in (1, 2) or (command in (5, 6) and not data[0] & 0x01)
-        self._place = data[1:4] if initiates and data[0] != _ABORT else b""
         self._has_answer = False
         transmission = self._link.send_tracked(can_frame(self.rx_cobid, data))
         self._request = None if data[0] == _ABORT else transmission
@@ -124,19 +129,41 @@ class _Client(SdoClient):
             self._quarantine_ns = None  # the late answer, most likely: nothing else can come
             return
         data = frame[8:16]
-        place = self._place
-        if place and data[1:4] != place and data[0] >> 5 in (2, 3, 4):
+        if not self._answers(data, request.frame[8]):
             self.strays += 1
-            return
-        if not place and data[0] == _ABORT and data[1:4] not in (self._opened, b"\0\0\0"):
-            self.strays += 1
+            self.odd = data
             return
         self.responses.put(data)
         self._has_answer = True
 
+    def _answers(self, data: bytes, asked: int) -> bool:
+        """Whether this can be the answer to the command byte `asked` (CiA 301, SDO protocols)."""
+        command = data[0]
+        if command == _ABORT:
+            return data[1:4] in (self._opened, _NO_PLACE)
+        service = asked >> 5
+        if service == _DOWNLOAD:
+            return command >> 5 == 3 and data[1:4] == self._opened
+        if service == _UPLOAD:
+            return command >> 5 == 2 and data[1:4] == self._opened
+        if service == _DOWNLOAD_SEGMENT:
+            return command >> 5 == 1 and command & _TOGGLE == asked & _TOGGLE
+        if service == _UPLOAD_SEGMENT:
+            return command >> 5 == 0 and command & _TOGGLE == asked & _TOGGLE
+        return True  # block transfer: the client of canopen looks itself
+
+    def odd_text(self) -> str:
+        """The frame that was no answer, in hex."""
+        return "nothing" if self.odd is None else self.odd.hex(" ").upper()
+
+    def is_odd_about_this(self) -> bool:
+        """Whether it was about the very object of the transfer, so that the server meant it."""
+        return self.odd is not None and self.odd[1:4] == self._opened
+
     def begin(self, place: bytes) -> None:
         """A transfer of this object begins; it waits while an old answer may still come."""
         self._opened = place
+        self.odd = None
         self.booted = False
         if self._quarantine_ns is not None:
             left_ns = self._quarantine_ns - self._runtime.now_ns()
@@ -225,10 +252,15 @@ class SdoChannel:
                 ) from None
             except _NoAnswer:
                 client.quarantine(bound_ns)
+                heard = "a boot-up" if client.booted else client.odd_text()
+                if client.is_odd_about_this():
+                    raise ProtocolViolation(
+                        node_id=self._node_id, where=where, problem=f"no answer but {heard}"
+                    ) from None
                 raise DeadlineExceeded(
                     awaited=f"node {self._node_id} on {self._link.name}: answer to {where}",
                     timeout_s=client.timeout_s,
-                    last_heard="a boot-up" if client.booted else "nothing",
+                    last_heard=heard,
                 ) from None
             except SdoCommunicationError as error:
                 client.quarantine(bound_ns)

@@ -29,7 +29,7 @@ from tests.motorapi.adaptations.conftest import drive
 
 OpenRig = Callable[..., Rig]
 MS = 1_000_000
-INCREMENT_RAD = 2 * pi / 132_000  # 4000 x 33, our own drive's default motor and gear
+INCREMENT_RAD = 2 * pi / 132_000  # 2000 x 66, our own drive's default motor and gear
 
 
 @pytest.fixture

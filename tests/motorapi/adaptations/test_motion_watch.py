@@ -17,6 +17,7 @@ def set_point(expected_ms: int = 100, tolerance: int | None = 10) -> SetpointWat
         acknowledged=True,
         target_inc=1000,
         tolerance_inc=tolerance,
+        distance_inc=1000,
     )
     watch.begin(5 * MS)
     return watch
@@ -43,6 +44,24 @@ def test_target_reached_of_the_motion_before_is_not_believed():
     watch.see(MOVING, 100, 30 * MS)
     watch.see(REACHED, 1000, 110 * MS)
     assert watch.ended_ns == 110 * MS
+
+
+def test_a_status_of_before_that_was_late_on_its_way_is_not_believed():
+    watch = SetpointWatch(
+        commanded_ns=None,
+        expected_ns=100 * MS,
+        acknowledged=True,
+        target_inc=1000,
+        tolerance_inc=10,
+        distance_inc=1000,
+    )
+    watch.begin(5 * MS)
+    watch.see(ACK, 0, 7 * MS)
+    watch.see(REACHED, 0, 8 * MS)  # sampled before the start
+    watch.see(REACHED, 749, 9 * MS)
+    assert watch.ended_ns is None
+    watch.see(REACHED, 750, 10 * MS)
+    assert watch.ended_ns == 10 * MS
 
 
 def test_a_bit_that_is_never_seen_low_counts_when_time_and_place_are_right():

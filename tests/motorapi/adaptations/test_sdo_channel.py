@@ -151,8 +151,35 @@ def test_an_answer_of_the_wrong_kind_is_a_violation_and_quarantined():
 
     bus = ScriptedBus(peer)
     channel = channel_to(bus)
-    with pytest.raises(ProtocolViolation, match=r"SDO 6064h:00h: Unexpected response 0x60"):
+    with pytest.raises(ProtocolViolation, match=r"SDO 6064h:00h: no answer but 60 64 60 00"):
         channel.upload(0x6064)
+    assert bus.runtime.now_ns() == 300 * MS
+
+
+def test_the_answer_to_a_read_repeated_is_not_taken_for_that_to_a_write():
+    again = ("582#43646000D7000000", "582#6064600000000000")
+    script = Transcript([("602#4064600000000000", again[0])])
+    bus = ScriptedBus(script)
+    channel = channel_to(bus)
+    channel.upload(0x6064)
+    bus.peer = lambda data: [(50, frame(again[0])), (1 * MS, frame(again[1]))]
+    channel.download(0x6064, 0, b"\x01\x00\x00\x00")
+    assert channel.strays == 1
+
+
+def test_a_segment_repeated_is_not_taken_for_the_next_one():
+    segments = {
+        0x40: ["582#410810000A000000"],
+        0x60: ["582#0054696E79204E6F"],
+        0x70: ["582#0054696E79204E6F", "582#1964652000000000"],  # the first one again
+    }
+
+    def peer(data: bytes) -> list[Answer]:
+        return [(place * MS, frame(text)) for place, text in enumerate(segments[data[8]], 1)]
+
+    channel = channel_to(ScriptedBus(peer))
+    assert channel.upload(0x1008) == b"Tiny Node "
+    assert channel.strays == 1
 
 
 def test_a_boot_ends_waiting_and_quarantine():
