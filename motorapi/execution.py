@@ -1,6 +1,7 @@
 """Executing commands: one motor or many, started as one operation, waited for as one.
 
-    take all (in one global order) -> plan -> enable -> plan -> arm all -> fire -> confirm all
+    take all (in one global order) -> plan -> enable -> plan again -> take the triggers
+    -> arm all -> fire each trigger once -> confirm all
 
 Whatever fails before firing: nothing has moved, and what was armed is disarmed. Whatever fails
 after: every motor of the start is stopped. A start of one motor is a start of a group of one.
@@ -24,9 +25,9 @@ from motorapi.errors import (
     StateError,
     UsageError,
 )
-from motorapi.sharing import Run, RunStatus
+from motorapi.sharing import Run, RunStatus, Turns, trigger_turns
 from motorapi.state import Fault, MotorState
-from motorapi.synchronization import Trigger
+from motorapi.synchronization import SyncLevel, Trigger
 from motorapi.trajectory import TrapezoidalTrajectory
 
 if TYPE_CHECKING:
@@ -66,6 +67,8 @@ def start_together(motors: Sequence["Motor"]) -> tuple[Started, ...]:
             Started(motor, motion, motor._call(motor._quantise, motion))
             for motor, motion in zip(motors, motions, strict=True)
         )
+        for turns in _trigger_turns(motors):
+            held.enter_context(turns.turn(motors[0].runtime, f"start() of {motors[0].name}"))
         _fire(started, _arm(started, seen), seen)
         return started
 
@@ -214,6 +217,15 @@ def _common_duration(motors: Sequence["Motor"], motions: Sequence[Motion]) -> li
     return result
 
 
+def _trigger_turns(motors: Sequence["Motor"]) -> list[Turns]:
+    """The triggers that several motors share: from arming to firing they are for us alone."""
+    if len(motors) == 1:
+        return []
+    offers = [motor._call(motor._sync_offer) for motor in motors]
+    shared = [offer.group for offer in offers if offer.level is not SyncLevel.SEQUENTIAL]
+    return trigger_turns(motors[0].runtime, shared)
+
+
 def _arm(started: Sequence[Started], seen: Sequence[int]) -> list[Trigger]:
     """All are armed, confirmed; what fires them, each trigger once, in the order of motors."""
     armed: list[Started] = []
@@ -290,9 +302,13 @@ def wait_for_all(motors: Sequence["Motor"], timeout_s: float | None) -> None:
         DeadlineExceeded: not within `timeout_s` [s]; names who was not done. Nothing is stopped.
         MotorError: how a motion failed.
     """
+    if timeout_s is not None and not timeout_s >= 0.0:
+        raise UsageError(f"timeout_s = {timeout_s}: must be a number of seconds >= 0")
     waiting = [(motor, motor._run) for motor in motors]
     runtime = motors[0].runtime
-    deadline_ns = None if timeout_s is None else runtime.now_ns() + round(timeout_s * 1e9)
+    deadline_ns: int | None = None
+    if timeout_s is not None:
+        deadline_ns = runtime.now_ns() + round(min(timeout_s, 1e9) * 1e9)
 
     def all_over() -> bool:
         nonlocal waiting

@@ -17,8 +17,8 @@ Ownership across processes is to take its place behind the same three.
 import threading
 import weakref
 from collections import deque
-from collections.abc import Hashable, Iterator
-from contextlib import contextmanager
+from collections.abc import Hashable, Iterator, Sequence
+from contextlib import AbstractContextManager, contextmanager
 from enum import Enum
 from typing import TYPE_CHECKING, Final, final
 
@@ -31,6 +31,49 @@ if TYPE_CHECKING:
 
 TRANSACTION_TIMEOUT_S: Final = 10.0
 """How long an operation waits for the one before it; far longer than any drive takes."""
+
+
+@final
+class _Ticket:
+    __slots__ = ("since_ns", "thread", "who")
+
+    def __init__(self, who: str, thread: int, since_ns: int) -> None:
+        self.who: Final = who
+        self.thread: Final = thread
+        self.since_ns: Final = since_ns
+
+
+@final
+class Turns:
+    """Who may use something that one party at a time may use: first come, first served."""
+
+    def __init__(self, label: str) -> None:
+        self.label: Final = label
+        self._queue: deque[_Ticket] = deque()
+
+    @contextmanager
+    def turn(self, runtime: Runtime, who: str) -> Iterator[None]:
+        """Nobody else has it inside the block; in order of asking.
+
+        Raises:
+            UsageError: this thread has it already.
+            MotorBusyError: the one before took longer than `TRANSACTION_TIMEOUT_S`.
+        """
+        thread = threading.get_ident()
+        for other in tuple(self._queue):
+            if other.thread == thread:
+                raise UsageError(f"{who}: {other.who} is still at work in this very thread")
+        ticket = _Ticket(who, thread, runtime.now_ns())
+        self._queue.append(ticket)
+        try:
+            if self._queue[0] is not ticket and not runtime.wait_until(
+                lambda: self._queue[0] is ticket, TRANSACTION_TIMEOUT_S
+            ):
+                first = self._queue[0]
+                raise MotorBusyError(motor=self.label, holder=first.who, since_ns=first.since_ns)
+            yield
+        finally:
+            self._queue.remove(ticket)
 
 
 @final
@@ -90,31 +133,11 @@ class PhysicalMotor:
         self.interruptions = 0
         """Grows with every stop, quick stop and halt, so that a start in progress notices."""
         self._owner: object = None
-        self._queue: deque[_Ticket] = deque()
+        self._turns = Turns(label)
 
-    @contextmanager
-    def transaction(self, runtime: Runtime, who: str) -> Iterator[None]:
-        """No other operation on this motor runs inside the block; in order of asking.
-
-        Raises:
-            UsageError: this thread is inside a transaction on this motor already.
-            MotorBusyError: the one before took longer than `TRANSACTION_TIMEOUT_S`.
-        """
-        thread = threading.get_ident()
-        for other in tuple(self._queue):
-            if other.thread == thread:
-                raise UsageError(f"{who}: {other.who} is still at work in this very thread")
-        ticket = _Ticket(who, thread, runtime.now_ns())
-        self._queue.append(ticket)
-        try:
-            if self._queue[0] is not ticket and not runtime.wait_until(
-                lambda: self._queue[0] is ticket, TRANSACTION_TIMEOUT_S
-            ):
-                first = self._queue[0]
-                raise MotorBusyError(motor=self.label, holder=first.who, since_ns=first.since_ns)
-            yield
-        finally:
-            self._queue.remove(ticket)
+    def transaction(self, runtime: Runtime, who: str) -> AbstractContextManager[None]:
+        """No other operation on this motor runs inside the block; see `Turns.turn`."""
+        return self._turns.turn(runtime, who)
 
     def take(self, owner: object, motor: str, status: RunStatus) -> None:
         """`owner` may command the motor; `status` is that of the run there is, if any.
@@ -148,19 +171,26 @@ class PhysicalMotor:
         self.run = None
 
 
-@final
-class _Ticket:
-    __slots__ = ("since_ns", "thread", "who")
-
-    def __init__(self, who: str, thread: int, since_ns: int) -> None:
-        self.who: Final = who
-        self.thread: Final = thread
-        self.since_ns: Final = since_ns
-
-
+_triggers: Final["weakref.WeakKeyDictionary[Runtime, dict[Hashable, Turns]]"] = (
+    weakref.WeakKeyDictionary()
+)
 _registry_lock: Final = threading.Lock()
 _registry: Final[dict[Hashable, "weakref.ref[object]"]] = {}
 _serial = 0
+
+
+def trigger_turns(runtime: Runtime, groups: Sequence[Hashable]) -> list[Turns]:
+    """Turns for arming and firing by the triggers `groups`, in the order to take them.
+
+    A signal that starts whatever is armed would start another group's motors too early.
+    """
+    with _registry_lock:
+        known = _triggers.setdefault(runtime, {})
+        for group in groups:
+            if group not in known:
+                known[group] = Turns(f"the trigger {group}")
+        wanted = [known[group] for group in dict.fromkeys(groups)]
+    return sorted(wanted, key=lambda turns: turns.label)
 
 
 def register_physical_motor(key: Hashable, label: str, hardware: object) -> PhysicalMotor:

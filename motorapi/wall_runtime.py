@@ -128,7 +128,9 @@ class WallRuntime:
         if timeout_s is not None and not timeout_s >= 0.0:
             raise UsageError(f"timeout_s = {timeout_s}: must be a number of seconds >= 0")
         self._refuse_in_callback()
-        deadline_ns = None if timeout_s is None else self.now_ns() + round(timeout_s * 1e9)
+        deadline_ns: int | None = None
+        if timeout_s is not None:
+            deadline_ns = self.now_ns() + round(min(timeout_s, 1e9) * 1e9)
         with self._changed, self._counted():
             while True:
                 self._check_open()

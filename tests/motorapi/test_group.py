@@ -343,6 +343,37 @@ def test_quality_before_any_start_is_refused_and_unknown_until_the_end(runtime, 
     assert [name for name, _ in group.sync_quality().times] == ["m1", "m2"]
 
 
+def test_two_groups_of_one_trigger_do_not_start_each_others_motors(runtime):
+    bus = IdealBus()
+    motors = [IdealMotor(IdealHwMotor(runtime, node, bus, acts_s=0.01)) for node in range(5)]
+    groups = [group_of(motors[:2], 1.0, 1.0), group_of(motors[2:], 1.0, 1.0, 1.0)]
+
+    for motor in motors:
+        motor.enable()  # so that arming is what happens at the same time
+
+    def run(group):
+        for _ in range(5):
+            group.start()
+            assert group.sync_quality().start_skew_s == 0.0
+            group.wait_until_done(timeout_s=10)
+
+    parties = [runtime.spawn(f"p{k}", lambda k=k: run(groups[k])) for k in range(2)]
+    for party in parties:
+        assert party.join(timeout_s=100)
+        assert party.error is None
+    assert bus.fired == 10
+
+
+@pytest.mark.parametrize("timeout_s", [-1.0, float("nan")])
+def test_a_timeout_is_a_number_of_seconds(pair, timeout_s):
+    motor = pair[0]
+    with pytest.raises(UsageError, match="timeout_s"):
+        motor.wait_until_done(timeout_s)
+    with pytest.raises(UsageError, match="timeout_s"):
+        MotorGroup(*pair).wait_until_done(timeout_s)
+    motor.wait_until_done(float("inf"))
+
+
 def test_a_replaceable_set_point_is_not_a_rest_for_the_other_member(pair):
     group = group_of(pair, 1.0, 2.0)
     group.start()
