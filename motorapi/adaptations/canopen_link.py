@@ -164,7 +164,16 @@ class CanopenLink:
         Raises:
             LinkError: the bus does not take it, or has not transmitted anything for a long time.
         """
-        transmission = Transmission(frame)
+        return self.send_as(Transmission(frame))
+
+    def send_as(self, transmission: Transmission) -> Transmission:
+        """As `send_tracked`, for whoever must know the transmission before it can be answered.
+
+        On the wall clock an answer may be heard, in another thread, before this has returned.
+
+        Raises: as `send_tracked`.
+        """
+        frame = transmission.frame
         waiting = self._awaited.get(frame[:4])
         if waiting is None:
             waiting = self._awaited[frame[:4]] = deque()

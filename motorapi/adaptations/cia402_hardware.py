@@ -32,6 +32,8 @@ from motorapi.sharing import (
 )
 
 if TYPE_CHECKING:
+    from contextlib import AbstractContextManager
+
     import can
     from canopen.sdo.client import SdoClient
 
@@ -155,10 +157,12 @@ class Cia402HwMotor:
 
     # --- objects -------------------------------------------------------------------------
 
-    @property
-    def sdo(self) -> "SdoClient":
-        """The SDO client of canopen, for block transfer and streams."""
-        return self.node.sdo.client
+    def sdo(self) -> "AbstractContextManager[SdoClient]":
+        """The SDO client of canopen for this drive, for block transfer and streams.
+
+        `with hw.sdo() as sdo: sdo.open(0x1021, block_transfer=True).read()`
+        """
+        return self.node.sdo.alone()
 
     def upload(self, index: int, subindex: int = 0) -> bytes:
         """The bytes of an object, as the drive sends them. Raises as `DriveObjects.upload`."""

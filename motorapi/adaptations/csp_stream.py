@@ -82,7 +82,7 @@ class CspStream:
 
     def _after_sync(self) -> None:
         """SYNC k was queued: what follows it on the wire is the target of cycle k + 1."""
-        if self._last_sent.time_ns is None:
+        if self._cycle and self._last_sent.time_ns is None:
             self.late += 1
         self._cycle += 1
         try:

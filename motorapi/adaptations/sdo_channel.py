@@ -12,7 +12,8 @@ with a deadline of the runtime's own time, and never believes a stale answer:
 """
 
 import queue
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from typing import TYPE_CHECKING, Final, TypeVar, final
 
 import canopen
@@ -36,6 +37,8 @@ _DOWNLOAD_SEGMENT: Final = 0
 _DOWNLOAD: Final = 1
 _UPLOAD: Final = 2
 _UPLOAD_SEGMENT: Final = 3
+_BLOCK_UPLOAD: Final = 5
+_BLOCK_DOWNLOAD: Final = 6
 _REQUEST_ID: Final = 0x600
 _RESPONSE_ID: Final = 0x580
 _TURN_TIMEOUT_S: Final = 10.0
@@ -95,9 +98,14 @@ class _Client(SdoClient):
     def send_request(self, request: bytearray) -> None:
         """The request is on its way; what came before it is no answer to it."""
         data = bytes(request)
+        service = data[0] >> 5
+        begins_block = service in (_BLOCK_UPLOAD, _BLOCK_DOWNLOAD) and not data[0] & 0x03
+        if service in (_DOWNLOAD, _UPLOAD) or begins_block:
+            self._opened = data[1:4]
         self._has_answer = False
-        transmission = self._link.send_tracked(can_frame(self.rx_cobid, data))
+        transmission = Transmission(can_frame(self.rx_cobid, data))
         self._request = None if data[0] == _ABORT else transmission
+        self._link.send_as(transmission)
 
     def read_response(self) -> bytes:
         """The answer, within the runtime's deadline."""
@@ -191,8 +199,7 @@ class _Client(SdoClient):
 class SdoChannel:
     """The default SDO channel of one node: 600h + node-ID there, 580h + node-ID back.
 
-    `client` is canopen's SdoClient for what is not wrapped here (block transfer, `open`); use it
-    inside `alone()`.
+    What is not wrapped here (block transfer, streams) canopen's own client does, inside `alone`.
     """
 
     def __init__(
@@ -205,10 +212,18 @@ class SdoChannel:
         self._lock = TurnLock(link.runtime)
         link.handle(_RESPONSE_ID + node_id, self._client.heard)
 
-    @property
-    def client(self) -> SdoClient:
-        """The client of canopen on this channel."""
-        return self._client
+    @contextmanager
+    def alone(self) -> Iterator[SdoClient]:
+        """The client of canopen, used by nobody else inside the block, and with no old answer due.
+
+        Its own errors come as they are: SdoAbortedError, SdoCommunicationError.
+        """
+        with self._lock.turn(_TURN_TIMEOUT_S, f"the SDO channel of node {self._node_id}"):
+            self._client.begin(b"")
+            try:
+                yield self._client
+            finally:
+                self._client.end()
 
     @property
     def strays(self) -> int:

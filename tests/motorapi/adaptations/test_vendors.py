@@ -109,6 +109,8 @@ def test_a_vendors_drive_moves_in_every_mode_it_names(
         assert -1.1 < rig.controllers["one"].snapshot()["velocity_rad_s"] < -0.9
         motor.stop()
         motor.wait_until_done(timeout_s=5)
+        assert abs(rig.controllers["one"].snapshot()["velocity_rad_s"]) < 0.01
+        rig.runtime.run_for(0.1)  # the servo's last increments
         assert rig.controllers["one"].snapshot()["velocity_rad_s"] == 0.0
 
 

@@ -1,0 +1,280 @@
+"""A drive is brought up: found, identified, configured with as little writing as possible."""
+
+from collections.abc import Callable
+from itertools import pairwise
+
+import pytest
+
+from harness.rig import Rig
+from motorapi.adaptations.canopen_errors import SdoAborted
+from motorapi.adaptations.cia402 import Cia402HwMotor, HwOptions
+from motorapi.adaptations.cia402_objects import Mode, PdsState
+from motorapi.errors import DeadlineExceeded, UsageError
+from tests.motorapi.adaptations.conftest import drive
+from tests.motorapi.adaptations.scripted import MS, Answer, ScriptedBus, frame
+
+OpenRig = Callable[..., Rig]
+
+
+@pytest.fixture
+def rig(open_rig: OpenRig) -> Rig:
+    return open_rig(drive("left", 1))
+
+
+def host_frames(rig: Rig) -> list[tuple[int, int, bytes]]:
+    """(time, identifier, data) of every frame of the host from now on."""
+    heard: list[tuple[int, int, bytes]] = []
+
+    def on_frame(bus: str, time_ns: int, sender: str, data: bytes) -> None:
+        if sender.startswith("host"):
+            heard.append((time_ns, int.from_bytes(data[:4], "little"), data[8 : 8 + data[4]]))
+
+    rig.world.tap_frames(on_frame)
+    return heard
+
+
+def downloads(frames: list[tuple[int, int, bytes]]) -> list[str]:
+    """Objects written by SDO, as "6040:00"."""
+    return [
+        f"{int.from_bytes(data[1:3], 'little'):04X}:{data[3]:02X}"
+        for _, can_id, data in frames
+        if can_id == 0x601 and data[0] >> 5 == 1
+    ]
+
+
+def test_a_drive_that_still_boots_is_waited_for_and_brought_up(rig: Rig):
+    hw = Cia402HwMotor(rig.bus("can0"), 1)
+    facts = hw.connect()
+    assert facts.modes == {
+        Mode.PROFILE_POSITION,
+        Mode.PROFILE_VELOCITY,
+        Mode.HOMING,
+        Mode.CYCLIC_SYNC_POSITION,
+    }
+    assert (facts.control_id, facts.position_id, facts.velocity_id) == (0x201, 0x301, 0x401)
+    assert facts.limitations == ()
+    assert hw.state is PdsState.SWITCH_ON_DISABLED
+    assert rig.runtime.now_ns() < 500 * MS  # boot-up takes 300
+    hw.close()
+
+
+def test_each_side_watches_the_other(rig: Rig):
+    hw = Cia402HwMotor(rig.bus("can0"), 1)
+    frames = host_frames(rig)
+    hw.connect()
+    assert hw.read("producer_heartbeat_time") == 100
+    assert hw.read("consumer_heartbeat_time") == 127 << 16 | 300
+    assert hw.read("abort_connection_option_code") == 1
+    beats = [time_ns for time_ns, can_id, data in frames if (can_id, data) == (0x77F, b"\x05")]
+    assert beats[0] < 1 * MS
+    rig.runtime.run_for(1.0)
+    beats = [time_ns for time_ns, can_id, _ in frames if can_id == 0x77F]
+    assert all(90 * MS < after - before < 110 * MS for before, after in pairwise(beats))
+    hw.close()
+
+
+def test_a_second_program_writes_nothing_and_stops_nothing(rig: Rig):
+    first = Cia402HwMotor(rig.bus("can0"), 1)
+    first.connect()
+    first.close()
+    frames = host_frames(rig)
+    second = Cia402HwMotor(rig.bus("can0"), 1)
+    second.connect()
+    assert downloads(frames) == []
+    assert [data for _, can_id, data in frames if can_id == 0] == [b"\x01\x01"]  # NMT start only
+    second.close()
+
+
+def test_connecting_twice_costs_nothing(rig: Rig):
+    hw = Cia402HwMotor(rig.bus("can0"), 1)
+    facts = hw.connect()
+    now_ns = rig.runtime.now_ns()
+    assert hw.connect() is facts
+    assert rig.runtime.now_ns() == now_ns
+    hw.close()
+
+
+def test_two_parties_bring_it_up_once(rig: Rig):
+    hw = Cia402HwMotor(rig.bus("can0"), 1)
+    frames = host_frames(rig)
+    parties = [rig.runtime.spawn(name, lambda: hw.connect() and None) for name in ("a", "b")]
+    assert all(party.join(5.0) for party in parties)
+    assert [party.error for party in parties] == [None, None]
+    assert [data for _, can_id, data in frames if can_id == 0] == [b"\x80\x01", b"\x01\x01"]
+    hw.close()
+
+
+def test_status_comes_every_20_ms_and_at_once_when_it_changes(rig: Rig):
+    hw = Cia402HwMotor(rig.bus("can0"), 1)
+    hw.connect()
+    times: list[int] = []
+
+    def on_frame(bus: str, time_ns: int, sender: str, data: bytes) -> None:
+        if data[:4] == b"\x81\x01\0\0":
+            times.append(time_ns)
+
+    rig.world.tap_frames(on_frame)
+    rig.runtime.run_for(0.5)
+    assert 24 <= len(times) <= 25
+    times.clear()
+    hw.write(0x6040, 0x0006)
+    written_ns = rig.runtime.now_ns()
+    assert hw.state is PdsState.READY_TO_SWITCH_ON or rig.runtime.wait_until(
+        lambda: hw.state is PdsState.READY_TO_SWITCH_ON, 0.01
+    )
+    assert rig.runtime.now_ns() - written_ns < 3 * MS
+    hw.close()
+
+
+def test_velocity_comes_by_itself_where_it_is_asked_for(open_rig: OpenRig):
+    rig = open_rig(drive("left", 1, motor="velocity_period_ms = 10"))
+    motor = rig.motors["left"]
+    motor.position()
+    rig.runtime.run_for(0.05)
+    latest = motor.latest()
+    assert latest is not None
+    assert latest.velocity == 0.0
+
+
+def test_other_tpdos_are_switched_off(rig: Rig):
+    hw = Cia402HwMotor(rig.bus("can0"), 1)
+    hw.connect()
+    for number in range(1, 4):
+        cob_id = hw.read(0x1800 + number, 1)
+        assert isinstance(cob_id, int)
+        assert cob_id & 0x8000_0000
+    hw.close()
+
+
+def test_a_drive_whose_pdos_cannot_be_mapped_is_asked_by_sdo(open_rig: OpenRig):
+    rig = open_rig(drive("left", 1), drive("right", 2))
+    hw = Cia402HwMotor(rig.bus("can0"), 1)
+    refuse = hw.node.sdo.download
+
+    def refusing(index: int, subindex: int, data: bytes) -> None:
+        if 0x1600 <= index < 0x1A04:  # a drive whose mapping, and TPDO parameters, are fixed
+            raise SdoAborted(node_id=1, index=index, subindex=subindex, abort_code=0x0601_0002)
+        refuse(index, subindex, data)
+
+    hw.node.sdo.download = refusing  # type: ignore[method-assign]
+    facts = hw.connect()
+    assert facts.position_id is None
+    assert any("RPDO 2 cannot be mapped" in text for text in facts.limitations)
+    hw.enable()
+    assert hw.state is PdsState.OPERATION_ENABLED
+    hw.disable()
+    assert hw.state is PdsState.SWITCH_ON_DISABLED
+    hw.close()
+
+
+def test_objects_are_read_and_written_by_name_index_and_bytes(rig: Rig):
+    hw = Cia402HwMotor(rig.bus("can0"), 1)
+    hw.connect()
+    hw.write("target_position", -5)
+    assert hw.read(0x607A) == -5
+    assert hw.upload(0x607A) == b"\xfb\xff\xff\xff"
+    hw.download(0x607A, 0, b"\x07\0\0\0")
+    assert hw.read("target_position") == 7
+    assert hw.read(0x607A, kind="bytes") == b"\x07\0\0\0"
+    with pytest.raises(UsageError, match="did you mean 'target_position'"):
+        hw.read("target_positon")
+    with pytest.raises(UsageError, match="2000h:01h is not in the standard: say kind="):
+        hw.write(0x2000, 1, 1)
+    with pytest.raises(UsageError, match="does not fit the data type i8"):
+        hw.write("modes_of_operation", 200)
+    with pytest.raises(SdoAborted, match="2FFFh:00h aborted: object does not exist"):
+        hw.upload(0x2FFF)
+    with hw.sdo() as sdo:  # canopen's own client, on the same channel
+        assert sdo.upload(0x6061, 0) == b"\x01"  # pp
+    hw.close()
+
+
+def test_what_was_written_is_believed_only_while_the_motor_does_not_change_hands(rig: Rig):
+    hw = Cia402HwMotor(rig.bus("can0"), 1)
+    hw.connect()
+    frames = host_frames(rig)
+    assert hw.objects.push(0x6083, 1000)
+    assert not hw.objects.push(0x6083, 1000)
+    hw.physical.token += 1  # another logical motor had it meanwhile
+    assert hw.objects.push(0x6083, 1000)
+    assert not hw.objects.push(0x6083, 1000)
+    hw.write(0x6083, 999)  # by hand
+    assert hw.objects.push(0x6083, 1000)
+    assert downloads(frames) == ["6083:00"] * 4
+    hw.close()
+
+
+def test_nobody_there_is_told_with_where_and_how_long():
+    bus = ScriptedBus()
+    hw = Cia402HwMotor(bus, 9, options=HwOptions(connect_timeout_s=2.0))
+    with pytest.raises(DeadlineExceeded, match="script0 node 9: any answer: did not happen") as at:
+        hw.connect()
+    assert at.value.last_heard == "nothing"
+    assert 2.0 <= bus.runtime.now_ns() / 1e9 <= 3.5
+    hw.close()
+
+
+def test_what_is_no_drive_is_refused():
+    def an_io_module(data: bytes) -> list[Answer]:
+        if data[:4] != b"\x09\x06\0\0" or data[8] == 0x80:
+            return []
+        return [(1 * MS, frame("589#4300100091010F00"))]  # 000F0191h: CiA 401
+
+    hw = Cia402HwMotor(ScriptedBus(an_io_module), 9)
+    with pytest.raises(UsageError, match="is no CiA 402 drive: its device type 1000h is 000F0191h"):
+        hw.connect()
+    hw.close()
+
+
+@pytest.mark.parametrize(
+    ("wrong", "text"),
+    [
+        ({"host_node_id": 0}, "host_node_id = 0: a node-ID is 1 to 127"),
+        ({"heartbeat_ms": 70_000}, "heartbeat_ms = 70000"),
+        ({"heartbeat_ms": 300}, "must be longer than heartbeat_ms = 300"),
+        ({"sdo_timeout_s": 0.0}, "sdo_timeout_s = 0.0: must be > 0 s"),
+    ],
+)
+def test_wrong_options_are_refused(wrong: dict[str, float], text: str):
+    with pytest.raises(UsageError, match=text):
+        HwOptions(**wrong)  # type: ignore[arg-type]
+
+
+# --- motors from settings ------------------------------------------------------------------------
+
+
+def test_motors_that_name_one_drive_share_its_hardware_object(open_rig: OpenRig):
+    rig = open_rig(
+        drive("left", 1),
+        """
+[motor.again]
+adaptation = "cia402"
+controller = "left"
+[motor.again.model]
+name = "wheel"
+velocity_max_rad_s = 3.0
+acceleration_max_rad_s2 = 10.0
+""",
+    )
+    left, again = rig.motors["left"], rig.motors["again"]
+    assert left.hardware is again.hardware  # type: ignore[attr-defined]
+    left.close()
+    left.close()
+    assert again.position() == 0.0
+    hardware = again.hardware  # type: ignore[attr-defined]
+    again.close()
+    assert hardware.is_closed
+
+
+@pytest.mark.parametrize(
+    ("setting", "text"),
+    [
+        ("heartbeat = 100", "heartbeat is no setting of a cia402 motor; did you mean heartbeat_ms"),
+        ('heartbeat_ms = "fast"', "heartbeat_ms = 'fast': must be a number"),
+        ("sdo_timeout_s = -1", "sdo_timeout_s = -1: must be > 0 s"),
+    ],
+)
+def test_a_wrong_setting_is_told_with_its_remedy(open_rig: OpenRig, setting: str, text: str):
+    rig = open_rig(drive("left", 1, motor=setting))
+    with pytest.raises(Exception, match=text):
+        rig.motors["left"]

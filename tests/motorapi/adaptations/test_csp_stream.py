@@ -1,0 +1,90 @@
+"""Cyclic synchronous position: one set-point a SYNC, none lost, none doubled."""
+
+from collections.abc import Callable
+from itertools import pairwise
+
+import pytest
+
+from harness.rig import Rig
+from motorapi.adaptations.cia402 import Cia402HwMotor
+from motorapi.adaptations.csp_stream import CspStream
+from motorapi.errors import UsageError
+from tests.motorapi.adaptations.conftest import drive
+
+OpenRig = Callable[..., Rig]
+CYCLES = 500
+
+
+@pytest.fixture
+def rig(open_rig: OpenRig) -> Rig:
+    return open_rig(drive("left", 1), drive("right", 2))
+
+
+def enabled(rig: Rig, node_id: int) -> Cia402HwMotor:
+    hw = Cia402HwMotor(rig.bus("can0"), node_id)
+    hw.enable()
+    return hw
+
+
+def test_every_set_point_is_on_the_wire_once_and_before_its_sync(rig: Rig):
+    left, right = enabled(rig, 1), enabled(rig, 2)
+    order: list[tuple[int, int]] = []
+
+    def on_frame(bus: str, time_ns: int, sender: str, data: bytes) -> None:
+        can_id = int.from_bytes(data[:4], "little")
+        if can_id in (0x080, 0x301, 0x302):
+            order.append((can_id, int.from_bytes(data[10:14], "little", signed=True)))
+
+    rig.world.tap_frames(on_frame)
+    streams = [
+        hw.stream_positions(0.001, lambda cycle: 20 * cycle if cycle <= CYCLES else None)
+        for hw in (left, right)
+    ]
+    assert rig.runtime.wait_until(lambda: all(stream.ended for stream in streams), 5.0)
+    rig.runtime.run_for(0.05)
+    assert [(stream.sent, stream.late) for stream in streams] == [(CYCLES, 0)] * 2
+    for can_id, name in ((0x301, "left"), (0x302, "right")):
+        targets = [target for found, target in order if found == can_id]
+        assert targets[-CYCLES - 1 :] == [20 * cycle for cycle in range(CYCLES + 1)]
+        assert rig.controllers[name].snapshot()["demand_inc"] == 20 * CYCLES
+    # while both stream, each of them gets exactly one between two SYNCs
+    syncs = [place for place, (can_id, _) in enumerate(order) if can_id == 0x080]
+    cycles = [sorted(can_id for can_id, _ in order[a + 1 : b]) for a, b in pairwise(syncs)]
+    both = [place for place, cycle in enumerate(cycles) if 0x302 in cycle and 0x301 in cycle]
+    assert len(both) >= CYCLES - 30  # the second one begins while the first one streams
+    assert cycles[both[0] : both[-1] + 1] == [[0x301, 0x302]] * len(both)
+    left.close()
+    right.close()
+
+
+def test_csp_begins_where_the_drive_is(rig: Rig):
+    hw = enabled(rig, 1)
+    hw.write("target_position", 50_000)  # of long ago
+    at = rig.controllers["left"].snapshot()["position_inc"]
+    stream = hw.stream_positions(0.01, lambda cycle: None)
+    rig.runtime.run_for(0.3)
+    assert stream.ended
+    assert abs(rig.controllers["left"].snapshot()["position_inc"] - at) <= 1
+    hw.close()
+
+
+def test_what_the_application_raises_ends_the_stream_and_is_kept(rig: Rig):
+    hw = enabled(rig, 1)
+
+    def broken(cycle: int) -> int | None:
+        raise ZeroDivisionError("as an example")
+
+    stream = hw.stream_positions(0.002, broken)
+    rig.runtime.run_for(0.1)
+    assert stream.ended
+    assert isinstance(stream.error, ZeroDivisionError)
+    assert hw.link.sync_period_ns is None
+    hw.close()
+
+
+@pytest.mark.parametrize("period_s", [0.0005, 0.0015, 0.3])
+def test_a_period_that_60c2h_cannot_say_is_refused(rig: Rig, period_s: float):
+    hw = enabled(rig, 1)
+    with pytest.raises(UsageError, match="whole milliseconds, 1 to 255"):
+        CspStream(hw, period_s, lambda cycle: 0)
+    hw.close()
