@@ -24,12 +24,10 @@ from motorapi.adaptations.cia402_objects import (
     NEW_SET_POINT,
     Mode,
     PdsState,
-    error_text,
 )
 from motorapi.adaptations.cia402_triggers import SetPointTrigger, SyncTrigger, VelocityTrigger
-from motorapi.adaptations.cia402_units import DriveUnits, drive_units
+from motorapi.adaptations.cia402_units import DriveUnits
 from motorapi.adaptations.drive_profile import (
-    DriveLimits,
     DriveProfile,
     as_motion,
     check_limits,
@@ -37,7 +35,6 @@ from motorapi.adaptations.drive_profile import (
     expected_s,
     profile_of,
 )
-from motorapi.adaptations.drive_setup import DriveFacts
 from motorapi.adaptations.motion_watch import HomingWatch, MotionWatch, RestWatch, SetpointWatch
 from motorapi.commands import ControlMode, ControlVariable, Motion
 from motorapi.errors import DeadlineExceeded, UnsupportedError
@@ -51,13 +48,6 @@ if TYPE_CHECKING:
 _CONFIRM_TIMEOUT_S: Final = 0.5
 _RESEND_S: Final = 0.1
 _POLL_S: Final = 0.01
-_WINDOW_OFF: Final = 0xFFFF_FFFF
-_STATES: Final = {
-    PdsState.OPERATION_ENABLED: MotorState.ENABLED,
-    PdsState.QUICK_STOP_ACTIVE: MotorState.STOPPED,
-    PdsState.FAULT: MotorState.FAULT,
-    PdsState.FAULT_REACTION_ACTIVE: MotorState.FAULT,
-}
 
 
 @final
@@ -67,7 +57,7 @@ class Cia402Motor(Motor):
     Args:
         hardware: speaks for the drive.
         model: what is constant of the motor; its units where the drive does not tell its own.
-        name: what messages and records call it; None: the model's.
+        name: what messages and records call it; None: the model's name and where it is.
         on_close: is called once, when the motor is closed. The hardware object is its maker's.
     """
 
@@ -80,7 +70,7 @@ class Cia402Motor(Motor):
         on_close: Callable[[], None] | None = None,
     ) -> None:
         super().__init__(
-            name=model.name if name is None else name,
+            name=f"{model.name} at {hardware.label}" if name is None else name,
             model=model,
             runtime=hardware.runtime,
             physical=hardware.physical,
@@ -89,13 +79,10 @@ class Cia402Motor(Motor):
         self._node = hardware.node
         self._control = hardware.control
         self._objects = hardware.objects
+        self._reader = DriveReader(hardware, model, self.name)
         self._on_close = on_close
-        self._facts: DriveFacts | None = None
-        self._units: DriveUnits | None = None
-        self._limits: DriveLimits | None = None
         self._setpoint: SetpointWatch | None = None
         self._before: MotionWatch | None = None
-        self._held: tuple[int | None, float] = (None, 0.0)  # the last target, in increments and U
         self._together = False
 
     def close(self) -> None:
@@ -124,7 +111,7 @@ class Cia402Motor(Motor):
         armed = facts.velocity_id if velocity else facts.position_id
         if armed is None:
             reason = "; ".join(facts.limitations) or "it has no RPDO latched by SYNC"
-            return SyncOffer(SyncLevel.SEQUENTIAL, id(self._hardware), None, reason)
+            return SyncOffer(SyncLevel.SEQUENTIAL, self._hardware.label, None, reason)
         reason = f"RPDO {armed:03X}h is latched by SYNC"
         tick_ms = self._hardware.options.servo_period_ms
         latency_s = None if tick_ms is None else (0.0, tick_ms / 1e3)
@@ -133,106 +120,45 @@ class Cia402Motor(Motor):
         return SyncOffer(SyncLevel.TRIGGERED, self._node.link.name, latency_s, reason)
 
     def _quantise(self, motion: Motion) -> Motion:
-        units, limits = self._known()
+        units, limits = self._reader.known()
         return as_motion(motion, profile_of(motion, self.model, units, limits), units)
 
-    # --- connecting ------------------------------------------------------------------------
+    # --- connecting, state and measurements -----------------------------------------------------
 
     def _connect(self) -> None:
         self._hardware.connect()
 
-    def _known(self) -> tuple[DriveUnits, DriveLimits]:
-        """Units and limits, read from the drive once after each time it was brought up.
-
-        Not in `_connect`: any logical motor may stop the drive, at any time, without waiting.
-        """
-        facts = self._hardware.connect()
-        if self._units is None or self._limits is None or facts is not self._facts:
-            self._units = drive_units(self.name, self.model, self._objects.read_optional)
-            self._limits = _read_limits(self._hardware)
-            self._facts = facts
-        return self._units, self._limits
-
     @property
     def units(self) -> DriveUnits:
         """What 1 means in the drive's objects, and where that is known from."""
-        return self._known()[0]
-
-    # --- state and measurements --------------------------------------------------------------
-
-    def _state(self) -> MotorState:
-        node = self._node
-        if self._hardware.facts is None or node.lost_since_ns is not None or node.status_ns < 0:
-            return MotorState.OFFLINE
-        state = node.state
-        known = MotorState.DISABLED if state is None else _STATES.get(state, MotorState.DISABLED)
-        if known is MotorState.DISABLED and self._hardware.quick_stopped:
-            return MotorState.STOPPED  # 605Ah may switch off at the end of a quick stop
-        return known
+        return self._reader.units
 
     def _read_state(self) -> MotorState:
-        if self._hardware.facts is not None and self._node.lost_since_ns is None:
-            self._node.refresh()
-        return self._state()
+        return self._reader.fresh_state()
 
     def _read_fault(self) -> Fault | None:
-        node = self._node
-        if self._hardware.facts is None:
-            return None
-        node.refresh()
-        if not node.statusword & FAULT_BIT:
-            return None
-        code = node.error_code or self._objects.read_optional(0x603F) or 0
-        since_ns = node.status_ns if node.fault_since_ns is None else node.fault_since_ns
-        return Fault(code, error_text(code), since_ns)
+        return self._reader.fault()
 
     def _read_referenced(self) -> bool:
         return self._hardware.is_homed
 
     def _read_position(self) -> float:
-        self._node.check_heard()
-        self._node.refresh()
-        return self.units.position(self._node.position_inc)
+        return self._reader.position()
 
     def _read_velocity(self) -> float:
-        return self.units.velocity(self._objects.read_int(0x606C))
+        return self._reader.velocity()
 
     def _read_reference(self) -> float:
-        self.units.require_all()  # a motion is planned: what is missing is told before it is begun
-        self._node.check_link()
-        self._node.refresh()
-        if self._node.state is PdsState.OPERATION_ENABLED:
-            demand = self._objects.read_optional(0x6062)
-            if demand is not None:
-                # What was asked for, where that is what it holds: rounding must not add up.
-                return self._held[1] if demand == self._held[0] else self.units.position(demand)
-        return self._read_position()
+        return self._reader.reference()
 
     def _read_torque(self) -> float:
-        permille = self._objects.read_optional(0x6077)
-        rated = self._objects.read_optional(0x6076)
-        if permille is None or not rated:
-            missing = "6077h" if permille is None else "6076h, rated torque"
-            raise UnsupportedError(motor=self.name, feature=f"measuring torque (no {missing})")
-        return permille / 1e3 * rated / 1e3  # per mille of the rated torque [mN·m]
+        return self._reader.torque()
 
     def _read_following_error(self) -> float:
-        error = self._objects.read_optional(0x60F4)
-        if error is None:
-            return self._read_reference() - self.units.position(self._objects.read_int(0x6064))
-        return self.units.position(error)
+        return self._reader.following_error()
 
     def _latest(self) -> Measurement | None:
-        node, units = self._node, self._units
-        if node.status_ns < 0:
-            return None
-        position = velocity = None
-        if units is not None and units.increments_per_unit is not None:
-            position = units.position(node.position_inc)
-            raw = node.values.get((0x606C, 0))
-            if raw is not None and units.velocity_unit is not None:
-                velocity = units.velocity(raw)
-        return Measurement(node.status_ns, self._state(), position, velocity)
+        return self._reader.latest()
 
     def _refresh(self) -> float | None:
         if self._node.status_is_cyclic:
@@ -274,12 +200,13 @@ class Cia402Motor(Motor):
             commanded_ns=self.runtime.now_ns(), method=method, on_success=self._hardware.was_homed
         )
         self._hardware.follow(watch)
+        self._reader.held = (None, 0.0)
         self._control.write_controlword(ENABLE_OPERATION | NEW_SET_POINT)
 
     # --- motion -----------------------------------------------------------------------------
 
     def _arm(self, motion: Motion, *, together: bool) -> Trigger:
-        units, limits = self._known()
+        units, limits = self._reader.known()
         profile = profile_of(motion, self.model, units, limits)
         check_limits(self.name, profile, units, limits)
         self._together = together
@@ -299,7 +226,7 @@ class Cia402Motor(Motor):
             distance_inc=profile.target - self._node.position_inc,
         )
         self._follow(watch)
-        self._held = (profile.target, motion.target)
+        self._reader.held = (profile.target, motion.target)
         if self._can_arm(velocity=False):
             self._control.arm(profile.target, fired=watch.begin)
             return SyncTrigger(self._node.link)
@@ -311,7 +238,7 @@ class Cia402Motor(Motor):
             self._objects.write(0x60FF, 0)  # whatever was there would count at once
             self._control.set_mode(Mode.PROFILE_VELOCITY)
         self._push_profile(profile)
-        change = abs(motion.target - self._read_velocity())
+        change = abs(motion.target - self._reader.velocity())
         slowest = min(motion.acceleration, motion.deceleration)
         self._control.keep_halt()
         watch = SetpointWatch(
@@ -333,7 +260,7 @@ class Cia402Motor(Motor):
         return self._together and can_id is not None
 
     def _push_profile(self, profile: DriveProfile) -> None:
-        limits = self._known()[1]
+        limits = self._reader.known()[1]
         self._objects.push(0x6083, profile.acceleration)
         if limits.has_deceleration:
             self._objects.push(0x6084, profile.deceleration)
@@ -391,7 +318,7 @@ class Cia402Motor(Motor):
 
     def _confirm_velocity(self, motion: Motion) -> None:
         """There is no acknowledge in pv: the target velocity is read back."""
-        units, limits = self._known()
+        units, limits = self._reader.known()
         target = profile_of(motion, self.model, units, limits).target
         found = self._objects.read_int(0x60FF)
         if found != target and not self._control.is_halted:
@@ -444,18 +371,3 @@ class Cia402Motor(Motor):
             )
         source = "set-point acknowledge and target reached in a TPDO"
         return MotionTimes(watch.started_ns, watch.ended_ns, source)
-
-
-def _read_limits(hardware: Cia402HwMotor) -> DriveLimits:
-    read = hardware.objects.read_optional
-    low, high = read(0x607D, 1), read(0x607D, 2)
-    position = None if low is None or high is None or low == high == 0 else (low, high)
-    window = read(0x6067)
-    return DriveLimits(
-        position=position,
-        speed=read(0x607F),
-        acceleration=read(0x60C5),
-        deceleration=read(0x60C6),
-        window=None if window == _WINDOW_OFF else window,
-        has_deceleration=read(0x6084) is not None,
-    )
