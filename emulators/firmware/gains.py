@@ -53,7 +53,7 @@ class ServoGains:
             position_kp_1_s=bandwidth_1_s / 3.0,
             velocity_kp_a_s_inc=bandwidth_1_s * a_s2_inc,
             velocity_ki_a_inc=bandwidth_1_s * bandwidth_1_s * a_s2_inc / 3.5,
-            current_kp_v_a=0.4 * plant.resistance_ohm * decay / (1.0 - decay),
+            current_kp_v_a=0.4 * plant.resistance_ohm / (1.0 - decay),
             current_ki_v_a_s=0.4 * plant.resistance_ohm / step_s,
             acceleration_feedforward_a_s2_inc=a_s2_inc,
         )
