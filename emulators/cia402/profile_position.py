@@ -118,7 +118,7 @@ class ProfilePosition(Mode):
         if self.halted:
             if flags & (f.PROFILE_ACTIVE | f.SPEED_ZERO) == f.SPEED_ZERO:
                 bits |= TARGET_REACHED
-        elif self._waiting is None and flags & f.IN_TARGET_WINDOW:
+        elif flags & f.IN_TARGET_WINDOW:  # with one waiting, its profile is already active
             bits |= TARGET_REACHED
         if flags & f.FOLLOWING_ERROR:
             bits |= FOLLOWING_ERROR

@@ -193,6 +193,18 @@ def test_change_on_set_point_stops_where_it_must_turn(bench):
     assert bench.truth("demand_inc") == 5_000
 
 
+@pytest.mark.parametrize("word", [0x00, 0x02, 0x06, 0x07])
+def test_a_drive_stopped_while_driving_through_waits_for_nothing(bench, word):
+    move(bench, 10_000)
+    move(bench, 20_000, extra=0x200)
+    bench.run(50 * MS)
+    bench.controlword(word)
+    bench.run(2000 * MS)  # the bench refuses deadlines that stay where they are
+    assert bench.drive.next_deadline_ns() is None
+    assert bench.truth("position_inc") < 10_000
+    assert not bench.statusword() & 0x1000
+
+
 def test_halt_stops_and_goes_on(bench):
     at = bench.now
     move(bench, 20_000)

@@ -124,9 +124,12 @@ def test_enabling_again_while_it_brakes_calls_disabling_off(bench):
     bench.controlword(0x07)
     bench.run(50 * MS)
     bench.controlword(0x0F)
+    count = len(bench.sent)
     bench.run(500 * MS)
     assert state(bench) == PdsState.OPERATION_ENABLED
     assert bench.read(0x606B) == V
+    words = [data for _, can_id, data in bench.sent[count:] if can_id == 0x185]
+    assert all(word[0] == 0x37 for word in words)  # it never left operation enabled
 
 
 def test_a_later_command_overtakes_disabling(bench):
