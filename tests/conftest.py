@@ -1,6 +1,7 @@
 """Settings every test shares: Hypothesis is repeatable here and in CI alike."""
 
 import os
+from collections.abc import Generator
 from pathlib import Path
 
 import pytest
@@ -16,6 +17,22 @@ settings.register_profile(
 )
 settings.register_profile("nightly", deadline=None, print_blob=True, max_examples=5000)
 settings.load_profile(os.environ.get("MOTORHIL_HYPOTHESIS", "ci"))
+
+
+REQUIRED = [name for name in os.environ.get("MOTORHIL_REQUIRE", "").split(",") if name]
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_runtest_makereport(
+    item: pytest.Item, call: pytest.CallInfo[None]
+) -> Generator[None, pytest.TestReport, pytest.TestReport]:
+    """With MOTORHIL_REQUIRE=vcan,data,... a test with one of these marks may not be skipped."""
+    report = yield
+    if report.skipped and any(item.get_closest_marker(name) for name in REQUIRED):
+        reason = report.longrepr[2] if isinstance(report.longrepr, tuple) else report.longrepr
+        report.outcome = "failed"
+        report.longrepr = f"MOTORHIL_REQUIRE={','.join(REQUIRED)}, but {reason}"
+    return report
 
 
 @pytest.fixture(scope="session")

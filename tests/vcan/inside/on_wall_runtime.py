@@ -1,19 +1,11 @@
 """The wall's runtime on real SocketCAN: the kernel says which frames were ours."""
 
 import struct
-from pathlib import Path
 
 import can
 import pytest
 
 from motorapi import LinkError, WallRuntime
-
-pytestmark = [
-    pytest.mark.vcan,
-    pytest.mark.skipif(
-        not Path("/sys/class/net/vcan0").exists(), reason="no interface vcan0 (tests.vcan.runner)"
-    ),
-]
 
 LATE_S = 20.0
 SOL_CAN_RAW, CAN_RAW_RECV_OWN_MSGS = 101, 4  # include/uapi/linux/can/raw.h

@@ -1,0 +1,77 @@
+"""On real vcan interfaces only; `tests/vcan/test_on_vcan.py` brings them up and runs this."""
+
+import subprocess
+import sys
+from pathlib import Path
+
+import can
+import pytest
+
+from harness.scaffold import EXAMPLES
+from motorapi import WallRuntime
+
+MOTORHIL = (sys.executable, "-c", "import sys; from harness.cli import main; sys.exit(main())")
+RIG = str(EXAMPLES / "two_wheels.toml")
+ROVER = str(EXAMPLES / "rover.toml")
+WALL = Path(__file__).parents[2] / "wall"
+SCRIPT = (str(WALL / "patient_wheels.py"), str(EXAMPLES / "wheel_model.toml"))
+REACHED = "1.000\n2.000 2.000\n"  # what the paper says of Algorithms 1 and 2
+
+
+def motorhil(*words):
+    return subprocess.run(
+        [*MOTORHIL, *words], capture_output=True, text=True, timeout=100, check=False
+    )
+
+
+def frame(can_id, data):
+    return can_id.to_bytes(4, "little") + bytes([len(data), 0, 0, 0]) + data.ljust(8, b"\0")
+
+
+def test_the_script_that_runs_in_virtual_time_runs_on_vcan():
+    served = motorhil("serve", RIG, "--on", "vcan0", "--", sys.executable, *SCRIPT)
+    assert (served.returncode, served.stderr, served.stdout) == (0, "", REACHED)
+
+
+def test_own_frames_are_told_when_the_interface_has_carried_them():
+    """On vcan is_rx is False for everybody's frames: own ones are told apart all the same."""
+    heard = []
+    runtime = WallRuntime()
+    with (
+        can.Bus(interface="socketcan", channel="vcan0") as bus,
+        can.Bus(interface="socketcan", channel="vcan0") as other,
+    ):
+        runtime.listen(bus, lambda data, time_ns, own: heard.append((data, own)))
+        runtime.send(bus, frame(0x123, b"\x01"))
+        assert runtime.wait_until(lambda: len(heard) == 1, 5.0)
+        other.send(can.Message(arbitration_id=0x123, data=b"\x02", is_extended_id=False))
+        assert runtime.wait_until(lambda: len(heard) == 2, 5.0)
+        runtime.close()
+    assert heard == [(frame(0x123, b"\x01"), True), (frame(0x123, b"\x02"), False)]
+
+
+def test_two_buses_on_two_interfaces():
+    program = """
+import can
+for channel in ("vcan0", "vcan1"):
+    with can.Bus(interface="socketcan", channel=channel) as bus:
+        bus.send(can.Message(arbitration_id=0x601, data=bytes.fromhex("4000100000000000"),
+                             is_extended_id=False))
+        answers = iter(lambda: bus.recv(5.0), None)
+        print(channel, next(m for m in answers if m.arbitration_id == 0x581).data.hex())
+"""
+    served = motorhil(
+        "serve", ROVER, "--on", "vcan0", "--on", "can1=vcan1", "--", sys.executable, "-c", program
+    )
+    assert (served.returncode, served.stderr) == (0, "")
+    first, second = served.stdout.splitlines()
+    assert first.startswith("vcan0 43001000")  # 1000h:00, four bytes expedited
+    assert second == first.replace("vcan0", "vcan1")
+
+
+@pytest.mark.parametrize("missing", ["vcan7", "nonsense"])
+def test_an_interface_that_is_not_there_is_one_line_with_the_remedy(missing):
+    served = motorhil("serve", RIG, "--on", missing)
+    assert served.returncode == 2
+    assert served.stderr.count("\n") == 1
+    assert f"ip link add dev {missing} type vcan" in served.stderr

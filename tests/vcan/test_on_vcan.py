@@ -1,0 +1,27 @@
+"""Runs `tests/vcan/inside` where real vcan interfaces are; skipped aloud where there is no way."""
+
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from tests.vcan import runner
+
+CHECKOUT = Path(__file__).parents[2]
+
+
+@pytest.mark.vcan
+@pytest.mark.timeout(300)
+def test_on_real_socketcan(capfd):
+    command = [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider"]
+    inside = str(Path(__file__).parent / "inside")
+    try:
+        status = runner.run([*command, "--override-ini", "python_files=on_*.py", inside])
+    except (runner.NoWayError, subprocess.CalledProcessError) as reason:
+        pytest.skip(f"no vcan here: {reason}")
+    output = capfd.readouterr().out
+    assert status == 0, output
+    assert " passed" in output, output
+    with capfd.disabled():
+        print(f"\n  on real vcan: {output.strip().splitlines()[-1]}")

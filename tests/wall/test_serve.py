@@ -1,0 +1,131 @@
+"""`motorhil serve` as a user runs it: in a process of its own, on the wall clock."""
+
+import os
+import signal
+import socket
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from harness.scaffold import EXAMPLES
+from traces.reader import read_trace
+
+pytestmark = pytest.mark.wall
+
+MOTORHIL = (sys.executable, "-c", "import sys; from harness.cli import main; sys.exit(main())")
+RIG = str(EXAMPLES / "two_wheels.toml")
+SCRIPT = (str(Path(__file__).parent / "patient_wheels.py"), str(EXAMPLES / "wheel_model.toml"))
+REACHED = "1.000\n2.000 2.000\n"  # what the paper says of Algorithms 1 and 2
+
+
+def motorhil(*words, **options):
+    return subprocess.run(
+        [*MOTORHIL, *words],
+        **{"capture_output": True, "text": True, "timeout": 50, "check": False, **options},
+    )
+
+
+def one_line(text):
+    lines = text.strip().splitlines()
+    assert len(lines) == 1, text
+    assert "Traceback" not in text
+    return lines[0]
+
+
+def test_a_script_for_real_hardware_runs_unchanged_in_a_process_of_its_own(tmp_path):
+    record = tmp_path / "run.mcap"
+    done = motorhil("serve", RIG, "-o", str(record), "--", sys.executable, *SCRIPT)
+    assert (done.returncode, done.stderr, done.stdout) == (0, "", REACHED)
+    assert motorhil("run", RIG, *SCRIPT).stdout == REACHED
+    with read_trace(record) as trace:
+        topics = {channel.topic for channel, _, _ in trace.messages()}
+    assert {"/can/can0", "/controller/left/truth"} <= topics
+
+
+@pytest.mark.parametrize(
+    ("ending", "status"), [("sys.exit(3)", 3), ("os.kill(os.getpid(), 9)", 137)]
+)
+def test_the_commands_status_is_ours(ending, status):
+    done = motorhil("serve", RIG, "--", sys.executable, "-c", f"import os, sys; {ending}")
+    assert (done.returncode, done.stderr) == (status, "")
+
+
+def test_a_command_that_is_not_there_is_one_line():
+    done = motorhil("serve", RIG, "--", "no-such-command-at-all")
+    assert done.returncode == 127
+    assert "no-such-command-at-all: No such file" in one_line(done.stderr)
+
+
+def test_a_path_in_use_is_one_line_and_the_first_hub_serves_on(tmp_path):
+    path = tmp_path / "hub"
+    inner = [*MOTORHIL, "serve", RIG, "--socket", str(path)]
+    done = motorhil("serve", RIG, "--socket", str(path), "--", *inner)
+    assert done.returncode == 2
+    assert f"{path}: in use by a hub that is running" in one_line(done.stderr)
+    assert not path.exists()
+
+
+@pytest.mark.parametrize(
+    ("on", "reason"),
+    [("can7=vcan0", "no bus 'can7'; it has can0"), ("no-such-if0", "no-such-if0")],
+)
+def test_an_absent_bus_or_interface_is_one_line_with_a_remedy(on, reason):
+    done = motorhil("serve", RIG, "--on", on)
+    assert done.returncode == 2
+    assert reason in one_line(done.stderr)
+
+
+def test_a_signal_stops_it_cleanly_and_leaves_no_socket(tmp_path):
+    path = tmp_path / "hub"
+    record = tmp_path / "run.mcap"
+    with subprocess.Popen(
+        [*MOTORHIL, "serve", RIG, "--socket", str(path), "-o", str(record)],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    ) as server:
+        assert str(path) in server.stdout.readline()  # it says where, once it is there
+        with socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET) as client:
+            client.connect(str(path))
+            server.send_signal(signal.SIGTERM)
+            _, errors = server.communicate(timeout=20)
+    assert server.returncode == 0
+    assert "Traceback" not in errors
+    assert not path.exists()
+    with read_trace(record) as trace:
+        assert trace.cut is None
+        assert list(trace.messages())
+
+
+def test_stopping_the_server_ends_the_command_too(tmp_path):
+    ready = tmp_path / "ready"
+    os.mkfifo(ready)
+    program = f"import signal; open({str(ready)!r}, 'w').write('up'); signal.pause()"
+    with subprocess.Popen([*MOTORHIL, "serve", RIG, "--", sys.executable, "-c", program]) as server:
+        assert ready.read_text() == "up"
+        server.send_signal(signal.SIGTERM)
+        assert server.wait(20) == 128 + signal.SIGTERM
+
+
+def test_a_hub_killed_without_mercy_leaves_a_readable_record(tmp_path):
+    path = tmp_path / "hub"
+    record = tmp_path / "run.mcap"
+    command = [*MOTORHIL, "serve", RIG, "--socket", str(path), "-o", str(record)]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as server:
+        server.stdout.readline()
+        client = subprocess.run(
+            [sys.executable, *SCRIPT],
+            env={**os.environ, "CAN_INTERFACE": "emulated", "CAN_CHANNEL": str(path)},
+            check=False,
+            timeout=40,
+        )
+        server.kill()
+    assert client.returncode == 0
+    with read_trace(record) as trace:
+        times_ns = [time_ns for _, time_ns, _ in trace.messages()]
+    assert len(times_ns) > 100
+    assert Path(path).exists()  # as a killed process leaves it; the next hub takes it over
+    again = motorhil("serve", RIG, "--socket", str(path), "--", sys.executable, "-c", "pass")
+    assert (again.returncode, again.stderr) == (0, "")
