@@ -212,9 +212,9 @@ class BusSegment:
         bus = self.bus
         for frame, sender_port, kind in bus.expire(now_ns):
             sender = by_port[sender_port]
-            for tap in self.taps:
-                tap(self.name, now_ns, sender.name, frame)
-            if kind & KIND_MASK != LOST:
+            if kind & KIND_MASK != LOST:  # what nobody hears is an event, not a frame of the record
+                for tap in self.taps:
+                    tap(self.name, now_ns, sender.name, frame)
                 if not self._routes_valid:
                     self._build_routes()
                 can_id = int.from_bytes(frame[:4], "little")
@@ -315,7 +315,10 @@ class World:
         return self._slots[name].controller.snapshot(self.queue.now_ns)
 
     def tap_frames(self, on_frame: FrameTap) -> None:
-        """`on_frame(bus, time_ns, sender, frame)` hears every frame that was on any bus."""
+        """`on_frame(bus, time_ns, sender, frame)` hears every frame that somebody on a bus heard.
+
+        A frame that a fault drops is told by `tap_events` alone; one that it delays, when it comes.
+        """
         for segment in self._segments.values():
             segment.taps.append(on_frame)
 

@@ -1,7 +1,10 @@
 import struct
 
+import pytest
+
 from emulators.event_queue import EventQueue
 from emulators.media.can_bus import CanBus
+from emulators.media.faults import FaultKind, FaultPlan, FaultRule
 from emulators.world import World
 
 MS = 1_000_000
@@ -131,6 +134,24 @@ def test_the_tap_hears_every_frame_with_its_sender():
         ("can0", "host-2", frame(0x101)),
         ("can0", "c0", frame(0x180, b"\x07")),
     ]
+
+
+@pytest.mark.parametrize(
+    ("kind", "heard_ns"),
+    [(FaultKind.DROP, []), (FaultKind.DELAY, [5]), (FaultKind.DUPLICATE, [0, 0])],
+)
+def test_the_tap_hears_what_somebody_hears_and_when(kind, heard_ns):
+    queue = EventQueue()
+    world = World(queue)
+    rule = FaultRule(name="rule", kind=kind, delay_ns=5 * MS if kind is FaultKind.DELAY else 0)
+    world.add_bus(CanBus("can0", faults=FaultPlan([rule], lambda: 0.0)))
+    taken, heard = [], []
+    world.tap_frames(lambda bus, t, sender, data: taken.append((t, data)))
+    world.add_host("can0", "listener", lambda data, t, own: heard.append((t, data)))
+    world.add_host("can0", "host", lambda *what: None).send(frame(0x123))
+    queue.run_until(100 * MS)
+    assert taken == heard
+    assert [t // MS for t, _ in taken] == heard_ns
 
 
 def test_a_closed_host_hears_nothing_more():
