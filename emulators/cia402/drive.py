@@ -233,7 +233,6 @@ class Cia402Drive:
     # --- inside
 
     def _abort(self, code: int, now_ns: int) -> None:
-        self._touched = True
         self.axis.at(now_ns)
         self._power_drive.abort_connection(code, now_ns)
 

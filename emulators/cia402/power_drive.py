@@ -275,7 +275,6 @@ class PowerDrive:
         self.error_code = code
         self._active.leave()
         self._enable_due_ns = NEVER
-        self._at_rest = NO_TRANSITION
         self._take(13, now_ns)
         deceleration = self._objects.fault_deceleration_inc_s2()
         if running and self.voltage and deceleration is not None:

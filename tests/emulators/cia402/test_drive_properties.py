@@ -2,6 +2,7 @@
 
 import struct
 
+import pytest
 from bench import MS, NODE, Bench
 from hypothesis import event, example, given, settings
 from hypothesis import strategies as st
@@ -181,14 +182,19 @@ def test_a_coasting_motor_costs_nothing_until_somebody_looks():
     assert bench.truth("velocity_rad_s") == 0.0
 
 
-def test_a_switched_tpdo_tells_the_statusword_at_the_very_tick():
-    """Target reached: the frame is due at a multiple of the tick, not at the next poll."""
+@pytest.mark.parametrize("heartbeat_ms", [0, 1000])
+def test_the_statusword_is_told_at_the_very_tick(heartbeat_ms):
+    """Target reached is due at a tick, not at the next poll, nor when the node wakes up anyway."""
     bench = new_bench()
+    bench.set(0x1017, 0, heartbeat_ms, 2)
     bench.enable(mode=1)
     bench.run(50 * MS + 300_000)  # off the grid
+    offered_at = bench.now
     bench.send(0x405, struct.pack("<Hi", 0x1F, 5_000))
     bench.sync()
-    bench.run(1000 * MS)
+    bench.run(3000 * MS)
     assert bench.last(0x185) == bytes.fromhex("3716")
-    assert bench.times(0x185)[-1] % MS == 0
-    assert bench.times(0x185)[-2] % MS == 300_000  # the acknowledge, at once
+    acknowledged_at, reached_at = bench.times(0x185)[-2:]
+    assert acknowledged_at == offered_at
+    assert reached_at % MS == 0
+    assert reached_at < offered_at + 300 * MS

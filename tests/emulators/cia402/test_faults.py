@@ -128,6 +128,18 @@ def test_a_fault_is_entered_with_the_power_stage_off_too():
     assert bench.last(0x085) == bytes.fromhex("3055010000000000")
 
 
+def test_a_fault_while_the_power_stage_comes_up_keeps_it_down():
+    bench = Bench()
+    bench.operational()
+    for word in (0x06, 0x07, 0x0F):
+        bench.controlword(word)
+    bench.run(10 * MS)
+    fault(bench, 0x3210)
+    assert state(bench) == PdsState.FAULT
+    bench.run(100 * MS)
+    assert state(bench) == PdsState.FAULT
+
+
 def test_a_second_fault_is_told_and_changes_nothing():
     bench = Bench()
     bench.operational()

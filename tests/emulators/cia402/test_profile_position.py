@@ -193,15 +193,16 @@ def test_change_on_set_point_stops_where_it_must_turn(bench):
     assert bench.truth("demand_inc") == 5_000
 
 
-@pytest.mark.parametrize("word", [0x00, 0x02, 0x06, 0x07])
-def test_a_drive_stopped_while_driving_through_waits_for_nothing(bench, word):
+@pytest.mark.parametrize(("word", "state"), [(0x00, 1), (0x02, 1), (0x06, 2), (0x07, 3)])
+def test_a_drive_stopped_just_before_it_drives_through_goes_no_further(bench, word, state):
     move(bench, 10_000)
     move(bench, 20_000, extra=0x200)
-    bench.run(50 * MS)
+    bench.run_while(lambda: bench.truth("demand_inc") < 9_000)
     bench.controlword(word)
-    bench.run(2000 * MS)  # the bench refuses deadlines that stay where they are
+    bench.run(10_000 * MS)  # the bench refuses deadlines that stay where they are
     assert bench.drive.next_deadline_ns() is None
-    assert bench.truth("position_inc") < 10_000
+    assert bench.truth("state") == state
+    assert bench.truth("position_inc") < 15_000  # coasting, at most
     assert not bench.statusword() & 0x1000
 
 
@@ -326,3 +327,17 @@ def test_units_come_from_the_factor_objects():
     assert bench.truth("demand_inc") == 1320  # 36 / 3600 * 66 * 2000
     assert bench.read(0x6062) == 36
     assert bench.read(0x6063) == pytest.approx(1320, abs=10)  # the servo's standing error
+
+
+def test_factors_written_later_count_for_targets_and_windows(bench):
+    bench.set(0x6092, 1, 3600, 4)
+    bench.set(0x6065, 0, 20, 4)  # 733 increments now
+    bench.set(0x6092, 2, 1, 4)
+    move(bench, 36)
+    bench.run(1000 * MS)
+    assert bench.truth("demand_inc") == 1320
+    bench.drive.stimulate("load_torque_n_m", 30.0, bench.now)
+    while bench.truth("state") == 4:
+        error = abs(bench.truth("following_error_inc"))
+        bench.run(1 * MS)
+    assert error > 733
