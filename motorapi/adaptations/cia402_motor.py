@@ -35,6 +35,7 @@ from motorapi.adaptations.drive_profile import (
     expected_s,
     profile_of,
 )
+from motorapi.adaptations.drive_reader import DriveReader
 from motorapi.adaptations.motion_watch import HomingWatch, MotionWatch, RestWatch, SetpointWatch
 from motorapi.commands import ControlMode, ControlVariable, Motion
 from motorapi.errors import DeadlineExceeded, UnsupportedError

@@ -70,7 +70,7 @@ def test_a_move_that_says_it_is_done_is_at_its_target(
                 assert moved_inc <= abs(distance) * 21_009 + 1  # never twice
                 return
             event("reached")
-            target = motor._held[1]
+            target = motor._reader.held[1]
             assert abs(rig.controllers["left"].snapshot()["position_rad"] - target) < TOLERANCE_RAD
 
 

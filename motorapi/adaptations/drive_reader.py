@@ -1,0 +1,159 @@
+"""What a drive's objects say of its motor, in SI values: state, fault, measurements, limits."""
+
+from typing import TYPE_CHECKING, Final, final
+
+from motorapi.adaptations.cia402_hardware import Cia402HwMotor
+from motorapi.adaptations.cia402_objects import FAULT_BIT, PdsState, error_text
+from motorapi.adaptations.cia402_units import DriveUnits, drive_units
+from motorapi.adaptations.drive_profile import DriveLimits
+from motorapi.adaptations.drive_setup import DriveFacts
+from motorapi.errors import UnsupportedError
+from motorapi.state import Fault, Measurement, MotorState
+
+if TYPE_CHECKING:
+    from motorapi.model import MotorModel
+
+_WINDOW_OFF: Final = 0xFFFF_FFFF
+_STATES: Final = {
+    PdsState.OPERATION_ENABLED: MotorState.ENABLED,
+    PdsState.QUICK_STOP_ACTIVE: MotorState.STOPPED,
+    PdsState.FAULT: MotorState.FAULT,
+    PdsState.FAULT_REACTION_ACTIVE: MotorState.FAULT,
+}
+
+
+@final
+class DriveReader:
+    """One logical motor's view of a drive: its model's units on the drive's numbers.
+
+    Attributes:
+        held: the last target position commanded, in increments and in U.
+    """
+
+    def __init__(self, hardware: Cia402HwMotor, model: "MotorModel", motor: str) -> None:
+        self.held: tuple[int | None, float] = (None, 0.0)
+        self._hardware = hardware
+        self._node = hardware.node
+        self._objects = hardware.objects
+        self._model = model
+        self._motor = motor
+        self._facts: DriveFacts | None = None
+        self._units: DriveUnits | None = None
+        self._limits: DriveLimits | None = None
+
+    def known(self) -> tuple[DriveUnits, DriveLimits]:
+        """Units and limits, read from the drive once after each time it was brought up.
+
+        Not when it is connected: any logical motor may stop the drive at any time, and not wait.
+        """
+        facts = self._hardware.connect()
+        if self._units is None or self._limits is None or facts is not self._facts:
+            self._units = drive_units(self._motor, self._model, self._objects.read_optional)
+            self._limits = _read_limits(self._hardware)
+            self._facts = facts
+        return self._units, self._limits
+
+    @property
+    def units(self) -> DriveUnits:
+        """What 1 means in the drive's objects."""
+        return self.known()[0]
+
+    def state(self) -> MotorState:
+        """The state heard last; does not wait."""
+        node = self._node
+        if self._hardware.facts is None or node.lost_since_ns is not None or node.status_ns < 0:
+            return MotorState.OFFLINE
+        state = node.state
+        known = MotorState.DISABLED if state is None else _STATES.get(state, MotorState.DISABLED)
+        if known is MotorState.DISABLED and self._hardware.quick_stopped:
+            return MotorState.STOPPED  # 605Ah may switch off at the end of a quick stop
+        return known
+
+    def fresh_state(self) -> MotorState:
+        """The state, asked for where the drive does not tell it by itself."""
+        if self._hardware.facts is not None and self._node.lost_since_ns is None:
+            self._node.refresh()
+        return self.state()
+
+    def fault(self) -> Fault | None:
+        """The fault the drive reports, None if there is none."""
+        node = self._node
+        if self._hardware.facts is None or node.lost_since_ns is not None:
+            return None
+        node.refresh()
+        if not node.statusword & FAULT_BIT:
+            return None
+        code = node.error_code or self._objects.read_optional(0x603F) or 0
+        since_ns = node.status_ns if node.fault_since_ns is None else node.fault_since_ns
+        return Fault(code, error_text(code), since_ns)
+
+    def position(self) -> float:
+        """Measured position [U]."""
+        self._node.check_heard()
+        self._node.refresh()
+        return self.units.position(self._node.position_inc)
+
+    def velocity(self) -> float:
+        """Measured velocity [U/s]."""
+        return self.units.velocity(self._objects.read_int(0x606C))
+
+    def reference(self) -> float:
+        """The demand where there is one, else the measured position [U].
+
+        Raises:
+            UsageError: a unit is not known. A motion is planned from here: what is missing is told
+                before it is begun.
+        """
+        self.units.require_all()
+        self._node.check_link()
+        self._node.refresh()
+        if self._node.state is PdsState.OPERATION_ENABLED:
+            demand = self._objects.read_optional(0x6062)
+            if demand is not None:
+                # What was asked for, where that is what it holds: rounding must not add up.
+                return self.held[1] if demand == self.held[0] else self.units.position(demand)
+        return self.position()
+
+    def torque(self) -> float:
+        """Measured torque of the motor [N·m]."""
+        permille = self._objects.read_optional(0x6077)
+        rated = self._objects.read_optional(0x6076)
+        if permille is None or not rated:
+            missing = "6077h" if permille is None else "6076h, rated torque"
+            raise UnsupportedError(motor=self._motor, feature=f"measuring torque (no {missing})")
+        return permille / 1e3 * rated / 1e3  # per mille of the rated torque [mN·m]
+
+    def following_error(self) -> float:
+        """Demand minus actual position [U]."""
+        error = self._objects.read_optional(0x60F4)
+        if error is None:
+            return self.reference() - self.units.position(self._objects.read_int(0x6064))
+        return self.units.position(error)
+
+    def latest(self) -> Measurement | None:
+        """What was heard last; neither waits nor sends."""
+        node, units = self._node, self._units
+        if node.status_ns < 0:
+            return None
+        position = velocity = None
+        if units is not None and units.increments_per_unit is not None:
+            position = units.position(node.position_inc)
+            raw = node.values.get((0x606C, 0))
+            if raw is not None and units.velocity_unit is not None:
+                velocity = units.velocity(raw)
+        return Measurement(node.status_ns, self.state(), position, velocity)
+
+
+def _read_limits(hardware: Cia402HwMotor) -> DriveLimits:
+    read = hardware.objects.read_optional
+    low, high = read(0x607D, 1), read(0x607D, 2)
+    position = None if low is None or high is None or low == high == 0 else (low, high)
+    window = read(0x6067)
+    return DriveLimits(
+        position=position,
+        speed=read(0x607F),
+        acceleration=read(0x60C5),
+        deceleration=read(0x60C6),
+        window=None if window == _WINDOW_OFF else window,
+        has_deceleration=read(0x6084) is not None,
+    )
