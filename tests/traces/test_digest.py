@@ -3,6 +3,7 @@ import io
 import struct
 
 import pytest
+from mcap.reader import make_reader
 
 from tests.traces.recordings import MS, Recording, can_frame, write
 from traces.compare import first_mismatch
@@ -22,6 +23,18 @@ def test_the_digest_is_what_its_definition_says(tmp_path):
     payload = encode_can_frame(can_frame(1, b"\2"), "x", Direction.RECEIVED)
     by_hand = struct.pack("<I", 6) + b"/can/a" + struct.pack("<QI", 5, len(payload)) + payload
     assert digest(path) == hashlib.sha256(by_hand).hexdigest()
+
+
+def test_the_digest_of_many_messages_is_by_the_same_definition(tmp_path):
+    path = tmp_path / "a.mcap"
+    write(path, 25_000, MS)
+    by_hand = hashlib.sha256()
+    with path.open("rb") as file:
+        for _, channel, message in make_reader(file).iter_messages(log_time_order=False):
+            topic = channel.topic.encode()
+            by_hand.update(struct.pack("<I", len(topic)) + topic)
+            by_hand.update(struct.pack("<QI", message.log_time, len(message.data)) + message.data)
+    assert digest(path) == by_hand.hexdigest()
 
 
 def test_the_digest_knows_nothing_of_chunks_metadata_or_numbers_of_channels(tmp_path):
