@@ -11,10 +11,12 @@ A tick of the servo (1 kHz, say), in this order:
    profile's acceleration fed forward), limit of the current, conditional integration.
 4. Flags.
 
-Standstill is exact: the rotor sticks with speed 0.0 while the torque on it is within the Coulomb
-friction; the blocked motor's current loop is stepped as deviations from its steady state, which
-shrink to zero; and with whole increments equal, velocity and following error are zero too. So an
-axis at rest reaches a state that maps onto itself bit for bit, and `run` says so.
+Standstill is exact. The rotor sticks with speed 0.0 while the torque on it is within the Coulomb
+friction; with whole increments equal, velocity and following error are zero. The blocked motor's
+current loop is stepped as deviations from its steady state. There is a norm in which each tick
+shrinks them; once rounding makes one not shrink, they are gone: a norm that falls strictly among
+finitely many floats must end, so no pair of last bits can play ping-pong for ever. So an axis at
+rest reaches a state that maps onto itself bit for bit, and `run` says so.
 
 Within this module velocities are increments per tick; the position x is half an increment ahead,
 so that the encoder's count is its floor. Only + - * / are used.
@@ -114,7 +116,8 @@ def run(
     """
     # fmt: off
     (ii, iu, iw, ir, ui, uu, uw, ur, wi, wu, ww, wr, xi, xu, xw, xr,
-     resistance, k, guard_e, guard_d, bend, ee, es, se, ss, volts_e, volts_s, torque_guard,
+     resistance, k, guard_e, guard_d, bend,
+     ee, es, se, ss, norm_ee, norm_es, norm_ss, volts_e, volts_s, torque_guard,
      supply, friction, coast_w, coast_x, kp, feed_v, kp_v, ki_v, feed_a) = table
     (load, volts_max, bend_least,
      fi, fu, fw, fx, fcw, fcx, bi, bu, bw, bx, bcw, bcx) = load_table
@@ -173,6 +176,12 @@ def run(
                 if -slack <= net <= slack and m - base < supply and m + base < supply:
                     i = wanted - (ee * error + es * s)
                     u = base + (se * error + ss * s)
+                    e1 = wanted - i
+                    s1 = u - base
+                    m = norm_ee * error * error + norm_es * error * s + norm_ss * s * s
+                    if norm_ee * e1 * e1 + norm_es * e1 * s1 + norm_ss * s1 * s1 >= m:
+                        i = wanted  # only rounding keeps the deviation from shrinking
+                        u = base
                 else:
                     i, u, w, x = steps(step_table, current_steps, load, wanted, i, u, w, x)
         elif w > 0.0:

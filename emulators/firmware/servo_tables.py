@@ -41,11 +41,15 @@ _POSITION: Final = 3
 _WANTED: Final = 4
 _TORQUE: Final = 5
 
+_DOUBLINGS: Final = 40
 _SLACK: Final = 1.0 + 1e-9  # guards must hold in rounded arithmetic too
 
 
 class ServoTables:
     """Everything constant about one axis' stepping.
+
+    Raises:
+        ValueError: the gains make the current loop unstable.
 
     Attributes:
         tick: what `servo.run` needs in every call.
@@ -172,6 +176,7 @@ class ServoTables:
             self._speed_guard[0],
             *blocked[0],
             *blocked[1],
+            *_shrinking_norm(blocked),
             volts_e,
             volts_s,
             plant.torque_constant_n_m_a * amperes,
@@ -204,6 +209,23 @@ class ServoTables:
             self._plant.supply_v,
             self._plant.coulomb_friction_n_m,
         )
+
+
+def _shrinking_norm(matrix: Matrix) -> tuple[float, float, float]:
+    """a, b, c: a e^2 + b e s + c s^2 shrinks by e^2 + s^2 when (e, s) is mapped (Lyapunov).
+
+    The sum over all n of the squared size after n maps, added up by doubling n.
+    """
+    total = identity(2)
+    power = matrix
+    for _ in range(_DOUBLINGS):
+        transposed = [[power[0][0], power[1][0]], [power[0][1], power[1][1]]]
+        added = product(transposed, product(total, power))
+        total = [[total[r][c] + added[r][c] for c in range(2)] for r in range(2)]
+        power = product(power, power)
+        if not total[0][0] + total[1][1] < 1e15:
+            raise ValueError("with these gains the current loop is unstable, or nearly so")
+    return total[0][0], total[0][1] + total[1][0], total[1][1]
 
 
 def _powers(matrix: Matrix, count: int) -> list[Matrix]:

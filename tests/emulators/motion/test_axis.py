@@ -1,6 +1,7 @@
 """What a drive sees of an axis: demands, flags to the tick, windows, commands and their limits."""
 
 import math
+from dataclasses import replace
 from itertools import pairwise
 
 import pytest
@@ -445,3 +446,9 @@ def test_time_runs_forward_only():
 def test_a_tick_must_hold_a_whole_number_of_current_steps(tick_ns, steps):
     with pytest.raises(ValueError, match="steps"):
         Axis(WHEEL_60W, GAINS, tick_ns, steps)
+
+
+def test_gains_that_make_the_current_loop_unstable_are_refused():
+    for kp in (1e3, -10.0):
+        with pytest.raises(ValueError, match="current loop is unstable"):
+            Axis(WHEEL_60W, replace(GAINS, current_kp_v_a=kp), MS, 10)

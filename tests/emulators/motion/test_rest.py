@@ -49,12 +49,13 @@ def ticks_to_rest(axis: Axis, limit: int = 60_000) -> int:
 def assert_fixed(axis: Axis, plant: MotorPlant) -> None:
     """A hundred further ticks of the bare step function change nothing, not even a sign of zero."""
     time = axis._time
-    tables = ServoTables(plant, ServoGains.tuned(plant, axis._tick_ns, 10), axis._tick_ns, 10)
+    tick_ns, steps = axis._tick_ns, axis._time._current_steps
+    tables = ServoTables(plant, ServoGains.tuned(plant, tick_ns, steps), tick_ns, steps)
     load = tables.load(axis.load_torque_n_m())
     state = time.state
     for tick in range(time.tick, time.tick + 100):
         state, _, _ = servo.run(
-            *(tables.tick, tables.step, 10, load, time._windows, time._orders),
+            *(tables.tick, tables.step, steps, load, time._windows, time._orders),
             *(state, tick, 1, False),
         )
         assert repr(state) == repr(time.state)
@@ -65,6 +66,7 @@ MOVES = st.integers(-30_000, 30_000) | st.integers(-30, 30)
 
 @given(
     st.sampled_from(sorted(PRESETS)),
+    st.sampled_from([(MS, 10), (MS, 10), (MS, 1), (500_000, 4), (2 * MS, 5)]),
     st.sampled_from([400, 2000, 8192]),
     st.floats(0.3, 4.0),
     st.floats(-0.8, 0.8),
@@ -73,7 +75,7 @@ MOVES = st.integers(-30_000, 30_000) | st.integers(-30, 30)
     st.floats(0.02, 0.5),
 )
 def test_after_any_move_a_powered_axis_comes_to_exact_rest(
-    name, increments, friction_share, load_share, distance, speed_share, acceleration_share
+    name, clock, increments, friction_share, load_share, distance, speed_share, acceleration_share
 ):
     preset = PRESETS[name]
     plant = replace(
@@ -85,7 +87,7 @@ def test_after_any_move_a_powered_axis_comes_to_exact_rest(
     load_n_m = load_share * (stall_n_m * 0.5 - plant.coulomb_friction_n_m)
     acceleration = acceleration_share * stall_n_m * 0.4 / plant.inertia_kg_m2()
     inc = plant.increments_per_rad()
-    axis = make(plant)
+    axis = make(plant, *clock)
     axis.set_load(load_n_m * plant.gear_ratio)
     axis.at(400 * MS)
     axis.move_to(
@@ -96,8 +98,7 @@ def test_after_any_move_a_powered_axis_comes_to_exact_rest(
     )
     assert run_to_rest(axis, 120_000 * MS) is not None
     assert not axis.flags & PROFILE_ACTIVE
-    now = axis._time.tick + 100_000
-    axis.at(now * MS)  # at once
+    axis.at((axis._time.tick + 10**9) * clock[0])  # at once
     assert axis.position_inc() == axis.demand_inc() == distance
     assert axis.output_velocity_rad_s() == axis.velocity_inc_s() == 0.0
     assert axis.flags & SPEED_ZERO
