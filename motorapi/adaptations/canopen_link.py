@@ -56,9 +56,8 @@ class TurnLock:
         self._runtime = runtime
         self._tickets: deque[object] = deque()
 
-    @contextmanager
-    def turn(self, timeout_s: float, awaited: str) -> Iterator[None]:
-        """The block is run alone.
+    def take(self, timeout_s: float, awaited: str) -> object:
+        """It is the caller's turn, until `give_back` of what this returns.
 
         Raises:
             DeadlineExceeded: others kept it for `timeout_s` [s]; `awaited` says what for.
@@ -66,18 +65,31 @@ class TurnLock:
         ticket = object()
         tickets = self._tickets
         tickets.append(ticket)
+        if tickets[0] is ticket:
+            return ticket
         try:
-            if tickets[0] is not ticket and not self._runtime.wait_until(
-                lambda: tickets[0] is ticket, timeout_s
-            ):
-                raise DeadlineExceeded(
-                    awaited=awaited,
-                    timeout_s=timeout_s,
-                    last_heard=f"{len(tickets) - 1} others before it",
-                )
+            if self._runtime.wait_until(lambda: tickets[0] is ticket, timeout_s):
+                return ticket
+        except BaseException:
+            tickets.remove(ticket)
+            raise
+        tickets.remove(ticket)
+        raise DeadlineExceeded(
+            awaited=awaited, timeout_s=timeout_s, last_heard=f"{len(tickets)} others before it"
+        )
+
+    def give_back(self, ticket: object) -> None:
+        """The turn is the next one's."""
+        self._tickets.remove(ticket)
+
+    @contextmanager
+    def turn(self, timeout_s: float, awaited: str) -> Iterator[None]:
+        """The block is run alone. Raises as `take`."""
+        ticket = self.take(timeout_s, awaited)
+        try:
             yield
         finally:
-            tickets.remove(ticket)
+            self.give_back(ticket)
 
 
 @final
