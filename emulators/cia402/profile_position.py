@@ -57,7 +57,6 @@ class ProfilePosition(Mode):
         """The motor stands, or comes to rest; nothing has been offered yet."""
         self.leave()
         self.halted = word & CW_HALT != 0
-        self._offered = word & NEW_SET_POINT != 0
         self.axis.ramp_to_rest(self.objects.deceleration_inc_s2())
 
     def leave(self) -> None:

@@ -112,6 +112,8 @@ def test_reset_node_switches_the_power_stage_off_and_boots_again():
     bench = Bench()
     bench.enable()
     bench.set(0x6081, 0, 1234, 4)
+    bench.set(0x6060, 0, 3, 1)
+    bench.set(0x60FF, 0, 9_999, 4)
     bench.nmt(0x81)
     assert bench.truth("state") == PdsState.NOT_READY_TO_SWITCH_ON
     reset_at = bench.now
@@ -119,6 +121,11 @@ def test_reset_node_switches_the_power_stage_off_and_boots_again():
     assert bench.sent[-1] == (reset_at + BOOT_UP, 0x705, b"\x00")
     assert bench.truth("state") == PdsState.SWITCH_ON_DISABLED
     assert bench.read(0x6081) == 40960  # 60xxh are at their power-on values again
+    assert bench.read(0x6061) == 1
+    bench.nmt(0x01)
+    bench.enable(mode=3)
+    bench.run(200 * MS)
+    assert bench.read(0x606B) == 0
 
 
 def test_a_controlword_the_drive_finds_after_a_transition_of_its_own_counts():

@@ -330,9 +330,8 @@ def test_units_come_from_the_factor_objects():
 
 
 def test_factors_written_later_count_for_targets_and_windows(bench):
-    bench.set(0x6092, 1, 3600, 4)
-    bench.set(0x6065, 0, 20, 4)  # 733 increments now
-    bench.set(0x6092, 2, 1, 4)
+    bench.set(0x6065, 0, 20, 4)
+    bench.set(0x6092, 1, 3600, 4)  # 36.7 increments: the window is 733 now
     move(bench, 36)
     bench.run(1000 * MS)
     assert bench.truth("demand_inc") == 1320
