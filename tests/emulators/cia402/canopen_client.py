@@ -9,8 +9,9 @@ import types
 
 import canopen
 import canopen.profiles.p402 as p402
-from bench import MS, NODE, Bench
 from canopen.sdo import SdoClient
+
+from tests.emulators.cia402.bench import MS, NODE, Bench
 
 FRAME_NS = 120_000  # a frame of 8 bytes at 1 Mbit/s, about
 

@@ -3,9 +3,9 @@ words (drives.md: statuswords 4F/40, 6F/21, 6F/23, 6F/27; here with voltage 10h 
 """
 
 import pytest
-from bench import BOOT_UP, ENABLE, MS, Bench
 
 from emulators.cia402.pds_fsa import PdsState
+from tests.emulators.cia402.bench import BOOT_UP, ENABLE, MS, Bench
 
 
 def test_bring_up_transcript():

@@ -5,11 +5,11 @@ What it cannot do itself (bits 4, 5 and 6 of the pp handshake) the test writes.
 
 import canopen
 import pytest
-from bench import MS, Bench
 from canopen.profiles.p402 import State402
-from canopen_client import connect, set_up
 
 from emulators.cia402.settings import OWN_EDS
+from tests.emulators.cia402.bench import MS, Bench
+from tests.emulators.cia402.canopen_client import connect, set_up
 
 
 @pytest.fixture

@@ -3,7 +3,8 @@
 import struct
 
 import pytest
-from bench import MS, NODE, Bench
+
+from tests.emulators.cia402.bench import MS, NODE, Bench
 
 FOLLOWS = 0x1000
 FOLLOWING_ERROR = 0x2000

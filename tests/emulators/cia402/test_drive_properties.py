@@ -3,11 +3,11 @@
 import struct
 
 import pytest
-from bench import MS, NODE, Bench
 from hypothesis import event, example, given, settings
 from hypothesis import strategies as st
 
 from emulators.cia402.pds_fsa import ENDS, PdsState
+from tests.emulators.cia402.bench import MS, NODE, Bench
 
 S = PdsState
 RUNNING = {S.OPERATION_ENABLED, S.QUICK_STOP_ACTIVE, S.FAULT_REACTION_ACTIVE}

@@ -8,12 +8,12 @@ from collections.abc import Sequence
 from itertools import pairwise
 
 import pytest
-from bench import MS, NODE, Bench
 from canopen import import_od
 
 from emulators.canopen.object_dictionary import ObjectDictionary
 from emulators.cia402.objects import DriveObjects
 from emulators.cia402.settings import OWN_EDS, read_settings
+from tests.emulators.cia402.bench import MS, NODE, Bench
 
 LIGHT = {"preset": "wheel_60w", "load_inertia_kg_m2": 0.0}
 

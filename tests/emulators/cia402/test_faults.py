@@ -3,10 +3,10 @@
 import struct
 
 import pytest
-from bench import MS, NODE, Bench
 
 from emulators.cia402.drive import error_register
 from emulators.cia402.pds_fsa import PdsState
+from tests.emulators.cia402.bench import MS, NODE, Bench
 
 V, A, QUICK = 40_000, 409_600, 819_200
 

@@ -1,8 +1,9 @@
 """Homing on the present position (35, 37). Statusword & 3400h: p402.py's Homing.STATES."""
 
 import pytest
-from bench import MS, Bench
 from canopen.profiles.p402 import Homing
+
+from tests.emulators.cia402.bench import MS, Bench
 
 IN_PROGRESS, INTERRUPTED, DONE = 0x0000, 0x0400, 0x1400
 ERROR_MOVING, ERROR_AT_REST = 0x2000, 0x2400

@@ -4,7 +4,8 @@ import struct
 from math import sqrt
 
 import pytest
-from bench import MS, NODE, Bench
+
+from tests.emulators.cia402.bench import MS, NODE, Bench
 
 TARGET_REACHED = 0x0400
 ACKNOWLEDGE = 0x1000

@@ -3,7 +3,8 @@
 import struct
 
 import pytest
-from bench import MS, NODE, Bench
+
+from tests.emulators.cia402.bench import MS, NODE, Bench
 
 TARGET_REACHED = 0x0400
 SPEED_IS_ZERO = 0x1000

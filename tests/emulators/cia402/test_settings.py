@@ -4,11 +4,11 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
-from bench import Bench, new_drive
 
 from emulators.cia402.settings import OWN_EDS, read_settings
 from emulators.controller import SettingError
 from emulators.plant.presets import PRESETS
+from tests.emulators.cia402.bench import Bench, new_drive
 
 HERE = Path(__file__).parent
 

@@ -6,9 +6,9 @@ What each file lacks: data/eds/INDEX.md. All is asked for by SDO, which every fi
 from pathlib import Path
 
 import pytest
-from bench import ENABLE, MS, Bench
 
 from emulators.controller import SettingError
+from tests.emulators.cia402.bench import ENABLE, MS, Bench
 
 pytestmark = pytest.mark.data
 
