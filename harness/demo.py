@@ -7,10 +7,11 @@ frame around them: progress, record, and a table of what came of it.
 import argparse
 import sys
 import time
+import tomllib
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Final, final
+from typing import TYPE_CHECKING, Any, Final, final
 
 from harness.rig_file import SEED_MAX
 from harness.settings import RigError
@@ -25,6 +26,7 @@ FAILED: Final = 1
 RIG: Final = Path(__file__).parent / "examples" / "rover.toml"
 POINT_M: Final = (6.0, 1.5, 0.4)
 SAMPLE_NS: Final = 20_000_000
+INCREMENTS_PER_TURN: Final = 2000  # of the motors in RIG
 PEAK_WINDOW_NS: Final = 100_000_000
 ERROR_MAX_RAD: Final = 0.002  # a motor that ends further off has not done its job
 
@@ -107,7 +109,11 @@ def _make_folder(folder: Path) -> None:
 
 
 def _with_eds(description: "RigDescription", files: Sequence[Path]) -> "RigDescription":
-    """The rig with these files dealt out: one each to wheels, steering and mast, in turn."""
+    """The rig with these files dealt out: one each to wheels, steering and mast, in turn.
+
+    Drives and motor models are told one set of units, whatever a file says: increments, and rpm of
+    the motor, which is what most vendors mean by limits such as 607Fh.
+    """
     if not files:
         return description
     for file in files:
@@ -115,14 +121,34 @@ def _with_eds(description: "RigDescription", files: Sequence[Path]) -> "RigDescr
             raise RigError(file, "no such EDS file", "check the path given with --eds")
     kinds = list(dict.fromkeys(name.split("_")[0] for name in description.controllers))
     given = {kind: files[place % len(files)] for place, kind in enumerate(kinds)}
+    unit_inc_s = INCREMENTS_PER_TURN / 60.0
     controllers = {
         name: replace(
             controller,
-            settings={**controller.settings, "eds": str(given[name.split("_")[0]].absolute())},
+            settings={
+                **controller.settings,
+                "eds": str(given[name.split("_")[0]].absolute()),
+                "units": {
+                    "position_unit_inc": 1.0,
+                    "velocity_unit_inc_s": unit_inc_s,
+                    "acceleration_unit_inc_s2": unit_inc_s,
+                },
+            },
         )
         for name, controller in description.controllers.items()
     }
-    return replace(description, controllers=controllers)
+    motors = {
+        name: replace(motor, model=_model_in_rpm(motor.model, unit_inc_s))
+        for name, motor in description.motors.items()
+    }
+    return replace(description, controllers=controllers, motors=motors)
+
+
+def _model_in_rpm(model: Path | Mapping[str, Any], unit_inc_s: float) -> dict[str, Any]:
+    """The same motor model (a TOML table, hence Any) for a drive that counts in rpm."""
+    table = tomllib.loads(model.read_text("utf-8")) if isinstance(model, Path) else dict(model)
+    unit_rad_s = unit_inc_s / table["increments_per_rad"]
+    return {**table, "velocity_unit_rad_s": unit_rad_s, "acceleration_unit_rad_s2": unit_rad_s}
 
 
 @final
@@ -205,10 +231,10 @@ def _print_groups(rig: "Rig", rover: "Rover") -> None:
                 name,
                 f"{len(moves)}",
                 moves[0].capability.level.name,
-                _milliseconds(predicted),
-                _milliseconds([move.quality.start_skew_s for move in moves]),
-                _milliseconds([move.quality.predicted_end_skew_s for move in moves]),
-                _milliseconds([move.quality.end_skew_s for move in moves]),
+                "no bound" if None in predicted else _largest_ms(predicted),
+                _largest_ms([move.quality.start_skew_s for move in moves]),
+                _largest_ms([move.quality.predicted_end_skew_s for move in moves]),
+                _largest_ms([move.quality.end_skew_s for move in moves]),
             )
         )
     print()
@@ -217,8 +243,7 @@ def _print_groups(rig: "Rig", rover: "Rover") -> None:
     )
 
 
-def _milliseconds(values_s: Sequence[float | None]) -> str:
+def _largest_ms(values_s: Sequence[float | None]) -> str:
+    """The largest that is known; moves in which no motor had anywhere to go tell nothing."""
     known = [value for value in values_s if value is not None]
-    if len(known) < len(values_s) or not known:
-        return "no bound"
-    return f"{max(known) * 1e3:.3f}"
+    return f"{max(known) * 1e3:.3f}" if known else "-"

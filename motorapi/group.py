@@ -142,7 +142,9 @@ class MotorGroup(DeviceGroup[Motor]):
         times = tuple(
             (one.motor.name, one.motor._call(one.motor._motion_times)) for one in self._started
         )
-        known = [its for _, its in times]
+        known = [
+            its for one, (_, its) in zip(self._started, times, strict=True) if not _stays(one)
+        ]
         return SyncQuality(
             predicted_end_skew_s=_end_skew_s(self._started),
             start_skew_s=spread_s([None if its is None else its.started_ns for its in known]),
@@ -182,11 +184,16 @@ class MotorGroup(DeviceGroup[Motor]):
             raise first
 
 
+def _stays(one: Started) -> bool:
+    """Whether the motor is where it is to go, to the hardware's resolution: nothing ends late."""
+    return one.motion.trajectory is not None and one.quantised.distance == 0.0
+
+
 def _end_skew_s(started: "tuple[Started, ...] | list[Started]") -> float:
     """Between the ends of the profiles as the hardware makes them; motors at rest do not count."""
     durations_s = [
         planning.duration_of(one.quantised)
         for one in started
-        if one.motion.trajectory is not None and one.motion.distance != 0.0
+        if one.motion.trajectory is not None and not _stays(one)
     ]
     return max(durations_s) - min(durations_s) if durations_s else 0.0

@@ -92,7 +92,7 @@ class SyncQuality:
     Attributes:
         predicted_end_skew_s: from the profiles as the hardware rounded them [s].
         start_skew_s: between the first and the last motor's start as measured [s]; None until all
-            of them told.
+            of them told. A motor that has no way to go does not count.
         end_skew_s: likewise for the ends.
         times: for each motor its name, and when it began and ended and where that was measured
             (None: it does not tell).

@@ -1,0 +1,87 @@
+"""The demo: the whole tool on the paper's manoeuvre, as `motorhil demo` runs it."""
+
+import re
+
+import pytest
+
+from harness.cli import main
+from harness.scaffold import EXAMPLES
+from traces.reader import read_trace
+
+
+def demo(capsys, *words):
+    status = main(["demo", *map(str, words)])
+    told = capsys.readouterr()
+    return status, told.out, told.err
+
+
+def rows_after(out, head):
+    """The rows of the table that begins with this word, as lists of words."""
+    lines = out.splitlines()
+    first = next(n for n, line in enumerate(lines) if line.startswith(head + " "))
+    rows = []
+    for line in lines[first + 1 :]:
+        if not line.strip():
+            break
+        rows.append(line.split())
+    return rows
+
+
+def test_fourteen_motors_on_two_buses_arrive_together_and_one_record_tells_it(capsys, tmp_path):
+    record = tmp_path / "out" / "demo.mcap"
+    status, out, err = demo(capsys, "-o", record)
+    assert status == 0
+    assert [re.search(r"s  (\w+)", line)[1] for line in err.splitlines()] == [
+        *("switched", "arc", "crab", "turn")
+    ]
+    motors = rows_after(out, "motor")
+    assert len(motors) == 14
+    for _, target, reached, error_mrad, moved_s, peak_inc in motors:
+        assert float(target) == pytest.approx(float(reached), abs=1e-4)  # printed to 4 decimals
+        assert abs(float(error_mrad)) < 0.1  # an increment is 0.05 mrad
+        assert float(moved_s) > 0.0
+        assert float(peak_inc) < 200
+    for _, frames, load, peak, *_ in rows_after(out, "bus"):
+        assert int(frames) > 1000
+        assert 0.0 < float(load.rstrip("%")) < float(peak.rstrip("%")) < 100.0
+    for _, moves, level, bound, start, _, end in rows_after(out, "group"):
+        assert int(moves) >= 3
+        assert level == "TRIGGERED"
+        assert float(start) <= float(bound)  # measured within what was promised
+        assert float(end) < 25.0  # statuswords come every 20 ms, or when they change
+    digest = re.search(r"digest ([0-9a-f]{64}) \(seed 7\)", out)[1]
+    with read_trace(record) as trace:
+        topics = {channel.topic for channel, _, _ in trace.messages()}
+    assert {"/can/can0", "/can/can1", "/motor/pan/state", "/controller/drive_fl/truth"} <= topics
+    again = demo(capsys, "-o", tmp_path / "again.mcap")[1]
+    assert re.search(r"digest ([0-9a-f]{64})", again)[1] == digest
+
+
+@pytest.mark.data
+def test_two_vendors_drives_do_the_same_manoeuvre(capsys, tmp_path, shared):
+    files = [
+        shared / "data/eds" / name for name in ("nanotec_C5-E-2-09.eds", "maxon_epos2_50_5.eds")
+    ]
+    status, out, _ = demo(
+        capsys, "--eds", files[0], "--eds", files[1], "-o", tmp_path / "vendors.mcap"
+    )
+    assert status == 0
+    for _, target, reached, *_ in rows_after(out, "motor"):
+        assert float(target) == pytest.approx(float(reached), abs=2e-3)
+
+
+@pytest.mark.parametrize(
+    ("words", "reason"),
+    [
+        (("--eds", "no-such.eds"), "no-such.eds: no such EDS file"),
+        (("--eds", str(EXAMPLES / "rover.toml")), "rover.toml"),
+        (("--seed", "-1"), "--seed: -1"),
+        (("-o", "/proc/no/such/folder/demo.mcap"), "/proc/no/such/folder"),
+    ],
+)
+def test_what_cannot_be_used_is_one_line(capsys, tmp_path, words, reason):
+    output = () if "-o" in words else ("-o", tmp_path / "x.mcap")
+    status, out, err = demo(capsys, *words, *output)
+    assert (status, out) == (2, "")
+    assert reason in err
+    assert err.count("\n") == 1
