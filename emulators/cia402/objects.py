@@ -93,6 +93,7 @@ class DriveObjects:
     """
 
     def __init__(self, od: ObjectDictionary, settings: DriveSettings) -> None:
+        """One function, and long, because a native class declares its attributes here."""
         self.od = od
         self.settings = settings
         self.written: int = 0

@@ -1,0 +1,12 @@
+"""Where the sources are, also when the tests run beside an installed, compiled build."""
+
+import os
+from pathlib import Path
+
+CHECKOUT = Path(os.environ.get("MOTORHIL_CHECKOUT", Path(__file__).parents[2]))
+PACKAGES = ("motorapi", "emulators", "traces", "harness")
+
+
+def sources() -> list[Path]:
+    """Every module of the four packages, in order."""
+    return [path for name in PACKAGES for path in sorted((CHECKOUT / name).rglob("*.py"))]

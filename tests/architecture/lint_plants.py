@@ -1,0 +1,47 @@
+"""Runs import-linter on a copy of the sources, as it is and with each planted import: JSON.
+
+python -m tests.architecture.lint_plants COPY < PLANTS
+
+In a process of its own: import-linter finds packages as Python does, and here they are imported.
+PLANTS is a list of [contract, module file, line]; the answer a list of [kept, what was printed].
+"""
+
+import contextlib
+import io
+import json
+import os
+import sys
+from pathlib import Path
+
+from importlinter.cli import lint_imports
+
+
+def lint(contract: str) -> tuple[bool, str]:
+    """Whether the contract is kept ("": all of them), and what import-linter prints."""
+    with contextlib.redirect_stdout(io.StringIO()) as out:
+        limit = (contract,) if contract else ()
+        status = lint_imports(limit_to_contracts=limit, no_cache=True, no_logo=True)
+    return status == 0, out.getvalue()
+
+
+def main() -> None:
+    """The answers are on stdout."""
+    plants = json.load(sys.stdin)
+    os.chdir(sys.argv[1])
+    answers = []
+    for contract, file, line in plants:
+        path = Path(file)
+        before = path.read_text() if path.exists() else None
+        path.write_text((before or "") + f"\n{line}\n")
+        try:
+            answers.append(lint(contract))
+        finally:
+            if before is None:
+                path.unlink()
+            else:
+                path.write_text(before)
+    json.dump(answers, sys.stdout)
+
+
+if __name__ == "__main__":
+    main()

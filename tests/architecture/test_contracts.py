@@ -1,0 +1,102 @@
+"""Who may import whom: the contracts of pyproject.toml are kept, and each of them can break."""
+
+import json
+import shutil
+import subprocess
+import sys
+import tomllib
+
+import pytest
+
+from tests.architecture.checkout import CHECKOUT, PACKAGES
+
+# (contract, where a line is planted, the line, what import-linter says of it)
+PLANTS = [
+    ("islands", "traces/digest.py", "import emulators.world", "traces.digest -> emulators.world"),
+    ("islands", "motorapi/model.py", "import traces.digest", "motorapi.model -> traces.digest"),
+    (
+        "islands",
+        "emulators/cia402/units.py",
+        "def late():\n    import motorapi.model",
+        "emulators.cia402.units -> motorapi.model",
+    ),
+    ("islands-below", "emulators/world.py", "import harness.pace", "world -> harness.pace"),
+    (
+        "emulators-layers",
+        "emulators/media/can_bus.py",
+        "import emulators.serve",
+        "emulators.media.can_bus -> emulators.serve",
+    ),
+    ("emulators-layers", "emulators/novelty.py", "", "novelty"),
+    ("cores", "emulators/event_queue.py", "import time", "emulators.event_queue -> time"),
+    ("cores", "emulators/cia402/drive.py", "from os import environ", "cia402.drive -> os"),
+    ("cores", "emulators/firmware/servo.py", "import random", "emulators.firmware.servo -> random"),
+    ("cores", "emulators/media/faults.py", "import random", "emulators.media.faults -> random"),
+    ("cores", "emulators/canopen/sync.py", "import threading", "canopen.sync -> threading"),
+    ("cores", "emulators/hub_protocol.py", "import socket", "emulators.hub_protocol -> socket"),
+    ("cores", "emulators/plant/dc_motor.py", "import asyncio", "plant.dc_motor -> asyncio"),
+    ("cores", "emulators/world.py", "import selectors, select", "emulators.world -> selectors"),
+    (
+        "emulators-from-the-standards",
+        "emulators/canopen/eds.py",
+        "from canopen import objectdictionary",
+        "emulators.canopen.eds -> canopen",
+    ),
+    ("traces-alone", "traces/writer.py", "from time import time", "traces.writer -> time"),
+    ("traces-alone", "traces/reader.py", "import mcap.reader", "traces.reader -> mcap"),
+    ("waiting", "motorapi/motor.py", "import time", "motorapi.motor -> time"),
+    (
+        "waiting",
+        "motorapi/adaptations/sdo_channel.py",
+        "import threading",
+        "motorapi.adaptations.sdo_channel -> threading",
+    ),
+    (
+        "adaptations",
+        "motorapi/motor.py",
+        "import motorapi.adaptations.cia402",
+        "motorapi.motor -> motorapi.adaptations.cia402",
+    ),
+    ("host-libraries", "motorapi/group.py", "import canopen", "motorapi.group -> canopen"),
+    ("host-libraries", "motorapi/generation.py", "import numpy", "motorapi.generation -> numpy"),
+    ("harness-edges", "harness/recorder.py", "import time", "harness.recorder -> time"),
+    ("harness-edges", "harness/virtual_time.py", "import random", "harness.virtual_time -> random"),
+]
+
+
+@pytest.fixture(scope="module")
+def told(tmp_path_factory):
+    """What import-linter says of the sources as they are, then of each plant."""
+    copy = tmp_path_factory.mktemp("copy")
+    for name in PACKAGES:
+        ignored = shutil.ignore_patterns("__pycache__", "*.so")
+        shutil.copytree(CHECKOUT / name, copy / name, ignore=ignored)
+    shutil.copy(CHECKOUT / "pyproject.toml", copy)
+    plants = [("", "emulators/__init__.py", ""), *(plant[:3] for plant in PLANTS)]
+    done = subprocess.run(
+        [sys.executable, "-m", "tests.architecture.lint_plants", str(copy)],
+        input=json.dumps(plants),
+        capture_output=True,
+        text=True,
+        cwd=CHECKOUT,
+        check=True,
+    )
+    return json.loads(done.stdout)
+
+
+def test_every_contract_is_kept(told):
+    kept, printed = told[0]
+    assert kept, printed
+
+
+@pytest.mark.parametrize("number", range(len(PLANTS)), ids=[f"{p[0]}-{p[1]}" for p in PLANTS])
+def test_a_planted_import_breaks_its_contract(told, number):
+    kept, printed = told[number + 1]
+    assert not kept
+    assert PLANTS[number][3] in " ".join(printed.split())
+
+
+def test_every_contract_has_been_seen_broken():
+    written = tomllib.loads((CHECKOUT / "pyproject.toml").read_text())
+    ids = [contract["id"] for contract in written["tool"]["importlinter"]["contracts"]]
+    assert sorted(ids) == sorted({plant[0] for plant in PLANTS})

@@ -1,0 +1,112 @@
+"""Sizes of modules and functions, and tests that neither sleep nor ask a clock."""
+
+import ast
+
+import pytest
+
+from tests.architecture.checkout import CHECKOUT, PACKAGES, sources
+
+MODULE_LINES = 400
+FUNCTION_LINES = 60
+REASON = ("one function, and long, because", "one module, and long, because")
+
+# Tests here run on the wall clock, or measure it: that is what they are for.
+OF_THE_WALL = ("wall", "vcan", "benchmarks")
+# These two hold `realtime` to be no faster than the wall: they read a clock, and bound it below.
+READ_A_CLOCK = ("tests/harness/test_rig.py", "tests/harness/test_cli_run.py")
+
+
+def too_long(path, text):
+    """What in a module is longer than it may be, without a reason in its docstring."""
+    tree = ast.parse(text)
+    found = []
+    if len(text.splitlines()) > MODULE_LINES and not has_reason(tree):
+        found.append(f"{path}: {len(text.splitlines())} lines")
+    for node in ast.walk(tree):
+        if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef):
+            lines = code_lines(node, text)
+            if lines > FUNCTION_LINES and not has_reason(node):
+                found.append(f"{path}:{node.lineno}: {node.name} has {lines} lines")
+    return found
+
+
+def has_reason(node):
+    words = " ".join((ast.get_docstring(node) or "").lower().split())
+    return any(reason in words for reason in REASON)
+
+
+def code_lines(node, text):
+    """Lines of the function that are neither its docstring nor empty."""
+    lines = text.splitlines()[node.lineno - 1 : node.end_lineno]
+    first = node.body[0]
+    if ast.get_docstring(node) is not None:
+        del lines[first.lineno - node.lineno : first.end_lineno - node.lineno + 1]
+    return sum(1 for line in lines if line.strip())
+
+
+def uses_of_time(text):
+    """Calls of something called sleep, and imports of modules that tell the time."""
+    found = []
+    for node in ast.walk(ast.parse(text)):
+        if isinstance(node, ast.Call):
+            name = getattr(node.func, "id", getattr(node.func, "attr", ""))
+            if name == "sleep":
+                found.append("sleep")
+        modules = []
+        if isinstance(node, ast.Import):
+            modules = [alias.name for alias in node.names]
+        elif isinstance(node, ast.ImportFrom):
+            modules = [node.module]
+        found += [name for name in modules if name in ("time", "datetime")]
+    return found
+
+
+def virtual_time_tests():
+    for path in sorted((CHECKOUT / "tests").rglob("*.py")):
+        name = path.relative_to(CHECKOUT).as_posix()
+        if name.split("/")[1] not in OF_THE_WALL and "bench" not in path.stem:
+            yield name, path.read_text()
+
+
+def test_modules_and_functions_are_short_or_say_why_not():
+    found = []
+    for path in sources():
+        found += too_long(path.relative_to(CHECKOUT).as_posix(), path.read_text())
+    assert found == []
+
+
+def test_no_test_sleeps_and_none_asks_a_clock_but_where_the_wall_is_the_matter():
+    found = []
+    for name, text in virtual_time_tests():
+        uses = uses_of_time(text)
+        if name in READ_A_CLOCK:
+            assert uses == ["time"], f"{name}: take it off the list, or do not sleep"
+            continue
+        found += [f"{name}: {use}" for use in uses]
+    assert found == []
+
+
+@pytest.mark.parametrize("lines", [MODULE_LINES, MODULE_LINES + 1])
+def test_the_module_limit_is_found(lines):
+    assert bool(too_long("m.py", "x = 1\n" * lines)) is (lines > MODULE_LINES)
+
+
+@pytest.mark.parametrize("lines", [FUNCTION_LINES, FUNCTION_LINES + 1])
+def test_the_function_limit_is_found_and_docstring_and_empty_lines_do_not_count(lines):
+    body = "    x = 1\n\n" * (lines - 1)
+    text = f'def f():\n    """One.\n\n    More.\n    """\n{body}'
+    assert bool(too_long("m.py", text)) is (lines > FUNCTION_LINES)
+    reasoned = text.replace("More.", "One function, and long,\n    because of the weather.")
+    assert too_long("m.py", reasoned) == []
+
+
+@pytest.mark.parametrize(
+    "text",
+    ["import time", "from time import sleep as nap", "def f(x):\n    x.sleep(1)", "sleep(1)"],
+)
+def test_sleeping_and_clocks_are_found(text):
+    assert uses_of_time(text)
+
+
+def test_all_four_packages_are_looked_at():
+    assert {path.relative_to(CHECKOUT).parts[0] for path in sources()} == set(PACKAGES)
