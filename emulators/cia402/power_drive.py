@@ -116,7 +116,6 @@ class PowerDrive:
     def settle(self, now_ns: int) -> None:
         """Whatever has become due by now, or shows in the axis' flags, is done."""
         if self._enable_due_ns != NEVER and now_ns >= self._enable_due_ns:
-            self._enable_due_ns = NEVER
             if self.voltage:
                 self._take(4, now_ns)
             else:
@@ -126,9 +125,7 @@ class PowerDrive:
         if flags & f.FOLLOWING_ERROR and state in _RUNNING_STATES:
             self.fault(FOLLOWING_ERROR, now_ns)
         if self._at_rest != NO_TRANSITION and not self._axis.flags & f.PROFILE_ACTIVE:
-            transition = self._at_rest
-            self._at_rest = NO_TRANSITION
-            self._take(transition, now_ns)
+            self._take(self._at_rest, now_ns)
             self._obey_level(now_ns)
         elif state is PdsState.OPERATION_ENABLED:
             self._active.settle(now_ns)
@@ -159,7 +156,6 @@ class PowerDrive:
         if present:
             return
         if state is PdsState.FAULT_REACTION_ACTIVE:
-            self._at_rest = NO_TRANSITION
             self._take(14, now_ns)
         elif state in _RUNNING_STATES:
             self.fault(UNDERVOLTAGE, now_ns)
@@ -255,6 +251,7 @@ class PowerDrive:
         """The transition and what the standard has the drive do in it."""
         self.fsa.take(transition)
         self._at_rest = NO_TRANSITION
+        self._enable_due_ns = NEVER
         if transition == 4:
             self._axis.power(True)
             self._active.enter(self.fsa.controlword, now_ns)
@@ -274,7 +271,6 @@ class PowerDrive:
         running = self.fsa.state in _RUNNING_STATES
         self.error_code = code
         self._active.leave()
-        self._enable_due_ns = NEVER
         self._take(13, now_ns)
         deceleration = self._objects.fault_deceleration_inc_s2()
         if running and self.voltage and deceleration is not None:

@@ -36,7 +36,9 @@ ACTIONS = st.one_of(
     st.tuples(st.just("fault"), st.sampled_from([0x2310, 0x8611, 0xFF01])),
     st.tuples(st.just("power"), st.sampled_from([0, 1])),
     st.tuples(st.just("load"), st.sampled_from([0.0, 5.0, 40.0])),
-    st.tuples(st.just("nmt"), st.sampled_from([0x01, 0x02, 0x80])),
+    st.tuples(st.just("nmt"), st.sampled_from([0x01, 0x01, 0x02, 0x80, 0x81, 0x82])),
+    st.tuples(st.just("abort code"), st.sampled_from([0, 1, 2, 3])),
+    st.tuples(st.just("heartbeat"), st.just(0)),  # once heard, lost 50 ms later
 )
 ENABLED = [("word", 0x06), ("word", 0x0F), ("wait", 20)]
 STARTS = st.sampled_from(
@@ -53,7 +55,7 @@ RUNS = st.builds(lambda start, rest: [*start, *rest], STARTS, st.lists(ACTIONS, 
 
 def new_bench() -> Bench:
     bench = Bench(
-        objects={"1402h:2": 1, "1800h:3": 0, "6066h": 3},
+        objects={"1402h:2": 1, "1800h:3": 0, "6066h": 3, "1016h:1": 127 << 16 | 50, "1029h:1": 1},
         timing={"boot_up_s": 0.01},
         plant={"preset": "wheel_60w", "load_inertia_kg_m2": 0.0},
     )
@@ -77,6 +79,10 @@ def act(bench: Bench, what: str, value: float) -> None:
         bench.send(0x500 + NODE, struct.pack("<Hi", word, int(value)))
     elif what == "quick stop code":
         bench.drive.od.get(0x605A).write(int(value))
+    elif what == "abort code":
+        bench.drive.od.get(0x6007).write(int(value))
+    elif what == "heartbeat":
+        bench.send(0x77F, b"\x05")
     elif what == "wait":
         bench.run(round(value * MS))
     elif what == "sync":
@@ -92,6 +98,10 @@ def act(bench: Bench, what: str, value: float) -> None:
 @given(RUNS)
 @example([*ENABLED, ("target", 20_000), ("word", 0x1F), ("wait", 77), ("power", 0), ("word", 0x80)])
 @example([*ENABLED, ("load", 40.0), ("wait", 300), ("load", 0.0), ("word", 0x80), *ENABLED])
+@example(
+    [("abort code", 2), ("heartbeat", 0), ("wait", 20), ("word", 6), ("wait", 20), ("word", 15)]
+    + [("wait", 77)]
+)
 @settings(max_examples=80)
 def test_states_follow_the_table_and_only_running_states_have_current(run):
     bench = new_bench()

@@ -243,6 +243,20 @@ def test_heartbeat_loss_does_what_6007h_says(option, after, state_bits, error):
     assert bench.read(0x603F, signed=False) == error
 
 
+@pytest.mark.parametrize("option", [1, 2, 3])
+def test_heartbeat_loss_while_the_power_stage_comes_up_keeps_it_down(option):
+    bench = Bench()
+    bench.operational()
+    bench.set(0x6007, 0, option, 2)
+    bench.set(0x1016, 1, 127 << 16 | 50, 4)
+    bench.send(0x77F, b"\x05")
+    bench.run(40 * MS)
+    for word in (0x06, 0x07, 0x0F):
+        bench.controlword(word)
+    bench.run(200 * MS)
+    assert state(bench) == (PdsState.FAULT if option == 1 else PdsState.SWITCH_ON_DISABLED)
+
+
 def test_heartbeat_loss_leaves_an_idle_drive_alone():
     bench = Bench()
     bench.operational()
