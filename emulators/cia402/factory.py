@@ -23,7 +23,6 @@ _ABSENT: Final = -(1 << 70)
 _COMMUNICATION: Final[dict[tuple[int, int], DataType]] = {
     (0x1005, 0): DataType.UNSIGNED32,
     (0x1014, 0): DataType.UNSIGNED32,
-    (0x1015, 0): DataType.UNSIGNED16,
     (0x1016, 1): DataType.UNSIGNED32,
     (0x1017, 0): DataType.UNSIGNED16,
     (0x1029, 1): DataType.UNSIGNED8,
