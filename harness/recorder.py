@@ -220,7 +220,6 @@ class Recorder:
         if now_ns >= self._due_ns:
             self._write(now_ns)
             self._unwritten = False
-            self._hand_over_ns = 0  # the next message begins a second
         self._arm()
 
     def close(self, now_ns: int | None = None) -> None:

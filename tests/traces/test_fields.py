@@ -117,6 +117,7 @@ def test_a_recorded_frame_with_more_data_than_can_has_is_refused():
 )
 def test_google_reads_our_times(time_ns, seconds, nanos):
     parsed = google_class(LOG).FromString(timestamp_field(time_ns))
+    assert parsed.SerializeToString() == timestamp_field(time_ns)
     assert (parsed.timestamp.seconds, parsed.timestamp.nanos) == (seconds, nanos)
     assert parsed.HasField("timestamp")
 

@@ -5,6 +5,7 @@ import pytest
 from mcap.writer import CompressionType, IndexType, Writer
 
 from tests.traces.recordings import MS, SECOND, Recording, counted_frame, write
+from traces import records
 from traces.errors import TraceError
 from traces.fields import encode_can_frame
 from traces.reader import Trace, read_trace
@@ -146,6 +147,30 @@ def test_a_damaged_chunk_is_told_with_its_place_and_what_is_before_it_is_good(tm
         assert caught.value.path == str(path)
 
 
+def test_a_record_that_does_not_end_with_its_chunk_is_told(tmp_path):
+    path = tmp_path / "a.mcap"
+    recording = Recording(path)
+    offset = path.stat().st_size
+    recording.writer.close()
+    data = path.read_bytes()
+    message = records.MESSAGE_HEAD.pack(5, 22 + 3, 1, 0, 7, 7) + b"abc"
+    broken = records.chunk(7, 7, 34 + 33, 0, "", message + message[:-1])
+    path.write_bytes(data[:offset] + broken + data[offset:])
+    with read_trace(path) as trace:
+        messages = trace.messages()
+        assert next(messages)[1:] == (7, b"abc")
+        with pytest.raises(TraceError, match=f"a record goes beyond its chunk at byte {offset}"):
+            next(messages)
+
+
+def test_a_message_of_an_unknown_channel_is_told(tmp_path):
+    path = tmp_path / "a.mcap"
+    message = records.MESSAGE_HEAD.pack(5, 22, 9, 0, 7, 7)
+    path.write_bytes(records.MAGIC + records.header("", "x") + message)
+    with read_trace(path) as trace, pytest.raises(TraceError, match="channel 9, of which nothing"):
+        list(trace.messages())
+
+
 @pytest.mark.parametrize("place", ["schema", "channel", "attachment"])
 def test_a_damaged_record_is_told_with_its_place(tmp_path, place):
     path = tmp_path / "a.mcap"
@@ -167,6 +192,25 @@ def walk(data):
     while offset < len(data) - 8:
         yield offset, data[offset]
         offset += 9 + int.from_bytes(data[offset + 1 : offset + 9], "little")
+
+
+def test_damage_anywhere_is_a_trace_error_or_harmless_and_never_anything_else():
+    file = io.BytesIO()
+    recording = Recording(file, {"run": {"seed": "1"}})
+    recording.writer.attach("rig.toml", b"x")
+    recording.fill(30, 100 * MS).writer.close()
+    data = file.getvalue()
+    refused = 0
+    for place in range(8, len(data)):
+        for damage in (0xFF, data[place] ^ 1, data[place] ^ 0x80):
+            hurt = data[:place] + bytes((damage,)) + data[place + 1 :]
+            try:
+                with Trace("hurt", io.BytesIO(hurt)) as trace:
+                    for _ in trace.messages():
+                        pass
+            except TraceError:
+                refused += 1
+    assert refused > len(data) // 4
 
 
 @pytest.mark.parametrize(

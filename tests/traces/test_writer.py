@@ -210,19 +210,34 @@ def test_a_message_larger_than_any_chunk_is_written():
     assert [len(one) for one in data] == [len(large), len(data[1]), len(large)]
 
 
-def test_times_that_go_back_are_kept_and_the_chunk_says_so():
+def test_times_that_go_back_are_kept_and_chunks_and_statistics_say_so():
     file = io.BytesIO()
     recording = Recording(file)
     wanted = [5 * SECOND, 4 * SECOND, 4 * SECOND + 7, 9 * SECOND, 2 * SECOND]
     for time_ns in wanted:
         recording.writer.can_frame(0, time_ns, can_frame(1))
+    recording.writer.flush()
+    recording.writer.can_frame(0, 3 * SECOND, can_frame(1))
     recording.writer.close()
+    wanted.append(3 * SECOND)
     assert times(file.getvalue()) == wanted
     spans = [(c.message_start_time, c.message_end_time) for c in chunks(file.getvalue())]
-    assert spans == [(4 * SECOND, 5 * SECOND), (2 * SECOND, 9 * SECOND)]
+    assert spans == [(4 * SECOND, 5 * SECOND), (2 * SECOND, 9 * SECOND), (3 * SECOND, 3 * SECOND)]
     file.seek(0)
-    in_order = [m.log_time for _, _, m in make_reader(file).iter_messages()]
-    assert in_order == sorted(wanted)
+    reader = make_reader(file)
+    assert [m.log_time for _, _, m in reader.iter_messages()] == sorted(wanted)
+    statistics = reader.get_summary().statistics
+    assert (statistics.message_start_time, statistics.message_end_time) == (2 * SECOND, 9 * SECOND)
+
+
+def test_senders_with_long_names_fit():
+    file = io.BytesIO()
+    writer = TraceWriter(file)
+    channel = writer.channel("/can/a", Schema.of(CAN_FRAME))
+    source = writer.source(channel, "x" * 600, Direction.UNKNOWN)
+    writer.extend([(source, 1, can_frame(1 + number % 5)) for number in range(4096)])
+    writer.close()
+    assert len(times(file.getvalue())) == 4096
 
 
 def test_a_second_that_is_over_is_in_the_file_without_any_further_frame(tmp_path):
@@ -257,6 +272,7 @@ def test_more_identifiers_than_are_remembered_are_all_recorded():
     source = writer.source(writer.channel("/can/a", Schema.of(CAN_FRAME)), "x", Direction.UNKNOWN)
     ids = range(0, 70_000)
     writer.extend([(source, 1, can_frame(0x80000000 | one)) for one in ids])
+    assert len(writer._chunk._known) < 66_000
     writer.close()
     data = [one.data for one in records(file.getvalue()) if isinstance(one, Message)]
     assert [int.from_bytes(one[1:5], "little") for one in data] == list(ids)
