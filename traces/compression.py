@@ -29,8 +29,8 @@ def decompress(compression: str, data: bytes, size: int) -> bytes:
             raise CompressionError(f"{compression!r} is no compression known here")
         else:
             content = data
-    except (zstandard.ZstdError, RuntimeError, EOFError) as error:
-        raise CompressionError(str(error)) from error
+    except (zstandard.ZstdError, RuntimeError, EOFError, OverflowError, MemoryError) as error:
+        raise CompressionError(str(error) or "its size is beyond all memory") from error
     if len(content) != size:
         raise CompressionError(f"{len(content)} bytes in it, should be {size}")
     return content

@@ -309,6 +309,8 @@ class Trace:
         name, at = records.read_string(content, 16)
         media_type, at = records.read_string(content, at)
         (size,) = records.UINT64.unpack_from(content, at)
+        if size > len(content):
+            raise ValueError(f"{size} bytes of data go beyond the record")
         data = content[at + 8 : at + 8 + size]
         (crc,) = records.UINT32.unpack_from(content, at + 8 + size)
         if crc not in (0, zlib.crc32(content[: at + 8 + size])):

@@ -270,7 +270,7 @@ def test_more_identifiers_than_are_remembered_are_all_recorded():
     file = io.BytesIO()
     writer = TraceWriter(file)
     source = writer.source(writer.channel("/can/a", Schema.of(CAN_FRAME)), "x", Direction.UNKNOWN)
-    ids = range(0, 70_000)
+    ids = range(70_000)
     writer.extend([(source, 1, can_frame(0x80000000 | one)) for one in ids])
     assert len(writer._chunk._known) < 66_000
     writer.close()
