@@ -59,6 +59,11 @@ class EmcyProducer:
         self._device_register = register
         self._emit(code, vendor)
 
+    def stand(self, register: int) -> None:
+        """The device has these errors from now on, which nobody could be told or was told."""
+        self._device_register = register
+        self._keep_register()
+
     def find(self, key: int, code: int, vendor: bytes) -> None:
         """The node has found a communication error; found again, it is not told again."""
         if key not in self._standing:

@@ -146,6 +146,11 @@ class CanopenNode:
         self._emcy.report(code, error_register, vendor)
         self._pdos.changed(0x1001, 0, now_ns)
 
+    def errors_stand(self, error_register: int, now_ns: int) -> None:
+        """The device's own bits of 1001h are these from now on; no EMCY tells so."""
+        self._emcy.stand(error_register)
+        self._pdos.changed(0x1001, 0, now_ns)
+
     def object_changed(self, index: int, subindex: int, now_ns: int) -> None:
         """An event for the TPDOs that map it: types 254, 255 at once (inhibit time), 0 at SYNC."""
         self._pdos.changed(index, subindex, now_ns)

@@ -84,6 +84,7 @@ class Cia402Drive:
         self._statusword: int = 0  # as last told to the node's TPDOs
         self._mode: int = 0
         self._error_code: int = NO_FAULT
+        self._errors: int = 0  # the classes (1001h) of all errors since the last fault reset
         self._touched: bool = False  # something other than time may have changed what shows
         self._deadline_ns: int = NEVER
         self._deadline_moved: bool = True
@@ -244,11 +245,16 @@ class Cia402Drive:
         node = self._node
         if power_drive.told:
             for code in power_drive.told:
-                node.emergency(code, error_register(code) if code else 0, b"", now_ns)
+                self._errors = self._with_class(code)
+                node.emergency(code, self._errors, b"", now_ns)
                 self._tell(code)
             power_drive.told.clear()
         if power_drive.error_code != self._error_code:
             self._error_code = power_drive.error_code
+            errors = self._with_class(self._error_code)
+            if errors != self._errors:  # of a lost connection nobody was told, or the node has told
+                self._errors = errors
+                node.errors_stand(errors, now_ns)
             node.object_changed(0x603F, 0, now_ns)
         if power_drive.mode != self._mode:
             self._mode = power_drive.mode
@@ -257,6 +263,10 @@ class Cia402Drive:
         if statusword != self._statusword:
             self._statusword = statusword
             node.object_changed(0x6041, 0, now_ns)
+
+    def _with_class(self, code: int) -> int:
+        """The standing errors with this one; 0000h ends them all."""
+        return self._errors | error_register(code) if code else 0
 
     def _tell(self, code: int) -> None:
         if code == NO_FAULT:

@@ -1,0 +1,146 @@
+"""NMT and error control on the wire: every command in every state, what works where, when.
+
+Expected: CiA 301, 7.3.2.2 (NMT state diagram, table 38: states and communication objects) and
+7.2.8.2.2 (heartbeat, boot-up).
+"""
+
+import pytest
+
+from tests.crosscheck.wire import BOOT_UP, MS, US, Wire
+
+PRE, OP, STOP = 0x7F, 0x05, 0x04
+COMMANDS = {PRE: "80", OP: "01", STOP: "02"}
+BOOT_UP_FRAME_NS = 55 * US  # 705#00 at 1 Mbit/s to its end: 55 bits with IFS, plus 3 stuff bits
+
+
+def in_state(state: int) -> Wire:
+    wire = Wire().boot()
+    wire.set(0x1017, 0, 10, 2)
+    wire.tell(f"000#{COMMANDS[state]}05")
+    wire.run(15 * MS)
+    assert wire.since()[-1] == f"705#{state:02X}"
+    return wire
+
+
+@pytest.mark.parametrize("state", [PRE, OP, STOP])
+@pytest.mark.parametrize("addressee", ["05", "00"])
+@pytest.mark.parametrize(("command", "after"), [("01", OP), ("02", STOP), ("80", PRE)])
+def test_every_command_leads_from_every_state_where_the_standard_says(
+    state, addressee, command, after
+):
+    wire = in_state(state)
+    count = len(wire.log)
+    wire.tell(f"000#{command}{addressee}")
+    wire.run(25 * MS)
+    beats = [text for text in wire.since(count) if text.startswith("705#")]
+    assert beats == [f"705#{after:02X}"] * len(beats)
+    assert len(beats) >= 2
+
+
+@pytest.mark.parametrize("state", [PRE, OP, STOP])
+@pytest.mark.parametrize(("command", "delay"), [("81", 300 * MS), ("82", 20 * MS)])
+def test_a_reset_is_silence_then_one_boot_up_in_every_state(state, command, delay):
+    wire = in_state(state)
+    count = len(wire.log)
+    wire.tell(f"000#{command}05")
+    reset = wire.now
+    wire.run(delay + 30 * MS)
+    assert wire.since(count) == ["705#00"]  # 1017h is 0 again: CiA 301, reset communication
+    (heard,) = wire.times(0x705, count)
+    assert heard == reset + delay + BOOT_UP_FRAME_NS
+
+
+@pytest.mark.parametrize(
+    "text", ["000#0104", "000#01", "000#010500", "000#0005", "000#0305", "000#8305", "001#0105"]
+)
+def test_what_is_no_command_for_it_changes_nothing(text):
+    wire = in_state(PRE)
+    count = len(wire.log)
+    wire.tell(text)
+    wire.run(25 * MS)
+    assert wire.since(count) == ["705#7F"] * len(wire.since(count))
+
+
+def test_boot_up_comes_once_at_its_time_and_before_it_nothing_is_answered():
+    wire = Wire()
+    wire.run_to(200 * MS)
+    wire.send("605#4000100000000000", "000#0105", "705#R1")
+    wire.run_to(BOOT_UP + 50 * MS)
+    assert wire.since() == ["705#00"]
+    assert wire.times(0x705)[-1] == BOOT_UP + BOOT_UP_FRAME_NS
+    assert wire.statusword() == 0x0250  # pre-operational, switch on disabled
+
+
+def test_the_first_heartbeat_comes_one_period_after_the_boot_up():
+    wire = Wire({"node_id": 5, "objects": {"1017h": 100}})
+    wire.run_to(BOOT_UP + 250 * MS)
+    assert wire.since() == ["705#00", "705#7F", "705#7F"]
+    first, second, third = wire.times(0x705)
+    assert (second - first, third - second) == (100 * MS, 100 * MS)
+
+
+SERVICES = {
+    # what is sent, and what must be heard if (and only if) the state has that service
+    "SDO": ("605#4000100000000000", "585#", {PRE, OP}),
+    "SYNC": ("080#", "385#", {OP}),
+    "RPDO": ("205#8000", "", set()),
+}
+
+
+@pytest.mark.parametrize("state", [PRE, OP, STOP])
+@pytest.mark.parametrize("service", ["SDO", "SYNC"])
+def test_services_work_in_the_states_that_have_them(state, service):
+    wire = in_state(state)
+    request, answer, states = SERVICES[service]
+    count = len(wire.log)
+    wire.tell(request)
+    wire.run(8 * MS)
+    heard = [text for text in wire.since(count) if text.startswith(answer)]
+    assert len(heard) == (1 if state in states else 0)
+
+
+@pytest.mark.parametrize(("state", "counts"), [(PRE, False), (OP, True), (STOP, False)])
+def test_rpdos_count_in_operational_alone(state, counts):
+    wire = in_state(state)
+    wire.tell("205#0600")
+    wire.tell("000#8005")
+    assert wire.statusword() & 0x6F == (0x21 if counts else 0x40)
+
+
+@pytest.mark.parametrize(("state", "told"), [(PRE, True), (OP, True), (STOP, False)])
+def test_emergencies_are_sent_outside_stopped(state, told):
+    wire = in_state(state)
+    count = len(wire.log)
+    wire.stimulate("fault", 0x2310)
+    wire.run(5 * MS)
+    heard = [text for text in wire.since(count) if text.startswith("085#")]
+    assert heard == (["085#1023030000000000"] if told else [])
+
+
+def test_a_stop_ends_what_was_on_its_way():
+    wire = in_state(OP)
+    count = len(wire.log)
+    wire.tell("605#4000100000000000", "000#0205")
+    wire.run(8 * MS)
+    assert wire.since(count) == [] or wire.since(count) == ["705#04"]
+    wire.tell("000#8005")
+    assert wire.ask("605#4000100000000000") == "585#4300100092010200"
+
+
+def test_reset_communication_restores_the_communication_objects_and_no_others():
+    wire = in_state(PRE)
+    wire.set(0x1800, 5, 50, 2)
+    wire.set(0x6081, 0, 1234, 4)
+    wire.tell("000#8205")
+    wire.run(25 * MS)
+    assert (wire.read(0x1800, 5), wire.read(0x1017), wire.read(0x6081)) == (0, 0, 1234)
+    wire.tell("000#8105")
+    wire.run(305 * MS)
+    assert wire.read(0x6081) == 40960  # the file's
+
+
+def test_one_command_to_all_reaches_every_node_at_once():
+    wire = Wire(*({"node_id": node, "objects": {"1017h": 10}} for node in (1, 2, 127))).boot()
+    wire.tell("000#0100")
+    wire.run(20 * MS)
+    assert set(wire.since()[-3:]) == {"701#05", "702#05", "77F#05"}
