@@ -1,0 +1,165 @@
+"""What faults do to the traffic of a bus."""
+
+import pytest
+
+from emulators.media.can_bus import CanBus
+from emulators.media.faults import FaultKind, FaultPlan, FaultRule
+from tests.emulators.media.driving import BIT, confirmed, expire_all, heard, run
+from tests.emulators.media.faulty import (
+    END,
+    HEARTBEAT,
+    HOST,
+    LEFT,
+    NAMES,
+    RIGHT,
+    STATUS,
+    SYNC,
+    bus_with,
+    cut,
+    no_draw,
+)
+
+# --- cut
+
+
+@pytest.mark.parametrize(
+    ("from_ns", "until_ns", "hears"),
+    [
+        (END + 1, None, True),
+        (END, None, False),
+        (END - 1, END, False),  # a part of a frame is no frame
+        (1, 2, False),
+        (0, END, False),
+    ],
+)
+def test_a_port_hears_the_frames_it_was_there_for_from_start_to_end(from_ns, until_ns, hears):
+    bus = bus_with(cut(from_ns, until_ns, "right"))
+    deliveries = run(bus, [(0, LEFT, SYNC)])
+    assert heard(deliveries, RIGHT) == ([(END, SYNC)] if hears else [])
+    assert heard(deliveries, HOST) == [(END, SYNC)]
+    assert confirmed(deliveries, LEFT) == [(END, SYNC)]
+
+
+def test_a_port_back_between_two_frames_hears_the_second():
+    bus = bus_with(cut(1, 49 * BIT, "right"))
+    deliveries = run(bus, [(0, LEFT, SYNC), (0, LEFT, STATUS)])
+    assert heard(deliveries, RIGHT) == [((51 + 63) * BIT, STATUS)]
+
+
+def test_what_a_port_cut_off_wants_to_send_waits_until_it_is_back():
+    bus = bus_with(cut(0, 500 * BIT, "left"))
+    deliveries = run(bus, [(BIT, LEFT, STATUS), (BIT, LEFT, SYNC), (2 * BIT, RIGHT, HEARTBEAT)])
+    assert heard(deliveries, HOST) == [
+        (57 * BIT, HEARTBEAT),
+        (563 * BIT, STATUS),
+        (614 * BIT, SYNC),
+    ]
+    assert bus.take_fault_events() == [
+        (0, "cable", "left cut off", b""),
+        (500 * BIT, "cable", "left back", b""),
+    ]
+
+
+def test_a_port_that_comes_back_while_the_bus_is_taken_waits_for_its_turn():
+    bus = bus_with(cut(0, 10 * BIT, "left"))
+    deliveries = run(bus, [(BIT, LEFT, SYNC), (BIT, RIGHT, STATUS), (BIT, HOST, HEARTBEAT)])
+    assert [frame for _, (frame, _, _) in deliveries] == [STATUS, SYNC, HEARTBEAT]
+
+
+@pytest.mark.parametrize(("back_ns", "first"), [(BIT - 1, SYNC), (BIT, SYNC), (BIT + 1, STATUS)])
+def test_a_port_that_comes_back_takes_part_until_a_frame_has_started(back_ns, first):
+    bus = bus_with(cut(0, back_ns, "left"))
+    bus.submit(LEFT, SYNC, 0)
+    run(bus, until_ns=BIT - 1)
+    bus.submit(RIGHT, STATUS, BIT)
+    deliveries = expire_all(bus, 10**9)
+    assert deliveries[0][1][0] == first
+    assert bus.statistics.busy_ns() == (51 + 66) * BIT
+    assert len(deliveries) == 2
+
+
+def test_a_frame_whose_sender_is_cut_off_is_destroyed_and_sent_again_later():
+    bus = bus_with(cut(20 * BIT, 500 * BIT, "left"))
+    deliveries = run(bus, [(0, LEFT, STATUS), (0, LEFT, SYNC), (0, RIGHT, HEARTBEAT)])
+    assert heard(deliveries, HOST) == [
+        ((66 + 55) * BIT, HEARTBEAT),
+        (563 * BIT, STATUS),
+        ((566 + 48) * BIT, SYNC),
+    ]
+    assert bus.statistics.busy_ns() == (66 + 58 + 66 + 51) * BIT
+
+
+def test_a_sender_back_before_its_destroyed_frame_ends_sends_it_again_at_once():
+    bus = bus_with(cut(20 * BIT, 30 * BIT, "left"))
+    deliveries = run(bus, [(0, LEFT, STATUS), (0, LEFT, SYNC)])
+    assert heard(deliveries, HOST) == [((66 + 63) * BIT, STATUS), ((132 + 48) * BIT, SYNC)]
+
+
+@pytest.mark.parametrize("from_ns", [0, 999])
+def test_a_sender_cut_off_at_the_start_leaves_the_bus_to_the_next(from_ns):
+    bus = bus_with(cut(from_ns, None, "left"))
+    deliveries = run(bus, [(0, LEFT, SYNC), (0, RIGHT, STATUS), (0, HOST, HEARTBEAT)])
+    assert [(time_ns, frame) for time_ns, (frame, _, _) in deliveries] == [
+        (63 * BIT, STATUS),
+        ((66 + 55) * BIT, HEARTBEAT),
+    ]
+    assert bus.pending(LEFT) == 1
+    assert bus.arbitration_losses(HOST) == 1
+
+
+def test_a_sender_cut_off_in_its_first_bit_leaves_its_start_to_the_other():
+    bus = bus_with(cut(100 * BIT + 999, None, "left"))
+    deliveries = run(bus, [(100 * BIT, LEFT, SYNC), (100 * BIT, RIGHT, STATUS)])
+    assert deliveries == [(163 * BIT, (STATUS, RIGHT, 1 << LEFT << 2))]
+
+
+def test_a_sender_cut_off_alone_at_its_start_leaves_the_bus_idle():
+    bus = bus_with(cut(1, None, "left"))
+    assert run(bus, [(0, LEFT, SYNC)]) == []
+    assert bus.next_deadline_ns() is None
+    assert run(bus, [(10 * BIT, RIGHT, STATUS)]) == [(73 * BIT, (STATUS, RIGHT, 1 << LEFT << 2))]
+
+
+def test_a_candidate_cut_off_while_it_waits_competes_no_more():
+    bus = bus_with(cut(20 * BIT, None, "left"))
+    deliveries = run(bus, [(0, RIGHT, STATUS), (10 * BIT, LEFT, SYNC), (10 * BIT, HOST, HEARTBEAT)])
+    assert [frame for _, (frame, _, _) in deliveries] == [STATUS, HEARTBEAT]
+    assert bus.arbitration_losses(LEFT) == 0
+
+
+def test_arbitrations_lost_before_a_cut_count():
+    bus = bus_with(cut(20 * BIT, None, "left"))
+    run(bus, [(0, LEFT, STATUS), (0, RIGHT, SYNC)])
+    assert bus.arbitration_losses(LEFT) == 1
+
+
+def test_a_port_that_comes_back_in_the_intermission_waits_for_its_end():
+    bus = bus_with(cut(0, 49 * BIT, "left"))
+    deliveries = run(bus, [(0, LEFT, STATUS), (0, RIGHT, SYNC)])
+    assert [time_ns for time_ns, _ in deliveries] == [48 * BIT, (51 + 63) * BIT]
+
+
+def test_a_port_attached_during_a_cut_is_cut_off():
+    bus = CanBus("can0", faults=FaultPlan([cut(0, 10 * BIT, "left")], no_draw))
+    for name in NAMES:
+        bus.attach(name)
+    deliveries = run(bus, [(0, LEFT, SYNC), (0, RIGHT, STATUS)])
+    assert heard(deliveries, LEFT) == []
+    assert [frame for _, (frame, _, _) in deliveries] == [STATUS, SYNC]
+
+
+def test_a_delayed_frame_does_not_reach_a_port_cut_off_meanwhile():
+    delay = FaultRule("gateway", FaultKind.DELAY, delay_ns=100)
+    bus = bus_with(delay, cut(END + 50, None, "right"))
+    deliveries = run(bus, [(0, LEFT, SYNC)])
+    assert heard(deliveries, RIGHT) == []
+    assert heard(deliveries, HOST) == [(END + 100, SYNC)]
+    assert bus.take_fault_events()[-1] == (END + 50, "cable", "right cut off", b"")
+
+
+def test_withdrawing_from_a_port_cut_off_forgets_all_its_frames():
+    bus = bus_with(cut(0, 10 * BIT, "left"))
+    run(bus, [(0, LEFT, SYNC), (0, LEFT, STATUS)], until_ns=BIT)
+    assert bus.pending(LEFT) == 2
+    assert bus.withdraw(LEFT) == 2
+    assert expire_all(bus, 10**9) == []

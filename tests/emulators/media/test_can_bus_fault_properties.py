@@ -1,0 +1,98 @@
+"""What faults do to the traffic of a bus."""
+
+from hypothesis import event, given
+from hypothesis import strategies as st
+
+from emulators.media.can_bus import CanBus
+from emulators.media.delivery import HEARD, KIND_MASK
+from emulators.media.faults import FaultKind, FaultRule
+from tests.emulators.media import wire
+from tests.emulators.media.driving import BIT, Submission, confirmed, heard, run
+from tests.emulators.media.faulty import HOST, LEFT, NAMES, RIGHT, bus_with
+
+# --- whatever the faults
+
+
+KINDS = st.sampled_from(FaultKind)
+SOME_PORTS = st.lists(st.sampled_from(NAMES), max_size=2, unique=True).map(tuple)
+
+
+@st.composite
+def rules(draw: st.DrawFn) -> tuple[FaultRule, ...]:
+    made = []
+    for number in range(draw(st.integers(0, 4))):
+        kind = draw(KINDS)
+        from_ns = draw(st.integers(0, 400)) * BIT // 2
+        until_ns = from_ns + draw(st.integers(1, 400)) * BIT // 2
+        if kind is FaultKind.CUT:
+            ports = draw(SOME_PORTS) or ("left",)
+            rule = FaultRule(f"{number}", kind, ports=ports, from_ns=from_ns, until_ns=until_ns)
+        else:
+            rule = FaultRule(
+                f"{number}",
+                kind,
+                ports=draw(SOME_PORTS),
+                from_ns=from_ns,
+                until_ns=draw(st.sampled_from([None, until_ns])),
+                probability=draw(st.sampled_from([1.0, 0.5])),
+                limit=draw(st.sampled_from([None, 2])),
+                delay_ns=draw(st.integers(1, 300)) * BIT if kind is FaultKind.DELAY else 0,
+            )
+        made.append(rule)
+    return tuple(made)
+
+
+@st.composite
+def traffic(draw: st.DrawFn) -> list[Submission]:
+    submissions = []
+    now_ns = 0
+    for frame in draw(st.lists(wire.fields(), max_size=12)):
+        now_ns += draw(st.sampled_from([0, 0, 500, 1000, 30_000, 60_000, 250_000]))
+        submissions.append((now_ns, draw(st.integers(0, 2)), frame.can_frame()))
+    return submissions
+
+
+@given(rules(), traffic())
+def test_no_fault_loses_reorders_or_doubles_what_a_node_knows_to_have_sent(plan, submissions):
+    bus = bus_with(*plan)
+    deliveries = run(bus, submissions)
+    for port in (LEFT, RIGHT, HOST):
+        wanted = [frame for _, sender, frame in submissions if sender == port]
+        assert [frame for _, frame in confirmed(deliveries, port)] == wanted
+        assert bus.pending(port) == 0
+    assert bus.next_deadline_ns() is None
+    assert bus.statistics.frames == len(submissions)
+    assert len(bus.take_fault_events()) >= sum(bus.faults_fired().values())
+    event("faults fired" if sum(bus.faults_fired().values()) else "none fired")
+
+
+@given(rules(), traffic(), st.integers(0, 3))
+def test_the_same_seed_makes_the_same_faults(plan, submissions, seed):
+    first, second = bus_with(*plan, seed=seed), bus_with(*plan, seed=seed)
+    assert run(first, submissions) == run(second, submissions)
+    assert first.take_fault_events() == second.take_fault_events()
+
+
+@given(traffic())
+def test_an_empty_plan_changes_nothing(submissions):
+    plain = CanBus("can0")
+    for name in NAMES:
+        plain.attach(name)
+    assert run(plain, submissions) == run(bus_with(), submissions)
+
+
+@given(traffic())
+def test_a_plan_that_hits_nothing_changes_nothing(submissions):
+    other = FaultRule("elsewhere", FaultKind.DROP, sender="nobody")
+    assert run(bus_with(), submissions) == run(bus_with(other), submissions)
+
+
+@given(rules(), traffic())
+def test_nobody_hears_a_frame_more_often_than_faults_explain(plan, submissions):
+    bus = bus_with(*plan)
+    deliveries = run(bus, submissions)
+    twice = sum(bus.faults_fired()[rule.name] for rule in plan if rule.kind is FaultKind.DUPLICATE)
+    sent = sum(1 for _, (_, _, kind) in deliveries if kind & KIND_MASK != HEARD)
+    for port in (LEFT, RIGHT, HOST):
+        own = len(confirmed(deliveries, port))
+        assert len(heard(deliveries, port)) <= sent - own + twice
