@@ -7,7 +7,7 @@ READY := $(VENV)/.ready
 COMPILED := .venv-compiled
 PACKAGES := motorapi emulators traces harness
 
-.PHONY: demo test check bench format clean compiled test-compiled
+.PHONY: demo test check bench format clean compiled build-compiled test-compiled
 
 demo: $(READY)  ## the rover manoeuvre on emulated drives; writes out/demo.mcap
 	$(BIN)/motorhil demo
@@ -34,20 +34,32 @@ $(READY): requirements.lock pyproject.toml
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-deps --no-build-isolation -e .
 	touch $@
 
-compiled: $(COMPILED)/.ready  ## the hot cores as C extensions, in an environment of their own
+compiled: $(READY)  ## the hot cores as C extensions, in an environment of their own
+	@digest=$$(find $(PACKAGES) setup.py pyproject.toml requirements.lock -type f ! -name '*.pyc' \
+	    -exec sha256sum {} + | LC_ALL=C sort | sha256sum); \
+	if [ "$$(cat $(COMPILED)/.source 2>/dev/null)" != "$$digest" ]; then \
+	    $(MAKE) --no-print-directory build-compiled && echo "$$digest" > $(COMPILED)/.source; fi
+
+# Built from a copy, for a .so beside the sources would hide them; with the dependencies of .venv.
+# What was built before is used again, as long as the same modules are compiled in the same way.
+COPIED := $(PACKAGES) pyproject.toml setup.py README.md LICENSE
+PURELIB := import sysconfig; print(sysconfig.get_path('purelib'))
+build-compiled: $(READY)
+	@mkdir -p build/compiled; \
+	names=$$( (find $(PACKAGES) -name '*.py' | LC_ALL=C sort; cat setup.py) | sha256sum); \
+	if [ "$$(cat build/compiled/.names 2>/dev/null)" != "$$names" ]; then \
+	    rm -rf build/compiled && mkdir -p build/compiled && echo "$$names" > build/compiled/.names; fi
+	cd build/compiled && rm -rf $(COPIED) && find . -path './build/*' -name '*.py' -delete
+	cp -r $(COPIED) build/compiled/
+	rm -rf $(COMPILED) && $(PYTHON) -m venv --without-pip $(COMPILED)
+	$(BIN)/python -c "$(PURELIB)" > "$$($(COMPILED)/bin/python -c "$(PURELIB)")/dependencies.pth"
+	cd build/compiled && MOTORHIL_COMPILE=1 ../../$(COMPILED)/bin/python -m pip install --quiet \
+	    --disable-pip-version-check --no-deps --no-build-isolation --ignore-installed .
 
 test-compiled: compiled  ## the tests again, against the compiled cores
 	rm -rf build/tests && mkdir -p build/tests && cp -r tests pyproject.toml build/tests/
-	cd build/tests && MOTORHIL_CHECKOUT=$(CURDIR) ../../$(COMPILED)/bin/python -m pytest
-
-SOURCES := $(shell find $(PACKAGES) -name '*.py' -o -name '*.eds' -o -name '*.toml' -o -name '*.json')
-$(COMPILED)/.ready: requirements.lock pyproject.toml setup.py $(SOURCES)
-	test -x $(COMPILED)/bin/python || $(PYTHON) -m venv $(COMPILED)
-	$(COMPILED)/bin/python -m pip install --quiet --disable-pip-version-check --require-hashes -r requirements.lock
-	rm -rf build/compiled && mkdir -p build/compiled
-	cp -r $(PACKAGES) pyproject.toml setup.py README.md LICENSE build/compiled/
-	cd build/compiled && MOTORHIL_COMPILE=1 ../../$(COMPILED)/bin/python -m pip install --quiet --disable-pip-version-check --no-deps --no-build-isolation --force-reinstall .
-	touch $@
+	cd build/tests && MOTORHIL_COMPILED=1 MOTORHIL_CHECKOUT=$(CURDIR) \
+	    MOTORHIL_SHARED=$${MOTORHIL_SHARED:-$(CURDIR)/../shared} ../../$(COMPILED)/bin/python -m pytest $(TESTS)
 
 clean:
 	rm -rf $(VENV) .venv-compiled build out *.egg-info .mypy_cache .ruff_cache .pytest_cache .hypothesis

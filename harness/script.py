@@ -22,8 +22,11 @@ STDIN: Final = "-"
 _STDIN_NAME: Final = "<stdin>"
 _CAN_SETTINGS: Final = ("CAN_INTERFACE", "CAN_CHANNEL", "CAN_BITRATE", "CAN_CONFIG")
 _OWN_FOLDER: Final = str(Path(__file__).parent.parent) + os.sep
+_PACKAGES: Final = ("motorapi", "emulators", "traces", "harness")
 _OWN_PACKAGES: Final = tuple(
-    _OWN_FOLDER + package + os.sep for package in ("motorapi", "emulators", "traces", "harness")
+    folder + package + os.sep
+    for folder in (_OWN_FOLDER, "")  # compiled modules do not know where they are
+    for package in _PACKAGES
 )
 
 

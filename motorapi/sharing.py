@@ -171,8 +171,8 @@ class PhysicalMotor:
         self.run = None
 
 
-_triggers: Final["weakref.WeakKeyDictionary[Runtime, dict[Hashable, Turns]]"] = (
-    weakref.WeakKeyDictionary()
+_triggers: Final["weakref.WeakValueDictionary[tuple[Runtime, Hashable], Turns]"] = (
+    weakref.WeakValueDictionary()  # each as long as somebody has it or waits for it
 )
 _registry_lock: Final = threading.Lock()
 _registry: Final[dict[Hashable, "weakref.ref[object]"]] = {}
@@ -184,12 +184,13 @@ def trigger_turns(runtime: Runtime, groups: Sequence[Hashable]) -> list[Turns]:
 
     A signal that starts whatever is armed would start another group's motors too early.
     """
+    wanted: list[Turns] = []
     with _registry_lock:
-        known = _triggers.setdefault(runtime, {})
-        for group in groups:
-            if group not in known:
-                known[group] = Turns(f"the trigger {group}")
-        wanted = [known[group] for group in dict.fromkeys(groups)]
+        for group in dict.fromkeys(groups):
+            turns = _triggers.get((runtime, group))
+            if turns is None:
+                turns = _triggers[runtime, group] = Turns(f"the trigger {group}")
+            wanted.append(turns)
     return sorted(wanted, key=lambda turns: turns.label)
 
 

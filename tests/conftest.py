@@ -7,6 +7,9 @@ from pathlib import Path
 import pytest
 from hypothesis import HealthCheck, settings
 
+import emulators
+from harness.build_info import cores_are_compiled
+
 settings.register_profile(
     "ci",
     derandomize=True,
@@ -17,6 +20,12 @@ settings.register_profile(
 )
 settings.register_profile("nightly", deadline=None, print_blob=True, max_examples=5000)
 settings.load_profile(os.environ.get("MOTORHIL_HYPOTHESIS", "ci"))
+
+
+def pytest_configure() -> None:
+    """Tests that are to judge the compiled cores (make test-compiled) have not got others."""
+    if os.environ.get("MOTORHIL_COMPILED") == "1" and not cores_are_compiled():
+        raise pytest.UsageError(f"the cores in {emulators.__file__} are not compiled")
 
 
 REQUIRED = [name for name in os.environ.get("MOTORHIL_REQUIRE", "").split(",") if name]

@@ -1,0 +1,94 @@
+"""Issue 2, item 10: the hot cores as machine code are the same cores.
+
+`make compiled` builds them into .venv-compiled, unless what is there is of these very sources.
+"""
+
+import fcntl
+import os
+import shutil
+import subprocess
+import sys
+
+import pytest
+
+from harness.build_info import cores_are_compiled, source_digest
+from tests.architecture.checkout import CHECKOUT
+
+pytestmark = [pytest.mark.compiled, pytest.mark.timeout(1800)]
+
+COMPILED = CHECKOUT / ".venv-compiled" / "bin"
+FOLDERS = ("determinism", "emulators", "traces", "harness", "motorapi")
+
+
+@pytest.fixture(scope="module")
+def built():
+    """The environment is of these sources; nobody rebuilds it meanwhile."""
+    if cores_are_compiled():
+        pytest.skip("these tests themselves run in the compiled build")
+    compiler = os.environ.get("CC", "cc").split()[0]
+    for program in (compiler, "make"):
+        if shutil.which(program) is None:
+            pytest.skip(f"no {program!r} here: the compiled cores are not built")
+    (CHECKOUT / "build").mkdir(exist_ok=True)
+    with (CHECKOUT / "build" / ".lock").open("w") as lock:
+        fcntl.flock(lock, fcntl.LOCK_EX)
+        made = make("compiled")
+        assert made.returncode == 0, made.stdout[-3000:] + made.stderr[-3000:]
+        yield
+
+
+def make(*words):
+    # The program that runs, by itself: an environment made by make would be taken for ready.
+    variables = {name: value for name, value in os.environ.items() if not name.startswith("MAKE")}
+    command = ["make", "--no-print-directory", *words, f"PYTHON={sys._base_executable}"]
+    return subprocess.run(
+        command, cwd=CHECKOUT, env=variables, capture_output=True, text=True, check=False
+    )
+
+
+def run(program, folder, hash_seed, *words):
+    folder.mkdir()
+    return subprocess.run(
+        [program, *words],
+        cwd=folder,
+        env={**os.environ, "PYTHONHASHSEED": str(hash_seed)},
+        capture_output=True,
+        text=True,
+        check=True,
+    ).stdout
+
+
+def test_the_version_says_that_it_is_compiled_and_of_which_source(built, tmp_path):
+    said = run(COMPILED / "motorhil", tmp_path / "here", 0, "--version")
+    assert "compiled cores" in said
+    assert f"source {source_digest()} in {CHECKOUT / '.venv-compiled'}" in said
+
+
+def test_what_is_hot_is_machine_code_and_nothing_compiled_lies_beside_the_sources(built, tmp_path):
+    names = (
+        "emulators.event_queue emulators.world emulators.media.can_bus emulators.firmware.servo "
+        "emulators.plant.dc_motor emulators.canopen.node emulators.cia402.drive "
+        "harness.virtual_time traces.fields"
+    )
+    code = f"from importlib import import_module\nfor n in {names.split()}:\n"
+    code += "    print(import_module(n).__file__)"
+    files = run(COMPILED / "python", tmp_path / "here", 0, "-c", code).split()
+    assert len(files) == len(names.split())
+    assert [file for file in files if not file.endswith(".so")] == []
+    assert [
+        path for name in ("emulators", "harness") for path in CHECKOUT.glob(f"{name}/**/*.so")
+    ] == []
+
+
+def test_compiled_and_pure_cores_make_one_demo_whatever_the_hash_seed(built, tmp_path):
+    compiled = [run(COMPILED / "motorhil", tmp_path / f"{seed}", seed, "demo") for seed in (1, 2)]
+    pure = run(sys.executable, tmp_path / "pure", 3, "-m", "harness", "demo")
+    digests = [said.split(", digest ")[1].split()[0] for said in [pure, *compiled]]
+    assert len(digests[0]) == 64
+    assert digests == [digests[0]] * 3
+
+
+def test_the_compiled_cores_pass_the_same_tests(built):
+    made = make("test-compiled", "TESTS=" + " ".join(f"tests/{folder}" for folder in FOLDERS))
+    assert made.returncode == 0, made.stdout[-6000:] + made.stderr[-1000:]
+    assert " passed" in made.stdout
