@@ -31,8 +31,11 @@ COMMENT = re.compile(r"^<!-- ([a-z ]+): (.*) -->$")
 RUN = ("bash", "python")
 PRELUDE = f"""set -euo pipefail
 make() {{
-    commands=$(command make --no-print-directory -C {CHECKOUT} -n -o .venv/.ready "$@")
-    if [ "$*" = demo ] && [ ! -e out ]; then eval "${{commands//.venv\\/bin\\//}}"; fi
+    grep -q "^$1:.*##" {CHECKOUT}/Makefile
+    if [ "$*" = demo ] && [ ! -e out ]; then
+        commands=$(command make --no-print-directory -C {CHECKOUT} -n -o .venv/.ready demo)
+        eval "${{commands//.venv\\/bin\\//}}"
+    fi
 }}
 pip() {{ command python -m pip "$@" --quiet --disable-pip-version-check --no-index --no-deps \\
     --no-build-isolation --target "$INSTALLED"; }}
@@ -97,7 +100,7 @@ def environment(folder):
     return {
         **kept,
         "PATH": f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}",
-        "PYTHONPATH": str(folder / "site"),
+        "PYTHONPATH": os.pathsep.join(filter(None, [str(folder / "site"), kept.get("PYTHONPATH")])),
         "INSTALLED": str(folder / "site"),
         "PYTHONUNBUFFERED": "1",
     }
