@@ -77,6 +77,12 @@ class ScriptedBus:
             self.queue.now_ns + delay_ns
         )
 
+    def confirm(self, text: str) -> None:
+        """An own frame is said to have been transmitted."""
+        self.queue.alarm(lambda now_ns: self._tell(frame(text), now_ns, True)).set(
+            self.queue.now_ns
+        )
+
     def _tell(self, data: bytes, now_ns: int, transmitted: bool) -> None:
         for listener in tuple(self._listeners):
             listener(data, now_ns, transmitted)

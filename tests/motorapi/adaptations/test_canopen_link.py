@@ -34,6 +34,18 @@ def test_equal_frames_are_confirmed_in_the_order_they_were_sent():
     assert first.time_ns is not None
 
 
+def test_frames_before_the_one_confirmed_were_never_on_the_wire():
+    bus = ScriptedBus(confirms=False)
+    link = link_on(bus)
+    first, second = (link.send_tracked(frame(f"301#0F0{place}")) for place in (1, 2))
+    bus.confirm("301#0F02")
+    link.confirmed([second])
+    assert first.time_ns is None
+    bus.confirm("301#0F01")  # nobody waits for it any more
+    bus.runtime.run_for(0.01)
+    assert first.time_ns is None
+
+
 def test_what_is_not_transmitted_is_an_error_that_names_the_frame():
     bus = ScriptedBus(confirms=False)
     link = link_on(bus)

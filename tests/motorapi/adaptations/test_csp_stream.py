@@ -10,6 +10,7 @@ from motorapi.adaptations.cia402 import Cia402HwMotor
 from motorapi.adaptations.csp_stream import CspStream
 from motorapi.errors import UsageError
 from tests.motorapi.adaptations.conftest import drive
+from tests.motorapi.adaptations.test_drive_control import written_to_left
 
 OpenRig = Callable[..., Rig]
 CYCLES = 500
@@ -61,11 +62,27 @@ def test_csp_begins_where_the_drive_is(rig: Rig):
     hw = enabled(rig, 1)
     hw.write("target_position", 50_000)  # of long ago
     at = rig.controllers["left"].snapshot()["position_inc"]
+    written = written_to_left(rig)
     stream = hw.stream_positions(0.01, lambda cycle: None)
+    assert [entry for entry in written if entry[0] in ("607A", "6060")] == [
+        ("607A", at),
+        ("6060", 8),
+    ]
     rig.runtime.run_for(0.3)
     assert stream.ended
     assert abs(rig.controllers["left"].snapshot()["position_inc"] - at) <= 1
     hw.close()
+
+
+def test_a_sync_that_runs_already_does_not_fire_an_old_target(rig: Rig):
+    left, right = enabled(rig, 1), enabled(rig, 2)
+    left.stream_positions(0.001, lambda cycle: 0)
+    right.write("target_position", 50_000)  # of long ago
+    right.stream_positions(0.001, lambda cycle: None)
+    rig.runtime.run_for(0.3)
+    assert abs(rig.controllers["right"].snapshot()["position_inc"]) <= 1
+    left.close()
+    right.close()
 
 
 def test_what_the_application_raises_ends_the_stream_and_is_kept(rig: Rig):
