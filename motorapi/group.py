@@ -142,9 +142,7 @@ class MotorGroup(DeviceGroup[Motor]):
         times = tuple(
             (one.motor.name, one.motor._call(one.motor._motion_times)) for one in self._started
         )
-        known = [
-            its for one, (_, its) in zip(self._started, times, strict=True) if not _stays(one)
-        ]
+        known = [its for one, (_, its) in zip(self._started, times, strict=True) if not _stays(one)]
         return SyncQuality(
             predicted_end_skew_s=_end_skew_s(self._started),
             start_skew_s=spread_s([None if its is None else its.started_ns for its in known]),
