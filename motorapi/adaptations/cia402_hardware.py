@@ -134,13 +134,13 @@ class Cia402HwMotor:
     def connect(self) -> DriveFacts:
         """The drive is up and configured; costs nothing if it is already. See `bring_up`."""
         facts = self._facts
-        if facts is not None and not self.node.has_booted and self._close.alive:
+        if facts is not None and self.node.is_up and self._close.alive:
             return facts
         if not self._close.alive:
             raise LinkError(link=self.label, reason="this hardware object is closed")
         options = self.options
         with self._setting_up.turn(4 * options.connect_timeout_s, f"{self.label}: its set-up"):
-            if self._facts is not None and not self.node.has_booted:
+            if self._facts is not None and self.node.is_up:
                 return self._facts
             if options.heartbeat_ms and not self.node.uses_host_heartbeat:
                 self.link.produce_heartbeat(options.host_node_id, options.heartbeat_ms)

@@ -194,6 +194,12 @@ class DriveNode:
         """Whether it was heard to boot since it was brought up: its configuration is gone."""
         return self._watches_nmt and self.boots != self._boots_known
 
+    @property
+    def is_up(self) -> bool:
+        """Whether it still is what it was brought up to: configured, and OPERATIONAL."""
+        left = self._was_operational and self.nmt_state != OPERATIONAL
+        return not left and not self.has_booted
+
     def close(self) -> None:
         """It is heard no more."""
         if self._silence is not None:
@@ -233,11 +239,11 @@ class DriveNode:
         self.check_heard()
         if self.has_booted:
             raise LinkError(link=self.label, reason="it has booted: its configuration is gone")
-        if self._was_operational and self.nmt_state != OPERATIONAL:
-            raise LinkError(
-                link=self.label,
-                reason=f"its NMT state is {self.nmt_state or 0:02X}h, not OPERATIONAL any more",
-            )
+        if not self.is_up:
+            reason = f"its NMT state is {self.nmt_state or 0:02X}h, not OPERATIONAL any more"
+            if self.error_code:
+                reason += f", after {self.emergencies[-1]}"
+            raise LinkError(link=self.label, reason=reason)
 
     def check_motion(self, motor: str) -> None:
         """Raises what ends a motion from outside; see `Motor._is_done`."""
@@ -247,11 +253,10 @@ class DriveNode:
             raise self.fault_error(motor)
         if word & ENABLED_MASK != ENABLED_VALUE:
             state = self.state
-            raise MotionInterrupted(
-                motor=motor,
-                by=f"the drive, now in state {state.value!r}" if state else "the drive",
-                at_ns=self.status_ns,
-            )
+            by = "the drive" if state is None else f"the drive, now in state {state.value!r}"
+            if self.error_code:
+                by += f", after {self.emergencies[-1]}"
+            raise MotionInterrupted(motor=motor, by=by, at_ns=self.status_ns)
 
     def fault_error(self, motor: str) -> DeviceFault:
         """The fault it reports, as an error."""

@@ -44,7 +44,8 @@ class HwOptions:
         status_period_ms: the drive repeats statusword and position so often; 0: on change only.
         status_inhibit_ms: and not more often than this, however fast they change.
         velocity_period_ms: the drive tells velocity and torque so often; 0: only when asked.
-        connection_loss: what the drive does without the host (6007h); None leaves it as it is.
+        connection_loss: what the drive does without the host (6007h): 1 fault, 2 disable voltage,
+            3 quick stop (the next program need not reset a fault); None leaves it as it is.
         servo_period_ms: the drive's profile tick, for predicting skew; None: not known.
         connect_timeout_s: how long a drive may take to boot.
         sdo_timeout_s: how long it may take to answer.
@@ -57,7 +58,7 @@ class HwOptions:
     status_period_ms: int = 20
     status_inhibit_ms: float = 2.0
     velocity_period_ms: int = 0
-    connection_loss: int | None = 1
+    connection_loss: int | None = 3
     servo_period_ms: float | None = None
     connect_timeout_s: float = 3.0
     sdo_timeout_s: float = 0.3
@@ -197,6 +198,9 @@ def _set_up_dead_man(node: DriveNode, options: HwOptions, limitations: list[str]
     _write_if_different(
         node, 0x1017, 0, options.heartbeat_ms, 2, limitations, "its heartbeat: we cannot miss it"
     )
+    watched = read_optional(node, 0x1016, 1)
+    if not options.heartbeat_ms and watched and watched >> 16 == options.host_node_id:
+        _write_if_different(node, 0x1016, 1, 0, 4, limitations, "not to watch us any more")
     if options.heartbeat_ms and options.heartbeat_timeout_ms:
         consumer = options.host_node_id << 16 | options.heartbeat_timeout_ms
         _write_if_different(

@@ -64,13 +64,37 @@ def test_each_side_watches_the_other(rig: Rig):
     hw.connect()
     assert hw.read("producer_heartbeat_time") == 100
     assert hw.read("consumer_heartbeat_time") == 127 << 16 | 300
-    assert hw.read("abort_connection_option_code") == 1
+    assert hw.read("abort_connection_option_code") == 3
     beats = [time_ns for time_ns, can_id, data in frames if (can_id, data) == (0x77F, b"\x05")]
     assert beats[0] < 1 * MS
     rig.runtime.run_for(1.0)
     beats = [time_ns for time_ns, can_id, _ in frames if can_id == 0x77F]
     assert all(90 * MS < after - before < 110 * MS for before, after in pairwise(beats))
     hw.close()
+
+
+def test_without_heartbeats_nobody_is_watched(rig: Rig):
+    Cia402HwMotor(rig.bus("can0"), 1).connect()  # dropped at once
+    hw = Cia402HwMotor(rig.bus("can0"), 1, options=HwOptions(heartbeat_ms=0))
+    hw.enable()
+    frames = host_frames(rig)
+    rig.runtime.run_for(1.0)
+    assert hw.state is PdsState.OPERATION_ENABLED
+    assert hw.read("producer_heartbeat_time") == hw.read("consumer_heartbeat_time") == 0
+    assert [can_id for _, can_id, _ in frames if can_id == 0x77F] == []
+    hw.close()
+
+
+def test_the_program_after_one_that_left_its_motor_on_just_starts(rig: Rig):
+    first = Cia402HwMotor(rig.bus("can0"), 1)
+    first.enable()
+    first.close()
+    rig.runtime.run_for(1.0)
+    assert rig.controllers["left"].snapshot()["state"] == 1.0  # switch on disabled: quick stop
+    second = Cia402HwMotor(rig.bus("can0"), 1)
+    second.enable()
+    assert second.state is PdsState.OPERATION_ENABLED
+    second.close()
 
 
 def test_a_second_program_writes_nothing_and_stops_nothing(rig: Rig):

@@ -362,6 +362,21 @@ def test_a_drive_that_leaves_operational_is_a_lost_link(rig: Rig):
         motor.wait_until_done(timeout_s=5)
 
 
+def test_a_host_that_was_not_heard_for_a_while_is_told_why_its_motion_ended(rig: Rig):
+    motor = motor_of(rig)
+    go_to(motor, 3.0)
+    lose = FaultRule("lose", FaultKind.DROP, identifier=0x77F, from_ns=rig.runtime.now_ns())
+    rig.faults.inject("can0", lose)
+    # CiA 301, 1029h: a node that misses its host leaves OPERATIONAL; its heartbeat says so
+    with pytest.raises(LinkError, match=r"NMT state is 7Fh.*, after EMCY 8130h .* host was not"):
+        motor.wait_until_done(timeout_s=5)
+    rig.faults.lift("can0", "lose")
+    rig.runtime.run_for(0.2)
+    go_to(motor, 0.1)
+    motor.wait_until_done(timeout_s=5)
+    assert abs(truth(rig) - 0.1) <= WINDOW_RAD
+
+
 def test_the_drive_stops_when_the_host_falls_silent(rig: Rig):
     motor = motor_of(rig)
     go_to(motor, 3.0)
