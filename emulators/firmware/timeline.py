@@ -98,7 +98,7 @@ class Timeline:
                 self._learn()
             self._commanded = False
             self._run_ahead(min(self.tick + self._budget, limit_tick))
-        if self._ahead_resting and self._ahead[servo.I_FLAGS] == self.state[servo.I_FLAGS]:
+        if self._ahead_resting:  # and it got there without a change of flags
             return RESTS
         return self._ahead_tick if self._ahead_tick > self.tick else self.tick + 1
 

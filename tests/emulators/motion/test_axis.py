@@ -267,6 +267,15 @@ def test_the_target_is_reached_at_the_tick_at_which_the_window_has_held_for_its_
     assert inside == 8  # 8 ticks in a row are 7 ms
 
 
+def test_a_move_of_no_increments_waits_for_the_windows_time_again():
+    axis = powered_axis()
+    axis.set_windows(target_window_inc=2, target_window_ns=7 * MS)
+    axis.at(100 * MS)
+    assert axis.flags & IN_TARGET_WINDOW
+    axis.move_to(0, 1_000.0, 1e5, 1e5)
+    assert tick_by_tick(axis, 100, IN_TARGET_WINDOW, True) == 101 + 7
+
+
 @pytest.mark.parametrize(
     ("time_ns", "ticks"), [(0, 0), (1, 1), (MS, 1), (5 * MS, 5), (5 * MS + 1, 6)]
 )
@@ -390,6 +399,39 @@ def test_a_motor_whose_power_goes_coasts_to_rest():
     axis.at(5_000 * MS)
     assert axis.output_velocity_rad_s() == 0.0
     assert axis.next_event_ns() is None
+
+
+def test_power_that_returns_finds_nothing_left_from_before():
+    axis = powered_axis()
+    axis.set_windows(following_window_inc=20, following_window_ns=30 * MS)
+    axis.set_load(2.0)
+    axis.at(300 * MS)
+    assert axis.current_demand_a() > 0.5  # held by the integrator
+    axis.set_load(0.0)
+    axis.set_current_limit(0.0)
+    axis.follow(1_000, 0)
+    axis.at(321 * MS)  # 20 of the 30 ms
+    assert axis.following_error_inc() > 900
+    axis.power(False)
+    axis.at(400 * MS)
+    axis.set_current_limit(8.0)
+    axis.power(True)
+    axis.at(401 * MS)
+    assert axis.current_demand_a() == 0.0
+    axis.set_current_limit(0.0)
+    axis.follow(axis.position_inc() + 1_000, 0)
+    told = tick_by_tick(axis, 401, FOLLOWING_ERROR, True)
+    # in force at 402 ms, there at 403 ms; the 31st tick in a row
+    assert told == 403 + 30
+
+
+def test_power_that_is_on_already_disturbs_nothing():
+    axis = powered_axis()
+    axis.move_to(1_000, 20_000.0, 1e6, 1e6)
+    axis.at(60 * MS)
+    axis.power(True)
+    axis.at(500 * MS)
+    assert axis.position_inc() == 1_000
 
 
 # --- homing, units, refusals ---------------------------------------------------------------------

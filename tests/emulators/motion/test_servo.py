@@ -44,12 +44,12 @@ def check_one_tick(name, current, error, speed, mismatch, load):
     mapped = one_tick(tables, tables.load(load * plant.gear_ratio), state)
     singly = servo.steps(tables.step, 10, load, wanted, current, u, speed, 0.5)
     got = mapped[1:5]
-    event("step by step" if got == singly else "mapped")
     # Ten products of matrices against ten steps: rounding, relative to the quantities there are.
     assert got[0] == pytest.approx(singly[0], rel=1e-9, abs=1e-10)
     assert got[1] == pytest.approx(singly[1], rel=1e-9, abs=1e-9)
     assert got[2] == pytest.approx(singly[2], rel=1e-9, abs=1e-8)
     assert got[3] == pytest.approx(singly[3], rel=1e-9, abs=1e-7)
+    return "step by step" if got == singly else "mapped"
 
 
 NAMES = st.sampled_from(sorted(PRESETS))
@@ -65,7 +65,7 @@ LOADS_N_M = st.floats(-0.01, 0.01)
     LOADS_N_M,
 )
 def test_ten_steps_as_one_map_are_ten_steps(name, current, error, speed, mismatch, load):
-    check_one_tick(name, current, error, speed, mismatch, load)
+    event(check_one_tick(name, current, error, speed, mismatch, load))
 
 
 @given(
@@ -76,7 +76,59 @@ def test_ten_steps_as_one_map_are_ten_steps(name, current, error, speed, mismatc
     st.floats(-0.0005, 0.0005),
 )
 def test_ten_steps_of_a_rotor_that_sticks_are_one_map_too(name, current, error, mismatch, load):
-    check_one_tick(name, current, error, 0.0, mismatch, load)
+    event(check_one_tick(name, current, error, 0.0, mismatch, load))
+
+
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_a_rotor_that_dips_through_standstill_within_a_tick_is_stepped(sign):
+    """Both ends of such a tick turn the same way; friction changes its sign in between."""
+    plant, tables = PRESETS["wheel_60w"], TABLES["wheel_60w"]
+    dips = 0
+    for hundredths in range(2, 150, 2):
+        speed = 0.01 * hundredths
+        mismatch = -sign * plant.torque_constant_n_m_a * speed  # u = R * wanted
+        check_one_tick("wheel_60w", -sign * 4.0, sign * 8.0, sign * speed, mismatch, 0.0)
+        i, u, w, x = -4.0 * sign, plant.resistance_ohm * 4.0 * sign, speed * sign, 0.5
+        lowest = speed
+        for _ in range(10):
+            i, u, w, x = servo.steps(tables.step, 1, 0.0, 4.0 * sign, i, u, w, x)
+            lowest = min(lowest, w * sign)
+        dips += lowest <= 0.0 < w * sign
+    assert dips > 3
+
+
+def test_a_rotor_that_is_pushed_loose_within_a_tick_is_stepped():
+    """Current and integrator are far from their steady state, in which the rotor would stick."""
+    loose = 0
+    for mismatch_mv in range(-300, 301, 20):
+        check_one_tick("wheel_60w", 0.1, -0.1, 0.0, mismatch_mv * 1e-3, 0.0)
+        state = (0.1, mismatch_mv * 1e-3, 0.0, 0.5)
+        loose += servo.steps(TABLES["wheel_60w"].step, 10, 0.0, 0.0, *state)[3] != 0.5
+    assert loose > 5
+
+
+def test_a_clipped_voltage_does_not_wind_the_current_loop_up():
+    for sign in (1.0, -1.0):
+        table = TABLES["wheel_60w"].step
+        i, u, w, x = servo.steps(table, 1000, 0.0, sign * 1e6, 0.0, 0.0, 0.0, 0.0)
+        assert (u, w * sign > 800.0) == (0.0, True)  # clipped from the first step to the last
+        i, u, w, x = servo.steps(table, 1, 0.0, sign * (i * sign - 50.0), i, 20.0 * sign, w, x)
+        assert u * sign < 20.0  # not enough to clip: it integrates
+
+
+def test_a_rotor_that_is_about_to_leave_does_not_creep_the_other_way():
+    """Its torque exceeds the friction only at the end of the step: not enough to leave in it."""
+    plant, table = PRESETS["wheel_60w"], TABLES["wheel_60w"].step
+    gains = ServoGains.tuned(plant, MS, 10)
+    breakaway_a = plant.coulomb_friction_n_m / plant.torque_constant_n_m_a
+    for sign in (1.0, -1.0):
+        i, wanted = sign * breakaway_a * 0.5, sign * breakaway_a
+        # a voltage that lifts the current to 1.02 of what it takes: 0.4 of its end in a step
+        voltage = plant.resistance_ohm * sign * breakaway_a * 1.79
+        u = voltage - gains.current_kp_v_a * (wanted - i)
+        state = servo.steps(table, 1, 0.0, wanted, i, u, 0.0, 0.5)
+        assert state[0] * sign > breakaway_a
+        assert state[2:] == (0.0, 0.5)
 
 
 @pytest.mark.parametrize("name", PRESETS)

@@ -2,7 +2,7 @@
 
 from dataclasses import replace
 
-from hypothesis import event, given
+from hypothesis import event, given, settings
 from hypothesis import strategies as st
 
 from emulators.firmware import servo
@@ -39,9 +39,15 @@ COMMANDS = st.one_of(
 WAITS_NS = st.sampled_from([0, 1, 300_000, MS, MS + 1, 3 * MS, 10 * MS, 64 * MS, 400 * MS])
 ASKS = st.tuples(st.just("next_event_ns"), st.none() | WAITS_NS)
 LOOKS = st.tuples(st.just("look"))
-ACTIONS = st.lists(st.tuples(WAITS_NS, st.one_of(LOOKS, ASKS, ASKS, COMMANDS)), max_size=40)
+ACTIONS = st.lists(
+    st.tuples(WAITS_NS, st.one_of(LOOKS, ASKS, ASKS, COMMANDS)), min_size=10, max_size=40
+)
 
-POWERED_FIRST = [(0, ("power", True)), (MS, ("next_event_ns", None))]
+BEGIN = [
+    (0, ("power", True)),
+    (MS, ("next_event_ns", None)),
+    (0, ("move_to", 1500, 20_000.0, 1e6, 1e6)),
+]
 
 
 class Plain:
@@ -90,11 +96,12 @@ def command(axis: Axis, name: str, *arguments) -> None:
         getattr(axis, name)(*arguments)
 
 
+@settings(max_examples=3 * settings().max_examples)
 @given(st.sampled_from(sorted(PLANTS)), ACTIONS)
 def test_whatever_is_asked_and_when_the_states_are_those_of_a_plain_run(name, actions):
     axis, plain = make(name)
     now = 0
-    for wait, (what, *arguments) in POWERED_FIRST + actions:
+    for wait, (what, *arguments) in BEGIN + actions:
         now += wait
         plain.reach(now // TICK_NS)
         axis.at(now)
@@ -119,6 +126,7 @@ def check_next_event(axis: Axis, plain: Plain, now: int, within_ns: int | None) 
         event("rest")
         assert set(plain.flags_after(120)) == {flags}
         return
+    event("limited" if answer == limit else "work goes on")
     assert limit is None or answer <= limit
     assert answer > now or answer == limit
     quiet = -(-answer // TICK_NS) - plain.tick - 1  # ticks strictly before the answer
@@ -208,6 +216,27 @@ def test_a_move_can_begin_end_and_be_seen_at_all():  # an axis that never change
     assert any(flags & PROFILE_ACTIVE for _, flags in seen)
     assert seen[-1][1] & IN_TARGET_WINDOW
     assert len(wakes) < 30  # of some 500 ticks: it ran ahead, and rested
+
+
+def test_what_was_kept_from_before_a_command_is_never_looked_at():
+    """It has run ahead to rest, past several looks to come; then it is told to go on."""
+    axis, plain = make("wheel")
+    axis.set_windows(velocity_threshold_inc_s=1e9)  # no flag changes on the way to rest
+    axis.power(True)
+    axis.move_to(200, 20_000.0, 1e6, 1e6)
+    commands = 0
+    for k in range(1, 3000):
+        axis.at(k * MS)
+        plain.reach(k)
+        assert repr(axis._time.state) == repr(plain.state)
+        if axis._time._ahead_resting and axis._time._ahead_tick > k + 2:
+            axis.move_to((-1) ** k * k, 20_000.0, 1e6, 1e6)
+            plain.state = axis._time.state
+            commands += 1
+            axis.next_event_ns()
+        elif k % 2:
+            axis.next_event_ns()
+    assert commands > 3
 
 
 def test_commands_every_tick_are_not_computed_twice(monkeypatch):
