@@ -1,0 +1,206 @@
+"""The power state machine over the bus: every command in every state, and whole statuswords.
+
+Expected: CiA 402-2's state machine as canopen's own table of transitions has it (p402.State402),
+and the state coding as Kollmorgen's AKD manual and canopen decode it; bits 10, 12 and 13 per mode.
+"""
+
+import itertools
+
+import pytest
+from canopen.profiles.p402 import State402
+
+from tests.crosscheck.wire import MS, Wire
+
+SOD, RTSO, SO, OE, QSA = (
+    "SWITCH ON DISABLED",
+    "READY TO SWITCH ON",
+    "SWITCHED ON",
+    "OPERATION ENABLED",
+    "QUICK STOP ACTIVE",
+)
+FAULT = "FAULT"
+PATH = {SOD: (), RTSO: (0x06,), SO: (0x06, 0x07), OE: (0x06, 0x07, 0x0F)}
+COMMANDS = {"shutdown": 0x06, "switch on": 0x07, "enable": 0x0F, "quick stop": 0x02, "off": 0x00}
+# By command; switch on in OPERATION ENABLED is "disable operation", enable from READY TO SWITCH ON
+# passes SWITCHED ON by itself (CiA 402-2: drives may).
+AFTER = {
+    SOD: {"shutdown": RTSO},
+    RTSO: {"switch on": SO, "enable": OE, "quick stop": SOD, "off": SOD},
+    SO: {"shutdown": RTSO, "enable": OE, "quick stop": SOD, "off": SOD},
+    OE: {"shutdown": RTSO, "switch on": SO, "quick stop": QSA, "off": SOD},
+    QSA: {"enable": OE, "off": SOD},
+    FAULT: {},
+}
+
+
+def state_of(word: int) -> str:
+    (state,) = (name for name, (mask, bits) in State402.SW_MASK.items() if word & mask == bits)
+    return state
+
+
+def in_state(state: str) -> Wire:
+    wire = Wire().operational()
+    wire.set(0x605A, 0, 6, 2)
+    for word in PATH.get(state, PATH[OE]):
+        wire.controlword(word)
+    wire.run(25 * MS)
+    if state == QSA:
+        wire.controlword(0x02)
+    if state == FAULT:
+        wire.stimulate("fault", 0x2310)
+    wire.run(25 * MS)
+    assert state_of(wire.statusword()) == state
+    return wire
+
+
+@pytest.mark.parametrize("state", AFTER)
+@pytest.mark.parametrize("command", COMMANDS)
+@pytest.mark.parametrize("extra", [0x0000, 0xF810], ids=["plain", "other bits"])
+def test_every_command_leads_from_every_state_where_the_standard_says(state, command, extra):
+    wire = in_state(state)
+    wire.controlword(COMMANDS[command] | extra)
+    wire.run(200 * MS)
+    after = AFTER[state].get(command, state)
+    assert state_of(wire.statusword()) == after
+    names_it = command != "quick stop" or state == OE  # to SOD canopen names disable voltage alone
+    if after != state and names_it and (state, after) in State402.TRANSITIONTABLE:
+        assert State402.TRANSITIONTABLE[(state, after)] & 0x8F == COMMANDS[command] & 0x8F
+
+
+@pytest.mark.parametrize("state", AFTER)
+def test_a_fault_is_entered_from_every_state_and_left_by_an_edge_alone(state):
+    wire = in_state(state)
+    wire.controlword(0x80)  # no fault yet, but for FAULT itself: this is an edge
+    wire.stimulate("fault", 0x2310)
+    wire.run(100 * MS)
+    assert state_of(wire.statusword()) == FAULT
+    wire.controlword(0x80)  # no edge: the bit was set already
+    wire.run(5 * MS)
+    assert state_of(wire.statusword()) == FAULT
+    wire.controlword(0x00)
+    wire.controlword(0x8F)
+    wire.run(5 * MS)
+    assert state_of(wire.statusword()) == SOD
+    wire.controlword(0x86)  # bit 7 still set: no command
+    wire.run(5 * MS)
+    assert state_of(wire.statusword()) == SOD
+
+
+# voltage 10h, remote 200h, target reached 400h; state bits as in AKD's table
+@pytest.mark.parametrize(
+    ("state", "word"),
+    [(SOD, 0x0250), (RTSO, 0x0231), (SO, 0x0233), (OE, 0x0637), (QSA, 0x0617), (FAULT, 0x0218)],
+)
+def test_whole_statuswords(state, word):
+    assert in_state(state).statusword() == word
+
+
+def test_without_supply_bit_4_is_low_and_everything_else_stays():
+    wire = in_state(SO)
+    wire.stimulate("power", 0)
+    assert wire.statusword() == 0x0223
+
+
+def words(wire: Wire, count: int) -> list[int]:
+    """The statuswords TPDO 1 brought."""
+    return [
+        int.from_bytes(bytes.fromhex(text[4:]), "little")
+        for text in wire.since(count)
+        if text.startswith("185#")
+    ]
+
+
+def tell_all(wire: Wire) -> None:
+    """No inhibit time holds a statusword back."""
+    wire.set(0x1800, 1, 0x8000_0185, 4)
+    wire.set(0x1800, 3, 0, 2)
+    wire.set(0x1800, 1, 0x185, 4)
+
+
+def test_the_set_point_handshake_bit_by_bit(wire):
+    tell_all(wire)
+    wire.enable(1)
+    wire.set(0x607A, 0, 10_000, 4)
+    count = len(wire.log)
+    wire.controlword(0x1F)
+    wire.run(5 * MS)
+    assert words(wire, count) == [0x1237]  # acknowledged, no longer reached
+    wire.controlword(0x0F)
+    wire.run(5 * MS)
+    assert words(wire, count)[1:] == [0x0237]
+    wire.run(1000 * MS)
+    assert words(wire, count)[2:] == [0x0637]
+    assert wire.read(0x6062, signed=True) == 10_000
+
+
+def test_a_buffered_set_point_keeps_bit_10_low_between_the_two(wire):
+    """Danfoss VLT: target reached stays 0 until all set-points are processed."""
+    wire.enable(1)
+    count = len(wire.log)
+    for target in (5_000, 9_000):
+        wire.set(0x607A, 0, target, 4)
+        wire.controlword(0x1F)
+        wire.controlword(0x0F)
+    assert wire.statusword() & 0x1400 == 0x1000  # one runs, one waits: no room
+    wire.run(2000 * MS)
+    assert [word & 0x0400 for word in words(wire, count)].count(0x0400) == 1
+    assert wire.read(0x6062, signed=True) == 9_000
+
+
+def test_velocity_mode_bit_by_bit(wire):
+    tell_all(wire)
+    wire.enable(3)
+    wire.run(20 * MS)
+    assert wire.statusword() & 0x3400 == 0x1400  # 60FFh is 0, and so is the speed
+    count = len(wire.log)
+    wire.set(0x60FF, 0, 20_000, 4)
+    wire.run(500 * MS)
+    wire.controlword(0x010F)  # halt
+    wire.run(500 * MS)
+    seen = [word & 0x3400 for word in words(wire, count)]
+    # under way; no longer at zero speed; reached; halt: slowing down; at rest, which is its target
+    assert [bits for bits, _ in itertools.groupby(seen)] == [0x1000, 0, 0x0400, 0, 0x1400]
+
+
+def test_homing_bit_by_bit(wire):
+    wire.enable(6)
+    wire.set(0x607C, 0, 777, 4)
+    count = len(wire.log)
+    assert wire.statusword() & 0x3400 == 0x0400  # not started
+    wire.controlword(0x1F)
+    wire.run(20 * MS)
+    assert [word & 0x3400 for word in words(wire, count)] == [0x0000, 0x1400]
+    assert wire.read(0x6064, signed=True) == 777
+    wire.controlword(0x0F)
+    wire.run(20 * MS)
+    assert wire.statusword() & 0x3400 == 0x1400
+
+
+@pytest.mark.parametrize(("option", "ramp"), [(1, 0x6084), (2, 0x6085), (5, 0x6084), (6, 0x6085)])
+def test_a_quick_stop_takes_the_time_of_its_ramp(wire, option, ramp):
+    wire.set(0x605A, 0, option, 2)
+    wire.enable(3)
+    wire.set(0x60FF, 0, 40_000, 4)
+    wire.run(500 * MS)
+    expected = 40_000 / wire.read(ramp)
+    begun = wire.now
+    wire.controlword(0x02)
+    over = (lambda word: word & 0x4F == 0x40) if option < 5 else (lambda word: word & 0x0400)
+    count = len(wire.log)
+    wire.run_while(lambda: not any(over(word) for word in words(wire, count)), 1000 * MS)
+    assert (wire.now - begun) / 1e9 == pytest.approx(expected, abs=0.004)
+
+
+@pytest.mark.parametrize(("option", "brakes"), [(0, False), (1, True), (2, True)])
+def test_a_fault_reaction_is_shown_as_long_as_it_takes(wire, option, brakes):
+    wire.set(0x605E, 0, option, 2)
+    wire.enable(3)
+    wire.set(0x60FF, 0, 40_000, 4)
+    wire.run(500 * MS)
+    count = len(wire.log)
+    wire.stimulate("fault", 0x2310)
+    wire.run(500 * MS)
+    states = [word & 0x4F for word in words(wire, count)]
+    assert states == ([0x0F, 0x08] if brakes else [0x08])
+    told = [text[:3] for text in wire.since(count)]
+    assert told.index("085") < told.index("185")  # the EMCY first
