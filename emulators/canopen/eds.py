@@ -13,7 +13,7 @@ from typing import Final, final
 from emulators.canopen.device_description import DeviceDescription as DeviceDescription
 from emulators.canopen.device_description import VariableDescription
 from emulators.canopen.eds_text import EdsError as EdsError
-from emulators.canopen.eds_text import EdsText, Field, Section
+from emulators.canopen.eds_text import EdsText, Field, Section, read_file
 from emulators.canopen.eds_values import fit, parse_integer, parse_value, type_name
 from emulators.canopen.object_dictionary import DataType, Value, is_integer
 
@@ -40,13 +40,52 @@ _ACCESS_WORDS: Final = {
 _NO_FIELD: Final = Field("", 0)
 
 
+_FILES_KEPT: Final = 16
+_MAY_NAME_NODE_ID: Final = ("parametervalue", "defaultvalue", "lowlimit", "highlimit")
+
+
 def read_eds(path: Path, node_id: int) -> DeviceDescription:
-    """The file is read and repaired where its meaning is plain.
+    """The file is read and repaired where its meaning is plain; what it describes is shared.
 
     Raises:
         EdsError: it cannot be read; names file, line and remedy.
     """
-    return _Reader(EdsText(Path(path)), node_id).read()
+    path = Path(path)
+    data = read_file(path)
+    known = _known.get((path, data))
+    if known is None:
+        known = _File(EdsText(path, data))
+        while len(_known) >= _FILES_KEPT:
+            del _known[next(iter(_known))]
+        _known[path, data] = known
+    return known.description(node_id)
+
+
+@final
+class _File:
+    """A file that was read, for one node-ID or several: drives of a kind share most of it."""
+
+    def __init__(self, text: EdsText) -> None:
+        self._text = text
+        self._descriptions: dict[int, DeviceDescription] = {}
+        self._pattern: _Reader | None = None  # has read what is the same for any node-ID
+
+    def description(self, node_id: int) -> DeviceDescription:
+        """What the file says of the node."""
+        description = self._descriptions.get(node_id)
+        if description is None:
+            pattern = self._pattern
+            description = None if pattern is None else pattern.read_again(node_id)
+            if description is None:
+                reader = _Reader(self._text, node_id)
+                description = reader.read()
+                if reader.is_pattern():
+                    self._pattern = reader
+            self._descriptions[node_id] = description
+        return description
+
+
+_known: Final[dict[tuple[Path, bytes], _File]] = {}
 
 
 @final
@@ -57,9 +96,46 @@ class _Reader:
         self._text = text
         self._node_id = node_id
         self._found: dict[int, VariableDescription] = {}
+        self._warnings = list(text.warnings)
+        self._description = DeviceDescription(text.path, node_id)
+        self._with_node_id: list[tuple[int, int, Section, int]] = []  # what _add was called with
+        self._said_with_node_id = False  # something was odd about one of those
+
+    def is_pattern(self) -> bool:
+        """Whether another node-ID changes nothing but the values and limits that name it."""
+        if self._said_with_node_id or "devicecommissioning" in self._text.sections:
+            return False
+        if "devicecomissioning" in self._text.sections:
+            return False
+        for section in self._text.sections.values():
+            naming = [key for key, field in section.fields.items() if "$" in field.text]
+            if naming and not all(key in _MAY_NAME_NODE_ID for key in naming):
+                return False
+            if naming and not any(section is known for _, _, known, _ in self._with_node_id):
+                return False
+        return True
+
+    def read_again(self, node_id: int) -> DeviceDescription | None:
+        """The description for another node-ID, after `read`; None if something in it is odd."""
+        other = _Reader(self._text, node_id)
+        other._found = dict(self._found)
+        for index, subindex, section, object_type in self._with_node_id:
+            other._add(index, subindex, section, object_type)
+        if other._said_with_node_id:
+            return None
+        mine, its = self._description, other._description
+        its.vendor_name, its.vendor_number = mine.vendor_name, mine.vendor_number
+        its.product_name, its.product_number = mine.product_name, mine.product_number
+        its.order_code, its.revision_number = mine.order_code, mine.revision_number
+        its.dummies, its.warnings = mine.dummies, mine.warnings
+        its.objects = tuple(other._found[key] for key in sorted(other._found))
+        return its
+
+    def _warn(self, line: int, text: str) -> None:
+        self._warnings.append((self._text.path, line, text))
 
     def read(self) -> DeviceDescription:
-        description = DeviceDescription(self._text.path, self._node_id)
+        description = self._description
         self._read_identity(description)
         self._read_dummies(description)
         self._check_commissioning()
@@ -81,7 +157,7 @@ class _Reader:
             raise EdsError(self._text.path, 0, "describes no object", remedy)
         self._check_lists(mains, indices)
         description.objects = tuple(self._found[key] for key in sorted(self._found))
-        description.warnings = tuple(sorted(self._text.warnings, key=lambda warning: warning[1]))
+        description.warnings = tuple(sorted(self._warnings, key=lambda warning: warning[1]))
         return description
 
     # --- what is not an object
@@ -89,7 +165,7 @@ class _Reader:
     def _read_identity(self, description: DeviceDescription) -> None:
         section = self._text.sections.get("deviceinfo")
         if section is None:
-            self._text.warn(1, "no [DeviceInfo]")
+            self._warn(1, "no [DeviceInfo]")
             return
         description.vendor_name = section.text("vendorname")
         description.product_name = section.text("productname")
@@ -117,7 +193,7 @@ class _Reader:
             node_id = self._number(section, "nodeid", self._node_id)
             if node_id != self._node_id:
                 text = f"written for node {node_id}, used for node {self._node_id}"
-                self._text.warn(field.line, f"{text}: identifiers without $NODEID stay as they are")
+                self._warn(field.line, f"{text}: identifiers without $NODEID stay as they are")
 
     def _check_lists(self, mains: dict[int, Section], subs: dict[int, dict[int, Section]]) -> None:
         """Lists of objects that are too long or too short; the sections decide."""
@@ -132,18 +208,18 @@ class _Reader:
                 listed += 1
                 index = self._number(section, key, -1)
                 if index not in mains and index not in subs:
-                    self._text.warn(field.line, f"{field.text} is listed but not described")
+                    self._warn(field.line, f"{field.text} is listed but not described")
             stated = section.get("supportedobjects")
             if stated and self._number(section, "supportedobjects", listed) != listed:
                 text = f"SupportedObjects says {stated.text}, {listed} are listed"
-                self._text.warn(stated.line, text)
+                self._warn(stated.line, text)
 
     # --- objects
 
     def _read_object(self, index: int, main: Section | None, subs: dict[int, Section]) -> None:
         if main is None:
             line = min(section.line for section in subs.values())
-            self._text.warn(line, f"sub-indices of {index:04X}h, which has no section of its own")
+            self._warn(line, f"sub-indices of {index:04X}h, which has no section of its own")
             main = Section(f"{index:04x}", line)
         object_type = self._number(main, "objecttype", _RECORD if subs else _VAR)
         if object_type in _DEFTYPE or index < 0x1000:
@@ -152,19 +228,19 @@ class _Reader:
             self._read_compact(index, main)
         elif not subs:
             if object_type in (_ARRAY, _RECORD):
-                self._text.warn(main.line, f"{index:04X}h has no sub-index; left out")
+                self._warn(main.line, f"{index:04X}h has no sub-index; left out")
             else:
                 self._add(index, 0, main, object_type)
             return
         for subindex, section in sorted(subs.items()):
             self._add(index, subindex, section, self._number(section, "objecttype", _VAR))
         if index << 8 not in self._found:
-            self._text.warn(main.line, f"{index:04X}h lacks sub-index 0; made up")
+            self._warn(main.line, f"{index:04X}h lacks sub-index 0; made up")
             self._add_count(index, max(subs), main.line)
         stated = main.get("subnumber")
         if stated and subs and self._number(main, "subnumber", 0) != len(subs):
             text = f"SubNumber of {index:04X}h says {stated.text}, {len(subs)} are described"
-            self._text.warn(stated.line, text)
+            self._warn(stated.line, text)
 
     def _read_compact(self, index: int, main: Section) -> None:
         """CompactSubObj: one description for sub-indices 1..n, names and values in lists."""
@@ -194,6 +270,7 @@ class _Reader:
     def _add(self, index: int, subindex: int, section: Section, object_type: int) -> None:
         if object_type in _DEFTYPE:
             return
+        told = len(self._warnings)
         data_type = self._data_type(index, subindex, section, object_type)
         default = self._default(section, data_type)
         self._found[index << 8 | subindex] = VariableDescription(
@@ -207,6 +284,9 @@ class _Reader:
             default,
             section.line,
         )
+        if any("$" in field.text for field in section.fields.values()):
+            self._with_node_id.append((index, subindex, section, object_type))
+            self._said_with_node_id = self._said_with_node_id or len(self._warnings) > told
 
     def _data_type(self, index: int, subindex: int, section: Section, object_type: int) -> int:
         field = section.get("datatype")
@@ -214,7 +294,7 @@ class _Reader:
             if object_type == _DOMAIN:
                 return DataType.DOMAIN
             if subindex == 0 and section.name.endswith(("sub0", "sub00")):
-                self._text.warn(section.line, "no DataType; sub-index 0 is an UNSIGNED8")
+                self._warn(section.line, "no DataType; sub-index 0 is an UNSIGNED8")
                 return DataType.UNSIGNED8
             missing = f"{index:04X}h:{subindex:02X}h has no DataType"
             raise EdsError(self._text.path, section.line, missing, "add DataType=0x....")
@@ -223,7 +303,7 @@ class _Reader:
         if data_type > DataType.UNSIGNED64 and own_type is not None:
             data_type = self._number(own_type, "defaultvalue", 0)
         if type_name(data_type).startswith("data type"):
-            self._text.warn(field.line, f"unknown data type {field.text}; read as DOMAIN")
+            self._warn(field.line, f"unknown data type {field.text}; read as DOMAIN")
             return DataType.DOMAIN
         return data_type
 
@@ -231,14 +311,14 @@ class _Reader:
         field = section.get("accesstype")
         if field is None:
             access = "rw" if subindex or "sub" not in section.name else "ro"
-            self._text.warn(section.line, f"no AccessType; read as {access}")
+            self._warn(section.line, f"no AccessType; read as {access}")
             return access
         word = "".join(field.text.lower().replace("-", "").replace("_", "").split())
         if word in _ACCESS:
             return word
         if word in _ACCESS_WORDS:
             access = _ACCESS_WORDS[word]
-            self._text.warn(field.line, f"AccessType {field.text!r} read as {access}")
+            self._warn(field.line, f"AccessType {field.text!r} read as {access}")
             return access
         raise self._error(field, "is no AccessType", f"write one of {', '.join(_ACCESS)}")
 
@@ -253,7 +333,7 @@ class _Reader:
                 remedy = f"write a value of {type_name(data_type)}"
                 raise EdsError(self._text.path, field.line, str(error), remedy) from None
             if remark:
-                self._text.warn(field.line, f"{field.text!r}: {remark}")
+                self._warn(field.line, f"{field.text!r}: {remark}")
             return value
         return None
 
@@ -267,15 +347,15 @@ class _Reader:
         high = self._limit(section, "highlimit", data_type)
         line = section.fields.get("lowlimit", section.fields.get("highlimit", _NO_FIELD)).line
         if low is not None and high is not None and low > high:
-            self._text.warn(line, f"limits {low}..{high} leave no value; left out")
+            self._warn(line, f"limits {low}..{high} leave no value; left out")
             return None, None
         if isinstance(default, int) and (
             (low is not None and default < low) or (high is not None and default > high)
         ):
             if low == high == 0:
-                self._text.warn(line, f"limits 0..0 with the value {default}; left out")
+                self._warn(line, f"limits 0..0 with the value {default}; left out")
                 return None, None
-            self._text.warn(line, f"the value {default} lies outside its limits {low}..{high}")
+            self._warn(line, f"the value {default} lies outside its limits {low}..{high}")
         return low, high
 
     def _limit(self, section: Section, key: str, data_type: int) -> int | None:
@@ -286,10 +366,10 @@ class _Reader:
             number, is_hex, remark = parse_integer(field.text, self._node_id)
             limit, fit_remark = fit(number, data_type, is_hex)
         except ValueError as error:
-            self._text.warn(field.line, f"{error}; this limit is left out")
+            self._warn(field.line, f"{error}; this limit is left out")
             return None
         if remark or fit_remark:
-            self._text.warn(field.line, f"{field.text!r}: {remark or fit_remark}")
+            self._warn(field.line, f"{field.text!r}: {remark or fit_remark}")
         return limit
 
     # --- fields
@@ -305,7 +385,7 @@ class _Reader:
             remedy = f"write a number behind {key}"
             raise EdsError(self._text.path, field.line, str(error), remedy) from None
         if remark:
-            self._text.warn(field.line, f"{field.text!r}: {remark}")
+            self._warn(field.line, f"{field.text!r}: {remark}")
         return number
 
     def _error(self, field: Field, text: str, remedy: str) -> EdsError:

@@ -95,15 +95,28 @@ def matters(section: str, key: str) -> bool:
     return section == "dummyusage" or _VALUES.fullmatch(section) is not None
 
 
+def read_file(path: Path) -> bytes:
+    """What is in the file.
+
+    Raises:
+        EdsError: it cannot be read.
+    """
+    try:
+        return path.read_bytes()
+    except OSError as error:
+        reason = error.strerror or type(error).__name__
+        raise EdsError(path, 0, f"cannot be read: {reason}", "check the path") from None
+
+
 @final
 class EdsText:
     """A file's sections by name, and what had to be repaired to get them."""
 
-    def __init__(self, path: Path) -> None:
+    def __init__(self, path: Path, data: bytes) -> None:
         self.path = path
         self.sections: dict[str, Section] = {}
         self.warnings: list[EdsWarning] = []
-        lines = list(enumerate(_ENDS.split(self._decoded()), start=1))
+        lines = list(enumerate(_ENDS.split(self._decoded(data)), start=1))
         current = Section("", 0)
         for number, line in self._without_conflicts(lines):
             current = self._take(number, line, current)
@@ -114,12 +127,7 @@ class EdsText:
         """Remember something that was repaired or left out."""
         self.warnings.append((self.path, line, text))
 
-    def _decoded(self) -> str:
-        try:
-            data = self.path.read_bytes()
-        except OSError as error:
-            reason = error.strerror or type(error).__name__
-            raise EdsError(self.path, 0, f"cannot be read: {reason}", "check the path") from None
+    def _decoded(self, data: bytes) -> str:
         if data[:2] in (b"\xff\xfe", b"\xfe\xff"):
             return data.decode("utf-16", "replace")
         if b"\0" in data:
