@@ -12,7 +12,7 @@ from typing import Final, final
 from emulators.firmware import profile, servo
 from emulators.firmware.flags import IN_TARGET_WINDOW, IN_VELOCITY_WINDOW, PROFILE_ACTIVE
 from emulators.firmware.gains import ServoGains
-from emulators.firmware.servo_tables import ServoTables
+from emulators.firmware.servo_tables import tables_of
 from emulators.firmware.timeline import RESTS, Timeline
 from emulators.plant.dc_motor import PI, MotorPlant
 
@@ -61,7 +61,7 @@ class Axis:
             *(False, 0.0, 0.0, plant.current_max_a),
         )
         self._time = Timeline(
-            ServoTables(plant, gains, tick_ns, current_steps),
+            tables_of(plant, gains, tick_ns, current_steps),
             plant.load_torque_n_m,
             self._windows,
             self._orders,

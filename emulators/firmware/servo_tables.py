@@ -16,7 +16,8 @@ The step, with voltage v held by the power stage for one period h of the current
 A tick's map acts on z = (current, u, speed, position, wanted current, torque).
 """
 
-from typing import Final
+from functools import lru_cache
+from typing import Final, final
 
 from emulators.firmware.gains import ServoGains
 from emulators.plant.dc_motor import MotorPlant
@@ -45,8 +46,17 @@ _DOUBLINGS: Final = 40
 _SLACK: Final = 1.0 + 1e-9  # guards must hold in rounded arithmetic too
 
 
+@lru_cache(maxsize=64)
+def tables_of(
+    plant: MotorPlant, gains: ServoGains, tick_ns: int, current_steps: int
+) -> "ServoTables":
+    """The tables of such an axis, shared by all that are alike. Raises as `ServoTables`."""
+    return ServoTables(plant, gains, tick_ns, current_steps)
+
+
+@final
 class ServoTables:
-    """Everything constant about one axis' stepping.
+    """Everything constant about one axis' stepping; never changes.
 
     Raises:
         ValueError: the gains make the current loop unstable.
