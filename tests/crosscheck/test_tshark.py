@@ -67,7 +67,8 @@ def to_pcap(record: Path, target: Path) -> None:
     with record.open("rb") as file:
         reader = make_reader(file, decoder_factories=[DecoderFactory()])
         for _, _, message, can in reader.iter_decoded_messages(topics=["/can/can0"]):
-            assert not (can.extended or can.remote)
+            assert not can.extended
+            assert not can.remote
             packet = struct.pack(">IB3x", can.id, len(can.data)) + can.data
             seconds, rest_ns = divmod(message.log_time, 1_000_000_000)
             rows.append(struct.pack("<IIII", seconds, rest_ns, len(packet), len(packet)) + packet)
