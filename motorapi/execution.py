@@ -25,7 +25,7 @@ from motorapi.errors import (
     StateError,
     UsageError,
 )
-from motorapi.sharing import Run, RunStatus, Turns, trigger_turns
+from motorapi.sharing import News, Run, RunStatus, Turns, trigger_turns
 from motorapi.state import Fault, MotorState
 from motorapi.synchronization import SyncLevel, Trigger
 from motorapi.trajectory import TrapezoidalTrajectory
@@ -304,7 +304,7 @@ def wait_for_all(motors: Sequence["Motor"], timeout_s: float | None) -> None:
     """
     if timeout_s is not None and not timeout_s >= 0.0:
         raise UsageError(f"timeout_s = {timeout_s}: must be a number of seconds >= 0")
-    waiting = [(motor, motor._run) for motor in motors]
+    waiting = [_Awaited(motor) for motor in motors]
     runtime = motors[0].runtime
     deadline_ns: int | None = None
     if timeout_s is not None:
@@ -312,11 +312,14 @@ def wait_for_all(motors: Sequence["Motor"], timeout_s: float | None) -> None:
 
     def all_over() -> bool:
         nonlocal waiting
-        waiting = [(motor, run) for motor, run in waiting if not _is_over(motor, run)]
+        for one in waiting:
+            if one.news.count != one.seen:
+                waiting = [one for one in waiting if not one.is_over()]
+                return not waiting
         return not waiting
 
     while True:
-        again_s = [motor._call(motor._refresh) for motor, run in waiting if run is not None]
+        again_s = [one.motor._call(one.motor._refresh) for one in waiting if one.run is not None]
         pauses_s = [pause_s for pause_s in again_s if pause_s is not None]
         if deadline_ns is not None:
             pauses_s.append(max(0, deadline_ns - runtime.now_ns()) / 1e9)
@@ -328,12 +331,35 @@ def wait_for_all(motors: Sequence["Motor"], timeout_s: float | None) -> None:
             raise failed.error from failed.error.__cause__
         if deadline_ns is not None and runtime.now_ns() >= deadline_ns:
             break
-    names = ", ".join(motor.name for motor, _ in waiting)
     raise DeadlineExceeded(
-        awaited=f"end of motion of {names}",
+        awaited=f"end of motion of {', '.join(one.motor.name for one in waiting)}",
         timeout_s=0.0 if timeout_s is None else timeout_s,
-        last_heard="; ".join(_last_heard(motor) for motor, _ in waiting),
+        last_heard="; ".join(_last_heard(one.motor) for one in waiting),
     )
+
+
+@final
+class _Awaited:
+    """A motor whose run is waited for. Asked at every event, so it answers fast."""
+
+    __slots__ = ("counts", "motor", "news", "run", "seen")
+
+    def __init__(self, motor: "Motor") -> None:
+        self.motor = motor
+        self.run = motor._run
+        self.counts = motor._physical.news is not None
+        self.news = motor._physical.news or News()
+        self.seen = -1  # of the news; stays so, if nobody counts them
+
+    def is_over(self) -> bool:
+        if self.counts:
+            if self.news.count == self.seen:
+                return False
+            self.seen = self.news.count
+        try:
+            return self.motor._look(self.run)
+        except Exception as error:
+            raise _MemberFailed(self.motor, error) from error
 
 
 @final
@@ -342,13 +368,6 @@ class _MemberFailed(Exception):  # noqa: N818 -- never leaves this module
         super().__init__()
         self.motor = motor
         self.error = error
-
-
-def _is_over(motor: "Motor", run: Run | None) -> bool:
-    try:
-        return motor._look(run)
-    except Exception as error:
-        raise _MemberFailed(motor, error) from error
 
 
 def _stop_others(motors: Sequence["Motor"], failed: _MemberFailed) -> None:

@@ -121,6 +121,16 @@ class Run:
 
 
 @final
+class News:
+    """How often what is known of a physical motor has changed. Whoever changes it counts."""
+
+    __slots__ = ("count",)
+
+    def __init__(self) -> None:
+        self.count = 0
+
+
+@final
 class PhysicalMotor:
     """The record of one physical motor in this process. `label` is its name for people."""
 
@@ -132,6 +142,9 @@ class PhysicalMotor:
         self.run: Run | None = None
         self.interruptions = 0
         """Grows with every stop, quick stop and halt, so that a start in progress notices."""
+        self.news: News | None = None
+        """Set by a hardware object that counts in it every change of what `_is_done` looks at; the
+        hook is then asked only when it has grown. None: it is asked after every event."""
         self._owner: object = None
         self._turns = Turns(label)
 
@@ -149,6 +162,7 @@ class PhysicalMotor:
         if run is not None and run.interrupted_by is None:
             if status is RunStatus.DONE and run.ends:
                 run.finished = True
+                self._count_news()
             going_on = status is not RunStatus.FAILED and not run.finished
             if going_on and run.owner is not owner:
                 raise MotorBusyError(motor=motor, holder=run.name, since_ns=run.since_ns)
@@ -168,7 +182,12 @@ class PhysicalMotor:
             if status is RunStatus.DONE and run.ends and run.interrupted_by is None:
                 run.finished = True
             run.interrupt(by, now_ns)
+            self._count_news()
         self.run = None
+
+    def _count_news(self) -> None:
+        if self.news is not None:
+            self.news.count += 1
 
 
 _triggers: Final["weakref.WeakValueDictionary[tuple[Runtime, Hashable], Turns]"] = (

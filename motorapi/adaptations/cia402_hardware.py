@@ -95,6 +95,7 @@ class Cia402HwMotor:
             quarantine_s=self.options.sdo_quarantine_s,
             heartbeat_timeout_ms=self.options.heartbeat_timeout_ms,
         )
+        self.physical.news = self.node.news
         self.objects: Final = DriveObjects(self.node, self.physical)
         self._setting_up = TurnLock(runtime)
         self.control: Final = DriveControl(self.link, self.node, self.objects)
@@ -222,6 +223,7 @@ class Cia402HwMotor:
     def follow(self, watch: "MotionWatch | None") -> None:
         """Every status from now on is shown to `watch`."""
         self.node.watch = watch
+        self.node.news.count += 1
 
     # --- commanding, the common part; the rest is in `control` ------------------------------
 

@@ -22,6 +22,7 @@ from motorapi.adaptations.cia402_objects import (
     type_of,
 )
 from motorapi.errors import DeadlineExceeded, DeviceFault, LinkError, MotionInterrupted
+from motorapi.sharing import News
 
 if TYPE_CHECKING:
     from motorapi.adaptations.motion_watch import MotionWatch
@@ -61,6 +62,7 @@ class DriveNode:
         boots: how often it was heard to boot; whoever configured it compares.
         lost_since_ns: since when it is not heard, None while it is.
         malformed: frames of a wrong length.
+        news: counts what may change whether a motion is over.
     """
 
     def __init__(
@@ -86,6 +88,7 @@ class DriveNode:
         self.values: dict[tuple[int, int], int] = {}
         self.status_is_cyclic = False
         self.watch: MotionWatch | None = None
+        self.news = News()
         self.fault_since_ns: int | None = None
         self.emergencies: deque[Emergency] = deque(maxlen=_EMERGENCIES_MAX)
         self.nmt_state: int | None = None
@@ -124,6 +127,7 @@ class DriveNode:
             self._new_statusword(word, time_ns)
         if self.watch is not None:
             self.watch.see(word, position_inc, time_ns)
+            self.news.count += 1
 
     def take_status(self, word: int, position_inc: int, time_ns: int) -> None:
         """A status that came in another way than the usual TPDO."""
@@ -133,8 +137,10 @@ class DriveNode:
             self._new_statusword(word, time_ns)
         if self.watch is not None:
             self.watch.see(word, position_inc, time_ns)
+            self.news.count += 1
 
     def _new_statusword(self, word: int, time_ns: int) -> None:
+        self.news.count += 1
         self._word = self.statusword = word
         if word & FAULT_BIT:
             if self.fault_since_ns is None:
@@ -155,6 +161,7 @@ class DriveNode:
         if frame[4] != 1:
             self.malformed += 1
             return
+        self.news.count += 1
         state = frame[8] & 0x7F
         if state == 0:
             self.boots += 1
@@ -177,15 +184,18 @@ class DriveNode:
 
     def _fell_silent(self) -> None:
         if self.lost_since_ns is None:
+            self.news.count += 1
             self.lost_since_ns = self.link.runtime.now_ns()
 
     def may_change_state(self) -> None:
         """It is being brought up: booting, and other NMT states, are no loss."""
+        self.news.count += 1
         self._watches_nmt = self._was_operational = False
         self._boots_known = self.boots
 
     def stays_operational(self) -> None:
         """It is up: from the first heartbeat that says OPERATIONAL on, any other is a loss."""
+        self.news.count += 1
         self._watches_nmt = True
         self._boots_known = self.boots
 

@@ -1,0 +1,61 @@
+"""A hardware object that counts its news is asked when there are some, and only then."""
+
+import pytest
+
+from motorapi import ControlMode
+from motorapi.errors import DeadlineExceeded, MotionInterrupted
+from motorapi.sharing import News
+from tests.motorapi.ideal import IdealMotor
+
+
+@pytest.fixture
+def asked(runtime, motor, monkeypatch):
+    """When the motor's `_is_done` was asked [ns]; time stops every 1 ms."""
+    times_ns = []
+    is_done = IdealMotor._is_done
+
+    def counted(self):
+        times_ns.append(runtime.now_ns())
+        return is_done(self)
+
+    monkeypatch.setattr(IdealMotor, "_is_done", counted)
+    runtime.every(0.001, lambda: None)
+    motor._physical.news = News()
+    motor.set_control_mode(ControlMode.SETPOINT)
+    motor.set_setpoint(1.0)  # takes 1 s
+    motor.start()
+    times_ns.clear()
+    return times_ns
+
+
+def tell(runtime, motor):
+    motor._physical.news.count += 1
+
+
+def test_news_are_looked_at_in_the_event_that_brings_them(runtime, motor, asked):
+    runtime.every(0.3, lambda: tell(runtime, motor))
+    motor.wait_until_done(timeout_s=2.0)
+    assert runtime.now_ns() == 1_200_000_000
+    assert sorted(set(asked)) == [0, 300_000_000, 600_000_000, 900_000_000, 1_200_000_000]
+
+
+def test_who_never_tells_is_not_asked(motor, asked):
+    with pytest.raises(DeadlineExceeded):
+        motor.wait_until_done(timeout_s=2.0)
+    assert set(asked) == {0}
+
+
+def test_who_does_not_count_is_asked_at_every_event(runtime, motor, asked):
+    motor._physical.news = None
+    motor.wait_until_done(timeout_s=2.0)
+    assert runtime.now_ns() == 1_000_000_000
+    assert len(asked) > 900
+
+
+def test_a_stop_by_somebody_else_is_news(runtime, hw, motor, asked):
+    other = IdealMotor(hw, name="other")
+    party = runtime.spawn("stop", lambda: (runtime.run_for(0.5), other.stop()))
+    with pytest.raises(MotionInterrupted, match="other"):
+        motor.wait_until_done(timeout_s=2.0)
+    assert 500_000_000 <= runtime.now_ns() < 502_000_000
+    assert party.join(1.0)
