@@ -22,6 +22,7 @@ from emulators.hub_protocol import (
 from emulators.world import HostPort, World
 
 _BACKLOG_MAX: Final = 1_000_000
+CLIENTS_MAX: Final = 256  # select() takes no descriptor above 1023
 
 
 class HubError(Exception):
@@ -54,7 +55,15 @@ class _Client:
                 if not self._greet(record):
                     return False
             elif record[0] == SUBMIT and len(record) == 17:
-                self._port.send(record[1:])
+                try:
+                    self._port.send(record[1:])
+                except ValueError as error:  # no frame that a bus could carry
+                    self.refuse(f"frame {record[1:].hex()}: {error}")
+                    return False
+
+    def refuse(self, reason: str) -> None:
+        """It knows why it has to go."""
+        self._send(REFUSED + reason.encode())
 
     def _greet(self, record: bytes) -> bool:
         words = record.decode("utf-8", "replace").split(" ", 3)
@@ -65,7 +74,7 @@ class _Client:
         elif words[2] and words[2] not in names:
             refusal = f"no bus {words[2]!r} here; there is {', '.join(names)}"
         if refusal:
-            self._send(REFUSED + refusal.encode())
+            self.refuse(refusal)
             return False
         bus = words[2] or names[0]
         self._send(WELCOME + bus.encode())
@@ -121,6 +130,10 @@ class HubServer:
         self.path = Path(path)
         self._world = world
         self._clients: dict[socket.socket, _Client] = {}
+        if "#" in str(self.path):
+            raise HubError(
+                f"{self.path}: clients write PATH#BUS, so a path has no '#'; choose another path"
+            )
         self._listener = socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET)
         try:
             self._clear_stale()
@@ -129,6 +142,7 @@ class HubServer:
                 self._listener.bind(str(self.path))
             finally:
                 os.umask(mask)
+            self._inode = self.path.lstat().st_ino
             self._listener.listen(64)
             self._listener.setblocking(False)
         except OSError as error:
@@ -169,12 +183,22 @@ class HubServer:
     def readable(self, source: socket.socket) -> None:
         """A client has come, spoken or gone."""
         if source is self._listener:
-            with contextlib.suppress(BlockingIOError):
-                connection, _ = self._listener.accept()
-                connection.setblocking(False)
-                self._clients[connection] = _Client(connection, self._world)
+            self._accept()
         elif source in self._clients and not self._clients[source].readable():
             self._drop(source)
+
+    def _accept(self) -> None:
+        try:
+            connection, _ = self._listener.accept()
+        except OSError:  # it has left again, or this process may open no more: it waits
+            return
+        connection.setblocking(False)
+        client = _Client(connection, self._world)
+        if len(self._clients) < CLIENTS_MAX:
+            self._clients[connection] = client
+        else:
+            client.refuse(f"{len(self._clients)} programs are connected, and no more can be")
+            client.close()
 
     def backlogged(self) -> bool:
         """Whether a client has frames to take."""
@@ -189,4 +213,5 @@ class HubServer:
             self._drop(connection)
         self._listener.close()
         with contextlib.suppress(FileNotFoundError):
-            self.path.unlink()
+            if self.path.lstat().st_ino == self._inode:  # not another hub's by now
+                self.path.unlink()

@@ -9,6 +9,7 @@ then, for as long as it lasts, binary records:
     client -> hub   SUBMIT  | can_frame (16)
     hub -> client   HEARD   | time_ns (i64, little-endian) | can_frame      somebody else's frame
                     SENT    | time_ns | can_frame                           an own one, transmitted
+A client that sends what no bus can carry is told `refused REASON` once more, and disconnected.
 Kinds 16 and up are free for sharing one virtual clock later; a receiver ignores kinds it does not
 know.
 """

@@ -5,6 +5,7 @@ import select
 import socket
 import sys
 import time
+from contextlib import suppress
 from pathlib import Path
 from typing import Final, final
 
@@ -14,6 +15,7 @@ from emulators.hub_protocol import (
     GREETING,
     HEARD,
     RECORD_MAX,
+    REFUSED,
     SENT,
     WELCOME,
     pack_submit,
@@ -39,8 +41,9 @@ class HubLink:
             self._socket.settimeout(_GREETING_TIMEOUT_S)
             self._socket.connect(path)
             name = f"{Path(sys.argv[0] or 'python').name}[{os.getpid()}]".replace(" ", "_")
-            self._socket.send(GREETING + f"{bus} {name}".encode())
-            answer = self._socket.recv(RECORD_MAX)
+            with suppress(BrokenPipeError):  # then it has said why, and left
+                self._socket.send(GREETING + f"{bus} {name}".encode())
+            answer = self._read()
         except OSError as error:
             self._socket.close()
             reason = error.strerror or "no answer"
@@ -50,7 +53,8 @@ class HubLink:
             ) from None
         if not answer.startswith(WELCOME):
             self._socket.close()
-            raise CanInitializationError(f"{path}: {answer.decode('utf-8', 'replace')}")
+            reason = answer.decode("utf-8", "replace") or "it has closed the connection"
+            raise CanInitializationError(f"{path}: {reason}")
         self.bus = answer[len(WELCOME) :].decode()
         self._path = path
         self._socket.setblocking(True)
@@ -82,14 +86,24 @@ class HubLink:
             try:
                 if not select.select([self._socket], [], [], left_s)[0]:
                     return None
-                record = self._socket.recv(RECORD_MAX)
+                record = self._read()
             except (OSError, ValueError) as error:
                 raise self._gone() from error
             if not record:
                 raise self._gone()
+            if record.startswith(REFUSED):
+                reason = record[len(REFUSED) :].decode("utf-8", "replace")
+                raise CanOperationError(f"{self._path}: {reason}; the hub has disconnected us")
             if record[0] in (HEARD, SENT):
                 kind, time_ns, frame = unpack_told(record)
                 return frame, time_ns, kind == SENT
+
+    def _read(self) -> bytes:
+        """The next record; empty if the hub has gone and left none."""
+        try:
+            return self._socket.recv(RECORD_MAX)
+        except ConnectionResetError:  # it left without reading all; what it said before is there
+            return self._socket.recv(RECORD_MAX)
 
     def _gone(self) -> CanOperationError:
         return CanOperationError(f"{self._path}: the hub has closed the connection")

@@ -1,4 +1,5 @@
 import contextlib
+import os
 import socket
 import threading
 
@@ -149,3 +150,55 @@ def test_a_path_too_long_is_told_with_the_limit(tmp_path):
     world.add_bus(CanBus("can0"))
     with pytest.raises(HubError, match="107 bytes"):
         HubServer(tmp_path / ("x" * 120), world)
+
+
+NO_FRAMES = {
+    "an error message": b"\x00\x00\x00\x20\x08".ljust(16, b"\x00"),
+    "more bytes than eight": b"\x01\x00\x00\x00\x40".ljust(16, b"\x00"),
+    "more than 11 bits": b"\x00\x08\x00\x00\x00".ljust(16, b"\x00"),
+}
+
+
+@pytest.mark.parametrize("frame", NO_FRAMES.values(), ids=NO_FRAMES)
+def test_who_sends_what_no_bus_carries_is_told_so_and_the_others_stay(path, frame):
+    with serving(path, Echo(0x180)), can.Bus(interface="emulated", channel=path) as bus:
+        with can.Bus(interface="emulated", channel=path) as broken:
+            broken.transmit(frame)
+            with pytest.raises(can.CanOperationError, match=f"{path}: frame {frame.hex()}: "):
+                broken.recv(5.0)
+        bus.send(message(0x100, b"\x2a"))
+        assert bytes(bus.recv(5.0).data) == b"\x2a"
+
+
+def test_there_is_room_for_many_and_the_next_is_told_so(path, monkeypatch):
+    monkeypatch.setattr("emulators.hub.CLIENTS_MAX", 2)
+    with (
+        serving(path, Echo(0x180)),
+        can.Bus(interface="emulated", channel=path) as bus,
+        can.Bus(interface="emulated", channel=path),
+    ):
+        with pytest.raises(can.CanInitializationError, match="2 programs are connected"):
+            can.Bus(interface="emulated", channel=path)
+        bus.send(message(0x100, b"\x2a"))
+        assert bytes(bus.recv(5.0).data) == b"\x2a"
+
+
+def test_a_path_that_would_read_as_path_and_bus_is_refused(tmp_path):
+    world = World(EventQueue())
+    world.add_bus(CanBus("can0"))
+    with pytest.raises(HubError, match=r"a#b.*'#'"):
+        HubServer(tmp_path / "a#b", world)
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_hub_takes_only_its_own_socket_away(path):
+    queue = EventQueue()
+    world = World(queue)
+    world.add_bus(CanBus("can0"))
+    first = HubServer(path, world)
+    os.unlink(path)  # somebody tidied up
+    second = HubServer(path, world)
+    first.close()
+    assert os.path.exists(path)
+    second.close()
+    assert not os.path.exists(path)
