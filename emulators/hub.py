@@ -143,7 +143,7 @@ class HubServer:
             finally:
                 os.umask(mask)
             self._inode = self.path.lstat().st_ino
-            self._listener.listen(64)
+            self._listener.listen(CLIENTS_MAX)
             self._listener.setblocking(False)
         except OSError as error:
             self._listener.close()
