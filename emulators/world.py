@@ -284,10 +284,6 @@ class World:
         """The controller itself."""
         return self._slots[name].controller
 
-    def controller_names(self) -> list[str]:
-        """In the order of adding."""
-        return list(self._slots)
-
     def stimulate(self, name: str, stimulus: str, value: float) -> None:
         """A physical input of the controller has this value from now on."""
         slot = self._slots[name]

@@ -258,11 +258,6 @@ class Table:
             )
         return Table(self.source, (*self.path, key), value)
 
-    def named_tables(self, key: str) -> "Sequence[tuple[str, Table]]":
-        """The tables inside a table, with their names, in the order of the file."""
-        outer = self.table(key)
-        return [(name, outer.table(name)) for name in outer.values]
-
     def listed_tables(self, key: str) -> "list[Table]":
         """The tables of an array of tables; none if the key is not there."""
         value = self.values.get(key, [])

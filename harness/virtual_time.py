@@ -88,7 +88,6 @@ class Periodic:
         self._period_ns = period_ns
         self._action = action
         self._alarm: Alarm = runtime.queue.alarm(self._expire)
-        self._cancelled = False
         self._alarm.set(runtime.queue.now_ns + period_ns)
 
     def _expire(self, now_ns: int) -> None:
@@ -97,7 +96,6 @@ class Periodic:
 
     def cancel(self) -> None:
         """It does not run again."""
-        self._cancelled = True
         self._alarm.set(None)
 
 

@@ -15,7 +15,6 @@ Source: Biagiotti & Melchiorri, Trajectory Planning for Automatic Machines and R
 trapezoidal velocity profile; asymmetric ramps follow the same way.
 """
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from math import isfinite, sqrt
 from typing import final
@@ -129,17 +128,6 @@ def stretched(
     peak = 2.0 * way / (duration_s + sqrt(max(rest, 0.0)))
     plateau_s = max(0.0, way / peak - k * peak)
     return _trapezoid(distance, peak, acceleration, deceleration, plateau_s)
-
-
-def common_duration_s(shortest_s: Sequence[float]) -> float:
-    """The time in which all of several moves can be made: that of the slowest [s], >= 0.
-
-    Raises:
-        UsageError: there is no move.
-    """
-    if not shortest_s:
-        raise UsageError("there is no move whose duration could be common")
-    return max(shortest_s)
 
 
 def _ramp_time(acceleration: float, deceleration: float) -> float:

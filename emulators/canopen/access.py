@@ -33,7 +33,7 @@ class DictionaryAccess:
         variable = self._od.get(index, subindex)
         if variable is None:
             return self._absent(index)
-        if variable.access == "wo":
+        if not variable.is_readable():
             return AbortCode.WRITE_ONLY
         if index == 0x1003 and subindex > self._od.integer(0x1003, 0, 0):
             return AbortCode.NO_DATA

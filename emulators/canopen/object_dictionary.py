@@ -216,7 +216,7 @@ class Variable:
         self.writer: Writer | None = None
 
     def is_readable(self) -> bool:
-        """Whether SDO upload and TPDOs may have it."""
+        """Whether SDO upload may have it (what PDOs may map is in pdo_mapping)."""
         return self.access != "wo"
 
     def is_writable(self) -> bool:

@@ -152,10 +152,6 @@ class Axis:
         """The load's torque at the output, as set."""
         return self._load_torque_n_m
 
-    def position_offset_inc(self) -> int:
-        """What is added to the encoder's own position."""
-        return self._offset_inc
-
     # --- commands, from the tick after the last at() ----------------------------------------------
 
     def power(self, on: bool) -> None:
@@ -305,10 +301,6 @@ class Axis:
     def set_position(self, position_inc: int) -> None:
         """The present position is called `position_inc` from now on; nothing moves (homing)."""
         self._offset_inc = position_inc - int(self._time.state[servo.I_COUNT])
-
-    def set_position_offset(self, offset_inc: int) -> None:
-        """Positions are the encoder's own plus this from now on; nothing moves."""
-        self._offset_inc = offset_inc
 
     # --- inside ----------------------------------------------------------------------------------
 

@@ -39,12 +39,6 @@ _ABORT_TEXT: Final[dict[int, str]] = {
     0x0800_0024: "no data available",
 }
 
-ABSENT: Final = frozenset({0x0602_0000, 0x0609_0011})
-"""Abort codes that say: this drive has no such object, or no such sub-index."""
-
-BAD_VALUE: Final = frozenset({0x0609_0030, 0x0609_0031, 0x0609_0032})
-"""Abort codes that say: this drive takes no such value."""
-
 
 @final
 class SdoAborted(PeerError):  # noqa: N818

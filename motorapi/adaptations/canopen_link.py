@@ -149,10 +149,6 @@ class CanopenLink:
         """Frames with this identifier go to nobody."""
         self._handlers.pop(_ID.pack(can_id), None)
 
-    def is_handled(self, can_id: int) -> bool:
-        """Whether somebody on this link takes frames with this identifier."""
-        return _ID.pack(can_id) in self._handlers
-
     def send(self, frame: bytes) -> None:
         """The frame waits its turn on the bus.
 

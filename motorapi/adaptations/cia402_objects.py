@@ -103,7 +103,6 @@ _FORMATS: Final[dict[str, struct.Struct]] = {
     "f32": struct.Struct("<f"),
     "f64": struct.Struct("<d"),
 }
-TYPES: Final = (*_FORMATS, "string", "bytes")
 
 # name: (index, sub-index, type), spelt as the standard spells it
 OBJECTS: Final[dict[str, tuple[int, int, str]]] = {

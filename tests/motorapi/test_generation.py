@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from motorapi.errors import UsageError
-from motorapi.generation import common_duration_s, shortest, stretched
+from motorapi.generation import shortest, stretched
 
 SIZE = st.floats(1e-3, 1e3)
 WAY = st.floats(-1e4, 1e4).filter(lambda way: way == 0.0 or abs(way) > 1e-6)
@@ -132,9 +132,3 @@ def test_bad_limits_are_refused(bad, place):
 def test_bad_distance_is_refused(bad):
     with pytest.raises(UsageError):
         shortest(bad, 1.0, 1.0, 1.0)
-
-
-def test_common_duration_is_that_of_the_slowest():
-    assert common_duration_s([1.0, 3.0, 2.0]) == 3.0
-    with pytest.raises(UsageError):
-        common_duration_s([])

@@ -442,7 +442,6 @@ def test_a_new_zero_moves_nothing_and_later_moves_count_from_it():
     truth = axis.output_position_rad()
     axis.set_position(0)
     assert axis.position_inc() == axis.demand_inc() == axis.target_inc() == 0
-    assert axis.position_offset_inc() == -500
     axis.at(200 * MS)
     assert axis.output_position_rad() == truth
     axis.move_to(132_000, 100_000.0, 1e6, 1e6)
@@ -450,8 +449,6 @@ def test_a_new_zero_moves_nothing_and_later_moves_count_from_it():
     assert axis.position_inc() == 132_000
     turn = axis.output_position_rad() - truth  # 2000 inc/rev * gear 66: one turn
     assert turn == pytest.approx(2 * math.pi, abs=2 * math.pi / 132_000)
-    axis.set_position_offset(0)
-    assert axis.position_inc() == 132_500
 
 
 def test_the_truth_starts_at_the_initial_position():
