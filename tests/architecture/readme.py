@@ -1,6 +1,7 @@
 """README as a story that runs: its fenced blocks, one after another, in one empty folder.
 
-python -m tests.architecture.readme       runs it and writes into README what really comes
+python -m tests.architecture.readme       runs it, writes into README what really comes, and draws
+                                          its picture of the demo anew
 
 A block of Python or shell is run; a `text` block right behind it is what it prints, errors
 included, in the order of a terminal. In between, and before a block, comments say what is special:
@@ -23,9 +24,11 @@ import tempfile
 from dataclasses import dataclass, field
 from pathlib import Path
 
+from tests.architecture import rover_picture
 from tests.architecture.checkout import CHECKOUT
 
 README = CHECKOUT / "README.md"
+PICTURE = CHECKOUT / "docs" / "rover.svg"
 FENCE = re.compile(r"^```(\w*)$")
 COMMENT = re.compile(r"^<!-- ([a-z ]+): (.*) -->$")
 RUN = ("bash", "python")
@@ -189,6 +192,8 @@ def main():
                 sys.exit(f"{block}: exit status {status}\n{printed}")
             if told is not None and "not run" not in block.special and not is_told(told, printed):
                 changes.append((told, retold(told, printed)))
+        drawn = rover_picture.draw(Path(name) / "work" / "out" / "demo.mcap")
+    PICTURE.write_text(drawn, encoding="utf-8")
     for told, new in reversed(changes):
         lines[told.first : told.first + len(told.lines)] = new
     README.write_text("\n".join(lines) + "\n", encoding="utf-8")

@@ -2,7 +2,6 @@
 
 import ast
 import re
-import subprocess
 import tempfile
 from pathlib import Path
 from xml.etree import ElementTree
@@ -13,7 +12,7 @@ import motorapi.errors
 from harness.cli import main as motorhil
 from tests.architecture import rover_picture
 from tests.architecture.checkout import CHECKOUT
-from tests.architecture.readme import README, blocks_of, is_told, retold, run, steps_of
+from tests.architecture.readme import PICTURE, README, blocks_of, is_told, retold, run, steps_of
 
 TEXT = README.read_text(encoding="utf-8")
 PROSE = re.sub(r"^```.*?^```$", "", TEXT, flags=re.DOTALL | re.MULTILINE)
@@ -52,12 +51,9 @@ def test_a_block_runs_and_prints_what_is_shown(story, number):
 
 
 def test_every_block_of_commands_python_and_toml_is_part_of_the_story():
-    ran = [id(block) for block, _ in STEPS]
-    blocks = blocks_of(TEXT)
-    # steps_of makes its own blocks: they are the same ones by place
     places = [block.first for block, _ in STEPS]
-    assert len(ran) > 15
-    for block in blocks:
+    assert len(places) > 15
+    for block in blocks_of(TEXT):
         assert block.language in ("bash", "python", "toml", "text"), str(block)
         assert block.language == "text" or block.first in places, str(block)
         assert "not run" not in block.special, f"{block}: everything can be run so far"
@@ -163,17 +159,16 @@ def texts(svg):
 
 
 def test_the_picture_is_of_the_demo_that_runs_today(story):
-    committed = (CHECKOUT / "docs/rover.svg").read_text(encoding="utf-8")
+    committed = PICTURE.read_text(encoding="utf-8")
     drawn = rover_picture.draw(story[1] / "out/demo.mcap")
-    again = (
-        "motorhil demo && python -m tests.architecture.rover_picture out/demo.mcap docs/rover.svg"
-    )
+    again = "python -m tests.architecture.readme draws what comes"
     assert texts(committed) == texts(drawn), again
     pairs = list(zip(polylines(committed), polylines(drawn), strict=True))
     assert len(pairs) == 40  # 3 x 6 curves, pan and tilt, and their keys
     for (colour, box), (other_colour, other_box) in pairs:
         assert colour == other_colour, again
-        assert all(abs(a - b) < 3.0 for a, b in zip(box, other_box, strict=True)), again
+        # Two increments of a following error, a tenth of a panel: what a tuned gain may change.
+        assert all(abs(a - b) < 12.0 for a, b in zip(box, other_box, strict=True)), again
 
 
 # --- that the test of a block can fail
@@ -215,7 +210,3 @@ def test_a_failing_block_fails(tmp_path):
     assert run(found, tmp_path)[0] == 1
     (found,) = blocks_of("```bash\nmake no-such-target\n```\n")
     assert run(found, tmp_path)[0] != 0
-
-
-def test_the_shell_is_there():
-    assert subprocess.run(["bash", "-c", "true"], check=False).returncode == 0
