@@ -109,7 +109,10 @@ def parse_value(text: str, data_type: int, node_id: int) -> tuple[Value, str]:
     """
     if is_integer(data_type):
         number, is_hex, remark = parse_integer(text, node_id)
-        value, fit_remark = fit(number, data_type, is_hex)
+        try:
+            value, fit_remark = fit(number, data_type, is_hex)
+        except ValueError as error:
+            raise ValueError(f"{text!r}: {error}") from None
         return value, remark or fit_remark
     if data_type in (DataType.REAL32, DataType.REAL64):
         return _real(text, data_type)
