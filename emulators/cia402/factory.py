@@ -13,8 +13,8 @@ from emulators.canopen.object_dictionary import (
     length_bits,
 )
 from emulators.cia402.drive import Cia402Drive
-from emulators.cia402.objects import EMULATED_MASK, DriveObjects
-from emulators.cia402.settings import DriveSettings, read_settings
+from emulators.cia402.objects import DriveObjects
+from emulators.cia402.settings import EMULATED_MODES, MODES, DriveSettings, read_settings
 from emulators.controller import Controller, ControllerContext, SettingError
 
 _ABSENT: Final = -(1 << 70)
@@ -27,7 +27,6 @@ _COMMUNICATION: Final[dict[tuple[int, int], DataType]] = {
     (0x1017, 0): DataType.UNSIGNED16,
     (0x1029, 1): DataType.UNSIGNED8,
 }
-_MODE_NAMES: Final = ("pp", "vl", "pv", "tq", "-", "hm", "ip", "csp", "csv", "cst")
 
 
 def build(settings: Mapping[str, object], context: ControllerContext) -> Controller:
@@ -67,8 +66,8 @@ def build_drive(settings: DriveSettings) -> Cia402Drive:
     if settings.supported_modes is None:
         left_out = [
             name
-            for bit, name in enumerate(_MODE_NAMES)
-            if stated >> bit & 1 and not EMULATED_MASK >> bit & 1
+            for name, mode in MODES.items()
+            if stated >> (mode - 1) & 1 and name not in EMULATED_MODES
         ]
         if left_out:
             text = f"6502h of {settings.eds.name} also names {', '.join(left_out)}: not emulated"

@@ -61,12 +61,6 @@ _WATCHED: Final = (
 )
 
 
-def integer(variable: Variable) -> int:
-    """The whole number a variable holds."""
-    value = variable.value
-    return value if isinstance(value, int) else 0
-
-
 @final
 class Watch:
     """A writer that allows every value and notes that there was one."""
@@ -165,10 +159,10 @@ class DriveObjects:
     def reload(self) -> None:
         """Values have become their defaults (reset node): forget what was written."""
         self.written = 0
-        self.controlword = integer(self._controlword)
-        self.mode = integer(self._mode)
-        self.target_position_raw = integer(self._target_position)
-        self.target_velocity_raw = integer(self._target_velocity)
+        self.controlword = self._controlword.integer()
+        self.mode = self._mode.integer()
+        self.target_position_raw = self._target_position.integer()
+        self.target_velocity_raw = self._target_velocity.integer()
         self.units = self._read_units()
 
     def reload_units(self) -> None:
@@ -189,10 +183,10 @@ class DriveObjects:
     def velocity_max_inc_s(self) -> float:
         """The least of 607Fh, 6080h [motor rpm] and what the supply can turn the motor at."""
         limit = self._velocity_physical_inc_s
-        profile_max = integer(self._velocity_max)
+        profile_max = self._velocity_max.integer()
         if profile_max > 0:
             limit = min(limit, profile_max * self.units.velocity_unit_inc_s)
-        rpm = integer(self._motor_rpm_max)
+        rpm = self._motor_rpm_max.integer()
         if rpm > 0:
             limit = min(limit, rpm * self.settings.plant.encoder_increments_rev / 60.0)
         return limit
@@ -200,36 +194,36 @@ class DriveObjects:
     def profile_velocity_inc_s(self) -> float:
         """6081h, within what the motor may do."""
         return min(
-            integer(self._velocity) * self.units.velocity_unit_inc_s, self.velocity_max_inc_s()
+            self._velocity.integer() * self.units.velocity_unit_inc_s, self.velocity_max_inc_s()
         )
 
     def acceleration_inc_s2(self) -> float:
         """6083h, within 60C5h; always > 0."""
-        raw = integer(self._acceleration)
+        raw = self._acceleration.integer()
         if raw <= 0:
             return self._acceleration_fallback_inc_s2
-        limit = integer(self._acceleration_max)
+        limit = self._acceleration_max.integer()
         return (min(raw, limit) if limit > 0 else raw) * self.units.acceleration_unit_inc_s2
 
     def deceleration_inc_s2(self) -> float:
         """6084h, within 60C6h; 6083h where it is 0 or absent; always > 0."""
-        raw = integer(self._deceleration)
+        raw = self._deceleration.integer()
         if raw <= 0:
             return self.acceleration_inc_s2()
-        limit = integer(self._deceleration_max)
+        limit = self._deceleration_max.integer()
         return (min(raw, limit) if limit > 0 else raw) * self.units.acceleration_unit_inc_s2
 
     def quick_stop_deceleration_inc_s2(self) -> float:
         """6085h; as 6084h where it is 0 or absent; always > 0."""
-        raw = integer(self._quick_deceleration)
+        raw = self._quick_deceleration.integer()
         if raw <= 0:
             return self.deceleration_inc_s2()
         return raw * self.units.acceleration_unit_inc_s2
 
     def within_limits_inc(self, position_inc: int) -> int:
         """The nearest position that 607Dh allows; minimum and maximum 0 mean no limit."""
-        low = integer(self._limit_min)
-        high = integer(self._limit_max)
+        low = self._limit_min.integer()
+        high = self._limit_max.integer()
         if low == 0 and high == 0:
             return position_inc
         low_inc = self.units.position_inc(low)
@@ -238,52 +232,52 @@ class DriveObjects:
 
     def home_offset_inc(self) -> int:
         """607Ch."""
-        return self.units.position_inc(integer(self._home_offset))
+        return self.units.position_inc(self._home_offset.integer())
 
     def homing_method(self) -> int:
         """6098h."""
-        return integer(self._homing_method)
+        return self._homing_method.integer()
 
     def interpolation_ns(self) -> int:
         """60C2h; 0 where it is 0 or absent."""
-        exponent = 9 + integer(self._period_exponent)
-        value = integer(self._period)
+        exponent = 9 + self._period_exponent.integer()
+        value = self._period.integer()
         return value * int(10**exponent) if exponent >= 0 else value // int(10 ** (-exponent))
 
     def relative_to(self) -> int:
         """60F2h bits 0 and 1: 0 the set-point before, 1 the demand, 2 the actual position."""
-        return integer(self._positioning_option) & 3
+        return self._positioning_option.integer() & 3
 
     # --- option codes
 
     def quick_stop_option(self) -> int:
         """605Ah."""
-        return integer(self._quick_stop)
+        return self._quick_stop.integer()
 
     def shutdown_ramps(self) -> bool:
         """605Bh: whether transition 8 brakes first."""
-        return integer(self._shutdown) == 1
+        return self._shutdown.integer() == 1
 
     def disable_ramps(self) -> bool:
         """605Ch: whether transition 5 brakes first."""
-        return integer(self._disable) == 1
+        return self._disable.integer() == 1
 
     def halt_deceleration_inc_s2(self) -> float:
         """605Dh: 2 brakes as a quick stop, everything else on the slow-down ramp."""
-        if integer(self._halt) == 2:
+        if self._halt.integer() == 2:
             return self.quick_stop_deceleration_inc_s2()
         return self.deceleration_inc_s2()
 
     def fault_deceleration_inc_s2(self) -> float | None:
         """605Eh: how a fault brakes; None: it does not, the motor coasts."""
-        option = integer(self._fault_reaction)
+        option = self._fault_reaction.integer()
         if option == 1:
             return self.deceleration_inc_s2()
         return None if option == 0 else self.quick_stop_deceleration_inc_s2()
 
     def abort_connection_option(self) -> int:
         """6007h."""
-        return integer(self._abort_connection)
+        return self._abort_connection.integer()
 
     # --- inside
 
@@ -298,25 +292,25 @@ class DriveObjects:
         """
         ms = 1_000_000
         units = self.units
-        target = integer(self._target_window)
-        following = integer(self._following_window)
+        target = self._target_window.integer()
+        following = self._following_window.integer()
         off = 1 << 62
         return (
             off if target == NO_WINDOW else units.position_inc(target),
-            integer(self._target_ms) * ms,
+            self._target_ms.integer() * ms,
             off if following in (0, NO_WINDOW) else units.position_inc(following),
-            integer(self._following_ms) * ms,
-            integer(self._velocity_window) * units.velocity_unit_inc_s,
-            integer(self._velocity_window_ms) * ms,
-            integer(self._velocity_threshold) * units.velocity_unit_inc_s,
-            integer(self._velocity_threshold_ms) * ms,
+            self._following_ms.integer() * ms,
+            self._velocity_window.integer() * units.velocity_unit_inc_s,
+            self._velocity_window_ms.integer() * ms,
+            self._velocity_threshold.integer() * units.velocity_unit_inc_s,
+            self._velocity_threshold_ms.integer() * ms,
         )
 
     def _ramp(self, index: int) -> Variable:
         """A deceleration: as 6083h by default; hidden, it follows 6083h."""
         visible = self.od.get(index) is not None
         return self.od.ensure(
-            index, 0, _D.UNSIGNED32, integer(self._acceleration) if visible else 0
+            index, 0, _D.UNSIGNED32, self._acceleration.integer() if visible else 0
         )
 
     def _read_units(self) -> Units:
@@ -332,7 +326,7 @@ class DriveObjects:
     def _honest_modes(self) -> int:
         """6502h: what the rig, else the file names, without the modes that have no behaviour."""
         names = self.settings.supported_modes
-        stated = integer(self._supported)
+        stated = self._supported.integer()
         if names is None:
             wanted = stated & _STANDARD_MODES
         else:

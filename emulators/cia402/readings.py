@@ -6,7 +6,7 @@ Every reader answers for the time of the last `axis.at`.
 from typing import Final, final
 
 from emulators.canopen.object_dictionary import ObjectDictionary
-from emulators.cia402.objects import DriveObjects, integer
+from emulators.cia402.objects import DriveObjects
 from emulators.cia402.power_drive import PowerDrive
 from emulators.cia402.units import limited
 from emulators.firmware.axis import Axis
@@ -105,7 +105,7 @@ class Readings:
         return _wrapped(self._axis.demand_inc())
 
     def _per_mille(self, current_a: float) -> int:
-        rated_ma = integer(self._objects.rated_current_ma)
+        rated_ma = self._objects.rated_current_ma.integer()
         return limited(
             current_a * 1e6 / (rated_ma if rated_ma > 0 else self._rated_ma), _INTEGER16_MAX
         )

@@ -18,9 +18,12 @@ from emulators.plant.presets import PRESETS
 DEFAULT_PRESET: Final = "wheel_60w"
 OWN_EDS: Final = Path(__file__).parents[1] / "eds" / "motorhil_cia402.eds"
 
-# 6502h: bit = mode of operation - 1. Those with behaviour so far come first.
-EMULATED_MODES: Final[dict[str, int]] = {"pp": 1, "pv": 3, "hm": 6, "csp": 8}
-OTHER_MODES: Final = ("vl", "tq", "ip", "csv", "cst")
+# 6060h; the bit of a mode in 6502h is one less. Source: CiA 402-2, modes of operation.
+MODES: Final[dict[str, int]] = {
+    **{"pp": 1, "vl": 2, "pv": 3, "tq": 4, "hm": 6},
+    **{"ip": 7, "csp": 8, "csv": 9, "cst": 10},
+}
+EMULATED_MODES: Final[dict[str, int]] = {name: MODES[name] for name in ("pp", "pv", "hm", "csp")}
 
 _KEYS: Final = (
     "node_id",
@@ -163,9 +166,9 @@ def _plant(table: Mapping[str, object]) -> MotorPlant:
             f"give all data-sheet numbers, or start from a preset: {', '.join(PRESETS)}",
         )
     if preset is None and numbers:
-        base = replace(base, **_OPTIONAL)  # type: ignore[arg-type]
+        base = replace(base, **_OPTIONAL)  # type: ignore[arg-type]  # names of its own fields
     try:
-        return replace(base, **numbers)  # type: ignore[arg-type]
+        return replace(base, **numbers)  # type: ignore[arg-type]  # checked above, name by name
     except ValueError as error:
         name = str(error).split(" ", 1)[0]
         raise SettingError(("plant", name), str(error).partition(": ")[2]) from error
@@ -229,10 +232,10 @@ def _modes(table: Mapping[str, object]) -> tuple[str, ...] | None:
         raise SettingError(path, f"{value!r} is no list of modes", f'["pp", "pv"]; {known}')
     names: list[str] = []
     for name in value:
-        if name in OTHER_MODES:
-            raise SettingError(path, f"mode {name} is not emulated", known)
-        if not isinstance(name, str) or name not in EMULATED_MODES:
+        if not isinstance(name, str) or name not in MODES:
             raise SettingError(path, f"there is no mode {name!r}", known)
+        if name not in EMULATED_MODES:
+            raise SettingError(path, f"mode {name} is not emulated", known)
         names.append(name)
     return tuple(names)
 
