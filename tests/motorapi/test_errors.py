@@ -5,20 +5,47 @@ import pytest
 import motorapi
 from motorapi import errors
 
-EXAMPLES = [
-    errors.LimitError(
-        motor="left", quantity="velocity", value=7.0, low=-6.0, high=6.0, unit="rad/s"
+TOLD = [
+    (
+        errors.LimitError,
+        {
+            "motor": "left",
+            "quantity": "velocity",
+            "value": 7.0,
+            "low": -6.0,
+            "high": 6.0,
+            "unit": "rad/s",
+        },
     ),
-    errors.StateError(motor="left", operation="start", state="it moves", remedy="stop() first"),
-    errors.UnsupportedError(motor="left", feature="torque", supported="position"),
-    errors.FileError(path="m.toml", line=3, key="velocity", problem="unknown", remedy="leave it"),
-    errors.MotorBusyError(motor="left", holder="start() of other", since_ns=1_500_000_000),
-    errors.MotionInterrupted(motor="left", by="stop() of other", at_ns=2_000_000_000),
-    errors.DeviceFault(motor="left", code=0x7500, text="communication", since_ns=5),
-    errors.LinkError(link="can0", reason="bus off", since_ns=9),
-    errors.DeadlineExceeded(awaited="end of motion of left", timeout_s=2.0, last_heard="nothing"),
-    errors.PluginError(plugin="MyMotor", where="_arm", problem="KeyError('x')"),
+    (
+        errors.StateError,
+        {"motor": "left", "operation": "start", "state": "it moves", "remedy": "stop() first"},
+    ),
+    (errors.UnsupportedError, {"motor": "left", "feature": "torque", "supported": "position"}),
+    (
+        errors.FileError,
+        {
+            "path": "m.toml",
+            "line": 3,
+            "key": "velocity",
+            "problem": "unknown",
+            "remedy": "leave it",
+        },
+    ),
+    (
+        errors.MotorBusyError,
+        {"motor": "left", "holder": "start() of other", "since_ns": 1_500_000_000},
+    ),
+    (errors.MotionInterrupted, {"motor": "left", "by": "stop() of other", "at_ns": 2_000_000_000}),
+    (errors.DeviceFault, {"motor": "left", "code": 0x7500, "text": "communication", "since_ns": 5}),
+    (errors.LinkError, {"link": "can0", "reason": "bus off", "since_ns": 9}),
+    (
+        errors.DeadlineExceeded,
+        {"awaited": "end of motion of left", "timeout_s": 2.0, "last_heard": "nothing"},
+    ),
+    (errors.PluginError, {"plugin": "MyMotor", "where": "_arm", "problem": "KeyError('x')"}),
 ]
+EXAMPLES = [kind(**facts) for kind, facts in TOLD]
 
 
 @pytest.mark.parametrize("error", EXAMPLES, ids=lambda error: type(error).__name__)
@@ -28,6 +55,12 @@ def test_every_error_is_in_the_tree_and_crosses_processes_with_its_facts(error):
     assert type(copy) is type(error)
     assert str(copy) == str(error)
     assert copy.__dict__ == error.__dict__ != {}
+
+
+@pytest.mark.parametrize(("kind", "facts"), TOLD, ids=lambda one: getattr(one, "__name__", ""))
+def test_what_an_error_was_told_is_in_its_attributes(kind, facts):
+    error = kind(**facts)
+    assert {name: getattr(error, name) for name in facts} == facts
 
 
 def test_usage_errors_are_the_callers_and_the_others_are_not():
