@@ -86,8 +86,8 @@ def run_script(rig: "Rig", script: Script, words: Sequence[str]) -> int:
 
 def run_prompt(rig: "Rig") -> int:
     """The user has had a Python prompt in which `rig` is the rig, and left it."""
-    with suppress(ImportError):  # importing it gives the prompt its line editing
-        import readline  # noqa: F401
+    with suppress(ImportError):  # a Python without it has a prompt without line editing
+        import readline  # noqa: F401 -- importing is all it takes
     names = {"rig": rig, "__name__": "__console__", "__doc__": None}
     with bus_settings(rig):
         try:

@@ -22,7 +22,7 @@ def decompress(compression: str, data: bytes, size: int) -> bytes:
         if compression == "zstd":
             content = zstandard.ZstdDecompressor().decompress(data, max_output_size=size)
         elif compression == "lz4":
-            import lz4.frame  # type: ignore[import-untyped]
+            import lz4.frame  # type: ignore[import-untyped]  # it has no types
 
             content = bytes(lz4.frame.decompress(data))
         elif compression:

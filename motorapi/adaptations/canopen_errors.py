@@ -1,5 +1,7 @@
 """What a CANopen device can refuse, and how it can break its protocol."""
 
+# ruff: noqa: N818 -- the names say what happened, not that it is an error, as in motorapi.errors
+
 from typing import Final, final
 
 from motorapi.errors import PeerError
@@ -41,7 +43,7 @@ _ABORT_TEXT: Final[dict[int, str]] = {
 
 
 @final
-class SdoAborted(PeerError):  # noqa: N818
+class SdoAborted(PeerError):
     """The server aborted an SDO transfer (CiA 301, SDO abort transfer protocol).
 
     Attributes say where and why, so a caller never has to parse the message:
@@ -60,7 +62,7 @@ class SdoAborted(PeerError):  # noqa: N818
 
 
 @final
-class ProtocolViolation(PeerError):  # noqa: N818
+class ProtocolViolation(PeerError):
     """The device answered with what the protocol does not allow.
 
     Attributes: node_id, where ("SDO 6041h:00h"), problem (in words).
@@ -74,7 +76,7 @@ class ProtocolViolation(PeerError):  # noqa: N818
 
 
 @final
-class HomingFailed(PeerError):  # noqa: N818
+class HomingFailed(PeerError):
     """The drive says that homing ended with an error (CiA 402-2, homing mode, statusword bit 13).
 
     Attributes: motor (name), method, statusword.

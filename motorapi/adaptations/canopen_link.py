@@ -157,7 +157,7 @@ class CanopenLink:
         """
         try:
             self.runtime.send(self.bus, frame)
-        except Exception as error:
+        except Exception as error:  # only python-can's own are the link's; others pass through
             from can import CanError
 
             if isinstance(error, CanError):

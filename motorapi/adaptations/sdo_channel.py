@@ -69,7 +69,7 @@ class _NothingKnown(canopen.ObjectDictionary):
     """A dictionary without entries: answers come as the bytes they are."""
 
     def __init__(self) -> None:
-        super().__init__()  # type: ignore[no-untyped-call]
+        super().__init__()  # type: ignore[no-untyped-call]  # canopen's
 
     def get_variable(self, index: int | str, subindex: int = 0) -> None:
         """None; the inherited one takes longer to say so than a frame takes to decode."""
@@ -77,7 +77,7 @@ class _NothingKnown(canopen.ObjectDictionary):
 
 
 @final
-class _NoAnswer(SdoCommunicationError):  # noqa: N818
+class _NoAnswer(SdoCommunicationError):  # noqa: N818 -- never leaves this module
     """Nothing came in time."""
 
 
@@ -88,7 +88,7 @@ class _Client(SdoClient):
     MAX_RETRIES = 1  # a request is sent once: who asks again is the caller, after quarantine
 
     def __init__(self, link: CanopenLink, node_id: int, timeout_s: float) -> None:
-        super().__init__(  # type: ignore[no-untyped-call]
+        super().__init__(  # type: ignore[no-untyped-call]  # canopen's
             _REQUEST_ID + node_id, _RESPONSE_ID + node_id, _NothingKnown()
         )
         self.network = link.network
