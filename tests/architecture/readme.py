@@ -176,8 +176,11 @@ def retold(block, printed):
 
 
 def same_row(old, new):
-    """Whether two lines begin with the same word, both of them empty included."""
-    return old.split()[:1] == new.split()[:1]
+    """Whether two lines begin with the same word, numbers and units aside; or both are empty."""
+    first, second = (re.search(r"[A-Za-z/]\S+", line) for line in (old, new))
+    if first is None or second is None:
+        return old.strip() == new.strip()
+    return first[0] == second[0]
 
 
 def main():

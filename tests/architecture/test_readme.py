@@ -199,9 +199,9 @@ def test_a_text_that_differs_is_found(shown, machine, printed, holds):
 
 
 def test_a_shortened_text_is_written_anew_row_by_row():
-    shown = block("head 1\n...\nrow 2\n\nend 1")
-    assert retold(shown, "head 5\nold 1\nrow 7\nmore 1\n\nend 9\n") == [
-        *("head 5", "...", "row 7", "", "end 9")
+    shown = block("1.5 s head\n...\nrow 2\n\nend 1")
+    assert retold(shown, "2.5 s head\n3.5 s old\nrow 7\nmore 1\n\nend 9\n") == [
+        *("2.5 s head", "...", "row 7", "", "end 9")
     ]
 
 
