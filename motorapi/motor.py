@@ -340,6 +340,7 @@ class Motor(MotorHooks):
     def _operation(self, name: str) -> Iterator[None]:
         """The motor is ours, connected, and nobody else operates on it inside the block."""
         with self._physical.transaction(self.runtime, f"{name}() of {self.name}"):
+            self._bury_failed_run()
             self._physical.take(self, self.name, self._status())
             self._call(self._connect)
             yield
@@ -354,6 +355,17 @@ class Motor(MotorHooks):
             return RunStatus.DONE if self._call(self._is_done) else RunStatus.GOING
         except MotorError:
             return RunStatus.FAILED
+
+    @final
+    def _bury_failed_run(self) -> None:
+        """What the hardware says has failed is over, whatever it says once it is brought up."""
+        run = self._physical.run
+        if run is None or run.finished:
+            return
+        try:
+            self._call(self._is_done)
+        except MotorError as error:
+            self._physical.end(str(error), self.runtime.now_ns(), RunStatus.FAILED)
 
     @final
     def _begin(self, operation: str, motion: Motion | None) -> Run:
