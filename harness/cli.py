@@ -6,6 +6,7 @@ stands after `--` on the command line is `arguments.rest`.
 """
 
 import argparse
+import errno
 import os
 import sys
 from collections.abc import Sequence
@@ -18,6 +19,7 @@ PASSED: Final = 0
 FAILED: Final = 1
 WRONG_USAGE: Final = 2
 INTERRUPTED: Final = 130
+_NO_PLACE: Final = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO)
 
 
 @final
@@ -45,21 +47,49 @@ _VERBS: Final = (
 def main(arguments: Sequence[str] | None = None) -> int:
     """The command line has been obeyed; the exit status."""
     words = list(sys.argv[1:] if arguments is None else arguments)
+    _open_standard_streams()
     try:
         status = _dispatch(words)
         sys.stdout.flush()
-    except SystemExit as leaving:  # argparse: help was given, or the usage is wrong
-        return leaving.code if isinstance(leaving.code, int) else PASSED
     except KeyboardInterrupt:
         print("motorhil: interrupted", file=sys.stderr)
         return INTERRUPTED
     except BrokenPipeError:  # whoever read our output has left: nothing more to say
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        _drop_output()
         return FAILED
+    except OSError as error:
+        if error.filename is not None or error.errno not in _NO_PLACE:
+            raise
+        _drop_output()
+        print(
+            f"motorhil: standard output cannot be written: {error.strerror}; free space there, "
+            "or send it elsewhere",
+            file=sys.stderr,
+        )
+        return WRONG_USAGE
     return status
 
 
+def _open_standard_streams() -> None:
+    """Where we were started without one, what is said goes nowhere."""
+    for name in ("stdin", "stdout", "stderr"):
+        if getattr(sys, name) is None:
+            setattr(sys, name, open(os.devnull, "r" if name == "stdin" else "w"))  # noqa: SIM115
+
+
+def _drop_output() -> None:
+    """What is still to be printed goes nowhere, also when Python ends."""
+    os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+
+
 def _dispatch(words: list[str]) -> int:
+    try:
+        return _obey(words)
+    except SystemExit as leaving:  # argparse: help was given, or the usage is wrong
+        return leaving.code if isinstance(leaving.code, int) else PASSED
+
+
+def _obey(words: list[str]) -> int:
     verbs = {verb.name: verb for verb in _VERBS if verb.exists()}
     top = argparse.ArgumentParser(
         prog="motorhil", description="Motor code on emulated drives, in virtual time."

@@ -9,8 +9,9 @@ A program written for python-can joins the same buses while the rig is open:
 `can.Bus(interface="emulated", channel="can0")`.
 """
 
-from collections.abc import Callable, Mapping
-from contextlib import ExitStack
+import traceback
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from random import Random
 from types import TracebackType
@@ -172,7 +173,9 @@ class Rig:
             for controller in self.description.controllers.values()
         ]
         for controller, core in built:
-            self.world.add_controller(controller.name, core, controller.bus)
+            place = ("controller", controller.name, "kind")
+            with self._blaming(self._plugins[CONTROLLERS][controller.kind], place):
+                self.world.add_controller(controller.name, core, controller.bus)
 
     def _build_controller(self, controller: ControllerDescription) -> Controller:
         place = ("controller", controller.name)
@@ -180,17 +183,21 @@ class Rig:
         if controller.plant_from_motor_model:
             settings["plant"] = self._plant(controller)
         context = ControllerContext(controller.name, self.description.folder, self.seed)
-        build = self._load(self._plugins[CONTROLLERS][controller.kind], (*place, "kind"))
-        try:
-            core: Controller = build(settings, context)
-        except SettingError as error:
-            raise self.description.error(
-                (*place, *error.path), error.message, error.remedy
-            ) from error
-        except (ValueError, ArithmeticError) as error:  # numbers that are right only one by one
-            message = f"cannot be built: {error}"
-            raise self.description.error(place, message, "correct its numbers") from error
-        return core
+        plugin = self._plugins[CONTROLLERS][controller.kind]
+        build = self._load(plugin, (*place, "kind"))
+        with self._blaming(plugin, (*place, "kind")):
+            try:
+                core: Controller = build(settings, context)
+            except SettingError as error:
+                raise self.description.error(
+                    (*place, *error.path), error.message, error.remedy
+                ) from error
+            except (ValueError, ArithmeticError) as error:  # numbers right only one by one
+                message = f"cannot be built: {error}"
+                raise self.description.error(place, message, "correct its numbers") from error
+            if not callable(getattr(core, "next_deadline_ns", None)):
+                raise TypeError(f"it built {core!r}, which is no controller")
+            return core
 
     def _plant(self, controller: ControllerDescription) -> dict[str, object]:
         """The controller's plant table with what the model of its motor knows; told in a note."""
@@ -224,12 +231,28 @@ class Rig:
     def _load(self, plugin: Plugin, path: tuple[str, ...]) -> Callable[..., Any]:
         try:
             return plugin.load()
-        except Exception as error:
+        except (Exception, SystemExit) as error:
             raise self.description.error(
                 path,
                 f'plugin "{plugin.name}" cannot be loaded from {plugin.target}: '
                 f"{type(error).__name__}: {error}",
                 f"reinstall {plugin.package or 'it'}",
+            ) from error
+
+    @contextmanager
+    def _blaming(self, plugin: Plugin, path: tuple[str, ...]) -> Iterator[None]:
+        """What goes wrong inside, and is no RigError, is told as the plugin's failure."""
+        try:
+            yield
+        except RigError:
+            raise
+        except (Exception, SystemExit) as error:
+            frame = traceback.extract_tb(error.__traceback__)[-1]
+            raise self.description.error(
+                path,
+                f'plugin "{plugin.name}" failed: {type(error).__name__}: {error} '
+                f"({frame.filename}:{frame.lineno})",
+                f"mend it, or tell who made {plugin.package or 'it'}",
             ) from error
 
     def _record(
@@ -255,7 +278,7 @@ class Rig:
         try:
             open_rig(self.world, self.runtime)
         except CanInitializationError as error:
-            raise RigError(self.description.source.path, str(error), "close it first") from None
+            raise RigError(self.description.source.path, str(error)) from None
         cleanup.callback(close_rig, self.world)
 
     # --- what applications use ---------------------------------------------------------------
@@ -273,17 +296,20 @@ class Rig:
     def _motor(self, name: str) -> "Motor":
         motor = self.description.motors[name]
         place = ("motor", name)
-        build = self._load(self._plugins[ADAPTATIONS][motor.adaptation], (*place, "adaptation"))
+        plugin = self._plugins[ADAPTATIONS][motor.adaptation]
+        build = self._load(plugin, (*place, "adaptation"))
         settings: dict[str, object] = {"name": name, **motor.settings}
         if motor.node_id is not None:
             settings["node_id"] = motor.node_id
-        try:
-            built: Motor = build(self.bus(motor.bus), settings, self._models[name], self.runtime)
-        except UsageError as error:
-            word = str(error).partition(" ")[0].rstrip(":")  # mostly the key at fault
-            path = (*place, word) if word in settings else place
-            raise self.description.error(path, str(error), "correct its settings") from error
-        self._in_use.callback(built.close)
+        bus, model = self.bus(motor.bus), self._models[name]
+        with self._blaming(plugin, (*place, "adaptation")):
+            try:
+                built: Motor = build(bus, settings, model, self.runtime)
+            except UsageError as error:
+                word = str(error).partition(" ")[0].rstrip(":")  # mostly the key at fault
+                path = (*place, word) if word in settings else place
+                raise self.description.error(path, str(error), "correct its settings") from error
+            self._in_use.callback(built.close)
         if self.recording is not None:
             from harness.rig_recording import watch_motor
 
@@ -293,7 +319,14 @@ class Rig:
     def _group(self, name: str) -> "MotorGroup":
         from motorapi.group import MotorGroup
 
-        return MotorGroup(*(self.motors[motor] for motor in self.description.groups[name].motors))
+        group = MotorGroup()
+        for place, motor in enumerate(self.description.groups[name].motors):
+            try:
+                group.append(self.motors[motor])
+            except UsageError as error:
+                path = ("group", name, "motors", place)
+                raise self.description.error(path, str(error), "take one out") from error
+        return group
 
 
 def installed_plugins() -> Known:

@@ -13,11 +13,6 @@ def environment():
 
 
 def in_another_process(*words, **options):
-    return subprocess.run(
-        [sys.executable, "-m", "harness", *words],
-        env=environment(),
-        capture_output=True,
-        text=True,
-        timeout=30,
-        **options,
-    )
+    pipe = subprocess.PIPE
+    usual = {"env": environment(), "stdout": pipe, "stderr": pipe, "text": True, "timeout": 30}
+    return subprocess.run([sys.executable, "-m", "harness", *words], **{**usual, **options})

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.harness.cli_bench import in_another_process
+from tests.harness.cli_bench import environment, in_another_process
 from tests.harness.rigs import GOOD
 
 # --- help and version
@@ -195,4 +195,108 @@ def test_list_shows_what_is_installed_and_where_our_own_eds_is(bench, say):
     assert eds.is_file()
     assert say("list", "adaptations", "--json")[1].startswith(
         '[{"name": "bare", "builder": "tests.'
+    )
+
+
+# --- output that finds no place
+
+
+@pytest.mark.parametrize("words", [("--version",), ("list", "examples")])
+def test_a_full_disk_behind_stdout_is_one_line(bench, words):
+    with open("/dev/full", "w") as full:
+        done = in_another_process(*words, stdout=full)
+    assert done.returncode == 2
+    assert done.stderr == (
+        "motorhil: standard output cannot be written: No space left on device; free space there, "
+        "or send it elsewhere\n"
+    )
+
+
+def test_closed_standard_streams_are_no_matter(rig):
+    for close in (">&-", "2>&-", "<&- >&- 2>&-"):
+        command = ["sh", "-c", f'exec "$@" {close}', "sh", sys.executable, "-m", "harness"]
+        done = subprocess.run(
+            [*command, "run", "rig.toml", "script.py", "-o", "x.mcap"],
+            env=environment(),
+            capture_output=True,
+            text=True,
+            timeout=30,
+        )
+        assert (done.returncode, done.stderr) == (0, "")
+        done = subprocess.run([*command, "check", "x"], env=environment(), timeout=30)
+        assert done.returncode == 2
+
+
+@pytest.fixture
+def plugin(rig, monkeypatch):
+    """Writes a plugin `broken` for the left controller; its module is the caller's to name."""
+
+    def write(module, text):
+        (rig / f"{module}.py").write_text(text)
+        listing = rig.parent / "site" / "bench-1.0.dist-info" / "entry_points.txt"
+        listing.write_text(listing.read_text().replace("tests.harness.no_such_module", module))
+        (rig / "rig.toml").write_text(GOOD.replace('"echo"', '"broken"', 1))
+        monkeypatch.syspath_prepend(rig)
+        return rig / f"{module}.py"
+
+    return write
+
+
+LEFT_KIND = 'rig.toml:6: controller.left.kind: plugin "broken" '
+
+
+def test_a_plugin_that_leaves_when_it_is_imported_is_told_not_obeyed(plugin, say):
+    plugin("leaving_plugin", "import sys\nsys.exit(0)\n")
+    assert say("check", "rig.toml") == (
+        2,
+        "",
+        f"{LEFT_KIND}cannot be loaded from leaving_plugin:controller: SystemExit: 0; "
+        "reinstall bench 1.0\n",
+    )
+
+
+STARTER = """\
+class controller:
+    wants_sent = identifiers = identifiers_revision = next_deadline_ns = lambda self: None
+    __init__ = lambda self, settings, context: None
+
+    def start(self, now_ns):
+        raise RuntimeError("no power")
+"""
+FAILING_PLUGINS = {
+    "raising": (
+        "def controller(settings, context):\n    return settings['gone']\n",
+        "KeyError: 'gone' ({path}:2)",
+    ),
+    "leaving": (
+        "import sys\n\ncontroller = lambda settings, context: sys.exit(1)\n",
+        "SystemExit: 1 ({path}:3)",
+    ),
+    "empty": (
+        "controller = lambda settings, context: None\n",
+        "TypeError: it built None, which is",
+    ),
+    "starting": (STARTER, "RuntimeError: no power ({path}:6)"),
+}
+
+
+@pytest.mark.parametrize("name", FAILING_PLUGINS)
+def test_a_plugin_that_fails_is_named_with_its_line(plugin, say, name):
+    text, told = FAILING_PLUGINS[name]
+    path = plugin(f"{name}_plugin", text)
+    status, out, err = say("check", "rig.toml")
+    assert (status, out, err.count("\n")) == (2, "", 1)
+    assert err.startswith(f"{LEFT_KIND}failed: {told.format(path=path)}")
+    assert err.endswith("; mend it, or tell who made bench 1.0\n")
+
+
+def test_a_group_of_two_motors_on_one_drive_is_told_with_the_line(bench, say):
+    say("new", ".")
+    text = (bench / "rig.toml").read_text().replace('controller = "right"', 'controller = "left"')
+    (bench / "rig.toml").write_text(text)
+    status, out, err = say("check", "rig.toml")
+    assert (status, out) == (2, "")
+    assert err == (
+        "rig.toml:49: group.both.motors[1]: right and left are the same physical motor, "
+        "can0 node 1: a group can move it only once; take one out\n"
     )
