@@ -198,7 +198,18 @@ def test_list_shows_what_is_installed_and_where_our_own_eds_is(bench, say):
     )
 
 
-# --- output that finds no place
+# --- interrupted, and output that finds no place
+
+
+def test_an_interrupt_while_the_command_is_still_loading_is_one_line():
+    code = (
+        "import sys\nfrom harness.__main__ import start\n"
+        "class Interrupt:\n    def find_spec(self, name, *_):\n"
+        "        if name == 'argparse':\n            raise KeyboardInterrupt\n"
+        "sys.meta_path.insert(0, Interrupt())\nsys.exit(start())\n"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
+    assert (done.returncode, done.stderr) == (130, "motorhil: interrupted\n")
 
 
 @pytest.mark.parametrize("words", [("--version",), ("list", "examples")])
