@@ -1,5 +1,7 @@
 """The shipped examples, and how one of them becomes a new rig of one's own."""
 
+from collections.abc import Iterable
+from contextlib import suppress
 from pathlib import Path
 from typing import Final
 
@@ -46,12 +48,23 @@ def write_new_rig(folder: Path) -> list[Path]:
     for path in texts:
         if path.exists():
             raise RigError(path, "is there already", "name another folder: motorhil new DIR")
+    missing = [above for above in (folder, *folder.parents) if not above.exists()]
     try:
         folder.mkdir(parents=True, exist_ok=True)
         for path, text in texts.items():
             with path.open("x", encoding="utf-8") as file:
                 file.write(text)
     except OSError as error:
+        _take_back(texts, missing)
         reason = error.strerror or str(error)
         raise RigError(folder, f"cannot be written: {reason}", "name another folder") from None
     return list(texts)
+
+
+def _take_back(files: Iterable[Path], folders: Iterable[Path]) -> None:
+    """None of these is there, as far as that can be had."""
+    with suppress(OSError):
+        for path in files:
+            path.unlink(missing_ok=True)
+        for folder in folders:
+            folder.rmdir()

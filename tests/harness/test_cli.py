@@ -1,4 +1,5 @@
 import json
+import resource
 import subprocess
 import sys
 from pathlib import Path
@@ -169,6 +170,19 @@ def test_new_writes_over_nothing(bench, say):
     status, _, err = say("new", "drive.py/below")
     assert (status, err.count("\n")) == (2, 1)
     assert err.startswith("drive.py/below: cannot be written: ")
+
+
+def test_new_leaves_nothing_half_written(bench, say, monkeypatch):
+    limit = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (3000, limit[1]))  # the schema is longer
+    try:
+        status, out, err = say("new", "wheels")
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, limit)
+    assert (status, out) == (2, "")
+    assert err == "wheels: cannot be written: File too large; name another folder\n"
+    assert list(bench.iterdir()) == []
+    assert say("new", "wheels")[0] == 0
 
 
 def test_every_example_is_listed_and_right(bench, say):
