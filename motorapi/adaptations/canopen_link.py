@@ -25,6 +25,7 @@ FrameHandler = Callable[[bytes, int], None]
 SYNC_ID: Final = 0x080
 NMT_ID: Final = 0x000
 HEARTBEAT_ID: Final = 0x700
+STOPPED: Final = 0x04
 OPERATIONAL: Final = 0x05
 
 _FRAME: Final = struct.Struct("<IB3x8s")

@@ -148,6 +148,7 @@ class Cia402HwMotor:
                 self.node.uses_host_heartbeat = True
             self.objects.doubt()
             self.control.forget()
+            self._facts = self.control.facts = None  # what fails now is tried again the next time
             self._facts = self.control.facts = bring_up(self.node, options)
             return self._facts
 

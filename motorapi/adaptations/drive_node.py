@@ -35,6 +35,8 @@ _STATUSWORD: Final = 0x6041
 _POSITION: Final = 0x6064
 _POLL_S: Final = 0.002
 _EMERGENCIES_MAX: Final = 100
+_ERROR_CLASS: Final = 0xFF00  # 00xxh: an error is gone
+_LENGTH_ERRORS: Final = (0x8210, 0x8220)  # about a frame; some drives repeat them for ever
 
 
 @final
@@ -59,6 +61,8 @@ class DriveNode:
         statusword, position_inc, status_ns: the last status and when it came (-1: none yet).
         values: other objects that TPDOs brought, by (index, sub-index).
         status_is_cyclic: whether a TPDO repeats the status by itself.
+        error: the last EMCY of an error, as long as the error register (1001h) has any; one that
+            tells of a frame's length gives way to others.
         boots: how often it was heard to boot; whoever configured it compares.
         lost_since_ns: since when it is not heard, None while it is.
         malformed: frames of a wrong length.
@@ -91,6 +95,7 @@ class DriveNode:
         self.news = News()
         self.fault_since_ns: int | None = None
         self.emergencies: deque[Emergency] = deque(maxlen=_EMERGENCIES_MAX)
+        self.error: Emergency | None = None
         self.nmt_state: int | None = None
         self.boots = 0
         self.lost_since_ns: int | None = None
@@ -155,7 +160,13 @@ class DriveNode:
             self.malformed += 1
             return
         code, register, vendor = _EMCY.unpack(frame)
-        self.emergencies.append(Emergency(code, register, vendor, time_ns))
+        emergency = Emergency(code, register, vendor, time_ns)
+        self.emergencies.append(emergency)
+        if not code & _ERROR_CLASS:
+            if not register:
+                self.error = None
+        elif self.error is None or code not in _LENGTH_ERRORS:
+            self.error = emergency
 
     def _on_heartbeat(self, frame: bytes, time_ns: int) -> None:
         if frame[4] != 1:
@@ -165,6 +176,7 @@ class DriveNode:
         state = frame[8] & 0x7F
         if state == 0:
             self.boots += 1
+            self.error = None
             self.sdo.rebooted()
         self.nmt_state = state
         if state == OPERATIONAL and self._watches_nmt:
@@ -228,12 +240,8 @@ class DriveNode:
 
     @property
     def error_code(self) -> int:
-        """The error code of the last EMCY that told one; 0 if none did since the last reset."""
-        for emergency in reversed(self.emergencies):
-            if emergency.code & 0xFF00 == 0:
-                return 0
-            return emergency.code
-        return 0
+        """The code of `error`; 0 if there is none."""
+        return 0 if self.error is None else self.error.code
 
     def check_heard(self) -> None:
         """Raises LinkError if the drive is not heard."""
@@ -251,8 +259,8 @@ class DriveNode:
             raise LinkError(link=self.label, reason="it has booted: its configuration is gone")
         if not self.is_up:
             reason = f"its NMT state is {self.nmt_state or 0:02X}h, not OPERATIONAL any more"
-            if self.error_code:
-                reason += f", after {self.emergencies[-1]}"
+            if self.error is not None:
+                reason += f", after {self.error}"
             raise LinkError(link=self.label, reason=reason)
 
     def check_motion(self, motor: str) -> None:
@@ -264,8 +272,8 @@ class DriveNode:
         if word & ENABLED_MASK != ENABLED_VALUE:
             state = self.state
             by = "the drive" if state is None else f"the drive, now in state {state.value!r}"
-            if self.error_code:
-                by += f", after {self.emergencies[-1]}"
+            if self.error is not None:
+                by += f", after {self.error}"
             raise MotionInterrupted(motor=motor, by=by, at_ns=self.status_ns)
 
     def fault_error(self, motor: str) -> DeviceFault:

@@ -3,10 +3,12 @@
 Nothing is written that the drive has already, so that a second program may join at any time.
 """
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Final, final
 
 from motorapi.adaptations.canopen_errors import SdoAborted
+from motorapi.adaptations.canopen_link import STOPPED
 from motorapi.adaptations.cia402_objects import Mode
 from motorapi.adaptations.drive_node import DriveNode
 from motorapi.adaptations.pdo_setup import (
@@ -30,6 +32,7 @@ from motorapi.errors import DeadlineExceeded, UsageError
 _PROFILE_402: Final = 0x0192
 _TPDOS: Final = 4
 _FIRST_STATUS_S: Final = 0.5
+_LATCHED_TARGETS: Final = (TARGET_POSITION, TARGET_VELOCITY)
 
 
 @final
@@ -101,8 +104,8 @@ class DriveFacts:
         identity: what it is.
         modes: what 6502h names; None if the drive does not say.
         control_id: identifier of the RPDO that brings the controlword at once; None: by SDO.
-        position_id: of the RPDO with controlword and target position, latched at SYNC; or None.
-        velocity_id: of the one with target velocity; or None.
+        latched_ids: of the RPDOs with controlword and a target, latched at SYNC, by the index of
+            the target (607Ah, 60FFh); one the drive does not give us is missing.
         status: the TPDO that brings the statusword; None: asked for by SDO.
         limitations: what this drive cannot do for us, in words.
     """
@@ -110,8 +113,7 @@ class DriveFacts:
     identity: Identity
     modes: frozenset[Mode] | None
     control_id: int | None
-    position_id: int | None
-    velocity_id: int | None
+    latched_ids: Mapping[int, int]
     status: PdoFound | None
     limitations: tuple[str, ...]
 
@@ -133,7 +135,8 @@ def bring_up(node: DriveNode, options: HwOptions) -> DriveFacts:
     if not latched:
         limitations.append(f"its SYNC is {sync_id or 0:03X}h, ours {node.link.sync_id:03X}h")
     pdos = PdoSetUp(node)
-    receive = _receive_pdos(pdos, latched)
+    control = pdos.configure(PdoWish(False, 1, (CONTROLWORD,), EVENT_DRIVEN))
+    latched_ids = _latched_pdos(pdos) if latched else {}
     status = _status_pdo(node, pdos, options)
     for number in range(3 if options.velocity_period_ms else 2, _TPDOS + 1):
         pdos.switch_off(number, keep=None if status is None else status[0])
@@ -145,9 +148,8 @@ def bring_up(node: DriveNode, options: HwOptions) -> DriveFacts:
     facts = DriveFacts(
         identity=identity,
         modes=_modes(node),
-        control_id=receive[0],
-        position_id=receive[1],
-        velocity_id=receive[2],
+        control_id=None if control is None else control[0],
+        latched_ids=latched_ids,
         status=None if status is None else status[1],
         limitations=tuple(limitations),
     )
@@ -160,6 +162,8 @@ def _first_answer(node: DriveNode, timeout_s: float) -> int:
     runtime = node.link.runtime
     deadline_ns = runtime.now_ns() + round(timeout_s * 1e9)
     while True:
+        if node.nmt_state == STOPPED:  # there it answers no SDO (CiA 301, NMT states)
+            node.link.nmt(0x80, node.node_id)
         try:
             return node.read_int(0x1000)
         except SdoAborted:
@@ -227,20 +231,14 @@ def _write_if_different(
         limitations.append(f"it does not let us set {meaning} ({error})")
 
 
-def _receive_pdos(pdos: PdoSetUp, latched: bool) -> tuple[int | None, int | None, int | None]:
-    """(control, position, velocity): the identifiers of the RPDOs the drive gives us."""
-    control = pdos.configure(PdoWish(False, 1, (CONTROLWORD,), EVENT_DRIVEN))
-    position = velocity = None
-    if latched:
-        mapping = (CONTROLWORD, TARGET_POSITION)
-        position = pdos.configure(PdoWish(False, 2, mapping, SYNCHRONOUS))
-        mapping = (CONTROLWORD, TARGET_VELOCITY)
-        velocity = pdos.configure(PdoWish(False, 3, mapping, SYNCHRONOUS))
-    return (
-        None if control is None else control[0],
-        None if position is None else position[0],
-        None if velocity is None else velocity[0],
-    )
+def _latched_pdos(pdos: PdoSetUp) -> dict[int, int]:
+    """`DriveFacts.latched_ids`: RPDO 2 and on, one for each target."""
+    identifiers: dict[int, int] = {}
+    for number, target in enumerate(_LATCHED_TARGETS, 2):
+        made = pdos.configure(PdoWish(False, number, (CONTROLWORD, target), SYNCHRONOUS))
+        if made is not None:
+            identifiers[target >> 16] = made[0]
+    return identifiers
 
 
 def _status_pdo(node: DriveNode, pdos: PdoSetUp, options: HwOptions) -> tuple[int, PdoFound] | None:
