@@ -49,6 +49,7 @@ if TYPE_CHECKING:
 _CONFIRM_TIMEOUT_S: Final = 0.5
 _RESEND_S: Final = 0.1
 _POLL_S: Final = 0.01
+_TARGETS: Final = {ControlVariable.POSITION: 0x607A, ControlVariable.VELOCITY: 0x60FF}
 
 
 @final
@@ -108,8 +109,7 @@ class Cia402Motor(Motor):
 
     def _sync_offer(self) -> SyncOffer:
         facts = self._hardware.connect()
-        velocity = self.control_variable is ControlVariable.VELOCITY
-        armed = facts.velocity_id if velocity else facts.position_id
+        armed = facts.latched_ids.get(_TARGETS[self.control_variable])
         if armed is None:
             reason = "; ".join(facts.limitations) or "it has no RPDO latched by SYNC"
             return SyncOffer(SyncLevel.SEQUENTIAL, self._hardware.label, None, reason)
@@ -228,8 +228,8 @@ class Cia402Motor(Motor):
         )
         self._follow(watch)
         self._reader.held = (profile.target, motion.target)
-        if self._can_arm(velocity=False):
-            self._control.arm(profile.target, fired=watch.begin)
+        if self._can_arm(0x607A):
+            self._control.arm(0x607A, profile.target, fired=watch.begin)
             return SyncTrigger(self._node.link)
         self._objects.push(0x607A, profile.target)
         return SetPointTrigger(self._hardware, watch)
@@ -250,15 +250,13 @@ class Cia402Motor(Motor):
             tolerance_inc=None,
         )
         self._follow(watch)
-        if self._can_arm(velocity=True):
-            self._control.arm(profile.target, velocity=True, fired=watch.begin)
+        if self._can_arm(0x60FF):
+            self._control.arm(0x60FF, profile.target, fired=watch.begin)
             return SyncTrigger(self._node.link)
         return VelocityTrigger(self._hardware, watch, profile.target)
 
-    def _can_arm(self, *, velocity: bool) -> bool:
-        facts = self._hardware.connect()
-        can_id = facts.velocity_id if velocity else facts.position_id
-        return self._together and can_id is not None
+    def _can_arm(self, index: int) -> bool:
+        return self._together and index in self._hardware.connect().latched_ids
 
     def _push_profile(self, profile: DriveProfile) -> None:
         limits = self._reader.known()[1]

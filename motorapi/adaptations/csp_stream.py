@@ -32,7 +32,8 @@ class CspStream:
         self, hardware: "Cia402HwMotor", period_s: float, next_target: Callable[[int], int | None]
     ) -> None:
         facts = hardware.connect()
-        if facts.position_id is None:
+        can_id = facts.latched_ids.get(0x607A)
+        if can_id is None:
             raise UnsupportedError(
                 motor=hardware.label,
                 feature="csp streaming",
@@ -43,7 +44,7 @@ class CspStream:
             raise UsageError(f"period_s = {period_s}: whole milliseconds, 1 to 255 (60C2h)")
         self._hardware = hardware
         self._next_target = next_target
-        self._can_id = facts.position_id
+        self._can_id = can_id
         self._cycle = 0
         self._target = 0
         self.sent = 0

@@ -4,7 +4,7 @@ import struct
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Final, final
 
-from motorapi.adaptations.canopen_link import CanopenLink, Transmission
+from motorapi.adaptations.canopen_link import CanopenLink, Transmission, can_frame
 from motorapi.adaptations.cia402_objects import (
     ACKNOWLEDGE,
     CHANGE_IMMEDIATELY,
@@ -19,6 +19,8 @@ from motorapi.adaptations.cia402_objects import (
     SWITCH_ON,
     Mode,
     PdsState,
+    encode,
+    type_of,
 )
 from motorapi.adaptations.drive_node import DriveNode
 from motorapi.adaptations.drive_objects import DriveObjects
@@ -34,7 +36,6 @@ _RESET_TIMEOUT_S: Final = 0.5
 _POLL_S: Final = 0.002
 _STEPS_MAX: Final = 8
 _CONTROL: Final = struct.Struct("<IB3xH6x")
-_CONTROL_TARGET: Final = struct.Struct("<IB3xHi2x")
 _NEXT_COMMAND: Final = {
     PdsState.SWITCH_ON_DISABLED: SHUTDOWN,
     PdsState.READY_TO_SWITCH_ON: SWITCH_ON,
@@ -58,13 +59,13 @@ class DriveControl:
         self._objects = objects
         self._mode: Mode | None = None
         self._halted = False
-        self._armed_id: int | None = None
+        self._armed: int | None = None  # the index of the target that the next SYNC makes count
 
     def forget(self) -> None:
         """The drive has booted, or is new: nothing is known of it."""
         self._mode = None
         self._halted = False
-        self._armed_id = None
+        self._armed = None
 
     def supports(self, mode: Mode) -> bool:
         """Whether the drive names the mode in 6502h; what is not known is not denied."""
@@ -234,35 +235,32 @@ class DriveControl:
     def _holding_word(self) -> int:
         return ENABLE_OPERATION | (HALT if self._halted else 0)
 
-    def arm(
-        self, target: int, *, velocity: bool = False, fired: Callable[[int], None] | None = None
-    ) -> None:
-        """The next SYNC makes `target` count: position (with bits 4 and 5), or velocity.
+    def arm(self, index: int, target: int, *, fired: Callable[[int], None] | None = None) -> None:
+        """The next SYNC makes `target` count (of a position with bits 4 and 5).
 
         Returns when the drive has it: its frame was on the wire.
 
         Args:
+            index: of the object that holds the target: 607Ah, 60FFh.
             target: in the drive's units.
-            velocity: whether it is a target velocity.
             fired: is told when that SYNC was on the wire [ns].
         """
         facts = self.facts
-        can_id = None
-        if facts is not None:
-            can_id = facts.velocity_id if velocity else facts.position_id
-        if can_id is None:
+        if facts is None or index not in facts.latched_ids:
             raise UnsupportedError(motor=self._node.label, feature="starting by SYNC")
-        word = ENABLE_OPERATION | (0 if velocity else NEW_SET_POINT | CHANGE_IMMEDIATELY)
-        self._armed_id = can_id
+        word = ENABLE_OPERATION
+        if index == 0x607A:
+            word |= NEW_SET_POINT | CHANGE_IMMEDIATELY
+        self._armed = index
 
         def on_sync(time_ns: int) -> None:
-            if self._armed_id is not None:
-                self._armed_id = None
+            if self._armed is not None:
+                self._armed = None
                 if fired is not None:
                     fired(time_ns)
 
-        transmission = self._link.send_tracked(_CONTROL_TARGET.pack(can_id, 6, word, target))
-        self._link.confirmed([transmission])
+        frame = _control_target(facts.latched_ids[index], word, index, target)
+        self._link.confirmed([self._link.send_tracked(frame)])
         self._link.at_next_sync(on_sync)
 
     def disarm(self) -> None:
@@ -272,13 +270,19 @@ class DriveControl:
             self._link.confirmed([transmission])
 
     def _drop_armed(self) -> Transmission | None:
-        can_id, self._armed_id = self._armed_id, None
+        index, self._armed = self._armed, None
         facts = self.facts
-        if can_id is None or facts is None:
+        if index is None or facts is None:
             return None
-        target = 0 if can_id == facts.velocity_id else self._node.position_inc
-        frame = _CONTROL_TARGET.pack(can_id, 6, self._holding_word(), target)
-        return self._link.send_tracked(frame)
+        target = self._node.position_inc if index == 0x607A else 0
+        can_id = facts.latched_ids[index]
+        return self._link.send_tracked(_control_target(can_id, self._holding_word(), index, target))
+
+
+def _control_target(can_id: int, word: int, index: int, target: int) -> bytes:
+    """The frame of an RPDO with controlword and a target."""
+    data = encode(type_of(index, 0) or "i32", target)
+    return can_frame(can_id, word.to_bytes(2, "little") + data)
 
 
 def _differs(node: DriveNode, state: PdsState | None) -> Callable[[int], bool]:

@@ -51,7 +51,8 @@ def test_a_drive_that_still_boots_is_waited_for_and_brought_up(rig: Rig):
         Mode.HOMING,
         Mode.CYCLIC_SYNC_POSITION,
     }
-    assert (facts.control_id, facts.position_id, facts.velocity_id) == (0x201, 0x301, 0x401)
+    assert facts.control_id == 0x201
+    assert facts.latched_ids == {0x607A: 0x301, 0x60FF: 0x401}
     assert facts.limitations == ()
     assert hw.state is PdsState.SWITCH_ON_DISABLED
     assert rig.runtime.now_ns() < 500 * MS  # boot-up takes 300
@@ -182,7 +183,7 @@ def test_a_drive_whose_pdos_cannot_be_mapped_is_asked_by_sdo(open_rig: OpenRig):
 
     hw.node.sdo.download = refusing  # type: ignore[method-assign]
     facts = hw.connect()
-    assert facts.position_id is None
+    assert facts.latched_ids == {}
     assert any("RPDO 2 cannot be mapped" in text for text in facts.limitations)
     hw.enable()
     assert hw.state is PdsState.OPERATION_ENABLED

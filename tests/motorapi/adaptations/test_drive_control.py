@@ -58,7 +58,7 @@ def test_armed_means_that_its_frame_was_on_the_wire(rig: Rig):
     rig.world.tap_frames(
         lambda bus, time_ns, sender, data: heard.append(int.from_bytes(data[:4], "little"))
     )
-    hw.control.arm(20_000)
+    hw.control.arm(0x607A, 20_000)
     assert 0x301 in heard
     rig.runtime.run_for(0.3)
     assert position(rig) == 0
@@ -71,7 +71,7 @@ def test_armed_means_that_its_frame_was_on_the_wire(rig: Rig):
 def test_what_was_armed_does_not_start_after_a_halt(rig: Rig):
     hw = ready(rig)
     hw.control.take_set_points()
-    hw.control.arm(20_000)
+    hw.control.arm(0x607A, 20_000)
     hw.halt()
     rig.runtime.run_for(0.01)
     hw.link.sync()
@@ -83,7 +83,7 @@ def test_what_was_armed_does_not_start_after_a_halt(rig: Rig):
 def test_what_was_armed_does_not_start_once_disarmed(rig: Rig):
     hw = ready(rig)
     hw.control.take_set_points()
-    hw.control.arm(20_000)
+    hw.control.arm(0x607A, 20_000)
     hw.control.disarm()
     hw.link.sync()
     rig.runtime.run_for(0.3)
