@@ -156,9 +156,11 @@ class _Client(SdoClient):
     def _can_answer(self, data: bytes, asked: int) -> bool:
         """Whether this can be the answer to the command byte `asked` (CiA 301, SDO protocols)."""
         command = data[0]
-        if command == _ABORT:
-            return data[1:4] in (self._opened, _NO_PLACE)
         service = asked >> 5
+        if command == _ABORT:
+            # One that names no object says that a server has no transfer: not the one just begun.
+            just_begun = service in (_DOWNLOAD, _UPLOAD)
+            return data[1:4] == self._opened or (data[1:4] == _NO_PLACE and not just_begun)
         if service == _DOWNLOAD:
             return command >> 5 == 3 and data[1:4] == self._opened
         if service == _UPLOAD:

@@ -1,0 +1,103 @@
+"""The host's SDO client against answers late, doubled, lost, damaged: never a wrong value.
+
+The server's objects are the oracle: what is read is what stands there, what was written stands
+there, or the error says so; an abort is believed only of the transfer that it is about.
+"""
+
+from random import Random
+
+import pytest
+
+from emulators.media.faults import FaultKind, FaultRule
+from motorapi.adaptations.canopen_errors import ProtocolViolation, SdoAborted
+from motorapi.errors import DeadlineExceeded, MotorError
+from tests.crosscheck.rigs import stranger, two_drives
+
+MS = 1_000_000
+ANSWERS, REQUESTS = 0x581, 0x601
+NAME = b"motorhil CiA 402 drive"
+WRITABLE = (0x607F, 0x6083)
+
+
+def rules(kind: FaultKind, can_id: int, probability: float = 0.15, **facts: object) -> FaultRule:
+    return FaultRule(kind.value, kind, identifier=can_id, probability=probability, **facts)  # type: ignore[arg-type]
+
+
+HOSTILE = {
+    "answers a little late": (rules(FaultKind.DELAY, ANSWERS, delay_ns=5 * MS), ()),
+    "answers after the timeout": (
+        rules(FaultKind.DELAY, ANSWERS, delay_ns=400 * MS),
+        (DeadlineExceeded,),
+    ),
+    "answers twice": (rules(FaultKind.DUPLICATE, ANSWERS), ()),
+    "answers lost": (rules(FaultKind.DROP, ANSWERS), (DeadlineExceeded,)),
+    "requests lost": (rules(FaultKind.DROP, REQUESTS), (DeadlineExceeded,)),
+    # a server that hears a segment's request twice finds the toggle bit wrong, and says so
+    "requests twice": (rules(FaultKind.DUPLICATE, REQUESTS), (SdoAborted,)),
+    "toggle bits wrong": (
+        rules(FaultKind.CORRUPT, ANSWERS, flip=b"\x10"),
+        (DeadlineExceeded, ProtocolViolation),
+    ),
+    "command specifiers wrong": (
+        rules(FaultKind.CORRUPT, ANSWERS, flip=b"\x80"),
+        (DeadlineExceeded, ProtocolViolation, SdoAborted),
+    ),
+}
+
+
+@pytest.mark.parametrize("how", HOSTILE)
+@pytest.mark.parametrize("seed", range(3))
+def test_what_is_read_is_what_stands_there_and_errors_are_the_right_ones(how, seed):
+    rule, allowed = HOSTILE[how]
+    random = Random(seed)
+    with two_drives(rule, seed=seed) as rig:
+        hardware = rig.motors["left"].hardware
+        od = rig.world.controller("left").od
+        errors = []
+        for number in range(25):
+            index = random.choice(WRITABLE)
+            try:
+                what = number % 4
+                if what == 0:
+                    value = random.randrange(1000, 2**31)
+                    hardware.download(index, 0, value.to_bytes(4, "little"))
+                    assert od.integer(index, 0, 0) == value
+                elif what == 1:
+                    read = int.from_bytes(hardware.upload(index), "little")
+                    assert read == od.integer(index, 0, 0)
+                elif what == 2:
+                    assert hardware.upload(0x1008) == NAME
+                else:
+                    with pytest.raises(SdoAborted) as caught:
+                        hardware.upload(0x2000)
+                    assert (caught.value.index, caught.value.abort_code) == (0x2000, 0x0602_0000)
+            except MotorError as error:
+                errors.append(error)
+        assert {type(error) for error in errors} <= set(allowed)
+        if SdoAborted in allowed and how == "requests twice":
+            assert {(one.index, one.abort_code) for one in errors} == {(0x1008, 0x0503_0000)}
+        assert rig.runtime.now_ns() < 60_000 * MS
+
+
+def test_an_abort_without_a_place_is_not_about_a_transfer_that_has_just_begun():
+    """A server with no transfer going on names none: it cannot mean our new one."""
+    with two_drives() as rig:
+        hardware = rig.motors["left"].hardware
+        say = rig.world.add_host("can0", "late", lambda *_: None)
+        from tests.crosscheck.wire import frame
+
+        # complete while the request's answer is under way: 1 ms after the request
+        rig.world.queue.alarm(lambda now_ns: say.send(frame("581#8000000001000405"))).set(
+            rig.runtime.now_ns() + 400_000
+        )
+        assert hardware.upload(0x1018, 2) == (0x402).to_bytes(4, "little")
+
+
+def test_another_client_on_the_channel_is_told_as_such_or_does_no_harm():
+    with two_drives() as rig:
+        hardware = rig.motors["left"].hardware
+        say = stranger(rig)
+        say("601#4008100000000000")  # begins a segmented upload, and leaves it there
+        assert hardware.upload(0x1018, 2) == (0x402).to_bytes(4, "little")
+        say("601#6000000000000000")  # goes on with it; but there is none any more
+        assert hardware.upload(0x1008) == NAME
