@@ -19,11 +19,13 @@ from motorapi.adaptations.canopen_link import (
     release_link,
 )
 from motorapi.adaptations.cia402_objects import Mode, PdsState, Value
+from motorapi.adaptations.csp_stream import CspStream
 from motorapi.adaptations.drive_control import DriveControl
 from motorapi.adaptations.drive_node import DriveNode, Emergency
 from motorapi.adaptations.drive_objects import DriveObjects
 from motorapi.adaptations.drive_setup import DriveFacts, HwOptions, bring_up
 from motorapi.errors import LinkError, UsageError
+from motorapi.runtime import runtime_of
 from motorapi.sharing import (
     PhysicalMotor,
     bus_key,
@@ -37,7 +39,6 @@ if TYPE_CHECKING:
     import can
     from canopen.sdo.client import SdoClient
 
-    from motorapi.adaptations.csp_stream import CspStream
     from motorapi.adaptations.motion_watch import MotionWatch
     from motorapi.runtime import Runtime
 
@@ -77,8 +78,6 @@ class Cia402HwMotor:
         if not 1 <= node_id <= 127:
             raise UsageError(f"node_id = {node_id}: a node-ID is 1 to 127")
         if runtime is None:
-            from motorapi.runtime import runtime_of
-
             runtime = runtime_of(bus)
         self.node_id: Final = node_id
         self.options: Final = options if options is not None else HwOptions()
@@ -260,10 +259,8 @@ class Cia402HwMotor:
 
     def stream_positions(
         self, period_s: float, next_target: Callable[[int], int | None]
-    ) -> "CspStream":
+    ) -> CspStream:
         """Csp: one target position per SYNC, from `next_target(cycle)`, until that is None."""
-        from motorapi.adaptations.csp_stream import CspStream
-
         return CspStream(self, period_s, next_target)
 
 

@@ -9,6 +9,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final, final
 
+from motorapi.adaptations.canopen_errors import SdoAborted
 from motorapi.adaptations.canopen_link import HEARTBEAT_ID, OPERATIONAL, CanopenLink
 from motorapi.adaptations.cia402_objects import (
     ENABLED_MASK,
@@ -126,16 +127,10 @@ class DriveNode:
             self.malformed += 1
             return
         word, position_inc = _STATUS_POSITION(frame)
-        self.position_inc = position_inc
-        self.status_ns = time_ns
-        if word != self._word:
-            self._new_statusword(word, time_ns)
-        if self.watch is not None:
-            self.watch.see(word, position_inc, time_ns)
-            self.news.count += 1
+        self.take_status(word, position_inc, time_ns)
 
     def take_status(self, word: int, position_inc: int, time_ns: int) -> None:
-        """A status that came in another way than the usual TPDO."""
+        """A status has come, in whatever way."""
         self.position_inc = position_inc
         self.status_ns = time_ns
         if word != self._word:
@@ -292,6 +287,13 @@ class DriveNode:
         """As `read`, for objects that hold an integer."""
         value = self.read(index, subindex)
         return value if isinstance(value, int) else 0
+
+    def read_optional(self, index: int, subindex: int = 0) -> int | None:
+        """As `read_int`; None if the drive refuses to tell."""
+        try:
+            return self.read_int(index, subindex)
+        except SdoAborted:
+            return None
 
     def refresh(self) -> None:
         """Statusword and position are fresh where no TPDO repeats them."""

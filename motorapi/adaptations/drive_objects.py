@@ -3,7 +3,6 @@
 import difflib
 from typing import TYPE_CHECKING, Final, final
 
-from motorapi.adaptations.canopen_errors import SdoAborted
 from motorapi.adaptations.cia402_objects import OBJECTS, Value, decode, encode, type_of
 from motorapi.errors import UsageError
 
@@ -53,10 +52,7 @@ class DriveObjects:
     def read_optional(self, index: int, subindex: int = 0) -> int | None:
         """The integer in an object; None if the drive refuses to tell."""
         self._node.check_heard()
-        try:
-            return self._node.read_int(index, subindex)
-        except SdoAborted:
-            return None
+        return self._node.read_optional(index, subindex)
 
     def write(
         self, what: int | str, value: Value, subindex: int = 0, kind: str | None = None

@@ -24,7 +24,6 @@ from motorapi.adaptations.pdo_setup import (
     PdoFound,
     PdoSetUp,
     PdoWish,
-    read_optional,
     usable_as_it_is,
 )
 from motorapi.errors import DeadlineExceeded, UsageError
@@ -130,7 +129,7 @@ def bring_up(node: DriveNode, options: HwOptions) -> DriveFacts:
     identity = _identity(node, _first_answer(node, options.connect_timeout_s))
     limitations: list[str] = []
     _set_up_dead_man(node, options, limitations)
-    sync_id = read_optional(node, 0x1005)
+    sync_id = node.read_optional(0x1005)
     latched = sync_id is None or sync_id & 0x7FF == node.link.sync_id
     if not latched:
         limitations.append(f"its SYNC is {sync_id or 0:03X}h, ours {node.link.sync_id:03X}h")
@@ -182,12 +181,12 @@ def _identity(node: DriveNode, device_type: int) -> Identity:
         raise UsageError(
             f"{node.label} is no CiA 402 drive: its device type 1000h is {device_type:08X}h"
         )
-    numbers = [read_optional(node, 0x1018, place) for place in range(1, 5)]
+    numbers = [node.read_optional(0x1018, place) for place in range(1, 5)]
     return Identity(device_type, *numbers)
 
 
 def _modes(node: DriveNode) -> frozenset[Mode] | None:
-    word = read_optional(node, 0x6502)
+    word = node.read_optional(0x6502)
     if word is None:
         return None
     return frozenset(mode for mode in Mode if mode is not Mode.NONE and word & mode.supported_bit)
@@ -202,7 +201,7 @@ def _set_up_dead_man(node: DriveNode, options: HwOptions, limitations: list[str]
     _write_if_different(
         node, 0x1017, 0, options.heartbeat_ms, 2, limitations, "its heartbeat: we cannot miss it"
     )
-    watched = read_optional(node, 0x1016, 1)
+    watched = node.read_optional(0x1016, 1)
     if not options.heartbeat_ms and watched and watched >> 16 == options.host_node_id:
         _write_if_different(node, 0x1016, 1, 0, 4, limitations, "not to watch us any more")
     if options.heartbeat_ms and options.heartbeat_timeout_ms:
@@ -210,7 +209,7 @@ def _set_up_dead_man(node: DriveNode, options: HwOptions, limitations: list[str]
         _write_if_different(
             node, 0x1016, 1, consumer, 4, limitations, "whom to watch: it does not notice our end"
         )
-        if read_optional(node, 0x1017) == options.heartbeat_ms:
+        if node.read_optional(0x1017) == options.heartbeat_ms:
             node.expect_heartbeat()
 
 
@@ -223,7 +222,7 @@ def _write_if_different(
     limitations: list[str],
     meaning: str,
 ) -> None:
-    if read_optional(node, index, subindex) == value:
+    if node.read_optional(index, subindex) == value:
         return
     try:
         node.sdo.download(index, subindex, (value & (1 << 8 * size) - 1).to_bytes(size, "little"))

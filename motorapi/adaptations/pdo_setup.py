@@ -77,31 +77,23 @@ class PdoFound:
         )
 
 
-def read_optional(node: DriveNode, index: int, subindex: int = 0) -> int | None:
-    """The integer in an object; None if the drive refuses to tell."""
-    try:
-        return node.read_int(index, subindex)
-    except SdoAborted:
-        return None
-
-
 def find_pdo(node: DriveNode, *, transmit: bool, number: int) -> PdoFound | None:
     """A PDO as the drive has it; None if it has none of that number."""
     index = (0x1800 if transmit else 0x1400) + number - 1
-    cob_id = read_optional(node, index, 1)
+    cob_id = node.read_optional(index, 1)
     if cob_id is None:
         return None
-    transmission = read_optional(node, index, 2)
-    count = read_optional(node, index + 0x200, 0)
+    transmission = node.read_optional(index, 2)
+    count = node.read_optional(index + 0x200, 0)
     mapping = tuple(
-        read_optional(node, index + 0x200, place) or 0 for place in range(1, (count or 0) + 1)
+        node.read_optional(index + 0x200, place) or 0 for place in range(1, (count or 0) + 1)
     )
     return PdoFound(
         cob_id=cob_id,
         transmission=EVENT_DRIVEN if transmission is None else transmission,
         mapping=mapping,
-        inhibit_100us=read_optional(node, index, 3) if transmit else None,
-        event_ms=read_optional(node, index, 5) if transmit else None,
+        inhibit_100us=node.read_optional(index, 3) if transmit else None,
+        event_ms=node.read_optional(index, 5) if transmit else None,
     )
 
 
@@ -148,7 +140,7 @@ class PdoSetUp:
     def switch_off(self, number: int, *, keep: int | None) -> None:
         """The drive does not send this TPDO, if it has it, unless its identifier is `keep`."""
         index = 0x1800 + number - 1
-        cob_id = read_optional(self._node, index, 1)
+        cob_id = self._node.read_optional(index, 1)
         if cob_id is None or cob_id & _INVALID or cob_id & 0x7FF == keep:
             return
         self._pause()
