@@ -40,12 +40,20 @@ _STATES: Final = (
 )
 
 
-def decode_state(statusword: int) -> PdsState | None:
-    """The state in a statusword (6041h); None if it shows none the standard knows."""
+def _shown_by(bits: int) -> PdsState | None:
     for mask, value, state in _STATES:
-        if statusword & mask == value:
+        if bits & mask == value:
             return state
     return None
+
+
+STATE_BITS: Final = 0x6F
+_STATE_OF_BITS: Final = tuple(_shown_by(bits) for bits in range(STATE_BITS + 1))
+
+
+def decode_state(statusword: int) -> PdsState | None:
+    """The state in a statusword (6041h); None if it shows none the standard knows."""
+    return _STATE_OF_BITS[statusword & STATE_BITS]
 
 
 # statusword

@@ -3,7 +3,13 @@
 from typing import TYPE_CHECKING, Final, final
 
 from motorapi.adaptations.cia402_hardware import Cia402HwMotor
-from motorapi.adaptations.cia402_objects import FAULT_BIT, PdsState, error_text
+from motorapi.adaptations.cia402_objects import (
+    FAULT_BIT,
+    STATE_BITS,
+    PdsState,
+    decode_state,
+    error_text,
+)
 from motorapi.adaptations.cia402_units import DriveUnits, drive_units
 from motorapi.adaptations.drive_profile import DriveLimits
 from motorapi.adaptations.drive_setup import DriveFacts
@@ -20,6 +26,10 @@ _STATES: Final = {
     PdsState.FAULT: MotorState.FAULT,
     PdsState.FAULT_REACTION_ACTIVE: MotorState.FAULT,
 }
+_STATE_OF_BITS: Final = tuple(
+    _STATES.get(state, MotorState.DISABLED) if state is not None else MotorState.DISABLED
+    for state in map(decode_state, range(STATE_BITS + 1))
+)
 
 
 @final
@@ -63,8 +73,7 @@ class DriveReader:
         node = self._node
         if self._hardware.facts is None or node.lost_since_ns is not None or node.status_ns < 0:
             return MotorState.OFFLINE
-        state = node.state
-        known = MotorState.DISABLED if state is None else _STATES.get(state, MotorState.DISABLED)
+        known = _STATE_OF_BITS[node.statusword & STATE_BITS]
         if known is MotorState.DISABLED and self._hardware.quick_stopped:
             return MotorState.STOPPED  # 605Ah may switch off at the end of a quick stop
         return known
