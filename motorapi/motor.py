@@ -15,12 +15,13 @@ Algorithm 1 of the paper runs nearly word for word::
 Setting is local: nothing is sent, and other logical motors of the same physical motor see nothing
 of it. `start` takes the motor, pushes what differs, and starts, or raises and has moved nothing.
 Public methods are final: they validate, take the motor, convert errors, and report. What a vendor
-fills in is in `motorapi.hooks`. U stands for the motor's unit of position: rad, or m if linear.
+fills in is in `motorapi.hooks`; what only looks is in `motorapi.readable_motor`. U stands for the
+motor's unit of position: rad, or m if linear.
 """
 
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from typing import Final, ParamSpec, TypeVar, final
+from typing import Final, final
 
 from motorapi import planning
 from motorapi.commands import ControlMode, ControlVariable, DerivativeLimits, Motion, Setpoint
@@ -32,18 +33,15 @@ from motorapi.errors import (
     UnsupportedError,
 )
 from motorapi.execution import require_no_fault, require_rest, start_together, wait_for_all
-from motorapi.hooks import MotorHooks
+from motorapi.readable_motor import ReadableMotor
 from motorapi.sharing import Run, RunStatus
-from motorapi.state import Fault, Measurement, MotorState
+from motorapi.state import MotorState
 from motorapi.trajectory import TrapezoidalTrajectory
-
-P = ParamSpec("P")
-R = TypeVar("R")
 
 _HOMING_TIMEOUT_S: Final = 60.0
 
 
-class Motor(MotorHooks):
+class Motor(ReadableMotor):
     """A logical motor: the user's view of one physical motor. Settings are kept here until start().
 
     An adaptation derives from it and fills in the hooks; it cannot override what is public.
@@ -266,74 +264,7 @@ class Motor(MotorHooks):
             self.stop()
             raise
 
-    @final
-    def is_referenced(self) -> bool:
-        """Whether position 0 is where it is meant to be."""
-        self._call(self._connect)
-        return self._call(self._read_referenced)
-
-    # ---- state and measurements: free for all, never disturb the owner ----
-
-    @final
-    def state(self) -> MotorState:
-        """The state; OFFLINE if the motor is not heard."""
-        return self._call(self._read_state)
-
-    @final
-    def fault(self) -> Fault | None:
-        """What the drive says is wrong; None if nothing is."""
-        return self._call(self._read_fault)
-
-    @final
-    def position(self) -> float:
-        """Measured position [U]."""
-        self._call(self._connect)
-        return self._call(self._read_position)
-
-    @final
-    def velocity(self) -> float:
-        """Measured velocity [U/s]."""
-        self._call(self._connect)
-        return self._call(self._read_velocity)
-
-    @final
-    def torque(self) -> float:
-        """Measured torque [N·m], or force [N]."""
-        self._call(self._connect)
-        return self._call(self._read_torque)
-
-    @final
-    def following_error(self) -> float:
-        """Demand minus actual position [U]."""
-        self._call(self._connect)
-        return self._call(self._read_following_error)
-
-    @final
-    def latest(self) -> Measurement | None:
-        """What was heard of the motor last; nothing is sent, so callbacks may ask."""
-        return self._call(self._latest)
-
-    def __repr__(self) -> str:
-        text = f"<{type(self).__name__} {self.name!r} on {self._physical.label}"
-        latest = self._latest()
-        if latest is None:
-            return f"{text}>"
-        where = "" if latest.position is None else f", {latest.position:g} {self.model.unit}"
-        return f"{text}: {latest.state.value}{where}>"
-
     # ---- inside: shared with motorapi.execution and motorapi.group ----
-
-    @final
-    def _call(self, hook: Callable[P, R], *args: P.args, **kwargs: P.kwargs) -> R:
-        """What the hook returns; its errors are of the error tree."""
-        try:
-            return hook(*args, **kwargs)
-        except MotorError:
-            raise
-        except Exception as error:
-            raise PluginError(
-                plugin=type(self).__qualname__, where=hook.__name__, problem=repr(error)
-            ) from error
 
     @final
     @contextmanager

@@ -1,0 +1,86 @@
+"""What may be asked of a motor at any time: its state, its fault, and what is measured.
+
+Reading takes nobody's permission and never disturbs whoever has the motor. U stands for the
+motor's unit of position: rad, or m if linear.
+"""
+
+from collections.abc import Callable
+from typing import ParamSpec, TypeVar, final
+
+from motorapi.errors import MotorError, PluginError
+from motorapi.hooks import MotorHooks
+from motorapi.state import Fault, Measurement, MotorState
+
+P = ParamSpec("P")
+R = TypeVar("R")
+
+
+class ReadableMotor(MotorHooks):
+    """The part of `motorapi.motor.Motor` that only looks."""
+
+    @final
+    def state(self) -> MotorState:
+        """The state; OFFLINE if the motor is not heard."""
+        return self._call(self._read_state)
+
+    @final
+    def fault(self) -> Fault | None:
+        """What the drive says is wrong; None if nothing is."""
+        return self._call(self._read_fault)
+
+    @final
+    def is_referenced(self) -> bool:
+        """Whether position 0 is where it is meant to be."""
+        self._call(self._connect)
+        return self._call(self._read_referenced)
+
+    @final
+    def position(self) -> float:
+        """Measured position [U]."""
+        self._call(self._connect)
+        return self._call(self._read_position)
+
+    @final
+    def velocity(self) -> float:
+        """Measured velocity [U/s]."""
+        self._call(self._connect)
+        return self._call(self._read_velocity)
+
+    @final
+    def torque(self) -> float:
+        """Measured torque [N·m], or force [N]."""
+        self._call(self._connect)
+        return self._call(self._read_torque)
+
+    @final
+    def following_error(self) -> float:
+        """Demand minus actual position [U]."""
+        self._call(self._connect)
+        return self._call(self._read_following_error)
+
+    @final
+    def latest(self) -> Measurement | None:
+        """What was heard of the motor last; nothing is sent, so callbacks may ask."""
+        return self._call(self._latest)
+
+    def __repr__(self) -> str:
+        text = f"<{type(self).__name__} {self.name!r} on {self._physical.label}"
+        latest = self._latest()
+        if latest is None:
+            return f"{text}>"
+        where = "" if latest.position is None else f", {latest.position:g} {self.model.unit}"
+        return f"{text}: {latest.state.value}{where}>"
+
+    # ---- inside: shared with Motor, motorapi.execution and motorapi.group ----
+
+    @final
+    def _call(self, hook: Callable[P, R], *args: P.args, **kwargs: P.kwargs) -> R:
+        """What the hook returns; its errors are of the error tree."""
+        try:
+            return hook(*args, **kwargs)
+        except MotorError:
+            raise
+        except Exception as error:
+            raise PluginError(
+                plugin=type(self).__qualname__, where=hook.__name__, problem=repr(error)
+            ) from error
