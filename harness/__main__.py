@@ -1,6 +1,8 @@
 """`python -m harness` is `motorhil`."""
 
+import os
 import sys
+import threading
 
 
 def start() -> int:
@@ -10,7 +12,13 @@ def start() -> int:
     except KeyboardInterrupt:
         sys.stderr.write("motorhil: interrupted\n")
         return 130
-    return main()
+    status = main()
+    others = [thread for thread in threading.enumerate() if thread is not threading.main_thread()]
+    if status == 130 and not all(thread.daemon for thread in others):
+        sys.stdout.flush()
+        sys.stderr.flush()
+        os._exit(status)  # Python would wait for a thread that nobody can end
+    return status
 
 
 if __name__ == "__main__":

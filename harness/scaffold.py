@@ -49,13 +49,15 @@ def write_new_rig(folder: Path) -> list[Path]:
         if path.exists():
             raise RigError(path, "is there already", "name another folder: motorhil new DIR")
     missing = [above for above in (folder, *folder.parents) if not above.exists()]
+    made: list[Path] = []
     try:
         folder.mkdir(parents=True, exist_ok=True)
         for path, text in texts.items():
             with path.open("x", encoding="utf-8") as file:
+                made.append(path)
                 file.write(text)
     except OSError as error:
-        _take_back(texts, missing)
+        _take_back(made, missing)
         reason = error.strerror or str(error)
         raise RigError(folder, f"cannot be written: {reason}", "name another folder") from None
     return list(texts)
@@ -65,6 +67,6 @@ def _take_back(files: Iterable[Path], folders: Iterable[Path]) -> None:
     """None of these is there, as far as that can be had."""
     with suppress(OSError):
         for path in files:
-            path.unlink(missing_ok=True)
+            path.unlink()
         for folder in folders:
             folder.rmdir()

@@ -5,13 +5,14 @@ import code
 import linecache
 import os
 import sys
+import threading
 import traceback
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from types import CodeType, ModuleType
-from typing import TYPE_CHECKING, Final, final
+from typing import TYPE_CHECKING, Final, Self, final
 
 from harness.settings import RigError
 
@@ -20,6 +21,7 @@ if TYPE_CHECKING:
 
 STDIN: Final = "-"
 _STDIN_NAME: Final = "<stdin>"
+_PATIENCE_S: Final = 1.0
 _CAN_SETTINGS: Final = ("CAN_INTERFACE", "CAN_CHANNEL", "CAN_BITRATE", "CAN_CONFIG")
 _OWN_FOLDER: Final = str(Path(__file__).parent.parent) + os.sep
 _PACKAGES: Final = ("motorapi", "emulators", "traces", "harness")
@@ -61,27 +63,69 @@ def read_script(name: str) -> Script:
 def run_script(rig: "Rig", script: Script, words: Sequence[str]) -> int:
     """The program has run as `__main__`; its exit status, 1 if it raised.
 
-    What it raised is told on stderr, from its own first line on; KeyboardInterrupt is passed on.
+    What it raised, also in threads of its own, is told on stderr, from its own first line on;
+    KeyboardInterrupt is passed on. As with Python itself, it has run when its threads have ended.
     """
     main = ModuleType("__main__")
     main.__dict__.update(__file__=script.name, __builtins__=builtins)
     if script.name == _STDIN_NAME:  # tracebacks quote it all the same
         lines = script.source.decode("utf-8", "replace").splitlines(keepends=True)
         linecache.cache[_STDIN_NAME] = (len(script.source), None, lines, _STDIN_NAME)
-    with _as_main(main, script, words), bus_settings(rig):
+    with _as_main(main, script, words), bus_settings(rig), _Threads(script.name) as threads:
+        status = 0
         try:
             program: CodeType = compile(script.source, script.name, "exec", dont_inherit=True)
             exec(program, main.__dict__)
         except SystemExit as leaving:
-            return _status(leaving)
+            status = _status(leaving)
         except BrokenPipeError:
             raise  # whoever read its output has left: as with any command
         except Exception as error:
             if rig.recording is not None and error is rig.recording.error:
                 raise  # the record failed, not the program
             print_error(error, script.name)
-            return 1
-    return 0
+            status = 1
+        threads.join()
+    return status or int(threads.failed)
+
+
+@final
+class _Threads:
+    """The threads a program starts, while it runs: what they raise is its failure.
+
+    Attributes: failed, whether one of them raised.
+    """
+
+    def __init__(self, script: str) -> None:
+        self.failed = False
+        self._script = script
+        self._before = threading.enumerate()
+        self._hook = threading.excepthook
+
+    def __enter__(self) -> Self:
+        threading.excepthook = self._told
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        threading.excepthook = self._hook
+
+    def _told(self, what: threading.ExceptHookArgs) -> None:
+        if what.exc_value is not None and not isinstance(what.exc_value, SystemExit):
+            self.failed = True
+            print_error(what.exc_value, self._script)
+
+    def join(self) -> None:
+        """All have ended that are no daemons; after a second without an end, that is told."""
+        for thread in threading.enumerate():
+            if thread in self._before or thread.daemon:
+                continue
+            thread.join(_PATIENCE_S)
+            if thread.is_alive():
+                print(
+                    f"{self._script} has ended, its thread {thread.name!r} has not; Ctrl-C ends it",
+                    file=sys.stderr,
+                )
+                thread.join()
 
 
 def run_prompt(rig: "Rig") -> int:
@@ -144,8 +188,9 @@ def _status(leaving: SystemExit) -> int:
 def print_error(error: BaseException, script: str) -> None:
     """The traceback as the script's author needs it is on stderr.
 
-    It begins in the script. An error that the motor interface or python-can raised on purpose also
-    ends there: how it came about inside is nothing the author could act on.
+    It begins in the script, and keeps to it: what lies between the script's lines, or behind the
+    last of them if the motor interface or python-can raised on purpose, is nothing the author could
+    act on. An error that was raised inside and not on purpose is told in full.
     """
     on_purpose = _is_on_purpose(error)
     report = traceback.TracebackException.from_exception(error)
@@ -177,9 +222,19 @@ def _frames_of(
     places = [number for number, frame in enumerate(frames) if frame.filename == script]
     if places:
         frames = frames[places[0] :]
-    while on_purpose and frames and _is_own(frames[-1].filename, script):
-        frames.pop()
-    return traceback.StackSummary.from_list(frames)
+    folder = str(Path(script).resolve().parent) + os.sep
+    users: list[traceback.FrameSummary] = []
+    inside: list[traceback.FrameSummary] = []  # from an own one on, until the user's come again
+    for frame in frames:
+        own = _is_own(frame.filename, script)
+        is_users = frame.filename == script or (frame.filename.startswith(folder) and not own)
+        if is_users or not (own or inside):
+            users.append(frame)
+            inside = []
+        else:
+            inside.append(frame)
+    in_full = bool(inside) and not on_purpose
+    return traceback.StackSummary.from_list(frames if in_full else users)
 
 
 def _is_own(filename: str, script: str) -> bool:

@@ -194,3 +194,107 @@ def test_realtime_takes_its_time(rig, say):
     start_s = time.monotonic()
     assert say("run", "--realtime", "rig.toml", "script.py") == (0, "", "")
     assert time.monotonic() - start_s >= 0.1
+
+
+# --- threads of a script's own
+
+PLAIN_THREAD = """\
+import threading
+import can
+
+bus = can.Bus()
+bus.shutdown()
+bus = can.Bus()
+
+
+def listen():
+    bus.recv(1.0)
+
+
+thread = threading.Thread(target=listen, name="listener")
+thread.start()
+thread.join()
+bus.shutdown()
+"""
+
+
+def test_a_thread_that_waits_in_virtual_time_fails_the_run_in_the_scripts_own_lines(rig, say):
+    (rig / "script.py").write_text(PLAIN_THREAD)
+    status, out, err = say("run", "rig.toml", "script.py")
+    assert (status, out) == (1, "")
+    lines = err.splitlines()
+    assert lines[:3] == [
+        "Traceback (most recent call last):",
+        '  File "script.py", line 10, in listen',
+        "    bus.recv(1.0)",
+    ]
+    assert lines[3].startswith("motorapi.errors.UsageError: thread 'listener' was not started by")
+    assert "runtime.spawn(name, function)" in lines[3]
+    assert lines[4:] == ["again: motorhil run rig.toml script.py --seed 7"]
+
+
+def test_the_rig_stays_open_until_the_scripts_threads_have_ended(rig, say):
+    (rig / "script.py").write_text(
+        "import sys, threading\nimport can\nbus = can.Bus()\nmain_ended = threading.Event()\n"
+        "sys.modules['__main__'].ended = main_ended\n"
+        "def watch():\n    main_ended.wait(20)\n    print(bus.runtime.now_ns())\n    1 / 0\n"
+        "threading.Thread(target=watch).start()\n"
+        "threading.Timer(0.2, main_ended.set).start()\n"
+    )
+    status, out, err = say("run", "rig.toml", "script.py")
+    assert (status, out) == (1, "0\n")
+    assert "ZeroDivisionError" in err
+
+
+@pytest.mark.wall
+def test_ctrl_c_ends_a_script_whose_thread_does_not_end(rig):
+    (rig / "script.py").write_text(
+        "import threading\nthreading.Thread(target=threading.Event().wait, name='idle').start()\n"
+    )
+    command = [sys.executable, "-m", "harness", "run", "rig.toml", "script.py"]
+    with subprocess.Popen(command, env=environment(), stderr=subprocess.PIPE, text=True) as process:
+        told = process.stderr.readline()
+        process.send_signal(signal.SIGINT)
+        _, err = process.communicate(timeout=10)
+    assert told == "script.py has ended, its thread 'idle' has not; Ctrl-C ends it\n"
+    assert (process.returncode, err) == (130, "motorhil: interrupted\n")
+
+
+CALLBACK = """\
+import can
+
+bus = can.Bus()
+
+
+def act():
+    {act}
+
+
+bus.runtime.every(0.1, act)
+try:
+    bus.runtime.run_for(1.0)
+finally:
+    bus.shutdown()
+"""
+
+
+@pytest.mark.parametrize(
+    ("act", "told"),
+    [
+        ("bus.recv(1.0)", "motorapi.errors.UsageError: waiting inside a callback: time stands"),
+        ("1 / 0", "ZeroDivisionError: division by zero"),
+    ],
+)
+def test_what_goes_wrong_in_a_callback_is_told_in_the_scripts_own_lines(rig, say, act, told):
+    (rig / "script.py").write_text(CALLBACK.format(act=act))
+    status, _, err = say("run", "rig.toml", "script.py")
+    assert status == 1
+    lines = [line for line in err.splitlines() if not set(line) <= set(" ^~")]
+    assert lines[:5] == [
+        "Traceback (most recent call last):",
+        '  File "script.py", line 12, in <module>',
+        "    bus.runtime.run_for(1.0)",
+        '  File "script.py", line 7, in act',
+        f"    {act}",
+    ]
+    assert lines[5].startswith(told)
