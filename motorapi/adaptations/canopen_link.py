@@ -111,6 +111,7 @@ class CanopenLink:
         name: what messages call it ("can0").
         confirms: whether an own frame has ever been reported as transmitted.
         sync_id: the identifier of SYNC.
+        latching: node-IDs of drives that may have something latched that a SYNC would start.
     """
 
     def __init__(self, bus: "can.BusABC", runtime: Runtime) -> None:
@@ -119,6 +120,7 @@ class CanopenLink:
         self.name = bus_name(bus)
         self.confirms = False
         self.sync_id = SYNC_ID
+        self.latching: set[int] = set()
         self.users = 0
         self._handlers: dict[bytes, FrameHandler] = {}
         self._awaited: dict[bytes, deque[Transmission]] = {}

@@ -281,10 +281,12 @@ class Cia402Motor(Motor):
             return
         if motion.variable is ControlVariable.VELOCITY:
             self._confirm_velocity(motion)
-            return
-        self._await_acknowledge(watch)
+        else:
+            self._await_acknowledge(watch)
         if not self._control.is_halted:
-            self._control.send_holding_word()
+            self._control.has_started()
+            if motion.variable is ControlVariable.POSITION:
+                self._control.send_holding_word()
 
     def _await_acknowledge(self, watch: SetpointWatch) -> None:
         """The set-point was acknowledged; a controlword that was lost is sent again.
@@ -348,17 +350,17 @@ class Cia402Motor(Motor):
         return watch.ended_ns is not None
 
     def _stop(self) -> None:
-        now_ns = self.runtime.now_ns()
-        self._hardware.follow(RestWatch(commanded_ns=now_ns, needs_bit=True))
+        watch = RestWatch(commanded_ns=self.runtime.now_ns(), needs_bit=True)
+        self._hardware.follow(watch)
         if self._node.state is PdsState.OPERATION_ENABLED:
-            self._control.send_halt()
+            self._control.send_halt(watch)
 
     def _quick_stop(self) -> None:
-        now_ns = self.runtime.now_ns()
-        self._hardware.follow(RestWatch(commanded_ns=now_ns, needs_bit=False))
+        watch = RestWatch(commanded_ns=self.runtime.now_ns(), needs_bit=False)
+        self._hardware.follow(watch)
         if self._node.state is PdsState.OPERATION_ENABLED:
             self._hardware.quick_stopped = True
-            self._control.send_quick_stop()
+            self._control.send_quick_stop(watch)
 
     def _motion_times(self) -> MotionTimes | None:
         watch = self._setpoint

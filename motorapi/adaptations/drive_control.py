@@ -24,16 +24,20 @@ from motorapi.adaptations.cia402_objects import (
 )
 from motorapi.adaptations.drive_node import DriveNode
 from motorapi.adaptations.drive_objects import DriveObjects
-from motorapi.errors import DeadlineExceeded, UnsupportedError
+from motorapi.errors import DeadlineExceeded, LinkError, UnsupportedError
 
 if TYPE_CHECKING:
     from motorapi.adaptations.drive_setup import DriveFacts
+    from motorapi.adaptations.motion_watch import MotionWatch
+    from motorapi.runtime import Registration
 
 _STATE_TIMEOUT_S: Final = 2.0
 _MODE_TIMEOUT_S: Final = 0.5
 _ACKNOWLEDGE_TIMEOUT_S: Final = 0.5
 _RESET_TIMEOUT_S: Final = 0.5
 _POLL_S: Final = 0.002
+_REPEAT_S: Final = 0.1
+_REPEATS: Final = 10
 _STEPS_MAX: Final = 8
 _CONTROL: Final = struct.Struct("<IB3xH6x")
 _NEXT_COMMAND: Final = {
@@ -59,13 +63,19 @@ class DriveControl:
         self._objects = objects
         self._mode: Mode | None = None
         self._halted = False
+        self._word: int | None = None  # the controlword commanded last
+        self._repetition: Registration | None = None  # of a stop
         self._armed: int | None = None  # the index of the target that the next SYNC makes count
+        self._latched: int | None = None  # the same, until the drive has shown that it counted
 
     def forget(self) -> None:
         """The drive has booted, or is new: nothing is known of it."""
+        self._end_repetition()
+        self._word = None
         self._mode = None
         self._halted = False
         self._armed = None
+        self.has_started()
 
     def supports(self, mode: Mode) -> bool:
         """Whether the drive names the mode in 6502h; what is not known is not denied."""
@@ -76,6 +86,8 @@ class DriveControl:
 
     def write_controlword(self, word: int) -> None:
         """The drive has this controlword (6040h), by SDO: confirmed."""
+        self._end_repetition()
+        self._word = word
         self._objects.download(0x6040, 0, word.to_bytes(2, "little"))
 
     def send_controlword(self, word: int) -> Transmission | None:
@@ -84,6 +96,8 @@ class DriveControl:
         if facts is None or facts.control_id is None:
             self.write_controlword(word)
             return None
+        self._end_repetition()
+        self._word = word
         return self._link.send_tracked(_CONTROL.pack(facts.control_id, 2, word))
 
     def enable(self) -> None:
@@ -143,17 +157,50 @@ class DriveControl:
         finally:
             self.write_controlword(0)
 
-    def send_halt(self) -> None:
-        """The drive stops as 605Dh says and holds, until something new is commanded."""
-        self._halted = True
-        self._drop_armed()
-        self.send_controlword(ENABLE_OPERATION | HALT)
+    def send_halt(self, watch: "MotionWatch | None" = None) -> None:
+        """The drive stops as 605Dh says and holds, until something new is commanded.
 
-    def send_quick_stop(self) -> None:
-        """The drive stops as 605Ah says."""
+        With `watch`, which follows how it comes to rest, the command is repeated: it may be lost.
+        """
         self._halted = True
-        self._drop_armed()
-        self.send_controlword(QUICK_STOP)
+        self._send_stop(ENABLE_OPERATION | HALT, watch)
+
+    def send_quick_stop(self, watch: "MotionWatch | None" = None) -> None:
+        """The drive stops as 605Ah says. `watch`: as for a halt."""
+        self._halted = True
+        self._send_stop(QUICK_STOP, watch)
+
+    def _send_stop(self, word: int, watch: "MotionWatch | None") -> None:
+        self._armed = None
+        self.send_controlword(word)
+        self._overwrite_latch()
+        facts = self.facts
+        if watch is not None and facts is not None and facts.control_id is not None:
+            frame = _CONTROL.pack(facts.control_id, 2, word)
+            self._repetition = self._link.runtime.every(_REPEAT_S, self._again(frame, watch))
+
+    def _again(self, frame: bytes, watch: "MotionWatch") -> Callable[[], None]:
+        """Sends a stop while `watch` sees no end of it; anything else that is commanded ends it."""
+        node = self._node
+        left = iter(range(_REPEATS))
+
+        def again() -> None:
+            enabled = node.state is PdsState.OPERATION_ENABLED
+            goes_on = node.watch is watch and watch.ended_ns is None and enabled
+            if not goes_on or next(left, None) is None:
+                self._end_repetition()
+                return
+            try:
+                self._link.send_tracked(frame)
+            except LinkError:
+                self._end_repetition()
+
+        return again
+
+    def _end_repetition(self) -> None:
+        if self._repetition is not None:
+            self._repetition.cancel()
+            self._repetition = None
 
     # --- modes and set-points ------------------------------------------------------------
 
@@ -251,7 +298,8 @@ class DriveControl:
         word = ENABLE_OPERATION
         if index == 0x607A:
             word |= NEW_SET_POINT | CHANGE_IMMEDIATELY
-        self._armed = index
+        self._armed = self._latched = index
+        self._link.latching.add(self._node.node_id)
 
         def on_sync(time_ns: int) -> None:
             if self._armed is not None:
@@ -263,20 +311,37 @@ class DriveControl:
         self._link.confirmed([self._link.send_tracked(frame)])
         self._link.at_next_sync(on_sync)
 
-    def disarm(self) -> None:
-        """What was armed will not start: it was overwritten, and that is on the wire."""
-        transmission = self._drop_armed()
-        if transmission is not None:
-            self._link.confirmed([transmission])
+    def has_started(self) -> None:
+        """What was armed has begun, as the drive shows: it is latched no more."""
+        self._latched = None
+        self._link.latching.discard(self._node.node_id)
 
-    def _drop_armed(self) -> Transmission | None:
-        index, self._armed = self._armed, None
-        facts = self.facts
+    def disarm(self) -> None:
+        """What was armed will not start, at no later SYNC either.
+
+        It is overwritten, twice, as a frame may be lost. The frame that overwrites is latched then,
+        and would bring its controlword back some day: a SYNC takes it out, once there is no drive
+        on the bus that has something else latched.
+        """
+        self._armed = None
+        transmissions = [*self._overwrite_latch(), *self._overwrite_latch()]
+        if not transmissions:
+            return
+        self._link.confirmed(transmissions)
+        self.has_started()
+        if not self._link.latching and self._link.sync_period_ns is None:
+            self._link.confirmed([self._link.sync()])
+
+    def _overwrite_latch(self) -> list[Transmission]:
+        """The controlword as it is, and no motion, wait for the next SYNC in place of a target."""
+        index, facts = self._latched, self.facts
         if index is None or facts is None:
-            return None
+            return []
         target = self._node.position_inc if index == 0x607A else 0
-        can_id = facts.latched_ids[index]
-        return self._link.send_tracked(_control_target(can_id, self._holding_word(), index, target))
+        word = self._holding_word() if self._word is None else self._word
+        word &= ~(NEW_SET_POINT | CHANGE_IMMEDIATELY)
+        frame = _control_target(facts.latched_ids[index], word, index, target)
+        return [self._link.send_tracked(frame)]
 
 
 def _control_target(can_id: int, word: int, index: int, target: int) -> bytes:

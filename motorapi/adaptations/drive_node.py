@@ -219,6 +219,7 @@ class DriveNode:
 
     def close(self) -> None:
         """It is heard no more."""
+        self.watch = None
         if self._silence is not None:
             self._silence.cancel()
             self._silence = None
