@@ -52,6 +52,20 @@ def test_the_commands_status_is_ours(ending, status):
     assert (done.returncode, done.stderr) == (status, "")
 
 
+def test_a_command_is_told_where_each_bus_is(tmp_path):
+    rig = tmp_path / "rig.toml"
+    rig.write_text("bus.can0.bitrate_bit_s = 1_000_000\nbus.arm-1.bitrate_bit_s = 500_000\n")
+    script = tmp_path / "script.py"
+    script.write_text(
+        "import can, os\n"
+        "for name in ('MOTORHIL_CHANNEL_CAN0', 'MOTORHIL_CHANNEL_ARM_1', 'CAN_CHANNEL'):\n"
+        "    with can.Bus(interface='emulated', channel=os.environ[name]) as bus:\n"
+        "        print(bus._hub.bus)\n"
+    )
+    done = motorhil("serve", str(rig), "--", sys.executable, str(script))
+    assert (done.returncode, done.stderr, done.stdout) == (0, "", "can0\narm-1\ncan0\n")
+
+
 def test_a_command_that_is_not_there_is_one_line():
     done = motorhil("serve", RIG, "--", "no-such-command-at-all")
     assert done.returncode == 127
