@@ -282,7 +282,9 @@ def test_a_plugin_that_leaves_when_it_is_imported_is_told_not_obeyed(plugin, say
 
 STARTER = """\
 class controller:
-    wants_sent = identifiers = identifiers_revision = next_deadline_ns = lambda self: None
+    wants_sent = lambda self: False
+    identifiers = next_deadline_ns = lambda self: None
+    identifiers_revision = lambda self: 0
     __init__ = lambda self, settings, context: None
 
     def start(self, now_ns):
@@ -301,7 +303,7 @@ FAILING_PLUGINS = {
         "controller = lambda settings, context: None\n",
         "TypeError: it built None, which is",
     ),
-    "starting": (STARTER, "RuntimeError: no power ({path}:6)"),
+    "starting": (STARTER, "RuntimeError: no power ({path}:8)"),
 }
 
 

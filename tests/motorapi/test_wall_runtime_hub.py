@@ -28,11 +28,13 @@ def test_own_frames_are_told_when_the_bus_has_carried_them(tmp_path, runtime):
     path = str(tmp_path / "hub.sock")
     with serving(path, Echo(0x200)), can.Bus(interface="emulated", channel=path) as bus:
         heard = []
-        runtime.listen(bus, lambda frame, time_ns, own: heard.append((frame, own)))
+        listening = runtime.listen(bus, lambda frame, t, own: heard.append((frame, own)))
         assert source_of(bus).reports_own  # so it is the hub that tells, not `send` that returned
         runtime.send(bus, ASK)
         assert runtime.wait_until(lambda: len(heard) == 2, LATE_S)
         assert heard == [(ASK, True), (ANSWER, False)]
+        listening.cancel()
+        runtime.close()  # before the bus: nobody reads a bus that is closed
 
 
 def test_a_hub_that_goes_away_is_told(tmp_path, runtime):

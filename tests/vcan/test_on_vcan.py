@@ -14,7 +14,7 @@ CHECKOUT = Path(__file__).parents[2]
 @pytest.mark.vcan
 @pytest.mark.timeout(300)
 def test_on_real_socketcan(capfd):
-    command = [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider"]
+    command = [sys.executable, "-m", "pytest", "-p", "no:cacheprovider"]
     inside = str(Path(__file__).parent / "inside")
     try:
         status = runner.run([*command, "--override-ini", "python_files=on_*.py", inside])
