@@ -13,6 +13,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, final
 
+from harness.exit_status import FAILED, PASSED
 from harness.rig_file import SEED_MAX
 from harness.settings import RigError
 
@@ -21,8 +22,6 @@ if TYPE_CHECKING:
     from harness.rig import Rig
     from harness.rig_file import RigDescription
 
-PASSED: Final = 0
-FAILED: Final = 1
 RIG: Final = Path(__file__).parent / "examples" / "rover.toml"
 POINT_M: Final = (6.0, 1.5, 0.4)
 SAMPLE_NS: Final = 20_000_000

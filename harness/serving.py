@@ -15,10 +15,9 @@ from typing import Final, final
 from emulators.hub import HubError, HubServer
 from emulators.serve import WallLoop
 from emulators.socketcan import SocketCanError, SocketCanGateway
+from harness.exit_status import PASSED, WRONG_USAGE
 from harness.rig import Rig
 
-PASSED: Final = 0
-WRONG_USAGE: Final = 2
 _NOT_FOUND: Final = 127
 _GRACE_S: Final = 3.0
 

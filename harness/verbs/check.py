@@ -5,6 +5,7 @@ import json
 import sys
 from pathlib import Path
 
+from harness.exit_status import PASSED, WRONG_USAGE
 from harness.settings import RigError
 
 
@@ -38,15 +39,15 @@ def run(options: argparse.Namespace) -> int:
         if not options.json:
             raise
         print(json.dumps({"right": False, **_facts(error)}))
-        return 2
+        return WRONG_USAGE
     if options.json:
         print(json.dumps({"right": True, "name": name, **counts, "notes": notes}))
-        return 0
+        return PASSED
     for note in notes:
         print(note, file=sys.stderr)
     parts = [f"{count} {_form(word, count)}" for word, count in counts.items() if count]
     print(f"{options.rig}: {name}: {', '.join(parts)}")
-    return 0
+    return PASSED
 
 
 def _facts(error: RigError) -> dict[str, object]:

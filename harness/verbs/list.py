@@ -5,6 +5,7 @@ import json
 from importlib.util import find_spec
 from pathlib import Path
 
+from harness.exit_status import PASSED
 from harness.plugins import ADAPTATIONS, CONTROLLERS, installed
 
 
@@ -23,11 +24,11 @@ def run(options: argparse.Namespace) -> int:
     }[options.what]()
     if options.json:
         print(json.dumps(listing))
-        return 0
+        return PASSED
     for entry in listing:
         name, *facts = entry.values()
         print(f"{name:<16} " + "  ".join(facts))
-    return 0
+    return PASSED
 
 
 def _plugins(group: str) -> list[dict[str, str]]:

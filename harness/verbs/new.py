@@ -4,6 +4,7 @@ import argparse
 import sys
 from pathlib import Path
 
+from harness.exit_status import PASSED
 from harness.scaffold import write_new_rig
 
 
@@ -24,4 +25,4 @@ def run(options: argparse.Namespace) -> int:
     rig = next(path for path in files if path.name == "rig.toml")
     script = next(path for path in files if path.suffix == ".py")
     print(f"next: motorhil run {rig} {script}", file=sys.stderr)
-    return 0
+    return PASSED

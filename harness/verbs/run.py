@@ -6,14 +6,13 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from harness.exit_status import FAILED, PASSED
 from harness.rig_file import SEED_MAX
 from harness.settings import RigError
 
 if TYPE_CHECKING:
     from harness.rig import Rig
 
-PASSED = 0
-FAILED = 1
 _MORE = """\
 SCRIPT opens its bus with can.Bus(), as it would on real hardware: CAN_INTERFACE and CAN_CHANNEL say
 that it joins the rig. Time passes while the script waits. Without SCRIPT, a prompt in which `rig`

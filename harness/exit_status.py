@@ -1,0 +1,7 @@
+"""What the exit status of `motorhil` says; the same for every verb."""
+
+from typing import Final
+
+PASSED: Final = 0
+FAILED: Final = 1  # the thing under test did
+WRONG_USAGE: Final = 2
