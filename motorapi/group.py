@@ -2,11 +2,11 @@
 
 Algorithm 2 of the paper runs nearly word for word::
 
-group = MotorGroup(motor1, motor2)
-group.for_each(Motor.set_control_mode, ControlMode.TRAJECTORY)
-group.set_trajectory(TrapezoidalTrajectory(1.0), TrapezoidalTrajectory(2.0))
-group.start()
-group.wait_until_done()
+    group = MotorGroup(motor1, motor2)
+    group.for_each(Motor.set_control_mode, ControlMode.TRAJECTORY)
+    group.set_trajectory(TrapezoidalTrajectory(1.0), TrapezoidalTrajectory(2.0))
+    group.start()
+    group.wait_until_done()
 """
 
 # ruff: noqa: SLF001 -- a group works the hooks of its members, as Motor does its own

@@ -1,7 +1,7 @@
 """CiA 402 drives on CANopen: what an application imports, and what a rig builds.
 
-hw = Cia402HwMotor(bus, node_id=3)
-motor = Cia402Motor(hw, model=MotorModel.load("wheel.toml"))
+    hw = Cia402HwMotor(bus, node_id=3)
+    motor = Cia402Motor(hw, model=MotorModel.load("wheel.toml"))
 """
 
 from collections.abc import Mapping
