@@ -1,5 +1,7 @@
 """CiA 402 drives on CANopen: what an application imports, and what a rig builds.
 
+Nothing else of this package need be imported::
+
     hw = Cia402HwMotor(bus, node_id=3)
     motor = Cia402Motor(hw, model=MotorModel.load("wheel.toml"))
 """
