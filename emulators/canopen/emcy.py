@@ -15,6 +15,7 @@ from emulators.media.can_frame import pack
 
 ERROR_RESET: Final = 0x0000
 PDO_NOT_PROCESSED: Final = 0x8210  # due to length error
+PDO_LENGTH_EXCEEDED: Final = 0x8220
 HEARTBEAT_LOST: Final = 0x8130
 
 _GENERIC: Final = 0x01
@@ -66,7 +67,7 @@ class EmcyProducer:
 
     def find(self, key: int, code: int, vendor: bytes) -> None:
         """The node has found a communication error; found again, it is not told again."""
-        if key not in self._standing:
+        if self._standing.get(key) != code:
             self._standing[key] = code
             self._emit(code, vendor)
 

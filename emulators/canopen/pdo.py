@@ -1,7 +1,8 @@
 """PDOs (CiA 301, 7.2.2): receiving, latching until SYNC, and sending on SYNC, event and timer.
 
 An RPDO of type 0..240 takes effect at the next SYNC: its frame is kept as it came, and unpacked
-then. A TPDO of type 1..240 is sampled at every n-th SYNC, of type 0 at the SYNC after an event, of
+then. One that is too short is left out, of one that is too long the mapped bytes count; both are
+told (EMCY 8210h, 8220h) until one of the right length comes. A TPDO of type 1..240 is sampled at every n-th SYNC, of type 0 at the SYNC after an event, of
 types 254 and 255 at an event, at most once per inhibit time and at least once per event timer. A
 TPDO does not go into the bus's queue twice: as long as the one before has not left, the next one
 waits (254, 255) or is left out and told (synchronous ones; the bus is too full then).
@@ -11,7 +12,7 @@ Types 252 and 253 (on remote request) are not built.
 
 from typing import Final, final
 
-from emulators.canopen.emcy import PDO_NOT_PROCESSED, EmcyProducer
+from emulators.canopen.emcy import PDO_LENGTH_EXCEEDED, PDO_NOT_PROCESSED, EmcyProducer
 from emulators.canopen.object_dictionary import ObjectDictionary
 from emulators.canopen.pdo_mapping import PdoMapping, load
 from emulators.canopen.pdo_parameters import INVALID, PdoParameters
@@ -39,7 +40,7 @@ class Rpdo:
         self.latched = b""
         self._emcy = emcy
         self._host = host
-        self._is_short = False
+        self._is_odd = False  # the last one's length was not the mapping's
 
     def configure(self, od: ObjectDictionary) -> list[tuple[int, int]]:
         """It is what the dictionary says now; answers with mapping entries that cannot be."""
@@ -54,13 +55,16 @@ class Rpdo:
 
     def receive(self, frame: bytes, now_ns: int) -> None:
         """A frame with its identifier came, in OPERATIONAL."""
-        if frame[4] < self.mapping.length_bytes:
-            self._is_short = True
-            facts = bytes((self.number & 0xFF, frame[4], self.mapping.length_bytes))
-            self._emcy.find(self.number, PDO_NOT_PROCESSED, facts)
-            return
-        if self._is_short:
-            self._is_short = False
+        length = frame[4]
+        mapped = self.mapping.length_bytes
+        if length != mapped:
+            self._is_odd = True
+            code = PDO_NOT_PROCESSED if length < mapped else PDO_LENGTH_EXCEEDED
+            self._emcy.find(self.number, code, bytes((self.number & 0xFF, length, mapped)))
+            if length < mapped:
+                return
+        elif self._is_odd:
+            self._is_odd = False
             self._emcy.repair(self.number)
         if self.is_synchronous:
             self.latched = frame

@@ -172,9 +172,13 @@ def test_a_short_rpdo_counts_for_nothing_and_is_told_once(wire):
     assert wire.statusword() & 0x6F == 0x21
 
 
-def test_a_long_rpdo_counts_with_its_first_bytes(wire):
+def test_a_long_rpdo_counts_with_its_first_bytes_and_is_told_once(wire):
     wire.operational()
-    wire.tell("205#0600FFFFFFFFFFFF")
+    wire.run(1 * MS)
+    count = len(wire.log)
+    wire.tell("205#0600FFFFFFFFFFFF", "205#0600FFFFFFFFFFFF")
+    wire.run(1 * MS)
+    assert [text for text in wire.since(count) if text[:3] == "085"] == ["085#2082110108020000"]
     assert wire.statusword() & 0x6F == 0x21
 
 

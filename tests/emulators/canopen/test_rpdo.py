@@ -100,11 +100,16 @@ def test_a_short_rpdo_does_not_replace_the_one_latched_before():
     assert values(bench.od, 0x607A) == [7]
 
 
-def test_of_a_longer_rpdo_the_mapped_bytes_count():
+def test_of_a_longer_rpdo_the_mapped_bytes_count_and_its_length_is_told():
     bench = bench_with((CONTROLWORD,), 255)
     bench.tell(0x202, "0F 00 AA BB CC DD EE FF")
     assert values(bench.od, 0x6040) == [0x0F]
-    assert bench.frames() == []
+    # as a Roboteq drive tells it (recording of node 12): 8220h, 1001h = 11h; ours adds what was
+    assert bench.frames() == ["082 20 82 11 01 08 02 00 00"]
+    bench.tell(0x202, "0F")  # now too short: another error in its place
+    assert bench.frames() == ["082 10 82 11 01 01 02 00 00"]
+    bench.tell(0x202, "0F 00")
+    assert bench.frames() == ["082 00 00 00 00 00 00 00 00"]
 
 
 def test_a_dummy_skips_its_bytes():
