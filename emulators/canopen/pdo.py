@@ -2,7 +2,9 @@
 
 An RPDO of type 0..240 takes effect at the next SYNC: its frame is kept as it came, and unpacked
 then. One that is too short is left out, of one that is too long the mapped bytes count; both are
-told (EMCY 8210h, 8220h) until one of the right length comes. A TPDO of type 1..240 is sampled at every n-th SYNC, of type 0 at the SYNC after an event, of
+told (EMCY 8210h, 8220h) until one of the right length comes.
+
+A TPDO of type 1..240 is sampled at every n-th SYNC, of type 0 at the SYNC after an event, of
 types 254 and 255 at an event, at most once per inhibit time and at least once per event timer. A
 TPDO does not go into the bus's queue twice: as long as the one before has not left, the next one
 waits (254, 255) or is left out and told (synchronous ones; the bus is too full then).
