@@ -7,7 +7,7 @@ the last two targets: with a SYNC, its period.
 
 from typing import Final, final
 
-from emulators.cia402.mode import NEVER, Mode
+from emulators.cia402.mode import Mode
 from emulators.cia402.objects import TARGET_POSITION, DriveObjects
 from emulators.cia402.pds_fsa import CW_HALT
 from emulators.cia402.statusword import FOLLOWING_ERROR, FOLLOWS_COMMAND
@@ -15,6 +15,7 @@ from emulators.firmware import flags as f
 from emulators.firmware.axis import Axis
 
 PERIOD_MAX_NS: Final = 1_000_000_000
+_NONE_YET: Final = -1
 
 
 @final
@@ -23,13 +24,13 @@ class CyclicPosition(Mode):
 
     def __init__(self, axis: Axis, objects: DriveObjects, tick_ns: int) -> None:
         super().__init__(axis, objects, tick_ns)
-        self._last_target_ns: int = NEVER
+        self._last_target_ns: int = _NONE_YET
         self._period_ns: int = tick_ns
 
     def enter(self, word: int, now_ns: int) -> None:
         """The motor stands, or comes to rest, until a target is written."""
         self.halted = word & CW_HALT != 0
-        self._last_target_ns = NEVER
+        self._last_target_ns = _NONE_YET
         self._period_ns = self.tick_ns
         self.axis.ramp_to_rest(self.objects.deceleration_inc_s2())
 
@@ -70,7 +71,7 @@ class CyclicPosition(Mode):
         """The time between targets, in whole ticks: arbitration makes SYNC come a little late."""
         last_ns = self._last_target_ns
         self._last_target_ns = now_ns
-        if last_ns == NEVER:
+        if last_ns == _NONE_YET:
             return
         tick_ns = self.tick_ns
         ticks = (now_ns - last_ns + tick_ns // 2) // tick_ns

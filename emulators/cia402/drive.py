@@ -10,7 +10,7 @@ from typing import Final, final
 from emulators.canopen.nmt import NmtState
 from emulators.canopen.node import CanopenNode, NodeTiming
 from emulators.canopen.object_dictionary import ObjectDictionary
-from emulators.cia402.mode import NEVER
+from emulators.canopen.shared import NEVER
 from emulators.cia402.objects import DriveObjects
 from emulators.cia402.power_drive import NO_FAULT, PowerDrive
 from emulators.cia402.readings import Readings
@@ -280,10 +280,10 @@ class Cia402Drive:
         self._deadline_moved = False
         deadline_ns = self._power_drive.deadline_ns()
         node_ns = self._node.next_deadline_ns()
-        if node_ns is not None and (deadline_ns == NEVER or node_ns < deadline_ns):
+        if node_ns is not None and node_ns < deadline_ns:
             deadline_ns = node_ns
         if self._power_drive.is_powered():  # otherwise no flag matters
             event_ns = self.axis.next_event_ns(None if deadline_ns == NEVER else deadline_ns)
-            if event_ns is not None and (deadline_ns == NEVER or event_ns < deadline_ns):
+            if event_ns is not None and event_ns < deadline_ns:
                 deadline_ns = event_ns
         self._deadline_ns = deadline_ns

@@ -16,7 +16,8 @@ Statusword bits 10, 12 and 13 (CiA 402-2, homing mode):
 from enum import IntEnum
 from typing import Final, final
 
-from emulators.cia402.mode import NEVER, Mode
+from emulators.canopen.shared import NEVER
+from emulators.cia402.mode import Mode
 from emulators.cia402.objects import HOMING_METHODS, DriveObjects
 from emulators.cia402.pds_fsa import CW_HALT
 from emulators.cia402.statusword import HOMING_ATTAINED, HOMING_ERROR, TARGET_REACHED

@@ -1,11 +1,8 @@
 """What all modes of operation have in common."""
 
-from typing import Final
-
+from emulators.canopen.shared import NEVER
 from emulators.cia402.objects import DriveObjects
 from emulators.firmware.axis import Axis
-
-NEVER: Final = -1
 
 
 class Mode:

@@ -7,9 +7,10 @@ of the quick stop, 14 for the end of the fault reaction.
 
 from typing import Final, final
 
+from emulators.canopen.shared import NEVER
 from emulators.cia402.cyclic_position import CyclicPosition
 from emulators.cia402.homing import Homing
-from emulators.cia402.mode import NEVER, Mode
+from emulators.cia402.mode import Mode
 from emulators.cia402.objects import (
     CONTROLWORD,
     FACTORS,
@@ -115,7 +116,7 @@ class PowerDrive:
 
     def settle(self, now_ns: int) -> None:
         """Whatever has become due by now, or shows in the axis' flags, is done."""
-        if self._enable_due_ns != NEVER and now_ns >= self._enable_due_ns:
+        if now_ns >= self._enable_due_ns:
             if self.voltage:
                 self._take(4, now_ns)
             else:
@@ -137,11 +138,7 @@ class PowerDrive:
 
     def deadline_ns(self) -> int:
         """When `settle` must be called at the latest [ns], flags aside; or NEVER."""
-        deadline_ns = self._enable_due_ns
-        wake_ns = self._active.wake_ns()
-        if wake_ns == NEVER or (deadline_ns != NEVER and deadline_ns < wake_ns):
-            return deadline_ns
-        return wake_ns
+        return min(self._enable_due_ns, self._active.wake_ns())
 
     def fault(self, code: int, now_ns: int) -> None:
         """Transition 13 with this error code (603Fh), and the reaction 605Eh asks for."""

@@ -11,7 +11,8 @@ motor stands in the position window; under *halt* it means standstill.
 
 from typing import Final, final
 
-from emulators.cia402.mode import NEVER, Mode
+from emulators.canopen.shared import NEVER
+from emulators.cia402.mode import Mode
 from emulators.cia402.objects import DriveObjects
 from emulators.cia402.pds_fsa import CW_HALT
 from emulators.cia402.statusword import FOLLOWING_ERROR, SET_POINT_ACKNOWLEDGE, TARGET_REACHED
