@@ -22,6 +22,7 @@ from emulators.event_queue import EventQueue
 from emulators.media.can_bus import CanBus
 from emulators.media.faults import FaultPlan
 from emulators.world import World
+from harness.interrupts import interrupts_between_events
 from harness.pace import WallPace
 from harness.plant_from_model import plant_numbers
 from harness.plugins import ADAPTATIONS, CONTROLLERS, Plugin, installed
@@ -86,6 +87,7 @@ class Rig:
             if record is not None:
                 self._record(record, started, cleanup)
             self.runtime = VirtualRuntime(queue, WallPace() if realtime else None)
+            cleanup.enter_context(interrupts_between_events(self.runtime))
             self._open_door(cleanup)
             self._cleanup = cleanup.pop_all()
         self._in_use = ExitStack()  # what applications were given; closed before the rest

@@ -27,6 +27,8 @@ if TYPE_CHECKING:
 
 _NEVER: Final = -1
 _POLLS_MAX: Final = 1_000_000
+_LOOK_UP_TURNS: Final = 256  # compiled code must look for signals now and then
+GRACE_S: Final = 1.0  # wall time that a party has to wait next, or to end, once the run is over
 
 
 class _Cancelled(BaseException):
@@ -116,6 +118,9 @@ class VirtualRuntime:
         self._in_callback = False
         self._closing = False
         self._polls = 0
+        self._turns = 0
+        self._pumping = False
+        self._interrupted = False
 
     # --- Runtime ---------------------------------------------------------------------------
 
@@ -158,10 +163,9 @@ class VirtualRuntime:
 
     def every(self, period_s: float, action: Callable[[], None]) -> Periodic:
         """`action` runs every `period_s` [s], first one period from now; it must not wait."""
-        period_ns = round(period_s * 1e9)
-        if period_ns < 1:
-            raise UsageError(f"period_s = {period_s}: must be at least 1e-9 s")
-        return Periodic(self, period_ns, action)
+        if not 1e-9 <= period_s <= 1e9:
+            raise UsageError(f"period_s = {period_s}: must be 1e-9 to 1e9 s")
+        return Periodic(self, round(period_s * 1e9), action)
 
     def spawn(self, name: str, function: Callable[[], None]) -> VirtualParty:
         """`function` runs as a further party, from when this one next waits."""
@@ -189,6 +193,16 @@ class VirtualRuntime:
         """`duration_s` [s] have passed."""
         self.wait_until(_never, duration_s)
 
+    def interrupt(self) -> bool:
+        """Whether the first party will be interrupted (KeyboardInterrupt) after this event.
+
+        False: no event runs just now, or that was asked before. Signal handlers may call it.
+        """
+        if not self._pumping or self._interrupted:
+            return False
+        self._interrupted = True
+        return True
+
     def close(self) -> None:
         """Parties that still wait have ended; raises what a party raised and nobody joined."""
         self._closing = True
@@ -199,8 +213,14 @@ class VirtualRuntime:
                 continue
             waiter.error = _Cancelled()
             waiter.party.baton.release()
-            if waiter.party.thread is not None:
-                waiter.party.thread.join()
+            thread = waiter.party.thread
+            if thread is not None:
+                thread.join(GRACE_S)
+            if thread is not None and thread.is_alive():
+                raise UsageError(
+                    f"party {waiter.party.name!r} does not end with the run: it works on, or "
+                    "catches what ends it; catch Exception, never BaseException"
+                )
         for party in self._spawned:
             if party.error is not None and not party.joined:
                 raise party.error
@@ -257,31 +277,46 @@ class VirtualRuntime:
 
     def _pump(self, mine: _Waiter | None) -> None:
         """Events run until it is the turn of `mine` (None: until anybody has the baton)."""
+        self._pumping = True
+        try:
+            ready = self._run_to_next_turn()
+            self._waiters.remove(ready)
+            if ready is not mine:
+                ready.party.baton.release()
+        finally:
+            self._pumping = False
+        if ready is not mine and mine is not None:
+            self._await_baton(mine)
+
+    def _run_to_next_turn(self) -> _Waiter:
         queue = self.queue
         while True:
+            self._turns += 1
+            if self._turns % _LOOK_UP_TURNS == 0:
+                threading.current_thread()  # interpreted: there, handlers of signals run
+            if self._interrupted:
+                self._interrupted = False
+                for waiter in self._waiters:
+                    if waiter.party.thread is None:
+                        waiter.done, waiter.error = _at_once, KeyboardInterrupt()
             ready = self._ready()
             if ready is None:
                 next_ns = queue.next_time_ns()
                 if next_ns != queue.now_ns:
                     ready = self._expired()
-                if ready is None:
-                    self._advance(next_ns)
-                    continue
-            self._waiters.remove(ready)
-            if ready is not mine:
-                ready.party.baton.release()
-                if mine is not None:
-                    self._await_baton(mine)
-            return
+            if ready is not None:
+                return ready
+            self._advance(next_ns)
 
     def _await_baton(self, mine: _Waiter) -> None:
         try:
             mine.party.baton.acquire()
         except KeyboardInterrupt as interrupt:
             # Another party runs just now: take the turn at its next wait, never beside it.
-            mine.done = _at_once
-            mine.error = interrupt
-            mine.party.baton.acquire()
+            mine.done, mine.error = _at_once, interrupt
+            if not mine.party.baton.acquire(timeout=GRACE_S):
+                self._closing = True  # it does not wait: it is over when it does
+                raise
 
     def _advance(self, next_ns: int | None) -> None:
         """The next event has run, or it is the next deadline."""
@@ -293,16 +328,18 @@ class VirtualRuntime:
         if next_ns is None and deadline_ns == _NEVER:
             self._nothing_will_happen()
             return
-        if next_ns is None or 0 <= deadline_ns < next_ns:
-            if self._pace is not None:
-                self._pace(deadline_ns)
-            queue.run_until(deadline_ns)
-            self._polls = 0
-            return
-        if next_ns > queue.now_ns:
+        due_ns, is_event = deadline_ns, False
+        if next_ns is not None and not 0 <= deadline_ns < next_ns:
+            due_ns, is_event = next_ns, True
+        if due_ns > queue.now_ns or not is_event:
             self._polls = 0
         if self._pace is not None:
-            self._pace(next_ns)
+            self._pumping = False  # asleep: an interrupt counts at once
+            self._pace(due_ns)
+            self._pumping = True
+        if not is_event:
+            queue.run_until(due_ns)
+            return
         self._in_callback = True
         try:
             queue.run_next()

@@ -1,3 +1,5 @@
+import os
+import signal
 import threading
 import time
 
@@ -9,6 +11,8 @@ from harness.can_plugin import EmulatedBus
 from harness.rig import Rig
 from harness.settings import RigError
 from tests.harness.rigs import FAULT, GOOD, WHEEL
+
+MS = 1_000_000
 
 
 @pytest.fixture
@@ -270,3 +274,22 @@ def test_in_real_time_nothing_happens_before_its_wall_time(write):
         rig.runtime.run_for(0.05)
         assert time.monotonic() - start_s >= 0.1
         assert rig.runtime.now_ns() == 100_000_000
+
+
+def test_ctrl_c_does_not_break_an_event_in_two(rig):
+    before = signal.getsignal(signal.SIGINT)
+    with Rig.open("rig.toml") as opened:
+        whole = []
+
+        def act():
+            os.kill(os.getpid(), signal.SIGINT)
+            whole.append(opened.runtime.now_ns())
+
+        opened.runtime.every(0.1, act)
+        for _ in range(2):
+            with pytest.raises(KeyboardInterrupt):
+                opened.runtime.run_for(1.0)
+        assert whole == [100 * MS, 200 * MS]
+        with pytest.raises(KeyboardInterrupt):  # where no event runs it counts at once
+            os.kill(os.getpid(), signal.SIGINT)
+    assert signal.getsignal(signal.SIGINT) is before

@@ -1,4 +1,7 @@
+import os
+import signal
 import threading
+from contextlib import suppress
 
 import pytest
 from hypothesis import given
@@ -209,3 +212,82 @@ def test_pace_is_asked_before_time_moves():
     runtime.queue.alarm(lambda now: None).set(2 * MS)
     runtime.run_for(0.003)
     assert paced == [2 * MS, 3 * MS]
+
+
+# --- interrupted from the keyboard
+
+
+def test_an_interrupt_is_taken_between_two_events_and_the_rig_can_go_on(runtime):
+    times = []
+
+    def act():
+        times.append(runtime.interrupt())
+        times.append(runtime.interrupt())  # the second one is for now, whatever it breaks
+        times.append(runtime.now_ns())
+
+    registration = runtime.every(0.001, act)
+    with pytest.raises(KeyboardInterrupt):
+        runtime.run_for(1.0)
+    assert times == [True, False, MS]
+    registration.cancel()
+    runtime.run_for(1.0)
+    assert runtime.now_ns() == 1001 * MS
+    assert runtime.interrupt() is False
+
+
+def test_an_interrupt_while_another_party_has_the_turn_reaches_the_first_one(runtime):
+    ended = []
+
+    def second():
+        runtime.every(0.001, lambda: None)
+        while not ended:
+            runtime.run_for(0.0005)
+            if runtime.now_ns() == 5 * MS:
+                runtime.queue.alarm(lambda now: ended.append(runtime.interrupt())).set(6 * MS)
+
+    runtime.spawn("second", second)
+    with pytest.raises(KeyboardInterrupt):
+        runtime.run_for(1.0)
+    assert (ended, runtime.now_ns()) == ([True], 6 * MS)
+    runtime.run_for(0.001)
+
+
+@pytest.mark.wall
+def test_an_interrupt_ends_the_wait_for_a_party_that_never_waits(runtime, monkeypatch):
+    monkeypatch.setattr("harness.virtual_time.GRACE_S", 0.05)
+    told = threading.Event()
+
+    def busy():
+        os.kill(os.getpid(), signal.SIGINT)
+        told.wait(20)
+
+    runtime.spawn("busy", busy)
+    with pytest.raises(KeyboardInterrupt):
+        runtime.run_for(1.0)
+    told.set()
+    runtime.close()
+
+
+@pytest.mark.wall
+def test_a_party_that_does_not_let_itself_be_ended_is_told_at_the_end(monkeypatch):
+    monkeypatch.setattr("harness.virtual_time.GRACE_S", 0.05)
+    runtime = VirtualRuntime(EventQueue())
+    over = threading.Event()
+
+    def stubborn():
+        while not over.is_set():
+            with suppress(BaseException):
+                runtime.run_for(0.001)
+
+    party = runtime.spawn("stubborn", stubborn)
+    runtime.run_for(0.01)
+    with pytest.raises(UsageError, match=r"party 'stubborn' does not end.*BaseException"):
+        runtime.close()
+    over.set()
+    party.thread.join()
+
+
+@pytest.mark.parametrize("period_s", [float("nan"), float("inf"), 0.0, -1.0, 1e-12, 1e300])
+def test_a_period_that_is_none_is_refused(runtime, period_s):
+    with pytest.raises(UsageError, match=r"period_s = .*: must be 1e-9 to 1e9 s"):
+        runtime.every(period_s, lambda: None)
