@@ -15,13 +15,16 @@ _UNSET = -1
 
 @final
 class Alarm:
-    """One re-settable deadline; its action is called with the time once, when it is due."""
+    """One re-settable deadline; its action is called with the time once, when it is due.
+
+    `time_ns` and `turn` belong to this module.
+    """
 
     def __init__(self, queue: "EventQueue", action: Action) -> None:
         self._queue = queue
         self._action = action
-        self._due_ns = _UNSET
-        self._turn = _UNSET
+        self.time_ns = _UNSET
+        self.turn = _UNSET
 
     def set(self, time_ns: int | None) -> None:
         """The action runs at `time_ns` [ns], or not at all (None); replaces what was set before.
@@ -29,31 +32,40 @@ class Alarm:
         Setting the same time again keeps the turn. A time already past means now.
         """
         queue = self._queue
+        first = queue.first
         if time_ns is None:
-            self._due_ns = _UNSET
-            self._turn = _UNSET
+            self.time_ns = _UNSET
+            self.turn = _UNSET
+            if first is self:
+                queue.first = None
             return
         if time_ns < queue.now_ns:
             time_ns = queue.now_ns
-        if time_ns == self._due_ns:
+        if time_ns == self.time_ns:
             return
-        self._due_ns = time_ns
+        self.time_ns = time_ns
         queue.asked += 1
-        self._turn = queue.asked
-        heappush(queue.heap, (time_ns, self._turn, self))
+        self.turn = queue.asked
+        heap = queue.heap
+        if first is None or first is self:
+            if not heap or time_ns < heap[0][0]:
+                queue.first = self
+                return
+            queue.first = None
+        elif time_ns < first.time_ns:
+            heappush(heap, (first.time_ns, first.turn, first))
+            queue.first = self
+            return
+        heappush(heap, (time_ns, self.turn, self))
 
     def due_ns(self) -> int | None:
         """When the action will run [ns]; None if it will not."""
-        return None if self._due_ns == _UNSET else self._due_ns
-
-    def is_turn(self, turn: int) -> bool:
-        """Whether a heap entry with this turn is still what was asked for last."""
-        return self._turn == turn
+        return None if self.time_ns == _UNSET else self.time_ns
 
     def ring(self, now_ns: int) -> None:
         """Run the action; it may set the alarm again."""
-        self._due_ns = _UNSET
-        self._turn = _UNSET
+        self.time_ns = _UNSET
+        self.turn = _UNSET
         self._action(now_ns)
 
 
@@ -61,13 +73,16 @@ class Alarm:
 class EventQueue:
     """A heap of alarms keyed (time_ns, order of asking). Costs O(log n) per event, n = alarms set.
 
-    `heap` and `asked` belong to this module; `now_ns` is for all to read, the queue writes it.
+    The alarm whose turn is next stays out of the heap once it is known: a bus sets and rings its
+    own again and again before anybody else's. All but `now_ns` belongs to this module; that is for
+    all to read, the queue writes it.
     """
 
     def __init__(self) -> None:
         self.now_ns = 0
         self.asked = 0
-        self.heap: list[tuple[int, int, Alarm]] = []
+        self.first: Alarm | None = None  # before all in the heap; None: whoever is first in there
+        self.heap: list[tuple[int, int, Alarm]] = []  # also what was set again or taken back since
 
     def alarm(self, action: Action) -> Alarm:
         """A new alarm, not set yet."""
@@ -75,24 +90,28 @@ class EventQueue:
 
     def next_time_ns(self) -> int | None:
         """The time of the next event [ns]; None if nothing is asked for."""
+        first = self.first
+        if first is not None:
+            return first.time_ns
         heap = self.heap
         while heap:
-            entry = heap[0]
-            if entry[2].is_turn(entry[1]):
-                return entry[0]
-            heappop(heap)  # set again or taken back since
+            time_ns, turn, alarm = heappop(heap)
+            if alarm.turn == turn:
+                self.first = alarm
+                return time_ns
         return None
 
     def run_next(self) -> bool:
         """Time has moved to the next event and it has run; False if there is none."""
-        heap = self.heap
-        while heap:
-            time_ns, turn, alarm = heappop(heap)
-            if alarm.is_turn(turn):
-                self.now_ns = time_ns
-                alarm.ring(time_ns)
-                return True
-        return False
+        if self.next_time_ns() is None:
+            return False
+        first = self.first
+        assert first is not None
+        self.first = None
+        time_ns = first.time_ns
+        self.now_ns = time_ns
+        first.ring(time_ns)
+        return True
 
     def run_until(self, time_ns: int) -> None:
         """All events up to and including `time_ns` have run, and it is `time_ns`."""

@@ -60,3 +60,35 @@ def test_only_what_was_asked_for_last_happens(settings):
         pass
     assert log == expected
     assert queue.next_time_ns() is None
+
+
+STEPS = st.lists(
+    st.tuples(st.integers(0, 3), st.none() | st.integers(0, 6)) | st.just("run") | st.just("look"),
+    max_size=60,
+)
+
+
+@given(STEPS)
+def test_asking_between_events_is_asking_like_any_other(steps):
+    """The same model, with time running in between and alarms set to the past."""
+    queue = EventQueue()
+    log, expected = [], []
+    alarms = [queue.alarm(lambda now, n=n: log.append((now, n))) for n in range(4)]
+    model = {}
+    for turn, step in enumerate([*steps, *["run"] * 5]):
+        nearest = min(model.items(), key=lambda item: item[1], default=None)
+        if step == "look":
+            assert queue.next_time_ns() == (nearest and nearest[1][0])
+        elif step == "run":
+            assert queue.run_next() is (nearest is not None)
+            if nearest is not None:
+                expected.append((nearest[1][0], nearest[0]))
+                del model[nearest[0]]
+        else:
+            n, time_ns = step
+            alarms[n].set(time_ns)
+            if time_ns is None:
+                model.pop(n, None)
+            elif model.get(n, (None,))[0] != max(time_ns, queue.now_ns):
+                model[n] = (max(time_ns, queue.now_ns), turn)
+    assert log == expected
