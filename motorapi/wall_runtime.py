@@ -149,11 +149,10 @@ class WallRuntime:
 
     def every(self, period_s: float, action: Callable[[], None]) -> Timer:
         """`action` runs at start + k * `period_s` [s]; one that is late skips what it missed."""
-        period_ns = round(period_s * 1e9)
-        if period_ns < 1:
-            raise UsageError(f"period_s = {period_s}: must be at least 1e-9 s")
+        if not 1e-9 <= period_s <= 1e9:
+            raise UsageError(f"period_s = {period_s}: must be 1e-9 to 1e9 s")
         self._check_open()
-        return self._timers.add(period_ns, action)
+        return self._timers.add(round(period_s * 1e9), action)
 
     def spawn(self, name: str, function: Callable[[], None]) -> WallParty:
         """`function` runs in a thread of its own, and may wait."""
@@ -279,6 +278,8 @@ class WallRuntime:
 
     def _run_callback(self, action: Callable[P, None], *args: P.args, **kwargs: P.kwargs) -> None:
         """`action` has run; what it raised is for whoever waits next. With the lock held."""
+        if self._closed:
+            return  # nobody is there any more to be told
         outer = self._callback_thread
         self._callback_thread = threading.get_ident()
         try:

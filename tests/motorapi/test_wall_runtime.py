@@ -89,8 +89,9 @@ def test_timers_keep_their_grid_and_end(runtime):
         assert time_ns - began_ns >= 20_000_000
     assert times_ns == sorted(times_ns)
     assert not runtime.wait_until(lambda: len(times_ns) > count, 0.06)
-    with pytest.raises(UsageError):
-        runtime.every(0.0, lambda: None)
+    for period_s in (0.0, -1.0, 1e-12, 1e300, float("inf"), float("nan")):
+        with pytest.raises(UsageError, match=r"period_s = .*: must be 1e-9 to 1e9 s"):
+            runtime.every(period_s, lambda: None)
 
 
 def test_a_late_timer_skips_what_it_missed(runtime):
@@ -320,6 +321,29 @@ def test_closing_ends_parties_that_wait_and_refuses_further_use():
     ):
         with pytest.raises(UsageError, match="closed"):
             refused()
+
+
+def test_what_comes_in_while_it_is_closing_goes_to_nobody():
+    runtime = WallRuntime()
+
+    class LateBus:
+        channel_info = "late"
+        channel = "late"
+
+        def receive_frame(self, timeout_s):
+            try:
+                while True:
+                    runtime.every(1000.0, lambda: None).cancel()
+            except UsageError:  # it is closed by now
+                return FRAME, 0, False
+
+        def transmit(self, frame):
+            pass
+
+    heard = []
+    runtime.listen(LateBus(), lambda *frame: heard.append(frame))
+    runtime.close()
+    assert heard == []
 
 
 def test_a_party_that_never_ends_is_named(monkeypatch):
