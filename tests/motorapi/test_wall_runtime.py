@@ -331,6 +331,7 @@ def test_what_comes_in_while_it_is_closing_goes_to_nobody():
         channel = "late"
 
         def receive_frame(self, timeout_s):
+            reading.set()
             try:
                 while True:
                     runtime.every(1000.0, lambda: None).cancel()
@@ -341,7 +342,9 @@ def test_what_comes_in_while_it_is_closing_goes_to_nobody():
             pass
 
     heard = []
+    reading = threading.Event()
     runtime.listen(LateBus(), lambda *frame: heard.append(frame))
+    assert runtime.wait_until(reading.is_set, LATE_S)
     runtime.close()
     assert heard == []
 
