@@ -237,3 +237,17 @@ def test_a_changed_identifier_is_used_at_once_and_the_old_one_is_free(wire):
 def test_restricted_identifiers_are_refused(wire, can_id):
     wire.set(0x1400, 1, 0x8000_0205, 4)
     assert wire.write(0x1400, 1, can_id, 4) == 0x0609_0030
+
+
+def test_tpdos_are_not_to_be_had_by_remote_frames_and_say_so(connected):
+    """CiA 301, 7.5.2.37: bit 30 of the COB-ID is set where no RTR is allowed."""
+    wire, network, node = connected
+    node.tpdo.read()
+    assert [pdo.rtr_allowed for pdo in node.tpdo.values()] == [False] * 4
+    node.nmt.state = "OPERATIONAL"
+    network.pump(10 * MS)
+    count = len(wire.log)
+    node.tpdo[3].remote_request()
+    wire.tell("385#R6")
+    network.pump(10 * MS)
+    assert wire.since(count) == []
