@@ -25,10 +25,11 @@ from motorapi.errors import (
     StateError,
     UsageError,
 )
-from motorapi.sharing import News, Run, RunStatus, Turns, trigger_turns
+from motorapi.sharing import Run, RunStatus, Turns, trigger_turns
 from motorapi.state import Fault, MotorState
 from motorapi.synchronization import SyncLevel, Trigger
 from motorapi.trajectory import TrapezoidalTrajectory
+from motorapi.waiting import Awaited, Waiting
 
 if TYPE_CHECKING:
     from motorapi.motor import Motor
@@ -304,27 +305,24 @@ def wait_for_all(motors: Sequence["Motor"], timeout_s: float | None) -> None:
     """
     if timeout_s is not None and not timeout_s >= 0.0:
         raise UsageError(f"timeout_s = {timeout_s}: must be a number of seconds >= 0")
-    waiting = [_Awaited(motor) for motor in motors]
+    members = [_Member(motor) for motor in motors]
+    awaited = [Awaited(one.motor._physical.news, one.is_over) for one in members]
+    waiting = Waiting(awaited)
+
+    def going() -> list[_Member]:
+        return [m for m, one in zip(members, awaited, strict=True) if one in waiting.going]
+
     runtime = motors[0].runtime
     deadline_ns: int | None = None
     if timeout_s is not None:
         deadline_ns = runtime.now_ns() + round(min(timeout_s, 1e9) * 1e9)
-
-    def all_over() -> bool:
-        nonlocal waiting
-        for one in waiting:
-            if one.news.count != one.seen:
-                waiting = [one for one in waiting if not one.is_over()]
-                return not waiting
-        return not waiting
-
     while True:
-        again_s = [one.motor._call(one.motor._refresh) for one in waiting if one.run is not None]
+        again_s = [one.motor._call(one.motor._refresh) for one in going() if one.run is not None]
         pauses_s = [pause_s for pause_s in again_s if pause_s is not None]
         if deadline_ns is not None:
             pauses_s.append(max(0, deadline_ns - runtime.now_ns()) / 1e9)
         try:
-            if runtime.wait_until(all_over, min(pauses_s) if pauses_s else None):
+            if runtime.wait_until(waiting.all_over, min(pauses_s) if pauses_s else None):
                 return
         except _MemberFailed as failed:
             _stop_others(motors, failed)
@@ -332,30 +330,21 @@ def wait_for_all(motors: Sequence["Motor"], timeout_s: float | None) -> None:
         if deadline_ns is not None and runtime.now_ns() >= deadline_ns:
             break
     raise DeadlineExceeded(
-        awaited=f"end of motion of {', '.join(one.motor.name for one in waiting)}",
+        awaited=f"end of motion of {', '.join(one.motor.name for one in going())}",
         timeout_s=0.0 if timeout_s is None else timeout_s,
-        last_heard="; ".join(_last_heard(one.motor) for one in waiting),
+        last_heard="; ".join(_last_heard(one.motor) for one in going()),
     )
 
 
 @final
-class _Awaited:
-    """A motor whose run is waited for. Asked at every event, so it answers fast."""
-
-    __slots__ = ("counts", "motor", "news", "run", "seen")
+class _Member:
+    """A motor whose run, of when the wait began, is waited for."""
 
     def __init__(self, motor: "Motor") -> None:
         self.motor = motor
         self.run = motor._run
-        self.counts = motor._physical.news is not None
-        self.news = motor._physical.news or News()
-        self.seen = -1  # of the news; stays so, if nobody counts them
 
     def is_over(self) -> bool:
-        if self.counts:
-            if self.news.count == self.seen:
-                return False
-            self.seen = self.news.count
         try:
             return self.motor._look(self.run)
         except Exception as error:

@@ -25,6 +25,7 @@ from typing import TYPE_CHECKING, Final, final
 from motorapi.commands import ControlVariable, Motion
 from motorapi.errors import MotorBusyError, UsageError
 from motorapi.runtime import Runtime
+from motorapi.waiting import News
 
 if TYPE_CHECKING:
     import can
@@ -118,16 +119,6 @@ class Run:
         if self.interrupted_by is None and not self.finished:
             self.interrupted_at_ns = now_ns
             self.interrupted_by = by  # last: a waiter looks at this one first
-
-
-@final
-class News:
-    """How often what is known of a physical motor has changed. Whoever changes it counts."""
-
-    __slots__ = ("count",)
-
-    def __init__(self) -> None:
-        self.count = 0
 
 
 @final

@@ -23,7 +23,7 @@ from motorapi.adaptations.cia402_objects import (
     type_of,
 )
 from motorapi.errors import DeadlineExceeded, DeviceFault, LinkError, MotionInterrupted
-from motorapi.sharing import News
+from motorapi.waiting import News
 
 if TYPE_CHECKING:
     from motorapi.adaptations.motion_watch import MotionWatch

@@ -4,7 +4,7 @@ import pytest
 
 from motorapi import ControlMode
 from motorapi.errors import DeadlineExceeded, MotionInterrupted
-from motorapi.sharing import News
+from motorapi.waiting import News
 from tests.motorapi.ideal import IdealMotor
 
 
