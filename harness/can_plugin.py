@@ -30,6 +30,7 @@ _FRAME: Final = struct.Struct("<IB3x8s")
 _EFF: Final = 0x8000_0000
 _RTR: Final = 0x4000_0000
 _ERR: Final = 0x2000_0000
+_ID_MAX: Final = 0x1FFF_FFFF
 _BACKLOG_MAX: Final = 65_536
 _OPEN: dict[str, "tuple[World, VirtualRuntime]"] = {}
 
@@ -67,6 +68,10 @@ def to_frame(message: Message) -> bytes:
             f"CAN FD frame {message.arbitration_id:X}h on an emulated bus: it is classical CAN"
         )
     can_id = message.arbitration_id
+    if message.is_error_frame:
+        raise CanOperationError("an error frame cannot be sent: the bus makes them")
+    if not 0 <= can_id <= _ID_MAX:
+        raise CanOperationError(f"identifier {can_id:X}h does not fit 29 bits")
     if message.is_extended_id:
         can_id |= _EFF
     elif can_id > 0x7FF:
@@ -74,6 +79,8 @@ def to_frame(message: Message) -> bytes:
             f"identifier {can_id:X}h does not fit 11 bits: set is_extended_id=True"
         )
     if message.is_remote_frame:
+        if message.dlc > 8:
+            raise CanOperationError(f"a remote frame asks for 8 bytes at most, not {message.dlc}")
         return _FRAME.pack(can_id | _RTR, message.dlc, b"")
     if len(message.data) > 8:
         raise CanOperationError(f"{len(message.data)} data bytes: a classical frame holds 8")
@@ -160,6 +167,7 @@ class EmulatedBus(can.BusABC):
 
     def subscribe(self, on_frame: "FrameListener") -> "Registration":
         """`on_frame` hears every frame; `recv` then keeps none, unless it has been used before."""
+        self._check_open()
         if not self._has_received:
             self._keeps = False
             self._backlog.clear()
@@ -167,10 +175,15 @@ class EmulatedBus(can.BusABC):
 
     def transmit(self, frame: bytes) -> None:
         """The frame waits its turn on the bus."""
+        self._check_open()
         if self._port is not None:
             self._port.send(frame)
         elif self._hub is not None:
             self._hub.send(frame)
+
+    def _check_open(self) -> None:
+        if self._is_shutdown:
+            raise CanOperationError(f"{self.channel_info}: this bus object was shut down")
 
     def _heard(self, frame: bytes, time_ns: int, transmitted: bool) -> None:
         for listener in self._listeners:
@@ -191,6 +204,7 @@ class EmulatedBus(can.BusABC):
         """The next message, or None after `timeout` [s] of the rig's time."""
         if self._hub is not None:
             return super().recv(timeout)
+        self._check_open()
         self._keeps = self._has_received = True
         deadline_ns = (
             None if timeout is None else self.runtime.now_ns() + round(max(timeout, 0.0) * 1e9)
@@ -284,8 +298,8 @@ class _PeriodicTask(
         runtime = self._bus.runtime
         if self.duration is not None:
             self._end_ns = runtime.now_ns() + round(self.duration * 1e9)
-        self._registration = runtime.every(self.period, self._send_one)
         self._send_one()
+        self._registration = runtime.every(self.period, self._send_one)
 
     def _send_one(self) -> None:
         if self._end_ns is not None and self._bus.runtime.now_ns() >= self._end_ns:

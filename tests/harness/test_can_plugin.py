@@ -101,6 +101,10 @@ def test_every_kind_of_classical_frame_comes_through_unchanged(rig, sent):
         (message(0x123, bytes(12), is_fd=True), "CAN FD"),
         (message(0x800), "11 bits"),
         (message(0x123, bytes(9), dlc=9), "holds 8"),
+        (message(0x123, is_remote_frame=True, dlc=9), "asks for 8"),
+        (message(1 << 29, is_extended_id=True), "29 bits"),
+        (message(-1), "29 bits"),
+        (message(0x20, bytes(8), is_error_frame=True), "error frame"),
     ],
 )
 def test_what_is_no_classical_frame_is_refused_with_the_reason(rig, sent, reason):
@@ -131,6 +135,22 @@ def test_two_rigs_with_one_bus_name_are_not_open_together(rig):
     world.add_bus(CanBus("can0"))
     with pytest.raises(can.CanInitializationError, match="close that rig first"):
         open_rig(world, rig)
+
+
+def test_a_bus_object_that_was_shut_down_is_told_so_not_passed_over(rig):
+    bus = emulated()
+    bus.shutdown()
+    bus.shutdown()
+    for use in (
+        lambda: bus.send(message(0x100)),
+        lambda: bus.recv(0.1),
+        lambda: bus.send_periodic(message(0x100), 0.1),
+        lambda: rig.listen(bus, lambda *_: None),
+        lambda: rig.send(bus, bytes(16)),
+    ):
+        with pytest.raises(can.CanOperationError, match="can0: this bus object was shut down"):
+            use()
+    assert rig.now_ns() == 0
 
 
 def test_a_listener_hears_own_frames_when_they_were_transmitted(rig):
