@@ -263,12 +263,12 @@ class EmulatedBus(can.BusABC):
 
     def shutdown(self) -> None:
         """The bus has been left; frames still queued go out."""
-        if not self._is_shutdown:
-            if self._port is not None:
-                self._port.close()
-            if self._hub is not None:
-                self._hub.close()
-        super().shutdown()
+        was_open = not self._is_shutdown
+        super().shutdown()  # first: whoever reads it in another thread then knows why it ends
+        if was_open and self._port is not None:
+            self._port.close()
+        if was_open and self._hub is not None:
+            self._hub.close()
 
 
 @final

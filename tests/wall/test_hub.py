@@ -11,6 +11,7 @@ from emulators.hub import HubError, HubServer
 from emulators.media.can_bus import CanBus
 from emulators.serve import WallLoop
 from emulators.world import World
+from harness.hub_client import HubLink
 from tests.emulators.test_world import Echo
 
 pytestmark = pytest.mark.wall
@@ -122,6 +123,18 @@ def test_a_hub_that_goes_away_is_an_error_not_silence(path):
         bus = can.Bus(interface="emulated", channel=path)
     with bus, pytest.raises(can.CanOperationError, match="closed the connection"):
         bus.recv(5.0)
+
+
+def test_a_bus_is_known_to_be_shut_down_before_its_connection_ends(path, monkeypatch):
+    known = []
+    with serving(path):
+        bus = can.Bus(interface="emulated", channel=path)
+        close = HubLink.close
+        monkeypatch.setattr(
+            HubLink, "close", lambda link: (known.append(bus._is_shutdown), close(link))
+        )
+        bus.shutdown()
+    assert known == [True]
 
 
 def test_a_path_in_use_is_refused_and_a_dead_hubs_path_is_taken_over(path):
