@@ -2,7 +2,7 @@
 
 Exit status: 0 passed, 1 the thing under test failed, 2 wrong usage, 130 interrupted. Results go to
 stdout, reasons to stderr. A verb's module has `add_arguments(parser)` and `run(arguments)`; what
-stands after `--` on the command line is `arguments.rest`.
+stands after `--` on the command line is `arguments.rest`, None if there is no `--`.
 """
 
 import argparse
@@ -117,7 +117,7 @@ def _run_verb(verb: _Verb, words: list[str]) -> int:
         allow_abbrev=False,
     )
     module.add_arguments(parser)
-    rest: list[str] = []
+    rest: list[str] | None = None
     if verb.takes_rest and "--" in words:
         cut = words.index("--")
         words, rest = words[:cut], words[cut + 1 :]

@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, final
 
 from harness.exit_status import FAILED, PASSED
-from harness.rig_file import SEED_MAX
+from harness.seed_option import add_seed
 from harness.settings import RigError
 
 if TYPE_CHECKING:
@@ -40,7 +40,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="FILE",
         help="a vendor's EDS or DCF for the drives, instead of ours; several are dealt out in turn",
     )
-    parser.add_argument("--seed", type=int, metavar="N", help="instead of the rig's own")
+    add_seed(parser)
     parser.add_argument(
         "-o",
         "--output",
@@ -64,8 +64,6 @@ def run(options: argparse.Namespace) -> int:
     from motorapi import MotorError
     from traces.digest import digest
 
-    if options.seed is not None and not 0 <= options.seed <= SEED_MAX:
-        raise RigError("--seed", f"{options.seed} is not within 0 to {SEED_MAX}", "another number")
     description = _with_eds(read_rig(RIG, installed_plugins()), options.eds)
     _make_folder(options.output.parent)
     begun_s = time.perf_counter()

@@ -17,6 +17,7 @@ from emulators.serve import WallLoop
 from emulators.socketcan import SocketCanError, SocketCanGateway
 from harness.exit_status import PASSED, WRONG_USAGE
 from harness.rig import Rig
+from harness.seed_option import add_seed
 
 _NOT_FOUND: Final = 127
 _GRACE_S: Final = 3.0
@@ -39,7 +40,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="[BUS=]INTERFACE",
         help="join a bus (default: the first) with a SocketCAN interface; may be repeated",
     )
-    parser.add_argument("--seed", type=int, metavar="N", help="instead of the rig's own")
+    add_seed(parser)
     parser.add_argument(
         "-o", "--output", type=Path, metavar="FILE", help="record to this MCAP file"
     )
@@ -51,6 +52,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Exit status: 0, 2 wrong usage, or the command's own."""
+    if options.rest == []:
+        print("motorhil serve: no command after --; name one, or leave -- out", file=sys.stderr)
+        return WRONG_USAGE
     with ExitStack() as cleanup:
         rig = cleanup.enter_context(Rig.open(options.rig, seed=options.seed, record=options.output))
         loop = WallLoop(rig.world.queue)
@@ -83,6 +87,8 @@ def _open_doors(
     for text in options.on:
         bus, _, interface = text.rpartition("=")
         bus = bus or names[0]
+        if not interface:
+            raise SocketCanError(f"--on {text}: names no interface; write --on {bus}=vcan0")
         if bus not in names:
             known = ", ".join(names)
             raise SocketCanError(f"--on {text}: the rig has no bus {bus!r}; it has {known}")

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from harness.exit_status import FAILED, PASSED
-from harness.rig_file import SEED_MAX
+from harness.seed_option import add_seed
 from harness.settings import RigError
 
 if TYPE_CHECKING:
@@ -30,18 +30,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("script", nargs="?", metavar="SCRIPT", help="a Python program, or -")
     parser.add_argument("args", nargs="*", metavar="ARGS", help="the script's own arguments")
     parser.add_argument("--realtime", action="store_true", help="no faster than the wall clock")
-    parser.add_argument("--seed", type=_seed, metavar="N", help="instead of the rig's own seed")
+    add_seed(parser)
     parser.add_argument("-o", "--output", type=Path, metavar="FILE", help="record to FILE (MCAP)")
-
-
-def _seed(text: str) -> int:
-    seed = int(text, 0)
-    if not 0 <= seed <= SEED_MAX:
-        raise ValueError
-    return seed
-
-
-_seed.__name__ = f"seed (0 to {SEED_MAX})"  # what argparse calls it when it is none
 
 
 def run(options: argparse.Namespace) -> int:
@@ -54,7 +44,7 @@ def run(options: argparse.Namespace) -> int:
     from harness.script import print_error, read_script, run_prompt, run_script
     from traces.errors import TraceError
 
-    words = [*options.args, *options.rest]
+    words = [*options.args, *(options.rest or ())]
     script = None if options.script is None else read_script(options.script)
     if script is None and words:
         raise RigError(options.rig, "arguments, but no script to take them", "name a script")

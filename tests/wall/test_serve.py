@@ -2,11 +2,11 @@
 
 import os
 import signal
-import socket
 import subprocess
 import sys
 from pathlib import Path
 
+import can
 import pytest
 
 from harness.scaffold import EXAMPLES
@@ -83,12 +83,30 @@ def test_a_path_in_use_is_one_line_and_the_first_hub_serves_on(tmp_path):
 
 @pytest.mark.parametrize(
     ("on", "reason"),
-    [("can7=vcan0", "no bus 'can7'; it has can0"), ("no-such-if0", "no-such-if0")],
+    [
+        ("can7=vcan0", "no bus 'can7'; it has can0"),
+        ("no-such-if0", "no-such-if0"),
+        ("can0=", "--on can0=: names no interface; write --on can0=vcan0"),
+    ],
 )
 def test_an_absent_bus_or_interface_is_one_line_with_a_remedy(on, reason):
     done = motorhil("serve", RIG, "--on", on)
     assert done.returncode == 2
     assert reason in one_line(done.stderr)
+
+
+def test_two_dashes_without_a_command_are_one_line_not_a_server_without_end():
+    done = motorhil("serve", RIG, "--")
+    assert done.returncode == 2
+    assert one_line(done.stderr) == (
+        "motorhil serve: no command after --; name one, or leave -- out"
+    )
+
+
+def test_a_seed_no_rig_can_have_is_wrong_usage():
+    done = motorhil("serve", RIG, "--seed", "-1", "--", "true")
+    assert done.returncode == 2
+    assert "argument --seed: invalid seed (0 to 4294967295) value: '-1'" in done.stderr
 
 
 def test_a_signal_stops_it_cleanly_and_leaves_no_socket(tmp_path):
@@ -101,8 +119,8 @@ def test_a_signal_stops_it_cleanly_and_leaves_no_socket(tmp_path):
         text=True,
     ) as server:
         assert str(path) in server.stdout.readline()  # it says where, once it is there
-        with socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET) as client:
-            client.connect(str(path))
+        with can.Bus(interface="emulated", channel=str(path)) as client:
+            assert client.recv(20.0)  # a drive has booted
             server.send_signal(signal.SIGTERM)
             _, errors = server.communicate(timeout=20)
     assert server.returncode == 0

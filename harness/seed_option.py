@@ -1,0 +1,22 @@
+"""The option --seed, the same for every verb that has it."""
+
+import argparse
+from typing import Final
+
+from harness.rig_file import SEED_MAX
+
+
+def add_seed(parser: argparse.ArgumentParser) -> None:
+    """`--seed N` is understood: a number a rig may have, else None."""
+    parser.add_argument("--seed", type=_seed, metavar="N", help="instead of the rig's own seed")
+
+
+def _seed(text: str) -> int:
+    seed = int(text, 0)
+    if not 0 <= seed <= SEED_MAX:
+        raise ValueError
+    return seed
+
+
+_NAME: Final = f"seed (0 to {SEED_MAX})"
+_seed.__name__ = _NAME  # what argparse calls it when it is none
