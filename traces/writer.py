@@ -26,6 +26,7 @@ import zstandard
 from traces import records
 from traces.chunk import ChunkBuffer, Entry
 from traces.errors import TraceError
+from traces.new_file import create, let_go, reason
 from traces.schema import Direction, Schema
 
 CHUNK_NS: Final = 1_000_000_000
@@ -51,7 +52,7 @@ class TraceWriter:
         metadata: Mapping[str, Mapping[str, str]] | None = None,
         compact: bool = False,
     ) -> None:
-        """The file is begun; one of that name is written over.
+        """The file is begun; a recording of that name is written over.
 
         Args:
             target: a path, or a binary file open for writing, at its beginning.
@@ -59,7 +60,7 @@ class TraceWriter:
             compact: without a message index.
 
         Raises:
-            TraceError: it cannot be written.
+            TraceError: it cannot be written, or something else of that name would be lost.
         """
         self.path: str
         self.error: TraceError | None = None
@@ -67,7 +68,7 @@ class TraceWriter:
         self._owned: bool = isinstance(target, str | os.PathLike)
         if isinstance(target, str | os.PathLike):
             self.path = os.fspath(target)
-            self._file = _create(self.path)
+            self._file = create(self.path)
         else:
             self.path = str(getattr(target, "name", "recording"))
             self._file = target
@@ -337,7 +338,7 @@ class TraceWriter:
         reach = f"up to {self._last_ns / 1e9:.3f} s" if self._chunk_indexes else "nothing yet"
         self.error = TraceError(
             self.path,
-            f"cannot be written: {_reason(cause)}; the recording holds {reach}",
+            f"cannot be written: {reason(cause)}; the recording holds {reach}",
             remedy="free space there, or record to another place",
         )
         for ending in (self._ending(), self._short_ending(), b""):
@@ -353,8 +354,8 @@ class TraceWriter:
         raise self.error from cause
 
     def _release(self) -> None:
-        if self._owned:
-            self._file.close()
+        if isinstance(self._file, io.RawIOBase) and self._owned:
+            let_go(self._file)
 
     def _check_open(self) -> None:
         if self.error is not None:
@@ -365,20 +366,3 @@ class TraceWriter:
     def _check_channel(self, channel: int) -> None:
         if not 0 < channel <= len(self._channels):
             raise ValueError(f"{self.path} has no channel {channel}")
-
-
-def _create(path: str) -> io.RawIOBase:
-    """A new file, unbuffered: what is written is with the operating system."""
-    try:
-        return io.FileIO(path, "w")
-    except OSError as error:
-        folder = os.path.dirname(path) or "."
-        remedy = "name a file in a folder you may write to"
-        if not os.path.isdir(folder):
-            remedy = f"make the folder first: mkdir -p {folder}"
-        raise TraceError(path, f"cannot be written: {_reason(error)}", remedy=remedy) from error
-
-
-def _reason(error: OSError) -> str:
-    """The operating system's own words."""
-    return (error.strerror or str(error)).lower()

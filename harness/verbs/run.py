@@ -28,7 +28,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.epilog = _MORE
     parser.add_argument("rig", type=Path, metavar="RIG", help="a rig file (TOML)")
     parser.add_argument("script", nargs="?", metavar="SCRIPT", help="a Python program, or -")
-    parser.add_argument("args", nargs="*", metavar="ARGS", help="the script's own arguments")
+    parser.add_argument(
+        "args", nargs="*", default=[], metavar="ARGS", help="the script's own arguments"
+    )
     parser.add_argument("--realtime", action="store_true", help="no faster than the wall clock")
     add_seed(parser)
     parser.add_argument("-o", "--output", type=Path, metavar="FILE", help="record to FILE (MCAP)")

@@ -114,6 +114,7 @@ def test_bad_input_is_one_line_with_file_line_key_and_remedy(rig, say, verb, wha
         (("run", "rig.toml", "."), ".: cannot be read: Is a directory; name a Python program"),
         (("run", "rig.toml", "--", "x"), "rig.toml: arguments, but no script to take them; name"),
         (("run", "rig.toml", "script.py", "-o", "no/x.mcap"), "no/x.mcap: "),
+        (("run", "rig.toml", "-o", "script.py"), "script.py: is no recording, and would be lost;"),
     ],
 )
 def test_missing_files_are_one_line_too(rig, say, words, told):
@@ -121,6 +122,10 @@ def test_missing_files_are_one_line_too(rig, say, words, told):
     assert (status, out) == (2, "")
     assert err.startswith(told)
     assert err.count("\n") == 1
+
+
+def test_what_is_missing_on_the_command_line_is_named_and_nothing_else(say):
+    assert say("run")[2].endswith("error: the following arguments are required: RIG\n")
 
 
 def test_check_finds_what_only_a_motor_that_is_made_can_refuse(rig, say):

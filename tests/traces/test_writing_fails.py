@@ -214,3 +214,47 @@ def test_a_program_killed_in_the_middle_leaves_a_file_readable_up_to_its_last_se
         assert trace.cut is not None
     assert times == [10 * MS * number for number in range(len(times))]  # none is missing between
     assert times[-1] >= recorded_ns - SECOND
+
+
+# --- files of somebody else's
+
+
+@pytest.mark.parametrize("content", [b"[rig]\nname = 'mine'\n", b"x", b"\x89MCAP1\r\n"])
+def test_a_file_that_is_no_recording_is_not_written_over(tmp_path, content):
+    path = tmp_path / "rig.toml"
+    path.write_bytes(content)
+    with pytest.raises(TraceError) as caught:
+        TraceWriter(path)
+    assert str(caught.value) == f"{path}: is no recording, and would be lost; name another file"
+    assert path.read_bytes() == content
+
+
+def test_an_older_recording_and_an_empty_file_are_written_over(tmp_path):
+    path = tmp_path / "a.mcap"
+    path.touch()
+    for count in (100, 1):
+        recording = Recording(path)
+        recording.fill(count, MS)
+        recording.writer.close()
+    with read_trace(path) as trace:
+        assert trace.cut is None
+        assert len([1 for c, _, _ in trace.messages() if "can" in c.topic]) == 1
+
+
+def test_a_recording_that_is_being_written_is_left_to_its_writer(tmp_path):
+    path = tmp_path / "a.mcap"
+    recording = Recording(path)
+    recording.fill(10, MS)
+    for _ in range(2):
+        with pytest.raises(TraceError, match="is being written by another program"):
+            TraceWriter(path)
+    recording.writer.close()
+    with read_trace(path) as trace:
+        assert trace.cut is None
+    TraceWriter(path).close()
+
+
+@pytest.mark.parametrize("device", ["/dev/null", "/dev/stdout"])
+def test_what_is_no_file_takes_a_recording_too(device):
+    code = f"from traces.writer import TraceWriter; TraceWriter({device!r}).close()"
+    subprocess.run([sys.executable, "-c", code], check=True, stdout=subprocess.DEVNULL)

@@ -1,0 +1,68 @@
+"""A file to record into: new, or an older recording; nobody else's, and nobody else's just now."""
+
+import fcntl
+import io
+import os
+import stat
+from contextlib import suppress
+
+from traces.errors import TraceError
+from traces.records import MAGIC
+
+
+def create(path: str) -> io.RawIOBase:
+    """An empty file, unbuffered: what is written is with the operating system.
+
+    It is locked (flock) as long as it is open.
+
+    Raises:
+        TraceError: it cannot be written, holds something else than a recording, or is being
+            written by another program.
+    """
+    try:
+        return io.FileIO(path, "w", opener=_open)
+    except OSError as error:
+        folder = os.path.dirname(path) or "."
+        remedy = "name a file in a folder you may write to"
+        if not os.path.isdir(folder):
+            remedy = f"make the folder first: mkdir -p {folder}"
+        raise TraceError(path, f"cannot be written: {reason(error)}", remedy=remedy) from error
+
+
+def let_go(file: io.RawIOBase) -> None:
+    """The file is closed; processes forked meanwhile do not keep its lock."""
+    if not file.closed:
+        with suppress(OSError):  # not everything that takes bytes has locks
+            fcntl.flock(file.fileno(), fcntl.LOCK_UN)
+    file.close()
+
+
+def reason(error: OSError) -> str:
+    """The operating system's own words."""
+    return (error.strerror or str(error)).lower()
+
+
+def _open(path: str, flags: int) -> int:
+    descriptor = os.open(path, flags & ~os.O_TRUNC, 0o666)
+    try:
+        if stat.S_ISREG(os.fstat(descriptor).st_mode):
+            _check_ours(path, descriptor)
+            os.ftruncate(descriptor, 0)
+    except BaseException:
+        os.close(descriptor)
+        raise
+    return descriptor
+
+
+def _check_ours(path: str, descriptor: int) -> None:
+    with open(path, "rb") as file:
+        if not MAGIC.startswith(file.read(len(MAGIC))):
+            raise TraceError(path, "is no recording, and would be lost", remedy="name another file")
+    try:
+        fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError:
+        raise TraceError(
+            path, "is being written by another program", remedy="name another file"
+        ) from None
+    except OSError:  # a file system without locks
+        pass
