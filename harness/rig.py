@@ -328,6 +328,10 @@ class Rig:
             except UsageError as error:
                 path = ("group", name, "motors", place)
                 raise self.description.error(path, str(error), "take one out") from error
+        if self.recording is not None:
+            from harness.rig_recording import watch_group
+
+            watch_group(self.recording, group, name, self.world)
         return group
 
 

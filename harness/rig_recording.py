@@ -9,13 +9,18 @@ from typing import TYPE_CHECKING, final
 from harness.recorder import PERIOD_NS, Reading, Recorder, run_metadata
 from harness.rig_file import RigDescription
 from traces.errors import TraceError
+from traces.protobuf import Value
+from traces.schema import GROUP_SYNC
 from traces.writer import TraceWriter
 
 if TYPE_CHECKING:
     from emulators.world import World
+    from motorapi.group import MotorGroup
     from motorapi.motor import Motor
+    from motorapi.synchronization import SyncQuality
 
 _TOML: str = "application/toml"
+_START, _END = 1, 2  # motorhil.GroupSync.Phase
 
 
 def start_recording(
@@ -66,6 +71,51 @@ def watch_motor(
     """The motor's state is recorded while it changes, under the name the rig gives it."""
     heard = () if controller is None else ((bus, controller),)
     recorder.watch_motor(name, _Reader(motor).read, heard)
+
+
+def watch_group(recorder: Recorder, group: "MotorGroup", name: str, world: "World") -> None:
+    """How well each start of the group was synchronised is recorded when it has been waited for."""
+    group.observe(_GroupObserver(recorder, name, world).told)
+
+
+@final
+class _GroupObserver:
+    """Writes a START and an END message for each synchronised motion."""
+
+    def __init__(self, recorder: Recorder, name: str, world: "World") -> None:
+        self._recorder = recorder
+        self._topic = f"/group/{name}/sync"
+        self._world = world
+
+    def told(self, quality: "SyncQuality") -> None:
+        known = [(name, times) for name, times in quality.times if times is not None]
+        starts = [(name, times.started_ns, times.source) for name, times in known]
+        ends = [(name, times.ended_ns, times.source) for name, times in known]
+        self._write(_START, starts, quality.start_skew_s, None)
+        self._write(_END, ends, quality.end_skew_s, quality.predicted_end_skew_s)
+
+    def _write(
+        self,
+        phase: int,
+        moments: list[tuple[str, int | None, str]],
+        skew_s: float | None,
+        predicted_s: float | None,
+    ) -> None:
+        told = [(name, time_ns, source) for name, time_ns, source in moments if time_ns is not None]
+        if not told:
+            return
+        first_ns = min(time_ns for _, time_ns, _ in told)
+        values: dict[str, Value] = {
+            "phase": phase,
+            "motor": [name for name, _, _ in told],
+            "offset_s": [(time_ns - first_ns) / 1e9 for _, time_ns, _ in told],
+            "method": told[0][2],
+        }
+        if skew_s is not None:
+            values["skew_s"] = skew_s
+        if predicted_s is not None:
+            values["predicted_skew_s"] = predicted_s
+        self._recorder.message(self._world.queue.now_ns, self._topic, GROUP_SYNC, values)
 
 
 @final

@@ -34,6 +34,7 @@ class MotorGroup(DeviceGroup[Motor]):
 
     def __init__(self, *motors: Motor) -> None:
         self._started: tuple[Started, ...] = ()
+        self._observer: Callable[[SyncQuality], None] | None = None
         super().__init__(*motors)
 
     def _check_member(self, device: Motor) -> None:
@@ -88,6 +89,12 @@ class MotorGroup(DeviceGroup[Motor]):
             MotorError: as `Motor.wait_until_done`.
         """
         wait_for_all(self._members(), timeout_s)
+        if self._observer is not None and self._started:
+            self._observer(self.sync_quality())
+
+    def observe(self, told: Callable[[SyncQuality], None]) -> None:
+        """`told` hears how well each start was synchronised, once it was waited for."""
+        self._observer = told
 
     def is_done(self) -> bool:
         """Whether `wait_until_done` would return at once; raises as it does."""

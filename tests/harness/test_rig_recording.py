@@ -2,10 +2,14 @@ import can
 import pytest
 
 from harness.rig import Rig
+from harness.scaffold import EXAMPLES
 from harness.settings import RigError
+from motorapi import ControlMode, Motor, TrapezoidalTrajectory
 from tests.harness.rigs import FAULT, GOOD, WHEEL
 from traces.digest import digest
+from traces.protobuf import decode
 from traces.reader import read_trace
+from traces.schema import GROUP_SYNC
 
 LOSSY = (
     GOOD.replace("node_id = 2", 'node_id = 2\neds = "drive.eds"') + FAULT + "probability = 0.5\n"
@@ -92,3 +96,25 @@ def test_a_file_that_cannot_be_written_is_told_and_nothing_stays_open(rig, tmp_p
     assert str(caught.value).startswith(f"{target}: ")
     with Rig.open(rig):
         pass
+
+
+def test_a_groups_skew_is_recorded_as_it_told_it(tmp_path):
+    record = tmp_path / "run.mcap"
+    with Rig.open(EXAMPLES / "two_wheels.toml", record=record) as rig:
+        both = rig.groups["both"]
+        both.for_each(Motor.set_control_mode, ControlMode.TRAJECTORY)
+        both.set_trajectory(TrapezoidalTrajectory(0.5), TrapezoidalTrajectory(1.0))
+        both.start()
+        both.wait_until_done(5.0)
+        quality = both.sync_quality()
+    with read_trace(record) as trace:
+        start, end = (
+            decode(GROUP_SYNC, data)
+            for c, _, data in trace.messages()
+            if c.topic == "/group/both/sync"
+        )
+    assert (start["phase"], end["phase"]) == (1, 2)
+    assert start["motor"] == end["motor"] == ["left", "right"]
+    assert start.get("skew_s", 0.0) == quality.start_skew_s
+    assert end["skew_s"] == quality.end_skew_s == max(end["offset_s"])
+    assert end.get("predicted_skew_s", 0.0) == quality.predicted_end_skew_s
