@@ -1,6 +1,7 @@
 """Which motorhil this is: its version, whether its cores are compiled, and from which source."""
 
 import hashlib
+from functools import cache
 from importlib import metadata
 from importlib.machinery import EXTENSION_SUFFIXES
 from importlib.util import find_spec
@@ -15,10 +16,16 @@ _A_CORE: Final = "emulators.event_queue"  # compiled wherever any core is
 
 def version() -> str:
     """The installed version; "unknown" when it runs from a folder that was never installed."""
+    return version_of("motorhil") or "unknown"
+
+
+@cache
+def version_of(distribution: str) -> str:
+    """The installed version of any distribution; "" if it is not installed. Read once."""
     try:
-        return metadata.version("motorhil")
+        return metadata.version(distribution)
     except metadata.PackageNotFoundError:
-        return "unknown"
+        return ""
 
 
 def cores_are_compiled() -> bool:
@@ -28,8 +35,12 @@ def cores_are_compiled() -> bool:
     return origin.endswith(tuple(EXTENSION_SUFFIXES))
 
 
+@cache
 def source_digest() -> str:
-    """A short digest of the packages' source files: names and contents, in order of names."""
+    """A short digest of the packages' source files: names and contents, in order of names.
+
+    Read once in a process: what runs does not change with the files.
+    """
     root = _root()
     digest = hashlib.sha256()
     for package in _PACKAGES:

@@ -20,13 +20,17 @@ class Plugin:
     Attributes:
         name: what a rig calls it.
         target: "module:function".
-        package: the distribution that brings it, and its version.
     """
 
     name: str
     target: str
-    package: str
     entry_point: metadata.EntryPoint
+
+    @property
+    def package(self) -> str:
+        """The distribution that brings it, and its version; "" if that is not known."""
+        dist = self.entry_point.dist
+        return "" if dist is None else f"{dist.name} {dist.version}"
 
     def load(self) -> Callable[..., Any]:
         """The function that builds one; whatever importing it raises."""
@@ -38,9 +42,6 @@ def installed(group: str) -> dict[str, Plugin]:
     """The plugins of a group by name, in alphabetical order; of two alike, the first found."""
     found: dict[str, Plugin] = {}
     for entry_point in metadata.entry_points(group=group):
-        package = ""
-        if entry_point.dist is not None:
-            package = f"{entry_point.dist.name} {entry_point.dist.version}"
-        plugin = Plugin(entry_point.name, entry_point.value, package, entry_point)
+        plugin = Plugin(entry_point.name, entry_point.value, entry_point)
         found.setdefault(entry_point.name, plugin)
     return dict(sorted(found.items()))

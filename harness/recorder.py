@@ -13,10 +13,9 @@ the old value is recorded once more before the new one, so that a plot shows a s
 
 import sys
 from collections.abc import Callable, Collection, Mapping, Sequence
-from importlib import metadata
 from typing import Final, final
 
-from harness.build_info import source_digest, version
+from harness.build_info import source_digest, version, version_of
 from traces.chunk import Entry
 from traces.errors import TraceError
 from traces.fields import JointStateEncoder, TruthEncoder, encode_log
@@ -46,10 +45,7 @@ def run_metadata(
     """What a recording says about the run that made it; no part of its digest."""
     versions = {"motorhil": version(), "python": sys.version.split()[0], "source": source_digest()}
     for name in ("python-can", "canopen", "pymodbus", "zstandard"):
-        try:
-            versions[name] = metadata.version(name)
-        except metadata.PackageNotFoundError:
-            versions[name] = "absent"
+        versions[name] = version_of(name) or "absent"
     run = {"seed": str(seed), "rig_digest": rig_digest, "command_line": " ".join(command_line)}
     return {"run": run, "versions": versions}
 
@@ -293,7 +289,9 @@ class Recorder:
         self._active.sort(key=_number_of)  # not in the order in which they woke
         for motor in self._active:
             reading = motor.read()
-            payload = b"" if reading is None else motor.encoder.encode(*reading)
+            payload = b""
+            if reading is not None:
+                payload = motor.encoder.encode(reading[0], reading[1], reading[2])
             if payload and payload != motor.payload:
                 if motor.payload and now_ns - motor.sampled_ns > self._period_ns:
                     self._add(now_ns, motor.channel, motor.payload)

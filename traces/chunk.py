@@ -50,6 +50,7 @@ class ChunkBuffer:
         self._buffer: bytearray = bytearray(size)
         self._sources: list[tuple[int, bytes, int]] = []
         self._known: dict[tuple[int, bytes], _Template] = {}
+        self._wholes: dict[int, Callable[..., None]] = {}  # by length
         self._widest: int = 0
         self._indexed: bool = indexed
         self._index: dict[int, array[int]] = {}  # by channel: time, offset, time, offset, ...
@@ -104,6 +105,7 @@ class ChunkBuffer:
     def _pack(self, entries: list[Entry]) -> None:
         """The records are in the buffer; it is told how much of it is used when all of them are."""
         known = self._known
+        wholes = self._wholes
         used = self.used
         first = self.first_ns if used else entries[0][1]
         last = self.last_ns if used else entries[0][1]
@@ -116,14 +118,18 @@ class ChunkBuffer:
             elif time_ns < first:
                 first = time_ns
             if source < 0:
-                size = _HEAD_SIZE + len(data)
+                length = len(data)
+                size = _HEAD_SIZE + length
                 self._reserve(used + size + len(entries) * self._widest)
-                MESSAGE_HEAD.pack_into(
-                    buffer, used, MESSAGE, size - 9, -source, 0, time_ns, time_ns
-                )
-                buffer[used + _HEAD_SIZE : used + size] = data
+                try:
+                    pack_whole = wholes[length]
+                except KeyError:
+                    pack_whole = self._learn_length(length)
+                pack_whole(buffer, used, MESSAGE, size - 9, -source, 0, time_ns, time_ns, data)
                 if indexed:
-                    self._places(-source).extend((time_ns, used))
+                    note = self._places(-source).append
+                    note(time_ns)
+                    note(used)
                 used += size
                 continue
             try:
@@ -154,6 +160,14 @@ class ChunkBuffer:
         self._known[source, data[:8]] = template
         self._widest = max(self._widest, layout.size)
         return template
+
+    def _learn_length(self, length: int) -> Callable[..., None]:
+        """How messages of this length are packed, head and all."""
+        if len(self._wholes) >= _REMEMBERED:
+            self._wholes.clear()
+        pack_whole = struct.Struct(f"{MESSAGE_HEAD.format}{length}s").pack_into
+        self._wholes[length] = pack_whole
+        return pack_whole
 
     def _places(self, channel: int) -> "array[int]":
         """Where the channel's messages are."""
