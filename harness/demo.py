@@ -5,6 +5,7 @@ frame around them: progress, record, and a table of what came of it.
 """
 
 import argparse
+import shlex
 import sys
 import time
 import tomllib
@@ -83,6 +84,7 @@ def run(options: argparse.Namespace) -> int:
         except MotorError as error:
             print(f"motorhil demo: {error}", file=sys.stderr)
             print(f"the record so far: {options.output}", file=sys.stderr)
+            print(f"again: {_again(options, rig.seed)}", file=sys.stderr)
             return FAILED
         arrived = _print_motors(rig, rover, peaks)
         simulated_s = rig.runtime.now_ns() / 1e9
@@ -94,7 +96,18 @@ def run(options: argparse.Namespace) -> int:
         f"{simulated_s / spent_s:.1f} simulated seconds per second"
     )
     print(f"record {options.output}, digest {digest(options.output)} (seed {rig.seed})")
+    if not arrived:
+        print(f"motorhil demo: a motor is off by more than {ERROR_MAX_RAD} rad", file=sys.stderr)
+        print(f"again: {_again(options, rig.seed)}", file=sys.stderr)
     return PASSED if arrived else FAILED
+
+
+def _again(options: argparse.Namespace, seed: int) -> str:
+    """The command that does the same once more."""
+    words = ["motorhil", "demo", "--seed", str(seed), "-o", str(options.output)]
+    for file in options.eds:
+        words += ["--eds", str(file)]
+    return shlex.join([*words, "--realtime"] if options.realtime else words)
 
 
 def _make_folder(folder: Path) -> None:

@@ -27,6 +27,7 @@ from harness.pace import WallPace
 from harness.plant_from_model import plant_numbers
 from harness.plugins import ADAPTATIONS, CONTROLLERS, Plugin, installed
 from harness.rig_file import (
+    SEED_MAX,
     ControllerDescription,
     Known,
     MotorDescription,
@@ -119,6 +120,8 @@ class Rig:
             RigError: the rig cannot be used as it is written; nothing is left open.
         """
         description = read_rig(Path(path), installed_plugins())
+        if seed is not None and not 0 <= seed <= SEED_MAX:
+            raise RigError(path, f"seed {seed} is not within 0 to {SEED_MAX}", "another number")
         return cls(
             description,
             seed=seed,

@@ -45,6 +45,8 @@ def write_new_rig(folder: Path) -> list[Path]:
     texts[folder / "rig.toml"] = texts[folder / "rig.toml"].replace(
         f"#:schema ../{SCHEMA.name}", f"#:schema ./{SCHEMA.name}"
     )
+    for old, new in _FILES:  # the script names the files beside it
+        texts[folder / "drive.py"] = texts[folder / "drive.py"].replace(old, new)
     for path in texts:
         if path.exists():
             raise RigError(path, "is there already", "name another folder: motorhil new DIR")

@@ -164,6 +164,13 @@ def test_new_writes_a_rig_that_is_right_and_a_script_that_runs(bench, say):
     assert "#:schema ./rig.schema.json" in (bench / "wheels/rig.toml").read_text()
 
 
+def test_the_new_script_names_the_files_beside_it(bench, say):
+    assert say("new", "wheels")[0] == 0
+    script = (bench / "wheels" / "drive.py").read_text()
+    assert "motorhil run rig.toml drive.py" in script
+    assert "two_wheels" not in script
+
+
 def test_new_writes_over_nothing(bench, say):
     (bench / "drive.py").write_text("mine")
     assert say("new", ".") == (

@@ -90,3 +90,13 @@ def test_a_seed_no_rig_can_have_is_wrong_usage(capsys):
     status, out, err = demo(capsys, "--seed", "-1")
     assert (status, out) == (2, "")
     assert "argument --seed: invalid seed (0 to 4294967295) value: '-1'" in err
+
+
+def test_a_motor_that_is_off_fails_the_demo_and_the_command_that_repeats_it_is_told(
+    capsys, tmp_path, monkeypatch
+):
+    monkeypatch.setattr("harness.demo.ERROR_MAX_RAD", 0.0)
+    record = tmp_path / "a b.mcap"
+    status, _, err = demo(capsys, "-o", record, "--seed", "3")
+    assert status == 1
+    assert err.splitlines()[-1] == f"again: motorhil demo --seed 3 -o '{record}'"

@@ -293,3 +293,10 @@ def test_ctrl_c_does_not_break_an_event_in_two(rig):
         with pytest.raises(KeyboardInterrupt):  # where no event runs it counts at once
             os.kill(os.getpid(), signal.SIGINT)
     assert signal.getsignal(signal.SIGINT) is before
+
+
+def test_a_seed_no_rig_can_have_is_refused(bench):
+    (bench / "rig.toml").write_text(GOOD)
+    (bench / "wheel.toml").write_text(WHEEL)
+    with pytest.raises(RigError, match="seed -3 is not within 0 to"):
+        Rig.open(bench / "rig.toml", seed=-3)
