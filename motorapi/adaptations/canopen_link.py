@@ -306,8 +306,13 @@ class CanopenLink:
         """The host is heard as a node, at once and then every `period_ms` [ms].
 
         Raises:
-            UsageError: another period was asked for before.
+            UsageError: another period was asked for before, or a drive has this node-ID.
         """
+        if _ID.pack(HEARTBEAT_ID + host_node_id) in self._handlers:
+            raise UsageError(
+                f"{self.name}: host_node_id = {host_node_id} is the node-ID of a drive here;"
+                " give the host one of its own"
+            )
         known = self._heartbeats.get(host_node_id)
         if known is not None:
             if known.period_ms != period_ms:
@@ -321,6 +326,10 @@ class CanopenLink:
         registration = self.runtime.every(period_ms / 1e3, lambda: self.send(frame))
         self._heartbeats[host_node_id] = _HostHeartbeat(period_ms, registration)
         self.send(frame)
+
+    def is_host(self, node_id: int) -> bool:
+        """Whether the host itself is heard under this node-ID."""
+        return node_id in self._heartbeats
 
     def release_heartbeat(self, host_node_id: int) -> None:
         """One user less; after the last one the host falls silent."""

@@ -28,6 +28,7 @@ from motorapi.errors import LinkError, UsageError
 from motorapi.runtime import runtime_of
 from motorapi.sharing import (
     PhysicalMotor,
+    RunStatus,
     bus_key,
     register_physical_motor,
     release_physical_motor,
@@ -75,18 +76,24 @@ class Cia402HwMotor:
         runtime: "Runtime | None" = None,
         options: HwOptions | None = None,
     ) -> None:
-        if not 1 <= node_id <= 127:
-            raise UsageError(f"node_id = {node_id}: a node-ID is 1 to 127")
+        if not isinstance(node_id, int) or not 1 <= node_id <= 127:
+            raise UsageError(f"node_id = {node_id!r}: a node-ID is 1 to 127")
         if runtime is None:
             runtime = runtime_of(bus)
         self.node_id: Final = node_id
         self.options: Final = options if options is not None else HwOptions()
         self.runtime: Final = runtime
         self.label: Final = f"{bus_name(bus)} node {node_id}"
+        if self.options.heartbeat_ms and node_id == self.options.host_node_id:
+            raise self._is_the_hosts()
         self._facts: DriveFacts | None = None
         self._key = (*bus_key(bus), node_id)
         self.physical: Final[PhysicalMotor] = register_physical_motor(self._key, self.label, self)
         self.link: Final[CanopenLink] = open_link(bus, runtime)
+        if self.link.is_host(node_id):
+            release_link(self.link)
+            release_physical_motor(self._key, self)
+            raise self._is_the_hosts()
         self.node: Final = DriveNode(
             self.link,
             node_id,
@@ -104,15 +111,25 @@ class Cia402HwMotor:
         self._close = weakref.finalize(self, _let_go, self.link, self.node, self.options)
         self._close.atexit = False
 
+    def _is_the_hosts(self) -> UsageError:
+        return UsageError(
+            f"{self.label}: node {self.node_id} is also the host's node-ID;"
+            " give the host another with HwOptions(host_node_id=...)"
+        )
+
     def __repr__(self) -> str:
-        if self._facts is None:
-            return f"<Cia402HwMotor {self.label}: not connected>"
-        what = self.node.describe_status() if self._close.alive else "closed"
-        return f"<Cia402HwMotor {self.label}: {what}>"
+        what = "not connected" if self._facts is None else self.node.describe_status()
+        return f"<Cia402HwMotor {self.label}: {'closed' if self.is_closed else what}>"
 
     def close(self) -> None:
         """Nothing is sent or heard any more; the drive's dead-man stops it if it moves."""
+        if self._close.alive:
+            watch = self.node.watch
+            done = watch is None or watch.ended_ns is not None
+            status = RunStatus.DONE if done else RunStatus.GOING
+            self.physical.end(f"close() of {self.label}", self.runtime.now_ns(), status)
         release_physical_motor(self._key, self)
+        self._facts = None
         self._close()
 
     @property

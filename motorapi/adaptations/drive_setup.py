@@ -67,19 +67,47 @@ class HwOptions:
     sdo_quarantine_s: float = 1.0
 
     def __post_init__(self) -> None:
-        if not 1 <= self.host_node_id <= 127:
-            raise UsageError(f"host_node_id = {self.host_node_id}: a node-ID is 1 to 127")
-        for name in ("heartbeat_ms", "heartbeat_timeout_ms", "status_period_ms"):
-            if not 0 <= getattr(self, name) <= 65535:
-                raise UsageError(f"{name} = {getattr(self, name)}: must be 0 to 65535 ms")
+        """Refuse what no drive can be told.
+
+        Raises:
+            UsageError: an option has the wrong type or is out of range.
+        """
+        for name, (low, high, unit) in _WHOLE.items():
+            value = getattr(self, name)
+            if value is None and name == "connection_loss":
+                continue
+            if not isinstance(value, int) or not low <= value <= high:
+                limits = f"{low} to {high}{unit}"
+                raise UsageError(f"{name} = {value!r}: must be a whole number, {limits}")
+        for name, limit_ms in _DURATIONS_MS.items():
+            value = getattr(self, name)
+            if value is None and name == "servo_period_ms":
+                continue
+            if not isinstance(value, int | float) or not 0 <= value <= limit_ms:
+                raise UsageError(f"{name} = {value!r}: must be 0 to {limit_ms:g} ms")
+        for name in _TIMEOUTS:
+            value = getattr(self, name)
+            if not isinstance(value, int | float) or not 0 < value <= _TIMEOUT_MAX_S:
+                limit = f"> 0 s, and at most {_TIMEOUT_MAX_S} s"
+                raise UsageError(f"{name} = {value!r}: must be {limit}")
         if 0 < self.heartbeat_timeout_ms <= self.heartbeat_ms:
             raise UsageError(
                 f"heartbeat_timeout_ms = {self.heartbeat_timeout_ms}: must be longer than"
                 f" heartbeat_ms = {self.heartbeat_ms}, better three times as long"
             )
-        for name in ("connect_timeout_s", "sdo_timeout_s", "sdo_quarantine_s"):
-            if not getattr(self, name) > 0.0:
-                raise UsageError(f"{name} = {getattr(self, name)}: must be > 0 s")
+
+
+_WHOLE: Final = {  # lowest, highest, unit
+    "host_node_id": (1, 127, ""),
+    "heartbeat_ms": (0, 65535, " ms"),  # 1017h
+    "heartbeat_timeout_ms": (0, 65535, " ms"),  # 1016h
+    "status_period_ms": (0, 65535, " ms"),  # 1800h:05h
+    "velocity_period_ms": (0, 65535, " ms"),
+    "connection_loss": (-32768, 3, ""),  # 6007h; below 0 are the vendor's
+}
+_DURATIONS_MS: Final = {"status_inhibit_ms": 6553.5, "servo_period_ms": 1000.0}  # 1800h:03h
+_TIMEOUTS: Final = ("connect_timeout_s", "sdo_timeout_s", "sdo_quarantine_s")
+_TIMEOUT_MAX_S: Final = 3600
 
 
 @final

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 from itertools import pairwise
+from math import inf, nan
 
 import pytest
 
@@ -9,7 +10,9 @@ from harness.rig import Rig
 from motorapi.adaptations.canopen_errors import SdoAborted
 from motorapi.adaptations.cia402 import Cia402HwMotor, HwOptions
 from motorapi.adaptations.cia402_objects import Mode, PdsState
-from motorapi.errors import DeadlineExceeded, UsageError
+from motorapi.commands import ControlMode
+from motorapi.errors import DeadlineExceeded, LinkError, MotionInterrupted, UsageError
+from motorapi.state import MotorState
 from tests.motorapi.adaptations.conftest import drive
 from tests.motorapi.adaptations.scripted import MS, Answer, ScriptedBus, frame
 
@@ -254,15 +257,55 @@ def test_what_is_no_drive_is_refused():
 @pytest.mark.parametrize(
     ("wrong", "text"),
     [
-        ({"host_node_id": 0}, "host_node_id = 0: a node-ID is 1 to 127"),
-        ({"heartbeat_ms": 70_000}, "heartbeat_ms = 70000"),
+        ({"host_node_id": 0}, "host_node_id = 0: must be a whole number, 1 to 127"),
+        ({"heartbeat_ms": 70_000}, "heartbeat_ms = 70000: must be a whole number, 0 to 65535 ms"),
+        ({"heartbeat_ms": 1.5}, "heartbeat_ms = 1.5: must be a whole number, 0 to 65535 ms"),
         ({"heartbeat_ms": 300}, "must be longer than heartbeat_ms = 300"),
+        ({"velocity_period_ms": -1}, "velocity_period_ms = -1: must be a whole number, 0 to"),
+        ({"status_inhibit_ms": nan}, "status_inhibit_ms = nan: must be 0 to 6553.5 ms"),
+        ({"status_inhibit_ms": 6553.6}, "status_inhibit_ms = 6553.6: must be 0 to 6553.5 ms"),
+        ({"connection_loss": 99}, "connection_loss = 99: must be a whole number, -32768 to 3"),
+        ({"servo_period_ms": -1}, "servo_period_ms = -1: must be 0 to 1000 ms"),
         ({"sdo_timeout_s": 0.0}, "sdo_timeout_s = 0.0: must be > 0 s"),
+        ({"connect_timeout_s": inf}, "connect_timeout_s = inf: must be > 0 s, and at most 3600 s"),
+        ({"connect_timeout_s": "3"}, "connect_timeout_s = '3': must be > 0 s"),
     ],
 )
 def test_wrong_options_are_refused(wrong: dict[str, float], text: str):
     with pytest.raises(UsageError, match=text):
         HwOptions(**wrong)  # type: ignore[arg-type]
+
+
+def test_the_host_has_a_node_id_of_its_own(open_rig: OpenRig):
+    bus = open_rig(drive("left", 1), drive("right", 2)).bus("can0")
+    with pytest.raises(UsageError, match=r"node 127 is also the host's.*host_node_id"):
+        Cia402HwMotor(bus, 127)
+    left = Cia402HwMotor(bus, 1, options=HwOptions(host_node_id=2))
+    right = Cia402HwMotor(bus, 2)
+    with pytest.raises(UsageError, match=r"host_node_id = 2 is the node-ID of a drive here"):
+        left.connect()
+    right.close()
+    left.connect()
+    with pytest.raises(UsageError, match=r"node 2 is also the host's.*host_node_id"):
+        Cia402HwMotor(bus, 2)
+    left.close()
+    Cia402HwMotor(bus, 2).close()
+
+
+def test_a_closed_motor_is_offline_and_its_motion_was_ended_by_that(open_rig: OpenRig):
+    left = open_rig(drive("left", 1)).motors["left"]
+    left.set_control_mode(ControlMode.SETPOINT)
+    left.set_setpoint(10.0)
+    left.start()
+    left.runtime.wait_until(lambda: False, 0.1)
+    left.close()
+    assert left.state() is MotorState.OFFLINE
+    for ask in (left.is_done, left.wait_until_done):
+        with pytest.raises(MotionInterrupted, match=r"ended by close\(\) of can0 node 1 at 0\."):
+            ask()
+    with pytest.raises(LinkError, match="can0 node 1: this hardware object is closed"):
+        left.position()
+    assert "closed" in repr(left.hardware)  # type: ignore[attr-defined]
 
 
 # --- motors from settings ------------------------------------------------------------------------
