@@ -61,6 +61,9 @@ _NUMBER_KEYS: Final = {
     "acceleration_unit": "acceleration_unit_{u}_s2",
 }
 _REQUIRED: Final = ("velocity_max", "acceleration_max")
+_INTEGER_MAX: Final = 2**63 - 1
+_FILE_REMEDY: Final = "name a motor model, a TOML file"
+_TOML_REMEDY: Final = "a line reads key = value, as in velocity_max_rad_s = 6.0"
 _SIGNED: Final = ("position_min", "position_max", "increments_per_unit")
 
 
@@ -72,7 +75,7 @@ class MotorModel:
     U is rad or m, after `kind`. None means: no limit, or not known.
 
     Raises:
-        UsageError: a number is not finite, a limit not > 0, or a range empty.
+        UsageError: a number is not finite, a limit not > 0, a range empty, or the name no text.
     """
 
     name: str
@@ -92,6 +95,8 @@ class MotorModel:
     requires_referencing: bool = False
 
     def __post_init__(self) -> None:
+        if not _is_name(self.name):
+            raise UsageError(f"motor model: its name is {self.name!r}, not printable text")
         for field in _NUMBER_KEYS:
             problem = _problem(field, getattr(self, field))
             if problem:
@@ -136,33 +141,28 @@ class MotorModel:
         Raises:
             FileError: there is no such file, it is no TOML, or a key or value means nothing here.
         """
+        text, line = "", None
         try:
-            text = Path(path).read_text(encoding="utf-8")
-        except (OSError, UnicodeDecodeError) as error:
-            reason = error.strerror if isinstance(error, OSError) else "not UTF-8"
-            raise FileError(
-                path=str(path),
-                line=None,
-                key=None,
-                problem=f"cannot be read: {reason}",
-                remedy="name a motor model, a TOML file",
-            ) from None
-        try:
+            text = Path(path).read_text(encoding="utf-8-sig")
             table = tomllib.loads(text)
         except tomllib.TOMLDecodeError as error:
-            raise FileError(
+            problem, remedy = f"no TOML: {error}", _TOML_REMEDY
+            line = _line_in(str(error))
+        except UnicodeDecodeError:
+            problem, remedy = "cannot be read: not UTF-8", _FILE_REMEDY
+        except RecursionError:
+            problem, remedy = "no TOML: nested too deeply", _TOML_REMEDY
+        except (OSError, ValueError) as error:  # ValueError: no path, or an endless number
+            problem = f"cannot be read: {getattr(error, 'strerror', None) or error}"
+            remedy = _FILE_REMEDY
+        else:
+            return cls.from_table(
+                table,
                 path=str(path),
-                line=_line_in(str(error)),
-                key=None,
-                problem=f"no TOML: {error}",
-                remedy="a line reads key = value, as in velocity_max_rad_s = 6.0",
-            ) from None
-        return cls.from_table(
-            table,
-            path=str(path),
-            line_of=lambda key: _line_of(text, key),
-            default_name=Path(path).stem,
-        )
+                line_of=lambda key: _line_of(text, key),
+                default_name=Path(path).stem,
+            )
+        raise FileError(path=str(path), line=line, key=None, problem=problem, remedy=remedy)
 
     @classmethod
     def from_table(
@@ -236,7 +236,8 @@ class _Reader:
 
     def error(self, key: str, problem: str, remedy: str) -> FileError:
         line = self._line_of(key) if key in self._table else None
-        return FileError(path=self._path, line=line, key=key, problem=problem, remedy=remedy)
+        name = key if key.isprintable() else repr(key)
+        return FileError(path=self._path, line=line, key=name, problem=problem, remedy=remedy)
 
     def kind(self) -> MotionKind:
         word = self.text("kind", MotionKind.ROTARY.value)
@@ -259,6 +260,8 @@ class _Reader:
             return None
         if isinstance(value, bool) or not isinstance(value, int | float):
             raise self.error(key, f"{value!r} is not a number", "write a number, without a unit")
+        if isinstance(value, int) and abs(value) > _INTEGER_MAX:
+            raise self.error(key, "is an integer of more than 64 bits", "write a shorter one")
         problem = _problem(field, float(value))
         if problem:
             raise self.error(key, problem, "correct it, or leave the key out")
@@ -268,6 +271,8 @@ class _Reader:
         value = self._table.get(key, default)
         if not isinstance(value, str) or not value:
             raise self.error(key, f"{value!r} is not a text", 'write it in quotes, as in "wheel"')
+        if not _is_name(value):
+            raise self.error(key, f"{value!r} cannot be printed", "use letters, digits and spaces")
         return value
 
     def flag(self, key: str) -> bool:
@@ -298,6 +303,10 @@ def _problem(field: str, value: float | None) -> str:
     if field not in _SIGNED and value <= 0.0:
         return f"is {value:g}, not > 0"
     return ""
+
+
+def _is_name(text: object) -> bool:
+    return isinstance(text, str) and bool(text) and text.isprintable()
 
 
 def _is_empty(low: float | None, high: float | None) -> bool:

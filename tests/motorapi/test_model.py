@@ -74,6 +74,8 @@ def test_a_linear_model_speaks_metres_and_newtons(tmp_path):
         ("increments_per_rad = 0.0", "increments_per_rad", "leave the key out"),
         ('kind = "rotating"', "kind", '"rotary" or "linear"'),
         ("name = 3", "name", "in quotes"),
+        (r'name = "two\nlines"', "name", "letters, digits"),
+        ("jerk_max_rad_s3 = 1" + 400 * "0", "jerk_max_rad_s3", "shorter"),
         ("requires_referencing = 1", "requires_referencing", "true or false"),
     ],
 )
@@ -84,6 +86,7 @@ def test_bad_key_is_refused_with_file_line_key_and_remedy(tmp_path, line, key, r
     assert (error.line, error.key) == (3 + lines, key)
     assert remedy in error.remedy
     assert f"m.toml:{error.line}: {key}" in str(error)
+    assert "\n" not in str(error)
 
 
 def test_missing_limit_is_named(tmp_path):
@@ -101,9 +104,30 @@ def test_what_is_no_toml_is_refused_with_its_line(tmp_path):
     assert error.line == 2
 
 
+@pytest.mark.parametrize(
+    ("line", "problem"),
+    [
+        ("a = " + 100_000 * "[", "nested too deeply"),
+        ("a = 1" + 5000 * "0", "4300 digits"),
+        (r'"a\nb" = 1', r"'a\nb': a motor model has no such key"),
+    ],
+)
+def test_what_toml_itself_cannot_take_is_one_line_too(tmp_path, line, problem):
+    error = refused(tmp_path, WHEEL + line)
+    assert problem in str(error)
+    assert "\n" not in str(error)
+
+
+def test_a_byte_order_mark_is_no_matter(tmp_path):
+    (tmp_path / "m.toml").write_text(WHEEL, encoding="utf-8-sig")
+    assert MotorModel.load(tmp_path / "m.toml").name == "drive wheel"
+
+
 def test_missing_file_and_binary_file_are_refused(tmp_path):
     with pytest.raises(FileError, match="No such file"):
         MotorModel.load(tmp_path / "none.toml")
+    with pytest.raises(FileError, match="null byte"):
+        MotorModel.load("no\0ne.toml")
     (tmp_path / "binary.toml").write_bytes(b"\xff\xfe")
     with pytest.raises(FileError, match="not UTF-8"):
         MotorModel.load(tmp_path / "binary.toml")
@@ -121,6 +145,9 @@ def test_a_model_made_in_code_is_checked_too():
     for bad in (0.0, -1.0, nan, inf):
         with pytest.raises(UsageError, match="velocity_max"):
             MotorModel(name="x", velocity_max=bad, acceleration_max=1.0)
+    for name in ("", "two\nlines", 3):
+        with pytest.raises(UsageError, match="name is"):
+            MotorModel(name=name, velocity_max=1.0, acceleration_max=1.0)
     with pytest.raises(UsageError, match="position_min"):
         MotorModel(
             name="x", velocity_max=1.0, acceleration_max=1.0, position_min=1.0, position_max=1.0
@@ -133,7 +160,7 @@ POSITIVE = st.floats(1e-300, 1e300)
 @given(
     st.builds(
         MotorModel,
-        name=st.text(min_size=1),
+        name=st.text(min_size=1).filter(str.isprintable),
         kind=st.sampled_from(MotionKind),
         velocity_max=POSITIVE,
         acceleration_max=POSITIVE,
