@@ -1,0 +1,65 @@
+"""The whole tool at work: the demo, csp at 1 kHz, a resting rig, SDO through bus and drive.
+
+Each workload runs in a process of its own, with the pure cores and, after `make compiled`, with the
+compiled ones. What a figure grows with: the demo and csp with simulated time and drives, rest with
+heartbeats alone.
+"""
+
+import subprocess
+import sys
+import time
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+from harness.rig import Rig
+from motorapi.adaptations.cia402 import Cia402HwMotor
+from tests.benchmarks.bench_adaptations import RIG
+from tests.benchmarks.bench_canopen import _peer_uploads_per_s
+
+WORKLOADS = Path(__file__).with_name("workloads.py")
+COMPILED = Path(__file__).parents[2] / ".venv-compiled" / "bin" / "python"
+UPLOADS = 2_000
+ROUNDS = 3
+
+Figures = list[tuple[str, float, str]]
+
+
+def _workload(python: str | Path, cores: str, name: str) -> Figures:
+    command = [str(python), "-P", str(WORKLOADS), name]
+    lines = subprocess.run(command, check=True, capture_output=True, text=True).stdout.splitlines()
+    figures = [line.split("\t") for line in lines]
+    return [(f"{cores}: {what}", float(figure), unit) for what, figure, unit in figures]
+
+
+def _uploads_per_s() -> float:
+    """SDO uploads by canopen's client from a drive, over a bus with its physics; wall time."""
+    with TemporaryDirectory() as folder:
+        path = Path(folder) / "rig.toml"
+        path.write_text(RIG)
+        with Rig.open(path) as rig:
+            hardware = Cia402HwMotor(rig.bus("can0"), 3)
+            rig.runtime.run_for(0.35)
+            hardware.connect()
+            best = 0.0
+            for _ in range(ROUNDS):
+                begun = time.perf_counter()
+                for _ in range(UPLOADS):
+                    hardware.upload(0x6064)
+                best = max(best, UPLOADS / (time.perf_counter() - begun))
+            hardware.close()
+    return best
+
+
+def run() -> Figures:
+    """(name, figure, unit) of each figure."""
+    ours, peer = _uploads_per_s(), _peer_uploads_per_s()
+    figures = [
+        ("SDO uploads by canopen's client, drive and bus physics", ours, "1/s"),
+        ("the same from canopen's LocalNode, python-can virtual", peer, "1/s"),
+        ("ours against that", ours / peer, "x"),
+    ]
+    for python, cores in ((sys.executable, "pure"), (COMPILED, "compiled")):
+        if Path(python).exists():
+            for name in ("demo", "csp", "rest"):
+                figures += _workload(python, cores, name)
+    return figures

@@ -1,0 +1,233 @@
+"""What `bench_system` runs in processes of their own, once pure and once compiled.
+
+    python -P tests/benchmarks/workloads.py NAME
+
+prints one line a figure: name, tab, figure, tab, unit. It imports the project alone, so that it
+measures whichever motorhil belongs to the Python that runs it. Times are CPU times, the best of
+several runs: other work on the machine only adds.
+"""
+
+import math
+import struct
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+MS = 1_000_000
+PERIOD_S = 0.001
+CYCLES = 2_000
+ROUNDS = 3
+SETPOINT = struct.Struct("<IB3xHi2x")
+SYNC = struct.pack("<IB3x8x", 0x080, 0)
+TARGETS = [round(8_000 - 8_000 * math.cos(2 * math.pi * k / 1_000)) for k in range(1_000)]
+
+Figures = list[tuple[str, float, str]]
+
+
+def best(action: Callable[[], float], rounds: int = ROUNDS) -> float:
+    """The least CPU time [s] that `action` says it took."""
+    return min(action() for _ in range(rounds))
+
+
+# --- the demo
+
+
+def demo() -> Figures:
+    """The rover manoeuvre: rig read and opened, driven, recorded, closed."""
+    imported = time.process_time()
+    from harness.demo import POINT_M, RIG
+    from harness.examples.rover import Rover, manoeuvre
+    from harness.rig import Rig
+
+    with TemporaryDirectory() as folder:
+        frames = simulated_s = 0.0
+
+        def drive(record: Path | None) -> float:
+            nonlocal frames, simulated_s
+            begun = time.process_time()
+            with Rig.open(RIG, record=record) as rig:
+                rover = Rover(rig.groups["wheels"], rig.groups["steering"], rig.groups["mast"])
+                manoeuvre(rover, rig.runtime, POINT_M, lambda text: None)
+                simulated_s = rig.runtime.now_ns() / 1e9
+            frames = sum(rig.world.bus(name).statistics.frames for name in rig.world.bus_names())
+            return time.process_time() - begun
+
+        first = drive(Path(folder) / "demo.mcap")
+        whole = time.process_time() - imported
+        rounds = [
+            (drive(Path(folder) / "demo.mcap"), drive(None)) for _ in range(2 * ROUNDS)
+        ]  # in turn, so that both meet the same disturbances
+    recorded, silent = min(r for r, _ in rounds), min(s for _, s in rounds)
+    return [
+        ("demo, recorded", simulated_s / recorded, "x real time"),
+        ("demo, recorded, for the first time in a process", simulated_s / first, "x real time"),
+        ("demo, with start-up and imports of the process", simulated_s / whole, "x real time"),
+        ("demo, not recorded", simulated_s / silent, "x real time"),
+        ("recording, all channels, per frame on the bus", (recorded - silent) / frames * 1e6, "us"),
+        ("demo, CPU per frame on the bus", recorded / frames * 1e6, "us"),
+    ]
+
+
+# --- cyclic synchronous position
+
+
+def _csp_rig(folder: str, drives: int) -> str:
+    lines = ['rig = { name = "csp" }', "bus.can0.bitrate_bit_s = 1_000_000"]
+    for node in range(1, drives + 1):
+        lines += [f"[controller.d{node}]", 'kind = "cia402"', 'bus = "can0"']
+        lines += [f"node_id = {node}", 'plant = { preset = "wheel_60w" }']
+    path = Path(folder) / f"csp{drives}.toml"
+    path.write_text("\n".join(lines) + "\n")
+    return str(path)
+
+
+def _enabled(rig, drives: int, **options):  # type: ignore[no-untyped-def]
+    """Hardware objects of all drives, enabled; TPDO 1 (6041h, 6064h) is of type 1."""
+    from motorapi.adaptations.cia402 import Cia402HwMotor, HwOptions
+
+    bus = rig.bus("can0")
+    hardware = []
+    for node in range(1, drives + 1):
+        hw = Cia402HwMotor(bus, node, options=HwOptions(**options))
+        hw.enable()
+        cob_id = hw.read(0x1800, 1, "u32")
+        hw.write(0x1800, cob_id | 1 << 31, 1, "u32")
+        hw.write(0x1800, 1, 2, "u8")
+        hw.write(0x1800, cob_id, 1, "u32")
+        hardware.append(hw)
+    return hardware
+
+
+def _stream(drives: int) -> tuple[float, int, float, str]:
+    """(CPU [s], late set-points, bus load, what was told) of CYCLES with the interface's stream."""
+    from harness.rig import Rig
+
+    with TemporaryDirectory() as folder, Rig.open(_csp_rig(folder, drives)) as rig:
+        told: list[str] = []
+        rig.world.tap_events(lambda time_ns, level, name, text: told.append(text))
+        hardware = _enabled(rig, drives)
+        starts = [hw.position_inc for hw in hardware]
+        begins = [0] * drives
+
+        def target(place: int, cycle: int) -> int:
+            return starts[place] + TARGETS[(cycle - begins[place]) % 1_000]
+
+        streams = [
+            hw.stream_positions(PERIOD_S, lambda cycle, place=place: target(place, cycle))
+            for place, hw in enumerate(hardware)
+        ]
+        rig.runtime.run_for(0.05)
+        begun_ns, begun = rig.runtime.now_ns(), time.process_time()
+        rig.runtime.run_for(CYCLES * PERIOD_S)
+        spent = time.process_time() - begun
+        load = rig.world.bus("can0").statistics.load(begun_ns, rig.runtime.now_ns())
+        late = sum(stream.late for stream in streams)
+        told += [str(stream.error) for stream in streams if stream.error is not None]
+        for stream in streams:
+            stream.cancel()
+        for hw in hardware:
+            hw.close()
+    return spent, late, load, next((text for text in told if "left the bus" in text), "")
+
+
+def _bare(drives: int) -> float:
+    """CPU [s] of CYCLES with a host that only packs its frames and unpacks what comes."""
+    from harness.rig import Rig
+    from motorapi.adaptations.cia402_objects import Mode
+
+    with TemporaryDirectory() as folder, Rig.open(_csp_rig(folder, drives)) as rig:
+        hardware = _enabled(rig, drives, heartbeat_ms=0, connection_loss=None)
+        for hw in hardware:
+            hw.set_mode(Mode.CYCLIC_SYNC_POSITION)
+        starts = [hw.position_inc for hw in hardware]
+        for hw in hardware:
+            hw.close()
+        bus, runtime = rig.bus("can0"), rig.runtime
+        heard = 0
+        cycle = 0
+
+        def on_frame(frame: bytes, time_ns: int, transmitted: bool) -> None:
+            nonlocal heard
+            if not transmitted and frame[9:10]:
+                heard += 1
+
+        def send() -> None:
+            nonlocal cycle
+            runtime.send(bus, SYNC)
+            step = TARGETS[cycle % 1_000]
+            cycle += 1
+            for node, start in enumerate(starts, start=1):
+                runtime.send(bus, SETPOINT.pack(0x300 + node, 6, 15, start + step))
+
+        runtime.listen(bus, on_frame)
+        runtime.every(PERIOD_S, send)
+        runtime.run_for(0.05)
+        heard = 0
+        begun = time.process_time()
+        runtime.run_for(CYCLES * PERIOD_S)
+        spent = time.process_time() - begun
+        positions = [rig.controllers[f"d{node}"].snapshot() for node in range(1, drives + 1)]
+        assert heard == drives * CYCLES, heard
+        assert all(truth["state"] == positions[0]["state"] for truth in positions)
+    return spent
+
+
+def csp() -> Figures:
+    """Drives in csp at 1 kHz on one bus of 1 Mbit/s."""
+    simulated_s = CYCLES * PERIOD_S
+    streams = [_stream(4) for _ in range(ROUNDS)]
+    stream_s = min(spent for spent, _, _, _ in streams)
+    _, late, load, told = streams[0]
+    _, late_six, load_six, told_six = _stream(6)
+    bare_s = best(lambda: _bare(4))
+    assert not told, told
+    assert told_six
+    return [
+        ("csp, 4 drives at 1 kHz, by the motor interface", simulated_s / stream_s, "x real time"),
+        ("csp, 4 drives at 1 kHz, bare host", simulated_s / bare_s, "x real time"),
+        ("csp, 4 drives: load of the bus", load * 100, "%"),
+        ("csp, 4 drives: set-points that came late", late, ""),
+        ("csp, 6 drives: load of the bus", load_six * 100, "%"),
+        (f"csp, 6 drives: late set-points ({told_six})", late_six, ""),
+    ]
+
+
+# --- rest
+
+
+def _rest(folder: str, heartbeat_ms: int) -> float:
+    """CPU [s] of an hour in which nobody does anything."""
+    from harness.rig import Rig
+
+    lines = ['rig = { name = "rest" }', "bus.can0.bitrate_bit_s = 1_000_000"]
+    for node in range(1, 101):
+        lines += [f"[controller.d{node}]", 'kind = "cia402"', 'bus = "can0"', f"node_id = {node}"]
+        lines += ['plant = { preset = "wheel_60w" }']
+        if heartbeat_ms:
+            lines += [f'objects = {{ "1017h" = {heartbeat_ms} }}']
+    path = Path(folder) / "rest.toml"
+    path.write_text("\n".join(lines) + "\n")
+    with Rig.open(path) as rig:
+        begun = time.process_time()
+        rig.runtime.run_for(3_600.0)
+        frames = rig.world.bus("can0").statistics.frames
+        assert frames == 100 if not heartbeat_ms else frames > 350_000, frames
+        return time.process_time() - begun
+
+
+def rest() -> Figures:
+    """A rig of 100 drives for an hour: power stage off."""
+    with TemporaryDirectory() as folder:
+        return [
+            ("100 resting drives, 1 h, no heartbeats, CPU", _rest(folder, 0), "s"),
+            ("100 resting drives, 1 h, heartbeats of 1 s, CPU", _rest(folder, 1_000), "s"),
+        ]
+
+
+WORKLOADS = {"demo": demo, "csp": csp, "rest": rest}
+
+if __name__ == "__main__":
+    for name, figure, unit in WORKLOADS[sys.argv[1]]():
+        print(f"{name}\t{figure}\t{unit}")
