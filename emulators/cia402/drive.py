@@ -16,6 +16,7 @@ from emulators.cia402.power_drive import NO_FAULT, PowerDrive
 from emulators.cia402.readings import Readings
 from emulators.cia402.settings import DriveSettings
 from emulators.firmware.axis import Axis
+from emulators.plant.dc_motor import RANGES
 
 COMMUNICATION: Final = 0x8100
 HEARTBEAT: Final = 0x8130
@@ -148,6 +149,9 @@ class Cia402Drive:
         self.axis.at(now_ns)
         self._power_drive.settle(now_ns)
         if name == "load_torque_n_m":
+            low, high = RANGES[name]
+            if not low <= value <= high:
+                raise ValueError(f"load_torque_n_m is {low:g}..{high:g} N m, not {value}")
             self.axis.set_load(value)
         elif name == "fault":
             if not (1 <= value <= 0xFFFF and value == int(value)):

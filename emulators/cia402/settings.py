@@ -5,14 +5,16 @@ whoever read the file adds file and line.
 """
 
 import difflib
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields, replace
+from math import inf
 from pathlib import Path
 from typing import Final, final
 
 from emulators.controller import SettingError
 from emulators.firmware.gains import ServoGains
-from emulators.plant.dc_motor import MotorPlant
+from emulators.plant.dc_motor import PI, RANGES, MotorPlant
 from emulators.plant.presets import PRESETS
 
 DEFAULT_PRESET: Final = "wheel_60w"
@@ -121,9 +123,7 @@ def read_settings(table: Mapping[str, object], folder: Path) -> DriveSettings:
         acceleration_unit_inc_s2=_positive(units, "acceleration_unit_inc_s2"),
         objects=_objects(_table(table, "objects")),
         supported_modes=_modes(table),
-        initial_position_rad=_number(
-            table.get("initial_position_rad", 0.0), ("initial_position_rad",)
-        ),
+        initial_position_rad=_initial_position(table, plant),
     )
 
 
@@ -155,7 +155,7 @@ def _plant(table: Mapping[str, object]) -> MotorPlant:
             numbers[name] = (
                 _whole(table[name], ("plant", name), 1, 1 << 31)
                 if name == "encoder_increments_rev"
-                else _number(table[name], ("plant", name))
+                else _number(table[name], ("plant", name), *RANGES[name])
             )
     base = PRESETS[preset] if isinstance(preset, str) else PRESETS[DEFAULT_PRESET]
     needed = [name for name in names if name not in numbers and name in _DATA_SHEET]
@@ -186,40 +186,42 @@ _DATA_SHEET: Final = tuple(f.name for f in fields(MotorPlant) if f.name not in _
 def _servo(table: Mapping[str, object], plant: MotorPlant) -> tuple[int, int, ServoGains]:
     names = tuple(field.name for field in fields(ServoGains))
     _refuse_unknown(table, (*_SERVO_KEYS, *names), ("servo",))
-    tick_ns = _duration_ns(table, "tick_s", 0.001, ("servo",))
-    if tick_ns < 1000:
-        raise SettingError(("servo", "tick_s"), "is below a microsecond", "usual: 0.001")
+    tick_ns = _duration_ns(table, "tick_s", 0.001, ("servo",), 1e-6, 1.0)
     steps = _whole(table.get("current_steps", 10), ("servo", "current_steps"), 1, 1000)
     if tick_ns % steps:
         message = f"{steps} steps do not divide a servo period of {tick_ns} ns"
         raise SettingError(("servo", "current_steps"), message, "usual: 10")
-    given = {name: _number(table[name], ("servo", name)) for name in names if name in table}
-    for name, value in given.items():
-        if value < 0.0:
-            raise SettingError(("servo", name), f"{value} is negative", "a gain >= 0")
+    if tick_ns < steps * 1000:
+        message = f"{steps} steps in a servo period of {tick_ns} ns are shorter than a microsecond"
+        raise SettingError(
+            ("servo", "current_steps"), f"{message} each", "a longer tick_s, or fewer steps"
+        )
+    given = {
+        name: _number(table[name], ("servo", name), 0, 1e12) for name in names if name in table
+    }
     return tick_ns, steps, replace(ServoGains.tuned(plant, tick_ns, steps), **given)
 
 
 def _objects(table: Mapping[str, object]) -> tuple[ObjectValue, ...]:
-    entries: list[ObjectValue] = []
+    entries: dict[tuple[int, int], ObjectValue] = {}
     for key, value in table.items():
-        index_text, _, subindex_text = key.partition(":")
         path = ("objects", key)
-        try:
-            index = int(index_text.removesuffix("h").removesuffix("H"), 16)
-            subindex = _subindex(subindex_text or "0")
-        except ValueError:
-            raise SettingError(path, "is no object", 'like "6065h" or "1A00h:1"') from None
-        if not (0x1000 <= index <= 0xFFFF and 0 <= subindex <= 254):
+        found = _OBJECT.fullmatch(key)
+        if found is None:
+            raise SettingError(path, "is no object", 'like "6065h" or "1A00h:1"')
+        index, decimal, hexadecimal = found.groups()
+        place = (int(index, 16), int(hexadecimal, 16) if hexadecimal else int(decimal or "0"))
+        if place[0] < 0x1000 or place[1] > 254:
             raise SettingError(path, "is no object", "1000h..FFFFh, sub-index 0..254")
         if isinstance(value, bool) or not isinstance(value, int | float | str):
             raise SettingError(path, f"{value!r} is no value", "a number, or a text for a string")
-        entries.append(ObjectValue(key, index, subindex, value))
-    return tuple(entries)
+        if place in entries:
+            raise SettingError(path, "is given twice", "take one out")
+        entries[place] = ObjectValue(key, *place, value)
+    return tuple(entries.values())
 
 
-def _subindex(text: str) -> int:
-    return int(text[:-1], 16) if text[-1] in "hH" else int(text, 10)
+_OBJECT: Final = re.compile("([0-9A-Fa-f]{4})[hH]?(?::(?:([0-9]{1,3})|([0-9A-Fa-f]{1,2})[hH]))?")
 
 
 def _modes(table: Mapping[str, object]) -> tuple[str, ...] | None:
@@ -258,12 +260,13 @@ def _refuse_unknown(
             raise SettingError((*path, key), "is not known", f"{guess}known: {', '.join(known)}")
 
 
-def _number(value: object, path: tuple[str, ...]) -> float:
+def _number(value: object, path: tuple[str, ...], low: float, high: float) -> float:
     if isinstance(value, bool) or not isinstance(value, int | float):
-        raise SettingError(path, f"{value!r} is no number")
-    if not -1e30 < value < 1e30:
-        raise SettingError(path, f"{value} is not finite")
-    return float(value)
+        raise SettingError(path, f"{value!r} is no number", f"{low:g}..{high:g}, without quotes")
+    number = float(value) if abs(value) < 1e300 or value != value else inf
+    if not low <= number <= high:
+        raise SettingError(path, f"{number} is outside {low:g}..{high:g}")
+    return number
 
 
 def _whole(value: object, path: tuple[str, ...], low: int, high: int) -> int:
@@ -275,18 +278,27 @@ def _whole(value: object, path: tuple[str, ...], low: int, high: int) -> int:
 
 
 def _positive(table: Mapping[str, object], key: str) -> float | None:
-    if key not in table:
-        return None
-    value = _number(table[key], ("units", key))
-    if value <= 0.0:
-        raise SettingError(("units", key), f"{value} is not > 0")
-    return value
+    return _number(table[key], ("units", key), 1e-12, 1e12) if key in table else None
 
 
 def _duration_ns(
-    table: Mapping[str, object], key: str, default_s: float, path: tuple[str, ...]
+    table: Mapping[str, object],
+    key: str,
+    default_s: float,
+    path: tuple[str, ...],
+    low_s: float = 0,
+    high_s: float = 3600,
 ) -> int:
-    value = _number(table.get(key, default_s), (*path, key))
-    if value < 0.0:
-        raise SettingError((*path, key), f"{value} s is negative")
+    value = _number(table.get(key, default_s), (*path, key), low_s, high_s)
     return round(value * _NS_PER_S)
+
+
+def _initial_position(table: Mapping[str, object], plant: MotorPlant) -> float:
+    path = ("initial_position_rad",)
+    position_rad = _number(table.get("initial_position_rad", 0.0), path, -1e9, 1e9)
+    inc_rad = plant.encoder_increments_rev * plant.gear_ratio / (2.0 * PI)
+    if abs(position_rad * inc_rad) >= 1 << 31:
+        message = f"{position_rad * inc_rad:.0f} increments do not fit 32 bits"
+        limit_rad = (1 << 31) / inc_rad
+        raise SettingError(path, message, f"at most {limit_rad:g} rad either way")
+    return position_rad

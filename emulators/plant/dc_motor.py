@@ -23,10 +23,10 @@ class MotorPlant:
     """Data-sheet numbers of one motor with its gear and load; immutable.
 
     Attributes:
-        resistance_ohm: terminal resistance, > 0.
-        inductance_h: terminal inductance, > 0.
-        torque_constant_n_m_a: torque per current and back-EMF per speed, > 0.
-        rotor_inertia_kg_m2: > 0.
+        resistance_ohm: terminal resistance.
+        inductance_h: terminal inductance.
+        torque_constant_n_m_a: torque per current and back-EMF per speed.
+        rotor_inertia_kg_m2: of the motor alone.
         gear_ratio: motor turns per output turn, > 0.
         load_inertia_kg_m2: at the output, >= 0.
         viscous_friction_n_m_s_rad: at the motor, >= 0.
@@ -54,16 +54,11 @@ class MotorPlant:
         """Refuse numbers no motor has.
 
         Raises:
-            ValueError: a number is not finite, not positive where it must be, or negative.
+            ValueError: a number is not within RANGES.
         """
-        for name in _POSITIVE:
-            if not 0.0 < getattr(self, name) < _HUGE:
-                raise ValueError(f"{name} = {getattr(self, name)}: must be finite and > 0")
-        for name in _NOT_NEGATIVE:
-            if not 0.0 <= getattr(self, name) < _HUGE:
-                raise ValueError(f"{name} = {getattr(self, name)}: must be finite and >= 0")
-        if not -_HUGE < self.load_torque_n_m < _HUGE:
-            raise ValueError(f"load_torque_n_m = {self.load_torque_n_m}: must be finite")
+        for name, (low, high) in RANGES.items():
+            if not low <= getattr(self, name) <= high:
+                raise ValueError(f"{name} = {getattr(self, name)} is outside {low:g}..{high:g}")
 
     def inertia_kg_m2(self) -> float:
         """Everything that turns, as felt by the motor [kg m^2]."""
@@ -95,19 +90,18 @@ class MotorPlant:
         return self.inductance_h / self.resistance_ohm
 
 
-_HUGE: Final = 1e30
-_POSITIVE: Final = (
-    "resistance_ohm",
-    "inductance_h",
-    "torque_constant_n_m_a",
-    "rotor_inertia_kg_m2",
-    "encoder_increments_rev",
-    "supply_v",
-    "current_max_a",
-    "gear_ratio",
-)
-_NOT_NEGATIVE: Final = (
-    "coulomb_friction_n_m",
-    "viscous_friction_n_m_s_rad",
-    "load_inertia_kg_m2",
-)
+RANGES: Final[dict[str, tuple[float, float]]] = {
+    "resistance_ohm": (1e-4, 1e6),
+    "inductance_h": (1e-9, 1e3),
+    "torque_constant_n_m_a": (1e-7, 1e4),
+    "rotor_inertia_kg_m2": (1e-12, 1e6),
+    "encoder_increments_rev": (1, 1 << 31),
+    "supply_v": (1e-3, 1e6),
+    "current_max_a": (1e-4, 1e6),
+    "coulomb_friction_n_m": (0, 1e6),
+    "viscous_friction_n_m_s_rad": (0, 1e6),
+    "gear_ratio": (1e-4, 1e6),
+    "load_inertia_kg_m2": (0, 1e9),
+    "load_torque_n_m": (-1e9, 1e9),
+}
+"""Wider than any motor; so narrow that no combination leaves the range of a double."""

@@ -12,7 +12,7 @@ from hypothesis import given
 import harness
 from emulators.cia402 import settings as drive_settings
 from emulators.media.faults import FaultKind
-from emulators.plant.dc_motor import MotorPlant
+from emulators.plant.dc_motor import RANGES, MotorPlant
 from emulators.plant.presets import PRESETS
 from harness import rig_faults, rig_file
 from harness.scaffold import EXAMPLES
@@ -60,6 +60,9 @@ def test_the_schema_knows_the_drives_own_keys():
     assert set(drive["units"]["properties"]) == set(drive_settings._UNIT_KEYS)
     plant = {"preset", "from_motor_model", *(field.name for field in fields(MotorPlant))}
     assert set(drive["plant"]["properties"]) == plant
+    for name, limits in RANGES.items():
+        of_schema = drive["plant"]["properties"][name]
+        assert (of_schema["minimum"], of_schema["maximum"]) == limits
     assert drive["plant"]["properties"]["preset"]["examples"] == list(PRESETS)
     assert drive["supported_modes"]["items"]["enum"] == list(drive_settings.EMULATED_MODES)
 

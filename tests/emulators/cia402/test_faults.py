@@ -280,3 +280,23 @@ def test_after_heartbeat_loss_the_drive_is_usable_again():
     bench.run(50 * MS)
     assert state(bench) == PdsState.OPERATION_ENABLED
     assert struct.unpack("<H", bench.last(0x185))[0] & 0x6F == 0x27
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "text"),
+    [
+        ("load_torque_n_m", float("nan"), r"load_torque_n_m is -1e\+09..1e\+09 N m, not nan"),
+        ("load_torque_n_m", 1e308, r"load_torque_n_m is -1e\+09..1e\+09 N m, not 1e\+308"),
+        ("fault", 0, "fault takes an error code 0001h..FFFFh, not 0"),
+        ("power", float("nan"), "power is 0 or 1, not nan"),
+        ("load", 1.0, "there is no stimulus 'load'; known: load_torque_n_m, fault, power"),
+    ],
+)
+def test_what_is_no_stimulus_is_refused_and_changes_nothing(name, value, text):
+    bench = Bench()
+    bench.enable(mode=1)
+    with pytest.raises(ValueError, match=text):
+        bench.drive.stimulate(name, value, bench.now)
+    bench.run(100 * MS)
+    assert state(bench) == PdsState.OPERATION_ENABLED
+    assert bench.truth("position_inc") == 0
