@@ -177,13 +177,16 @@ class CanopenNode:
 
     def _find_deadline(self) -> None:
         self._outbox.deadlines_moved = False
-        self._deadline_ns = min(
-            self._boot_ns,
-            self._sdo.deadline_ns,
-            self._producer.deadline_ns,
-            self._consumer.deadline_ns,
-            self._pdos.deadline_ns(),
-        )
+        deadline_ns = self._pdos.deadline_ns()
+        if self._boot_ns < deadline_ns:
+            deadline_ns = self._boot_ns
+        if self._sdo.deadline_ns < deadline_ns:
+            deadline_ns = self._sdo.deadline_ns
+        if self._producer.deadline_ns < deadline_ns:
+            deadline_ns = self._producer.deadline_ns
+        if self._consumer.deadline_ns < deadline_ns:
+            deadline_ns = self._consumer.deadline_ns
+        self._deadline_ns = deadline_ns
 
     # --- NMT
 
