@@ -6,8 +6,9 @@ motor's own unit of position throughout: rad for a rotary motor, m for a linear 
 
 from dataclasses import dataclass
 from enum import Enum
-from math import inf, isnan
-from typing import TYPE_CHECKING, final
+from math import inf, isnan, nan
+from numbers import Real
+from typing import TYPE_CHECKING, TypeGuard, final
 
 from motorapi.errors import UsageError
 
@@ -61,24 +62,49 @@ class DerivativeLimits:
         second: Range | float | None = None,
         third: Range | float | None = None,
     ) -> None:
-        if value is not None and not value[0] <= value[1]:
-            raise UsageError(f"the range of the value, {value}, is empty")
+        if value is not None:
+            if not _is_pair(value):
+                raise UsageError(f"the range of the value, {value!r}, is no pair of numbers")
+            if not value[0] <= value[1]:
+                raise UsageError(f"the range of the value, {value}, is empty")
         object.__setattr__(self, "value", None if value is None else (value[0], value[1]))
         object.__setattr__(self, "first", _around_zero("first", first))
         object.__setattr__(self, "second", _around_zero("second", second))
         object.__setattr__(self, "third", _around_zero("third", third))
 
 
-def _around_zero(name: str, limit: Range | float | None) -> Range | None:
+def _around_zero(name: str, limit: object) -> Range | None:
     if limit is None:
         return None
-    low, high = limit if isinstance(limit, tuple) else (-limit, limit)
+    if isinstance(limit, Real):
+        limit = (-float(limit), float(limit))
+    if not _is_pair(limit):
+        raise UsageError(
+            f"the range of the {name} derivative, {limit!r}, is no number and no pair of numbers"
+        )
+    low, high = limit
     if isnan(low) or isnan(high) or not low < 0 < high:
         raise UsageError(
             f"the range of the {name} derivative, ({low:g}, {high:g}), must hold 0 inside:"
             " a motor begins and ends at rest"
         )
     return (float(low), float(high))
+
+
+def _is_pair(limit: object) -> TypeGuard[Range]:
+    if not isinstance(limit, tuple) or len(limit) != 2:
+        return False
+    return all(isinstance(bound, Real) for bound in limit)
+
+
+def as_number(value: object) -> float:
+    """The number, as a float; nan if it is none, inf if it is too large."""
+    if not isinstance(value, Real):
+        return nan
+    try:
+        return float(value)
+    except OverflowError:
+        return inf
 
 
 @final

@@ -15,7 +15,7 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, final
 
 from motorapi import planning
-from motorapi.commands import ControlMode, Motion, Setpoint
+from motorapi.commands import ControlMode, Motion, Setpoint, as_number
 from motorapi.errors import (
     DeadlineExceeded,
     DeviceFault,
@@ -174,7 +174,7 @@ def require_rest(motor: "Motor", operation: str) -> None:
         motor=motor.name,
         operation=operation,
         state=f"{run.name} goes on since {run.since_ns / 1e9:.6f} s",
-        remedy="wait_until_done() or stop() first",
+        remedy="wait_until_done() or stop() first" if run.ends else "stop() first",
     )
 
 
@@ -296,6 +296,12 @@ def _note_member(error: BaseException, one: Started, started: Sequence[Started])
         error.add_note(f"from {one.motor.name}, motor {place + 1} of {len(started)}")
 
 
+def check_timeout(timeout_s: float | None) -> None:
+    """Raises UsageError if it is no time that anybody could wait."""
+    if timeout_s is not None and not as_number(timeout_s) >= 0.0:
+        raise UsageError(f"timeout_s = {timeout_s!r}: must be a number of seconds >= 0")
+
+
 def wait_for_all(motors: Sequence["Motor"], timeout_s: float | None) -> None:
     """What was commanded last is over in all motors; the first to fail stops the others.
 
@@ -303,8 +309,7 @@ def wait_for_all(motors: Sequence["Motor"], timeout_s: float | None) -> None:
         DeadlineExceeded: not within `timeout_s` [s]; names who was not done. Nothing is stopped.
         MotorError: how a motion failed.
     """
-    if timeout_s is not None and not timeout_s >= 0.0:
-        raise UsageError(f"timeout_s = {timeout_s}: must be a number of seconds >= 0")
+    check_timeout(timeout_s)
     members = [_Member(motor) for motor in motors]
     awaited = [Awaited(one.motor._physical.news, one.is_over) for one in members]
     waiting = Waiting(awaited)

@@ -21,6 +21,7 @@ motor's unit of position: rad, or m if linear.
 
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from dataclasses import replace
 from typing import Final, final
 
 from motorapi import planning
@@ -31,8 +32,15 @@ from motorapi.errors import (
     PluginError,
     StateError,
     UnsupportedError,
+    UsageError,
 )
-from motorapi.execution import require_no_fault, require_rest, start_together, wait_for_all
+from motorapi.execution import (
+    check_timeout,
+    require_no_fault,
+    require_rest,
+    start_together,
+    wait_for_all,
+)
 from motorapi.readable_motor import ReadableMotor
 from motorapi.sharing import Run, RunStatus
 from motorapi.state import MotorState
@@ -87,6 +95,11 @@ class Motor(ReadableMotor):
         Raises:
             UnsupportedError: this motor cannot be commanded so.
         """
+        if not isinstance(mode, ControlMode) or not isinstance(variable, ControlVariable):
+            raise UsageError(
+                f"{self.name}: control mode {mode!r}, {variable!r}: give a ControlMode and a"
+                " ControlVariable, as ControlMode.SETPOINT, ControlVariable.VELOCITY"
+            )
         if not self._call(self._supports, mode, variable):
             able = ", ".join(
                 f"{m.value} of {v.value}"
@@ -117,9 +130,9 @@ class Motor(ReadableMotor):
             LimitError: the target or a limit exceeds the model's.
         """
         self._require_mode(ControlMode.SETPOINT, "set_setpoint")
-        setpoint = Setpoint(float(value), relative, limits)
+        setpoint = Setpoint(value, relative, limits)
         planning.check_setpoint(self.name, self.model, self._variable, setpoint)
-        self._command = setpoint
+        self._command = replace(setpoint, value=float(value))
 
     @final
     def set_trajectory(self, trajectory: TrapezoidalTrajectory) -> None:
@@ -246,6 +259,10 @@ class Motor(ReadableMotor):
             PeerError: homing failed.
             DeadlineExceeded: not within `timeout_s`.
         """
+        if method is not None and (not isinstance(method, int) or not -128 <= method <= 127):
+            what = f"homing method {method!r}"
+            raise UsageError(f"{self.name}: {what}: CiA 402 numbers them -128 to 127")
+        check_timeout(timeout_s)
         with self._operation("home"):
             require_rest(self, "home")
             if require_no_fault(self) is not MotorState.ENABLED:

@@ -15,6 +15,7 @@ from motorapi.commands import (
     Motion,
     Range,
     Setpoint,
+    as_number,
 )
 from motorapi.errors import LimitError, StateError, UnsupportedError, UsageError
 from motorapi.generation import shortest, stretched
@@ -44,8 +45,10 @@ def check_setpoint(
         UsageError: it is not a finite number.
         UnsupportedError: a relative target of something else than position.
     """
-    if not isfinite(setpoint.value):
-        raise UsageError(f"{motor}: set-point {setpoint.value} is not a finite number")
+    if not isfinite(as_number(setpoint.value)):
+        raise UsageError(f"{motor}: set-point {setpoint.value!r} is not a finite number")
+    if not isinstance(setpoint.limits, DerivativeLimits | None):
+        raise UsageError(f"{motor}: limits are DerivativeLimits, not {setpoint.limits!r}")
     if setpoint.relative and variable is not ControlVariable.POSITION:
         raise UnsupportedError(
             motor=motor,
@@ -99,8 +102,11 @@ def check_trajectory(
 
     Raises:
         LimitError: boundary values, limits or duration are beyond what the motor can do.
+        UsageError: it is no trajectory.
         UnsupportedError: the control variable is not position.
     """
+    if not isinstance(trajectory, TrapezoidalTrajectory):
+        raise UsageError(f"{motor}: {trajectory!r} is no trajectory; give a TrapezoidalTrajectory")
     if variable is not ControlVariable.POSITION:
         raise UnsupportedError(
             motor=motor,

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from math import isfinite
 from typing import final
 
-from motorapi.commands import DerivativeLimits, Range
+from motorapi.commands import DerivativeLimits, Range, as_number
 from motorapi.errors import UsageError
 
 
@@ -39,11 +39,16 @@ class TrapezoidalTrajectory:
     def __post_init__(self) -> None:
         for name in ("final", "initial", "duration_s"):
             value = getattr(self, name)
-            if value is None:
+            if value is None and name != "final":
                 continue
-            if not isfinite(value):
-                raise UsageError(f"TrapezoidalTrajectory: {name} is {value}, not a finite number")
-            object.__setattr__(self, name, float(value))
+            number = as_number(value)
+            if not isfinite(number):
+                raise UsageError(f"TrapezoidalTrajectory: {name} is {value!r}, not a finite number")
+            object.__setattr__(self, name, number)
+        if not isinstance(self.limits, DerivativeLimits | None):
+            raise UsageError(
+                f"TrapezoidalTrajectory: limits is {self.limits!r}, no DerivativeLimits"
+            )
         if self.duration_s is not None and self.duration_s <= 0.0:
             raise UsageError(f"TrapezoidalTrajectory: duration_s is {self.duration_s:g}, not > 0")
         allowed = None if self.limits is None else self.limits.value

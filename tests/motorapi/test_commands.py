@@ -80,3 +80,33 @@ def test_a_trajectory_that_cannot_be_is_refused(arguments):
     with pytest.raises(UsageError) as caught:
         TrapezoidalTrajectory(**arguments)
     assert not isinstance(caught.value, LimitError)  # no motor yet, so none of its limits
+
+
+@pytest.mark.parametrize(
+    ("limits", "told"),
+    [
+        ({"first": "fast"}, "first derivative, 'fast', is no number and no pair"),
+        ({"second": (1.0,)}, r"second derivative, \(1.0,\), is no number and no pair"),
+        ({"third": ("a", "b")}, "third derivative, "),
+        ({"value": 5}, "the value, 5, is no pair of numbers"),
+        ({"value": (nan, 1.0)}, "is empty"),
+    ],
+)
+def test_what_is_no_range_is_told(limits, told):
+    with pytest.raises(UsageError, match=told):
+        DerivativeLimits(**limits)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "told"),
+    [
+        ({"final": None}, "final is None, not a finite number"),
+        ({"final": "1.0"}, "final is '1.0', not a finite number"),
+        ({"final": 1.0, "initial": []}, r"initial is \[\], not a finite number"),
+        ({"final": 1.0, "duration_s": inf}, "duration_s is inf, not a finite number"),
+        ({"final": 1.0, "limits": 3.0}, "limits is 3.0, no DerivativeLimits"),
+    ],
+)
+def test_what_is_no_trajectory_is_told(arguments, told):
+    with pytest.raises(UsageError, match=told):
+        TrapezoidalTrajectory(**arguments)

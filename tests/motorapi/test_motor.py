@@ -282,3 +282,71 @@ def test_an_unreferenced_motor_makes_distances_only_if_its_model_says_so(runtime
     assert ("_home", 37) in motor.hw.log
     aim(motor, 0.0)
     motor.start()
+
+
+# --- what a prompt may be told
+
+
+@pytest.mark.parametrize("asked_for", [("setpoint",), (1,), (SETPOINT, "velocity"), (None,)])
+def test_what_is_no_control_mode_is_refused_not_kept(motor, asked_for):
+    motor.set_control_mode(TRAJECTORY)
+    with pytest.raises(UsageError, match=r"give a ControlMode and a ControlVariable"):
+        motor.set_control_mode(*asked_for)
+    assert motor.control_mode is TRAJECTORY
+
+
+@pytest.mark.parametrize(
+    ("value", "options", "told"),
+    [
+        ("1.0", {}, "set-point '1.0' is not a finite number"),
+        (None, {}, "set-point None is not a finite number"),
+        (float("nan"), {}, "set-point nan is not a finite number"),
+        (1.0, {"limits": (1.0, 2.0)}, "limits are DerivativeLimits, not (1.0, 2.0)"),
+    ],
+)
+def test_what_is_no_set_point_is_told_with_the_motor(motor, value, options, told):
+    motor.set_control_mode(SETPOINT)
+    with pytest.raises(UsageError) as caught:
+        motor.set_setpoint(value, **options)
+    assert str(caught.value) == f"{motor.name}: {told}"
+
+
+def test_what_is_no_trajectory_is_told_with_the_motor(motor):
+    motor.set_control_mode(TRAJECTORY)
+    with pytest.raises(UsageError, match=r"m1: 1\.0 is no trajectory; give a Trapezoidal"):
+        motor.set_trajectory(1.0)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "told"),
+    [
+        ({"method": 1000}, "homing method 1000: CiA 402 numbers them -128 to 127"),
+        ({"method": "37"}, "homing method '37': CiA 402 numbers them -128 to 127"),
+        ({"method": 3.5}, "homing method 3.5: "),
+        ({"timeout_s": -1.0}, "timeout_s = -1.0: must be a number of seconds >= 0"),
+        ({"timeout_s": float("nan")}, "timeout_s = nan: must be a number of seconds >= 0"),
+        ({"timeout_s": "x"}, "timeout_s = 'x': must be a number of seconds >= 0"),
+    ],
+)
+def test_a_homing_that_cannot_be_meant_sends_nothing(motor, hw, arguments, told):
+    with pytest.raises(UsageError, match=told):
+        motor.home(**arguments)
+    assert asked(hw) == []
+    assert motor.is_done()
+
+
+def test_a_velocity_goes_on_until_it_is_stopped_and_the_remedy_says_so(motor):
+    motor.set_control_mode(SETPOINT, VELOCITY)
+    motor.set_setpoint(1.0)
+    motor.start()
+    motor.wait_until_done(5)
+    with pytest.raises(
+        StateError, match=r"home refused, start\(\) of m1 goes on .*; stop\(\) first"
+    ):
+        motor.home()
+    motor.stop()
+    motor.wait_until_done(5)
+    aim(motor, 5.0)
+    motor.start()
+    with pytest.raises(StateError, match=r"goes on .*; wait_until_done\(\) or stop\(\) first"):
+        motor.home()
