@@ -22,7 +22,7 @@ from typing import Final, final
 from harness.rig_faults import HOST, FaultDescription, read_faults
 from harness.settings import RigError, Source, Table, read_source
 from harness.toml_lines import KeyPath
-from harness.wording import listed
+from harness.wording import listed, one_line
 
 RIG_KEYS: Final = ("name", "seed")
 BUS_KEYS: Final = ("kind", "bitrate_bit_s")
@@ -163,7 +163,7 @@ def parse_rig(source: Source, known: Known) -> RigDescription:
     }
     groups = {name: _group(name, table, motors) for name, table in _named(root, "group")}
     return RigDescription(
-        name=rig.text("name", source.path.stem, '"my rig"'),
+        name=_rig_name(rig),
         seed=rig.integer("seed", 0, low=0, high=SEED_MAX, example="1"),
         buses=MappingProxyType(buses),
         controllers=MappingProxyType(controllers),
@@ -172,6 +172,15 @@ def parse_rig(source: Source, known: Known) -> RigDescription:
         faults=read_faults(root, _on_each(buses, controllers)),
         source=source,
     )
+
+
+def _rig_name(rig: Table) -> str:
+    name = rig.text("name", rig.source.path.stem, '"my rig"')
+    if rig.has("name") and not name.isprintable():
+        raise rig.error(
+            "name", "holds a character that cannot be printed", "write one line of text"
+        )
+    return one_line(name)
 
 
 def _named(root: Table, key: str) -> "list[tuple[str, Table]]":

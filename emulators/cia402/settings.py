@@ -8,7 +8,6 @@ import difflib
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields, replace
-from math import inf
 from pathlib import Path
 from typing import Final, final
 
@@ -263,10 +262,9 @@ def _refuse_unknown(
 def _number(value: object, path: tuple[str, ...], low: float, high: float) -> float:
     if isinstance(value, bool) or not isinstance(value, int | float):
         raise SettingError(path, f"{value!r} is no number", f"{low:g}..{high:g}, without quotes")
-    number = float(value) if abs(value) < 1e300 or value != value else inf
-    if not low <= number <= high:
-        raise SettingError(path, f"{number} is outside {low:g}..{high:g}")
-    return number
+    if not low <= value <= high:
+        raise SettingError(path, f"{value} is outside {low:g}..{high:g}")
+    return float(value)
 
 
 def _whole(value: object, path: tuple[str, ...], low: int, high: int) -> int:

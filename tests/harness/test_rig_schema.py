@@ -33,6 +33,7 @@ BEYOND_STRUCTURE = (
     "unknown controller kind",
     "unknown adaptation",
     "is not after from_s",
+    "cannot be printed",
 )
 
 
