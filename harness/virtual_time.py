@@ -174,9 +174,9 @@ class VirtualRuntime:
         party.thread = threading.Thread(
             target=self._run_party, args=(party, function), name=f"party {name}", daemon=True
         )
+        party.thread.start()  # first: whoever has a turn must be there to take it
         self._spawned.append(party)
         self._waiters.append(_Waiter(party, _at_once, _NEVER))
-        party.thread.start()
         return party
 
     def listen(self, bus: "can.BusABC", on_frame: "FrameListener") -> "Registration":

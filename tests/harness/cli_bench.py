@@ -3,6 +3,7 @@
 import os
 import subprocess
 import sys
+from contextlib import contextmanager
 from pathlib import Path
 
 
@@ -16,3 +17,25 @@ def in_another_process(*words, **options):
     pipe = subprocess.PIPE
     usual = {"env": environment(), "stdout": pipe, "stderr": pipe, "text": True, "timeout": 30}
     return subprocess.run([sys.executable, "-m", "harness", *words], **{**usual, **options})
+
+
+INTERRUPTIBLE = (
+    "import signal, sys\n"
+    "signal.signal(signal.SIGINT, signal.default_int_handler)  # ignored in the background\n"
+    "from harness.__main__ import start\n"
+    "sys.exit(start())\n"
+)
+
+
+@contextmanager
+def beside(*words):
+    """The command, running; it has ended afterwards, whatever happens."""
+    pipe = subprocess.PIPE
+    command = [sys.executable, "-c", INTERRUPTIBLE, *words]
+    with subprocess.Popen(
+        command, env=environment(), stdout=pipe, stderr=pipe, text=True
+    ) as process:
+        try:
+            yield process
+        finally:
+            process.kill()

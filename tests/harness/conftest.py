@@ -1,3 +1,5 @@
+import signal
+
 import pytest
 
 from harness.cli import main
@@ -44,3 +46,11 @@ def say(capsys):
         return status, said.out, said.err
 
     return run
+
+
+@pytest.fixture
+def interruptible():
+    """Ctrl-C is heard, also where the tests run in the background and ignore it."""
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    yield
+    signal.signal(signal.SIGINT, before)

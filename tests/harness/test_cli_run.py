@@ -6,7 +6,7 @@ import time
 
 import pytest
 
-from tests.harness.cli_bench import environment, in_another_process
+from tests.harness.cli_bench import beside, environment, in_another_process
 from tests.harness.rigs import SCRIPT
 from traces.digest import digest
 
@@ -150,10 +150,7 @@ def test_ctrl_c_ends_a_script_with_130_and_one_line(rig):
         "from motorapi import runtime_of\nimport can\nwith can.Bus() as bus:\n"
         "    print('up', flush=True)\n    runtime_of(bus).wait_until(lambda: False, 3600.0)\n"
     )
-    command = [sys.executable, "-m", "harness", "run", "--realtime", "rig.toml", "script.py"]
-    with subprocess.Popen(
-        command, env=environment(), stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
-    ) as process:
+    with beside("run", "--realtime", "rig.toml", "script.py") as process:
         assert process.stdout.readline() == "up\n"
         process.send_signal(signal.SIGINT)
         _, err = process.communicate(timeout=10)
@@ -251,8 +248,7 @@ def test_ctrl_c_ends_a_script_whose_thread_does_not_end(rig):
     (rig / "script.py").write_text(
         "import threading\nthreading.Thread(target=threading.Event().wait, name='idle').start()\n"
     )
-    command = [sys.executable, "-m", "harness", "run", "rig.toml", "script.py"]
-    with subprocess.Popen(command, env=environment(), stderr=subprocess.PIPE, text=True) as process:
+    with beside("run", "rig.toml", "script.py") as process:
         told = process.stderr.readline()
         process.send_signal(signal.SIGINT)
         _, err = process.communicate(timeout=10)

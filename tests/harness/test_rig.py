@@ -276,6 +276,7 @@ def test_in_real_time_nothing_happens_before_its_wall_time(write):
         assert rig.runtime.now_ns() == 100_000_000
 
 
+@pytest.mark.usefixtures("interruptible")
 def test_ctrl_c_does_not_break_an_event_in_two(rig):
     before = signal.getsignal(signal.SIGINT)
     with Rig.open("rig.toml") as opened:

@@ -252,7 +252,19 @@ def test_an_interrupt_while_another_party_has_the_turn_reaches_the_first_one(run
     runtime.run_for(0.001)
 
 
+def test_an_interrupt_while_a_party_is_started_leaves_nobody_to_wait_for(runtime, monkeypatch):
+    def interrupted(thread):
+        raise KeyboardInterrupt
+
+    with monkeypatch.context() as patch:
+        patch.setattr(threading.Thread, "start", interrupted)
+        with pytest.raises(KeyboardInterrupt):
+            runtime.spawn("late", lambda: None)
+    runtime.run_for(0.001)
+
+
 @pytest.mark.wall
+@pytest.mark.usefixtures("interruptible")
 def test_an_interrupt_ends_the_wait_for_a_party_that_never_waits(runtime, monkeypatch):
     monkeypatch.setattr("harness.virtual_time.GRACE_S", 0.05)
     told = threading.Event()
