@@ -6,11 +6,11 @@ which they were asked for. Nothing here reads a clock: whoever runs the queue de
 
 from collections.abc import Callable
 from heapq import heappop, heappush
-from typing import final
+from typing import Final, final
 
 Action = Callable[[int], None]
 
-_UNSET = -1
+UNSET: Final = -1  # in place of a time: none
 
 
 @final
@@ -23,19 +23,23 @@ class Alarm:
     def __init__(self, queue: "EventQueue", action: Action) -> None:
         self._queue = queue
         self._action = action
-        self.time_ns = _UNSET
-        self.turn = _UNSET
+        self.time_ns = UNSET
+        self.turn = UNSET
 
     def set(self, time_ns: int | None) -> None:
         """The action runs at `time_ns` [ns], or not at all (None); replaces what was set before.
 
         Setting the same time again keeps the turn. A time already past means now.
         """
+        self.move(UNSET if time_ns is None else time_ns)
+
+    def move(self, time_ns: int) -> None:
+        """As `set`, with UNSET for None."""
         queue = self._queue
         first = queue.first
-        if time_ns is None:
-            self.time_ns = _UNSET
-            self.turn = _UNSET
+        if time_ns == UNSET:
+            self.time_ns = UNSET
+            self.turn = UNSET
             if first is self:
                 queue.first = None
             return
@@ -60,12 +64,12 @@ class Alarm:
 
     def due_ns(self) -> int | None:
         """When the action will run [ns]; None if it will not."""
-        return None if self.time_ns == _UNSET else self.time_ns
+        return None if self.time_ns == UNSET else self.time_ns
 
     def ring(self, now_ns: int) -> None:
         """Run the action; it may set the alarm again."""
-        self.time_ns = _UNSET
-        self.turn = _UNSET
+        self.time_ns = UNSET
+        self.turn = UNSET
         self._action(now_ns)
 
 
@@ -90,20 +94,25 @@ class EventQueue:
 
     def next_time_ns(self) -> int | None:
         """The time of the next event [ns]; None if nothing is asked for."""
+        next_ns = self.next_ns()
+        return None if next_ns == UNSET else next_ns
+
+    def next_ns(self) -> int:
+        """As `next_time_ns`, with UNSET for None."""
         first = self.first
         if first is not None:
             return first.time_ns
         heap = self.heap
         while heap:
-            time_ns, turn, alarm = heappop(heap)
+            _, turn, alarm = heappop(heap)
             if alarm.turn == turn:
                 self.first = alarm
-                return time_ns
-        return None
+                return alarm.time_ns
+        return UNSET
 
     def run_next(self) -> bool:
         """Time has moved to the next event and it has run; False if there is none."""
-        if self.next_time_ns() is None:
+        if self.next_ns() == UNSET:
             return False
         first = self.first
         assert first is not None
@@ -115,9 +124,9 @@ class EventQueue:
 
     def run_until(self, time_ns: int) -> None:
         """All events up to and including `time_ns` have run, and it is `time_ns`."""
-        next_ns = self.next_time_ns()
-        while next_ns is not None and next_ns <= time_ns:
+        next_ns = self.next_ns()
+        while next_ns != UNSET and next_ns <= time_ns:
             self.run_next()
-            next_ns = self.next_time_ns()
+            next_ns = self.next_ns()
         if time_ns > self.now_ns:
             self.now_ns = time_ns

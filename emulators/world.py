@@ -9,7 +9,7 @@ from collections.abc import Callable, Mapping
 from typing import final
 
 from emulators.controller import Controller
-from emulators.event_queue import Alarm, EventQueue
+from emulators.event_queue import UNSET, Alarm, EventQueue
 from emulators.media.can_bus import DELIVERED, HEARD, KIND_MASK, LOST, CanBus, hears
 from emulators.media.faults import FaultRule
 
@@ -80,7 +80,8 @@ class ControllerSlot(Endpoint):
         if revision != self._revision:
             self._revision = revision
             self._segment.forget_routes()
-        self._alarm.set(controller.next_deadline_ns())
+        deadline_ns = controller.next_deadline_ns()
+        self._alarm.move(UNSET if deadline_ns is None else deadline_ns)
         if not self.touched:
             self.touched = True
             self._world.touch(self)
@@ -163,7 +164,7 @@ class BusSegment:
     def submit(self, port: int, frame: bytes, now_ns: int) -> None:
         """The frame is queued, and the bus knows when it is next wanted."""
         self.bus.submit(port, frame, now_ns)
-        self._alarm.set(self.bus.next_deadline_ns())
+        self._alarm.move(self.bus.deadline_ns())
 
     def inject(self, rule: FaultRule) -> None:
         """The rule holds from now on."""
@@ -182,7 +183,7 @@ class BusSegment:
             for time_ns, rule, what, frame in self.bus.take_fault_events():
                 can_id = f" {int.from_bytes(frame[:4], 'little') & 0x1FFF_FFFF:X}h" if frame else ""
                 self._world.report(time_ns, "warning", self.name, f"{rule}: {what}{can_id}")
-        self._alarm.set(self.bus.next_deadline_ns())
+        self._alarm.move(self.bus.deadline_ns())
 
     def _build_routes(self) -> None:
         everything: list[Endpoint] = []
@@ -230,7 +231,7 @@ class BusSegment:
         if self._has_rules:
             self._settle(now_ns)
         else:
-            self._alarm.set(bus.next_deadline_ns())
+            self._alarm.move(bus.deadline_ns())
 
 
 def _port_of(endpoint: Endpoint) -> int:

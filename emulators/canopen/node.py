@@ -89,9 +89,14 @@ class CanopenNode:
 
     def next_deadline_ns(self) -> int | None:
         """When `expire` must be called at the latest [ns]."""
+        deadline_ns = self.deadline_ns()
+        return None if deadline_ns == NEVER else deadline_ns
+
+    def deadline_ns(self) -> int:
+        """As `next_deadline_ns`, with NEVER for None."""
         if self._outbox.deadlines_moved:
             self._find_deadline()
-        return None if self._deadline_ns == NEVER else self._deadline_ns
+        return self._deadline_ns
 
     def expire(self, now_ns: int) -> None:
         """What is due at `now_ns` is done."""

@@ -283,11 +283,11 @@ class Cia402Drive:
         """The earliest of the node's, the power drive's and the axis' next event."""
         self._deadline_moved = False
         deadline_ns = self._power_drive.deadline_ns()
-        node_ns = self._node.next_deadline_ns()
-        if node_ns is not None and node_ns < deadline_ns:
+        node_ns = self._node.deadline_ns()
+        if node_ns < deadline_ns:
             deadline_ns = node_ns
         if self._power_drive.is_powered():  # otherwise no flag matters
-            event_ns = self.axis.next_event_ns(None if deadline_ns == NEVER else deadline_ns)
-            if event_ns is not None and event_ns < deadline_ns:
+            event_ns = self.axis.event_ns(deadline_ns)
+            if event_ns < deadline_ns:
                 deadline_ns = event_ns
         self._deadline_ns = deadline_ns

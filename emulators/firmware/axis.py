@@ -19,7 +19,7 @@ from emulators.plant.dc_motor import PI, MotorPlant
 _NEVER: Final = -1.0
 _NO_LIMIT: Final = 1e300
 
-_FAR_TICK: Final = 1 << 60
+NEVER_NS: Final = 1 << 61  # a small int to the compiler
 
 
 @final
@@ -93,12 +93,17 @@ class Axis:
         never later than `limit_ns`; None: the flags will never change without a command, and the
         axis comes to rest by itself.
         """
-        limit_tick = _FAR_TICK if limit_ns is None else limit_ns // self._tick_ns
-        next_tick = self._time.next_tick(limit_tick)
+        limit = NEVER_NS if limit_ns is None else limit_ns
+        next_ns = self.event_ns(limit)
+        return None if next_ns >= NEVER_NS else next_ns
+
+    def event_ns(self, limit_ns: int) -> int:
+        """As `next_event_ns`, with NEVER_NS for None."""
+        next_tick = self._time.next_tick(limit_ns // self._tick_ns)
         if next_tick == RESTS:
-            return None
+            return NEVER_NS
         next_ns = next_tick * self._tick_ns
-        return next_ns if limit_ns is None or next_ns < limit_ns else limit_ns
+        return next_ns if next_ns < limit_ns else limit_ns
 
     # --- readings, at the time of the last at() ---------------------------------------------------
 

@@ -32,7 +32,7 @@ from emulators.media.can_port import (
 from emulators.media.can_statistics import CanStatistics
 from emulators.media.delivery import DELIVERED, HEARD, KIND_MASK, LOST, Delivery, hears
 from emulators.media.fault_seam import ERROR_FRAME_BITS, FaultSeam
-from emulators.media.faults import FaultEvent, FaultPlan, FaultRule
+from emulators.media.faults import NEVER_NS, FaultEvent, FaultPlan, FaultRule
 
 __all__ = ["DELIVERED", "HEARD", "KIND_MASK", "LOST", "CanBus", "Delivery", "QueueOrder", "hears"]
 
@@ -123,9 +123,14 @@ class CanBus:
 
     def next_deadline_ns(self) -> int | None:
         """When something is complete, or a fault is due [ns]; None: only if something comes in."""
+        due_ns = self.deadline_ns()
+        return None if due_ns == NEVER_NS else due_ns
+
+    def deadline_ns(self) -> int:
+        """As `next_deadline_ns`, with NEVER_NS (-1) for None."""
         if self._faulty:
-            return self._next_deadline_with_faults_ns()
-        return self._end_ns if self._flight else None
+            return self._deadline_with_faults_ns()
+        return self._end_ns if self._flight else NEVER_NS
 
     def expire(self, now_ns: int) -> list[Delivery]:
         """What became complete up to `now_ns`, in order; the next arbitration is decided."""
@@ -308,24 +313,24 @@ class CanBus:
             for node in self._ports:
                 node.repeated = b""
 
-    def _next_deadline_with_faults_ns(self) -> int | None:
+    def _deadline_with_faults_ns(self) -> int:
         due_ns = self._fault_seam().next_ns()
         if self._flight and not 0 <= due_ns <= self._end_ns:
             return self._end_ns
-        return due_ns if due_ns >= 0 else None
+        return due_ns
 
     def _expire_with_faults(self, now_ns: int, out: list[Delivery]) -> None:
         """As `expire`; of what is due at one time, cuts come first and late frames last."""
         faults = self._fault_seam()
-        due_ns = self._next_deadline_with_faults_ns()
-        while due_ns is not None and due_ns <= now_ns:
+        due_ns = self._deadline_with_faults_ns()
+        while 0 <= due_ns <= now_ns:
             if faults.is_cut_due(due_ns):
                 self._keep_cuts(faults, due_ns)
             elif self._flight and self._end_ns == due_ns:
                 self._complete_with_faults(faults, out)
             else:
                 faults.hear_late(due_ns, out)
-            due_ns = self._next_deadline_with_faults_ns()
+            due_ns = self._deadline_with_faults_ns()
         self._settle_faults(faults)
 
     def _complete_with_faults(self, faults: FaultSeam, out: list[Delivery]) -> None:
