@@ -6,15 +6,10 @@ when the bus is free compete by their arbitration field; after a frame come 3 bi
 A frame submitted during the intermission, or within the first bit time of another node's start of
 frame, still takes part; nothing is scheduled for that, `submit` decides again.
 
-Two nodes that send one identifier and frame type break the rule of CAN that makes arbitration
-work. On a real bus they destroy each other's frames. Here the lower port goes first, and
-`statistics.collisions` tells.
-
-Faults (`faults`, `fault_seam`) cost nothing while there are none: one flag is asked per call.
-
-Left for later, and where: error frames, error counters and bus-off (where a frame is complete; a
-sender nobody acknowledges succeeds here), CAN FD (`can_bits.measure` tells frames apart by their
-size; a second bit rate comes here).
+Two nodes that send one identifier and frame type destroy each other's frames on a real bus. Here
+the lower port goes first, and `statistics.collisions` tells. Faults cost one flag while there are
+none. Left for later, and where: error frames, error counters and bus-off (where a frame is
+complete; a sender nobody acknowledges succeeds here), CAN FD (`can_bits.measure`, a second rate).
 """
 
 from heapq import heapify, heappop, heappush
