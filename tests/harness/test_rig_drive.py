@@ -1,6 +1,8 @@
 """The shipped CiA 402 drive in a rig file: whatever is written there, it is told in one line."""
 
 import json
+import os
+import signal
 import tomllib
 from pathlib import Path
 
@@ -143,3 +145,24 @@ def test_whatever_a_drives_settings_are_it_is_a_rig_or_a_rig_error(edits):
     if error:
         assert len(str(error).splitlines()) == 1
         assert error.remedy or error.message
+
+
+@pytest.mark.wall
+@pytest.mark.usefixtures("interruptible")
+def test_ctrl_c_is_heard_while_nothing_runs_but_the_cores(tmp_path):
+    """Compiled code hears no signal by itself (make test-compiled)."""
+    (tmp_path / "rig.toml").write_text(
+        "[bus.can0]\nbitrate_bit_s = 1_000_000\n"
+        '[controller.left]\nkind = "cia402"\nbus = "can0"\nnode_id = 1\n'
+        'objects = { "1017h" = 1 }\n'  # a heartbeat each millisecond
+    )
+    before = signal.signal(signal.SIGALRM, lambda *_: os.kill(os.getpid(), signal.SIGINT))
+    try:
+        with Rig.open(tmp_path / "rig.toml") as rig:
+            signal.setitimer(signal.ITIMER_REAL, 0.2)
+            with pytest.raises(KeyboardInterrupt):
+                rig.runtime.run_for(300.0)
+            rig.runtime.run_for(0.1)
+    finally:
+        signal.setitimer(signal.ITIMER_REAL, 0)
+        signal.signal(signal.SIGALRM, before)
