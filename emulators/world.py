@@ -364,7 +364,7 @@ class World:
         for slot in due:
             truth = slot.controller.snapshot(now_ns)
             slot.touched = False
-            if truth != slot.sample:
+            if truth is not slot.sample and truth != slot.sample:
                 slot.sample = truth
                 for tap in self._sample_taps:
                     tap(now_ns, slot.name, truth)

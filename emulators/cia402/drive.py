@@ -89,6 +89,8 @@ class Cia402Drive:
         self._touched: bool = False  # something other than time may have changed what shows
         self._deadline_ns: int = NEVER
         self._deadline_moved: bool = True
+        self._truth: dict[str, float] = {}  # as last shown, of this state, mode and rest:
+        self._truth_of: tuple[int, int, int] = (0, 0, -1)
 
     # --- Controller
 
@@ -169,7 +171,12 @@ class Cia402Drive:
         """The truth at `now_ns`, behind the gear where it says rad and N m."""
         axis = self.axis
         axis.at(now_ns)
-        return {
+        state, mode, rest = int(self._power_drive.fsa.state), self._power_drive.mode, axis.rest()
+        what = (state, mode, rest)
+        if rest >= 0 and what == self._truth_of:
+            return self._truth
+        self._truth_of = what
+        self._truth = {
             "position_rad": axis.output_position_rad(),
             "velocity_rad_s": axis.output_velocity_rad_s(),
             "position_inc": float(axis.position_inc()),
@@ -177,9 +184,10 @@ class Cia402Drive:
             "current_a": axis.current_a(),
             "torque_n_m": axis.torque_n_m(),
             "following_error_inc": float(axis.following_error_inc()),
-            "state": float(int(self._power_drive.fsa.state)),
-            "mode": float(self._power_drive.mode),
+            "state": float(state),
+            "mode": float(mode),
         }
+        return self._truth
 
     def identifiers(self) -> Sequence[int] | None:
         """The CAN identifiers it listens to."""

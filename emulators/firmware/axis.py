@@ -105,6 +105,13 @@ class Axis:
         next_ns = next_tick * self._tick_ns
         return next_ns if next_ns < limit_ns else limit_ns
 
+    def rest(self) -> int:
+        """A number while the axis rests, another one after each command; -1 in motion.
+
+        As long as it stays the same, so does every reading.
+        """
+        return self._time.commands if self._time.resting else -1
+
     # --- readings, at the time of the last at() ---------------------------------------------------
 
     def position_inc(self) -> int:
@@ -305,6 +312,7 @@ class Axis:
 
     def set_position(self, position_inc: int) -> None:
         """The present position is called `position_inc` from now on; nothing moves (homing)."""
+        self._time.commands += 1
         self._offset_inc = position_inc - int(self._time.state[servo.I_COUNT])
 
     # --- inside ----------------------------------------------------------------------------------

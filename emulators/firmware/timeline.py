@@ -52,6 +52,7 @@ class Timeline:
         self.tick = 0
         self.state: servo.State = state
         self.resting = False
+        self.commands = 0  # so far
 
         self._ahead_tick = 0
         self._ahead: servo.State = state
@@ -169,6 +170,7 @@ class Timeline:
             self._budget = 0
             self._patience = min(2 * self._patience + 1, _PATIENCE_MAX)
             self._wait = self._patience
+        self.commands += 1
         self._commanded = True
         self._ahead_tick = self.tick
         self._ahead = self.state
