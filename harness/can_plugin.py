@@ -6,7 +6,6 @@ In a rig of this process, `recv` and `send_periodic` use the rig's time; over a 
 """
 
 import struct
-from collections import deque
 from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, Any, Final, final
 
@@ -19,6 +18,7 @@ from can.broadcastmanager import (
     RestartableCyclicTaskABC,
 )
 
+from harness.bus_ears import Ears
 from harness.hub_client import HubLink
 
 if TYPE_CHECKING:
@@ -126,7 +126,6 @@ class EmulatedBus(can.BusABC):
 
     Attributes:
         runtime: the rig's Runtime if the bus is a rig's of this process; absent over a socket.
-        dropped: frames nobody read, given up oldest first (at most 65,536 wait).
     """
 
     def __init__(
@@ -139,18 +138,15 @@ class EmulatedBus(can.BusABC):
     ) -> None:
         self.channel_info = f"emulated bus {channel}"
         self.channel = str(channel)
-        self.dropped = 0
         self._own = receive_own_messages
-        self._backlog: deque[tuple[bytes, int, bool]] = deque()
-        self._listeners: list[FrameListener] = []
-        self._keeps = True  # frames for recv
+        self._ears = Ears(receive_own_messages, _BACKLOG_MAX)
         self._has_received = False
         self._is_shutdown = True  # until it is truly open: BusABC.__del__ looks
         self._hub: HubLink | None = None
         self._port: HostPort | None = None
         if self.channel in _OPEN:
             world, self.runtime = _OPEN[self.channel]
-            self._port = world.add_host(self.channel, "host", self._heard)
+            self._port = world.add_host(self.channel, "host", self._ears.hear)
         elif "/" in self.channel:
             self._hub = HubLink(self.channel)
         else:
@@ -169,9 +165,14 @@ class EmulatedBus(can.BusABC):
         """`on_frame` hears every frame; `recv` then keeps none, unless it has been used before."""
         self._check_open()
         if not self._has_received:
-            self._keeps = False
-            self._backlog.clear()
-        return _Subscription(self._listeners, on_frame)
+            self._ears.keeps = False
+            self._ears.backlog.clear()
+        return _Subscription(self._ears.listeners, on_frame)
+
+    @property
+    def dropped(self) -> int:
+        """Frames nobody read, given up oldest first (at most 65,536 wait)."""
+        return self._ears.dropped
 
     def transmit(self, frame: bytes) -> None:
         """The frame waits its turn on the bus."""
@@ -185,15 +186,6 @@ class EmulatedBus(can.BusABC):
         if self._is_shutdown:
             raise CanOperationError(f"{self.channel_info}: this bus object was shut down")
 
-    def _heard(self, frame: bytes, time_ns: int, transmitted: bool) -> None:
-        for listener in self._listeners:
-            listener(frame, time_ns, transmitted)
-        if self._keeps and (self._own or not transmitted):
-            if len(self._backlog) >= _BACKLOG_MAX:
-                self._backlog.popleft()
-                self.dropped += 1
-            self._backlog.append((frame, time_ns, transmitted))
-
     # --- python-can's side -----------------------------------------------------------------
 
     def send(self, msg: Message, timeout: float | None = None) -> None:
@@ -205,7 +197,7 @@ class EmulatedBus(can.BusABC):
         if self._hub is not None:
             return super().recv(timeout)
         self._check_open()
-        self._keeps = self._has_received = True
+        self._ears.keeps = self._has_received = True
         deadline_ns = (
             None if timeout is None else self.runtime.now_ns() + round(max(timeout, 0.0) * 1e9)
         )
@@ -213,9 +205,9 @@ class EmulatedBus(can.BusABC):
             left_s = None
             if deadline_ns is not None:
                 left_s = max(0, deadline_ns - self.runtime.now_ns()) / 1e9
-            if not self.runtime.wait_until(self._has_frame, left_s):
+            if not self.runtime.wait_until(self._ears.has_frame, left_s):
                 return None
-            frame, time_ns, transmitted = self._backlog.popleft()
+            frame, time_ns, transmitted = self._ears.backlog.popleft()
             message = to_message(frame, time_ns, self.channel, received=not transmitted)
             if self._matches_filters(message):
                 return message
@@ -239,9 +231,6 @@ class EmulatedBus(can.BusABC):
     def fileno(self) -> int:
         """The socket's descriptor; -1 in a rig of this process, which needs none."""
         return -1 if self._hub is None else self._hub.fileno()
-
-    def _has_frame(self) -> bool:
-        return bool(self._backlog)
 
     def _send_periodic_internal(
         self,
