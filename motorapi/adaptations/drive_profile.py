@@ -16,6 +16,7 @@ from motorapi.generation import shortest
 from motorapi.model import MotorModel
 
 _ROUNDING: Final = 1e-12
+_STEP_ROUNDING: Final = 1e-8  # more than DriveUnits forgives a limit that is a whole step
 
 
 @final
@@ -56,7 +57,7 @@ def profile_of(
     """The integers that make `motion`, as nearly as the drive's units allow.
 
     Raises:
-        LimitError: they do not fit the drive.
+        LimitError: they do not fit the drive, or it cannot go as slowly as a limit asks.
         UsageError: a unit is not known.
     """
     up, down = motion.acceleration, motion.deceleration
@@ -64,11 +65,15 @@ def profile_of(
         up = down = min(up, down)
     acceleration = units.acceleration_raw(up)
     deceleration = units.acceleration_raw(down)
+    _check_step("acceleration", units.acceleration(acceleration), up, units)
+    _check_step("deceleration", units.acceleration(deceleration), down, units)
     if motion.variable is ControlVariable.VELOCITY:
         target = units.velocity_raw(motion.target)
         return DriveProfile(target, abs(target), acceleration, deceleration)
     target = units.position_inc(motion.target)
     speed = units.speed_raw(motion.velocity)
+    limit = motion.velocity if motion.trajectory is None else _speed_limit(motion, model)
+    _check_step("velocity", units.speed(speed), limit, units)
     profile = DriveProfile(target, speed, acceleration, deceleration)
     distance_inc = target - units.position_inc(motion.start)
     if motion.duration_s is not None and motion.trajectory is not None and distance_inc:
@@ -78,6 +83,20 @@ def profile_of(
         distance = abs(units.position(distance_inc))
         profile = _nearest(profile, distance, motion.duration_s, top, units)
     return profile
+
+
+def _check_step(quantity: str, made: float, limit: float, units: DriveUnits) -> None:
+    """Rounding down ends at the drive's smallest step: a limit below it would be exceeded."""
+    if made > limit * (1.0 + _STEP_ROUNDING):
+        raise LimitError(
+            motor=units.motor,
+            quantity=f"{quantity} limit",
+            value=limit,
+            low=made,
+            high=None,
+            unit=f"{units.unit}/s" if quantity == "velocity" else f"{units.unit}/s²",
+            reason="the drive's units tell nothing smaller",
+        )
 
 
 def check_limits(motor: str, profile: DriveProfile, units: DriveUnits, limits: DriveLimits) -> None:

@@ -272,7 +272,7 @@ def test_rounding_ends_as_far_apart_as_predicted(ways, steps):
     group.start()
     quality = group.sync_quality()
     profiles = [motor.hw.profile() for motor in motors]
-    ends_s = [profile.duration_s for profile, way in zip(profiles, ways, strict=True) if way]
+    ends_s = [profile.duration_s for profile in profiles if profile.duration_s]  # others stay
     measured_s = max(ends_s) - min(ends_s) if ends_s else 0.0
     assert quality.predicted_end_skew_s == pytest.approx(measured_s, abs=1e-9)
     for profile in profiles:

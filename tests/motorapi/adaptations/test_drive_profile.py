@@ -13,7 +13,7 @@ from motorapi.adaptations.drive_profile import (
     check_target,
     profile_of,
 )
-from motorapi.commands import ControlMode, ControlVariable, Motion
+from motorapi.commands import ControlMode, ControlVariable, DerivativeLimits, Motion
 from motorapi.errors import LimitError
 from motorapi.model import MotorModel
 from motorapi.trajectory import TrapezoidalTrajectory
@@ -134,3 +134,38 @@ def test_the_drives_software_position_limits_hold_at_their_ends():
         with pytest.raises(LimitError, match=r"-0\.5 to 1 rad \(607Dh"):
             check_target("wheel", target, COARSE, limits)
     check_target("wheel", 5000, COARSE, NO_LIMITS)
+
+
+@pytest.mark.parametrize(
+    ("motion", "told"),
+    [
+        (
+            Motion(ControlMode.SETPOINT, ControlVariable.POSITION, 0.0, 1.0, 0.005, 9.0, 6.0),
+            r"wheel: velocity limit 0\.005 rad/s, allowed is at least 0\.01 rad/s \(the drive's "
+            r"units tell nothing smaller\)",
+        ),
+        (
+            Motion(ControlMode.SETPOINT, ControlVariable.POSITION, 0.0, 1.0, 1.0, 0.05, 6.0),
+            r"acceleration limit 0\.05 rad/s², allowed is at least 0\.1",
+        ),
+        (
+            Motion(ControlMode.SETPOINT, ControlVariable.VELOCITY, 0.0, 1.0, 3.0, 9.0, 0.05),
+            r"deceleration limit 0\.05 rad/s², allowed is at least 0\.1",
+        ),
+    ],
+)
+def test_a_limit_below_the_drives_smallest_step_is_refused_not_exceeded(motion: Motion, told: str):
+    with pytest.raises(LimitError, match=told):
+        profile_of(motion, MODEL, COARSE, NO_LIMITS)
+
+
+def test_a_limit_of_a_trajectory_below_the_smallest_step_is_refused_too():
+    asked = TrapezoidalTrajectory(1.0, limits=DerivativeLimits(first=0.005))
+    motion = planning.plan_trajectory("wheel", MODEL, asked, 0.0)
+    with pytest.raises(LimitError, match=r"velocity limit 0\.005 rad/s"):
+        profile_of(motion, MODEL, COARSE, NO_LIMITS)
+
+
+def test_a_long_duration_is_met_as_nearly_as_the_smallest_step_allows():
+    profile = profile_of(trajectory(1.0, duration_s=1000.0), MODEL, COARSE, NO_LIMITS)
+    assert profile.speed == 1  # 0.01 rad/s: 100 s, within every limit
