@@ -68,6 +68,14 @@ class RigFaults:
 
 
 @final
+class NoSuchName(KeyError):  # noqa: N818 -- it says what happened, as the errors of motorapi
+    """A rig has no such motor, controller, bus or group; the message names those it has."""
+
+    def __str__(self) -> str:
+        return str(self.args[0])
+
+
+@final
 class Named(Mapping[str, T], Generic[T]):
     """Things of a rig by name, each made when it is first asked for; in the order of the file."""
 
@@ -81,12 +89,12 @@ class Named(Mapping[str, T], Generic[T]):
         """The thing of this name.
 
         Raises:
-            KeyError: there is none; names those there are.
+            NoSuchName: there is none; a KeyError that names those there are.
         """
         if name not in self._made:
             if name not in self._names:
                 known = ", ".join(self._names) or "none"
-                raise KeyError(f"no {self._what} {name!r} in this rig (known: {known})")
+                raise NoSuchName(f"no {self._what} {name!r} in this rig (known: {known})")
             self._made[name] = self._make(name)
         return self._made[name]
 

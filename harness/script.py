@@ -14,6 +14,7 @@ from pathlib import Path
 from types import CodeType, ModuleType
 from typing import TYPE_CHECKING, Final, Self, final
 
+from harness.rig_parts import NoSuchName
 from harness.settings import RigError
 
 if TYPE_CHECKING:
@@ -135,10 +136,21 @@ def run_prompt(rig: "Rig") -> int:
     names = {"rig": rig, "__name__": "__console__", "__doc__": None}
     with bus_settings(rig):
         try:
-            code.interact(_banner(rig), local=names, exitmsg="")
+            _Prompt(names).interact(_banner(rig), exitmsg="")
         except SystemExit as leaving:
             return _status(leaving)
     return 0
+
+
+@final
+class _Prompt(code.InteractiveConsole):
+    """Python's own, but for errors: told as a script's are."""
+
+    def showtraceback(self) -> None:
+        error = sys.exc_info()[1]
+        if error is not None:
+            sys.last_value = error
+            print_error(error, self.filename)
 
 
 def _banner(rig: "Rig") -> str:
@@ -211,7 +223,7 @@ def _is_on_purpose(error: BaseException) -> bool:
     return (
         "motorapi.errors.MotorError" in kinds
         or "can.exceptions.CanError" in kinds
-        or isinstance(error, RigError)
+        or isinstance(error, RigError | NoSuchName)
     )
 
 

@@ -294,3 +294,30 @@ def test_what_goes_wrong_in_a_callback_is_told_in_the_scripts_own_lines(rig, say
         f"    {act}",
     ]
     assert lines[5].startswith(told)
+
+
+def test_at_the_prompt_too_only_the_users_own_lines_are_told(rig):
+    lines = (
+        "rig.runtime.wait_until(lambda: False, -1.0)\n"
+        "rig.motors['lift']\n"
+        "rig.runtime.every(0.1, lambda: 1 / 0)\n"
+        "rig.runtime.run_for(1.0)\n"
+        "a = = 1\n"
+    )
+    done = in_another_process("run", "rig.toml", input=lines)
+    assert done.returncode == 0
+    told = done.stderr.splitlines()[1:]
+    where = '  File "<console>", line 1, in <module>'
+    assert told[:2] == ["Traceback (most recent call last):", where]
+    assert told[2].startswith("motorapi.errors.UsageError: timeout_s = -1.0: must be a number")
+    assert told[3:5] == ["Traceback (most recent call last):", where]
+    assert (
+        told[5] == "harness.rig_parts.NoSuchName: no motor 'lift' in this rig (known: left, right)"
+    )
+    assert told[6:10] == [
+        "Traceback (most recent call last):",
+        where,
+        '  File "<console>", line 1, in <lambda>',
+        "ZeroDivisionError: division by zero",
+    ]
+    assert "SyntaxError: invalid syntax" in told[-2:]
