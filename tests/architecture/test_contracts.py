@@ -58,7 +58,12 @@ PLANTS = [
         "motorapi.motor -> motorapi.adaptations.cia402",
     ),
     ("host-libraries", "motorapi/group.py", "import canopen", "motorapi.group -> canopen"),
-    ("host-libraries", "motorapi/generation.py", "import numpy", "motorapi.generation -> numpy"),
+    (
+        "host-libraries",
+        "motorapi/generation/rest_to_rest.py",
+        "import numpy",
+        "motorapi.generation.rest_to_rest -> numpy",
+    ),
     ("harness-edges", "harness/recorder.py", "import time", "harness.recorder -> time"),
     ("harness-edges", "harness/virtual_time.py", "import random", "harness.virtual_time -> random"),
 ]
