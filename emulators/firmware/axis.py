@@ -10,14 +10,20 @@ Positions are increments of the encoder. Tick k is at k * tick_ns.
 from typing import Final, final
 
 from emulators.firmware import profile, servo
-from emulators.firmware.flags import IN_TARGET_WINDOW, IN_VELOCITY_WINDOW, PROFILE_ACTIVE
+from emulators.firmware.flags import (
+    CURRENT_REACHED,
+    IN_TARGET_WINDOW,
+    IN_VELOCITY_WINDOW,
+    PROFILE_ACTIVE,
+)
 from emulators.firmware.gains import ServoGains
 from emulators.firmware.servo_tables import tables_of
 from emulators.firmware.timeline import RESTS, Timeline
+from emulators.firmware.windows import default_windows, in_a_row
 from emulators.plant.dc_motor import PI, MotorPlant
 
 _NEVER: Final = -1.0
-_NO_LIMIT: Final = 1e300
+_CURRENT_WINDOW: Final = 0.05  # of the plant's current: as near as it must come to be reached
 
 NEVER_NS: Final = 1 << 61  # a small int to the compiler
 
@@ -42,6 +48,8 @@ class Axis:
     ) -> None:
         if tick_ns < 1 or current_steps < 1 or tick_ns % current_steps:
             raise ValueError(f"tick_ns = {tick_ns} does not hold {current_steps} equal steps")
+        self._plant: Final = plant
+        self._current_steps: Final = current_steps
         self._tick_ns: Final = tick_ns
         self._tick_s: Final = tick_ns / 1e9
         self._torque_n_m_a: Final = plant.torque_constant_n_m_a * plant.gear_ratio
@@ -52,7 +60,7 @@ class Axis:
         self._offset_inc = 0
         self._load_torque_n_m = plant.load_torque_n_m
         self._current_limit_a = plant.current_max_a
-        self._windows: servo.Windows = self._default_windows()
+        self._windows: servo.Windows = default_windows(tick_ns)
         self._mode = servo.OFF
         self._profile_tick = 0  # at which the profile's time is 0
         self._profile = profile.hold(float(initial_position_inc))
@@ -145,7 +153,7 @@ class Axis:
         return self._time.state[servo.I_CURRENT]
 
     def current_demand_a(self) -> float:
-        """Current asked for by the velocity loop, after the limit."""
+        """Current asked for by the velocity loop or `apply_current`, after the limit."""
         return self._time.state[servo.I_WANTED]
 
     def torque_n_m(self) -> float:
@@ -236,6 +244,25 @@ class Axis:
         self._mode = servo.POSITION
         self._begin(pieces, profile.duration_ticks(pieces), True, 0.0)
 
+    def apply_current(self, target_a: float, slope_a_s: float) -> None:
+        """Ramp the current from its present demand to this one and keep it, whatever moves.
+
+        The first step of the ramp is in the next tick. No loop but the current's is closed, and
+        nothing limits the speed but the supply.
+
+        Raises:
+            ValueError: the slope is not > 0 (it may be infinite), or the target is no number.
+            RuntimeError: power is off.
+        """
+        self._start()
+        if not slope_a_s > 0.0 or target_a != target_a:
+            raise ValueError(f"current {target_a} A at {slope_a_s} A/s: the slope must be > 0")
+        start_a = self._time.state[servo.I_WANTED]
+        pieces = profile.current(start_a, target_a, slope_a_s * self._tick_s)
+        self._mode = servo.TORQUE
+        near_a = _CURRENT_WINDOW * self._current_max_a
+        self._begin(pieces, profile.duration_ticks(pieces), False, near_a)
+
     def follow(self, position_inc: int, over_ns: int) -> None:
         """Go evenly from the present demand to this one in `over_ns`, then hold (csp).
 
@@ -283,10 +310,10 @@ class Axis:
             w[1] if following_window_inc is None else float(following_window_inc),
             w[2] if velocity_threshold_inc_s is None else velocity_threshold_inc_s * self._tick_s,
             w[3] if velocity_window_inc_s is None else velocity_window_inc_s * self._tick_s,
-            w[4] if target_window_ns is None else self._ticks_in_a_row(target_window_ns),
-            w[5] if following_window_ns is None else self._ticks_in_a_row(following_window_ns),
-            w[6] if velocity_threshold_ns is None else self._ticks_in_a_row(velocity_threshold_ns),
-            w[7] if velocity_window_ns is None else self._ticks_in_a_row(velocity_window_ns),
+            in_a_row(target_window_ns, w[4], self._tick_ns),
+            in_a_row(following_window_ns, w[5], self._tick_ns),
+            in_a_row(velocity_threshold_ns, w[6], self._tick_ns),
+            in_a_row(velocity_window_ns, w[7], self._tick_ns),
         )
         if windows != w:
             self._windows = windows
@@ -298,8 +325,17 @@ class Axis:
             self._load_torque_n_m = torque_n_m
             self._time.set_load(torque_n_m)
 
+    def set_gains(self, gains: ServoGains) -> None:
+        """The servo's gains from the next tick on; currents and voltages go on without a jump.
+
+        Raises:
+            ValueError: the gains make the current loop unstable; the old ones stay.
+        """
+        tables = tables_of(self._plant, gains, self._tick_ns, self._current_steps)
+        self._time.set_tables(tables, self._load_torque_n_m)
+
     def set_current_limit(self, current_a: float) -> None:
-        """The velocity loop asks for no more than this, nor than the plant's current_max_a.
+        """No loop asks for more current than this, nor than the plant's current_max_a.
 
         Raises:
             ValueError: current_a < 0.
@@ -323,7 +359,9 @@ class Axis:
             raise RuntimeError("the power stage is off: call power(True) first")
         t = float(self._time.tick + 1 - self._profile_tick)
         position, velocity = profile.demand_at(self._profile, t)
-        if self._mode == servo.VELOCITY:
+        if self._mode == servo.TORQUE:  # there is no demand but that of the current
+            velocity = self._time.state[servo.I_VELOCITY]
+        if self._mode != servo.POSITION:
             position = self._time.state[servo.I_COUNT] + velocity
         return position, velocity
 
@@ -347,7 +385,7 @@ class Axis:
             self._current_limit_a,
         )
         state = self._time.state
-        flags = state[servo.I_FLAGS] & ~(IN_TARGET_WINDOW | IN_VELOCITY_WINDOW)
+        flags = state[servo.I_FLAGS] & ~(IN_TARGET_WINDOW | IN_VELOCITY_WINDOW | CURRENT_REACHED)
         if active >= 0.0:
             flags |= PROFILE_ACTIVE
         else:
@@ -356,18 +394,7 @@ class Axis:
         self._time.order(self._orders, state)
         self.flags = flags
 
-    def _default_windows(self) -> servo.Windows:
-        return (
-            *(10.0, _NO_LIMIT, 500.0 * self._tick_s, 2000.0 * self._tick_s),
-            *(self._ticks_in_a_row(0), self._ticks_in_a_row(0)),
-            *(self._ticks_in_a_row(10_000_000), self._ticks_in_a_row(10_000_000)),
-        )
-
     def _per_tick2(self, size_inc_s2: float) -> float:
         if not size_inc_s2 > 0.0:
             raise ValueError(f"acceleration or deceleration {size_inc_s2} inc/s^2: must be > 0")
         return size_inc_s2 * self._tick_s * self._tick_s
-
-    def _ticks_in_a_row(self, time_ns: int) -> int:
-        """The tick at which something has been so for `time_ns` is this one in a row."""
-        return -(-time_ns // self._tick_ns) + 1

@@ -9,3 +9,4 @@ FOLLOWING_ERROR: Final = 8  # |following error| beyond its window too long; not 
 SPEED_ZERO: Final = 16  # |velocity| within its threshold long enough
 IN_VELOCITY_WINDOW: Final = 32  # run_at only: actual within the window of the wanted velocity
 CURRENT_SATURATED: Final = 64  # the velocity loop asks for more current than is allowed
+CURRENT_REACHED: Final = 128  # apply_current only: ramp over, current near the one wanted

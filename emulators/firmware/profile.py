@@ -46,6 +46,18 @@ def line(start: float, end: float, ticks: float) -> Profile:
     )
 
 
+def current(start: float, target: float, slope: float) -> Profile:
+    """A current from `start` to `target` by `slope` > 0 in each tick, the first one included."""
+    ticks = (target - start if target > start else start - target) / slope
+    if ticks <= 1.0:
+        return hold(target)
+    change = slope if target > start else -slope
+    return (
+        (ticks - 1.0, -1.0, start, change, 0.0, 0.0, 0.0),
+        (FOREVER, ticks - 1.0, target, 0.0, 0.0, 0.0, 0.0),
+    )
+
+
 def ramp(
     position: float, velocity: float, wanted: float, acceleration: float, deceleration: float
 ) -> Profile:

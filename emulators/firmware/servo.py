@@ -8,7 +8,10 @@ A tick of the servo (1 kHz, say), in this order:
    velocity loop (a longer one would come too late) and over four for everybody else (a shorter one
    would be coarse): both are exactly zero once the shaft has stood still.
 3. Position loop (P, with the profile's velocity fed forward), velocity loop (PI, with the
-   profile's acceleration fed forward), limit of the current, conditional integration.
+   profile's acceleration fed forward), limit of the current, conditional integration. Or, where
+   torque is controlled, none of these: the profile is one of current (position and slope of its
+   pieces are amperes, and amperes per tick), and the velocity loop's integrator goes along, so
+   that it takes over without a jump.
 4. Flags.
 
 Standstill is exact. The rotor sticks with speed 0.0 while the torque on it is within the Coulomb
@@ -24,7 +27,9 @@ so that the encoder's count is its floor. Only + - * / are used.
 
 from typing import Final
 
+from emulators.firmware.current_loop import coast_steps, steps
 from emulators.firmware.flags import (
+    CURRENT_REACHED,
     CURRENT_SATURATED,
     FOLLOWING_ERROR,
     IN_TARGET_WINDOW,
@@ -39,6 +44,7 @@ from emulators.firmware.servo_tables import LoadTable, StepTable, TickTable
 OFF: Final = 0
 POSITION: Final = 1
 VELOCITY: Final = 2
+TORQUE: Final = 3
 
 # powered; current, integrator of the current loop, speed [rad/s], position; integrator of the
 # velocity loop, wanted current; counts of this tick and the three before; position and velocity
@@ -76,8 +82,8 @@ I_VELOCITY: Final = 13
 I_FLAGS: Final = 14
 
 # What was commanded: mode; the tick at which the profile starts; until which time in it
-# PROFILE_ACTIVE (below 0: never); the profile; whether there is a target, and where; the velocity
-# wanted by run_at; current limit.
+# PROFILE_ACTIVE (below 0: never); the profile; whether there is a target, and where (or which
+# current); the velocity wanted by run_at, or how near the current must come; current limit.
 Orders = tuple[int, int, float, Profile, bool, float, float, float]
 
 # Half widths: target and following [increments], speed threshold and velocity [increments/tick];
@@ -215,6 +221,27 @@ def run(
             demand = c0
             demand_v = 0.0
             flags = in_target = behind = in_velocity = 0
+        elif mode == TORQUE:
+            on = True
+            flags = POWERED
+            demand = c0
+            demand_v = 0.0
+            in_target = behind = in_velocity = 0
+            while t >= end:
+                index += 1
+                end, start, p, slope, half, v, change = profile[index]
+            wanted = p + (t - start) * slope
+            if wanted > limit:
+                wanted = limit
+                flags |= CURRENT_SATURATED
+            elif wanted < -limit:
+                wanted = -limit
+                flags |= CURRENT_SATURATED
+            hold_a = wanted
+            if t < active:
+                flags |= PROFILE_ACTIVE
+            elif -run_velocity <= target - i <= run_velocity:
+                flags |= CURRENT_REACHED
         else:
             on = True
             flags = POWERED
@@ -296,91 +323,3 @@ def run(
     return (on, i, u, w, x, hold_a, wanted, c0, c1, c2, c3, demand, demand_v, velocity,
             flags, in_target, behind, still, in_velocity), made, resting
     # fmt: on
-
-
-def steps(
-    table: StepTable,
-    count: int,
-    load: float,
-    wanted: float,
-    i: float,
-    u: float,
-    w: float,
-    x: float,
-) -> tuple[float, float, float, float]:
-    """Current, integrator, speed and position after `count` steps of the current loop, one by one.
-
-    The voltage is clipped to the supply, and then the integrator grows only towards the inside. A
-    rotor that passes through standstill stops for the rest of the step; it leaves again in the
-    first step at whose start or end the torque on it exceeds the friction.
-    """
-    # fmt: off
-    (ii, iw, iv, it, wi, ww, wv, wt, xi, xw, xv, xt, _, _, _, _,
-     decay, gain, kp, ki, resistance, k, supply, friction) = table
-    # fmt: on
-    base = resistance * wanted
-    error = wanted - i
-    s = u - base
-    for _ in range(count):
-        v = kp * error + (s + base)
-        clipped = False
-        grows = True
-        if v > supply:
-            v = supply
-            clipped = True
-            grows = error < 0.0
-        elif v < -supply:
-            v = -supply
-            clipped = True
-            grows = error > 0.0
-        i = wanted - error
-        if w == 0.0:
-            if clipped:
-                e1 = wanted - (decay * i + gain * v)
-            else:  # as a deviation from steady current, which dies out exactly
-                e1 = decay * error - gain * (kp * error + s)
-            net = k * i - load
-            net1 = k * (wanted - e1) - load
-            if -friction <= net <= friction and -friction <= net1 <= friction:
-                if grows:
-                    s += ki * error
-                error = e1
-                continue
-            forward = net1 > friction or (net1 >= -friction and net > friction)
-        else:
-            forward = w > 0.0
-        torque = -load - friction if forward else -load + friction
-        i1 = ii * i + iw * w + iv * v + it * torque
-        x1 = x + (xi * i + xw * w + xv * v + xt * torque)
-        w1 = wi * i + ww * w + wv * v + wt * torque
-        if w1 < 0.0 if forward else w1 > 0.0:
-            if w == 0.0:
-                x1 = x  # it did not leave after all
-            w1 = 0.0
-        x = x1
-        w = w1
-        if grows:
-            s += ki * error
-        error = wanted - i1
-    return wanted - error, s + base, w, x
-
-
-def coast_steps(
-    table: StepTable, count: int, load: float, w: float, x: float
-) -> tuple[float, float]:
-    """Speed and position after `count` steps without current; stops as in `steps`."""
-    # fmt: off
-    (_, _, _, _, _, _, _, _, _, _, _, _, ww, wt, xw, xt, _, _, _, _, _, _, _, friction) = table
-    # fmt: on
-    for _ in range(count):
-        forward = w > 0.0
-        if w == 0.0:
-            if -friction <= load <= friction:
-                break
-            forward = load < 0.0
-        torque = -load - friction if forward else -load + friction
-        x += xw * w + xt * torque
-        w = ww * w + wt * torque
-        if w < 0.0 if forward else w > 0.0:
-            w = 0.0
-    return w, x

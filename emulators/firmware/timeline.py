@@ -17,7 +17,7 @@ commanded, but not on who looks.
 from typing import Final, final
 
 from emulators.firmware import servo
-from emulators.firmware.servo_tables import LoadTable, ServoTables
+from emulators.firmware.servo_tables import LoadTable, ServoTables, StepTable, TickTable
 
 _BUDGET_MAX: Final = 64  # ticks run ahead at most
 _PATIENCE_MAX: Final = 64  # undisturbed ticks waited for, at most, before running ahead again
@@ -40,9 +40,9 @@ class Timeline:
         orders: servo.Orders,
         state: servo.State,
     ) -> None:
-        self._tables: Final = tables
-        self._tick_table: Final = tables.tick
-        self._step_table: Final = tables.step
+        self._tables: ServoTables = tables
+        self._tick_table: TickTable = tables.tick
+        self._step_table: StepTable = tables.step
         self._current_steps: Final = tables.current_steps
 
         self._load: LoadTable = tables.load(load_torque_n_m)
@@ -115,6 +115,14 @@ class Timeline:
         """From now on this is the load's torque at the output."""
         self._drop_ahead()
         self._load = self._tables.load(torque_n_m)
+
+    def set_tables(self, tables: ServoTables, load_torque_n_m: float) -> None:
+        """From the next tick on the servo steps with these (other gains), the load as it was."""
+        self._drop_ahead()
+        self._tables = tables
+        self._tick_table = tables.tick
+        self._step_table = tables.step
+        self._load = tables.load(load_torque_n_m)
 
     def set_windows(self, windows: servo.Windows) -> None:
         """From the next tick on these are the windows."""

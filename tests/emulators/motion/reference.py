@@ -27,6 +27,12 @@ class ReferenceAxis:
     wanted: float = 0.0
     counts: list[int] = field(default_factory=lambda: [0, 0, 0])
 
+    def push(self, current: float) -> None:
+        """One servo tick, after which this current is wanted."""
+        for _ in range(self.current_steps):
+            self._current_step()
+        self.wanted = current
+
     def tick(self, demand: int, velocity: float, acceleration: float) -> None:
         """One servo tick towards a demand [inc], with its velocity and acceleration [inc/s...].
 

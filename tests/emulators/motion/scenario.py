@@ -52,6 +52,15 @@ def command(axis: Axis, k: int) -> None:
         axis.hold()
     elif k == 5_000:
         axis.power(False)
+    elif k == 5_200:
+        axis.power(True)
+        axis.apply_current(0.4, 3.0)
+    elif k == 5_400:
+        axis.run_at(5_000.0, 300_000.0, 300_000.0)
+    elif k == 5_600:
+        axis.apply_current(-0.5, 1e9)
+    elif k == 5_700:
+        axis.move_to(0, 60_000.0, 1e6, 1e6)
 
 
 if __name__ == "__main__":

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import event, given
 from hypothesis import strategies as st
 
-from emulators.firmware import profile, servo
+from emulators.firmware import current_loop, profile, servo
 from emulators.firmware.axis import Axis
 from emulators.firmware.gains import ServoGains
 from emulators.firmware.servo_tables import ServoTables
@@ -42,7 +42,7 @@ def check_one_tick(name, current, error, speed, mismatch, load):
     u = max(-24.0, min(24.0, u))
     state = state_with(current, u, speed, wanted)
     mapped = one_tick(tables, tables.load(load * plant.gear_ratio), state)
-    singly = servo.steps(tables.step, 10, load, wanted, current, u, speed, 0.5)
+    singly = current_loop.steps(tables.step, 10, load, wanted, current, u, speed, 0.5)
     got = mapped[1:5]
     # Ten products of matrices against ten steps: rounding, relative to the quantities there are.
     assert got[0] == pytest.approx(singly[0], rel=1e-9, abs=1e-10)
@@ -91,7 +91,7 @@ def test_a_rotor_that_dips_through_standstill_within_a_tick_is_stepped(sign):
         i, u, w, x = -4.0 * sign, plant.resistance_ohm * 4.0 * sign, speed * sign, 0.5
         lowest = speed
         for _ in range(10):
-            i, u, w, x = servo.steps(tables.step, 1, 0.0, 4.0 * sign, i, u, w, x)
+            i, u, w, x = current_loop.steps(tables.step, 1, 0.0, 4.0 * sign, i, u, w, x)
             lowest = min(lowest, w * sign)
         dips += lowest <= 0.0 < w * sign
     assert dips > 3
@@ -103,16 +103,18 @@ def test_a_rotor_that_is_pushed_loose_within_a_tick_is_stepped():
     for mismatch_mv in range(-300, 301, 20):
         check_one_tick("wheel_60w", 0.1, -0.1, 0.0, mismatch_mv * 1e-3, 0.0)
         state = (0.1, mismatch_mv * 1e-3, 0.0, 0.5)
-        loose += servo.steps(TABLES["wheel_60w"].step, 10, 0.0, 0.0, *state)[3] != 0.5
+        loose += current_loop.steps(TABLES["wheel_60w"].step, 10, 0.0, 0.0, *state)[3] != 0.5
     assert loose > 5
 
 
 def test_a_clipped_voltage_does_not_wind_the_current_loop_up():
     for sign in (1.0, -1.0):
         table = TABLES["wheel_60w"].step
-        i, u, w, x = servo.steps(table, 1000, 0.0, sign * 1e6, 0.0, 0.0, 0.0, 0.0)
+        i, u, w, x = current_loop.steps(table, 1000, 0.0, sign * 1e6, 0.0, 0.0, 0.0, 0.0)
         assert (u, w * sign > 800.0) == (0.0, True)  # clipped from the first step to the last
-        i, u, w, x = servo.steps(table, 1, 0.0, sign * (i * sign - 50.0), i, 20.0 * sign, w, x)
+        i, u, w, x = current_loop.steps(
+            table, 1, 0.0, sign * (i * sign - 50.0), i, 20.0 * sign, w, x
+        )
         assert u * sign < 20.0  # not enough to clip: it integrates
 
 
@@ -126,7 +128,7 @@ def test_a_rotor_that_is_about_to_leave_does_not_creep_the_other_way():
         # a voltage that lifts the current to 1.02 of what it takes: 0.4 of its end in a step
         voltage = plant.resistance_ohm * sign * breakaway_a * 1.79
         u = voltage - gains.current_kp_v_a * (wanted - i)
-        state = servo.steps(table, 1, 0.0, wanted, i, u, 0.0, 0.5)
+        state = current_loop.steps(table, 1, 0.0, wanted, i, u, 0.0, 0.5)
         assert state[0] * sign > breakaway_a
         assert state[2:] == (0.0, 0.5)
 

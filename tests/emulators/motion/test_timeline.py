@@ -19,7 +19,22 @@ PLANTS = {
     "mast": MAST_20W,
     "sliding": replace(MAST_20W, coulomb_friction_n_m=0.0, encoder_increments_rev=400),
 }
-TABLES = {name: ServoTables(p, ServoGains.tuned(p, MS, 10), MS, 10) for name, p in PLANTS.items()}
+
+
+def gains_of(name: str, softer: float = 1.0) -> ServoGains:
+    gains = ServoGains.tuned(PLANTS[name], MS, 10)
+    return replace(
+        gains,
+        position_kp_1_s=gains.position_kp_1_s * softer,
+        current_kp_v_a=gains.current_kp_v_a * (0.5 + 0.5 * softer),
+    )
+
+
+TABLES = {
+    (name, softer): ServoTables(PLANTS[name], gains_of(name, softer), MS, 10)
+    for name in PLANTS
+    for softer in (1.0, 0.25)
+}
 
 # Commands: name and arguments. Small moves and short ramps, so that ends and rests come up.
 SPEEDS = st.sampled_from([500.0, 20_000.0, 150_000.0])
@@ -30,6 +45,12 @@ COMMANDS = st.one_of(
     st.tuples(st.just("run_at"), st.sampled_from([0.0, -3000.0, 80_000.0]), RAMPS, RAMPS),
     st.tuples(st.just("ramp_to_rest"), RAMPS),
     st.tuples(st.just("follow"), st.integers(-500, 500), st.sampled_from([MS, 4 * MS, 2_500_000])),
+    st.tuples(
+        st.just("apply_current"),
+        st.sampled_from([0.0, 0.3, -2.0, 50.0]),
+        st.sampled_from([1.0, 40.0, float("inf")]),
+    ),
+    st.tuples(st.just("set_gains"), st.sampled_from([1.0, 0.25])),
     st.tuples(st.just("hold")),
     st.tuples(st.just("power"), st.booleans()),
     st.tuples(st.just("set_load"), st.sampled_from([0.0, 1.0, -2.0])),
@@ -54,7 +75,7 @@ class Plain:
     """The same servo run one tick at a time, whatever happens; the orders are the axis' own."""
 
     def __init__(self, name: str, axis: Axis) -> None:
-        self.tables = TABLES[name]
+        self.tables = TABLES[name, 1.0]
         self.axis = axis
         self.tick = 0
         self.state = servo.standing(0.0)
@@ -85,14 +106,16 @@ class Plain:
 
 def make(name: str) -> tuple[Axis, Plain]:
     plant = PLANTS[name]
-    axis = Axis(plant, ServoGains.tuned(plant, MS, 10), TICK_NS, 10)
+    axis = Axis(plant, gains_of(name), TICK_NS, 10)
     return axis, Plain(name, axis)
 
 
-def command(axis: Axis, name: str, *arguments) -> None:
+def command(plant: str, axis: Axis, name: str, *arguments) -> None:
     """As a drive does it: only what the power stage's state allows."""
     powered = axis._mode != servo.OFF
-    if powered or name in ("power", "set_load", "set_current_limit", "set_position"):
+    if name == "set_gains":
+        axis.set_gains(gains_of(plant, *arguments))
+    elif powered or name in ("power", "set_load", "set_current_limit", "set_position"):
         getattr(axis, name)(*arguments)
 
 
@@ -110,11 +133,13 @@ def test_whatever_is_asked_and_when_the_states_are_those_of_a_plain_run(name, ac
         if what == "next_event_ns":
             check_next_event(axis, plain, now, arguments[0])
         elif what != "look":
-            command(axis, what, *arguments)
+            command(name, axis, what, *arguments)
             event(what)
             plain.state = axis._time.state  # a command may change the flags
-            if what == "set_load":
-                plain.load = plain.tables.load(arguments[0])
+            if what == "set_gains":
+                plain.tables = TABLES[name, arguments[0]]
+            if what in ("set_gains", "set_load"):
+                plain.load = plain.tables.load(axis.load_torque_n_m())
 
 
 def check_next_event(axis: Axis, plain: Plain, now: int, within_ns: int | None) -> None:
@@ -169,7 +194,7 @@ def drive(name, commands, looks, limit_step_ns):
             flags = axis.flags
             seen.append((now // TICK_NS, flags))
         if due and due[0][0] == now:
-            command(axis, *due.pop(0)[1])
+            command(name, axis, *due.pop(0)[1])
             if axis.flags != flags:
                 flags = axis.flags
                 seen.append((now // TICK_NS, flags))
@@ -201,7 +226,7 @@ def every_change(name, commands) -> list[tuple[int, int]]:
             flags = axis.flags
             seen.append((tick, flags))
         while due and due[0][0] // TICK_NS == tick:
-            command(axis, *due.pop(0)[1])
+            command(name, axis, *due.pop(0)[1])
             if axis.flags != flags:
                 flags = axis.flags
                 seen.append((tick, flags))
