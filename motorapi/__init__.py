@@ -5,6 +5,7 @@ Rover Motion Control). Adaptations to hardware are in `motorapi.adaptations`; th
 libraries their bus needs.
 """
 
+from motorapi.arguments import Argument, MotorPosition
 from motorapi.commands import (
     ControlMode,
     ControlVariable,
@@ -43,10 +44,12 @@ from motorapi.synchronization import (
     SyncQuality,
     Trigger,
 )
-from motorapi.trajectory import TrapezoidalTrajectory
+from motorapi.trajectory import ComplexTrajectory, Trajectory, TrapezoidalTrajectory
 from motorapi.wall_runtime import WallRuntime
 
 __all__ = [
+    "Argument",
+    "ComplexTrajectory",
     "ControlMode",
     "ControlVariable",
     "DeadlineExceeded",
@@ -68,6 +71,7 @@ __all__ = [
     "MotorError",
     "MotorGroup",
     "MotorModel",
+    "MotorPosition",
     "MotorState",
     "PeerError",
     "PluginError",
@@ -79,6 +83,7 @@ __all__ = [
     "SyncLevel",
     "SyncOffer",
     "SyncQuality",
+    "Trajectory",
     "Trapezoid",
     "TrapezoidalTrajectory",
     "Trigger",

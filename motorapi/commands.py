@@ -13,7 +13,9 @@ from typing import TYPE_CHECKING, TypeGuard, final
 from motorapi.errors import UsageError
 
 if TYPE_CHECKING:
-    from motorapi.trajectory import TrapezoidalTrajectory
+    from motorapi.arguments import Argument
+    from motorapi.functions.function import Function
+    from motorapi.trajectory import Trajectory
 
 Range = tuple[float, float]
 """(lowest, highest) allowed value; -inf and inf where one side has no limit."""
@@ -125,8 +127,12 @@ class Motion:
     What the hooks get. For position, `start` is the reference position the motor holds now and
     `target` the absolute one it shall hold at the end; `velocity`, `acceleration` and
     `deceleration` are sizes > 0 that the motion must not exceed. For velocity, `target` is the
-    velocity, acceleration counts while its size grows and deceleration while it shrinks. For
-    torque and current, `slope` is the steepest change [N·m/s or A/s] (inf: none asked).
+    velocity, acceleration counts while its size grows and deceleration while it shrinks; a
+    trajectory of velocity goes from `start` to `target` at a constant rate, which both then are.
+    For torque and current, `slope` is the steepest change [N·m/s or A/s] (inf: none asked).
+
+    A trajectory is prescribed at every instant: by the numbers above, or by `function` where there
+    is one. `motorapi.demand.demand_of` gives either as one thing to be sampled.
     """
 
     mode: ControlMode
@@ -138,11 +144,19 @@ class Motion:
     deceleration: float
     slope: float = inf
     duration_s: float | None = None
-    """What the profile takes by the closed form; None where none is prescribed (set-points)."""
-    trajectory: "TrapezoidalTrajectory | None" = None
+    """What a trajectory takes; None for set-points, and where the argument is not time."""
+    trajectory: "Trajectory | None" = None
     """What was asked for, None for a set-point."""
+    function: "Function | None" = None
+    """The profile, if the closed form is not it: to be followed from `interval[0]` to [1]."""
+    offset: float = 0.0
+    """What is added to the function's values."""
+    interval: Range = (0.0, 0.0)
+    """(initial, final) argument of the function."""
+    argument: "Argument | None" = None
+    """What the function is a function of; None: of time, `interval[0]` at the start [s]."""
 
     @property
     def distance(self) -> float:
-        """Signed way from start to target [U], for position."""
+        """Signed way from start to target [U], for position; the change, for other variables."""
         return self.target - self.start

@@ -15,7 +15,7 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, final
 
 from motorapi import planning
-from motorapi.commands import ControlMode, Motion, Setpoint, as_number
+from motorapi.commands import ControlMode, ControlVariable, Motion, Setpoint, as_number
 from motorapi.errors import (
     DeadlineExceeded,
     DeviceFault,
@@ -28,7 +28,7 @@ from motorapi.errors import (
 from motorapi.sharing import Run, RunStatus, Turns, trigger_turns
 from motorapi.state import Fault, MotorState
 from motorapi.synchronization import SyncLevel, Trigger
-from motorapi.trajectory import TrapezoidalTrajectory
+from motorapi.trajectory import ComplexTrajectory, Trajectory
 from motorapi.waiting import Awaited, Waiting
 
 if TYPE_CHECKING:
@@ -90,6 +90,7 @@ def _plan_one(motor: "Motor") -> Motion:
     command = _require_command(motor)
     _require_startable(motor)
     absolute = not (command.relative if isinstance(command, Setpoint) else command.is_relative)
+    absolute = absolute and motor.control_variable is ControlVariable.POSITION
     if absolute and motor.model.requires_referencing and not motor._call(motor._read_referenced):
         raise StateError(
             motor=motor.name,
@@ -97,14 +98,29 @@ def _plan_one(motor: "Motor") -> Motion:
             state="its position is not referenced, and the target is absolute",
             remedy="call home() first",
         )
-    reference = motor._call(motor._read_reference)
+    variable = motor.control_variable
     if isinstance(command, Setpoint):
-        variable = motor.control_variable
+        reference = motor._call(motor._read_reference)
         return planning.plan_setpoint(motor.name, motor.model, variable, command, reference)
-    return planning.plan_trajectory(motor.name, motor.model, command, reference)
+    return planning.plan_trajectory(
+        motor.name, motor.model, variable, command, _reference(motor), argument=motor._argument
+    )
 
 
-def _require_command(motor: "Motor") -> Setpoint | TrapezoidalTrajectory:
+def _reference(motor: "Motor") -> float:
+    """Where a trajectory of the motor's control variable begins now."""
+    if motor.control_variable is ControlVariable.POSITION:
+        return motor._call(motor._read_reference)
+    run = motor._physical.run
+    before = None if run is None or run.finished else run.motion
+    if before is None or before.variable is not motor.control_variable:
+        return 0.0
+    if motor.control_variable is ControlVariable.VELOCITY and not motor._call(motor._is_done):
+        return motor._call(motor._read_velocity)
+    return before.target
+
+
+def _require_command(motor: "Motor") -> Setpoint | Trajectory:
     if motor._command is None:
         raise StateError(
             motor=motor.name,
@@ -116,15 +132,13 @@ def _require_command(motor: "Motor") -> Setpoint | TrapezoidalTrajectory:
 
 
 def _require_startable(motor: "Motor") -> None:
-    """Nothing goes on, or a set-point that another of its kind may replace."""
+    """Nothing goes on, or what the command may replace in mid-motion."""
     run = motor._physical.run
     before = None if run is None else run.motion
-    replaceable = (
-        before is not None
-        and before.mode is ControlMode.SETPOINT
-        and motor.control_mode is ControlMode.SETPOINT
-        and before.variable is motor.control_variable
-    )
+    replaceable = before is not None and before.variable is motor.control_variable
+    if replaceable and motor.control_variable is ControlVariable.POSITION:
+        setpoints = (ControlMode.SETPOINT, ControlMode.SETPOINT)
+        replaceable = before is not None and (before.mode, motor.control_mode) == setpoints
     if not replaceable:
         require_rest(motor, "start")
 
@@ -180,26 +194,26 @@ def require_rest(motor: "Motor", operation: str) -> None:
 
 def _common_duration(motors: Sequence["Motor"], motions: Sequence[Motion]) -> list[Motion]:
     """Every trajectory takes as long as the slowest motor's, after its hardware's rounding."""
-    moving = [place for place, motion in enumerate(motions) if motion.trajectory is not None]
+    timed = [place for place, motion in enumerate(motions) if motion.duration_s is not None]
     result = list(motions)
-    if not moving:
+    if not timed:
         return result
     rounded = {
-        place: motors[place]._call(motors[place]._quantise, motions[place]) for place in moving
+        place: motors[place]._call(motors[place]._quantise, motions[place]) for place in timed
     }
-    shortest_s = {place: planning.duration_of(rounded[place]) for place in moving}
+    shortest_s = {place: planning.duration_of(rounded[place]) for place in timed}
     asked: dict[float, str] = {}
-    for place in moving:
-        trajectory = motions[place].trajectory
-        if trajectory is not None and trajectory.duration_s is not None:
-            asked.setdefault(trajectory.duration_s, motors[place].name)
+    for place in timed:
+        fixed_s = _fixed_duration_s(motions[place])
+        if fixed_s is not None:
+            asked.setdefault(fixed_s, motors[place].name)
     if len(asked) > 1:
         several = ", ".join(f"{duration:g} s for {name}" for duration, name in asked.items())
         raise UsageError(f"motors of a group end together: durations differ ({several})")
     duration_s = next(iter(asked)) if asked else max(shortest_s.values())
-    for place in moving:
+    for place in timed:
         motion = motions[place]
-        if motion.trajectory is not None and motion.trajectory.duration_s is not None:
+        if _fixed_duration_s(motion) is not None:
             continue  # planned for that very duration
         if shortest_s[place] == duration_s:
             continue
@@ -216,6 +230,14 @@ def _common_duration(motors: Sequence["Motor"], motions: Sequence[Motion]) -> li
         stretched = planning.stretch(rounded[place], duration_s)
         result[place] = replace(stretched, start=motion.start, target=motion.target)
     return result
+
+
+def _fixed_duration_s(motion: Motion) -> float | None:
+    """How long its trajectory says that it takes [s]; None: as fast as can be."""
+    trajectory = motion.trajectory
+    if isinstance(trajectory, ComplexTrajectory):
+        return motion.duration_s
+    return None if trajectory is None else trajectory.duration_s
 
 
 def _trigger_turns(motors: Sequence["Motor"]) -> list[Turns]:

@@ -26,7 +26,7 @@ from motorapi.synchronization import (
     predicted_start_skew_s,
     spread_s,
 )
-from motorapi.trajectory import TrapezoidalTrajectory
+from motorapi.trajectory import Trajectory
 
 
 class MotorGroup(DeviceGroup[Motor]):
@@ -50,7 +50,7 @@ class MotorGroup(DeviceGroup[Motor]):
                     " they have no common time to begin at"
                 )
 
-    def set_trajectory(self, *trajectories: TrapezoidalTrajectory) -> None:
+    def set_trajectory(self, *trajectories: Trajectory) -> None:
         """Each motor's trajectory is set, in the order of appending; all of them or none.
 
         Raises:
@@ -60,13 +60,13 @@ class MotorGroup(DeviceGroup[Motor]):
             raise UsageError(
                 f"{len(trajectories)} trajectories for {len(self)} motors: give one for each"
             )
-        before = [motor._command for motor in self]
+        before = [(motor._command, motor._argument) for motor in self]
         try:
             for motor, trajectory in zip(self, trajectories, strict=True):
                 motor.set_trajectory(trajectory)
         except MotorError:
             for motor, command in zip(self, before, strict=True):
-                motor._command = command
+                motor._command, motor._argument = command
             raise
 
     def start(self) -> None:
@@ -191,7 +191,10 @@ class MotorGroup(DeviceGroup[Motor]):
 
 def _stays(one: Started) -> bool:
     """Whether the motor is where it is to go, to the hardware's resolution: nothing ends late."""
-    return one.motion.trajectory is not None and one.quantised.distance == 0.0
+    motion = one.motion
+    return (
+        motion.trajectory is not None and motion.function is None and one.quantised.distance == 0.0
+    )
 
 
 def _end_skew_s(started: "tuple[Started, ...] | list[Started]") -> float:
@@ -199,6 +202,6 @@ def _end_skew_s(started: "tuple[Started, ...] | list[Started]") -> float:
     durations_s = [
         planning.duration_of(one.quantised)
         for one in started
-        if one.motion.trajectory is not None and not _stays(one)
+        if one.motion.duration_s is not None and not _stays(one)
     ]
     return max(durations_s) - min(durations_s) if durations_s else 0.0

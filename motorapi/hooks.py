@@ -12,7 +12,7 @@ U stands for the motor's unit of position: rad, or m for a linear motor.
 from abc import ABC, abstractmethod
 from typing import final
 
-from motorapi.commands import ControlMode, ControlVariable, Motion
+from motorapi.commands import ControlMode, ControlVariable, Motion, Setpoint
 from motorapi.device import Device
 from motorapi.errors import UnsupportedError
 from motorapi.model import MotorModel
@@ -20,6 +20,7 @@ from motorapi.runtime import Runtime
 from motorapi.sharing import PhysicalMotor
 from motorapi.state import Fault, Measurement, MotorState
 from motorapi.synchronization import MotionTimes, SyncOffer, Trigger
+from motorapi.trajectory import ComplexTrajectory, Trajectory
 
 
 class MotorHooks(Device, ABC):
@@ -51,6 +52,21 @@ class MotorHooks(Device, ABC):
     def _supports(self, mode: ControlMode, variable: ControlVariable) -> bool:
         """Whether this motor can be commanded so."""
 
+    def _check_command(self, variable: ControlVariable, command: Setpoint | Trajectory) -> None:
+        """This motor can execute the command (a mode and variable it supports) where it can at all.
+
+        Called when the command is set; nothing may be sent.
+
+        Raises:
+            UnsupportedError: it cannot, whatever the values.
+        """
+        if isinstance(command, ComplexTrajectory):
+            raise UnsupportedError(
+                motor=self.name,
+                feature=f"a complex trajectory of {variable.value}",
+                supported="simple trajectories",
+            )
+
     @abstractmethod
     def _sync_offer(self) -> SyncOffer:
         """What it offers for starting together with others, as it is configured now.
@@ -65,7 +81,7 @@ class MotorHooks(Device, ABC):
         Target, velocity, acceleration and deceleration may differ from what was asked by one step
         of the hardware; velocities and accelerations are rounded down, so that no limit is
         exceeded (but not to 0). What is rounded already stays as it is. The common duration of a
-        group, and its end skew, are predicted from it.
+        group, and its end skew, are predicted from it. A motion with a `function` keeps it.
         """
 
     # ---- connecting, state and measurements ----

@@ -22,7 +22,7 @@ motor's unit of position: rad, or m if linear.
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import replace
-from typing import Final, final
+from typing import TYPE_CHECKING, Final, final
 
 from motorapi import planning
 from motorapi.commands import ControlMode, ControlVariable, DerivativeLimits, Motion, Setpoint
@@ -44,7 +44,10 @@ from motorapi.execution import (
 from motorapi.readable_motor import ReadableMotor
 from motorapi.sharing import Run, RunStatus
 from motorapi.state import MotorState
-from motorapi.trajectory import TrapezoidalTrajectory
+from motorapi.trajectory import Trajectory
+
+if TYPE_CHECKING:
+    from motorapi.arguments import Argument
 
 _HOMING_TIMEOUT_S: Final = 60.0
 
@@ -57,7 +60,8 @@ class Motor(ReadableMotor):
 
     _mode: ControlMode | None = None
     _variable: ControlVariable = ControlVariable.POSITION
-    _command: Setpoint | TrapezoidalTrajectory | None = None
+    _command: Setpoint | Trajectory | None = None
+    _argument: "Argument | None" = None
     _run: Run | None = None
 
     def __init_subclass__(cls) -> None:
@@ -132,19 +136,27 @@ class Motor(ReadableMotor):
         self._require_mode(ControlMode.SETPOINT, "set_setpoint")
         setpoint = Setpoint(value, relative, limits)
         planning.check_setpoint(self.name, self.model, self._variable, setpoint)
+        self._call(self._check_command, self._variable, setpoint)
         self._command = replace(setpoint, value=float(value))
 
     @final
-    def set_trajectory(self, trajectory: TrapezoidalTrajectory) -> None:
+    def set_trajectory(self, trajectory: Trajectory, argument: "Argument | None" = None) -> None:
         """`trajectory` is what start() follows. Nothing is sent.
+
+        Args:
+            trajectory: simple (TrapezoidalTrajectory) or complex (ComplexTrajectory).
+            argument: what a complex one is a function of; None: of time since the start [s].
 
         Raises:
             StateError: the control mode is not TRAJECTORY.
             LimitError: a boundary value, a limit or the duration exceeds what the motor can do.
+            UnsupportedError: the motor cannot follow one of that kind.
         """
         self._require_mode(ControlMode.TRAJECTORY, "set_trajectory")
-        planning.check_trajectory(self.name, self.model, self._variable, trajectory)
+        planning.check_trajectory(self.name, self.model, self._variable, trajectory, argument)
+        self._call(self._check_command, self._variable, trajectory)
         self._command = trajectory
+        self._argument = argument
 
     # ---- doing it ----
 
@@ -154,8 +166,9 @@ class Motor(ReadableMotor):
 
         One atomic operation: the motor is taken, connected and enabled if it is not, every setting
         that differs is pushed, the motion is started and acknowledged; or an error is raised and
-        nothing has moved. Starting again repeats the command. A position or velocity set-point
-        may be replaced in mid-motion by another of its kind; everything else starts from rest.
+        nothing has moved. Starting again repeats the command. In mid-motion a set-point replaces
+        a set-point of its variable, and what is said of velocity, torque or current replaces what
+        was said of the same; everything else starts from rest.
 
         Raises:
             StateError: nothing was set; a motion goes on; or it must be referenced first.

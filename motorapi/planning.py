@@ -6,8 +6,9 @@ its limit by rounding (1e-9 of it), no more. `motor` is a name, for messages.
 
 from dataclasses import dataclass, replace
 from math import inf, isfinite
-from typing import Final, final
+from typing import TYPE_CHECKING, final
 
+from motorapi import function_planning
 from motorapi.commands import (
     ControlMode,
     ControlVariable,
@@ -17,12 +18,14 @@ from motorapi.commands import (
     Setpoint,
     as_number,
 )
-from motorapi.errors import LimitError, StateError, UnsupportedError, UsageError
+from motorapi.errors import LimitError, UnsupportedError, UsageError
 from motorapi.generation import shortest, stretched
+from motorapi.limits import ROUNDING, check_bounds, check_target
 from motorapi.model import MotorModel
-from motorapi.trajectory import TrapezoidalTrajectory
+from motorapi.trajectory import ComplexTrajectory, Trajectory, TrapezoidalTrajectory
 
-_ROUNDING: Final = 1e-9
+if TYPE_CHECKING:
+    from motorapi.arguments import Argument
 
 
 @final
@@ -56,8 +59,8 @@ def check_setpoint(
             supported="relative position set-points",
         )
     if not setpoint.relative:
-        _check_target(motor, model, variable, setpoint.value, setpoint.limits)
-    _check_bounds(motor, model, variable, setpoint.limits)
+        check_target(motor, model, variable, setpoint.value, setpoint.limits)
+    check_bounds(motor, model, variable, setpoint.limits)
 
 
 def plan_setpoint(
@@ -73,7 +76,7 @@ def plan_setpoint(
         LimitError: the target lies outside the limits.
     """
     target = setpoint.value + (reference if setpoint.relative else 0.0)
-    _check_target(motor, model, variable, target, setpoint.limits)
+    check_target(motor, model, variable, target, setpoint.limits)
     slope = inf
     if variable is ControlVariable.POSITION:
         limits = _bounds(model, setpoint.limits, target - reference)
@@ -96,68 +99,97 @@ def plan_setpoint(
 
 
 def check_trajectory(
-    motor: str, model: MotorModel, variable: ControlVariable, trajectory: TrapezoidalTrajectory
+    motor: str,
+    model: MotorModel,
+    variable: ControlVariable,
+    trajectory: Trajectory,
+    argument: "Argument | None" = None,
 ) -> None:
     """What can be said of a trajectory before it is known where the motor is.
 
     Raises:
         LimitError: boundary values, limits or duration are beyond what the motor can do.
         UsageError: it is no trajectory.
-        UnsupportedError: the control variable is not position.
+        UnsupportedError: a motor cannot execute it, whatever its hardware.
     """
+    if isinstance(trajectory, ComplexTrajectory):
+        check_bounds(motor, model, variable, trajectory.limits)
+        function_planning.check(motor, model, variable, trajectory, argument)
+        return
     if not isinstance(trajectory, TrapezoidalTrajectory):
-        raise UsageError(f"{motor}: {trajectory!r} is no trajectory; give a TrapezoidalTrajectory")
-    if variable is not ControlVariable.POSITION:
+        raise UsageError(
+            f"{motor}: {trajectory!r} is no trajectory; give a TrapezoidalTrajectory or a"
+            " ComplexTrajectory"
+        )
+    if argument is not None:
         raise UnsupportedError(
             motor=motor,
-            feature=f"a trapezoidal trajectory of {variable.value}",
-            supported="trapezoidal trajectories of position",
+            feature=f"a simple trajectory over the {argument.name}: it is made over time",
+            supported="ComplexTrajectory(function) over any argument",
         )
-    _check_bounds(motor, model, variable, trajectory.limits)
-    plan_trajectory(motor, model, trajectory, trajectory.initial or 0.0, only_shape=True)
+    if variable is ControlVariable.POSITION:
+        _require_rest_at_ends(motor, model, trajectory)
+    check_bounds(motor, model, variable, trajectory.limits)
+    reference = 0.0 if trajectory.initial is None else trajectory.initial
+    plan_trajectory(motor, model, variable, trajectory, reference, only_shape=True)
+
+
+def _require_rest_at_ends(motor: str, model: MotorModel, trajectory: TrapezoidalTrajectory) -> None:
+    for what, value in (
+        ("begins", trajectory.initial_velocity),
+        ("ends", trajectory.final_velocity),
+    ):
+        if value:
+            raise UnsupportedError(
+                motor=motor,
+                feature=f"a motion of position that {what} at {value:g} {model.unit}/s",
+                supported="motions from rest to rest; generate this one as a piece of a"
+                " ComplexTrajectory",
+            )
 
 
 def plan_trajectory(
     motor: str,
     model: MotorModel,
-    trajectory: TrapezoidalTrajectory,
+    variable: ControlVariable,
+    trajectory: Trajectory,
     reference: float,
     *,
+    argument: "Argument | None" = None,
     only_shape: bool = False,
 ) -> Motion:
-    """The motion that a trajectory asks for, from `reference` [U], the position held now.
+    """The motion that a trajectory asks for, from `reference` [U].
 
     Args:
         motor: its name.
         model: its model.
-        trajectory: of position.
-        reference: where it starts.
-        only_shape: a relative one is not held against position limits yet.
+        variable: what it is a trajectory of.
+        trajectory: simple or complex.
+        reference: where it starts: the position held now, or the value of another variable.
+        argument: of a complex one; None: time.
+        only_shape: a relative one is not held against limits of the value yet.
 
     Raises:
-        LimitError: it leaves the position limits, or cannot be made in its duration.
+        LimitError: it leaves the limits of the value, or cannot be made in its duration.
         StateError: it is absolute and the motor is not at its initial value.
     """
+    if isinstance(trajectory, ComplexTrajectory):
+        return function_planning.plan(motor, model, variable, trajectory, argument, reference)
     start = reference
     target = reference + trajectory.final
     if trajectory.initial is not None:
         start, target = trajectory.initial, trajectory.final
-        if abs(start - reference) > model.start_tolerance:
-            raise StateError(
-                motor=motor,
-                operation="start",
-                state=f"the trajectory begins at {start:g} {model.unit}, the motor is at"
-                f" {reference:g} {model.unit}",
-                remedy="move there first, or leave out initial= for a distance",
-            )
+        function_planning.require_at_start(motor, model, variable, start, reference)
     if not (only_shape and trajectory.is_relative):
         for value in (start, target):
-            _check_target(motor, model, ControlVariable.POSITION, value, trajectory.limits)
+            check_target(motor, model, variable, value, trajectory.limits)
     distance = target - start if trajectory.initial is not None else trajectory.final
+    if variable is not ControlVariable.POSITION:
+        return _plan_ramp(motor, model, variable, trajectory, (start, target))
     limits = _bounds(model, trajectory.limits, distance)
     motion = Motion(
         mode=ControlMode.TRAJECTORY,
-        variable=ControlVariable.POSITION,
+        variable=variable,
         start=start,
         target=target,
         velocity=limits.velocity,
@@ -165,26 +197,89 @@ def plan_trajectory(
         deceleration=limits.deceleration,
         trajectory=trajectory,
     )
+    return _in_time(motor, motion, trajectory.duration_s, distance, model.unit)
+
+
+def _plan_ramp(
+    motor: str,
+    model: MotorModel,
+    variable: ControlVariable,
+    trajectory: TrapezoidalTrajectory,
+    ends: Range,
+) -> Motion:
+    """Velocity, torque, current: the steepest ramp that is allowed, or as slow as was asked."""
+    start, target = ends
+    rate = inf
+    limits = trajectory.limits
+    if limits is not None and limits.first is not None:
+        rate = _towards(limits.first, target - start)
+    if variable is ControlVariable.VELOCITY:
+        rate = min(rate, _velocity_rate(model, start, target))
+    motion = Motion(
+        mode=ControlMode.TRAJECTORY,
+        variable=variable,
+        start=start,
+        target=target,
+        velocity=model.velocity_max,
+        acceleration=rate if variable is ControlVariable.VELOCITY else model.acceleration_max,
+        deceleration=rate if variable is ControlVariable.VELOCITY else model.deceleration,
+        slope=inf if variable is ControlVariable.VELOCITY else rate,
+        trajectory=trajectory,
+    )
+    if rate == inf and trajectory.duration_s is None and start != target:
+        raise UsageError(
+            f"{motor}: a trajectory of {variable.value} from {start:g} to {target:g}"
+            f" {model.unit_of(variable)} takes no time: no model limits how fast it changes;"
+            " give duration_s, or limits=DerivativeLimits(first=...)"
+        )
+    return _in_time(motor, motion, trajectory.duration_s, target - start, model.unit_of(variable))
+
+
+def _velocity_rate(model: MotorModel, start: float, target: float) -> float:
+    """The acceleration allowed all the way from one velocity to another."""
+    up, down = model.acceleration_max, model.deceleration
+    if start * target < 0.0:
+        return min(up, down)
+    return up if abs(target) > abs(start) else down
+
+
+def _in_time(
+    motor: str, motion: Motion, asked_s: float | None, distance: float, unit: str
+) -> Motion:
     fastest_s = duration_of(motion)
-    if trajectory.duration_s is None:
+    if asked_s is None:
         return replace(motion, duration_s=fastest_s)
-    if trajectory.duration_s < fastest_s * (1.0 - _ROUNDING):
+    if asked_s < fastest_s * (1.0 - ROUNDING):
         raise LimitError(
             motor=motor,
             quantity="duration",
-            value=trajectory.duration_s,
+            value=asked_s,
             low=fastest_s,
             high=None,
             unit="s",
-            reason=f"for {distance:g} {model.unit} within the limits",
+            reason=f"for {distance:g} {unit} within the limits",
         )
-    return stretch(motion, trajectory.duration_s)
+    return stretch(motion, asked_s)
 
 
 def duration_of(motion: Motion) -> float:
-    """How long a profile takes over the motion's distance, as fast as its limits allow [s]."""
-    profile = shortest(motion.distance, motion.velocity, motion.acceleration, motion.deceleration)
-    return profile.duration_s
+    """How long a trajectory takes, as fast as the motion's limits allow [s]; by time only."""
+    if motion.function is not None:
+        return motion.duration_s or 0.0
+    if motion.variable is ControlVariable.POSITION:
+        profile = shortest(
+            motion.distance, motion.velocity, motion.acceleration, motion.deceleration
+        )
+        return profile.duration_s
+    if motion.distance == 0.0:
+        return 0.0
+    return abs(motion.distance) / _rate(motion)
+
+
+def _rate(motion: Motion) -> float:
+    if motion.variable is ControlVariable.VELOCITY:
+        return min(motion.acceleration, motion.deceleration)
+    return motion.slope
 
 
 def stretch(motion: Motion, duration_s: float) -> Motion:
@@ -194,10 +289,15 @@ def stretch(motion: Motion, duration_s: float) -> Motion:
     """
     if motion.distance == 0.0:
         return replace(motion, duration_s=0.0)
-    profile = stretched(motion.distance, duration_s, motion.acceleration, motion.deceleration)
-    return replace(
-        motion, velocity=min(profile.peak, motion.velocity), duration_s=profile.duration_s
-    )
+    if motion.variable is ControlVariable.POSITION:
+        profile = stretched(motion.distance, duration_s, motion.acceleration, motion.deceleration)
+        return replace(
+            motion, velocity=min(profile.peak, motion.velocity), duration_s=profile.duration_s
+        )
+    rate = abs(motion.distance) / duration_s
+    if motion.variable is ControlVariable.VELOCITY:
+        return replace(motion, acceleration=rate, deceleration=rate, duration_s=duration_s)
+    return replace(motion, slope=rate, duration_s=duration_s)
 
 
 def _bounds(model: MotorModel, limits: DerivativeLimits | None, direction: float) -> Bounds:
@@ -227,83 +327,3 @@ def _velocity_bounds(model: MotorModel, limits: DerivativeLimits | None, target:
 
 def _towards(limit: Range, direction: float) -> float:
     return limit[1] if direction >= 0.0 else -limit[0]
-
-
-def _check_target(
-    motor: str,
-    model: MotorModel,
-    variable: ControlVariable,
-    target: float,
-    limits: DerivativeLimits | None,
-) -> None:
-    low: float | None
-    high: float | None
-    if variable is ControlVariable.POSITION:
-        low, high = model.position_min, model.position_max
-    else:
-        high = {
-            ControlVariable.VELOCITY: model.velocity_max,
-            ControlVariable.TORQUE: model.torque_max,
-            ControlVariable.CURRENT: model.current_max,
-        }[variable]
-        low = None if high is None else -high
-    own = None if limits is None else limits.value
-    for floor, ceiling, whose in (
-        (low, high, f"model {model.name}"),
-        (own[0] if own else None, own[1] if own else None, "the command's own limits"),
-    ):
-        below = floor is not None and target < floor - _slack(floor)
-        above = ceiling is not None and target > ceiling + _slack(ceiling)
-        if below or above:
-            raise LimitError(
-                motor=motor,
-                quantity=f"target {variable.value}",
-                value=target,
-                low=floor,
-                high=ceiling,
-                unit=model.unit_of(variable),
-                reason=whose,
-            )
-
-
-def _check_bounds(
-    motor: str, model: MotorModel, variable: ControlVariable, limits: DerivativeLimits | None
-) -> None:
-    """A command's own limits may be tighter than the model's, never wider."""
-    if limits is None:
-        return
-    derivatives = [limits.first, limits.second, limits.third]
-    if variable is ControlVariable.POSITION:
-        top = model.velocity_max
-        _check_range(motor, model, "velocity limit", derivatives.pop(0), top, "/s")
-    if variable in (ControlVariable.POSITION, ControlVariable.VELOCITY):
-        top = max(model.acceleration_max, model.deceleration)
-        _check_range(motor, model, "acceleration limit", derivatives.pop(0), top, "/s²")
-    else:
-        derivatives.pop(0)  # the slope: no model knows a limit
-    if any(limit is not None for limit in derivatives):
-        raise UnsupportedError(
-            motor=motor,
-            feature=f"limits on that high a derivative of {variable.value}",
-            supported="limits up to acceleration, or the slope of torque and current",
-        )
-
-
-def _check_range(
-    motor: str, model: MotorModel, quantity: str, asked: Range | None, top: float, per: str
-) -> None:
-    for value in asked or ():
-        if isfinite(value) and abs(value) > top + _slack(top):
-            raise LimitError(
-                motor=motor,
-                quantity=quantity,
-                value=value,
-                low=-top,
-                high=top,
-                unit=model.unit + per,
-                reason=f"model {model.name}",
-            )
-
-
-def _slack(limit: float) -> float:
-    return _ROUNDING * max(1.0, abs(limit))

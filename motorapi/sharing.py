@@ -111,7 +111,7 @@ class Run:
 
     @property
     def ends(self) -> bool:
-        """Whether it ends by itself. A velocity, torque or current set-point goes on."""
+        """Whether it ends by itself. What is said of velocity, torque or current goes on."""
         return self.motion is None or self.motion.variable is ControlVariable.POSITION
 
     def interrupt(self, by: str, now_ns: int) -> None:

@@ -1,20 +1,25 @@
 """Trajectories as light, immutable values: what is asked for. Generating them is another matter.
 
-Source: the paper, 3.3.1. A *simple* trajectory states boundary conditions and limits only.
+Source: the paper, 3.3.1. A *simple* trajectory states boundary conditions and limits only; a
+*complex* one gives the value of the control variable for every argument. U stands for the unit of
+the control variable: rad or m for position, rad/s or m/s for velocity.
 """
 
 from dataclasses import dataclass, field
-from math import isfinite
-from typing import final
+from math import inf, isfinite
+from typing import TYPE_CHECKING, TypeAlias, final
 
 from motorapi.commands import DerivativeLimits, Range, as_number
 from motorapi.errors import UsageError
+
+if TYPE_CHECKING:
+    from motorapi.functions.function import Function
 
 
 @final
 @dataclass(frozen=True, slots=True, repr=False)
 class TrapezoidalTrajectory:
-    """The simplest motion that satisfies its boundary conditions; at rest at both ends.
+    """The simplest motion that satisfies its boundary conditions, at rest at both ends if not told.
 
     `TrapezoidalTrajectory(1.0)` is a distance: 1.0 further than where the motor is.
     `TrapezoidalTrajectory(1.0, initial=0.25)` is absolute: from 0.25 to 1.0, and the motor must be
@@ -25,21 +30,27 @@ class TrapezoidalTrajectory:
         initial: the initial value [U].
         limits: of the value and its derivatives; the model's where they say nothing.
         duration_s: how long it takes [s]; None: as short as the limits allow.
+        initial_derivatives: (first, second) at the beginning, [U/s], [U/s²]; what is left out is 0.
+        final_derivatives: likewise at the end.
+        initial_argument: the time at which it begins [s], for a piece of something longer.
 
     Raises:
-        UsageError: a number is not finite, the duration not > 0, or a boundary value lies outside
-            `limits.value`.
+        UsageError: a number is not finite, the duration not > 0, there are more than two
+            derivatives, or a boundary value lies outside `limits`.
     """
 
     final: float
     initial: float | None = None
     limits: DerivativeLimits | None = field(default=None, kw_only=True)
     duration_s: float | None = field(default=None, kw_only=True)
+    initial_derivatives: tuple[float, ...] = field(default=(), kw_only=True)
+    final_derivatives: tuple[float, ...] = field(default=(), kw_only=True)
+    initial_argument: float = field(default=0.0, kw_only=True)
 
     def __post_init__(self) -> None:
-        for name in ("final", "initial", "duration_s"):
+        for name in ("final", "initial", "duration_s", "initial_argument"):
             value = getattr(self, name)
-            if value is None and name != "final":
+            if value is None and name in ("initial", "duration_s"):
                 continue
             number = as_number(value)
             if not isfinite(number):
@@ -51,19 +62,46 @@ class TrapezoidalTrajectory:
             )
         if self.duration_s is not None and self.duration_s <= 0.0:
             raise UsageError(f"TrapezoidalTrajectory: duration_s is {self.duration_s:g}, not > 0")
-        allowed = None if self.limits is None else self.limits.value
-        if allowed is not None and self.initial is not None:
-            for value in (self.initial, self.final):
-                if not allowed[0] <= value <= allowed[1]:
+        for name in ("initial_derivatives", "final_derivatives"):
+            object.__setattr__(self, name, _derivatives(name, getattr(self, name)))
+        if self.limits is not None:
+            self._check_boundaries(self.limits)
+
+    def _check_boundaries(self, limits: DerivativeLimits) -> None:
+        values = () if self.initial is None else (self.initial, self.final)
+        first = (self.initial_velocity, self.final_velocity)
+        second = (self.initial_derivatives[1:], self.final_derivatives[1:])
+        for what, given, allowed in (
+            ("", values, limits.value),
+            ("first derivative ", first, limits.first),
+            ("second derivative ", (*second[0], *second[1]), limits.second),
+        ):
+            for value in given:
+                if allowed is not None and not allowed[0] <= value <= allowed[1]:
                     raise UsageError(
-                        f"TrapezoidalTrajectory: {value:g} lies outside its own limits of the"
-                        f" value, {allowed[0]:g} to {allowed[1]:g}"
+                        f"TrapezoidalTrajectory: {what}{value:g} lies outside its own limits of the"
+                        f" {what or 'value'}, {allowed[0]:g} to {allowed[1]:g}"
                     )
 
     @property
     def is_relative(self) -> bool:
         """Whether `final` is counted from where the motor is when it starts."""
         return self.initial is None
+
+    @property
+    def initial_velocity(self) -> float:
+        """First derivative at the beginning [U/s]."""
+        return self.initial_derivatives[0] if self.initial_derivatives else 0.0
+
+    @property
+    def final_velocity(self) -> float:
+        """First derivative at the end [U/s]."""
+        return self.final_derivatives[0] if self.final_derivatives else 0.0
+
+    @property
+    def final_argument(self) -> float | None:
+        """The time at which it ends [s]; None: as soon as the limits allow."""
+        return None if self.duration_s is None else self.initial_argument + self.duration_s
 
     def __repr__(self) -> str:
         unit = "rad|m"
@@ -73,6 +111,10 @@ class TrapezoidalTrajectory:
             way = f"from {self.initial!r} to {self.final!r} {unit}"
         time = "as fast as allowed" if self.duration_s is None else f"in {self.duration_s!r} s"
         parts = [way, time]
+        if any(self.initial_derivatives):
+            parts.append(f"beginning with {self.initial_derivatives!r}")
+        if any(self.final_derivatives):
+            parts.append(f"ending with {self.final_derivatives!r}")
         if self.limits is not None:
             for name, limit, per in (
                 ("value", self.limits.value, ""),
@@ -89,3 +131,89 @@ def _range(limit: Range) -> str:
     if limit[0] == -limit[1]:
         return f"at most {limit[1]!r}"
     return f"{limit[0]!r} to {limit[1]!r}"
+
+
+def _derivatives(name: str, given: object) -> tuple[float, ...]:
+    if not isinstance(given, tuple | list) or len(given) > 2:
+        raise UsageError(
+            f"TrapezoidalTrajectory: {name} is {given!r}; give (first,) or (first, second)"
+        )
+    numbers = tuple(as_number(value) for value in given)
+    if not all(isfinite(number) for number in numbers):
+        raise UsageError(f"TrapezoidalTrajectory: {name} is {given!r}, not finite numbers")
+    return numbers
+
+
+@final
+@dataclass(frozen=True, slots=True, repr=False)
+class ComplexTrajectory:
+    """A motion whose value is prescribed for every argument, by any function of motorapi.functions.
+
+    `ComplexTrajectory(function)` follows `function(t)` over its domain, t in seconds since the
+    start; with an argument given to `Motor.set_trajectory`, that instead of time.
+
+    Args:
+        function: the value of the control variable [U] over the argument.
+        initial_argument: where the motion begins; None: at the beginning of the function's domain.
+        final_argument: where it ends; None: at the end of the domain.
+        relative: only the change of the value counts, from where the motor is when it starts.
+        limits: of the value and its derivatives, by time, where tighter than the model's.
+
+    Raises:
+        UsageError: an end is not finite or lies outside the domain, or the interval is empty.
+    """
+
+    function: "Function"
+    initial_argument: float | None = None
+    final_argument: float | None = None
+    relative: bool = field(default=False, kw_only=True)
+    limits: DerivativeLimits | None = field(default=None, kw_only=True)
+
+    def __post_init__(self) -> None:
+        domain = getattr(self.function, "domain", None)
+        if not isinstance(domain, tuple) or not callable(getattr(self.function, "extrema", None)):
+            raise UsageError(
+                f"ComplexTrajectory: {self.function!r} is no function of motorapi.functions"
+            )
+        if not isinstance(self.limits, DerivativeLimits | None):
+            raise UsageError(f"ComplexTrajectory: limits is {self.limits!r}, no DerivativeLimits")
+        for name, end in zip(("initial_argument", "final_argument"), domain, strict=True):
+            given = getattr(self, name)
+            number = as_number(end if given is None else given)
+            if not isfinite(number):
+                raise UsageError(
+                    f"ComplexTrajectory: {name} is {number if given is None else given!r}:"
+                    " the motion needs a finite beginning and end"
+                )
+            if not domain[0] <= number <= domain[1]:
+                raise UsageError(
+                    f"ComplexTrajectory: {name} {number:g} lies outside the function's domain,"
+                    f" {domain[0]:g} to {domain[1]:g}"
+                )
+            object.__setattr__(self, name, number)
+        if not self.interval[0] < self.interval[1]:
+            raise UsageError(
+                f"ComplexTrajectory: from {self.interval[0]:g} to {self.interval[1]:g} is no"
+                " interval; the final argument must exceed the initial one"
+            )
+
+    @property
+    def is_relative(self) -> bool:
+        """Whether values are counted from where the motor is when it starts."""
+        return self.relative
+
+    @property
+    def interval(self) -> Range:
+        """(initial, final) argument."""
+        low, high = self.initial_argument, self.final_argument
+        return (-inf if low is None else low, inf if high is None else high)
+
+    def __repr__(self) -> str:
+        low, high = self.interval
+        how = ", relative" if self.relative else ""
+        tight = "" if self.limits is None else f", {self.limits!r}"
+        return f"<ComplexTrajectory {self.function!r} from {low!r} to {high!r}{how}{tight}>"
+
+
+Trajectory: TypeAlias = TrapezoidalTrajectory | ComplexTrajectory
+"""What `Motor.set_trajectory` takes."""

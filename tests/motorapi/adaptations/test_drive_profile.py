@@ -25,7 +25,7 @@ COARSE = DriveUnits("wheel", "rad", 1000.0, 0.01, 0.1, ("", "", ""))
 
 def trajectory(distance: float, duration_s: float | None = None, start: float = 0.0) -> Motion:
     asked = TrapezoidalTrajectory(distance, duration_s=duration_s)
-    return planning.plan_trajectory("wheel", MODEL, asked, start)
+    return planning.plan_trajectory("wheel", MODEL, ControlVariable.POSITION, asked, start)
 
 
 def test_a_set_point_is_rounded_down_to_the_drives_steps():

@@ -1,0 +1,77 @@
+"""Arguments that are not time: what a trajectory may be a function of instead.
+
+Source: the paper, 3.3.1: "The argument typically is a value of time, but can be another quantity."
+"""
+
+from typing import Protocol, final
+
+from motorapi.errors import UsageError
+from motorapi.model import MotorModel
+from motorapi.state import Measurement
+
+
+class Argument(Protocol):
+    """A quantity that something else determines, read once per set-point."""
+
+    @property
+    def name(self) -> str:
+        """What messages call it."""
+
+    @property
+    def rate_max(self) -> float | None:
+        """How fast it can change [1/s]; None: not known, then no limit can be promised."""
+
+    def value(self) -> float:
+        """What it is now. Asked from callbacks: must neither wait nor send."""
+
+
+class Leader(Protocol):
+    """What may lead: any Motor."""
+
+    @property
+    def name(self) -> str:
+        """What messages call it."""
+
+    @property
+    def model(self) -> MotorModel:
+        """Where its maximum velocity stands."""
+
+    def latest(self) -> Measurement | None:
+        """What was heard of it last."""
+
+
+@final
+class MotorPosition:
+    """Another motor's measured position [rad or m], as it was heard last: an electronic gear.
+
+    Args:
+        motor: the leading motor. It must report its position by itself (or cost nothing to ask).
+    """
+
+    def __init__(self, motor: Leader) -> None:
+        self._motor = motor
+        self._name = f"position of {motor.name}"
+
+    @property
+    def name(self) -> str:
+        """As in "position of left"."""
+        return self._name
+
+    @property
+    def rate_max(self) -> float | None:
+        """The leading motor's maximum velocity, as its model says."""
+        return self._motor.model.velocity_max
+
+    def value(self) -> float:
+        """The last position heard.
+
+        Raises:
+            UsageError: none was heard yet.
+        """
+        latest = self._motor.latest()
+        if latest is None or latest.position is None:
+            raise UsageError(f"the {self._name} is not known: it has not been heard yet")
+        return latest.position
+
+    def __repr__(self) -> str:
+        return f"<the {self._name}>"
