@@ -1,0 +1,280 @@
+"""The hardware object of an ideal motor: it is the motor. It lives in memory and on no bus."""
+
+from typing import TYPE_CHECKING, Final, final
+from weakref import WeakValueDictionary
+
+from motorapi.adaptations.ideal_courses import Course, Held, Ramped, Reading, course_of
+from motorapi.errors import LinkError, MotorError, UsageError
+from motorapi.sharing import (
+    PhysicalMotor,
+    RunStatus,
+    register_physical_motor,
+    release_physical_motor,
+)
+from motorapi.state import Fault, MotorState
+from motorapi.waiting import News
+
+if TYPE_CHECKING:
+    from motorapi.commands import Motion
+    from motorapi.runtime import Registration, Runtime
+
+LOOK_PERIOD_S: Final = 0.001
+"""How often a motor in motion makes itself heard, as a drive does by its cyclic messages."""
+
+
+@final
+class IdealTrigger:
+    """Starts whatever was armed for it, all at the same nanosecond."""
+
+    def __init__(self, runtime: "Runtime") -> None:
+        self._runtime = runtime
+        self._armed: list[IdealHwMotor] = []
+
+    def __repr__(self) -> str:
+        return "the common start of ideal motors"
+
+    def arm(self, hardware: "IdealHwMotor") -> None:
+        """`hardware` begins when this is fired."""
+        self._armed.append(hardware)
+
+    def disarm(self, hardware: "IdealHwMotor") -> None:
+        """`hardware` does not begin when this is fired."""
+        self._armed = [other for other in self._armed if other is not hardware]
+
+    def fire(self) -> None:
+        """All that was armed has begun."""
+        armed, self._armed = self._armed, []
+        now_ns = self._runtime.now_ns()
+        for hardware in armed:
+            hardware.begin(now_ns)
+
+
+_shared_triggers: "Final[WeakValueDictionary[Runtime, IdealTrigger]]" = WeakValueDictionary()
+
+
+@final
+class IdealHwMotor:
+    """A physical motor that does exactly what it is told: no mass, no friction, no delay.
+
+    What moves it takes no torque; what it pushes with, in torque or current control, moves nothing:
+    its shaft is held then. It stands still where its power stage goes off.
+
+    Args:
+        runtime: the time it lives in.
+        label: its name for people; a second object of this label in the same runtime is refused.
+        position: where it is at the beginning [U].
+        torque_constant: torque per current [N·m/A, of a linear motor N/A].
+
+    Attributes:
+        shared_trigger: fires all ideal motors of a group at the same instant.
+        users: how many motors were built on it by settings; the last one closes it.
+
+    Raises:
+        UsageError: there is an ideal motor of this label in this runtime; it is named.
+    """
+
+    def __init__(
+        self,
+        runtime: "Runtime",
+        label: str = "ideal motor",
+        *,
+        position: float = 0.0,
+        torque_constant: float = 1.0,
+    ) -> None:
+        if not torque_constant > 0.0:
+            raise UsageError(f"torque_constant = {torque_constant!r}: must be > 0")
+        self.runtime: Final = runtime
+        self.label: Final = label
+        self.initial_position: Final = position
+        self.torque_constant: Final = torque_constant
+        self._key = ("ideal", runtime, label)
+        self.physical: Final[PhysicalMotor] = register_physical_motor(self._key, label, self)
+        self.physical.news = self._news = News()
+        trigger = _shared_triggers.get(runtime)
+        if trigger is None:
+            trigger = _shared_triggers[runtime] = IdealTrigger(runtime)
+        self.shared_trigger: Final = trigger
+        self.users = 0
+        self.is_closed = False
+        self.is_referenced = False
+        self.fault: Fault | None = None
+        self.failure: MotorError | None = None
+        self._last: Course | None = None  # of a motion that was started, not of a stop
+        self._cut_short = False
+        self._power = MotorState.DISABLED
+        self._armed: tuple[Motion, IdealTrigger] | None = None
+        self._motion: Motion | None = None
+        self._course: Course = Held(runtime.now_ns(), position)
+        self._looking: Registration | None = None
+
+    def __repr__(self) -> str:
+        what = self.state.value
+        return f"<IdealHwMotor {self.label}: {what} at {self.reading().position:g}>"
+
+    def close(self) -> None:
+        """The motor is gone: offline, at rest, and another of its label may be made."""
+        if self.is_closed:
+            return
+        now_ns = self.runtime.now_ns()
+        status = RunStatus.DONE if self.is_over else RunStatus.GOING
+        self.physical.end(f"close() of {self.label}", now_ns, status)
+        self._stand_still()
+        self.is_closed = True
+        self._news.count += 1
+        release_physical_motor(self._key, self)
+
+    # --- what can be seen ------------------------------------------------------------------
+
+    @property
+    def state(self) -> MotorState:
+        """The state of its power stage; FAULT or OFFLINE come first."""
+        if self.is_closed:
+            return MotorState.OFFLINE
+        return self._power if self.fault is None else MotorState.FAULT
+
+    def reading(self) -> Reading:
+        """Position [U], velocity [U/s] and torque [N·m or N] at this instant."""
+        course = self._course
+        return course.at(max(self.runtime.now_ns(), course.begun_ns))
+
+    @property
+    def is_over(self) -> bool:
+        """Whether what it was told to do last has been reached."""
+        if self._armed is not None:
+            return False
+        over_ns = self._course.over_ns
+        return over_ns is not None and self.runtime.now_ns() >= over_ns
+
+    def look_again_s(self) -> float | None:
+        """After how long its goal may be reached [s]; None: it tells by itself."""
+        over_ns = self._course.over_ns
+        if over_ns is None or self._armed is not None:
+            return None
+        self._news.count += 1
+        return max(0, over_ns - self.runtime.now_ns()) / 1e9
+
+    def motion_times_ns(self) -> tuple[int | None, int | None]:
+        """When the last motion began, and when it reached its goal; None: it has not (yet)."""
+        course = self._last
+        if course is None:
+            return None, None
+        over_ns = course.over_ns
+        if self._cut_short or over_ns is None or self.runtime.now_ns() < over_ns:
+            return course.begun_ns, None
+        return course.begun_ns, over_ns
+
+    # --- what can be done to it ------------------------------------------------------------
+
+    def inject_fault(self, code: int, text: str = "injected") -> None:
+        """The motor has a fault, as a test wants it: its power is off, and it stands still."""
+        self.fault = Fault(code, text, self.runtime.now_ns())
+        self._power = MotorState.DISABLED
+        self._stand_still()
+
+    def reset_fault(self) -> None:
+        """There is no fault any more; the power stage is off if there was one."""
+        self.fault = None
+        self._news.count += 1
+
+    def enable(self) -> None:
+        """The power stage is on."""
+        self._require_open()
+        self._power = MotorState.ENABLED
+        self._news.count += 1
+
+    def disable(self) -> None:
+        """The power stage is off, the motor stands still where it is."""
+        self._power = MotorState.DISABLED
+        self._stand_still()
+
+    def call_here(self, position: float) -> None:
+        """The place where it stands is called `position` [U] from now on."""
+        self._take(Held(self.runtime.now_ns(), position), None)
+        self.is_referenced = True
+
+    # --- motion ----------------------------------------------------------------------------
+
+    def arm(self, motion: "Motion", *, together: bool) -> IdealTrigger:
+        """`motion` begins when the trigger returned is fired."""
+        self._require_open()
+        if motion.argument is not None:
+            motion.argument.value()  # or it raises, and nothing has moved
+        trigger = self.shared_trigger if together else IdealTrigger(self.runtime)
+        trigger.arm(self)
+        self._armed = (motion, trigger)
+        self._news.count += 1
+        return trigger
+
+    def disarm(self) -> None:
+        """What was armed does not begin any more."""
+        armed, self._armed = self._armed, None
+        if armed is not None:
+            armed[1].disarm(self)
+            self._news.count += 1
+
+    def begin(self, now_ns: int) -> None:
+        """What was armed begins at `now_ns`."""
+        armed, self._armed = self._armed, None
+        if armed is None:
+            return
+        motion = armed[0]
+        now = self._course.at(max(now_ns, self._course.begun_ns))
+        course = course_of(motion, now, now_ns, self.torque_constant)
+        self._take(course, motion)
+        self._last, self._cut_short = course, False
+
+    def slow_down(self, deceleration: float, *, quickly: bool = False) -> None:
+        """The motor comes to rest, and holds.
+
+        Args:
+            deceleration: how quickly [U/s²], unless what it does allows less.
+            quickly: `deceleration` counts whatever was allowed, and the motor is STOPPED.
+        """
+        self.disarm()
+        now_ns = self.runtime.now_ns()
+        now = self.reading()
+        if self._motion is not None and not quickly:
+            deceleration = self._motion.deceleration
+        if quickly and self._power is MotorState.ENABLED:
+            self._power = MotorState.STOPPED
+        self._take(Ramped(now_ns, now, 0.0, deceleration, deceleration), self._motion)
+
+    # --- inside ----------------------------------------------------------------------------
+
+    def _require_open(self) -> None:
+        if self.is_closed:
+            raise LinkError(link=self.label, reason="this hardware object is closed")
+
+    def _stand_still(self) -> None:
+        self.disarm()
+        self._take(Held(self.runtime.now_ns(), self.reading().position), None)
+
+    def _take(self, course: Course, motion: "Motion | None") -> None:
+        """The motor does this from now on; while it moves, it is looked at at a fixed rate."""
+        if self._course is self._last and not self.is_over:
+            self._cut_short = True
+        self._stop_looking()
+        self._course, self._motion, self.failure = course, motion, None
+        self._news.count += 1
+        if not isinstance(course, Held):
+            self._looking = self.runtime.every(LOOK_PERIOD_S, lambda: self._look(course))
+
+    def _look(self, course: Course) -> None:
+        if course is not self._course:
+            return
+        now_ns = self.runtime.now_ns()
+        try:
+            course.look(now_ns)
+        except MotorError as error:  # what leads it is not known any more
+            self._take(Held(now_ns, course.place), None)
+            self.failure = error
+            return
+        self._news.count += 1
+        is_over = course.over_ns is not None and now_ns >= course.over_ns
+        if is_over and course.at(now_ns).velocity == 0.0:
+            self._stop_looking()
+
+    def _stop_looking(self) -> None:
+        looking, self._looking = self._looking, None
+        if looking is not None:
+            looking.cancel()

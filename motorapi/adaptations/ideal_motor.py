@@ -1,0 +1,180 @@
+"""The adaptation of the motor interface to a motor without flaws, and without a bus.
+
+| command                        | what the motor does                                             |
+| ------------------------------ | --------------------------------------------------------------- |
+| set-point, position            | goes straight there at the limit of velocity, without ramps     |
+| set-point, velocity            | its velocity goes there at the limit of acceleration            |
+| set-point, torque or current   | steps there, or goes at the limit of the first derivative given |
+| trajectory, any variable       | is what the trajectory demands, at every instant                |
+| homing (35, 37)                | here is 0, at once                                              |
+
+A set-point has no profile: its variable goes straight to the target at the limit of its first
+derivative, the command's or else the model's. So velocity steps in a position set-point, which no
+real motor can do, and that is what tells it from a trajectory. In torque and current control the
+shaft is held: the motor pushes and stands still.
+"""
+
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Final, final
+
+from motorapi.adaptations.ideal_hardware import IdealHwMotor
+from motorapi.commands import ControlMode, ControlVariable, Motion, Setpoint
+from motorapi.errors import DeviceFault, LinkError, UnsupportedError
+from motorapi.motor import Motor
+from motorapi.state import Fault, Measurement, MotorState
+from motorapi.synchronization import MotionTimes, SyncLevel, SyncOffer, Trigger
+
+if TYPE_CHECKING:
+    from motorapi.model import MotorModel
+    from motorapi.trajectory import Trajectory
+
+_HERE_IS_ZERO: Final = (None, 35, 37)
+
+
+@final
+class IdealMotor(Motor):
+    """A logical motor on an ideal one. Any number of them may share one hardware object.
+
+    Args:
+        hardware: the motor.
+        model: its limits.
+        name: what messages and records call it; None: the model's name and the hardware's label.
+        on_close: is called once, when the motor is closed. The hardware object is its maker's.
+    """
+
+    def __init__(
+        self,
+        hardware: IdealHwMotor,
+        model: "MotorModel",
+        *,
+        name: str | None = None,
+        on_close: Callable[[], None] | None = None,
+    ) -> None:
+        super().__init__(
+            name=f"{model.name} at {hardware.label}" if name is None else name,
+            model=model,
+            runtime=hardware.runtime,
+            physical=hardware.physical,
+        )
+        self._hardware = hardware
+        self._on_close = on_close
+
+    def close(self) -> None:
+        """It is no longer used; closing again does nothing."""
+        on_close, self._on_close = self._on_close, None
+        if on_close is not None:
+            on_close()
+
+    @property
+    def hardware(self) -> IdealHwMotor:
+        """The motor itself; tests inject faults there."""
+        return self._hardware
+
+    # --- what it can do --------------------------------------------------------------------
+
+    def _supports(self, mode: ControlMode, variable: ControlVariable) -> bool:
+        return True
+
+    def _check_command(self, variable: ControlVariable, command: "Setpoint | Trajectory") -> None:
+        """Whatever can be planned can be executed."""
+
+    def _sync_offer(self) -> SyncOffer:
+        reason = "ideal motors of one runtime begin at the same nanosecond"
+        trigger = self._hardware.shared_trigger
+        return SyncOffer(SyncLevel.TRIGGERED, trigger, (0.0, 0.0), reason)
+
+    def _quantise(self, motion: Motion) -> Motion:
+        return motion
+
+    # --- connecting, state and measurements ------------------------------------------------
+
+    def _connect(self) -> None:
+        if self._hardware.is_closed:
+            label = self._hardware.label
+            raise LinkError(link=label, reason="this hardware object is closed")
+
+    def _read_state(self) -> MotorState:
+        return self._hardware.state
+
+    def _read_fault(self) -> Fault | None:
+        return self._hardware.fault
+
+    def _read_referenced(self) -> bool:
+        return self._hardware.is_referenced
+
+    def _read_position(self) -> float:
+        return self._hardware.reading().position
+
+    def _read_velocity(self) -> float:
+        return self._hardware.reading().velocity
+
+    def _read_reference(self) -> float:
+        return self._hardware.reading().position
+
+    def _read_torque(self) -> float:
+        return self._hardware.reading().torque
+
+    def _read_following_error(self) -> float:
+        return 0.0
+
+    def _latest(self) -> Measurement | None:
+        hardware = self._hardware
+        position, velocity, torque = hardware.reading()
+        now_ns = self.runtime.now_ns()
+        return Measurement(now_ns, hardware.state, position, velocity, torque, 0.0)
+
+    def _refresh(self) -> float | None:
+        return self._hardware.look_again_s()
+
+    # --- power, fault, reference -----------------------------------------------------------
+
+    def _enable(self) -> None:
+        self._hardware.enable()
+
+    def _disable(self) -> None:
+        self._hardware.disable()
+
+    def _reset_fault(self) -> None:
+        self._hardware.reset_fault()
+
+    def _home(self, method: int | None) -> None:
+        if method not in _HERE_IS_ZERO:
+            raise UnsupportedError(
+                motor=self.name, feature=f"homing by method {method}", supported="35 and 37"
+            )
+        self._hardware.call_here(0.0)
+
+    # --- motion ----------------------------------------------------------------------------
+
+    def _arm(self, motion: Motion, *, together: bool) -> Trigger:
+        return self._hardware.arm(motion, together=together)
+
+    def _disarm(self) -> None:
+        self._hardware.disarm()
+
+    def _confirm(self, motion: Motion) -> None:
+        """It began when it was fired."""
+
+    def _is_done(self) -> bool:
+        hardware = self._hardware
+        fault = hardware.fault
+        if fault is not None:
+            raise DeviceFault(
+                motor=self.name, code=fault.code, text=fault.text, since_ns=fault.since_ns
+            )
+        self._connect()
+        if hardware.failure is not None:
+            raise hardware.failure
+        return hardware.is_over
+
+    def _stop(self) -> None:
+        self._hardware.slow_down(self.model.deceleration)
+
+    def _quick_stop(self) -> None:
+        self._hardware.slow_down(self.model.deceleration, quickly=True)
+
+    def _motion_times(self) -> MotionTimes | None:
+        begun_ns, over_ns = self._hardware.motion_times_ns()
+        if begun_ns is None:
+            return None
+        return MotionTimes(begun_ns, over_ns, "the law of its motion")
