@@ -18,6 +18,7 @@ from motorapi.device import Device, DeviceGroup
 from motorapi.errors import (
     DeadlineExceeded,
     DeviceFault,
+    DomainError,
     FileError,
     LimitError,
     LinkError,
@@ -57,6 +58,7 @@ __all__ = [
     "Device",
     "DeviceFault",
     "DeviceGroup",
+    "DomainError",
     "Fault",
     "FileError",
     "LimitError",

@@ -3,6 +3,7 @@
     MotorError
     |-- UsageError            your mistake; nothing was sent
     |   |-- LimitError        a value lies outside what the motor, or its model, allows
+    |   |-- DomainError       a function has no value at that argument
     |   |-- StateError        not now: what the motor is doing, or is, forbids it
     |   |-- UnsupportedError  this motor can never do it
     |   `-- FileError         a file of yours says what it cannot mean: path, line, key, remedy
@@ -77,6 +78,24 @@ class LimitError(UsageError):
             allowed = f"at most {high:g} {unit}"
         tail = f" ({reason})" if reason else ""
         super().__init__(f"{motor}: {quantity} {value:g} {unit}, allowed is {allowed}{tail}")
+
+
+@final
+class DomainError(UsageError):
+    """A function has no value there.
+
+    Attributes: argument, low and high (its domain, both included; -inf and inf: it has no end),
+    function (in words).
+    """
+
+    def __init__(self, *, argument: float, low: float, high: float, function: str) -> None:
+        self.argument = argument
+        self.low = low
+        self.high = high
+        self.function = function
+        super().__init__(
+            f"the argument {argument!r} lies outside the domain, {low!r} to {high!r}, of {function}"
+        )
 
 
 @final

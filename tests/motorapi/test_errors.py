@@ -17,6 +17,7 @@ TOLD = [
             "unit": "rad/s",
         },
     ),
+    (errors.DomainError, {"argument": 7.5, "low": 0.0, "high": 5.0, "function": "<Profile>"}),
     (
         errors.StateError,
         {"motor": "left", "operation": "start", "state": "it moves", "remedy": "stop() first"},
@@ -64,7 +65,13 @@ def test_what_an_error_was_told_is_in_its_attributes(kind, facts):
 
 
 def test_usage_errors_are_the_callers_and_the_others_are_not():
-    usage = {errors.LimitError, errors.StateError, errors.UnsupportedError, errors.FileError}
+    usage = {
+        errors.LimitError,
+        errors.DomainError,
+        errors.StateError,
+        errors.UnsupportedError,
+        errors.FileError,
+    }
     for error in EXAMPLES:
         assert isinstance(error, errors.UsageError) == (type(error) in usage)
 

@@ -1,0 +1,198 @@
+"""Polynomials, and constants as the simplest of them."""
+
+from collections.abc import Iterable
+from fractions import Fraction
+from math import factorial, inf, isfinite
+from typing import Final, TypeAlias, final
+
+import numpy as np
+
+from motorapi.errors import UsageError
+from motorapi.functions import exact
+from motorapi.functions.function import LARGEST, Extrema, FloatArray, Function, finite
+from motorapi.functions.polynomial_extrema import candidates, range_over
+
+Horner: TypeAlias = tuple[float, float, tuple[float, ...]]
+_SHOWN: Final = 8  # coefficients in a repr
+
+
+class Polynomial(Function):
+    """c0 + c1 (x - about) + c2 (x - about)² + ...; zeros at the end are dropped.
+
+    Sums, products, derivatives, integrals and compositions of polynomials are polynomials, with
+    every coefficient the nearest double to the true one. Of two with different places, the sum
+    and the product are about that of the higher degree (of the left one, if they are equal).
+
+    Choose `about` near the arguments it is for: at arguments far from it terms cancel.
+
+    Args:
+        coefficients: ascending, at least one; finite.
+        about: where the local argument is 0; finite.
+
+    Raises:
+        UsageError: an argument is not as stated.
+    """
+
+    __slots__ = ("_rest", "_top", "about", "coefficients")
+
+    coefficients: tuple[float, ...]
+    about: float
+    _top: float
+    _rest: tuple[float, ...]
+
+    def __init__(self, coefficients: Iterable[float], about: float = 0.0) -> None:
+        try:
+            told = tuple(coefficients)
+        except TypeError as error:
+            raise UsageError(
+                f"Polynomial: coefficients are {coefficients!r}, not a sequence of numbers"
+            ) from error
+        numbers = [finite("Polynomial", f"coefficient {k}", c) + 0.0 for k, c in enumerate(told)]
+        if not numbers:
+            raise UsageError("Polynomial: there is no coefficient; 0 is Constant(0.0)")
+        while len(numbers) > 1 and numbers[-1] == 0.0:
+            numbers.pop()
+        self._keep(
+            coefficients=tuple(numbers),
+            about=finite("Polynomial", "about", about) + 0.0,
+            _top=numbers[-1],
+            _rest=tuple(reversed(numbers[:-1])),
+        )
+
+    @property
+    @final
+    def domain(self) -> tuple[float, float]:
+        """Everywhere."""
+        return -inf, inf
+
+    @property
+    @final
+    def degree(self) -> int:
+        """The highest power with a coefficient that is not 0; 0 for constants."""
+        return len(self.coefficients) - 1
+
+    @property
+    @final
+    def horner(self) -> Horner:
+        """What Horner's scheme needs: about, the highest coefficient, the others descending."""
+        return self.about, self._top, self._rest
+
+    def value(self, argument: float) -> float:
+        """By Horner's scheme in x - about."""
+        if not -LARGEST <= argument <= LARGEST:
+            self._refuse(argument)
+        local = argument - self.about
+        value = self._top
+        for coefficient in self._rest:
+            value = value * local + coefficient
+        return value
+
+    def _values(self, arguments: FloatArray) -> FloatArray:
+        local = arguments - self.about
+        value = np.full_like(local, self._top)
+        for coefficient in self._rest:
+            value *= local
+            value += coefficient
+        return value
+
+    def _derivative(self, order: int) -> Function:
+        scaled = [
+            c * (factorial(k) // factorial(k - order))
+            for k, c in enumerate(self.coefficients)
+            if k >= order
+        ]
+        return polynomial(scaled or [0.0], self.about)
+
+    def integral(self) -> Function:
+        """The antiderivative that is 0 at 0, about the same place."""
+        raised = [Fraction(0)]
+        raised += [Fraction(c) / (k + 1) for k, c in enumerate(self.coefficients)]
+        raised[0] = -exact.moved(raised, Fraction(-self.about))[0]
+        return polynomial(exact.rounded(raised), self.about)
+
+    def _integrate(self, low: float, high: float) -> float:
+        return exact.nearest(self.exact_integral(low, high))
+
+    def exact_integral(self, low: float, high: float) -> Fraction:
+        """The definite integral, unrounded."""
+        about = Fraction(self.about)
+        return exact.integral_between(
+            self.coefficients, Fraction(low) - about, Fraction(high) - about
+        )
+
+    def _extrema(self, low: float, high: float) -> Extrema:
+        points = candidates(self.coefficients, low - self.about, high - self.about)
+        at = sorted({low, high, *(min(max(p + self.about, low), high) for p in points)})
+        values = [self.value(x) for x in at]
+        least, most = min(values), max(values)
+        return Extrema(least, at[values.index(least)], most, at[values.index(most)])
+
+    def _bounds(self, low: float, high: float) -> tuple[float, float]:
+        return range_over(self.coefficients, low - self.about, high - self.about)
+
+    def _parameters(self) -> tuple[object, ...]:
+        return self.coefficients, self.about
+
+    def moved_to(self, about: float) -> "Polynomial":
+        """The same polynomial about another place, its coefficients rounded once."""
+        if about == self.about:
+            return self
+        way = Fraction(about) - Fraction(self.about)
+        return polynomial(exact.rounded(exact.moved(exact.rational(self.coefficients), way)), about)
+
+    @final
+    def shifted(self, offset: float) -> Function:
+        """Exact, but for the rounding of about + offset."""
+        about = self.about + finite(repr(self), "offset", offset)
+        return self if self.degree == 0 else polynomial(self.coefficients, about)
+
+    @final
+    def scaled(self, factor: float) -> Function:
+        """With coefficients c_k / factor^k."""
+        number = Fraction(finite(repr(self), "factor", factor))
+        if not number:
+            raise UsageError(f"{self!r}: the argument cannot be scaled by 0")
+        scaled = exact.rounded(Fraction(c) / number**k for k, c in enumerate(self.coefficients))
+        return polynomial(scaled, self.about * factor)
+
+    def __repr__(self) -> str:
+        shown = ", ".join(repr(c) for c in self.coefficients[:_SHOWN])
+        if len(self.coefficients) > _SHOWN:
+            shown += f", ... {len(self.coefficients)} in all"
+        place = f", about={self.about!r}" if self.about else ""
+        return f"Polynomial(({shown}{',' if self.degree == 0 else ''}){place})"
+
+
+@final
+class Constant(Polynomial):
+    """The same value everywhere."""
+
+    __slots__ = ()
+
+    def __init__(self, value: float) -> None:
+        super().__init__((finite("Constant", "value", value),))
+
+    def value(self, argument: float) -> float:
+        """Whatever the argument, if it is finite."""
+        if not -LARGEST <= argument <= LARGEST:
+            self._refuse(argument)
+        return self._top
+
+    def _parameters(self) -> tuple[object, ...]:
+        return (self._top,)
+
+    def __repr__(self) -> str:
+        return f"Constant({self._top!r})"
+
+
+def polynomial(coefficients: Iterable[float], about: float) -> Polynomial:
+    """The polynomial; a `Constant` if it is one.
+
+    Raises:
+        UsageError: a coefficient is too large for a double.
+    """
+    numbers = tuple(coefficients)
+    if not all(isfinite(c) for c in numbers):
+        raise UsageError(f"a polynomial about {about!r} would have coefficients beyond 1.8e308")
+    made = Polynomial(numbers, about)
+    return Constant(made.coefficients[0]) if made.degree == 0 else made
