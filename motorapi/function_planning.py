@@ -4,7 +4,7 @@ Pure functions. The function says itself where it is extreme (exactly, if it is 
 limit is not missed between two samples. U stands for the unit of the control variable.
 """
 
-from math import inf
+from math import inf, nextafter
 from typing import TYPE_CHECKING, Final
 
 from motorapi.commands import ControlMode, ControlVariable, DerivativeLimits, Motion, Range
@@ -17,7 +17,10 @@ if TYPE_CHECKING:
     from motorapi.arguments import Argument
 
 _STEP_S: Final = 0.01
-"""A motion may begin and end with the velocity that its acceleration makes in this time."""
+"""A velocity may step by what the acceleration makes in this time: samples are no smoother."""
+
+_VALUE_STEP_S: Final = 1e-6
+"""A position may step by what the velocity makes in this time: rounding, that is."""
 
 
 def check(
@@ -31,7 +34,7 @@ def check(
 
     Raises:
         LimitError: a derivative, or an absolute value, leaves the limits; says where.
-        UsageError: it does not begin or end at rest.
+        UsageError: it steps, or does not begin and end at rest.
     """
     limits = trajectory.limits
     if not trajectory.relative:
@@ -40,14 +43,17 @@ def check(
         if argument is None:
             unit = model.unit_of(variable) + ("/s", "/s²", "/s³")[order - 1]
             _check_derivative(motor, trajectory, order, (low, high), (1.0, quantity, unit))
+            below = model.unit_of(variable) + ("", "/s", "/s²")[order - 1]
+            at_once = _VALUE_STEP_S if variable is ControlVariable.POSITION else _STEP_S
+            step = min(-low, high) * (at_once if order == 1 else _STEP_S)
+            rests = order == 2 and variable is ControlVariable.POSITION
+            _check_steps(motor, trajectory, order - 1, step, below, rests=rests)
         elif order == 1 and argument.rate_max is not None:
             # How fast the rate itself changes is not known, so higher orders cannot be checked.
             size = min(-low, high)
             unit = f"{model.unit_of(variable)}/s while the {argument.name} changes fastest"
             told = (argument.rate_max, quantity, unit)
             _check_derivative(motor, trajectory, order, (-size, size), told)
-    if variable is ControlVariable.POSITION and argument is None:
-        _check_ends(motor, model, trajectory)
 
 
 def plan(
@@ -179,16 +185,32 @@ def _check_derivative(
             )
 
 
-def _check_ends(motor: str, model: MotorModel, trajectory: ComplexTrajectory) -> None:
-    """A motion from rest to rest: a step of velocity at an end would be an endless acceleration."""
-    step = min(model.acceleration_max, model.deceleration) * _STEP_S
-    derivative = trajectory.function.derivative()
-    for what, where in zip(("begins", "ends"), trajectory.interval, strict=True):
-        velocity = derivative.value(where)
-        if abs(velocity) > step:
+def _check_steps(
+    motor: str,
+    trajectory: ComplexTrajectory,
+    order: int,
+    allowed: float,
+    unit: str,
+    *,
+    rests: bool,
+) -> None:
+    """No step of a derivative that would need more of the next one than there is.
+
+    Steps are where pieces meet; and at both ends, if the motor `rests` there.
+    """
+    low, high = trajectory.interval
+    function = trajectory.function.derivative(order)
+    steps = [
+        (where, function.value(where) - function.value(nextafter(where, -inf)))
+        for where in function.breaks_between(low, high)
+        if low < where < high
+    ]
+    if rests:
+        steps += [(low, function.value(low)), (high, -function.value(high))]
+    for where, step in steps:
+        if abs(step) > allowed:
             raise UsageError(
-                f"{motor}: the trajectory {what} at {velocity:g} {model.unit}/s (argument"
-                f" {where:g}), the motor is at rest there; allowed is a step of {step:g}"
-                f" {model.unit}/s. Lead it in and out with a Piecewise, or begin where its"
-                " derivative is 0"
+                f"{motor}: the trajectory steps by {step:g} {unit} at argument {where:g}"
+                f"{' (the motor is at rest there)' if where in (low, high) else ''}, allowed is"
+                f" {allowed:g} {unit}; join it smoothly, or begin and end where its derivative is 0"
             )

@@ -104,26 +104,30 @@ class TrapezoidalTrajectory:
         return None if self.duration_s is None else self.initial_argument + self.duration_s
 
     def __repr__(self) -> str:
-        unit = "rad|m"
         if self.initial is None:
-            way = f"by {self.final!r} {unit}"
+            way = f"by {self.final!r}"
         else:
-            way = f"from {self.initial!r} to {self.final!r} {unit}"
+            way = f"from {self.initial!r} to {self.final!r}"
         time = "as fast as allowed" if self.duration_s is None else f"in {self.duration_s!r} s"
         parts = [way, time]
-        if any(self.initial_derivatives):
-            parts.append(f"beginning with {self.initial_derivatives!r}")
-        if any(self.final_derivatives):
-            parts.append(f"ending with {self.final_derivatives!r}")
+        for what, derivatives in (
+            ("initial", self.initial_derivatives),
+            ("final", self.final_derivatives),
+        ):
+            for order, value in zip(("first", "second"), derivatives, strict=False):
+                if value:
+                    parts.append(f"{what} {order} derivative {value!r}")
+        if self.initial_argument:
+            parts.append(f"beginning at {self.initial_argument!r} s")
         if self.limits is not None:
-            for name, limit, per in (
-                ("value", self.limits.value, ""),
-                ("velocity", self.limits.first, "/s"),
-                ("acceleration", self.limits.second, "/s²"),
-                ("jerk", self.limits.third, "/s³"),
+            for name, limit in (
+                ("value", self.limits.value),
+                ("first derivative", self.limits.first),
+                ("second derivative", self.limits.second),
+                ("third derivative", self.limits.third),
             ):
                 if limit is not None:
-                    parts.append(f"{name} {_range(limit)} {unit}{per}")
+                    parts.append(f"{name} {_range(limit)}")
         return f"<TrapezoidalTrajectory {', '.join(parts)}>"
 
 

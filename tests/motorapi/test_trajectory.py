@@ -1,0 +1,259 @@
+"""Complex trajectories as values, what of them is refused, and what trajectories demand."""
+
+import pickle
+from math import inf, nan, pi
+
+import pytest
+from hypothesis import event, given
+from hypothesis import strategies as st
+
+from motorapi import (
+    ComplexTrajectory,
+    ControlMode,
+    ControlVariable,
+    DerivativeLimits,
+    LimitError,
+    MotorModel,
+    MotorPosition,
+    StateError,
+    TrapezoidalTrajectory,
+    UnsupportedError,
+    UsageError,
+    planning,
+)
+from motorapi.demand import demand_of
+from motorapi.functions import Piecewise, Polynomial
+from motorapi.state import Measurement, MotorState
+
+MODEL = MotorModel(
+    name="wheel", velocity_max=2.0, acceleration_max=4.0, position_min=-3.0, position_max=3.0
+)
+P, V, T = ControlVariable.POSITION, ControlVariable.VELOCITY, ControlVariable.TORQUE
+
+
+def rest_to_rest(distance, duration_s):
+    """3 s² - 2 s³: from rest to rest."""
+    d, t = distance, duration_s
+    return Polynomial((0.0, 0.0, 3.0 * d / t**2, -2.0 * d / t**3)).restricted(0.0, t)
+
+
+def test_a_complex_trajectory_is_a_value():
+    one = ComplexTrajectory(rest_to_rest(1.0, 2.0), relative=True)
+    same = ComplexTrajectory(rest_to_rest(1.0, 2.0), 0, 2, relative=True)
+    assert one == same
+    assert hash(one) == hash(same)
+    assert pickle.loads(pickle.dumps(one)) == one
+    assert one != ComplexTrajectory(rest_to_rest(1.0, 2.0))
+    assert one.interval == (0.0, 2.0)
+    assert "from 0.0 to 2.0, relative" in repr(one)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "says"),
+    [
+        (("sine",), "no function"),
+        ((Polynomial((0.0, 1.0)),), "finite beginning and end"),
+        ((rest_to_rest(1.0, 2.0), 0.0, 2.5), "final_argument 2.5 lies outside .* 0 to 2"),
+        ((rest_to_rest(1.0, 2.0), -1.0), "initial_argument -1 lies outside"),
+        ((rest_to_rest(1.0, 2.0), 1.0, 1.0), "no interval"),
+        ((rest_to_rest(1.0, 2.0), nan), "initial_argument is nan"),
+        ((rest_to_rest(1.0, 2.0), "0"), "initial_argument is '0'"),
+    ],
+)
+def test_what_is_no_complex_trajectory_is_told(arguments, says):
+    with pytest.raises(UsageError, match=says):
+        ComplexTrajectory(*arguments)
+
+
+def test_boundary_derivatives_are_part_of_the_value():
+    one = TrapezoidalTrajectory(1.0, 0.0, initial_derivatives=(0.5,), final_derivatives=[0.0, 1])
+    assert (one.initial_velocity, one.final_velocity) == (0.5, 0.0)
+    assert one.final_derivatives == (0.0, 1.0)
+    assert repr(one) == (
+        "<TrapezoidalTrajectory from 0.0 to 1.0, as fast as allowed, initial first derivative 0.5,"
+        " final second derivative 1.0>"
+    )
+    assert pickle.loads(pickle.dumps(one)) == one
+    later = TrapezoidalTrajectory(1.0, duration_s=2.0, initial_argument=3.0)
+    assert later.final_argument == 5.0
+    for wrong in ((1.0, 2.0, 3.0), 1.0, (inf,)):
+        with pytest.raises(UsageError, match="initial_derivatives"):
+            TrapezoidalTrajectory(1.0, initial_derivatives=wrong)
+    with pytest.raises(UsageError, match="first derivative"):
+        TrapezoidalTrajectory(1.0, initial_derivatives=(2,), limits=DerivativeLimits(first=1.0))
+
+
+def check(trajectory, variable=P, argument=None):
+    planning.check_trajectory("wheel", MODEL, variable, trajectory, argument)
+
+
+@pytest.mark.parametrize(
+    ("function", "variable", "quantity"),
+    [
+        (rest_to_rest(2.0, 1.0), P, "velocity of the trajectory 3"),
+        (rest_to_rest(0.5, 0.8), P, "acceleration of the trajectory"),
+        (rest_to_rest(3.1, 9.0), P, "target position 3.1"),
+        (rest_to_rest(2.1, 9.0), V, "target velocity 2.1"),
+        (rest_to_rest(1.9, 0.5), V, "acceleration of the trajectory"),
+    ],
+)
+def test_a_function_that_leaves_a_limit_is_refused_and_says_where(function, variable, quantity):
+    with pytest.raises(LimitError, match=quantity):
+        check(ComplexTrajectory(function), variable)
+
+
+def test_a_function_with_a_kink_or_a_jump_is_refused():
+    ramp = Polynomial((0.0, 1.0)).restricted(0.0, 1.0)
+    with pytest.raises(UsageError, match=r"steps by 1 rad/s at argument 0 \(the motor is at rest"):
+        check(ComplexTrajectory(ramp))
+    kink = Piecewise((0.0, 1.0, 2.0), (Polynomial((0.0, 0.0, 0.5)), Polynomial((0.5,))))
+    with pytest.raises(UsageError, match="steps by -1 rad/s at argument 1,"):
+        check(ComplexTrajectory(kink))
+    jump = Piecewise((0.0, 1.0, 2.0), (Polynomial((0.0,)), Polynomial((0.5,))))
+    with pytest.raises(UsageError, match=r"steps by 0\.5 rad at argument 1,"):
+        check(ComplexTrajectory(jump))
+    with pytest.raises(UsageError, match=r"steps by 0\.5 rad/s at argument 1,"):
+        check(ComplexTrajectory(jump), V)
+    check(ComplexTrajectory(jump), T)  # torque may step
+
+
+def test_only_motions_from_rest_to_rest_are_executed():
+    with pytest.raises(UnsupportedError, match=r"ends at 0.5 rad/s"):
+        check(TrapezoidalTrajectory(1.0, final_derivatives=(0.5,)))
+    with pytest.raises(UnsupportedError, match=r"begins at 0.5 rad/s"):
+        check(TrapezoidalTrajectory(1.0, initial_derivatives=(0.5,)))
+
+
+class Leading:
+    name = "leader"
+    model = MODEL
+    heard = Measurement(0, MotorState.ENABLED, 0.5)
+
+    def latest(self):
+        return self.heard
+
+
+def test_over_another_motors_position_its_speed_counts():
+    argument = MotorPosition(Leading())
+    assert argument.value() == 0.5
+    gear = Polynomial((0.0, 1.0)).restricted(-1.0, 1.0)
+    check(ComplexTrajectory(gear), argument=argument)  # it moves as fast as the leader, no faster
+    with pytest.raises(LimitError, match=r"velocity of the trajectory 2.2 .* position of leader"):
+        check(ComplexTrajectory(gear * 1.1), argument=argument)
+    with pytest.raises(UnsupportedError, match="over the position of leader"):
+        check(TrapezoidalTrajectory(1.0), argument=argument)
+    argument = MotorPosition(Leading())
+    Leading.heard = None
+    with pytest.raises(UsageError, match="has not been heard"):
+        argument.value()
+
+
+def planned(trajectory, variable=P, reference=0.0):
+    check(trajectory, variable)
+    return planning.plan_trajectory("wheel", MODEL, variable, trajectory, reference)
+
+
+def test_a_relative_function_begins_where_the_motor_is_and_an_absolute_one_must():
+    function = rest_to_rest(1.0, 2.0) + 0.25
+    motion = planned(ComplexTrajectory(function, relative=True), reference=1.5)
+    assert (motion.start, motion.target, motion.duration_s) == (1.5, 2.5, 2.0)
+    assert demand_of(motion).value(1.0) == 2.0
+    assert planned(ComplexTrajectory(function), reference=0.25).target == 1.25
+    with pytest.raises(StateError, match=r"begins at 0.25 rad, the motor is at 1.5 rad"):
+        planned(ComplexTrajectory(function), reference=1.5)
+    with pytest.raises(LimitError, match=r"target position 3.5"):
+        planned(ComplexTrajectory(function, relative=True), reference=2.5)
+
+
+@pytest.mark.parametrize(
+    ("trajectory", "takes_s"),
+    [
+        (TrapezoidalTrajectory(2.0), 0.5),  # 2 rad/s at 4 rad/s²
+        (TrapezoidalTrajectory(2.0, limits=DerivativeLimits(first=1.0)), 2.0),
+        (TrapezoidalTrajectory(2.0, duration_s=4.0), 4.0),
+        (TrapezoidalTrajectory(-2.0, initial=0.0), 0.5),
+    ],
+)
+def test_a_trajectory_of_velocity_is_a_ramp(trajectory, takes_s):
+    motion = planned(trajectory, V)
+    assert motion.duration_s == pytest.approx(takes_s, rel=1e-12)  # a division
+    demand = demand_of(motion)
+    assert demand.final_argument == motion.duration_s
+    assert demand.value(takes_s / 2.0) == pytest.approx(trajectory.final / 2.0, rel=1e-12)
+    assert demand.first(takes_s / 2.0) == pytest.approx(trajectory.final / takes_s, rel=1e-12)
+    assert demand.value(takes_s + 1.0) == trajectory.final
+
+
+def test_a_trajectory_of_torque_needs_a_slope_or_a_duration():
+    torque_model = MotorModel(name="m", velocity_max=1.0, acceleration_max=1.0, torque_max=5.0)
+    with pytest.raises(UsageError, match="duration_s"):
+        planning.check_trajectory("m", torque_model, T, TrapezoidalTrajectory(2.0))
+    with pytest.raises(LimitError, match="target torque 6"):
+        planning.check_trajectory("m", torque_model, T, TrapezoidalTrajectory(6.0, initial=0.0))
+    motion = planning.plan_trajectory(
+        "m", torque_model, T, TrapezoidalTrajectory(2.0, duration_s=4.0), 1.0
+    )
+    assert (motion.start, motion.target, motion.slope) == (1.0, 3.0, 0.5)
+
+
+durations = st.floats(0.2, 5.0)
+distances = st.floats(-3.0, 3.0)
+
+
+@given(distances, durations, st.floats(-1.0, 1.0))
+def test_what_is_let_pass_never_exceeds_a_limit(distance, duration_s, reference):
+    trajectory = ComplexTrajectory(rest_to_rest(distance, duration_s), relative=True)
+    try:
+        motion = planned(trajectory, reference=reference)
+    except LimitError:
+        event("refused")
+        # Closed form of 3 s² - 2 s³: peak velocity 1.5 D/T, peak acceleration 6 D/T².
+        size = abs(distance)
+        assert (
+            size * 1.5 / duration_s > 2.0 * (1 - 1e-9)
+            or size * 6.0 / duration_s**2 > 4.0 * (1 - 1e-9)
+            or abs(reference + distance) > 3.0 * (1 - 1e-9)
+        )
+        return
+    event("let pass")
+    demand = demand_of(motion)
+    for step in range(101):
+        time_s = duration_s * step / 100.0
+        assert -3.0 - 1e-8 <= demand.value(time_s) <= 3.0 + 1e-8
+        assert abs(demand.first(time_s)) <= 2.0 + 1e-8
+        assert abs(demand.second(time_s)) <= 4.0 + 1e-8
+
+
+@given(
+    st.floats(-6.0, 6.0).filter(lambda d: abs(d) > 1e-3),
+    st.floats(0.1, 2.0),
+    st.none() | st.floats(1.0, 3.0),
+)
+def test_a_demand_is_the_integral_of_its_derivatives(distance, speed, longer):
+    limits = DerivativeLimits(first=speed, second=(-3.0, 1.5))
+    model = MotorModel(name="m", velocity_max=2.0, acceleration_max=4.0)
+    trajectory = TrapezoidalTrajectory(distance, limits=limits)
+    motion = planning.plan_trajectory("m", model, P, trajectory, 0.5)
+    if longer is not None:
+        assert motion.duration_s is not None
+        motion = planning.stretch(motion, motion.duration_s * longer)
+    demand = demand_of(motion)
+    assert demand.value(0.0) == 0.5
+    assert demand.value(demand.final_argument) == 0.5 + distance
+    steps = 400
+    step_s = demand.final_argument / steps
+    way, velocity = 0.0, 0.0
+    for step in range(steps):
+        middle_s = (step + 0.5) * step_s
+        way += demand.first(middle_s) * step_s
+        velocity += demand.second(middle_s) * step_s
+        assert abs(demand.value(middle_s + 0.5 * step_s) - 0.5 - way) <= 4.0 * step_s**2
+        assert abs(demand.first(middle_s + 0.5 * step_s) - velocity) <= 8.0 * step_s
+    assert abs(demand.first(pi * demand.final_argument)) == 0.0
+
+
+def test_a_set_point_demands_nothing_in_between():
+    motion = planning.plan_setpoint("m", MODEL, P, planning.Setpoint(1.0), 0.0)
+    assert motion.mode is ControlMode.SETPOINT
+    with pytest.raises(ValueError, match="no profile"):
+        demand_of(motion)
