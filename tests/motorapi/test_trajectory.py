@@ -91,6 +91,7 @@ def check(trajectory, variable=P, argument=None):
     ("function", "variable", "quantity"),
     [
         (rest_to_rest(2.0, 1.0), P, "velocity of the trajectory 3"),
+        (rest_to_rest(-2.9, 2.1), P, "velocity of the trajectory -2.07"),
         (rest_to_rest(0.5, 0.8), P, "acceleration of the trajectory"),
         (rest_to_rest(3.1, 9.0), P, "target position 3.1"),
         (rest_to_rest(2.1, 9.0), V, "target velocity 2.1"),
