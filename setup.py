@@ -20,6 +20,7 @@ HOT = (
     "emulators/plant/*.py",
     "emulators/firmware/*.py",
     "emulators/canopen/*.py",
+    "emulators/cia401/*.py",
     "emulators/cia402/*.py",
     "harness/bus_ears.py",
     "harness/virtual_time.py",

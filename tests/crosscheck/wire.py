@@ -9,7 +9,8 @@ from collections.abc import Callable
 from pathlib import Path
 from random import Random
 
-from emulators.cia402.factory import build
+from emulators.cia401.factory import build as build_io_node
+from emulators.cia402.factory import build as build_drive
 from emulators.controller import ControllerContext
 from emulators.event_queue import EventQueue
 from emulators.media.can_bus import CanBus
@@ -44,7 +45,10 @@ def text_of(raw: bytes) -> str:
 
 
 class Wire:
-    """One bus: drives by node-ID, a host, and everything that was on it, in `log`."""
+    """One bus: drives by node-ID, a host, and everything that was on it, in `log`.
+
+    A table with `kind` "cia401" is an I/O node's.
+    """
 
     def __init__(self, *drives: dict, bitrate: int = 1_000_000, seed: int = 1) -> None:
         self.queue = EventQueue()
@@ -60,7 +64,9 @@ class Wire:
         self.world.tap_events(lambda *event: self.events.append(event))
         for table in drives or ({"node_id": 5},):
             name = f"n{table['node_id']}"
-            core = build(table, ControllerContext(name=name, folder=Path(), seed=seed))
+            settings = {key: value for key, value in table.items() if key != "kind"}
+            build = build_io_node if table.get("kind") == "cia401" else build_drive
+            core = build(settings, ControllerContext(name=name, folder=Path(), seed=seed))
             self.world.add_controller(name, core, "can0")
         self.host = self.world.add_host("can0", "host", self._heard)
 

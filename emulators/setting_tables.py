@@ -1,0 +1,182 @@
+"""What the settings tables of emulated controllers have in common, checked key by key.
+
+A wrong key or value is a `SettingError` that names the keys down to it and what would be right;
+whoever read the file adds file and line.
+"""
+
+import difflib
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, fields, replace
+from pathlib import Path
+from typing import Final, final
+
+from emulators.controller import SettingError
+from emulators.plant.dc_motor import PI, RANGES, MotorPlant
+from emulators.plant.presets import PRESETS
+
+DEFAULT_PRESET: Final = "wheel_60w"
+
+_NS_PER_S: Final = 1_000_000_000
+_OPTIONAL: Final[dict[str, float]] = {
+    "viscous_friction_n_m_s_rad": 0.0,
+    "gear_ratio": 1.0,
+    "load_inertia_kg_m2": 0.0,
+    "load_torque_n_m": 0.0,
+}
+_DATA_SHEET: Final = tuple(f.name for f in fields(MotorPlant) if f.name not in _OPTIONAL)
+_OBJECT: Final = re.compile("([0-9A-Fa-f]{4})[hH]?(?::(?:([0-9]{1,3})|([0-9A-Fa-f]{1,2})[hH]))?")
+
+KeyPath = tuple[str, ...]
+"""The keys down to a table or a value."""
+
+
+@final
+@dataclass(frozen=True, slots=True)
+class ObjectValue:
+    """What the rig wants an object to be at power-on; `key` as the rig writes it."""
+
+    key: str
+    index: int
+    subindex: int
+    value: int | float | str
+
+
+def table_in(table: Mapping[str, object], key: str, path: KeyPath = ()) -> Mapping[str, object]:
+    """The table of that key; an empty one where there is none."""
+    value = table.get(key, {})
+    if not isinstance(value, Mapping):
+        place = ".".join(("controller", "NAME", *path, key))
+        raise SettingError((*path, key), f"{value!r} is no table", f"write [{place}]")
+    return value
+
+
+def refuse_unknown(table: Mapping[str, object], known: Sequence[str], path: KeyPath) -> None:
+    """Raises SettingError at the first key that is not `known`, suggesting the nearest."""
+    for key in table:
+        if key not in known:
+            close = [name for name in known if name.startswith(key)]
+            close = close or difflib.get_close_matches(key, known, n=1)
+            guess = f"did you mean {close[0]}? " if close else ""
+            raise SettingError((*path, key), "is not known", f"{guess}known: {', '.join(known)}")
+
+
+def number(value: object, path: KeyPath, low: float, high: float) -> float:
+    """The value, a number from `low` to `high`."""
+    if isinstance(value, bool) or not isinstance(value, int | float):
+        raise SettingError(path, f"{value!r} is no number", f"{low:g}..{high:g}, without quotes")
+    if not low <= value <= high:
+        raise SettingError(path, f"{value} is outside {low:g}..{high:g}")
+    return float(value)
+
+
+def whole(value: object, path: KeyPath, low: int, high: int) -> int:
+    """The value, a whole number from `low` to `high`."""
+    if isinstance(value, bool) or not isinstance(value, int):
+        raise SettingError(path, f"{value!r} is no whole number", f"{low}..{high}")
+    if not low <= value <= high:
+        raise SettingError(path, f"{value} is outside {low}..{high}")
+    return value
+
+
+def duration_ns(
+    table: Mapping[str, object],
+    key: str,
+    default_s: float,
+    path: KeyPath,
+    low_s: float = 0,
+    high_s: float = 3600,
+) -> int:
+    """The time of that key, given in seconds [ns]."""
+    value = number(table.get(key, default_s), (*path, key), low_s, high_s)
+    return round(value * _NS_PER_S)
+
+
+def node_id_in(table: Mapping[str, object]) -> int:
+    """The node-ID, which must be there."""
+    if "node_id" not in table:
+        raise SettingError(("node_id",), "is missing", "a number 1..127")
+    return whole(table["node_id"], ("node_id",), 1, 127)
+
+
+def eds_in(table: Mapping[str, object], folder: Path, own: Path) -> Path:
+    """The EDS named in the table, from `folder` on; `own` where none is."""
+    value = table.get("eds")
+    if value is None:
+        return own
+    if not isinstance(value, str) or not value:
+        raise SettingError(("eds",), f"{value!r} is no path", 'a file name: eds = "drive.eds"')
+    path = folder / value
+    if not path.is_file():
+        raise SettingError(
+            ("eds",), f"there is no file {path}", "check the path; without eds our own is used"
+        )
+    return path
+
+
+def plant_of(table: Mapping[str, object], path: KeyPath = ("plant",)) -> MotorPlant:
+    """The motor a plant table describes: a preset, all its numbers, or a preset and some."""
+    names = tuple(field.name for field in fields(MotorPlant))
+    refuse_unknown(table, ("preset", *names), path)
+    preset = table.get("preset")
+    if preset is not None and (not isinstance(preset, str) or preset not in PRESETS):
+        raise SettingError(
+            (*path, "preset"), f"there is no preset {preset!r}", f"known: {', '.join(PRESETS)}"
+        )
+    numbers: dict[str, float] = {}
+    for name in names:
+        if name in table:
+            numbers[name] = (
+                whole(table[name], (*path, name), 1, 1 << 31)
+                if name == "encoder_increments_rev"
+                else number(table[name], (*path, name), *RANGES[name])
+            )
+    base = PRESETS[preset] if isinstance(preset, str) else PRESETS[DEFAULT_PRESET]
+    needed = [name for name in names if name not in numbers and name in _DATA_SHEET]
+    if preset is None and numbers and needed:
+        raise SettingError(
+            path,
+            f"{', '.join(needed)} missing",
+            f"give all data-sheet numbers, or start from a preset: {', '.join(PRESETS)}",
+        )
+    if preset is None and numbers:
+        base = replace(base, **_OPTIONAL)  # type: ignore[arg-type]  # names of its own fields
+    try:
+        return replace(base, **numbers)  # type: ignore[arg-type]  # checked above, name by name
+    except ValueError as error:
+        name = str(error).split(" ", 1)[0]
+        raise SettingError((*path, name), str(error).partition(": ")[2]) from error
+
+
+def initial_position_rad(
+    table: Mapping[str, object], plant: MotorPlant, path: KeyPath = ()
+) -> float:
+    """Where the output stands at power-on; within 32 bits of increments."""
+    path = (*path, "initial_position_rad")
+    position_rad = number(table.get("initial_position_rad", 0.0), path, -1e9, 1e9)
+    inc_rad = plant.encoder_increments_rev * plant.gear_ratio / (2.0 * PI)
+    if abs(position_rad * inc_rad) >= 1 << 31:
+        message = f"{position_rad * inc_rad:.0f} increments do not fit 32 bits"
+        limit_rad = (1 << 31) / inc_rad
+        raise SettingError(path, message, f"at most {limit_rad:g} rad either way")
+    return position_rad
+
+
+def objects_of(table: Mapping[str, object]) -> tuple[ObjectValue, ...]:
+    """The power-on values of objects that a table named `objects` gives."""
+    entries: dict[tuple[int, int], ObjectValue] = {}
+    for key, value in table.items():
+        path = ("objects", key)
+        found = _OBJECT.fullmatch(key)
+        if found is None:
+            raise SettingError(path, "is no object", 'like "6065h" or "1A00h:1"')
+        index, decimal, hexadecimal = found.groups()
+        place = (int(index, 16), int(hexadecimal, 16) if hexadecimal else int(decimal or "0"))
+        if place[0] < 0x1000 or place[1] > 254:
+            raise SettingError(path, "is no object", "1000h..FFFFh, sub-index 0..254")
+        if isinstance(value, bool) or not isinstance(value, int | float | str):
+            raise SettingError(path, f"{value!r} is no value", "a number, or a text for a string")
+        if place in entries:
+            raise SettingError(path, "is given twice", "take one out")
+        entries[place] = ObjectValue(key, *place, value)
+    return tuple(entries.values())

@@ -1,0 +1,52 @@
+"""An I/O node on the bench of the drives: time is played, frames are packed by hand."""
+
+import struct
+from pathlib import Path
+
+from emulators.cia401.factory import build
+from emulators.cia401.node import IoNode
+from emulators.controller import ControllerContext
+from tests.emulators.cia402.bench import MS, NODE, Bench
+
+HOST = 127
+
+
+def new_node(folder: Path = Path(), **settings: object) -> IoNode:
+    table = {"node_id": NODE, **settings}
+    node = build(table, ControllerContext(name="io", folder=folder, seed=1))
+    assert isinstance(node, IoNode)
+    return node
+
+
+class IoBench(Bench):
+    """`Bench` with the words of an I/O node."""
+
+    def __init__(self, **settings: object) -> None:
+        super().__init__(drive=new_node(**settings))
+
+    def outputs(self, *raw: int) -> None:
+        """RPDO 2 as the node has it by default: analogue outputs, at once."""
+        self.send(0x300 + NODE, struct.pack(f"<{len(raw)}h", *raw))
+
+    def enables(self, bits: int) -> None:
+        """RPDO 1: digital outputs."""
+        self.send(0x200 + NODE, bytes((bits,)))
+
+    def ready(self) -> "IoBench":
+        """Operational, all amplifiers enabled and ready."""
+        self.operational()
+        self.enables(0xFF)
+        self.run(6 * MS)
+        return self
+
+    def heartbeat(self) -> None:
+        self.send(0x700 + HOST, b"\x05")
+
+    def watch_host(self, within_ms: int = 100) -> None:
+        self.set(0x1016, 1, HOST << 16 | within_ms, 4)
+        self.heartbeat()
+
+    def counts(self) -> tuple[int, int]:
+        """TPDO 2 of a SYNC now: two counters."""
+        self.sync()
+        return struct.unpack("<ii", self.last(0x280 + NODE))

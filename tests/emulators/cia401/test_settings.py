@@ -1,0 +1,98 @@
+"""What a rig may say of an I/O node."""
+
+from pathlib import Path
+
+import pytest
+
+from emulators.cia401.factory import build
+from emulators.cia401.settings import OWN_EDS, read_settings
+from emulators.cia402.settings import OWN_EDS as DRIVE_EDS
+from emulators.controller import ControllerContext, SettingError
+from emulators.plant.presets import PRESETS
+
+
+def test_everything_but_the_node_id_has_a_default():
+    settings = read_settings({"node_id": 5}, Path())
+    (channel,) = settings.channels
+    assert settings.eds == OWN_EDS
+    assert channel.plant == PRESETS["wheel_60w"]
+    assert channel.current_per_volt_a_v == 0.8  # 10 V: the 8 A that the amplifier allows
+    assert (channel.tick_ns, channel.current_steps, channel.enable_ns) == (250_000, 5, 5_000_000)
+
+
+def test_channels_share_what_the_rig_says_and_differ_where_it_says_so():
+    table = {
+        "node_id": 5,
+        "channels": 3,
+        "plant": {"preset": "wheel_60w", "gear_ratio": 50.0},
+        "amplifier": {"current_per_volt_a_v": 0.5, "enable_s": 0.1},
+        "initial_position_rad": 0.25,
+        "channel": {
+            "2": {"plant": {"gear_ratio": 10.0}, "initial_position_rad": -1.0},
+            "3": {"plant": {"preset": "mast_20w"}, "amplifier": {"current_per_volt_a_v": 0.3}},
+        },
+    }
+    first, second, third = read_settings(table, Path()).channels
+    assert [one.plant.gear_ratio for one in (first, second, third)] == [50.0, 10.0, 100.0]
+    assert [one.current_per_volt_a_v for one in (first, second, third)] == [0.5, 0.5, 0.3]
+    assert [one.initial_position_rad for one in (first, second, third)] == [0.25, -1.0, 0.25]
+    assert third.enable_ns == 100_000_000
+
+
+@pytest.mark.parametrize(
+    ("table", "text"),
+    [
+        ({"node_id": 0}, "node_id: 0 is outside 1..127"),
+        ({"node_id": None}, "node_id: None is no whole number"),
+        ({"chanels": 2}, "chanels: is not known; did you mean channels?"),
+        ({"channels": 5}, "channels: 5 is outside 1..4"),
+        ({"channel": {"2": {}}}, "channel.2: is not known; known: 1"),
+        ({"channel": {"1": 3}}, "channel.1: 3 is no table; write [controller.NAME.channel.1]"),
+        ({"channel": {"1": {"servo": {}}}}, "channel.1.servo: is not known"),
+        (
+            {"channel": {"1": {"plant": {"preset": "tank"}}}},
+            "channel.1.plant.preset: there is no preset 'tank'",
+        ),
+        ({"plant": {"gear_ratio": 3}}, "plant: resistance_ohm, inductance_h"),
+        (
+            {"amplifier": {"current_per_volt_a_v": 0}},
+            "amplifier.current_per_volt_a_v: 0 is outside 1e-06..1e+06",
+        ),
+        ({"amplifier": {"gain": 1}}, "amplifier.gain: is not known"),
+        ({"amplifier": {"current_steps": 3}}, "3 steps do not divide 250000 ns"),
+        (
+            {"channel": {"1": {"amplifier": {"enable_s": -1}}}},
+            "channel.1.amplifier.enable_s: -1 is outside 0..3600",
+        ),
+        (
+            {"channel": {"1": {"initial_position_rad": 1e9}}},
+            "channel.1.initial_position_rad: 21",
+        ),
+        ({"timing": {"boot_s": 3}}, "timing.boot_s: is not known; did you mean boot_up_s?"),
+        ({"eds": "none.eds"}, "eds: there is no file"),
+        ({"eds": str(DRIVE_EDS)}, "has no 6000h:1, 6200h:1, 6411h:1, 6820h:1: it is no file of"),
+        ({"objects": {"6443h:2": 0}}, "objects.6443h:2: motorhil_cia401.eds has no such object"),
+        ({"objects": {"6443h:1": 2}}, "objects.6443h:1: 2 is outside 0..1"),
+        ({"objects": {"6443h:1": 0.5}}, "objects.6443h:1: 0.5 is no whole number"),
+        ({"objects": {"6443h:1": "x"}}, "objects.6443h:1: 'x' is no number"),
+    ],
+)
+def test_what_is_wrong_is_named(table, text):
+    with pytest.raises(SettingError) as caught:
+        build({"node_id": 5, **table}, ControllerContext("io", Path(), 1))
+    assert text in str(caught.value)
+
+
+def test_objects_of_the_rig_are_power_on_values():
+    table = {"node_id": 5, "objects": {"6444h:1": -3277, "1008h": "mine"}}
+    node = build(table, ControllerContext("io", Path(), 1))
+    assert node.od.integer(0x6444, 1, 0) == -3277
+    assert node.od.get(0x1008).default == b"mine"
+
+
+def test_the_file_has_no_object_without_behaviour_and_no_warning():
+    node = build({"node_id": 5, "channels": 4}, ControllerContext("io", Path(), 1))
+    assert list(node.take_events()) == []
+    readers = [index for index in (0x6000, 0x6820) if node.od.get(index, 1).reader is None]
+    writers = [index for index in (0x6200, 0x6411, 0x6810) if node.od.get(index, 1).writer is None]
+    assert (readers, writers) == ([], [])
