@@ -306,10 +306,10 @@ class Rig:
         settings: dict[str, object] = {"name": name, **motor.settings}
         if motor.node_id is not None:
             settings["node_id"] = motor.node_id
-        bus, model = self.bus(motor.bus), self._models[name]
+        bus = None if motor.bus is None else self.bus(motor.bus)
         with self._blaming(plugin, (*place, "adaptation")):
             try:
-                built: Motor = build(bus, settings, model, self.runtime)
+                built: Motor = build(bus, settings, self._models[name], self.runtime)
             except UsageError as error:
                 word = str(error).partition(" ")[0].rstrip(":")  # mostly the key at fault
                 path = (*place, word) if word in settings else place
@@ -340,7 +340,16 @@ class Rig:
 
 def installed_plugins() -> Known:
     """The plugins of this Python environment that a rig may name."""
-    return Known(tuple(installed(CONTROLLERS)), tuple(installed(ADAPTATIONS)))
+    adaptations = installed(ADAPTATIONS)
+
+    def needs_bus(adaptation: str) -> bool | None:
+        try:
+            build = adaptations[adaptation].load()
+        except (Exception, SystemExit):
+            return None
+        return getattr(build, "needs_bus", True) is not False
+
+    return Known(tuple(installed(CONTROLLERS)), tuple(adaptations), needs_bus)
 
 
 def _model(description: RigDescription, motor: str) -> MotorModel:

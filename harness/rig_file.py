@@ -7,13 +7,14 @@ and a motor's own settings are checked by whoever builds them, and told with the
     [rig]                       name, seed
     [bus.NAME]                  kind = "can", bitrate_bit_s
     [controller.NAME]           kind, bus, node_id, and the kind's own settings
-    [motor.NAME]                adaptation, model, controller (or bus and node_id), and its own
+    [motor.NAME]                adaptation, model, and its own; where it is: controller, or bus and
+                                node_id, or nothing, if its adaptation needs no bus
     [group.NAME]                motors
     [[fault]]                   bus, kind, what it hits and when
 """
 
 import re
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from types import MappingProxyType
@@ -74,7 +75,7 @@ class MotorDescription:
 
     Attributes:
         adaptation: the plugin that builds it.
-        bus, node_id: where its controller is.
+        bus, node_id: where its controller is; None if the adaptation needs no bus.
         controller: the emulated controller behind it; None if it names bus and node_id itself.
         model: a motor model file, or the model itself.
         settings: its table without the keys above.
@@ -82,7 +83,7 @@ class MotorDescription:
 
     name: str
     adaptation: str
-    bus: str
+    bus: str | None
     node_id: int | None
     controller: str | None
     model: Path | Mapping[str, object]
@@ -122,13 +123,23 @@ class RigDescription:
         return self.source.error(path, message, remedy)
 
 
+def _all_need_one(adaptation: str) -> bool | None:
+    return True
+
+
 @final
 @dataclass(frozen=True, slots=True)
 class Known:
-    """The plugins a rig may name."""
+    """The plugins a rig may name.
+
+    Attributes:
+        needs_bus: whether a motor of this adaptation is on a bus; None: the adaptation cannot be
+            asked, which whoever builds the motor will tell.
+    """
 
     controllers: tuple[str, ...]
     adaptations: tuple[str, ...]
+    needs_bus: Callable[[str], bool | None] = _all_need_one
 
 
 def read_rig(path: Path, known: Known) -> RigDescription:
@@ -151,7 +162,7 @@ def parse_rig(source: Source, known: Known) -> RigDescription:
     rig = root.table("rig")
     rig.refuse_unknown(RIG_KEYS)
     buses = {name: _bus(name, table) for name, table in _named(root, "bus")}
-    if not buses:
+    if not buses and _needs_bus(root, known):
         raise source.error((), "the rig has no bus", "add [bus.can0]")
     controllers = {
         name: _controller(name, table, buses, known) for name, table in _named(root, "controller")
@@ -172,6 +183,15 @@ def parse_rig(source: Source, known: Known) -> RigDescription:
         faults=read_faults(root, _on_each(buses, controllers)),
         source=source,
     )
+
+
+def _needs_bus(root: Table, known: Known) -> bool:
+    """Whether anything in the rig must be on a bus, or there is nothing at all."""
+    motors = [table for _, table in _named(root, "motor")]
+    if root.table("controller").values or not motors:
+        return True
+    named = [table.values.get("adaptation") for table in motors]
+    return any(isinstance(name, str) and known.needs_bus(name) for name in named)
 
 
 def _rig_name(rig: Table) -> str:
@@ -238,22 +258,39 @@ def _motor(
     if table.has("name"):
         raise table.error("name", f'the motor is called "{name}", as its table', "take it out")
     adaptation = table.one_of("adaptation", known.adaptations, "adaptation")
-    controller: str | None = None
+    bus, node_id, controller = _place(table, adaptation, buses, controllers, known)
+    settings = _without(table, ("adaptation", "controller", "bus", "node_id", "model"))
+    return MotorDescription(name, adaptation, bus, node_id, controller, _model(table), settings)
+
+
+def _place(
+    table: Table,
+    adaptation: str,
+    buses: Mapping[str, BusDescription],
+    controllers: Mapping[str, ControllerDescription],
+    known: Known,
+) -> tuple[str | None, int | None, str | None]:
+    """(bus, node_id, controller) of a motor."""
+    needs_bus = known.needs_bus(adaptation)
+    if needs_bus is False:
+        for key in ("controller", "bus", "node_id"):
+            if table.has(key):
+                problem = f'a motor of adaptation "{adaptation}" is on no bus'
+                raise table.error(key, problem, f"take out {key}")
+        return None, None, None
     if table.has("controller"):
         controller = table.name_of("controller", list(controllers), "controller")
         for key in ("bus", "node_id"):
             if table.has(key):
                 raise table.error(key, "is the controller's to say", f"take out {key}")
-        bus = controllers[controller].bus
-        node_id = controllers[controller].node_id
-    elif table.has("bus"):
-        bus = table.name_of("bus", list(buses), "bus")
-        node_id = _node_id(table)
-    else:
-        known_names = listed(controllers)
-        raise table.missing("controller", f"name one ({known_names}), or write bus and node_id")
-    settings = _without(table, ("adaptation", "controller", "bus", "node_id", "model"))
-    return MotorDescription(name, adaptation, bus, node_id, controller, _model(table), settings)
+        described = controllers[controller]
+        return described.bus, described.node_id, controller
+    if table.has("bus"):
+        return table.name_of("bus", list(buses), "bus"), _node_id(table), None
+    if needs_bus is None:
+        return None, None, None
+    known_names = listed(controllers)
+    raise table.missing("controller", f"name one ({known_names}), or write bus and node_id")
 
 
 def _model(table: Table) -> Path | Mapping[str, object]:

@@ -66,10 +66,10 @@ def start_recording(
 
 
 def watch_motor(
-    recorder: Recorder, motor: "Motor", name: str, bus: str, controller: str | None
+    recorder: Recorder, motor: "Motor", name: str, bus: str | None, controller: str | None
 ) -> None:
     """The motor's state is recorded while it changes, under the name the rig gives it."""
-    heard = () if controller is None else ((bus, controller),)
+    heard = () if bus is None or controller is None else ((bus, controller),)
     recorder.watch_motor(name, _Reader(motor).read, heard)
 
 

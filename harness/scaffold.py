@@ -21,7 +21,7 @@ _FILES: Final = (  # (in the examples, in the new folder)
 def example_rigs() -> list[Path]:
     """The shipped rigs, in alphabetical order; the other TOML files beside them are models."""
     return [
-        path for path in sorted(EXAMPLES.glob("*.toml")) if "\n[bus." in path.read_text("utf-8")
+        path for path in sorted(EXAMPLES.glob("*.toml")) if "\n[motor." in path.read_text("utf-8")
     ]
 
 

@@ -200,7 +200,7 @@ def test_new_leaves_nothing_half_written(bench, say, monkeypatch):
 def test_every_example_is_listed_and_right(bench, say):
     status, out, _ = say("list", "examples", "--json")
     examples = json.loads(out)
-    assert [example["name"] for example in examples] == ["rover", "two_wheels"]
+    assert [example["name"] for example in examples] == ["ideal_wheels", "rover", "two_wheels"]
     for example in examples:
         status, _, err = say("check", example["path"])
         assert (status, err) == (0, "")
@@ -214,7 +214,7 @@ def test_list_shows_what_is_installed_and_where_our_own_eds_is(bench, say):
     status, out, _ = say("list", "controllers")
     assert status == 0
     lines = {line.split()[0]: line for line in out.splitlines()}
-    assert list(lines) == ["broken", "cia402", "echo"]
+    assert list(lines) == ["broken", "cia401", "cia402", "echo"]
     assert "bench 1.0" in lines["echo"]
     eds = Path(lines["cia402"].split()[-1])
     assert eds.name == "motorhil_cia402.eds"

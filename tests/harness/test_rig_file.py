@@ -9,7 +9,11 @@ from harness.rig_file import Known, parse_rig, read_rig
 from harness.settings import RigError, Source
 from harness.wording import one_line
 
-KNOWN = Known(controllers=("cia402", "io"), adaptations=("cia402", "ideal"))
+KNOWN = Known(
+    controllers=("cia402", "io"),
+    adaptations=("cia402", "ideal", "servo"),
+    needs_bus={"cia402": True, "ideal": False, "servo": True, "broken": None}.get,
+)
 
 GOOD = """\
 [rig]
@@ -39,7 +43,7 @@ controller = "left"
 name = "wheel"
 
 [motor.spare]
-adaptation = "ideal"
+adaptation = "servo"
 bus = "can0"
 node_id = 9
 heartbeat_s = 0.1
@@ -144,6 +148,48 @@ def test_a_rig_without_a_name_is_called_after_its_file():
     assert parse("[bus.can0]\nbitrate_bit_s = 500_000\n", "bench.toml").name == "bench"
 
 
+WITHOUT_BUS = """\
+[motor.left]
+adaptation = "ideal"
+axis = "shaft"
+model = {}
+[group.all]
+motors = ["left"]
+"""
+
+
+def test_a_rig_of_motors_that_need_no_bus_needs_none():
+    rig = parse(WITHOUT_BUS)
+    left = rig.motors["left"]
+    assert (left.bus, left.node_id, left.controller) == (None, None, None)
+    assert left.settings == {"axis": "shaft"}
+    assert not rig.buses
+
+
+@pytest.mark.parametrize(
+    ("text", "told"),
+    [
+        ("", "1: the rig has no bus; add [bus.can0]"),
+        (WITHOUT_BUS.replace("ideal", "servo"), "1: the rig has no bus; add [bus.can0]"),
+        (
+            "[motor.a]\nmodel = {}\n",
+            '1: motor.a.adaptation: is missing; write adaptation = "cia402"',
+        ),
+        (WITHOUT_BUS.replace("ideal", "ideel"), "2: motor.left.adaptation: unknown adaptation"),
+        (WITHOUT_BUS + '[controller.c]\nkind = "io"\nbus = "can0"\n', "1: the rig has no bus"),
+    ],
+)
+def test_a_rig_without_a_bus_is_told_what_is_missing(text, told):
+    assert refusal(text).startswith(f"rig.toml:{told}")
+
+
+def test_where_a_motor_is_stays_open_if_its_adaptation_cannot_be_asked():
+    known = Known((), ("broken",), needs_bus=lambda adaptation: None)
+    text = WITHOUT_BUS.replace("ideal", "broken")
+    motor = parse_rig(Source(Path("rig.toml"), text), known).motors["left"]
+    assert (motor.bus, motor.controller) == (None, None)
+
+
 # What a person may get wrong, and the one line told.
 REFUSALS = [
     tuple(line[2:] for line in block.splitlines())
@@ -162,10 +208,6 @@ def test_a_mistake_is_told_in_one_line_with_file_line_key_and_remedy(old, new, t
     message = refusal(GOOD.replace(old, new, 1))
     assert one_line(message) == message
     assert message == f"rig.toml:{told}"
-
-
-def test_an_empty_rig_is_told_what_to_add():
-    assert refusal("") == "rig.toml:1: the rig has no bus; add [bus.can0]"
 
 
 def test_the_attributes_hold_the_facts():

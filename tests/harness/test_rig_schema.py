@@ -15,10 +15,21 @@ from emulators.media.faults import FaultKind
 from emulators.plant.dc_motor import RANGES, MotorPlant
 from emulators.plant.presets import PRESETS
 from harness import rig_faults, rig_file
+from harness.plugins import ADAPTATIONS, installed
+from harness.rig import installed_plugins
 from harness.scaffold import EXAMPLES
+from motorapi.adaptations import ideal
 from motorapi.adaptations.drive_setup import HwOptions
 from motorapi.model import MotorModel
-from tests.harness.test_rig_file import GOOD, LINE_EDITS, REFUSALS, edited, mistake_in, unescaped
+from tests.harness.test_rig_file import (
+    GOOD,
+    LINE_EDITS,
+    REFUSALS,
+    WITHOUT_BUS,
+    edited,
+    mistake_in,
+    unescaped,
+)
 
 SCHEMA = json.loads((Path(harness.__file__).parent / "rig.schema.json").read_text())
 VALIDATOR = jsonschema.Draft202012Validator(SCHEMA)
@@ -76,6 +87,27 @@ def test_the_schema_knows_the_motors_own_keys():
         assert DEFS["cia402_motor"]["properties"][field.name].get("default") == field.default
 
 
+def test_the_schema_knows_an_ideal_motors_keys():
+    own = {"axis", *(key for keys in ideal._KEYS.values() for key in keys)}
+    assert set(DEFS["ideal_motor"]["properties"]) == {"adaptation", "model", *own}
+
+
+@pytest.mark.parametrize("adaptation", sorted(installed(ADAPTATIONS)))
+def test_the_schema_wants_a_bus_for_the_adaptations_that_need_one(adaptation):
+    motor = {"adaptation": adaptation, "model": "wheel.toml"}
+    needs_bus = installed_plugins().needs_bus(adaptation)
+    assert VALIDATOR.is_valid({"motor": {"m": motor}}) is not needs_bus
+    bus = {"can0": {"bitrate_bit_s": 500_000}}
+    placed = {"bus": bus, "motor": {"m": {**motor, "bus": "can0", "node_id": 1}}}
+    assert VALIDATOR.is_valid(placed) is needs_bus
+
+
+def test_the_schema_accepts_and_refuses_rigs_without_a_bus_as_the_reader_does():
+    assert is_accepted(WITHOUT_BUS)
+    assert not is_accepted("")
+    assert not is_accepted(WITHOUT_BUS + '[controller.c]\nkind = "io"\nbus = "can0"\n')
+
+
 def test_the_schema_knows_the_motor_models_keys(tmp_path):
     limits = dict.fromkeys((field.name for field in fields(MotorModel)), 1.0)
     limits.update(name="wheel", position_min=-1.0, requires_referencing=True)
@@ -90,7 +122,7 @@ def test_the_schema_knows_the_motor_models_keys(tmp_path):
 @pytest.mark.parametrize("path", sorted(EXAMPLES.glob("*.toml")), ids=lambda path: path.stem)
 def test_the_schema_accepts_every_example(path):
     table = tomllib.loads(path.read_text())
-    if "bus" in table:  # a rig; the others are motor models
+    if "motor" in table:  # a rig; the others are motor models
         VALIDATOR.validate(table)
     else:
         VALIDATOR.evolve(schema={**DEFS["model"], "$defs": DEFS}).validate(table)
@@ -111,7 +143,7 @@ def test_the_schema_refuses_what_the_reader_refuses(old, new, told):
 # Kinds the schema does not know, and no model's keys: there only a builder could refuse.
 FOREIGN = (
     GOOD.replace('kind = "cia402"', 'kind = "io"')
-    .replace('adaptation = "cia402"', 'adaptation = "ideal"')
+    .replace('adaptation = "cia402"', 'adaptation = "servo"')
     .replace('[motor.left.model]\nname = "wheel"', "model = {}")
 )
 
