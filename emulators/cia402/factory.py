@@ -72,7 +72,10 @@ def build_drive(settings: DriveSettings) -> Cia402Drive:
         if left_out:
             text = f"6502h of {settings.eds.name} also names {', '.join(left_out)}: not emulated"
             events.append(("info", text))
-    return Cia402Drive(od, settings, events)
+    try:
+        return Cia402Drive(od, settings, events)
+    except ValueError as error:
+        raise SettingError(("servo",), str(error), "smaller gains of the current loop") from error
 
 
 def _set_objects(od: ObjectDictionary, settings: DriveSettings) -> None:

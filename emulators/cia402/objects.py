@@ -9,8 +9,10 @@ from typing import Final, final
 
 from emulators.canopen.abort_code import OK, AbortCode
 from emulators.canopen.object_dictionary import DataType, ObjectDictionary, Variable
+from emulators.cia402.control_parameters import ControlParameters
 from emulators.cia402.factors import DriveDefaults, fill_factors
 from emulators.cia402.settings import EMULATED_MODES, DriveSettings
+from emulators.cia402.torque_objects import TorqueObjects
 from emulators.cia402.units import Units, units_of
 
 # What was written since the drive last looked.
@@ -21,6 +23,9 @@ TARGET_VELOCITY: Final = 8
 RAMPS: Final = 16
 WINDOWS: Final = 32
 FACTORS: Final = 64
+TORQUE: Final = 128  # target or slope
+TORQUE_LIMIT: Final = 256
+GAINS: Final = 512
 
 HOMING_METHODS: Final = (35, 37)  # on the present position; 35 is the old number of 37
 NO_WINDOW: Final = 0xFFFF_FFFF
@@ -38,6 +43,11 @@ _WATCHED: Final = (
     (0x606E, 0, WINDOWS),
     (0x606F, 0, WINDOWS),
     (0x6070, 0, WINDOWS),
+    (0x6071, 0, TORQUE),
+    (0x6072, 0, TORQUE_LIMIT),
+    (0x6075, 0, FACTORS | TORQUE_LIMIT),
+    (0x6076, 0, FACTORS | TORQUE_LIMIT),
+    (0x6087, 0, TORQUE),
     (0x607F, 0, RAMPS),
     (0x6080, 0, RAMPS),
     (0x6083, 0, RAMPS),
@@ -76,6 +86,23 @@ class Watch:
 
 
 @final
+class GainWatch:
+    """A writer that refuses a gain with which the current loop would be unstable."""
+
+    def __init__(self, objects: "DriveObjects", place: int) -> None:
+        self._objects = objects
+        self._place = place
+
+    def write(self, value: int) -> int:
+        """Called before the value is stored."""
+        objects = self._objects
+        code = objects.control.check(self._place, value)
+        if code == OK:
+            objects.written |= GAINS
+        return code
+
+
+@final
 class DriveObjects:
     """What a host may write to the drive, in the drive's own terms: increments and seconds.
 
@@ -84,6 +111,8 @@ class DriveObjects:
         controlword, mode, target_position_raw, target_velocity_raw: as last written.
         supported_modes: 6502h.
         units: what the numbers mean.
+        torque: the objects of torque and current.
+        control: the servo's gains.
     """
 
     def __init__(self, od: ObjectDictionary, settings: DriveSettings) -> None:
@@ -129,8 +158,10 @@ class DriveObjects:
         self._velocity_threshold = ensure(0x606F, 0, _D.UNSIGNED16, defaults.velocity_window)
         self._velocity_threshold_ms = ensure(0x6070, 0, _D.UNSIGNED16, 10)
 
-        self.rated_current_ma = ensure(0x6075, 0, _D.UNSIGNED32, defaults.rated_current_ma)
-        self.rated_torque_mn_m = ensure(0x6076, 0, _D.UNSIGNED32, defaults.rated_torque_mn_m)
+        self.torque: TorqueObjects = TorqueObjects(od, settings.plant, defaults)
+        self.control: ControlParameters = ControlParameters(
+            od, settings.plant, settings.gains, settings.tick_ns, settings.current_steps
+        )
         self._limit_min = ensure(0x607D, 1, _D.INTEGER32, 0)
         self._limit_max = ensure(0x607D, 2, _D.INTEGER32, 0)
         self._home_offset = ensure(0x607C, 0, _D.INTEGER32, 0)
@@ -147,6 +178,8 @@ class DriveObjects:
         self._period = ensure(0x60C2, 1, _D.UNSIGNED8, 0)
         self._period_exponent = ensure(0x60C2, 2, _D.INTEGER8, -3)
         self._positioning_option = ensure(0x60F2, 0, _D.UNSIGNED16, 0)
+        for place, gain in enumerate(self.control.places):
+            gain.writer = GainWatch(self, place).write
         for index, subindex, what in _WATCHED:
             variable = od.get(index, subindex)
             if variable is not None:

@@ -14,7 +14,9 @@ from emulators.cia402.mode import Mode
 from emulators.cia402.objects import (
     CONTROLWORD,
     FACTORS,
+    GAINS,
     MODE,
+    TORQUE_LIMIT,
     WINDOWS,
     DriveObjects,
 )
@@ -26,11 +28,13 @@ from emulators.cia402.pds_fsa import (
     decode_controlword,
 )
 from emulators.cia402.profile_position import ProfilePosition
+from emulators.cia402.profile_torque import ProfileTorque
 from emulators.cia402.profile_velocity import ProfileVelocity
 from emulators.cia402.settings import EMULATED_MODES
 from emulators.cia402.statusword import TARGET_REACHED, compose
 from emulators.firmware import flags as f
 from emulators.firmware.axis import Axis
+from emulators.firmware.gains import ServoGains
 
 FOLLOWING_ERROR: Final = 0x8611
 UNDERVOLTAGE: Final = 0x3220
@@ -70,10 +74,15 @@ class PowerDrive:
         self._enable_ns = enable_ns
         self._enable_due_ns: int = NEVER
         self._at_rest: int = NO_TRANSITION  # the transition to take when the motor has come to rest
+        self._gains: ServoGains = objects.settings.gains  # as the axis has them
+        self._limit_a: float = objects.torque.limit_a()
+        axis.set_current_limit(self._limit_a)
+        self._apply_servo()
         self._homing = Homing(axis, objects, tick_ns)
         self._modes: dict[int, Mode] = {
             EMULATED_MODES["pp"]: ProfilePosition(axis, objects, tick_ns),
             EMULATED_MODES["pv"]: ProfileVelocity(axis, objects, tick_ns),
+            EMULATED_MODES["tq"]: ProfileTorque(axis, objects, tick_ns),
             EMULATED_MODES["hm"]: self._homing,
             EMULATED_MODES["csp"]: CyclicPosition(axis, objects, tick_ns),
         }
@@ -93,6 +102,7 @@ class PowerDrive:
         self.fsa.controlword = self._objects.controlword
         self.fsa.take(0)
         self._apply_windows()
+        self._apply_servo()
         self._select(self._objects.mode)
 
     def initialised(self, now_ns: int) -> None:
@@ -107,6 +117,8 @@ class PowerDrive:
             self._objects.reload_units()
         if what & (WINDOWS | FACTORS):
             self._apply_windows()
+        if what & (GAINS | TORQUE_LIMIT):
+            self._apply_servo()
         if what & MODE and self._objects.mode != self.mode:
             self._switch_mode(now_ns)
         if self.fsa.state is PdsState.OPERATION_ENABLED and self._at_rest == NO_TRANSITION:
@@ -300,6 +312,17 @@ class PowerDrive:
             if self._active is self._no_mode:
                 self._axis.ramp_to_rest(self._objects.deceleration_inc_s2())
             self._active.enter(self.fsa.controlword, now_ns)
+
+    def _apply_servo(self) -> None:
+        """The current's limit, and the gains: both count in every mode."""
+        limit_a = self._objects.torque.limit_a()
+        if limit_a != self._limit_a:
+            self._limit_a = limit_a
+            self._axis.set_current_limit(limit_a)
+        gains = self._objects.control.gains()
+        if gains != self._gains:
+            self._gains = gains
+            self._axis.set_gains(gains)
 
     def _apply_windows(self) -> None:
         windows = self._objects.windows()

@@ -3,15 +3,13 @@
 Every reader answers for the time of the last `axis.at`.
 """
 
-from typing import Final, final
+from typing import final
 
 from emulators.canopen.object_dictionary import ObjectDictionary
 from emulators.cia402.objects import DriveObjects
 from emulators.cia402.power_drive import PowerDrive
 from emulators.cia402.units import limited
 from emulators.firmware.axis import Axis
-
-_INTEGER16_MAX: Final = 0x7FFF
 
 
 @final
@@ -22,7 +20,6 @@ class Readings:
         self._axis = axis
         self._objects = objects
         self._power_drive = power_drive
-        self._rated_ma = objects.settings.plant.current_max_a * 1000.0
 
     def bind(self, od: ObjectDictionary) -> None:
         """Visible objects answer with what is so now."""
@@ -38,7 +35,7 @@ class Readings:
             (0x606C, self.velocity),
             (0x6074, self.torque_demand),
             (0x6077, self.torque),
-            (0x6078, self.torque),
+            (0x6078, self.current),
             (0x6079, self.supply),
             (0x60F4, self.following_error),
             (0x60FC, self.position_demand_internal),
@@ -85,11 +82,15 @@ class Readings:
 
     def torque_demand(self) -> int:
         """6074h [1/1000 of 6076h]."""
-        return self._per_mille(self._axis.current_demand_a())
+        return self._objects.torque.torque_raw(self._axis.current_demand_a())
 
     def torque(self) -> int:
-        """6077h and 6078h [1/1000 of 6076h, 6075h]: torque is proportional to current."""
-        return self._per_mille(self._axis.current_a())
+        """6077h [1/1000 of 6076h]."""
+        return self._objects.torque.torque_raw(self._axis.current_a())
+
+    def current(self) -> int:
+        """6078h [1/1000 of 6075h]."""
+        return self._objects.torque.current_raw(self._axis.current_a())
 
     def supply(self) -> int:
         """6079h [mV]."""
@@ -103,12 +104,6 @@ class Readings:
     def position_demand_internal(self) -> int:
         """60FCh [increments], signed 32 bit, wrapping round."""
         return _wrapped(self._axis.demand_inc())
-
-    def _per_mille(self, current_a: float) -> int:
-        rated_ma = self._objects.rated_current_ma.integer()
-        return limited(
-            current_a * 1e6 / (rated_ma if rated_ma > 0 else self._rated_ma), _INTEGER16_MAX
-        )
 
 
 def _wrapped(value: int) -> int:

@@ -35,7 +35,9 @@ MODES: Final[dict[str, int]] = {
     **{"pp": 1, "vl": 2, "pv": 3, "tq": 4, "hm": 6},
     **{"ip": 7, "csp": 8, "csv": 9, "cst": 10},
 }
-EMULATED_MODES: Final[dict[str, int]] = {name: MODES[name] for name in ("pp", "pv", "hm", "csp")}
+EMULATED_MODES: Final[dict[str, int]] = {
+    name: MODES[name] for name in ("pp", "pv", "tq", "hm", "csp")
+}
 
 _KEYS: Final = (
     "node_id",

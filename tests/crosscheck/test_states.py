@@ -162,6 +162,28 @@ def test_velocity_mode_bit_by_bit(wire):
     assert [bits for bits, _ in itertools.groupby(seen)] == [0x1000, 0, 0x0400, 0, 0x1400]
 
 
+def test_torque_mode_bit_by_bit(wire):
+    """CiA 402-2: bit 10 is "target torque reached", and "at rest" under halt; 12, 13 are none."""
+    tell_all(wire)
+    wire.set(0x6087, 0, 10_000, 4)  # 200 in 20 ms
+    wire.enable(4)
+    wire.run(20 * MS)
+    assert wire.statusword() & 0x3C00 == 0x0400  # 6071h is 0, and so is the torque
+    count = len(wire.log)
+    wire.set(0x6071, 0, -200, 2)
+    wire.run(100 * MS)
+    assert wire.read(0x6074, signed=True) == -200
+    wire.controlword(0x010F)  # halt
+    wire.run(500 * MS)
+    wire.set(0x6072, 0, 50, 2)
+    wire.controlword(0x000F)
+    wire.run(50 * MS)
+    seen = [word & 0x3C00 for word in words(wire, count)]
+    # the ramp; reached; halt: slowing down; at rest; go on: 6072h cuts it at 50
+    changes = [bits for bits, _ in itertools.groupby(seen)]
+    assert changes == [0, 0x0400, 0, 0x0400, 0, 0x0800]
+
+
 def test_homing_bit_by_bit(wire):
     wire.enable(6)
     wire.set(0x607C, 0, 777, 4)

@@ -74,6 +74,36 @@ def test_it_runs_at_a_velocity(client):
     assert network.pump_until(lambda: node.check_statusword() & 0x1000, 1.0)
 
 
+def test_it_gives_a_torque_and_changes_modes_on_the_fly(client, bench):
+    network, node = client
+    node.op_mode = "PROFILED TORQUE"
+    assert node.op_mode == "PROFILED TORQUE"
+    node.state = "OPERATION ENABLED"
+    node.sdo[0x6087].raw = 20_000
+    node.sdo[0x6071].raw = -80
+    assert network.pump_until(lambda: node.check_statusword() & 0x0400, 1.0)
+    assert node.sdo[0x6074].raw == -80
+    assert node.sdo[0x6077].raw == pytest.approx(-80, abs=50)  # bit 10's window: 5 % of 8 A
+    network.pump(50 * MS)
+    assert bench.truth("velocity_rad_s") < 0
+    node.sdo[0x6060].raw = 3  # its own setter sends RPDO 2, with a controlword of 0 in it
+    assert node.op_mode == "PROFILED VELOCITY"
+    assert network.pump_until(lambda: node.check_statusword() & 0x1000, 2.0)  # 60FFh is 0
+
+
+@pytest.mark.parametrize(
+    ("index", "subindex"),
+    [(0x60F6, 1), (0x60F6, 2), (0x60F9, 1), (0x60F9, 2), (0x60FB, 1), (0x60FB, 2), (0x60FB, 3)],
+)
+def test_it_reads_and_writes_the_gains(client, index, subindex):
+    _, node = client
+    gain = node.sdo[index][subindex]
+    before = gain.raw
+    assert before > 0
+    gain.raw = before // 2
+    assert gain.raw == before // 2
+
+
 def test_it_homes(client, bench):
     network, node = client
     node.op_mode = "PROFILED POSITION"

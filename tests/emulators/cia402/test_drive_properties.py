@@ -27,9 +27,11 @@ WORDS = st.sampled_from(
 )
 ACTIONS = st.one_of(
     st.tuples(st.just("word"), WORDS | st.integers(0, 0xFFFF)),
-    st.tuples(st.just("mode"), st.sampled_from([0, 1, 3, 6, 8])),
+    st.tuples(st.just("mode"), st.sampled_from([0, 1, 3, 4, 6, 8])),
     st.tuples(st.just("target"), st.integers(-20_000, 20_000)),
     st.tuples(st.just("velocity"), st.integers(-60_000, 60_000)),
+    st.tuples(st.just("torque"), st.integers(-1_200, 1_200)),
+    st.tuples(st.just("position gain"), st.sampled_from([5_000, 66_667, 4_000_000_000])),
     st.tuples(st.just("quick stop code"), st.sampled_from([0, 1, 2, 5, 6])),
     st.tuples(st.just("wait"), st.sampled_from([0.3, 1, 20, 77, 300])),
     st.tuples(st.just("sync"), st.just(0)),
@@ -47,6 +49,7 @@ STARTS = st.sampled_from(
         ENABLED,
         [*ENABLED, ("target", 9_000), ("word", 0x1F), ("wait", 77)],
         [("mode", 3), ("velocity", 40_000), *ENABLED, ("wait", 77)],
+        [("mode", 4), ("torque", 400), *ENABLED, ("wait", 77)],
         [*ENABLED, ("word", 0x02)],
     ]
 )
@@ -77,6 +80,10 @@ def act(bench: Bench, what: str, value: float) -> None:
     elif what == "velocity":
         word = bench.drive.od.integer(0x6040, 0, 0)
         bench.send(0x500 + NODE, struct.pack("<Hi", word, int(value)))
+    elif what in ("torque", "position gain"):
+        bench.drive.od.get(*((0x6071, 0) if what == "torque" else (0x60FB, 1))).write(int(value))
+        bench.drive.on_write(bench.now)
+        bench._drain()
     elif what == "quick stop code":
         bench.drive.od.get(0x605A).write(int(value))
     elif what == "abort code":

@@ -1,0 +1,55 @@
+"""Profile torque mode (tq): 6071h is live, along the ramp 6087h; the speed is the load's affair."""
+
+from typing import final
+
+from emulators.cia402.mode import Mode
+from emulators.cia402.objects import FACTORS, TORQUE
+from emulators.cia402.pds_fsa import CW_HALT
+from emulators.cia402.statusword import TARGET_REACHED
+from emulators.firmware import flags as f
+
+
+@final
+class ProfileTorque(Mode):
+    """Mode 4. Bit 10: ramp over and the current near the one wanted; bit 11: 6072h cuts it."""
+
+    def enter(self, word: int, now_ns: int) -> None:
+        """The motor gets the torque 6071h, as it stands there, by the ramp."""
+        self.halted = word & CW_HALT != 0
+        self._run()
+
+    def leave(self) -> None:
+        """Nothing is kept."""
+        self.halted = False
+        self.limited = False
+
+    def obey(self, word: int, rising: int, now_ns: int) -> None:
+        """Bit 8, halt: the motor is braked to standstill (605Dh) and held there."""
+        halt = word & CW_HALT != 0
+        if halt != self.halted:
+            self.halted = halt
+            self._run()
+
+    def written(self, what: int, now_ns: int) -> None:
+        """A new torque, or a new ramp, counts at once."""
+        if what & (TORQUE | FACTORS) and not self.halted:
+            self._run()
+
+    def settle(self, now_ns: int) -> None:
+        """Whether the limit holds the torque back."""
+        self.limited = not self.halted and self.axis.flags & f.CURRENT_SATURATED != 0
+
+    def status_bits(self) -> int:
+        """Bit 10; 12 and 13 are reserved."""
+        flags = self.axis.flags
+        if self.halted:
+            stands = flags & (f.PROFILE_ACTIVE | f.SPEED_ZERO) == f.SPEED_ZERO
+            return TARGET_REACHED if stands else 0
+        return TARGET_REACHED if flags & f.CURRENT_REACHED else 0
+
+    def _run(self) -> None:
+        objects = self.objects
+        if self.halted:
+            self.axis.ramp_to_rest(objects.halt_deceleration_inc_s2())
+        else:
+            self.axis.apply_current(objects.torque.target_a(), objects.torque.slope_a_s())

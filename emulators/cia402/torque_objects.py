@@ -1,0 +1,79 @@
+"""The objects of torque and current: what 1 means in them, and what a host may write.
+
+Torque is the motor's, at its shaft, in 1/1000 of the rated torque 6076h [mN m]; current in 1/1000
+of the rated current 6075h [mA]. The two are tied by the motor's torque constant alone, so torque
+is what it is however 6075h and 6076h are set. Where they are 0 or absent, they are the motor's.
+"""
+
+from typing import Final, final
+
+from emulators.canopen.object_dictionary import DataType, ObjectDictionary, Variable
+from emulators.cia402.factors import DriveDefaults
+from emulators.cia402.units import limited
+from emulators.plant.dc_motor import MotorPlant
+
+PERMILLE_MAX: Final = 0x7FFF  # INTEGER16
+SLOPE_DEFAULT: Final = 100_000  # 1/1000 of the rated torque per second: all of it in 10 ms
+_UNSIGNED16_MAX: Final = 0xFFFF
+_D = DataType
+
+
+@final
+class TorqueObjects:
+    """6071h, 6072h, 6075h, 6076h, 6087h, 6088h in amperes of the motor.
+
+    Attributes:
+        target, maximum, slope: 6071h, 6072h, 6087h.
+    """
+
+    def __init__(self, od: ObjectDictionary, plant: MotorPlant, defaults: DriveDefaults) -> None:
+        self._torque_n_m_a = plant.torque_constant_n_m_a
+        self._motor_current_ma = plant.current_max_a * 1000.0
+        self._motor_torque_mn_m = plant.current_max_a * plant.torque_constant_n_m_a * 1000.0
+        ensure = od.ensure
+        self._rated_current_ma: Variable = ensure(
+            0x6075, 0, _D.UNSIGNED32, defaults.rated_current_ma
+        )
+        self._rated_torque_mn_m: Variable = ensure(
+            0x6076, 0, _D.UNSIGNED32, defaults.rated_torque_mn_m
+        )
+        self.target: Variable = ensure(0x6071, 0, _D.INTEGER16, 0)
+        # Rounded up: by itself it takes nothing of what the motor can.
+        most = -int(-1000.0 * self._motor_torque_mn_m // self._torque_unit_mn_m())
+        most = min(most, _UNSIGNED16_MAX)
+        self.maximum: Variable = ensure(0x6072, 0, _D.UNSIGNED16, most)
+        if self.maximum.default == 0:  # as files have it that state no value
+            self.maximum.set_default(most)
+        self.slope: Variable = ensure(0x6087, 0, _D.UNSIGNED32, SLOPE_DEFAULT)
+        ensure(0x6088, 0, _D.INTEGER16, 0)
+
+    def target_a(self) -> float:
+        """The current that makes the torque 6071h."""
+        return self.target.integer() * self._per_permille_a()
+
+    def limit_a(self) -> float:
+        """The current that makes the torque 6072h."""
+        return self.maximum.integer() * self._per_permille_a()
+
+    def slope_a_s(self) -> float:
+        """6087h; always > 0."""
+        raw = self.slope.integer()
+        return (raw if raw > 0 else SLOPE_DEFAULT) * self._per_permille_a()
+
+    def torque_raw(self, current_a: float) -> int:
+        """The torque this current makes [1/1000 of 6076h]."""
+        return limited(current_a / self._per_permille_a(), PERMILLE_MAX)
+
+    def current_raw(self, current_a: float) -> int:
+        """This current [1/1000 of 6075h]."""
+        rated_ma = self._rated_current_ma.integer()
+        return limited(
+            current_a * 1e6 / (rated_ma if rated_ma > 0 else self._motor_current_ma), PERMILLE_MAX
+        )
+
+    def _torque_unit_mn_m(self) -> float:
+        rated = self._rated_torque_mn_m.integer()
+        return float(rated) if rated > 0 else self._motor_torque_mn_m
+
+    def _per_permille_a(self) -> float:
+        return self._torque_unit_mn_m() * 1e-6 / self._torque_n_m_a
