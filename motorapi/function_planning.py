@@ -64,19 +64,21 @@ def plan(
     argument: "Argument | None",
     reference: float,
 ) -> Motion:
-    """The motion, from `reference` [U].
+    """The motion, from `reference` [U]. It begins where the argument is now.
 
     Raises:
         LimitError: the value leaves the limits from here.
         StateError: it is absolute and the motor is not where it begins.
+        MotorError: the argument cannot be told.
     """
     low, high = trajectory.interval
     function = trajectory.function
-    first, last = function.value(low), function.value(high)
+    begins = low if argument is None else min(max(argument.value(), low), high)
+    first, last = function.value(begins), function.value(high)
     offset = reference - first if trajectory.relative else 0.0
     if trajectory.relative:
         _check_values(motor, model, variable, trajectory, offset)
-    elif argument is None:
+    else:
         require_at_start(motor, model, variable, first, reference)
     return Motion(
         mode=ControlMode.TRAJECTORY,

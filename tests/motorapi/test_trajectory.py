@@ -166,6 +166,29 @@ def test_a_relative_function_begins_where_the_motor_is_and_an_absolute_one_must(
         planned(ComplexTrajectory(function, relative=True), reference=2.5)
 
 
+def test_over_an_argument_a_motion_begins_where_the_argument_is_now():
+    class Leader:
+        name, rate_max = "leader", 1.0
+        now = 0.5
+
+        def value(self):
+            return self.now
+
+    leader = Leader()
+    gear = Polynomial((0.0, 2.0)).restricted(0.0, 1.0)
+
+    def plan(trajectory, reference):
+        return planning.plan_trajectory("m", MODEL, P, trajectory, reference, argument=leader)
+
+    assert plan(ComplexTrajectory(gear), 1.0).start == 1.0
+    with pytest.raises(StateError, match=r"begins at 1 rad, the motor is at 0 rad"):
+        plan(ComplexTrajectory(gear), 0.0)
+    motion = plan(ComplexTrajectory(gear, relative=True), 0.25)
+    assert (motion.start, motion.target, demand_of(motion).value(0.75)) == (0.25, 1.25, 0.75)
+    leader.now = -3.0  # the gear has not engaged yet
+    assert plan(ComplexTrajectory(gear), 0.0).start == 0.0
+
+
 @pytest.mark.parametrize(
     ("trajectory", "takes_s"),
     [
