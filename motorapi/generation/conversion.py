@@ -1,0 +1,34 @@
+"""Profiles as functions. Loads numpy."""
+
+from motorapi.errors import UsageError
+from motorapi.functions.piecewise import Piecewise
+from motorapi.functions.polynomial import Polynomial
+from motorapi.generation.profile import Profile
+
+
+def function_of(profile: Profile) -> Piecewise:
+    """The profile as a piecewise polynomial of its argument.
+
+    As in the profile, the last piece is about its end and all others about their beginning.
+    Pieces shorter than the resolution of the argument (far from 0) are left out.
+
+    Raises:
+        UsageError: it takes no time, so there is no argument for which it has a value.
+    """
+    begin = profile.initial_argument
+    edges = [begin]
+    polynomials: list[Polynomial] = []
+    last = profile.pieces[-1]
+    for piece in profile.pieces:
+        begins_s, ends_s, first, final, entry, leave, acceleration = piece
+        edge = begin + ends_s
+        if edge <= edges[-1]:
+            continue
+        edges.append(edge)
+        about, value, slope = (
+            (edge, final, leave) if piece is last else (begin + begins_s, first, entry)
+        )
+        polynomials.append(Polynomial((value, slope, 0.5 * acceleration), about))
+    if not polynomials:
+        raise UsageError(f"{profile!r} takes no time: there is no function of the argument")
+    return Piecewise(edges, polynomials)

@@ -1,0 +1,303 @@
+"""The trapezoidal profile in closed form: any boundary velocities, limits that differ by direction.
+
+A profile ramps from its initial velocity v0 to a peak u, holds u, and ramps to its final velocity
+v1, every ramp as steep as the limits allow. With p the size of the acceleration while rising and q
+while falling (either may differ between forward, v > 0, and backward motion):
+
+    direct way   what the ramp from v0 straight to v1 covers: the sum of (v² - v'²) / (2 p or 2 q)
+    excess       the way asked for less the direct way. If it is < 0 everything is mirrored
+    m            max(v0, v1): the ramp rises to u >= m and falls again
+    k            1/p + 1/q of forward motion, k' of backward motion
+
+    m >= 0       u² = m² + 2 excess / k          and u - m = (2 excess / k) / (u + m)
+    m < 0        u² = (2 excess + k' m²) / k     it has to turn round first
+    u > limit    u = limit, and it is held for (excess - k (u² - m²) / 2) / u
+
+Each is shortest for its limits: at every moment no admissible motion has got further. Nothing
+cancels but the excess itself; where that loses digits it is computed exactly, in fractions. A
+direct ramp stays one although its numbers are rounded: an excess within rounding of the way does
+not make a motion turn round.
+
+The extent is as small as possible too. Any motion with these accelerations overshoots by what
+braking from its initial velocity takes, and by what reaching its final velocity takes; this one
+overshoots by no more. Where it leaves a range of values, every other motion does.
+
+Source: Biagiotti & Melchiorri, Trajectory Planning for Automatic Machines and Robots (2008), 3.2,
+trapezoidal trajectories with non-null initial and final velocities; ramps that differ and motions
+that turn round follow the same way.
+"""
+
+from fractions import Fraction
+from math import inf, isfinite, sqrt
+from typing import Final, TypeAlias
+
+from motorapi.errors import UsageError
+from motorapi.generation.limits import ProfileLimits
+from motorapi.generation.profile import Piece, Profile
+
+_LOST: Final = 64.0  # digits are lost where the excess is this much smaller than the direct way
+_ROUNDING: Final = 2.0**-50
+
+Task: TypeAlias = tuple[float, float, float, float, float, float, float, float, float, float]
+"""A motion to be made, mirrored where need be so that its excess is >= 0: (sign, excess, initial
+velocity, final velocity, low, high, rise, fall, back_rise, back_fall), with sign -1 if mirrored,
+(low, high) the velocity range, then the sizes of the acceleration in forward and backward motion.
+"""
+
+
+def trapezoid(
+    final: float,
+    limits: ProfileLimits,
+    *,
+    initial: float = 0.0,
+    initial_velocity: float = 0.0,
+    final_velocity: float = 0.0,
+    duration_s: float | None = None,
+    initial_argument: float = 0.0,
+) -> Profile:
+    """The shortest profile between two states within the limits, or the one that takes some time.
+
+    Args:
+        final: the final value [U]; the way, if `initial` is 0.
+        limits: of velocity and acceleration. The range of the value plays no part here: if the
+            shortest profile leaves it, so does any other; see `motorapi.generation.feasible`.
+        initial: the initial value [U].
+        initial_velocity: first derivative at the beginning [U/s].
+        final_velocity: first derivative at the end [U/s].
+        duration_s: how long it takes [s], >= 0: with the steepest ramps and the one peak for which
+            it does. Within 1e-9 of a possible duration it takes that one.
+        initial_argument: where it begins.
+
+    Raises:
+        UsageError: a number is not finite, a boundary velocity lies outside the limits, there is no
+            such motion, or none of that duration; the text says which durations there are.
+    """
+    task = task_of(final, limits, initial, initial_velocity, final_velocity)
+    if not isfinite(initial_argument):
+        raise UsageError(f"the initial argument is {initial_argument}, not a finite number")
+    pieces: tuple[Piece, ...]
+    if duration_s is not None:
+        from motorapi.generation.durations import pieces_lasting
+
+        pieces = pieces_lasting(task, duration_s, initial, final)
+        return Profile(initial_argument, initial_velocity, final_velocity, pieces)
+    peak, up, down, hold_s = peak_of(task)
+    sign, _, begin, end, _, _, rise, fall, _, _ = task
+    if begin >= 0.0 <= end and up > 0.0 < down and rise < inf > fall:
+        # One ramp up and one down, the common case: what `assembled` would do, without a list.
+        t1 = up / rise
+        t2 = t1 + hold_s
+        t3 = t2 + down / fall
+        x2 = final - sign * 0.5 * (peak + end) * (t3 - t2)
+        top = sign * peak
+        last = (t2, t3, x2, final, top, final_velocity, -sign * fall)
+        if hold_s:
+            x1 = initial + sign * 0.5 * (begin + peak) * t1
+            first = (0.0, t1, initial, x1, initial_velocity, top, sign * rise)
+            pieces = (first, (t1, t2, x1, x2, top, top, 0.0), last)
+        else:
+            pieces = ((0.0, t1, initial, x2, initial_velocity, top, sign * rise), last)
+    else:
+        pieces = assembled(task, peak, up, down, hold_s, initial, final)
+    return Profile(initial_argument, initial_velocity, final_velocity, pieces)
+
+
+def task_of(
+    final: float,
+    limits: ProfileLimits,
+    initial: float,
+    initial_velocity: float,
+    final_velocity: float,
+) -> Task:
+    """What is to be made, in the direction in which the excess is >= 0.
+
+    Raises:
+        UsageError: a number is not finite, or a boundary velocity lies outside the limits.
+    """
+    low, high = limits.velocity
+    way = final - initial
+    if not (
+        low <= initial_velocity <= high
+        and low <= final_velocity <= high
+        and isfinite(way)
+        and isfinite(initial_velocity - final_velocity)
+    ):
+        _refuse(final, initial, initial_velocity, final_velocity, limits)
+    fall, rise = limits.forward
+    back_fall, back_rise = limits.backward
+    excess = way
+    if initial_velocity != final_velocity:
+        sizes = (rise, back_rise) if final_velocity > initial_velocity else (fall, back_fall)
+        direct = _direct_way(initial_velocity, final_velocity, *sizes)
+        excess = way - direct
+        if abs(excess) * _LOST < abs(direct):
+            excess = _exact_excess(final, initial, initial_velocity, final_velocity, *sizes)
+            lost = _ROUNDING * (abs(direct) + abs(initial) + abs(final))
+            least, most = sorted((initial_velocity, final_velocity))
+            if abs(excess) <= lost and (least > 0.0 > excess or most < 0.0 < excess):
+                excess = 0.0
+    if excess >= 0.0:
+        return (
+            1.0, excess, initial_velocity, final_velocity, low, high,
+            rise, -fall, back_rise, -back_fall,
+        )  # fmt: skip
+    return (
+        -1.0, -excess, -initial_velocity, -final_velocity, -high, -low,
+        -back_fall, back_rise, -fall, rise,
+    )  # fmt: skip
+
+
+def peak_of(task: Task) -> tuple[float, float, float, float]:
+    """(peak, how much velocity rises to it, how much it falls after, how long it is held [s]).
+
+    Raises:
+        UsageError: the limits leave no such motion, or do not bound it at all.
+    """
+    _, excess, initial, final, _, high, rise, fall, back_rise, back_fall = task
+    peak = greater = initial if initial > final else final
+    gain = hold_s = 0.0
+    if excess > 0.0:
+        k = 1.0 / rise + 1.0 / fall
+        if greater < 0.0:
+            # It turns round first: what that covers has to be made good.
+            excess += 0.5 * (1.0 / back_rise + 1.0 / back_fall) * greater * greater
+            greater = 0.0
+        gained = 2.0 * excess / k if k else inf
+        peak = sqrt(greater * greater + gained)
+        if peak <= high and peak < inf:
+            gain = gained / (peak + greater)
+        else:
+            if not 0.0 < high < inf:
+                _refuse_way(high)
+            peak, gain = high, high - greater
+            hold_s = max(0.0, (excess - 0.5 * k * gain * (high + greater)) / high)
+    return peak, (greater - initial) + gain, (greater - final) + gain, hold_s
+
+
+def assembled(
+    task: Task,
+    peak: float,
+    up: float,
+    down: float,
+    hold_s: float,
+    initial: float,
+    final: float,
+) -> tuple[Piece, ...]:
+    """The pieces: values up to the peak reckoned from the beginning, after it from the end.
+
+    Args:
+        task: the motion.
+        peak: the velocity that is held, or reached; in the task's direction, as what follows.
+        up: how much the velocity rises to the peak, < 0 if it falls.
+        down: how much it falls after the peak, < 0 if it rises.
+        hold_s: how long the peak is held [s].
+        initial: the value at the beginning.
+        final: the value at the end.
+    """
+    sign, _, begin, end, *_ = task
+    parts = _ramp(task, begin, peak, up)
+    risen = len(parts)
+    if hold_s > 0.0:
+        parts.append((hold_s, peak, peak, 0.0))
+    parts += _ramp(task, peak, end, -down)
+    risen = min(risen, len(parts) - 1)  # the last piece is reckoned from the end
+    values = [initial]
+    for lasts_s, before, after, _ in parts[:risen]:
+        values.append(values[-1] + sign * 0.5 * (before + after) * lasts_s)
+    tail = [final]
+    for lasts_s, before, after, _ in parts[:risen:-1]:
+        tail.append(tail[-1] - sign * 0.5 * (before + after) * lasts_s)
+    values += tail[::-1]
+    pieces: list[Piece] = []
+    time_s = 0.0
+    for index, (lasts_s, before, after, acceleration) in enumerate(parts):
+        since_s, time_s = time_s, time_s + lasts_s
+        pieces.append(
+            (
+                since_s,
+                time_s,
+                values[index],
+                values[index + 1],
+                sign * before,
+                sign * after,
+                sign * acceleration,
+            )
+        )
+    if not pieces:
+        pieces.append((0.0, 0.0, final, final, sign * end, sign * end, 0.0))
+    return tuple(pieces)
+
+
+def _ramp(
+    task: Task, begin: float, end: float, change: float
+) -> list[tuple[float, float, float, float]]:
+    """(duration, velocity before and after, acceleration) of the pieces of a ramp.
+
+    `change` is the difference of the velocities, which may be known better than from subtracting.
+    Without a limit of acceleration a ramp takes no time and is no piece.
+    """
+    _, _, _, _, _, _, rise, fall, back_rise, back_fall = task
+    forward, backward = (rise, back_rise) if change > 0.0 else (-fall, -back_fall)
+    if begin >= 0.0 <= end:
+        ramp = [(change / forward, begin, end, forward)]
+    elif begin <= 0.0 >= end:
+        ramp = [(change / backward, begin, end, backward)]
+    elif begin < 0.0:
+        ramp = [(-begin / backward, begin, 0.0, backward), (end / forward, 0.0, end, forward)]
+    else:
+        ramp = [(-begin / forward, begin, 0.0, forward), (end / backward, 0.0, end, backward)]
+    return [part for part in ramp if part[0] > 0.0]
+
+
+def _direct_way(begin: float, end: float, size: float, back_size: float) -> float:
+    """What the ramp from one velocity straight to the other covers; sizes signed as the ramp is."""
+    if begin >= 0.0 <= end:
+        return 0.5 * (end - begin) * (end + begin) / size
+    if begin <= 0.0 >= end:
+        return 0.5 * (end - begin) * (end + begin) / back_size
+    if begin < 0.0:
+        return 0.5 * (end * end / size - begin * begin / back_size)
+    return 0.5 * (end * end / back_size - begin * begin / size)
+
+
+def _exact_excess(
+    final: float, initial: float, begin: float, end: float, size: float, back_size: float
+) -> float:
+    """The excess without a rounding error but the last: slow, and seldom needed."""
+
+    def way_to(velocity: float) -> Fraction:
+        """From rest to `velocity`."""
+        taken = size if velocity > 0.0 else back_size
+        return Fraction(velocity) ** 2 / (2 * Fraction(taken)) if isfinite(taken) else Fraction(0)
+
+    return float(Fraction(final) - Fraction(initial) - way_to(end) + way_to(begin))
+
+
+def _refuse(
+    final: float,
+    initial: float,
+    initial_velocity: float,
+    final_velocity: float,
+    limits: ProfileLimits,
+) -> None:
+    for name, number in (
+        ("final value", final),
+        ("initial value", initial),
+        ("way", final - initial),
+        ("initial velocity", initial_velocity),
+        ("final velocity", final_velocity),
+    ):
+        if not isfinite(number):
+            raise UsageError(f"the {name} is {number}, not a finite number")
+    low, high = limits.velocity
+    for name, number in (("initial", initial_velocity), ("final", final_velocity)):
+        if not low <= number <= high:
+            raise UsageError(
+                f"the {name} velocity {number:g} lies outside its limits, {low:g} to {high:g}"
+            )
+
+
+def _refuse_way(high: float) -> None:
+    if high <= 0.0:
+        raise UsageError("the limits of velocity allow no motion in the direction of the way")
+    raise UsageError("neither velocity nor acceleration is limited: the motion takes no time")

@@ -1,0 +1,97 @@
+"""Random problems of two states and limits, of every magnitude, and their strategies."""
+
+from fractions import Fraction
+from itertools import pairwise
+
+from hypothesis import strategies as st
+
+from motorapi.generation import ProfileLimits
+from tests.motorapi.generation.envelope import Envelope
+
+
+def magnitude(random, decades):
+    return 10.0 ** random.uniform(-decades, decades)
+
+
+def random_problem(random, decades):
+    """(final, limits, keywords); velocity and acceleration ranges as ruckig has them too."""
+    low, high = -magnitude(random, decades), magnitude(random, decades)
+    limits = ProfileLimits((low, high), (-magnitude(random, decades), magnitude(random, decades)))
+    begin, end = (
+        random.choice([0.0, random.uniform(low, high)]),
+        random.choice([0.0, random.uniform(low, high)]),
+    )
+    initial = random.uniform(-10.0, 10.0)
+    final = initial + random.choice([-1, 1]) * magnitude(random, decades)
+    return final, limits, {"initial": initial, "initial_velocity": begin, "final_velocity": end}
+
+
+def sizes(decades):
+    return st.floats(-decades, decades).map(lambda power: 10.0**power)
+
+
+@st.composite
+def problems(draw, decades=3.0):
+    """As `random_problem`, and with accelerations that differ by direction, at and on limits."""
+    size = sizes(decades)
+    low, high = -draw(size), draw(size)
+    if draw(st.booleans()):
+        limits = ProfileLimits((low, high), (-draw(size), draw(size)))
+    else:
+        limits = ProfileLimits((low, high), draw(size), draw(size))
+    velocity = st.sampled_from([0.0, low, high]) | st.floats(low, high)
+    begin, end = draw(velocity), draw(velocity)
+    initial = draw(st.just(0.0) | st.floats(-10.0, 10.0))
+    final = initial + draw(st.sampled_from([1.0, -1.0, 0.0])) * draw(size)
+    return final, limits, {"initial": initial, "initial_velocity": begin, "final_velocity": end}
+
+
+def way_of(final, given):
+    return Fraction(final) - Fraction(given["initial"])
+
+
+def envelope_of(limits, given):
+    return Envelope(
+        given["initial_velocity"],
+        given["final_velocity"],
+        limits.velocity,
+        limits.forward,
+        limits.backward,
+    )
+
+
+def exact_way(profile):
+    """What the pieces say they cover, integrated exactly from their velocities."""
+    return sum(
+        (Fraction(ends) - Fraction(begins)) * (Fraction(entry) + Fraction(leave)) / 2
+        for begins, ends, _, _, entry, leave, _ in profile.pieces
+    )
+
+
+def assert_is_admissible(profile, final, limits, given):
+    """A motion between these states within these limits, as the pieces themselves tell it."""
+    pieces = profile.pieces
+    assert pieces[0][0] == 0.0
+    assert (profile.initial, profile.final) == (given["initial"], final)
+    assert pieces[0][4] == profile.initial_velocity == given["initial_velocity"]
+    assert pieces[-1][5] == profile.final_velocity == given["final_velocity"]
+    for before, after in pairwise(pieces):
+        assert before[1] == after[0]
+        assert before[3] == after[2]
+        assert before[5] == after[4]
+    longest = Fraction(0)
+    low, high = limits.velocity
+    for begins, ends, value, target, entry, leave, acceleration in pieces:
+        lasts, mean = Fraction(ends) - Fraction(begins), (Fraction(entry) + Fraction(leave)) / 2
+        assert ends >= begins
+        assert low <= min(entry, leave) <= max(entry, leave) <= high
+        assert entry * leave >= 0.0
+        allowed = limits.forward if max(entry, leave) > 0.0 else limits.backward
+        assert acceleration == 0.0 or acceleration in allowed
+        # Rounding: of times and velocities, each to 2^-53 of the largest there is.
+        slack = Fraction(1e-14) * max(abs(Fraction(acceleration)) * Fraction(pieces[-1][1]), 0)
+        slack += Fraction(1e-14) * (abs(Fraction(entry)) + abs(Fraction(leave)))
+        assert abs(Fraction(acceleration) * lasts - (Fraction(leave) - Fraction(entry))) <= slack
+        longest = max(longest, abs(Fraction(value)), abs(Fraction(target)))
+        slack = abs(mean) * Fraction(1e-14) * Fraction(pieces[-1][1]) + Fraction(1e-14) * longest
+        assert abs(mean * lasts - (Fraction(target) - Fraction(value))) <= slack
