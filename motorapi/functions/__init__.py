@@ -5,8 +5,34 @@ This package loads numpy; `motorapi` itself does not.
 """
 
 from motorapi.errors import DomainError
+from motorapi.functions.combined import Composition, Product, Sum
+from motorapi.functions.exponential import Exponential
 from motorapi.functions.function import Extrema, Function
+from motorapi.functions.integrals import Integral
+from motorapi.functions.moved import Scaled, Shifted
 from motorapi.functions.piecewise import Piecewise
 from motorapi.functions.polynomial import Constant, Polynomial
+from motorapi.functions.sampled import Interpolation, Sampled
+from motorapi.functions.splines import Ends
+from motorapi.functions.waves import Cosine, Sine
 
-__all__ = ["Constant", "DomainError", "Extrema", "Function", "Piecewise", "Polynomial"]
+__all__ = [
+    "Composition",
+    "Constant",
+    "Cosine",
+    "DomainError",
+    "Ends",
+    "Exponential",
+    "Extrema",
+    "Function",
+    "Integral",
+    "Interpolation",
+    "Piecewise",
+    "Polynomial",
+    "Product",
+    "Sampled",
+    "Scaled",
+    "Shifted",
+    "Sine",
+    "Sum",
+]

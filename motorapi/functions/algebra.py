@@ -1,21 +1,24 @@
 """What sums, products and compositions come to: the simplest function that is the same.
 
-Of polynomials, and of functions made of them piece by piece, the result is again one.
+Of polynomials, and of functions made of them piece by piece, the result is again one. A number
+times a function goes into the function. Sums of sums and products of products are one.
 """
 
 from collections.abc import Callable
 from fractions import Fraction
+from math import inf
 
 from motorapi.commands import as_number
-from motorapi.errors import UsageError
 from motorapi.functions import exact
-from motorapi.functions.function import Function
+from motorapi.functions.combined import Composition, Product, Sum
+from motorapi.functions.function import Function, overlap
 from motorapi.functions.piecewise import Piecewise
 from motorapi.functions.polynomial import Constant, Polynomial, polynomial
+from motorapi.functions.sampled import Sampled
 
 
 def as_function(operand: object) -> Function | None:
-    """The operand as a function; None if it is neither a function nor a finite number."""
+    """The operand as a function; None if it is neither a function nor a number."""
     if isinstance(operand, Function):
         return operand
     number = as_number(operand)
@@ -27,10 +30,17 @@ def add(left: Function, right: Function) -> Function:
     if isinstance(left, Polynomial) and isinstance(right, Polynomial):
         about = _about(left, right)
         return polynomial(exact.rounded(exact.plus(_at(left, about), _at(right, about))), about)
+    if _is_zero(left):
+        return right
+    if _is_zero(right):
+        return left
     merged = _by_pieces(left, right, add)
     if merged is not None:
         return merged
-    raise NotImplementedError
+    overlap("Sum", (left, right))
+    terms = _merged(add, _parts(Sum, left), _parts(Sum, right))
+    kept = [term for term in terms if not _is_zero(term)] or terms[:1]
+    return kept[0] if len(kept) == 1 else Sum(*kept)
 
 
 def multiply(left: Function, right: Function) -> Function:
@@ -38,10 +48,16 @@ def multiply(left: Function, right: Function) -> Function:
     if isinstance(left, Polynomial) and isinstance(right, Polynomial):
         about = _about(left, right)
         return polynomial(exact.rounded(exact.times(_at(left, about), _at(right, about))), about)
+    for one, other in ((left, right), (right, left)):
+        if isinstance(one, Polynomial) and one.degree == 0:
+            number = one.coefficients[0]
+            return other if number == 1.0 else other.times(number)
     merged = _by_pieces(left, right, multiply)
     if merged is not None:
         return merged
-    raise NotImplementedError
+    overlap("Product", (left, right))
+    factors = _merged(multiply, _parts(Product, left), _parts(Product, right))
+    return factors[0] if len(factors) == 1 else Product(*factors)
 
 
 def compose(outer: Function, inner: Function) -> Function:
@@ -51,7 +67,54 @@ def compose(outer: Function, inner: Function) -> Function:
         within[0] -= Fraction(outer.about)
         composed = exact.composed(exact.rational(outer.coefficients), within)
         return polynomial(exact.rounded(composed), inner.about)
-    raise NotImplementedError
+    if isinstance(outer, Polynomial) and _of_polynomials(inner):
+        pieces = [compose(outer, piece) for piece in _piecewise(inner).pieces]
+        return Piecewise(_piecewise(inner).breaks, pieces)
+    if _of_polynomials(outer) and isinstance(inner, Polynomial) and inner.degree == 1:
+        return _stretched(_piecewise(outer), inner)
+    return Composition(outer, inner)
+
+
+def _stretched(outer: Piecewise, line: Polynomial) -> Function:
+    """outer(line(x)), piece by piece."""
+    start, slope = (Fraction(c) for c in line.coefficients)
+    breaks = [
+        exact.nearest((Fraction(b) - start) / slope + Fraction(line.about)) if abs(b) < inf else b
+        for b in outer.breaks
+    ]
+    pieces = [compose(piece, line) for piece in outer.pieces]
+    if slope < 0:
+        breaks = [-b if abs(b) == inf else b for b in reversed(breaks)]
+        pieces.reverse()
+    return Piecewise(breaks, pieces)
+
+
+def _parts(kind: type[Sum] | type[Product], function: Function) -> list[Function]:
+    if isinstance(function, Sum) and kind is Sum:
+        return list(function.terms)
+    if isinstance(function, Product) and kind is Product:
+        return list(function.factors)
+    return [function]
+
+
+def _merged(
+    combine: Callable[[Function, Function], Function],
+    parts: list[Function],
+    others: list[Function],
+) -> list[Function]:
+    """All of them, with those made of polynomials combined to one, where the first of them was."""
+    result = list(parts)
+    for other in others:
+        places = [i for i, part in enumerate(result) if _of_polynomials(part)]
+        if places and _of_polynomials(other):
+            result[places[0]] = combine(result[places[0]], other)
+        else:
+            result.append(other)
+    return result
+
+
+def _is_zero(function: Function) -> bool:
+    return isinstance(function, Polynomial) and function.coefficients == (0.0,)
 
 
 def _about(left: Polynomial, right: Polynomial) -> float:
@@ -69,10 +132,7 @@ def _by_pieces(
     """Piece by piece, if that makes pieces that are polynomials."""
     if not (_of_polynomials(left) and _of_polynomials(right)):
         return None
-    low = max(left.domain[0], right.domain[0])
-    high = min(left.domain[1], right.domain[1])
-    if not low < high:
-        raise UsageError(f"{left!r} and {right!r} have no interval in common")
+    low, high = overlap(combine.__name__, (left, right))
     inner = {*left.breaks_between(low, high), *right.breaks_between(low, high)}
     breaks = [low, *sorted(inner), high]
     pieces = [
@@ -83,14 +143,21 @@ def _by_pieces(
 
 
 def _of_polynomials(function: Function) -> bool:
-    return isinstance(function, Polynomial) or (
+    return isinstance(function, Polynomial | Sampled) or (
         isinstance(function, Piecewise) and function.is_polynomial
     )
 
 
-def _piece(function: Function, low: float, high: float) -> Function:
+def _piecewise(function: Function) -> Piecewise:
+    if isinstance(function, Sampled):
+        return function.pieces
+    assert isinstance(function, Piecewise)
+    return function
+
+
+def _piece(function: Function, low: float, high: float) -> Polynomial:
     """The polynomial over an interval without breaks, about its left end if it has one."""
-    if isinstance(function, Piecewise):
-        ((function, _, _),) = function.within(low, high)
-    assert isinstance(function, Polynomial)
-    return function.moved_to(low) if low > -float("inf") and function.degree else function
+    if not isinstance(function, Polynomial):
+        ((function, _, _),) = _piecewise(function).within(low, high)
+        assert isinstance(function, Polynomial)
+    return function.moved_to(low) if low > -inf and function.degree else function

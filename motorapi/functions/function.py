@@ -26,7 +26,7 @@ The rules, for every function `f`:
 """
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from math import inf
 from sys import float_info
@@ -66,6 +66,7 @@ class Function(ABC):
     """
 
     __slots__ = ()
+    __array_ufunc__: Final = None  # numpy's own numbers leave operators to this class
 
     # --- what every class says
 
@@ -207,16 +208,27 @@ class Function(ABC):
 
         return Piecewise((self._inside(low), self._inside(high)), (self,))
 
-    @abstractmethod
     def shifted(self, offset: float) -> "Function":
         """X -> f(x - offset): what it was at x it is at x + offset; it begins that much later."""
+        from motorapi.functions.moved import Shifted
 
-    @abstractmethod
+        return Shifted(self, offset)
+
     def scaled(self, factor: float) -> "Function":
         """X -> f(x / factor): what it was at x it is at x * factor; it takes that much longer.
 
         A factor below 0 turns it round. To scale the values, multiply: `2.0 * f`.
         """
+        from motorapi.functions.moved import Scaled
+
+        return Scaled(self, factor)
+
+    def times(self, number: float) -> "Function":
+        """The values multiplied by a number, finite: what `number * f` is."""
+        from motorapi.functions.combined import Product
+        from motorapi.functions.polynomial import Constant
+
+        return Product(Constant(number), self)
 
     @final
     def after(self, inner: "Function") -> "Function":
@@ -354,3 +366,22 @@ def finite(owner: str, name: str, value: object) -> float:
     if not -LARGEST <= number <= LARGEST:
         raise UsageError(f"{owner}: {name} is {value!r}, not a finite number")
     return number
+
+
+def overlap(owner: str, functions: Sequence[Function]) -> tuple[float, float]:
+    """The interval that the domains have in common.
+
+    Raises:
+        UsageError: there is no function, one is none, or they have no interval in common.
+    """
+    if not functions:
+        raise UsageError(f"{owner}: there is no function")
+    for one in functions:
+        if not isinstance(one, Function):
+            raise UsageError(f"{owner}: {one!r} is no function")
+    low = max(one.domain[0] for one in functions)
+    high = min(one.domain[1] for one in functions)
+    if not low < high:
+        told = " and ".join("{!r} to {!r}".format(*one.domain) for one in functions)
+        raise UsageError(f"{owner}: the domains {told} have no interval in common")
+    return low, high

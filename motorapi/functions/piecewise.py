@@ -225,6 +225,10 @@ class Piecewise(Function):
     def _parameters(self) -> tuple[object, ...]:
         return self.breaks, self.pieces
 
+    def times(self, number: float) -> Function:
+        """Piece by piece."""
+        return Piecewise(self.breaks, [piece.times(number) for piece in self.pieces])
+
     def shifted(self, offset: float) -> Function:
         """Piece by piece."""
         way = finite("Piecewise", "offset", offset)

@@ -141,6 +141,11 @@ class Polynomial(Function):
         return polynomial(exact.rounded(exact.moved(exact.rational(self.coefficients), way)), about)
 
     @final
+    def times(self, number: float) -> Function:
+        """Coefficient by coefficient."""
+        return polynomial([c * number for c in self.coefficients], self.about)
+
+    @final
     def shifted(self, offset: float) -> Function:
         """Exact, but for the rounding of about + offset."""
         about = self.about + finite(repr(self), "offset", offset)

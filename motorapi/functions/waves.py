@@ -1,0 +1,206 @@
+"""Sine and cosine."""
+
+from abc import abstractmethod
+from math import ceil, cos, floor, inf, isfinite, pi, sin
+from typing import TypeVar, final
+
+import numpy as np
+
+from motorapi.errors import UsageError
+from motorapi.functions.function import LARGEST, Extrema, FloatArray, Function, finite
+
+_Wave = TypeVar("_Wave", bound="Wave")
+
+
+class Wave(Function):
+    """What sine and cosine share: amplitude * wave(frequency_rad_s * (x - about) + phase_rad).
+
+    Args:
+        amplitude: in the unit of the values; any sign.
+        frequency_rad_s: radians per unit of the argument, which need not be time; not 0.
+        phase_rad: at `about`.
+        about: where the phase is `phase_rad`. Far from it the phase is known to so many digits
+            only as the argument is.
+
+    Raises:
+        UsageError: one of them is not finite, or the frequency is 0.
+    """
+
+    __slots__ = ("about", "amplitude", "frequency_rad_s", "phase_rad")
+
+    amplitude: float
+    frequency_rad_s: float
+    phase_rad: float
+    about: float
+
+    @final
+    def __init__(
+        self,
+        amplitude: float = 1.0,
+        frequency_rad_s: float = 1.0,
+        phase_rad: float = 0.0,
+        about: float = 0.0,
+    ) -> None:
+        name = type(self).__name__
+        frequency = finite(name, "frequency_rad_s", frequency_rad_s)
+        if frequency == 0.0:
+            raise UsageError(f"{name}: frequency_rad_s is 0; what does not change is a Constant")
+        self._keep(
+            amplitude=finite(name, "amplitude", amplitude),
+            frequency_rad_s=frequency,
+            phase_rad=finite(name, "phase_rad", phase_rad),
+            about=finite(name, "about", about),
+        )
+
+    @abstractmethod
+    def _crest_rad(self) -> float:
+        """A phase at which the wave, without its amplitude, is 1."""
+
+    @property
+    @final
+    def domain(self) -> tuple[float, float]:
+        """Everywhere."""
+        return -inf, inf
+
+    @final
+    def _phase(self, argument: float) -> float:
+        phase = self.frequency_rad_s * (argument - self.about) + self.phase_rad
+        if not (-LARGEST <= argument <= LARGEST and isfinite(phase)):
+            self._refuse(argument)
+        return phase
+
+    @final
+    def _phases(self, arguments: FloatArray) -> FloatArray:
+        phases = arguments - self.about
+        phases *= self.frequency_rad_s
+        phases += self.phase_rad
+        known = np.isfinite(phases)
+        if not known.all():
+            self._refuse(float(arguments[np.argmin(known)]))
+        return phases
+
+    @final
+    def _like(self, kind: type[_Wave], amplitude: float) -> _Wave:
+        """A wave in step with this one."""
+        return kind(amplitude, self.frequency_rad_s, self.phase_rad, self.about)
+
+    @final
+    def _extrema(self, low: float, high: float) -> Extrema:
+        first, last = self._phase(low), self._phase(high)
+        forward = 1 if first <= last else -1
+        crest = self._crest_rad()
+        number = ceil((first - crest) / pi) if forward > 0 else floor((first - crest) / pi)
+        found = [(self.value(low), low), (self.value(high), high)]
+        for k in (number, number + forward):
+            phase = crest + k * pi
+            if min(first, last) <= phase <= max(first, last):
+                at = self.about + (phase - self.phase_rad) / self.frequency_rad_s
+                size = -self.amplitude if k % 2 else self.amplitude
+                found.append((size, min(max(at, low), high)))
+        most = max(found, key=lambda one: (one[0], -one[1]))
+        return Extrema(*min(found), *most)
+
+    @final
+    def _bounds(self, low: float, high: float) -> tuple[float, float]:
+        found = self._extrema(low, high)
+        return found.minimum, found.maximum
+
+    @final
+    def times(self, number: float) -> Function:
+        """The same with another amplitude."""
+        return self._like(type(self), self.amplitude * number)
+
+    @final
+    def shifted(self, offset: float) -> Function:
+        """Exact, but for the rounding of about + offset."""
+        about = self.about + finite(repr(self), "offset", offset)
+        return type(self)(self.amplitude, self.frequency_rad_s, self.phase_rad, about)
+
+    @final
+    def scaled(self, factor: float) -> Function:
+        """With the frequency divided by `factor`."""
+        number = finite(repr(self), "factor", factor)
+        if number == 0.0:
+            raise UsageError(f"{self!r}: the argument cannot be scaled by 0")
+        frequency = self.frequency_rad_s / number
+        return type(self)(self.amplitude, frequency, self.phase_rad, self.about * number)
+
+    @final
+    def _parameters(self) -> tuple[object, ...]:
+        return self.amplitude, self.frequency_rad_s, self.phase_rad, self.about
+
+    @final
+    def __repr__(self) -> str:
+        place = f", about={self.about!r}" if self.about else ""
+        return (
+            f"{type(self).__name__}({self.amplitude!r}, frequency_rad_s={self.frequency_rad_s!r},"
+            f" phase_rad={self.phase_rad!r}{place})"
+        )
+
+
+@final
+class Sine(Wave):
+    """amplitude * sin(frequency_rad_s * (x - about) + phase_rad); see `Wave`."""
+
+    __slots__ = ()
+
+    def value(self, argument: float) -> float:
+        """By the C library."""
+        return self.amplitude * sin(self._phase(argument))
+
+    def _values(self, arguments: FloatArray) -> FloatArray:
+        return self.amplitude * np.sin(self._phases(arguments))
+
+    def _derivative(self, order: int) -> Function:
+        size = self.amplitude * self.frequency_rad_s**order
+        if order % 2:
+            return self._like(Cosine, -size if order % 4 == 3 else size)
+        return self._like(Sine, -size if order % 4 == 2 else size)
+
+    def integral(self) -> Function:
+        """A cosine and a constant."""
+        wave = self._like(Cosine, -self.amplitude / self.frequency_rad_s)
+        return wave - wave.value(0.0)
+
+    def _integrate(self, low: float, high: float) -> float:
+        # cos a - cos b = 2 sin((a + b) / 2) sin((b - a) / 2), which does not cancel
+        turn = 0.5 * self.frequency_rad_s * (high - low)
+        middle = self._phase(low) + turn
+        return 2.0 * self.amplitude / self.frequency_rad_s * sin(middle) * sin(turn)
+
+    def _crest_rad(self) -> float:
+        return 0.5 * pi
+
+
+@final
+class Cosine(Wave):
+    """amplitude * cos(frequency_rad_s * (x - about) + phase_rad); see `Wave`."""
+
+    __slots__ = ()
+
+    def value(self, argument: float) -> float:
+        """By the C library."""
+        return self.amplitude * cos(self._phase(argument))
+
+    def _values(self, arguments: FloatArray) -> FloatArray:
+        return self.amplitude * np.cos(self._phases(arguments))
+
+    def _derivative(self, order: int) -> Function:
+        size = self.amplitude * self.frequency_rad_s**order
+        if order % 2:
+            return self._like(Sine, -size if order % 4 == 1 else size)
+        return self._like(Cosine, -size if order % 4 == 2 else size)
+
+    def integral(self) -> Function:
+        """A sine and a constant."""
+        wave = self._like(Sine, self.amplitude / self.frequency_rad_s)
+        return wave - wave.value(0.0)
+
+    def _integrate(self, low: float, high: float) -> float:
+        # sin b - sin a = 2 cos((a + b) / 2) sin((b - a) / 2), which does not cancel
+        turn = 0.5 * self.frequency_rad_s * (high - low)
+        middle = self._phase(low) + turn
+        return 2.0 * self.amplitude / self.frequency_rad_s * cos(middle) * sin(turn)
+
+    def _crest_rad(self) -> float:
+        return 0.0
