@@ -50,8 +50,7 @@ def test_a_trajectory_is_a_distance_unless_it_says_where_it_begins():
             TrapezoidalTrajectory(
                 1.0, initial=0.25, duration_s=2.0, limits=DerivativeLimits(first=0.5)
             ),
-            "<TrapezoidalTrajectory from 0.25 to 1.0, in 2.0 s, "
-            "first derivative at most 0.5>",
+            "<TrapezoidalTrajectory from 0.25 to 1.0, in 2.0 s, first derivative at most 0.5>",
         ),
         (
             TrapezoidalTrajectory(-1.0, limits=DerivativeLimits(second=(-2, 1), value=(-3, 0))),
