@@ -152,14 +152,17 @@ class FileError(UsageError):
 class MotorBusyError(MotorError):
     """Somebody else holds the motor.
 
-    Attributes: motor (name), holder (who, in words), since_ns (of the runtime's time).
+    Attributes: motor (name), holder (who, in words), since_ns (of the runtime's time), purpose
+    ("low-level access"; "" if the holder's name says it all).
     """
 
-    def __init__(self, *, motor: str, holder: str, since_ns: int) -> None:
+    def __init__(self, *, motor: str, holder: str, since_ns: int, purpose: str = "") -> None:
         self.motor = motor
         self.holder = holder
         self.since_ns = since_ns
-        super().__init__(f"{motor} is held by {holder} since {since_ns / 1e9:.6f} s")
+        self.purpose = purpose
+        whom = f"{holder} for {purpose}" if purpose else holder
+        super().__init__(f"{motor} is held by {whom} since {since_ns / 1e9:.6f} s")
 
 
 @final

@@ -15,9 +15,8 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, final
 
 from motorapi import planning
-from motorapi.commands import ControlMode, ControlVariable, Motion, Setpoint, as_number
+from motorapi.commands import ControlMode, ControlVariable, Motion, Setpoint
 from motorapi.errors import (
-    DeadlineExceeded,
     DeviceFault,
     LimitError,
     LinkError,
@@ -25,11 +24,11 @@ from motorapi.errors import (
     StateError,
     UsageError,
 )
-from motorapi.sharing import Run, RunStatus, Turns, trigger_turns
+from motorapi.sharing import Run, RunStatus
 from motorapi.state import Fault, MotorState
 from motorapi.synchronization import SyncLevel, Trigger
 from motorapi.trajectory import ComplexTrajectory, Trajectory
-from motorapi.waiting import Awaited, Waiting
+from motorapi.turns import Turns, trigger_turns
 
 if TYPE_CHECKING:
     from motorapi.motor import Motor
@@ -316,95 +315,3 @@ def _note_member(error: BaseException, one: Started, started: Sequence[Started])
     if len(started) > 1:
         place = next(place for place, other in enumerate(started) if other is one)
         error.add_note(f"from {one.motor.name}, motor {place + 1} of {len(started)}")
-
-
-def check_timeout(timeout_s: float | None) -> None:
-    """Raises UsageError if it is no time that anybody could wait."""
-    if timeout_s is not None and not as_number(timeout_s) >= 0.0:
-        raise UsageError(f"timeout_s = {timeout_s!r}: must be a number of seconds >= 0")
-
-
-def wait_for_all(motors: Sequence["Motor"], timeout_s: float | None) -> None:
-    """What was commanded last is over in all motors; the first to fail stops the others.
-
-    Raises:
-        DeadlineExceeded: not within `timeout_s` [s]; names who was not done. Nothing is stopped.
-        MotorError: how a motion failed.
-    """
-    check_timeout(timeout_s)
-    members = [_Member(motor) for motor in motors]
-    awaited = [Awaited(one.motor._physical.news, one.is_over) for one in members]
-    waiting = Waiting(awaited)
-
-    def going() -> list[_Member]:
-        return [m for m, one in zip(members, awaited, strict=True) if one in waiting.going]
-
-    runtime = motors[0].runtime
-    deadline_ns: int | None = None
-    if timeout_s is not None:
-        deadline_ns = runtime.now_ns() + round(min(timeout_s, 1e9) * 1e9)
-    while True:
-        again_s = [one.motor._call(one.motor._refresh) for one in going() if one.run is not None]
-        pauses_s = [pause_s for pause_s in again_s if pause_s is not None]
-        if deadline_ns is not None:
-            pauses_s.append(max(0, deadline_ns - runtime.now_ns()) / 1e9)
-        try:
-            if runtime.wait_until(waiting.all_over, min(pauses_s) if pauses_s else None):
-                return
-        except _MemberFailed as failed:
-            _stop_others(motors, failed)
-            raise failed.error from failed.error.__cause__
-        if deadline_ns is not None and runtime.now_ns() >= deadline_ns:
-            break
-    raise DeadlineExceeded(
-        awaited=f"end of motion of {', '.join(one.motor.name for one in going())}",
-        timeout_s=0.0 if timeout_s is None else timeout_s,
-        last_heard="; ".join(_last_heard(one.motor) for one in going()),
-    )
-
-
-@final
-class _Member:
-    """A motor whose run, of when the wait began, is waited for."""
-
-    def __init__(self, motor: "Motor") -> None:
-        self.motor = motor
-        self.run = motor._run
-
-    def is_over(self) -> bool:
-        try:
-            return self.motor._look(self.run)
-        except Exception as error:
-            raise _MemberFailed(self.motor, error) from error
-
-
-@final
-class _MemberFailed(Exception):  # noqa: N818 -- never leaves this module
-    def __init__(self, motor: "Motor", error: Exception) -> None:
-        super().__init__()
-        self.motor = motor
-        self.error = error
-
-
-def _stop_others(motors: Sequence["Motor"], failed: _MemberFailed) -> None:
-    if len(motors) == 1:
-        return
-    failed.error.add_note(f"from {failed.motor.name}; the others of its group were stopped")
-    for motor in motors:
-        if motor is not failed.motor:
-            try:
-                motor.stop()
-            except Exception as further:
-                failed.error.add_note(f"but {motor.name} could not be stopped: {further}")
-
-
-def _last_heard(motor: "Motor") -> str:
-    latest = motor.latest()
-    if latest is None:
-        return f"{motor.name}: nothing"
-    text = f"{motor.name}: {latest.state.value} at {latest.time_ns / 1e9:.6f} s"
-    if latest.position is not None:
-        text += f", {latest.position:g} {motor.model.unit}"
-    if latest.velocity is not None:
-        text += f", {latest.velocity:g} {motor.model.unit}/s"
-    return text

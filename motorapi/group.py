@@ -12,12 +12,15 @@ Algorithm 2 of the paper runs nearly word for word::
 # ruff: noqa: SLF001 -- a group works the hooks of its members, as Motor does its own
 
 from collections.abc import Callable
+from contextlib import ExitStack
 
 from motorapi import planning
 from motorapi.device import DeviceGroup
 from motorapi.errors import MotorError, UsageError
-from motorapi.execution import Started, plan, start_together, wait_for_all
+from motorapi.execution import Started, plan, start_together
+from motorapi.motion_waits import wait_for_all
 from motorapi.motor import Motor
+from motorapi.outcome import callback_failed
 from motorapi.synchronization import (
     SyncCapability,
     SyncLevel,
@@ -90,7 +93,14 @@ class MotorGroup(DeviceGroup[Motor]):
         """
         wait_for_all(self._members(), timeout_s)
         if self._observer is not None and self._started:
-            self._observer(self.sync_quality())
+            quality = self.sync_quality()
+            try:
+                self._observer(quality)
+            except MotorError:
+                raise
+            except Exception as error:
+                names = ", ".join(motor.name for motor in self)
+                raise callback_failed(self._observer, f"observer of {names}", error) from error
 
     def observe(self, told: Callable[[SyncQuality], None]) -> None:
         """`told` hears how well each start was synchronised, once it was waited for."""
@@ -120,6 +130,12 @@ class MotorGroup(DeviceGroup[Motor]):
             MotorError: a motor does not answer.
         """
         members = self._members()
+        with ExitStack() as passages:
+            for motor in members:
+                passages.enter_context(motor._physical.passage(motor.name))
+            return self._capability(members)
+
+    def _capability(self, members: tuple[Motor, ...]) -> SyncCapability:
         offers: list[SyncOffer] = []
         for motor in members:
             motor._call(motor._connect)

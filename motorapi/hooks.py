@@ -226,3 +226,21 @@ class MotorHooks(Device, ABC):
     def _motion_times(self) -> MotionTimes | None:
         """When the last motion began and ended, as the hardware told; None if it cannot tell."""
         return None
+
+    # ---- the hardware itself ----
+
+    def _open_low_level(self) -> object:
+        """The hardware object, for the application alone.
+
+        Called in a transaction, with nothing going on and nobody reading. What the hardware object
+        does by itself (a stream, a servo, a poll) has ended when this returns, or StateError; it
+        begins nothing by itself, and refuses other threads, while `self._physical.access` is set.
+        It need not be connected.
+        """
+        raise UnsupportedError(motor=self.name, feature="low-level access")
+
+    def _close_low_level(self) -> None:
+        """Nothing is believed of the hardware any more; the next `_connect` finds out anew.
+
+        Also called after an `_open_low_level` that raised. Must not wait.
+        """

@@ -15,33 +15,28 @@ Algorithm 1 of the paper runs nearly word for word::
 Setting is local: nothing is sent, and other logical motors of the same physical motor see nothing
 of it. `start` takes the motor, pushes what differs, and starts, or raises and has moved nothing.
 Public methods are final: they validate, take the motor, convert errors, and report. What a vendor
-fills in is in `motorapi.hooks`; what only looks is in `motorapi.readable_motor`. U stands for the
+fills in is in `motorapi.hooks`; what only looks is in `motorapi.readable_motor`, what knows how
+motions end in `motorapi.shared_motor`. U stands for the
 motor's unit of position: rad, or m if linear.
 """
 
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
+from contextlib import AbstractContextManager
 from dataclasses import replace
-from typing import TYPE_CHECKING, Final, final
+from typing import TYPE_CHECKING, Any, Final, final
 
 from motorapi import planning
-from motorapi.commands import ControlMode, ControlVariable, DerivativeLimits, Motion, Setpoint
+from motorapi.commands import ControlMode, ControlVariable, DerivativeLimits, Setpoint
 from motorapi.errors import (
-    MotionInterrupted,
-    MotorError,
     PluginError,
     StateError,
     UnsupportedError,
     UsageError,
 )
-from motorapi.execution import (
-    check_timeout,
-    require_no_fault,
-    require_rest,
-    start_together,
-    wait_for_all,
-)
-from motorapi.readable_motor import ReadableMotor
+from motorapi.execution import require_no_fault, require_rest, start_together
+from motorapi.low_level import low_level_access
+from motorapi.motion_waits import check_timeout, wait_for_all
+from motorapi.shared_motor import SharedMotor
 from motorapi.sharing import Run, RunStatus
 from motorapi.state import MotorState
 from motorapi.trajectory import Trajectory
@@ -52,7 +47,7 @@ if TYPE_CHECKING:
 _HOMING_TIMEOUT_S: Final = 60.0
 
 
-class Motor(ReadableMotor):
+class Motor(SharedMotor):
     """A logical motor: the user's view of one physical motor. Settings are kept here until start().
 
     An adaptation derives from it and fills in the hooks; it cannot override what is public.
@@ -62,7 +57,6 @@ class Motor(ReadableMotor):
     _variable: ControlVariable = ControlVariable.POSITION
     _command: Setpoint | Trajectory | None = None
     _argument: "Argument | None" = None
-    _run: Run | None = None
 
     def __init_subclass__(cls) -> None:
         super().__init_subclass__()
@@ -197,11 +191,6 @@ class Motor(ReadableMotor):
         wait_for_all((self,), timeout_s)
 
     @final
-    def is_done(self) -> bool:
-        """Whether `wait_until_done` would return at once; raises as it does."""
-        return self._look(self._run)
-
-    @final
     def stop(self) -> None:
         """The motor is slowing down and its motion is over; wait_until_done() waits for rest.
 
@@ -294,72 +283,40 @@ class Motor(ReadableMotor):
             self.stop()
             raise
 
-    # ---- inside: shared with motorapi.execution and motorapi.group ----
+    # ---- the hardware itself ----
 
     @final
-    @contextmanager
-    def _operation(self, name: str) -> Iterator[None]:
-        """The motor is ours, connected, and nobody else operates on it inside the block."""
-        with self._physical.transaction(self.runtime, f"{name}() of {self.name}"):
-            self._bury_failed_run()
-            self._physical.take(self, self.name, self._status())
-            self._call(self._connect)
-            yield
+    def low_level(self, *, timeout_s: float | None = None) -> AbstractContextManager[Any]:
+        """`with motor.low_level() as hardware:` all the hardware can do, and nobody else at it.
 
-    @final
-    def _status(self) -> RunStatus:
-        """How far the physical motor's run is; DONE if there is none."""
-        run = self._physical.run
-        if run is None or run.finished:
-            return RunStatus.DONE
-        try:
-            return RunStatus.DONE if self._call(self._is_done) else RunStatus.GOING
-        except MotorError:
-            return RunStatus.FAILED
+        Inside the block nothing else of the interface touches the hardware, of whatever logical
+        motor, this one included: operations and stops are refused, readings answer from what was
+        heard last, or are refused; see `motorapi.low_level`. The hardware object is for this
+        thread alone. Afterwards nothing is believed of it: the next start writes all it needs. A
+        block of the same motor inside the block changes nothing.
 
-    @final
-    def _bury_failed_run(self) -> None:
-        """What the hardware says has failed is over, whatever it says once it is brought up."""
-        run = self._physical.run
-        if run is None or run.finished:
-            return
-        try:
-            self._call(self._is_done)
-        except MotorError as error:
-            self._physical.end(str(error), self.runtime.now_ns(), RunStatus.FAILED)
+        Args:
+            timeout_s: how long to wait, first come first served, for another's low-level access
+                and for the end of a motion [s]; None: neither is waited for.
 
-    @final
-    def _begin(self, operation: str, motion: Motion | None) -> Run:
-        name = f"{operation}() of {self.name}"
-        run = Run(name, self, self.runtime.now_ns(), motion)
-        self._physical.begin(run, self._status())
-        self._run = run
-        return run
+        Raises:
+            MotorBusyError: another logical motor holds it, or moves it.
+            StateError: a motion of this one goes on.
+            UnsupportedError: the adaptation gives no hardware object away.
+        """
+        return low_level_access(self, timeout_s)
 
-    @final
-    def _look(self, run: Run | None) -> bool:
-        """Whether the run is over; an error if it was ended short of its target."""
-        if run is None or run.finished:
-            return True
-        if run.interrupted_by is not None:
-            raise MotionInterrupted(
-                motor=self.name, by=run.interrupted_by, at_ns=run.interrupted_at_ns
-            )
-        if not self._call(self._is_done):
-            return False
-        if run.ends:
-            run.finished = True
-        return True
+    # ---- inside ----
 
     @final
     def _bring_to_rest(self, operation: str, hook: Callable[[], None]) -> None:
-        status = self._status()
-        self._physical.interruptions += 1
-        self._call(self._connect)
-        self._call(hook)
-        run = Run(f"{operation}() of {self.name}", self, self.runtime.now_ns(), None)
-        self._physical.begin(run, status)
-        self._run = run
+        with self._physical.interrupt(self.name):
+            status = self._status()
+            self._call(self._connect)
+            self._call(hook)
+            run = Run(f"{operation}() of {self.name}", self, self.runtime.now_ns(), None)
+            self._run = run
+            self._physical.begin(run, status)
 
     @final
     def _require_mode(self, mode: ControlMode, operation: str) -> None:

@@ -1,7 +1,8 @@
 """What may be asked of a motor at any time: its state, its fault, and what is measured.
 
-Reading takes nobody's permission and never disturbs whoever has the motor. U stands for the
-motor's unit of position: rad, or m if linear.
+Reading takes nobody's permission and never disturbs whoever has the motor. While somebody has
+low-level access nothing is asked: readings tell what was heard last, else who has the motor.
+U stands for the motor's unit of position: rad, or m if linear.
 """
 
 from collections.abc import Callable
@@ -21,42 +22,53 @@ class ReadableMotor(MotorHooks):
     @final
     def state(self) -> MotorState:
         """The state; OFFLINE if the motor is not heard."""
-        return self._call(self._read_state)
+        access = self._physical.access
+        if access is None:
+            with self._physical.passage(self.name):
+                return self._call(self._read_state)
+        latest = self.latest()
+        if latest is None:
+            raise access.busy(self.name)
+        return latest.state
 
     @final
     def fault(self) -> Fault | None:
         """What the drive says is wrong; None if nothing is."""
-        return self._call(self._read_fault)
+        access = self._physical.access
+        if access is None:
+            with self._physical.passage(self.name):
+                return self._call(self._read_fault)
+        latest = self.latest()
+        if latest is None or latest.state is MotorState.FAULT:
+            raise access.busy(self.name)  # which fault would have to be asked
+        return None
 
     @final
     def is_referenced(self) -> bool:
         """Whether position 0 is where it is meant to be."""
-        self._call(self._connect)
-        return self._call(self._read_referenced)
+        with self._physical.passage(self.name):
+            self._call(self._connect)
+            return self._call(self._read_referenced)
 
     @final
     def position(self) -> float:
         """Measured position [U]."""
-        self._call(self._connect)
-        return self._call(self._read_position)
+        return self._measured(self._read_position, lambda latest: latest.position)
 
     @final
     def velocity(self) -> float:
         """Measured velocity [U/s]."""
-        self._call(self._connect)
-        return self._call(self._read_velocity)
+        return self._measured(self._read_velocity, lambda latest: latest.velocity)
 
     @final
     def torque(self) -> float:
         """Measured torque [N·m], or force [N]."""
-        self._call(self._connect)
-        return self._call(self._read_torque)
+        return self._measured(self._read_torque, lambda latest: latest.torque)
 
     @final
     def following_error(self) -> float:
         """Demand minus actual position [U]."""
-        self._call(self._connect)
-        return self._call(self._read_following_error)
+        return self._measured(self._read_following_error, lambda latest: latest.following_error)
 
     @final
     def latest(self) -> Measurement | None:
@@ -72,6 +84,26 @@ class ReadableMotor(MotorHooks):
         return f"{text}: {latest.state.value}{where}>"
 
     # ---- inside: shared with Motor, motorapi.execution and motorapi.group ----
+
+    @final
+    def _measured(
+        self, read: Callable[[], float], heard: Callable[[Measurement], float | None]
+    ) -> float:
+        """What is read; under somebody's low-level access, what was heard last.
+
+        Raises:
+            MotorBusyError: somebody has low-level access, and it was not heard.
+        """
+        access = self._physical.access
+        if access is None:
+            with self._physical.passage(self.name):
+                self._call(self._connect)
+                return self._call(read)
+        latest = self.latest()
+        value = None if latest is None else heard(latest)
+        if value is None:
+            raise access.busy(self.name)
+        return value
 
     @final
     def _call(self, hook: Callable[P, R], *args: P.args, **kwargs: P.kwargs) -> R:

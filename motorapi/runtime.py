@@ -3,6 +3,8 @@
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Protocol
 
+from motorapi.errors import MotorError, PluginError
+
 if TYPE_CHECKING:
     import can
 
@@ -52,6 +54,28 @@ class Runtime(Protocol):
 
     def send(self, bus: "can.BusABC", frame: bytes) -> None:
         """A can_frame is queued on `bus`; `listen` tells when it was transmitted."""
+
+
+def wait_until(runtime: Runtime, done: Callable[[], bool], timeout_s: float | None = None) -> bool:
+    """As `runtime.wait_until`; what a callback raised meanwhile is told as that, with its place.
+
+    Raises:
+        MotorError: as `done` does, or the runtime.
+        PluginError: a callback raised something else.
+    """
+    try:
+        return runtime.wait_until(done, timeout_s)
+    except MotorError:
+        raise
+    except Exception as error:
+        plugin, where = "a callback", "while something was waited for"
+        place = error.__traceback__
+        while place is not None and place.tb_next is not None:
+            place = place.tb_next
+        if place is not None:
+            code = place.tb_frame.f_code
+            plugin, where = code.co_qualname, f"{code.co_filename}:{place.tb_lineno}"
+        raise PluginError(plugin=plugin, where=where, problem=repr(error)) from error
 
 
 def runtime_of(bus: "can.BusABC") -> Runtime:

@@ -10,71 +10,36 @@ hardware object. It keeps three things apart:
   held by the logical motor that began it: others read, and may stop it, but not command it.
 - the *token*: it grows when the motor changes hands. What a hardware object believes it wrote is
   true only while the token it wrote under is the current one.
+- *low-level access*: a transaction that lasts as long as its holder likes. Who asks for an ordinary
+  one meanwhile is refused at once; so is what needs no transaction (readings, stops, waiters that
+  poll): it goes through a *passage*, and access is granted only while nobody is in one.
 
-Ownership across processes is to take its place behind the same three.
+Ownership across processes is to take its place behind the same four: one lock of the physical
+motor, taken with the turn and kept over a run (`PhysicalMotor.transaction`, `begin`, `end`), taken
+with the grant of low-level access and kept to its end (`grant`, `revoke`); the token, and what
+`MotorBusyError` tells of the holder, come from it then. Until then another process is not kept out.
 """
 
 import threading
 import weakref
-from collections import deque
-from collections.abc import Hashable, Iterator, Sequence
+from collections.abc import Hashable, Iterator
 from contextlib import AbstractContextManager, contextmanager
 from enum import Enum
 from typing import TYPE_CHECKING, Final, final
 
 from motorapi.commands import ControlVariable, Motion
-from motorapi.errors import MotorBusyError, UsageError
-from motorapi.runtime import Runtime
+from motorapi.errors import MotorBusyError, MotorError, UsageError
+from motorapi.runtime import Runtime, wait_until
+from motorapi.turns import LOW_LEVEL, Ticket, Turns
 from motorapi.waiting import News
 
 if TYPE_CHECKING:
     import can
 
-TRANSACTION_TIMEOUT_S: Final = 10.0
-"""How long an operation waits for the one before it; far longer than any drive takes."""
-
-
-@final
-class _Ticket:
-    __slots__ = ("since_ns", "thread", "who")
-
-    def __init__(self, who: str, thread: int, since_ns: int) -> None:
-        self.who: Final = who
-        self.thread: Final = thread
-        self.since_ns: Final = since_ns
-
-
-@final
-class Turns:
-    """Who may use something that one party at a time may use: first come, first served."""
-
-    def __init__(self, label: str) -> None:
-        self.label: Final = label
-        self._queue: deque[_Ticket] = deque()
-
-    @contextmanager
-    def turn(self, runtime: Runtime, who: str) -> Iterator[None]:
-        """Nobody else has it inside the block; in order of asking.
-
-        Raises:
-            UsageError: this thread has it already.
-            MotorBusyError: the one before took longer than `TRANSACTION_TIMEOUT_S`.
-        """
-        thread = threading.get_ident()
-        for other in tuple(self._queue):
-            if other.thread == thread:
-                raise UsageError(f"{who}: {other.who} is still at work in this very thread")
-        ticket = _Ticket(who, thread, runtime.now_ns())
-        self._queue.append(ticket)
-        try:
-            if self._queue[0] is not ticket and not runtime.wait_until(
-                lambda: self._queue[0] is ticket, TRANSACTION_TIMEOUT_S
-            ):
-                first = self._queue[0]
-                raise MotorBusyError(motor=self.label, holder=first.who, since_ns=first.since_ns)
-            yield
-        finally:
-            self._queue.remove(ticket)
+_NO_STOP: Final = (
+    "a stop is refused as well, so that its holder is alone with the hardware; the holder can stop"
+    " it through the hardware object, and the drive's own dead-man still holds"
+)
 
 
 @final
@@ -91,6 +56,7 @@ class Run:
     """One motion of a physical motor: who began it, what it is, and how it ended."""
 
     __slots__ = (
+        "error",
         "finished",
         "interrupted_at_ns",
         "interrupted_by",
@@ -106,6 +72,7 @@ class Run:
         self.since_ns: Final = since_ns
         self.motion: Final = motion
         self.finished = False
+        self.error: MotorError | None = None
         self.interrupted_by: str | None = None
         self.interrupted_at_ns = 0
 
@@ -114,11 +81,22 @@ class Run:
         """Whether it ends by itself. What is said of velocity, torque or current goes on."""
         return self.motion is None or self.motion.variable is ControlVariable.POSITION
 
+    @property
+    def is_over(self) -> bool:
+        """Whether it is known how it ended."""
+        return self.finished or self.interrupted_by is not None
+
     def interrupt(self, by: str, now_ns: int) -> None:
         """It was ended by `by`, short of its target; the first one counts."""
         if self.interrupted_by is None and not self.finished:
             self.interrupted_at_ns = now_ns
             self.interrupted_by = by  # last: a waiter looks at this one first
+
+    def fail(self, error: MotorError, now_ns: int) -> None:
+        """It was ended by `error`, if nothing else had ended it before."""
+        if not self.is_over:
+            self.error = error
+            self.interrupt(str(error), now_ns)
 
 
 @final
@@ -136,12 +114,110 @@ class PhysicalMotor:
         self.news: News | None = None
         """Set by a hardware object that counts in it every change of what `_is_done` looks at; the
         hook is then asked only when it has grown. None: it is asked after every event."""
+        self.access: Ticket | None = None
+        """Who has low-level access; None: nobody."""
+        self._own_news = News()
         self._owner: object = None
         self._turns = Turns(label)
+        self._inside = 0
+        self._mutex = threading.Lock()  # of the few numbers here; never held while waiting
 
-    def transaction(self, runtime: Runtime, who: str) -> AbstractContextManager[None]:
+    def __repr__(self) -> str:
+        doing = "at rest" if self.run is None or self.run.finished else self.run.name
+        if self.access is not None:
+            doing = f"held by {self.access.who} for {LOW_LEVEL}"
+        return f"<PhysicalMotor {self.label}: {doing}>"
+
+    @property
+    def bell(self) -> News:
+        """The news that tell of every end there is to a run; of its hardware's, if it counts."""
+        return self._own_news if self.news is None else self.news
+
+    # ---- transactions, passages, low-level access ----
+
+    def transaction(
+        self, runtime: Runtime, who: str, timeout_s: float | None = None
+    ) -> AbstractContextManager[Ticket]:
         """No other operation on this motor runs inside the block; see `Turns.turn`."""
-        return self._turns.turn(runtime, who)
+        return self._turns.turn(runtime, who, timeout_s)
+
+    @contextmanager
+    def passage(self, motor: str, *, of_holder: bool = False) -> Iterator[None]:
+        """Nobody is given low-level access while this block uses the hardware, in no transaction.
+
+        Args:
+            motor: the name for the error.
+            of_holder: the thread that has low-level access may pass: it works the hardware object.
+
+        Raises:
+            MotorBusyError: somebody has low-level access; the holder itself counts too.
+        """
+        with self._mutex:
+            access = self.access
+            if access is not None and not (of_holder and access.thread == threading.get_ident()):
+                raise access.busy(motor)
+            self._inside += 1
+        try:
+            yield
+        finally:
+            with self._mutex:
+                self._inside -= 1
+
+    @property
+    def is_held_here(self) -> bool:
+        """Whether this very thread has low-level access."""
+        access = self.access
+        return access is not None and access.thread == threading.get_ident()
+
+    def require_not_held_elsewhere(self) -> None:
+        """Raises MotorBusyError if another thread has low-level access."""
+        access = self.access
+        if access is not None and access.thread != threading.get_ident():
+            raise access.busy(self.label)
+
+    def interrupt(self, motor: str) -> AbstractContextManager[None]:
+        """A start in progress notices that the motor is stopped, inside the block.
+
+        Raises:
+            MotorBusyError: somebody has low-level access.
+        """
+        access = self.access
+        if access is not None:
+            error = access.busy(motor)
+            error.add_note(_NO_STOP)
+            raise error
+        with self._mutex:
+            self.interruptions += 1
+        return self.passage(motor)
+
+    def grant(self, runtime: Runtime, ticket: Ticket, timeout_s: float) -> None:
+        """Who has this ticket, and so the turn, has low-level access, once nobody is in a passage.
+
+        Raises:
+            MotorBusyError: somebody stayed in one for `timeout_s` [s].
+        """
+
+        def is_granted() -> bool:
+            with self._mutex:
+                if self._inside:
+                    return False
+                ticket.exclusive = True
+                self.access = ticket
+                return True
+
+        if not wait_until(runtime, is_granted, timeout_s):
+            holder = "somebody who reads or stops it"
+            raise MotorBusyError(motor=self.label, holder=holder, since_ns=ticket.since_ns)
+        self._count_news()
+
+    def revoke(self, ticket: Ticket) -> None:
+        """Low-level access is over; what anybody believes of the motor is doubted."""
+        self._owner = None
+        self.token += 1
+        self.access = None
+        ticket.exclusive = False
+
+    # ---- runs ----
 
     def take(self, owner: object, motor: str, status: RunStatus) -> None:
         """`owner` may command the motor; `status` is that of the run there is, if any.
@@ -163,45 +239,41 @@ class PhysicalMotor:
 
     def begin(self, run: Run, status: RunStatus) -> None:
         """`run` is what the motor does now; what it did before was interrupted, if not over."""
-        self.end(run.name, run.since_ns, status)
+        self._settle(run.name, run.since_ns, status)
         self.run = run
+        self._count_news()
 
     def end(self, by: str, now_ns: int, status: RunStatus) -> None:
         """Nothing goes on; what went on was interrupted by `by`, if it was not over."""
+        if self._settle(by, now_ns, status):
+            self.run = None
+            self._count_news()
+
+    def fail(self, error: MotorError, now_ns: int) -> None:
+        """Nothing goes on; what went on was ended by `error`."""
         run = self.run
         if run is not None:
-            if status is RunStatus.DONE and run.ends and run.interrupted_by is None:
-                run.finished = True
-            run.interrupt(by, now_ns)
+            run.fail(error, now_ns)
+            self.run = None
             self._count_news()
-        self.run = None
+
+    def _settle(self, by: str, now_ns: int, status: RunStatus) -> bool:
+        """How the run there is ended is known; whether there was one."""
+        run = self.run
+        if run is None:
+            return False
+        if status is RunStatus.DONE and run.ends and run.interrupted_by is None:
+            run.finished = True
+        run.interrupt(by, now_ns)
+        return True
 
     def _count_news(self) -> None:
-        if self.news is not None:
-            self.news.count += 1
+        self.bell.grow()
 
 
-_triggers: Final["weakref.WeakValueDictionary[tuple[Runtime, Hashable], Turns]"] = (
-    weakref.WeakValueDictionary()  # each as long as somebody has it or waits for it
-)
 _registry_lock: Final = threading.Lock()
 _registry: Final[dict[Hashable, "weakref.ref[object]"]] = {}
 _serial = 0
-
-
-def trigger_turns(runtime: Runtime, groups: Sequence[Hashable]) -> list[Turns]:
-    """Turns for arming and firing by the triggers `groups`, in the order to take them.
-
-    A signal that starts whatever is armed would start another group's motors too early.
-    """
-    wanted: list[Turns] = []
-    with _registry_lock:
-        for group in dict.fromkeys(groups):
-            turns = _triggers.get((runtime, group))
-            if turns is None:
-                turns = _triggers[runtime, group] = Turns(f"the trigger {group}")
-            wanted.append(turns)
-    return sorted(wanted, key=lambda turns: turns.label)
 
 
 def register_physical_motor(key: Hashable, label: str, hardware: object) -> PhysicalMotor:

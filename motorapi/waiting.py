@@ -9,10 +9,23 @@ from typing import final
 
 @final
 class News:
-    """How often what is known of a physical motor has changed. Whoever changes it counts."""
+    """How often what is known of a physical motor has changed. Whoever changes it counts.
+
+    Attributes:
+        count: who waits compares it. Counting alone will do where a motion cannot have ended.
+        listeners: are told by `grow`; they look whether a motion has ended by that.
+    """
 
     def __init__(self) -> None:
         self.count = 0
+        self.listeners: list[Callable[[], None]] = []
+
+    def grow(self) -> None:
+        """It has changed, so that a motion may have ended. Called when all of the change is in."""
+        self.count += 1
+        if self.listeners:
+            for listener in self.listeners.copy():
+                listener()
 
 
 @final

@@ -16,11 +16,11 @@ from motorapi import (
     UsageError,
 )
 from motorapi.sharing import (
-    TRANSACTION_TIMEOUT_S,
     bus_key,
     register_physical_motor,
     release_physical_motor,
 )
+from motorapi.turns import TRANSACTION_TIMEOUT_S
 from tests.motorapi.ideal import IdealBus, IdealHwMotor, IdealMotor, fault_now
 
 

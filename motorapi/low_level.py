@@ -1,0 +1,105 @@
+"""Low-level access: the hardware object for one thread, and nothing else touching the hardware.
+
+The paper, Requirement 2: "The user shall be assured that no other part of the interface will have
+any effect on the hardware, while the user maintains low-level access to it."
+
+So everything of the interface that would send is refused meanwhile, by whatever logical motor, the
+holder's own too: operations and stops raise `MotorBusyError`; readings answer from what was heard
+last, or raise it; waiters do not poll; nobody brings the drive up. *A stop from elsewhere is
+refused as well*: a halt in the middle of, say, a firmware download or a hand-made sequence of
+controlwords is just the effect the paper excludes. What remains to stop the motor is the holder
+(through the hardware object), the drive's own dead-man when the host falls silent, and whatever
+stops it without the interface. Not excluded, as they are of the bus and of no one motor: SYNC, and
+the host's heartbeat.
+
+It begins with the motor at rest, and ends with nothing believed: the token grows and caches are
+dropped, so that the next start writes all it needs.
+"""
+
+# ruff: noqa: SLF001 -- it works the hooks of a motor, as Motor does its own
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import TYPE_CHECKING
+
+from motorapi.errors import MotorBusyError, StateError
+from motorapi.execution import require_rest
+from motorapi.motion_waits import check_timeout
+from motorapi.runtime import wait_until
+from motorapi.sharing import RunStatus
+from motorapi.turns import TRANSACTION_TIMEOUT_S
+from motorapi.waiting import Awaited
+
+if TYPE_CHECKING:
+    from motorapi.motor import Motor
+
+
+@contextmanager
+def low_level_access(motor: "Motor", timeout_s: float | None) -> Iterator[object]:
+    """The hardware object of `motor`; see `Motor.low_level`."""
+    check_timeout(timeout_s)
+    physical, runtime = motor._physical, motor.runtime
+    held = motor._held_hardware
+    if held is not None and held[0] is physical.access and physical.is_held_here:
+        yield held[1]  # inside a block of its own: the outer one ends it
+        return
+    asked_ns = runtime.now_ns()
+
+    def left_s() -> float:
+        if timeout_s is None:
+            return TRANSACTION_TIMEOUT_S
+        return max(0.0, timeout_s - (runtime.now_ns() - asked_ns) / 1e9)
+
+    who = f"low_level() of {motor.name}"
+    with physical.transaction(runtime, who, timeout_s) as ticket:
+        while not _is_at_rest(motor, patient=timeout_s is not None and left_s() > 0.0):
+            _await_end(motor, left_s())
+        physical.grant(runtime, ticket, left_s())
+        try:
+            hardware = motor._call(motor._open_low_level)
+            motor._held_hardware = (ticket, hardware)
+            yield hardware
+        finally:
+            motor._held_hardware = None
+            try:
+                motor._call(motor._close_low_level)
+            finally:
+                physical.revoke(ticket)
+
+
+def _is_at_rest(motor: "Motor", *, patient: bool) -> bool:
+    """Whether nothing goes on, and how it ended is known; the patient do not raise if not.
+
+    Raises:
+        MotorBusyError: a motion of another logical motor goes on.
+        StateError: a motion of this one does.
+    """
+    motor._bury_failed_run()
+    try:
+        motor._physical.take(motor, motor.name, motor._status())
+        require_rest(motor, "low_level()")
+    except (MotorBusyError, StateError):
+        if not patient:
+            raise
+        return False
+    return True
+
+
+def _await_end(motor: "Motor", timeout_s: float) -> None:
+    """What goes on has ended, or something was heard that had to be asked for, or it took longer.
+
+    The turn is kept meanwhile: who asks for one now comes afterwards.
+    """
+    physical = motor._physical
+    run = physical.run
+
+    def is_over() -> bool:
+        if run is None or physical.run is not run or run.is_over:
+            return True
+        status = motor._status()
+        return status is RunStatus.FAILED or (status is RunStatus.DONE and run.ends)
+
+    pause_s = motor._call(motor._refresh)
+    if pause_s is not None:
+        timeout_s = min(timeout_s, pause_s)
+    wait_until(motor.runtime, Awaited(physical.news, is_over).looks_over, timeout_s)

@@ -1,0 +1,120 @@
+"""Waiting for motions: one motor's, or several at once, with one deadline and one way to fail."""
+
+# ruff: noqa: SLF001 -- it works the hooks of motors, as motorapi.execution does
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Final, final
+
+from motorapi.commands import as_number
+from motorapi.errors import DeadlineExceeded, MotorError, UsageError
+from motorapi.runtime import wait_until
+from motorapi.waiting import Awaited, Waiting
+
+if TYPE_CHECKING:
+    from motorapi.motor import Motor
+
+_LOOK_AGAIN_S: Final = 0.01
+"""How soon a wait notices that low-level access is over."""
+
+
+def check_timeout(timeout_s: float | None) -> None:
+    """Raises UsageError if it is no time that anybody could wait."""
+    if timeout_s is not None and not as_number(timeout_s) >= 0.0:
+        raise UsageError(f"timeout_s = {timeout_s!r}: must be a number of seconds >= 0")
+
+
+def wait_for_all(motors: Sequence["Motor"], timeout_s: float | None) -> None:
+    """What was commanded last is over in all motors; the first to fail stops the others.
+
+    Raises:
+        DeadlineExceeded: not within `timeout_s` [s]; names who was not done. Nothing is stopped.
+        MotorError: how a motion failed.
+    """
+    check_timeout(timeout_s)
+    members = [_Member(motor) for motor in motors]
+    awaited = [Awaited(one.motor._physical.news, one.is_over) for one in members]
+    waiting = Waiting(awaited)
+
+    def going() -> list[_Member]:
+        return [m for m, one in zip(members, awaited, strict=True) if one in waiting.going]
+
+    runtime = motors[0].runtime
+    deadline_ns: int | None = None
+    if timeout_s is not None:
+        deadline_ns = runtime.now_ns() + round(min(timeout_s, 1e9) * 1e9)
+    while True:
+        again_s = [_refresh(one.motor) for one in going() if one.run is not None]
+        pauses_s = [pause_s for pause_s in again_s if pause_s is not None]
+        if deadline_ns is not None:
+            pauses_s.append(max(0, deadline_ns - runtime.now_ns()) / 1e9)
+        try:
+            if wait_until(runtime, waiting.all_over, min(pauses_s) if pauses_s else None):
+                for motor in motors:
+                    motor._raise_callback_error()
+                return
+        except _MemberFailed as failed:
+            _stop_others(motors, failed)
+            raise failed.error from failed.error.__cause__
+        if deadline_ns is not None and runtime.now_ns() >= deadline_ns:
+            break
+    raise DeadlineExceeded(
+        awaited=f"end of motion of {', '.join(one.motor.name for one in going())}",
+        timeout_s=0.0 if timeout_s is None else timeout_s,
+        last_heard="; ".join(_last_heard(one.motor) for one in going()),
+    )
+
+
+def _refresh(motor: "Motor") -> float | None:
+    """As the hook; nothing is asked while somebody has low-level access."""
+    physical = motor._physical
+    if physical.access is not None:
+        return _LOOK_AGAIN_S
+    with physical.passage(motor.name):
+        return motor._call(motor._refresh)
+
+
+@final
+class _Member:
+    """A motor whose run, of when the wait began, is waited for."""
+
+    def __init__(self, motor: "Motor") -> None:
+        self.motor = motor
+        self.run = motor._run
+
+    def is_over(self) -> bool:
+        try:
+            return self.motor._look(self.run)
+        except Exception as error:
+            raise _MemberFailed(self.motor, error) from error
+
+
+@final
+class _MemberFailed(MotorError):  # noqa: N818 -- never leaves this module
+    def __init__(self, motor: "Motor", error: Exception) -> None:
+        super().__init__()
+        self.motor = motor
+        self.error = error
+
+
+def _stop_others(motors: Sequence["Motor"], failed: _MemberFailed) -> None:
+    if len(motors) == 1:
+        return
+    failed.error.add_note(f"from {failed.motor.name}; the others of its group were stopped")
+    for motor in motors:
+        if motor is not failed.motor:
+            try:
+                motor.stop()
+            except Exception as further:
+                failed.error.add_note(f"but {motor.name} could not be stopped: {further}")
+
+
+def _last_heard(motor: "Motor") -> str:
+    latest = motor.latest()
+    if latest is None:
+        return f"{motor.name}: nothing"
+    text = f"{motor.name}: {latest.state.value} at {latest.time_ns / 1e9:.6f} s"
+    if latest.position is not None:
+        text += f", {latest.position:g} {motor.model.unit}"
+    if latest.velocity is not None:
+        text += f", {latest.velocity:g} {motor.model.unit}/s"
+    return text

@@ -1,0 +1,82 @@
+"""How far a motion is, from what was commanded and what was heard: nothing is asked."""
+
+# ruff: noqa: SLF001 -- it reads the hooks of a motor, as Motor does its own
+
+from dataclasses import dataclass
+from math import isfinite
+from typing import TYPE_CHECKING, final
+
+from motorapi import planning
+from motorapi.commands import ControlVariable, Motion
+
+if TYPE_CHECKING:
+    from motorapi.shared_motor import SharedMotor
+    from motorapi.sharing import Run
+
+
+@final
+@dataclass(frozen=True, slots=True)
+class Progress:
+    """How far a motion is. U is rad, or m if the motor is linear.
+
+    Attributes:
+        operation: what goes on, as in "start() of left".
+        elapsed_s: since it began [s], as the hardware tells where it does.
+        expected_s: what the commanded profile takes [s]; None: not known (homing, a stop, an
+            argument that is not time).
+        remaining_s: what is left of that [s], 0 when it is late.
+        fraction: 0 to 1: of the way, for a position that goes straight to its target, else of the
+            expected time; None: neither is known.
+        position: the last one heard [U].
+        target: where it goes, in the unit of its control variable; None: not known.
+    """
+
+    operation: str
+    elapsed_s: float
+    expected_s: float | None
+    remaining_s: float | None
+    fraction: float | None
+    position: float | None
+    target: float | None
+
+
+def progress_of(motor: "SharedMotor", run: "Run") -> Progress:
+    """How far `run` of `motor` is."""
+    motion = run.motion
+    times = None if motion is None else motor._call(motor._motion_times)
+    began_ns = run.since_ns
+    if times is not None and times.started_ns is not None:
+        began_ns = max(began_ns, times.started_ns)
+    elapsed_s = max(0, motor.runtime.now_ns() - began_ns) / 1e9
+    expected_s = None if motion is None else _expected_s(motion)
+    latest = motor.latest()
+    position = None if latest is None else latest.position
+    fraction = None if motion is None else _of_the_way(motion, position)
+    if fraction is None and expected_s is not None:
+        fraction = 1.0 if expected_s <= elapsed_s else elapsed_s / expected_s
+    return Progress(
+        operation=run.name,
+        elapsed_s=elapsed_s,
+        expected_s=expected_s,
+        remaining_s=None if expected_s is None else max(0.0, expected_s - elapsed_s),
+        fraction=fraction,
+        position=position,
+        target=None if motion is None else motion.target,
+    )
+
+
+def _expected_s(motion: Motion) -> float | None:
+    if motion.argument is not None:
+        return None
+    expected_s = motion.duration_s
+    if expected_s is None:
+        expected_s = planning.duration_of(motion)
+    return expected_s if isfinite(expected_s) else None
+
+
+def _of_the_way(motion: Motion, position: float | None) -> float | None:
+    if motion.variable is not ControlVariable.POSITION or motion.function is not None:
+        return None
+    if position is None or not motion.distance:
+        return None
+    return min(1.0, max(0.0, (position - motion.start) / motion.distance))

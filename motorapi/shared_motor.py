@@ -1,0 +1,167 @@
+"""A logical motor as one of several that share a physical motor: what goes on, and how it ended.
+
+Taking turns with the others is in `motorapi.sharing`; what an application commands is in
+`motorapi.motor`.
+"""
+
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from copy import copy
+from typing import TYPE_CHECKING, Any, final
+
+from motorapi.errors import MotionInterrupted, MotorError, PluginError, StateError, UsageError
+from motorapi.outcome import DoneNotice, Ending, Outcome, ending_of
+from motorapi.progress import Progress, progress_of
+from motorapi.readable_motor import ReadableMotor
+from motorapi.sharing import Run, RunStatus
+
+if TYPE_CHECKING:
+    from motorapi.commands import Motion
+    from motorapi.runtime import Registration
+    from motorapi.turns import Ticket
+
+
+class SharedMotor(ReadableMotor):
+    """The part of `motorapi.motor.Motor` that knows of runs."""
+
+    _run: Run | None = None
+    _callback_error: PluginError | None = None
+    _held_hardware: "tuple[Ticket, Any] | None" = None
+
+    @final
+    def is_done(self) -> bool:
+        """Whether `wait_until_done` would return at once; raises as it does."""
+        done = self._look(self._run)
+        if done:
+            self._raise_callback_error()
+        return done
+
+    @final
+    def on_done(self, callback: Callable[[Outcome], object]) -> "Registration":
+        """`callback(outcome)` is called once, when what was commanded last here is over.
+
+        At once if it is over already; else from the event that ends it, however it ends. Like
+        any callback it must neither wait nor start what waits. Of a motor that must be asked it
+        hears while somebody waits for that motor.
+
+        Returns:
+            What cancels it.
+
+        Raises:
+            StateError: nothing was commanded yet.
+        """
+        if not callable(callback):
+            raise UsageError(f"{self.name}: on_done({callback!r}): give what can be called")
+        run = self._run
+        if run is None:
+            raise StateError(
+                motor=self.name,
+                operation="on_done",
+                state="nothing was commanded yet",
+                remedy="call start() first: it tells how that motion ends",
+            )
+        notice = DoneNotice(
+            lambda: self._outcome(run), callback, self._callback_failed, f"on_done of {self.name}"
+        )
+        notice.begin(self.runtime, self._physical)
+        return notice
+
+    @final
+    def progress(self) -> Progress | None:
+        """How far what was commanded last here is; None once it is over, or if nothing was.
+
+        It neither waits nor sends, so callbacks may ask. What is said of velocity, torque or
+        current goes on after it was reached, and so does this.
+        """
+        run = self._run
+        if run is None or run.is_over:
+            return None
+        try:
+            if self._look(run) and run.ends:
+                return None
+        except MotorError:
+            return None
+        return progress_of(self, run)
+
+    # ---- inside: shared with motorapi.execution, motion_waits, low_level and group ----
+
+    @final
+    @contextmanager
+    def _operation(self, name: str) -> Iterator[None]:
+        """The motor is ours, connected, and nobody else operates on it inside the block."""
+        with self._physical.transaction(self.runtime, f"{name}() of {self.name}"):
+            self._bury_failed_run()
+            self._physical.take(self, self.name, self._status())
+            self._call(self._connect)
+            yield
+
+    @final
+    def _status(self) -> RunStatus:
+        """How far the physical motor's run is; DONE if there is none."""
+        run = self._physical.run
+        if run is None or run.finished:
+            return RunStatus.DONE
+        try:
+            return RunStatus.DONE if self._call(self._is_done) else RunStatus.GOING
+        except MotorError:
+            return RunStatus.FAILED
+
+    @final
+    def _bury_failed_run(self) -> None:
+        """What the hardware says has failed is over, whatever it says once it is brought up."""
+        run = self._physical.run
+        if run is None or run.finished:
+            return
+        try:
+            self._call(self._is_done)
+        except MotorError as error:
+            self._physical.fail(error, self.runtime.now_ns())
+
+    @final
+    def _begin(self, operation: str, motion: "Motion | None") -> Run:
+        name = f"{operation}() of {self.name}"
+        run = Run(name, self, self.runtime.now_ns(), motion)
+        self._physical.begin(run, self._status())
+        self._run = run
+        return run
+
+    @final
+    def _look(self, run: Run | None) -> bool:
+        """Whether the run is over; an error if it was ended short of its target."""
+        if run is None or run.finished:
+            return True
+        if run.interrupted_by is not None:
+            if run.error is not None:
+                raise copy(run.error)
+            raise MotionInterrupted(
+                motor=self.name, by=run.interrupted_by, at_ns=run.interrupted_at_ns
+            )
+        if not self._call(self._is_done):
+            return False
+        if run.ends:
+            run.finished = True
+        return True
+
+    @final
+    def _outcome(self, run: Run) -> Outcome | None:
+        """How the run ended; None while it goes on."""
+        error: MotorError | None = None
+        ending = Ending.DONE
+        try:
+            if not self._look(run):
+                return None
+        except MotorError as failed:
+            error, ending = failed, ending_of(failed)
+        return Outcome(self.name, run.name, ending, self.runtime.now_ns(), error)
+
+    @final
+    def _callback_failed(self, error: PluginError) -> None:
+        if self._callback_error is None:
+            self._callback_error = error
+
+    @final
+    def _raise_callback_error(self) -> None:
+        """Raises what a callback raised since this was called last."""
+        error, self._callback_error = self._callback_error, None
+        if error is not None:
+            raise error
