@@ -17,7 +17,6 @@ TOLD = [
             "unit": "rad/s",
         },
     ),
-    (errors.DomainError, {"argument": 7.5, "low": 0.0, "high": 5.0, "function": "<Profile>"}),
     (
         errors.StateError,
         {"motor": "left", "operation": "start", "state": "it moves", "remedy": "stop() first"},
@@ -45,6 +44,7 @@ TOLD = [
         {"awaited": "end of motion of left", "timeout_s": 2.0, "last_heard": "nothing"},
     ),
     (errors.PluginError, {"plugin": "MyMotor", "where": "_arm", "problem": "KeyError('x')"}),
+    (errors.DomainError, {"argument": 7.5, "low": 0.0, "high": 5.0, "function": "<Profile>"}),
 ]
 EXAMPLES = [kind(**facts) for kind, facts in TOLD]
 
