@@ -3,7 +3,7 @@
 A value may exceed its limit by rounding (1e-9 of it), no more. `motor` is a name, for messages.
 """
 
-from math import isfinite
+from math import inf, isfinite
 from typing import Final
 
 from motorapi.commands import ControlVariable, DerivativeLimits, Range
@@ -11,6 +11,15 @@ from motorapi.errors import LimitError, UnsupportedError
 from motorapi.model import MotorModel
 
 ROUNDING: Final = 1e-9
+
+_SLOPES: Final = ("slope", "change of slope")
+_LIMITED: Final = {
+    ControlVariable.POSITION: ("velocity", "acceleration", "jerk"),
+    ControlVariable.VELOCITY: ("acceleration", "jerk"),
+    ControlVariable.TORQUE: _SLOPES,
+    ControlVariable.CURRENT: _SLOPES,
+}
+"""What the derivatives of a control variable are called; the last only trajectories can limit."""
 
 
 def check_target(
@@ -54,26 +63,45 @@ def value_range(model: MotorModel, variable: ControlVariable) -> tuple[float | N
 
 
 def check_bounds(
-    motor: str, model: MotorModel, variable: ControlVariable, limits: DerivativeLimits | None
+    motor: str,
+    model: MotorModel,
+    variable: ControlVariable,
+    limits: DerivativeLimits | None,
+    *,
+    smooth: bool,
 ) -> None:
-    """A command's own limits may be tighter than the model's, never wider."""
+    """A command's own limits may be tighter than the model's, never wider.
+
+    Args:
+        motor: its name.
+        model: its model.
+        variable: what is commanded.
+        limits: the command's own.
+        smooth: whether it is a trajectory, which may limit one derivative more: jerk.
+
+    Raises:
+        LimitError: one is wider.
+        UnsupportedError: it is of a derivative that nothing can limit.
+    """
     if limits is None:
         return
-    derivatives = [limits.first, limits.second, limits.third]
-    if variable is ControlVariable.POSITION:
-        top = model.velocity_max
-        _check_range(motor, model, "velocity limit", derivatives.pop(0), top, "/s")
-    if variable in (ControlVariable.POSITION, ControlVariable.VELOCITY):
-        top = max(model.acceleration_max, model.deceleration)
-        _check_range(motor, model, "acceleration limit", derivatives.pop(0), top, "/s²")
-    else:
-        derivatives.pop(0)  # the slope: no model knows a limit
-    if any(limit is not None for limit in derivatives):
-        raise UnsupportedError(
-            motor=motor,
-            feature=f"limits on that high a derivative of {variable.value}",
-            supported="limits up to acceleration, or the slope of torque and current",
-        )
+    jerk = inf if model.jerk_max is None else model.jerk_max
+    known = _LIMITED[variable]
+    tops = {"velocity": model.velocity_max, "jerk": jerk, "slope": inf}
+    tops["acceleration"] = max(model.acceleration_max, model.deceleration)
+    for place, limit in enumerate((limits.first, limits.second, limits.third)):
+        if limit is None:
+            continue
+        if place >= len(known) - (0 if smooth else 1):
+            supported = known if smooth else known[:-1]
+            raise UnsupportedError(
+                motor=motor,
+                feature=f"a limit on derivative {place + 1} of {variable.value}",
+                supported=f"limits on {' and '.join(supported)}",
+            )
+        if known[place] in tops:
+            per = ("/s", "/s²", "/s³")[place + (variable is ControlVariable.VELOCITY)]
+            _check_range(motor, model, f"{known[place]} limit", limit, tops[known[place]], per)
 
 
 def _check_range(

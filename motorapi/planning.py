@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 from math import inf, isfinite
 from typing import TYPE_CHECKING, final
 
-from motorapi import function_planning
+from motorapi import function_planning, smooth_planning
 from motorapi.commands import (
     ControlMode,
     ControlVariable,
@@ -60,7 +60,7 @@ def check_setpoint(
         )
     if not setpoint.relative:
         check_target(motor, model, variable, setpoint.value, setpoint.limits)
-    check_bounds(motor, model, variable, setpoint.limits)
+    check_bounds(motor, model, variable, setpoint.limits, smooth=False)
 
 
 def plan_setpoint(
@@ -113,7 +113,7 @@ def check_trajectory(
         UnsupportedError: a motor cannot execute it, whatever its hardware.
     """
     if isinstance(trajectory, ComplexTrajectory):
-        check_bounds(motor, model, variable, trajectory.limits)
+        check_bounds(motor, model, variable, trajectory.limits, smooth=True)
         function_planning.check(motor, model, variable, trajectory, argument)
         return
     if not isinstance(trajectory, TrapezoidalTrajectory):
@@ -129,7 +129,7 @@ def check_trajectory(
         )
     if variable is ControlVariable.POSITION:
         _require_rest_at_ends(motor, model, trajectory)
-    check_bounds(motor, model, variable, trajectory.limits)
+    check_bounds(motor, model, variable, trajectory.limits, smooth=True)
     reference = 0.0 if trajectory.initial is None else trajectory.initial
     plan_trajectory(motor, model, variable, trajectory, reference, only_shape=True)
 
@@ -197,7 +197,7 @@ def plan_trajectory(
         deceleration=limits.deceleration,
         trajectory=trajectory,
     )
-    return _in_time(motor, motion, trajectory.duration_s, distance, model.unit)
+    return _in_time(motor, motion, trajectory, distance, model.unit)
 
 
 def _plan_ramp(
@@ -232,7 +232,7 @@ def _plan_ramp(
             f" {model.unit_of(variable)} takes no time: no model limits how fast it changes;"
             " give duration_s, or limits=DerivativeLimits(first=...)"
         )
-    return _in_time(motor, motion, trajectory.duration_s, target - start, model.unit_of(variable))
+    return _in_time(motor, motion, trajectory, target - start, model.unit_of(variable))
 
 
 def _velocity_rate(model: MotorModel, start: float, target: float) -> float:
@@ -244,8 +244,12 @@ def _velocity_rate(model: MotorModel, start: float, target: float) -> float:
 
 
 def _in_time(
-    motor: str, motion: Motion, asked_s: float | None, distance: float, unit: str
+    motor: str, motion: Motion, trajectory: TrapezoidalTrajectory, distance: float, unit: str
 ) -> Motion:
+    """The motion with its duration: the shortest, or the one asked for."""
+    asked_s = trajectory.duration_s
+    if smooth_planning.asks_for_smoothness(motion.variable, trajectory):
+        motion = smooth_planning.smoothed(motor, motion, trajectory)
     fastest_s = duration_of(motion)
     if asked_s is None:
         return replace(motion, duration_s=fastest_s)
@@ -289,6 +293,8 @@ def stretch(motion: Motion, duration_s: float) -> Motion:
     """
     if motion.distance == 0.0:
         return replace(motion, duration_s=0.0)
+    if motion.function is not None:
+        return smooth_planning.slowed(motion, duration_s)
     if motion.variable is ControlVariable.POSITION:
         profile = stretched(motion.distance, duration_s, motion.acceleration, motion.deceleration)
         return replace(

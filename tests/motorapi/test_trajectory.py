@@ -281,3 +281,33 @@ def test_a_set_point_demands_nothing_in_between():
     assert motion.mode is ControlMode.SETPOINT
     with pytest.raises(ValueError, match="no profile"):
         demand_of(motion)
+
+
+def test_a_velocity_may_rise_smoothly():
+    """Trapezoid of acceleration: 2 rad/s at 4 rad/s², 16 rad/s³: 0.25 s, 0.25 s, 0.25 s."""
+    limits = DerivativeLimits(second=16.0)
+    motion = planned(TrapezoidalTrajectory(2.0, limits=limits), V)
+    assert motion.function is not None
+    assert motion.duration_s == pytest.approx(0.75, rel=1e-12)  # sums of three divisions
+    demand = demand_of(motion)
+    assert demand.value(0.25) == pytest.approx(0.5, rel=1e-12)
+    assert demand.first(0.3) == 4.0
+    assert demand.second(0.1) == 16.0
+    slower = planned(TrapezoidalTrajectory(2.0, limits=limits, duration_s=1.5), V)
+    assert slower.duration_s == 1.5
+    slow = demand_of(slower)
+    assert slow.value(0.5) == pytest.approx(0.5, rel=1e-12)
+    assert slow.first(0.6) == pytest.approx(2.0, rel=1e-12)
+    assert slow.value(1.5) == demand.value(0.75) == 2.0
+
+
+def test_a_derivative_that_nothing_bounds_is_refused():
+    with pytest.raises(UnsupportedError, match="a limit on derivative 3 of velocity"):
+        check(TrapezoidalTrajectory(1.0, limits=DerivativeLimits(third=1.0)), V)
+    setpoint = planning.Setpoint(1.0, limits=DerivativeLimits(third=1.0))
+    with pytest.raises(UnsupportedError, match=r"derivative 3 .* limits on velocity and accel"):
+        planning.check_setpoint("m", MODEL, P, setpoint)
+    jerky = MotorModel(name="m", velocity_max=1.0, acceleration_max=1.0, jerk_max=9.0)
+    smooth = TrapezoidalTrajectory(1.0, limits=DerivativeLimits(second=10.0))
+    with pytest.raises(LimitError, match="jerk limit"):
+        planning.check_trajectory("m", jerky, V, smooth)

@@ -51,6 +51,7 @@ def test_a_drive_that_still_boots_is_waited_for_and_brought_up(rig: Rig):
     assert facts.modes == {
         Mode.PROFILE_POSITION,
         Mode.PROFILE_VELOCITY,
+        Mode.PROFILE_TORQUE,
         Mode.HOMING,
         Mode.CYCLIC_SYNC_POSITION,
     }

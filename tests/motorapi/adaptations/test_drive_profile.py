@@ -161,7 +161,7 @@ def test_a_limit_below_the_drives_smallest_step_is_refused_not_exceeded(motion: 
 
 def test_a_limit_of_a_trajectory_below_the_smallest_step_is_refused_too():
     asked = TrapezoidalTrajectory(1.0, limits=DerivativeLimits(first=0.005))
-    motion = planning.plan_trajectory("wheel", MODEL, asked, 0.0)
+    motion = planning.plan_trajectory("wheel", MODEL, ControlVariable.POSITION, asked, 0.0)
     with pytest.raises(LimitError, match=r"velocity limit 0\.005 rad/s"):
         profile_of(motion, MODEL, COARSE, NO_LIMITS)
 

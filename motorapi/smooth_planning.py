@@ -1,0 +1,66 @@
+"""Simple trajectories that bound one derivative more than a drive's own profile does.
+
+The paper, 3.3.1: "If necessary, we can use the same representation to bound the third derivative
+and represent a smoother motion." Position with a bounded jerk, velocity with one, torque with a
+bounded change of its slope: the curve is generated and becomes the motion's function, so whoever
+can follow a complex trajectory can follow these. The model's jerk_max bounds what is asked for
+here; it is no limit of motions that do not ask.
+"""
+
+from dataclasses import replace
+from math import inf
+from typing import TYPE_CHECKING
+
+from motorapi.commands import ControlVariable, Motion
+from motorapi.errors import UnsupportedError
+from motorapi.generation import ProfileLimits, trapezoid
+from motorapi.trajectory import TrapezoidalTrajectory
+
+if TYPE_CHECKING:
+    from motorapi.functions.function import Function
+
+
+def asks_for_smoothness(variable: ControlVariable, trajectory: TrapezoidalTrajectory) -> bool:
+    """Whether its limits bound more than a trapezoid of position, or a ramp, keeps to."""
+    limits = trajectory.limits
+    if limits is None:
+        return False
+    highest = limits.third if variable is ControlVariable.POSITION else limits.second
+    return highest is not None
+
+
+def smoothed(motor: str, motion: Motion, trajectory: TrapezoidalTrajectory) -> Motion:
+    """The same motion, resolved but for its duration, as a function: as fast as all limits allow.
+
+    Raises:
+        UsageError: what generates it is not installed; names the extra.
+    """
+    if motion.distance == 0.0:
+        return replace(motion, duration_s=0.0)
+    function, duration_s = _generated(motor, motion, trajectory)
+    return replace(motion, function=function, interval=function.domain, duration_s=duration_s)
+
+
+def slowed(motion: Motion, duration_s: float) -> Motion:
+    """The same way in a longer time: time is scaled, so every derivative becomes smaller."""
+    function = motion.function
+    if function is None or not motion.duration_s:
+        return motion
+    scaled = function.scaled(duration_s / motion.duration_s)
+    return replace(motion, function=scaled, interval=scaled.domain, duration_s=duration_s)
+
+
+def _generated(
+    motor: str, motion: Motion, trajectory: TrapezoidalTrajectory
+) -> "tuple[Function, float]":
+    limits = trajectory.limits
+    assert limits is not None
+    if limits.second is None or motion.variable is ControlVariable.POSITION:
+        raise UnsupportedError(motor=motor, feature="a limit on the jerk of a position trajectory")
+    rate = motion.acceleration if motion.variable is ControlVariable.VELOCITY else motion.slope
+    profile = trapezoid(
+        motion.target,
+        ProfileLimits(min(rate, inf), limits.second),
+        initial=motion.start,
+    )
+    return profile.as_function(), profile.duration_s
