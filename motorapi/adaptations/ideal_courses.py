@@ -247,10 +247,7 @@ class Led:
         rate = (argument - before) / (now_ns - then_ns) * 1e9
         self._look = (now_ns, argument, rate, self.place)  # at once: other threads read it
         if argument >= self._demand.final_argument:
-            at_end = self._reading(now_ns, argument)
-            if self._motion.variable is ControlVariable.POSITION:
-                at_end = Reading(at_end.position)
-            self._final = at_end
+            self._final = self._reading(now_ns, argument)
             self.over_ns = now_ns
 
     def _reading(self, now_ns: int, argument: float) -> Reading:

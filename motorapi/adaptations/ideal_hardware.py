@@ -197,8 +197,6 @@ class IdealHwMotor:
     def arm(self, motion: "Motion", *, together: bool) -> IdealTrigger:
         """`motion` begins when the trigger returned is fired."""
         self._require_open()
-        if motion.argument is not None:
-            motion.argument.value()  # or it raises, and nothing has moved
         trigger = self.shared_trigger if together else IdealTrigger(self.runtime)
         trigger.arm(self)
         self._armed = (motion, trigger)

@@ -5,6 +5,7 @@ import pytest
 from emulators.event_queue import EventQueue
 from harness.virtual_time import VirtualRuntime
 from motorapi import (
+    ComplexTrajectory,
     ControlMode,
     ControlVariable,
     DerivativeLimits,
@@ -15,6 +16,7 @@ from motorapi import (
     MotorBusyError,
     MotorGroup,
     MotorModel,
+    MotorPosition,
     MotorState,
     StateError,
     TrapezoidalTrajectory,
@@ -22,6 +24,7 @@ from motorapi import (
     UsageError,
 )
 from motorapi.adaptations.ideal import IdealHwMotor, IdealMotor, build
+from motorapi.functions import Polynomial
 from motorapi.synchronization import SyncLevel
 
 MODEL = MotorModel(
@@ -200,6 +203,143 @@ def test_a_motion_that_ends_between_two_nanoseconds_ends_at_the_nearer_one(runti
     motor.wait_until_done()
     assert runtime.now_ns() == 3_333_333_333
     assert (motor.position(), motor.velocity()) == (1.25, 0.0)
+
+
+def rest_to_rest(distance, duration_s):
+    """3 s^2 - 2 s^3 of the way."""
+    return Polynomial((0.0, 0.0, 3.0, -2.0)).restricted(0.0, 1.0).scaled(duration_s) * distance
+
+
+def test_a_complex_trajectory_is_followed_exactly_at_every_instant(runtime, motor):
+    function = rest_to_rest(2.0, 4.0)
+    follow(motor, ComplexTrajectory(function, relative=True))
+    velocity = function.derivative()
+    for step in range(400):
+        runtime.run_for(0.01)
+        at_s = runtime.now_ns() / 1e9
+        assert motor.position() == function.value(at_s) + 0.25
+        assert motor.velocity() == (velocity.value(at_s) if step < 399 else 0.0)
+    assert motor.is_done()
+    assert motor.position() == 2.25
+
+
+def test_a_complex_trajectory_of_velocity_makes_the_way_of_its_integral(runtime, motor):
+    # v = t (2 - t): its integral t^2 - t^3 / 3.
+    function = Polynomial((0.0, 2.0, -1.0)).restricted(0.0, 2.0)
+    follow(motor, ComplexTrajectory(function), VELOCITY)
+    runtime.run_for(0.5)
+    assert (motor.position(), motor.velocity()) == near(0.25 + 0.25 - 0.125 / 3, 0.75)
+    motor.wait_until_done()
+    assert (motor.position(), motor.velocity()) == near(0.25 + 4 - 8 / 3, 0.0)
+
+
+def test_a_piece_of_a_function_begins_at_its_initial_argument(runtime, motor):
+    function = Polynomial((0.0, 1.0))  # of velocity, from argument 0 to 1.5
+    follow(motor, ComplexTrajectory(function, 0.0, 1.5), VELOCITY)
+    motor.wait_until_done()
+    assert (runtime.now_ns(), motor.velocity()) == (1_500_000_000, 1.5)
+    follow(motor, ComplexTrajectory(function * -1.0 + 3.0, 1.5, 3.0), VELOCITY)
+    runtime.run_for(0.5)
+    assert (motor.velocity(), motor.position()) == near(1.0, 0.25 + 1.125 + 0.625)
+
+
+def test_a_complex_trajectory_of_torque_is_followed_too(runtime, motor):
+    follow(motor, ComplexTrajectory(Polynomial((1.0, -0.5)).restricted(0.0, 2.0)), TORQUE)
+    assert [torque for _, _, torque in samples(runtime, motor, 0.5, 6)] == [
+        *(1.0, 0.75, 0.5, 0.25, 0.0, 0.0)
+    ]
+
+
+# --- over an argument that is not time: another motor's position
+
+
+@pytest.fixture
+def leader(runtime):
+    return IdealMotor(IdealHwMotor(runtime, "leading"), MODEL, name="leader")
+
+
+GEAR = Polynomial((0.25, 0.5)).restricted(0.0, 2.0)  # half as fast, from where the motor is
+
+
+def test_a_motor_led_by_another_is_where_the_gear_says_at_every_instant(runtime, motor, leader):
+    follow(motor, ComplexTrajectory(GEAR), argument=MotorPosition(leader))
+    runtime.run_for(0.1)
+    assert (motor.position(), motor.velocity()) == (0.25, 0.0)  # the leader stands still
+    follow(leader, TrapezoidalTrajectory(1.0))
+    for _ in range(999):
+        runtime.run_for(0.0007)
+        assert motor.position() == GEAR.value(leader.position())
+        assert abs(motor.velocity() - 0.5 * leader.velocity()) <= 0.5 * 8.0 * 0.0015
+    leader.wait_until_done()
+    assert not motor.is_done()
+    follow(leader, TrapezoidalTrajectory(-0.5))  # back, and the motor with it
+    leader.wait_until_done()
+    assert (leader.position(), motor.position()) == (0.5, 0.5)
+    assert not motor.is_done()
+    follow(leader, TrapezoidalTrajectory(1.5))
+    motor.wait_until_done()
+    assert motor.position() == 1.25
+    runtime.run_for(0.1)
+    follow(leader, TrapezoidalTrajectory(-1.0))
+    leader.wait_until_done()
+    assert motor.position() == 1.25  # it has arrived, and is led no longer
+
+
+def test_where_it_was_led_does_not_depend_on_who_looks(runtime, leader):
+    ends = []
+    for look in (False, True):
+        motor = IdealMotor(IdealHwMotor(runtime, f"looked at {look}"), MODEL, name="m")
+        leader.home()
+        gear = Polynomial((0.0, 1.0)).restricted(0.0, 1.0)
+        follow(motor, ComplexTrajectory(gear), VELOCITY, MotorPosition(leader))
+        follow(leader, TrapezoidalTrajectory(0.9))
+        while not leader.is_done():
+            if look:
+                motor.latest()
+            runtime.run_for(0.0003)
+        ends.append((motor.position(), motor.velocity()))
+    # Velocity is the leader's place: its way is that of an integral over the leader's motion,
+    # p = 0.45 of way and half the duration 0.9 each by symmetry, to the step of 1 ms.
+    assert ends[0] == ends[1]
+    assert ends[0][1] == pytest.approx(0.9, abs=1e-12)
+
+
+def test_the_way_made_while_led_is_the_integral(runtime, motor, leader):
+    gear = Polynomial((0.0, 0.5)).restricted(0.0, 4.0)
+    leader.home()
+    follow(motor, ComplexTrajectory(gear), VELOCITY, MotorPosition(leader))
+    aim(leader, 2.0)  # at 2 rad/s for 1 s: v = t, way t^2 / 2
+    runtime.run_for(0.5)
+    assert motor.position() - 0.25 == pytest.approx(0.125, abs=1e-9)  # ten nanometres of a step
+    leader.wait_until_done()
+    assert motor.position() - 0.25 == pytest.approx(0.5, abs=1e-9)
+
+
+def test_an_argument_that_cannot_be_told_moves_nothing_and_later_ends_the_motion(runtime, motor):
+    class Fickle:
+        name, rate_max, known = "fickle", 1.0, False
+
+        def value(self):
+            if not self.known:
+                raise LinkError(link="fickle", reason="not heard")
+            return runtime.now_ns() / 1e9
+
+    argument = Fickle()
+    with pytest.raises(LinkError, match="not heard"):
+        follow(motor, ComplexTrajectory(GEAR), argument=argument)
+    assert motor.is_done()
+    argument.known = True
+    motor.start()
+    runtime.run_for(0.5)
+    assert motor.position() == 0.5
+    argument.known = False
+    with pytest.raises(LinkError, match="not heard"):
+        motor.wait_until_done(5.0)
+    assert runtime.now_ns() == 501_000_000
+    assert (motor.position(), motor.velocity()) == (0.5, 0.0)
+    argument.known = True
+    aim(motor, 1.0)
+    motor.wait_until_done()
 
 
 # --- stopping
