@@ -242,5 +242,5 @@ class MotorHooks(Device, ABC):
     def _close_low_level(self) -> None:
         """Nothing is believed of the hardware any more; the next `_connect` finds out anew.
 
-        Also called after an `_open_low_level` that raised. Must not wait.
+        Must neither wait nor send.
         """

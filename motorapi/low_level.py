@@ -58,13 +58,13 @@ def low_level_access(motor: "Motor", timeout_s: float | None) -> Iterator[object
         try:
             hardware = motor._call(motor._open_low_level)
             motor._held_hardware = (ticket, hardware)
-            yield hardware
-        finally:
-            motor._held_hardware = None
             try:
-                motor._call(motor._close_low_level)
+                yield hardware
             finally:
-                physical.revoke(ticket)
+                motor._held_hardware = None
+                motor._call(motor._close_low_level)
+        finally:
+            physical.revoke(ticket)
 
 
 def _is_at_rest(motor: "Motor", *, patient: bool) -> bool:

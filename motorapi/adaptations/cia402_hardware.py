@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Final, final
 
 from motorapi.adaptations.canopen_link import (
     CanopenLink,
+    Transmission,
     TurnLock,
     bus_name,
     open_link,
@@ -24,7 +25,8 @@ from motorapi.adaptations.drive_control import DriveControl
 from motorapi.adaptations.drive_node import DriveNode, Emergency
 from motorapi.adaptations.drive_objects import DriveObjects
 from motorapi.adaptations.drive_setup import DriveFacts, HwOptions, bring_up
-from motorapi.errors import LinkError, UsageError
+from motorapi.adaptations.raw_frames import FrameInbox, raw_frame
+from motorapi.errors import LinkError, StateError, UsageError
 from motorapi.runtime import runtime_of
 from motorapi.sharing import (
     PhysicalMotor,
@@ -52,7 +54,8 @@ class Cia402HwMotor:
     `physical` is the record that logical motors share.
 
     Nothing is sent before it is needed; `connect()` does it at once. Use it directly for what the
-    motor interface has no word for, while no logical motor uses it.
+    motor interface has no word for: inside `with motor.low_level() as hardware:`, where no logical
+    motor uses it, and no other thread can.
 
     Args:
         bus: an open python-can bus, of whatever interface.
@@ -61,6 +64,7 @@ class Cia402HwMotor:
         options: see HwOptions.
 
     Attributes:
+        stream: the set-points streamed last, by `stream_positions`; None: none were.
         quick_stopped: whether a quick stop was the last thing commanded to its power stage.
         users: how many motors were built on it by settings; the last one closes it.
 
@@ -102,12 +106,15 @@ class Cia402HwMotor:
             heartbeat_timeout_ms=self.options.heartbeat_timeout_ms,
         )
         self.physical.news = self.node.news
+        self.node.sdo.physical = self.physical
         self.objects: Final = DriveObjects(self.node, self.physical)
         self._setting_up = TurnLock(runtime)
         self.control: Final = DriveControl(self.link, self.node, self.objects)
         self.users = 0
         self.quick_stopped = False
+        self.stream: CspStream | None = None
         self._homed_at_boot: int | None = None
+        self._is_doubted = False
         self._close = weakref.finalize(self, _let_go, self.link, self.node, self.options)
         self._close.atexit = False
 
@@ -151,13 +158,16 @@ class Cia402HwMotor:
     def connect(self) -> DriveFacts:
         """The drive is up and configured; costs nothing if it is already. See `bring_up`."""
         facts = self._facts
-        if facts is not None and self.node.is_up and self._close.alive:
+        if facts is not None and self.node.is_up and self._close.alive and not self._is_doubted:
             return facts
         if not self._close.alive:
             raise LinkError(link=self.label, reason="this hardware object is closed")
         options = self.options
-        with self._setting_up.turn(4 * options.connect_timeout_s, f"{self.label}: its set-up"):
-            if self._facts is not None and self.node.is_up:
+        with (
+            self.physical.passage(self.label, of_holder=True),
+            self._setting_up.turn(4 * options.connect_timeout_s, f"{self.label}: its set-up"),
+        ):
+            if self._facts is not None and self.node.is_up and not self._is_doubted:
                 return self._facts
             if options.heartbeat_ms and not self.node.uses_host_heartbeat:
                 self.link.produce_heartbeat(options.host_node_id, options.heartbeat_ms)
@@ -165,6 +175,7 @@ class Cia402HwMotor:
             self.objects.doubt()
             self.control.forget()
             self._facts = self.control.facts = None  # what fails now is tried again the next time
+            self._is_doubted = False
             self._facts = self.control.facts = bring_up(self.node, options)
             return self._facts
 
@@ -211,6 +222,30 @@ class Cia402HwMotor:
         """
         self.objects.write(what, value, subindex, kind)
 
+    def send_frame(self, can_id: int, data: bytes = b"", *, extended: bool = False) -> Transmission:
+        """A frame of your own is on its way; `time_ns` of the answer tells when it was sent.
+
+        Args:
+            can_id: its identifier, of 11 bits.
+            data: up to 8 bytes.
+            extended: the identifier has 29 bits.
+
+        Raises:
+            UsageError: there is no such frame.
+            MotorBusyError: another thread has low-level access.
+            LinkError: the bus does not take it.
+        """
+        frame = raw_frame(can_id, data, extended=extended)
+        with self.physical.passage(self.label, of_holder=True):
+            return self.link.send_tracked(frame)
+
+    def listen(self, *can_ids: int) -> FrameInbox:
+        """Frames of others with these identifiers (none: all), as they are, from now on.
+
+        `with hw.listen(0x581) as inbox: hw.send_frame(0x601, request); inbox.receive()`
+        """
+        return FrameInbox(self.link, can_ids)
+
     # --- what is heard -------------------------------------------------------------------
 
     @property
@@ -239,8 +274,10 @@ class Cia402HwMotor:
 
     def follow(self, watch: "MotionWatch | None") -> None:
         """Every status from now on is shown to `watch`."""
+        if watch is not None:
+            watch.on_end = self.node.news.grow
         self.node.watch = watch
-        self.node.news.count += 1
+        self.node.news.grow()
 
     # --- commanding, the common part; the rest is in `control` ------------------------------
 
@@ -278,7 +315,35 @@ class Cia402HwMotor:
         self, period_s: float, next_target: Callable[[int], int | None]
     ) -> CspStream:
         """Csp: one target position per SYNC, from `next_target(cycle)`, until that is None."""
-        return CspStream(self, period_s, next_target)
+        self.stream = CspStream(self, period_s, next_target)
+        return self.stream
+
+    # --- low-level access ------------------------------------------------------------------
+
+    def fall_silent(self) -> None:
+        """Nothing of what others asked for is under way, and nothing is sent by itself.
+
+        Raises:
+            StateError: set-points are being streamed.
+        """
+        if self.stream is not None and not self.stream.ended:
+            raise StateError(
+                motor=self.label,
+                operation="low_level()",
+                state="set-points are being streamed to it",
+                remedy="cancel() the stream first",
+            )
+        self.follow(None)
+        self.node.sdo.finish()
+
+    def doubt(self) -> None:
+        """Nothing is believed of the drive; `connect` brings it up as if it were new.
+
+        Whether it is referenced is not forgotten: who homed it by hand says `was_homed()`.
+        """
+        self._is_doubted = True
+        self.objects.doubt()
+        self.control.forget()
 
 
 def _let_go(link: CanopenLink, node: DriveNode, options: HwOptions) -> None:

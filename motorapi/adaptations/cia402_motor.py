@@ -362,6 +362,13 @@ class Cia402Motor(Motor):
             self._hardware.quick_stopped = True
             self._control.send_quick_stop(watch)
 
+    def _open_low_level(self) -> Cia402HwMotor:
+        self._hardware.fall_silent()
+        return self._hardware
+
+    def _close_low_level(self) -> None:
+        self._hardware.doubt()
+
     def _motion_times(self) -> MotionTimes | None:
         watch = self._setpoint
         if watch is None:

@@ -24,7 +24,7 @@ from motorapi.adaptations.cia402_objects import (
 )
 from motorapi.adaptations.drive_node import DriveNode
 from motorapi.adaptations.drive_objects import DriveObjects
-from motorapi.errors import DeadlineExceeded, LinkError, UnsupportedError
+from motorapi.errors import DeadlineExceeded, LinkError, MotorBusyError, UnsupportedError
 
 if TYPE_CHECKING:
     from motorapi.adaptations.drive_setup import DriveFacts
@@ -58,6 +58,7 @@ class DriveControl:
 
     def __init__(self, link: CanopenLink, node: DriveNode, objects: DriveObjects) -> None:
         self.facts: DriveFacts | None = None
+        self._physical = objects.physical
         self._link = link
         self._node = node
         self._objects = objects
@@ -98,7 +99,12 @@ class DriveControl:
             return None
         self._end_repetition()
         self._word = word
-        return self._link.send_tracked(_CONTROL.pack(facts.control_id, 2, word))
+        return self._send(_CONTROL.pack(facts.control_id, 2, word))
+
+    def _send(self, frame: bytes) -> Transmission:
+        """The frame waits for the bus. Raises MotorBusyError: see `PhysicalMotor.passage`."""
+        with self._physical.passage(self._node.label, of_holder=True):
+            return self._link.send_tracked(frame)
 
     def enable(self) -> None:
         """Operation is enabled, step by step from whatever state the statusword shows.
@@ -191,8 +197,8 @@ class DriveControl:
                 self._end_repetition()
                 return
             try:
-                self._link.send_tracked(frame)
-            except LinkError:
+                self._send(frame)
+            except (LinkError, MotorBusyError):
                 self._end_repetition()
 
         return again
@@ -308,7 +314,7 @@ class DriveControl:
                     fired(time_ns)
 
         frame = _control_target(facts.latched_ids[index], word, index, target)
-        self._link.confirmed([self._link.send_tracked(frame)])
+        self._link.confirmed([self._send(frame)])
         self._link.at_next_sync(on_sync)
 
     def has_started(self) -> None:
@@ -341,7 +347,7 @@ class DriveControl:
         word = self._holding_word() if self._word is None else self._word
         word &= ~(NEW_SET_POINT | CHANGE_IMMEDIATELY)
         frame = _control_target(facts.latched_ids[index], word, index, target)
-        return [self._link.send_tracked(frame)]
+        return [self._send(frame)]
 
 
 def _control_target(can_id: int, word: int, index: int, target: int) -> bytes:

@@ -137,16 +137,16 @@ class DriveNode:
             self._new_statusword(word, time_ns)
         if self.watch is not None:
             self.watch.see(word, position_inc, time_ns)
-            self.news.count += 1
+            self.news.count += 1  # an end is told by the watch: nothing more here, for every frame
 
     def _new_statusword(self, word: int, time_ns: int) -> None:
-        self.news.count += 1
         self._word = self.statusword = word
         if word & FAULT_BIT:
             if self.fault_since_ns is None:
                 self.fault_since_ns = time_ns
         else:
             self.fault_since_ns = None
+        self.news.grow()
 
     # --- EMCY and heartbeat --------------------------------------------------------------
 
@@ -167,7 +167,6 @@ class DriveNode:
         if frame[4] != 1:
             self.malformed += 1
             return
-        self.news.count += 1
         state = frame[8] & 0x7F
         if state == 0:
             self.boots += 1
@@ -180,6 +179,7 @@ class DriveNode:
         if self._silence is not None:
             self._silence.cancel()
             self._watch_heartbeat()
+        self.news.grow()
 
     def expect_heartbeat(self) -> None:
         """From now on silence means that the drive is lost."""
@@ -191,20 +191,20 @@ class DriveNode:
 
     def _fell_silent(self) -> None:
         if self.lost_since_ns is None:
-            self.news.count += 1
             self.lost_since_ns = self.link.runtime.now_ns()
+            self.news.grow()
 
     def may_change_state(self) -> None:
         """It is being brought up: booting, and other NMT states, are no loss."""
-        self.news.count += 1
         self._watches_nmt = self._was_operational = False
         self._boots_known = self.boots
+        self.news.grow()
 
     def stays_operational(self) -> None:
         """It is up: from the first heartbeat that says OPERATIONAL on, any other is a loss."""
-        self.news.count += 1
         self._watches_nmt = True
         self._boots_known = self.boots
+        self.news.grow()
 
     @property
     def has_booted(self) -> bool:

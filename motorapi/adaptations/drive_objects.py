@@ -17,7 +17,7 @@ class DriveObjects:
 
     def __init__(self, node: "DriveNode", physical: "PhysicalMotor") -> None:
         self._node: Final = node
-        self._physical: Final = physical
+        self.physical: Final = physical
         self._believed: dict[tuple[int, int], bytes] = {}
         self._token = -1
 
@@ -80,7 +80,7 @@ class DriveObjects:
 
     def is_believed(self, index: int, value: int, subindex: int = 0) -> bool:
         """Whether this value was written, and the motor has not changed hands since."""
-        token = self._physical.token
+        token = self.physical.token
         if token != self._token:
             self._believed.clear()
             self._token = token

@@ -27,6 +27,7 @@ class MotionWatch(Protocol):
     started_ns: int | None  # when the drive showed that it had begun; None: not yet
     ended_ns: int | None  # when the drive showed that it was over; None: not yet
     failed: bool
+    on_end: Callable[[], None] | None  # is called once, when `ended_ns` has been set
 
     def see(self, statusword: int, position_inc: int, time_ns: int) -> None:
         """A statusword came, with the position sampled with it."""
@@ -56,6 +57,7 @@ class SetpointWatch:
         self.started_ns: int | None = None
         self.ended_ns: int | None = None
         self.failed = False
+        self.on_end: Callable[[], None] | None = None
         self.commanded_ns = commanded_ns
         self._expected_ns = expected_ns
         self._needs_acknowledge = acknowledged
@@ -83,11 +85,16 @@ class SetpointWatch:
             self._seen_low = True
         elif self._seen_low:
             if self._is_within(self._near_inc, position_inc):
-                self.ended_ns = time_ns
+                self._end(time_ns)
         elif time_ns >= self.started_ns + self._expected_ns:
             within = self._tolerance_inc
             if within is None or self._is_within(within, position_inc):
-                self.ended_ns = time_ns
+                self._end(time_ns)
+
+    def _end(self, time_ns: int) -> None:
+        self.ended_ns = time_ns
+        if self.on_end is not None:
+            self.on_end()
 
     def _is_within(self, within_inc: int, position_inc: int) -> bool:
         target_inc = self._target_inc
@@ -102,6 +109,7 @@ class RestWatch:
         self.started_ns: int | None = commanded_ns
         self.ended_ns: int | None = None
         self.failed = False
+        self.on_end: Callable[[], None] | None = None
         self._commanded_ns = commanded_ns
         self._needs_bit = needs_bit
         self._position_inc: int | None = None
@@ -119,6 +127,8 @@ class RestWatch:
             statusword & TARGET_REACHED or not self._needs_bit
         ):
             self.ended_ns = time_ns
+            if self.on_end is not None:
+                self.on_end()
 
 
 @final
@@ -141,6 +151,7 @@ class HomingWatch:
         self.started_ns: int | None = None
         self.ended_ns: int | None = None
         self.failed = False
+        self.on_end: Callable[[], None] | None = None
         self._commanded_ns = commanded_ns
         self._fresh = False
 
@@ -156,8 +167,13 @@ class HomingWatch:
             return
         if statusword & HOMING_ERROR:
             self.failed = True
-            self.ended_ns = time_ns
+            self._end(time_ns)
         elif statusword & HOMING_ATTAINED and statusword & TARGET_REACHED:
-            self.ended_ns = time_ns
             if self._on_success is not None:
                 self._on_success()
+            self._end(time_ns)
+
+    def _end(self, time_ns: int) -> None:
+        self.ended_ns = time_ns
+        if self.on_end is not None:
+            self.on_end()

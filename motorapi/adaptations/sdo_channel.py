@@ -26,6 +26,7 @@ from motorapi.errors import DeadlineExceeded, MotorError
 
 if TYPE_CHECKING:
     from motorapi.runtime import Runtime
+    from motorapi.sharing import PhysicalMotor
 
 _RTR: Final = 0x4000_0000
 _EFF: Final = 0x8000_0000
@@ -209,11 +210,15 @@ class SdoChannel:
     """The default SDO channel of one node: 600h + node-ID there, 580h + node-ID back.
 
     What is not wrapped here (block transfer, streams) canopen's own client does, inside `alone`.
+
+    Attributes:
+        physical: whose low-level access keeps other threads out; None: nobody's.
     """
 
     def __init__(
         self, link: CanopenLink, node_id: int, *, timeout_s: float, quarantine_s: float
     ) -> None:
+        self.physical: PhysicalMotor | None = None
         self._link = link
         self._node_id = node_id
         self._quarantine_ns = round(quarantine_s * 1e9)
@@ -229,11 +234,22 @@ class SdoChannel:
         Its own errors come as they are: SdoAbortedError, SdoCommunicationError.
         """
         with self._lock.turn(_TURN_TIMEOUT_S, self._what):
+            if self.physical is not None:
+                self.physical.require_not_held_elsewhere()
             self._client.begin(b"")
             try:
                 yield self._client
             finally:
                 self._client.end()
+
+    def finish(self) -> None:
+        """What was under way is over, and who comes now has found out who may come.
+
+        Raises:
+            DeadlineExceeded: somebody keeps the channel.
+        """
+        with self._lock.turn(_TURN_TIMEOUT_S, self._what):
+            pass
 
     @property
     def strays(self) -> int:
@@ -267,6 +283,8 @@ class SdoChannel:
         client = self._client
         turn = self._lock.take(_TURN_TIMEOUT_S, self._what)
         try:
+            if self.physical is not None and self.physical.access is not None:
+                self.physical.require_not_held_elsewhere()
             client.begin(index.to_bytes(2, "little") + bytes((subindex,)))
             bound_ns = self._link.runtime.now_ns() + self._quarantine_ns
             try:
