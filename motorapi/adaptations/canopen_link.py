@@ -221,6 +221,10 @@ class CanopenLink:
             f" transmitted within {timeout_s:g} s{hint}",
         )
 
+    def pending(self, can_id: int) -> Sequence[Transmission]:
+        """Tracked frames with this identifier that wait for the bus, where it tells of own ones."""
+        return tuple(self._awaited.get(_ID.pack(can_id), ())) if self.confirms else ()
+
     def _on_frame(self, frame: bytes, time_ns: int, transmitted: bool) -> None:
         if transmitted:
             self.confirms = True

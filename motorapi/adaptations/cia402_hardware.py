@@ -325,6 +325,7 @@ class Cia402HwMotor:
 
         Raises:
             StateError: set-points are being streamed.
+            LinkError: what was sent to the drive before does not get on the bus.
         """
         if self.stream is not None and not self.stream.ended:
             raise StateError(
@@ -335,6 +336,12 @@ class Cia402HwMotor:
             )
         self.follow(None)
         self.node.sdo.finish()
+        can_ids = [0x600 + self.node_id]
+        if self._facts is not None:
+            if self._facts.control_id is not None:
+                can_ids.append(self._facts.control_id)
+            can_ids += self._facts.latched_ids.values()
+        self.link.confirmed([one for can_id in can_ids for one in self.link.pending(can_id)])
 
     def doubt(self) -> None:
         """Nothing is believed of the drive; `connect` brings it up as if it were new.

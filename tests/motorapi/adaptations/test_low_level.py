@@ -1,0 +1,493 @@
+"""Low-level access to a drive: all it can do, for one thread, and nobody else at it meanwhile.
+
+Source: the paper, Requirement 2.
+"""
+
+from collections.abc import Callable
+
+import pytest
+
+from harness.rig import Rig
+from motorapi.adaptations.canopen_errors import SdoAborted
+from motorapi.adaptations.cia402 import Cia402HwMotor, Cia402Motor
+from motorapi.commands import ControlMode, ControlVariable
+from motorapi.errors import (
+    DeadlineExceeded,
+    MotorBusyError,
+    MotorError,
+    StateError,
+    UsageError,
+)
+from motorapi.group import MotorGroup
+from motorapi.motor import Motor
+from motorapi.state import MotorState
+from motorapi.trajectory import TrapezoidalTrajectory
+from tests.motorapi.adaptations.conftest import drive
+
+OpenRig = Callable[..., Rig]
+SPARED = {0x080: "SYNC", 0x77F: "the host's heartbeat"}
+
+
+@pytest.fixture
+def rig(open_rig: OpenRig) -> Rig:
+    return open_rig(drive("left", 1))
+
+
+@pytest.fixture
+def motor(rig: Rig) -> Cia402Motor:
+    """A motor whose drive is up."""
+    motor = rig.motors["left"]
+    assert isinstance(motor, Cia402Motor)
+    motor.hardware.connect()
+    return motor
+
+
+@pytest.fixture
+def fresh(rig: Rig) -> Cia402Motor:
+    """A motor whose drive still boots."""
+    motor = rig.motors["left"]
+    assert isinstance(motor, Cia402Motor)
+    return motor
+
+
+@pytest.fixture
+def other(motor: Cia402Motor) -> Cia402Motor:
+    return Cia402Motor(motor.hardware, motor.model, name="other")
+
+
+def go_to(motor: Motor, target: float) -> None:
+    motor.set_control_mode(ControlMode.SETPOINT)
+    motor.set_setpoint(target)
+    motor.start()
+
+
+def sent_on(rig: Rig) -> list[tuple[int, int, bytes]]:
+    """(time, identifier, data) of what the host sends from now on; SYNC and its heartbeat apart."""
+    heard: list[tuple[int, int, bytes]] = []
+
+    def on_frame(bus: str, time_ns: int, sender: str, frame: bytes) -> None:
+        can_id = int.from_bytes(frame[:4], "little")
+        if sender == "host" and can_id not in SPARED:
+            heard.append((time_ns, can_id, frame[8 : 8 + frame[4]]))
+
+    rig.world.tap_frames(on_frame)
+    return heard
+
+
+# --- what one can do with it ------------------------------------------------------------------
+
+
+def test_the_hardware_is_there_with_all_its_objects_and_frames(rig: Rig, motor: Cia402Motor):
+    with motor.low_level() as hardware:
+        assert hardware is motor.hardware
+        assert hardware.read("device_type") & 0xFFFF == 402
+        hardware.write(0x6065, 4321)
+        assert hardware.read(0x6065) == 4321
+        # CiA 301, SDO upload of 6065h: 40h, index, sub-index; answered 43h with 4 bytes
+        with hardware.listen(0x581) as inbox:
+            sent = hardware.send_frame(0x601, bytes.fromhex("4065600000000000"))
+            answer = inbox.receive(timeout_s=0.1)
+        assert answer.data == bytes.fromhex("43656000") + (4321).to_bytes(4, "little")
+        assert sent.time_ns is not None
+        assert answer.time_ns > sent.time_ns
+        hardware.enable()
+        assert motor.state() is MotorState.ENABLED
+
+
+def test_frames_that_cannot_be_are_refused(motor: Cia402Motor):
+    with motor.low_level() as hardware:
+        for can_id, data in ((0x800, b""), (-1, b""), ("601", b""), (0x601, bytes(9))):
+            with pytest.raises(UsageError):
+                hardware.send_frame(can_id, data)
+        assert hardware.send_frame(0x1ABCDEF, b"\1", extended=True).frame[:4] == bytes.fromhex(
+            "efcdab81"
+        )
+        with hardware.listen(0x123) as inbox, pytest.raises(DeadlineExceeded, match="123h"):
+            inbox.receive(timeout_s=0.01)
+
+
+def test_nothing_is_sent_by_entering_and_leaving(rig: Rig, fresh: Cia402Motor):
+    sent = sent_on(rig)
+    with fresh.low_level():
+        rig.runtime.run_for(0.5)
+    rig.runtime.run_for(0.5)
+    assert sent == []
+
+
+# --- what nobody can do meanwhile -------------------------------------------------------------
+
+REFUSED = (
+    Motor.start,
+    Motor.enable,
+    Motor.disable,
+    Motor.home,
+    Motor.reset_fault,
+    Motor.stop,
+    Motor.quick_stop,
+    Motor.halt,
+    Motor.torque,
+    Motor.following_error,
+    Motor.is_referenced,
+)
+
+
+def test_everything_that_would_send_is_refused_and_names_the_holder(
+    rig: Rig, motor: Cia402Motor, other: Cia402Motor
+):
+    go_to(motor, 0.2)
+    motor.wait_until_done(timeout_s=5)
+    assert other.position() == motor.position()  # both know the drive's units now
+    rig.runtime.run_for(0.2)
+    sent = sent_on(rig)
+    begun_ns = rig.runtime.now_ns()
+    with motor.low_level():
+        for one in (motor, other):
+            one.set_control_mode(ControlMode.SETPOINT)
+            one.set_setpoint(0.5)  # setting is local
+            for refused in REFUSED:
+                with pytest.raises(MotorBusyError) as caught:
+                    refused(one)
+                error = caught.value
+                assert error.holder == f"low_level() of {motor.name}"
+                assert error.purpose == "low-level access"
+                assert error.since_ns == begun_ns
+            group = MotorGroup(one)
+            for call in (group.start, group.stop, group.sync_capability):
+                with pytest.raises(MotorBusyError):
+                    call()
+            # what was heard last is told
+            assert one.state() is MotorState.ENABLED
+            assert one.fault() is None
+            assert one.position() == pytest.approx(0.2, abs=2e-3)  # the drive's position window
+            one.wait_until_done(timeout_s=0)  # nothing goes on
+            assert one.is_done()
+            assert one.latest() is not None
+        rig.runtime.run_for(0.2)
+    assert sent == []
+    other.stop()
+    other.wait_until_done(timeout_s=1)
+    go_to(motor, 0.3)
+    motor.wait_until_done(timeout_s=5)
+
+
+def test_a_stop_that_is_refused_says_what_remains(motor: Cia402Motor, other: Cia402Motor):
+    with motor.low_level(), pytest.raises(MotorBusyError) as caught:
+        other.stop()
+    assert "the drive's own dead-man" in caught.value.__notes__[0]
+
+
+def test_a_stop_from_a_callback_is_refused_though_the_holder_runs_it(
+    rig: Rig, motor: Cia402Motor, other: Cia402Motor
+):
+    refused: list[MotorError] = []
+
+    def stop() -> None:
+        try:
+            other.stop()
+        except MotorError as error:
+            refused.append(error)
+
+    motor.enable()
+    with motor.low_level() as hardware:
+        timer = rig.runtime.every(0.001, stop)  # runs in whatever thread lets time pass
+        sent = sent_on(rig)
+        for _ in range(5):
+            hardware.read("position_actual_value")
+        timer.cancel()
+    assert len(refused) >= 5
+    assert {type(error) for error in refused} == {MotorBusyError}
+    assert [can_id for _, can_id, _ in sent] == [0x601] * 5
+
+
+def test_another_thread_cannot_work_the_hardware_object(rig: Rig, motor: Cia402Motor):
+    motor.enable()
+    hardware = motor.hardware
+    refused: list[str] = []
+
+    def intrude() -> None:
+        for act in (
+            lambda: hardware.read("statusword"),
+            lambda: hardware.write(0x6065, 1),
+            lambda: hardware.send_frame(0x601, bytes(8)),
+            hardware.halt,
+            hardware.quick_stop,
+            lambda: hardware.sdo().__enter__(),
+            lambda: hardware.stream_positions(0.01, lambda cycle: None),
+        ):
+            with pytest.raises(MotorBusyError, match="low-level access"):
+                act()
+            refused.append("one")
+
+    sent = sent_on(rig)
+    with motor.low_level():
+        party = rig.runtime.spawn("intruder", intrude)
+        assert party.join(5.0)
+    assert party.error is None
+    assert len(refused) == 7
+    assert sent == []
+
+
+def test_a_drive_never_heard_is_no_obstacle_and_nobody_brings_it_up(rig: Rig, fresh: Cia402Motor):
+    other = Cia402Motor(fresh.hardware, fresh.model, name="other")
+    sent = sent_on(rig)
+    with fresh.low_level():
+        for reading in (other.position, other.velocity, other.state, other.fault):
+            with pytest.raises(MotorBusyError):
+                reading()
+    assert sent == []
+    assert other.position() == 0.0
+
+
+# --- when it begins ---------------------------------------------------------------------------
+
+
+def test_an_own_motion_must_be_over(rig: Rig, motor: Cia402Motor):
+    go_to(motor, 1.0)
+    with pytest.raises(StateError, match=r"start\(\) of left goes on"), motor.low_level():
+        raise AssertionError("it was given")
+    motor.wait_until_done(timeout_s=5)
+    with motor.low_level():
+        pass
+
+
+def test_another_ones_motion_is_named(motor: Cia402Motor, other: Cia402Motor):
+    go_to(other, 1.0)
+    with pytest.raises(MotorBusyError, match=r"start\(\) of other"), motor.low_level():
+        raise AssertionError("it was given")
+    other.wait_until_done(timeout_s=5)
+
+
+def test_a_velocity_goes_on_until_it_is_stopped(rig: Rig, motor: Cia402Motor):
+    motor.set_control_mode(ControlMode.SETPOINT, ControlVariable.VELOCITY)
+    motor.set_setpoint(0.5)
+    motor.start()
+    motor.wait_until_done(timeout_s=5)
+    for timeout_s in (None, 0.5):
+        with pytest.raises(StateError), motor.low_level(timeout_s=timeout_s):
+            raise AssertionError("it was given")
+    assert rig.runtime.now_ns() > 500_000_000
+    motor.stop()
+    with motor.low_level(timeout_s=5):
+        assert motor.velocity is not None
+
+
+def test_the_end_of_a_motion_is_waited_for_and_its_waiter_is_told_the_truth(
+    rig: Rig, motor: Cia402Motor, other: Cia402Motor
+):
+    motor.set_control_mode(ControlMode.TRAJECTORY)
+    motor.set_trajectory(TrapezoidalTrajectory(1.0))
+    motor.start()
+    done: list[int] = []
+    waiter = rig.runtime.spawn(
+        "waiter", lambda: (motor.wait_until_done(), done.append(rig.runtime.now_ns()))
+    )
+    with other.low_level(timeout_s=5) as hardware:
+        entered_ns = rig.runtime.now_ns()
+        rig.runtime.wait_until(lambda: bool(done), 0.01)
+        assert done == [entered_ns]
+        hardware.disable()
+        rig.runtime.run_for(0.1)
+    assert waiter.join(1.0)
+    assert waiter.error is None
+    motor.wait_until_done()  # it did end at its target, whatever the holder did since
+
+
+def test_a_fault_of_before_is_what_the_waiter_hears(rig: Rig, motor: Cia402Motor):
+    go_to(motor, 1.0)
+    rig.controllers["left"].stimulate("fault", 0x3210)
+    rig.runtime.run_for(0.1)
+    with motor.low_level() as hardware:
+        hardware.reset_fault()
+        hardware.enable()
+    with pytest.raises(MotorError, match="3210h"):
+        motor.wait_until_done()
+
+
+def test_streamed_set_points_must_be_over(rig: Rig, motor: Cia402Motor):
+    motor.enable()
+    stream = motor.hardware.stream_positions(0.01, lambda cycle: 0)
+    with pytest.raises(StateError, match="streamed"), motor.low_level():
+        raise AssertionError("it was given")
+    sent = sent_on(rig)
+    rig.runtime.run_for(0.1)
+    assert len([one for one in sent if one[1] == 0x301]) >= 9  # it goes on
+    stream.cancel()
+    with motor.low_level():
+        pass
+
+
+def test_a_drive_being_brought_up_is_waited_for(rig: Rig, fresh: Cia402Motor):
+    """The reader reads: access comes after that, not in the middle of bringing the drive up."""
+    other = Cia402Motor(fresh.hardware, fresh.model, name="other")
+    read: list[float] = []
+    reader = rig.runtime.spawn("reader", lambda: read.append(other.position()))
+    rig.runtime.run_for(0.31)  # the drive has booted, and is being brought up
+    assert not read
+    with fresh.low_level() as hardware:
+        assert len(read) == 1
+        assert hardware.facts is not None
+        sent = sent_on(rig)
+        rig.runtime.run_for(0.1)
+        assert sent == []
+    assert reader.join(1.0)
+    assert reader.error is None
+
+
+def test_what_was_sent_before_is_on_the_wire_before_access_is_given(rig: Rig, motor: Cia402Motor):
+    motor.enable()
+    rig.runtime.run_for(0.1)
+    sent = sent_on(rig)
+    motor.hardware.control.send_holding_word()  # waits for the bus
+    with motor.low_level():
+        entered_ns = rig.runtime.now_ns()
+        rig.runtime.run_for(0.1)
+    assert [can_id for _, can_id, _ in sent] == [0x201]
+    assert sent[0][0] <= entered_ns
+
+
+# --- who is next ------------------------------------------------------------------------------
+
+
+def test_turns_are_first_come_first_served(rig: Rig, motor: Cia402Motor):
+    order: list[str] = []
+
+    def take(one: Motor, wait_s: float) -> Callable[[], None]:
+        def party() -> None:
+            rig.runtime.run_for(wait_s)
+            with one.low_level(timeout_s=10.0):
+                order.append(one.name)
+                rig.runtime.run_for(0.5)
+
+        return party
+
+    motors = [Cia402Motor(motor.hardware, motor.model, name=f"m{k}") for k in range(4)]
+    parties = [
+        rig.runtime.spawn(one.name, take(one, wait_s))
+        for one, wait_s in zip(motors, (0.3, 0.1, 0.2, 0.0), strict=True)
+    ]
+    assert all(party.join(10.0) for party in parties)
+    assert [party.error for party in parties] == [None] * 4
+    assert order == ["m3", "m1", "m2", "m0"]
+
+
+def test_who_waits_in_vain_is_told_by_whom(rig: Rig, motor: Cia402Motor, other: Cia402Motor):
+    def hold() -> None:
+        with motor.low_level():
+            rig.runtime.run_for(1.0)
+
+    begun_at_ns = rig.runtime.now_ns()
+    party = rig.runtime.spawn("holder", hold)
+    rig.runtime.run_for(0.1)
+    for timeout_s, waited_ns in ((None, 0), (0.0, 0), (0.25, 250_000_000)):
+        begun_ns = rig.runtime.now_ns()
+        with (
+            pytest.raises(MotorBusyError, match=r"low_level\(\) of left for low-level access"),
+            other.low_level(timeout_s=timeout_s),
+        ):
+            raise AssertionError("it was given")
+        assert rig.runtime.now_ns() == begun_ns + waited_ns
+    with other.low_level(timeout_s=5.0):
+        assert rig.runtime.now_ns() == begun_at_ns + 1_000_000_000
+    assert party.join(1.0)
+
+
+def test_an_operation_behind_one_who_waits_for_access_is_refused_when_that_one_has_it(
+    rig: Rig, motor: Cia402Motor, other: Cia402Motor
+):
+    told: list[tuple[int, str]] = []
+
+    def enable() -> None:
+        try:
+            other.enable()
+        except MotorBusyError as error:
+            told.append((rig.runtime.now_ns(), error.holder))
+
+    go_to(motor, 0.5)
+
+    def access() -> None:
+        with motor.low_level(timeout_s=5.0):
+            rig.runtime.run_for(1.0)
+
+    first = rig.runtime.spawn("first", access)
+    rig.runtime.run_for(0.01)
+    second = rig.runtime.spawn("second", enable)
+    assert first.join(10.0)
+    assert second.join(10.0)
+    assert len(told) == 1
+    assert told[0][1] == "low_level() of left"
+
+
+@pytest.mark.parametrize("timeout_s", [-1.0, "soon", float("nan")])
+def test_a_timeout_is_a_time(motor: Cia402Motor, timeout_s: float):
+    with pytest.raises(UsageError, match="timeout_s"), motor.low_level(timeout_s=timeout_s):
+        pass
+
+
+# --- re-entry, and how it ends ----------------------------------------------------------------
+
+
+def test_a_block_inside_a_block_of_the_same_motor_changes_nothing(
+    motor: Cia402Motor, other: Cia402Motor
+):
+    with motor.low_level() as outer:
+        with motor.low_level() as inner:
+            assert inner is outer
+        with pytest.raises(MotorBusyError):
+            motor.enable()  # the inner block has not ended it
+        with pytest.raises(MotorBusyError), other.low_level(timeout_s=1.0):
+            pass  # it would wait for itself
+        outer.read("statusword")
+    motor.enable()
+
+
+def test_access_ends_with_whatever_leaves_the_block(motor: Cia402Motor, other: Cia402Motor):
+    with pytest.raises(ZeroDivisionError), motor.low_level():
+        raise ZeroDivisionError
+    with pytest.raises(SdoAborted), motor.low_level() as hardware:
+        hardware.upload(0x5FFF)
+    other.enable()
+
+
+def test_what_the_holder_wrote_does_not_outlive_the_block(rig: Rig, motor: Cia402Motor):
+    go_to(motor, 0.3)
+    motor.wait_until_done(timeout_s=5)
+    with motor.low_level() as hardware:
+        hardware.write("profile_velocity", 1)  # so slow that it would never arrive
+        hardware.write("modes_of_operation", 3)
+        hardware.write(0x1400, b"\x01\x02\x00\x80", subindex=1)  # RPDO 1, the controlword: off
+        hardware.write(0x1800, 0, subindex=5)  # TPDO 1 does not repeat the status any more
+    sent = sent_on(rig)
+    go_to(motor, 0.6)
+    motor.wait_until_done(timeout_s=5)
+    assert motor.position() == pytest.approx(0.6, abs=2e-3)  # the drive's position window
+    written = {
+        int.from_bytes(data[1:3], "little")
+        for _, can_id, data in sent
+        if can_id == 0x601 and data[0] >> 5 == 1
+    }
+    assert {0x6060, 0x6081, 0x6083, 0x6084, 0x607A, 0x1400, 0x1800} <= written
+
+
+def test_a_second_start_without_access_in_between_writes_only_what_differs(
+    rig: Rig, motor: Cia402Motor
+):
+    """So that the test above says something."""
+    go_to(motor, 0.3)
+    motor.wait_until_done(timeout_s=5)
+    sent = sent_on(rig)
+    go_to(motor, 0.6)
+    motor.wait_until_done(timeout_s=5)
+    written = {
+        int.from_bytes(data[1:3], "little")
+        for _, can_id, data in sent
+        if can_id == 0x601 and data[0] >> 5 == 1
+    }
+    assert written == {0x6040, 0x607A}
+
+
+def test_a_state_told_after_the_block_is_the_drives(motor: Cia402Motor):
+    motor.enable()
+    with motor.low_level():
+        pass
+    assert motor.state() is MotorState.ENABLED  # heard all the time, if not brought up again yet
+    assert isinstance(motor.hardware, Cia402HwMotor)
