@@ -2,16 +2,102 @@
 
 Convenient, and a trap: a wrong gear ratio on both sides hides itself. So a rig has to ask for it
 (`plant.from_motor_model = true`), what was taken is told, and what the rig says itself counts more.
+A controller of several motors asks for each channel, or for all of them if their models agree.
 """
 
 from collections.abc import Mapping
 from typing import Final
 
 from emulators.plant.presets import PRESETS
+from harness.rig_file import ControllerDescription, MotorDescription, RigDescription, replaced
+from harness.toml_lines import KeyPath
+from harness.wording import dotted
 from motorapi.model import MotionKind, MotorModel
 
 _TURN_RAD: Final = 6.283185307179586
 _WHOLE_TOLERANCE: Final = 1e-3  # increments per turn: a model is written with a few digits
+
+
+def settings_with_model(
+    description: RigDescription,
+    controller: ControllerDescription,
+    models: Mapping[str, MotorModel],
+) -> tuple[dict[str, object], list[str]]:
+    """The controller's settings with what the models of its motors know, and notes that tell it.
+
+    Args:
+        description: the rig.
+        controller: one of its controllers.
+        models: of its motors, by name.
+
+    Raises:
+        RigError: there is no motor to ask, or what its model says does not do.
+    """
+    settings, notes = dict(controller.settings), []
+    for place in controller.plants_from_model:
+        numbers, asked = _numbers_for(description, controller, models, settings, place)
+        path = ("controller", controller.name, *place)
+        taken = ", ".join(f"{key} = {value:g}" for key, value in numbers.items())
+        line = description.source.line((*path, "from_motor_model"))
+        notes.append(
+            f"{description.source.path}:{line}: {dotted(path)}: {taken} taken from motor model "
+            f'"{asked}": a mistake in it is on both sides'
+        )
+        settings = replaced(settings, place, {**_table(settings, place), **numbers})
+    return settings, notes
+
+
+def _numbers_for(
+    description: RigDescription,
+    controller: ControllerDescription,
+    models: Mapping[str, MotorModel],
+    settings: Mapping[str, object],
+    place: KeyPath,
+) -> tuple[dict[str, int | float], str]:
+    """The numbers for the plant at `place`, and the name of the model they are from."""
+    path = ("controller", controller.name, *place, "from_motor_model")
+    motors = _motors_behind(description, controller.name, place)
+    if not motors:
+        raise description.error(
+            path, "no motor of this rig has this controller", "take it out, or add one"
+        )
+    plant = _table(settings, place)
+    if len(place) > 1 and "preset" not in plant:
+        plant = {**_table(settings, ("plant",)), **plant}  # a channel's is the common one, but for
+    try:
+        found = [plant_numbers(models[motor.name], plant) for motor in motors]
+    except ValueError as error:
+        raise description.error(path, str(error), "correct one of them") from None
+    first = models[motors[0].name].name
+    for motor, numbers in zip(motors, found, strict=True):
+        if numbers != found[0]:
+            raise description.error(
+                path,
+                f'motors "{motors[0].name}" and "{motor.name}" have models that differ in it',
+                f"ask in [controller.{controller.name}.channel.1.plant] and so on",
+            )
+    if not found[0]:
+        raise description.error(
+            path, f'motor model "{first}" knows nothing the rig does not say', "take it out"
+        )
+    return found[0], first
+
+
+def _motors_behind(
+    description: RigDescription, controller: str, place: KeyPath
+) -> list[MotorDescription]:
+    """The motors whose plant is at `place`: of one channel, or all of the controller."""
+    motors = [motor for motor in description.motors.values() if motor.controller == controller]
+    if len(place) == 1:
+        return motors
+    return [motor for motor in motors if str(motor.settings.get("channel", 1)) == place[1]]
+
+
+def _table(settings: Mapping[str, object], place: KeyPath) -> Mapping[str, object]:
+    inner: object = settings
+    for key in place:
+        inner = inner.get(str(key), {}) if isinstance(inner, Mapping) else {}
+    return inner if isinstance(inner, Mapping) else {}
 
 
 def plant_numbers(model: MotorModel, plant: Mapping[str, object]) -> dict[str, int | float]:
@@ -19,7 +105,8 @@ def plant_numbers(model: MotorModel, plant: Mapping[str, object]) -> dict[str, i
 
     Args:
         model: of the motor that this plant is behind.
-        plant: the rig's table; its gear ratio (or its preset's) is needed for the resolution.
+        plant: the rig's table; its gear ratio (or its preset's) is needed for the resolution, where
+            the model knows no gear.
 
     Raises:
         ValueError: the model's resolution is no whole number of increments per motor turn.
@@ -28,20 +115,24 @@ def plant_numbers(model: MotorModel, plant: Mapping[str, object]) -> dict[str, i
     if model.current_max is not None and "current_max_a" not in plant:
         numbers["current_max_a"] = model.current_max
     rotary = model.kind is MotionKind.ROTARY
-    if rotary and model.increments_per_unit is not None and "encoder_increments_rev" not in plant:
-        gear_ratio = _gear_ratio(plant)
+    if rotary and model.gear_ratio is not None and "gear_ratio" not in plant:
+        numbers["gear_ratio"] = abs(model.gear_ratio)  # which way is up, the drive says
+    increments, source = model.encoder_increments_rev, f"{model.encoder_increments_rev}"
+    if increments is None and rotary and model.increments_per_unit is not None:
+        gear_ratio = _gear_ratio({**plant, **numbers})
         increments = abs(model.increments_per_unit) * _TURN_RAD / gear_ratio
+        source = f"{model.increments_per_unit} per rad with gear_ratio = {gear_ratio:g}"
+    if increments is not None and "encoder_increments_rev" not in plant:
         if abs(increments - round(increments)) > _WHOLE_TOLERANCE or increments < 0.5:
             raise ValueError(
-                f"increments_per_rad = {model.increments_per_unit} of the motor model makes "
-                f"{increments:.6g} increments per motor turn with gear_ratio = {gear_ratio:g}"
+                f"the motor model's increments, {source}, are {increments:.6g} per motor turn: no"
+                " whole number"
             )
         numbers["encoder_increments_rev"] = round(increments)
     return numbers
 
 
 def _gear_ratio(plant: Mapping[str, object]) -> float:
-    """Motor turns per output turn; 1.0 if that is not a number, which others will complain of."""
     preset = PRESETS.get(str(plant.get("preset")))
     value = plant.get("gear_ratio", 1.0 if preset is None else preset.gear_ratio)
     return float(value) if isinstance(value, int | float) and value > 0 else 1.0

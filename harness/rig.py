@@ -24,7 +24,7 @@ from emulators.media.faults import FaultPlan
 from emulators.world import World
 from harness.interrupts import interrupts_between_events
 from harness.pace import WallPace
-from harness.plant_from_model import plant_numbers
+from harness.plant_from_model import settings_with_model
 from harness.plugins import ADAPTATIONS, CONTROLLERS, Plugin, installed
 from harness.rig_file import (
     SEED_MAX,
@@ -184,9 +184,8 @@ class Rig:
 
     def _build_controller(self, controller: ControllerDescription) -> Controller:
         place = ("controller", controller.name)
-        settings = dict(controller.settings)
-        if controller.plant_from_motor_model:
-            settings["plant"] = self._plant(controller)
+        settings, notes = settings_with_model(self.description, controller, self._models)
+        self.notes += notes
         context = ControllerContext(controller.name, self.description.folder, self.seed)
         plugin = self._plugins[CONTROLLERS][controller.kind]
         build = self._load(plugin, (*place, "kind"))
@@ -203,35 +202,6 @@ class Rig:
             if not callable(getattr(core, "next_deadline_ns", None)):
                 raise TypeError(f"it built {core!r}, which is no controller")
             return core
-
-    def _plant(self, controller: ControllerDescription) -> dict[str, object]:
-        """The controller's plant table with what the model of its motor knows; told in a note."""
-        path = ("controller", controller.name, "plant", "from_motor_model")
-        motors = [m for m in self.description.motors.values() if m.controller == controller.name]
-        if not motors:
-            raise self.description.error(
-                path, "no motor of this rig has this controller", "take it out, or add one"
-            )
-        plant = controller.settings["plant"]
-        assert isinstance(plant, Mapping)
-        model = self._models[motors[0].name]
-        try:
-            numbers = plant_numbers(model, plant)
-        except ValueError as error:
-            raise self.description.error(path, str(error), "correct one of them") from None
-        if not numbers:
-            raise self.description.error(
-                path,
-                f'motor model "{model.name}" knows nothing the rig does not say',
-                "take it out",
-            )
-        taken = ", ".join(f"{key} = {value:g}" for key, value in numbers.items())
-        where = f"{self.description.source.path}:{self.description.source.line(path)}"
-        self.notes.append(
-            f"{where}: controller.{controller.name}.plant: {taken} taken from motor model "
-            f'"{model.name}": a mistake in it is on both sides'
-        )
-        return {**plant, **numbers}
 
     def _load(self, plugin: Plugin, path: tuple[str, ...]) -> Callable[..., Any]:
         try:

@@ -57,7 +57,8 @@ class ControllerDescription:
         kind: the plugin that builds it.
         node_id: where on the bus, if its kind has such numbers.
         settings: its table without `kind`, `bus` and `plant.from_motor_model`.
-        plant_from_motor_model: what its plant table leaves out is taken from its motor's model.
+        plants_from_model: the plant tables in it (`plant`, `channel.2.plant`) that take what they
+            leave out from their motor's model.
     """
 
     name: str
@@ -65,7 +66,7 @@ class ControllerDescription:
     bus: str
     node_id: int | None
     settings: Mapping[str, object]
-    plant_from_motor_model: bool
+    plants_from_model: tuple[KeyPath, ...]
 
 
 @final
@@ -236,16 +237,42 @@ def _controller(
 ) -> ControllerDescription:
     kind = table.one_of("kind", known.controllers, "controller kind")
     bus = table.name_of("bus", list(buses), "bus")
-    plant = table.table("plant")
-    from_model = plant.flag("from_motor_model", False)
     settings = _without(table, ("kind", "bus"))
-    if plant.has("from_motor_model"):
-        settings["plant"] = _without(plant, ("from_motor_model",))
+    asking: list[KeyPath] = []
+    for plant in _plants(table):
+        path = plant.path[len(table.path) :]
+        if plant.flag("from_motor_model", False):
+            asking.append(path)
+        if plant.has("from_motor_model"):
+            settings = replaced(settings, path, _without(plant, ("from_motor_model",)))
     if name == HOST or name.startswith(f"{HOST}-"):
         raise table.source.error(
             table.path, "is what the application's ports are called on a bus", "rename it"
         )
-    return ControllerDescription(name, kind, bus, _node_id(table), settings, from_model)
+    return ControllerDescription(name, kind, bus, _node_id(table), settings, tuple(asking))
+
+
+def _plants(table: Table) -> list[Table]:
+    """The controller's plant tables: its own, and those of its channels."""
+    plants = [table.table("plant")]
+    if isinstance(table.values.get("channel"), dict):
+        channels = table.table("channel")
+        plants += [
+            channels.table(name).table("plant")
+            for name, value in channels.values.items()
+            if isinstance(value, dict)
+        ]
+    return plants
+
+
+def replaced(
+    settings: Mapping[str, object], path: KeyPath, value: Mapping[str, object]
+) -> dict[str, object]:
+    """The settings with another value at `path`."""
+    key, *rest = path
+    inner = settings.get(str(key), {})
+    assert isinstance(inner, Mapping)
+    return {**settings, str(key): replaced(inner, tuple(rest), value) if rest else value}
 
 
 def _motor(

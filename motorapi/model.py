@@ -14,12 +14,15 @@ where a rotary one has rad and N·m:
     position_min_rad = -3.0              # default: no limit
     position_max_rad = 3.0
     position_tolerance_rad = 0.01        # how far off an absolute trajectory may begin
-    increments_per_rad = 10430.4         # of the drive's position; < 0: it counts the other way
+    gear_ratio = 66.0                    # motor turns per turn; < 0: reversing; motor_turns_per_m
+    encoder_increments_rev = 2000        # of the encoder, per turn of the motor
+    increments_per_rad = 21008.4524881   # of the drive's position; default: what these two make
     velocity_unit_rad_s = 0.001          # what 1 in the drive's velocity objects means
     acceleration_unit_rad_s2 = 0.01      # and in its acceleration objects
     requires_referencing = false         # true: absolute targets only after homing
 
-Where the drive itself knows its units (factor objects), they are not needed here.
+Where the drive itself knows its units (factor objects), they are not needed here. A drive that
+counts the other way has increments < 0.
 """
 
 import json
@@ -28,7 +31,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, fields
 from difflib import get_close_matches
 from enum import Enum
-from math import isfinite
+from math import isfinite, tau
 from pathlib import Path
 from typing import Final, Self, final
 
@@ -56,6 +59,8 @@ _NUMBER_KEYS: Final = {
     "position_min": "position_min_{u}",
     "position_max": "position_max_{u}",
     "position_tolerance": "position_tolerance_{u}",
+    "gear_ratio": "gear_ratio",
+    "encoder_increments_rev": "encoder_increments_rev",
     "increments_per_unit": "increments_per_{u}",
     "velocity_unit": "velocity_unit_{u}_s",
     "acceleration_unit": "acceleration_unit_{u}_s2",
@@ -64,7 +69,11 @@ _REQUIRED: Final = ("velocity_max", "acceleration_max")
 _INTEGER_MAX: Final = 2**63 - 1
 _FILE_REMEDY: Final = "name a motor model, a TOML file"
 _TOML_REMEDY: Final = "a line reads key = value, as in velocity_max_rad_s = 6.0"
-_SIGNED: Final = ("position_min", "position_max", "increments_per_unit")
+_SIGNED: Final = ("position_min", "position_max", "gear_ratio", "increments_per_unit")
+_NOT_ZERO: Final = ("gear_ratio", "increments_per_unit")
+_OF_LINEAR: Final = {"torque_max": "force_max_n", "gear_ratio": "motor_turns_per_m"}
+_SAME: Final = 1e-6
+"""How far increments may be from what gear and encoder make: models are written with few digits."""
 
 
 @final
@@ -89,6 +98,8 @@ class MotorModel:
     position_min: float | None = None  # [U]
     position_max: float | None = None  # [U]
     position_tolerance: float | None = None  # [U]; see start_tolerance
+    gear_ratio: float | None = None  # motor turns per turn of the output (linear: per m), signed
+    encoder_increments_rev: float | None = None  # per turn of the motor
     increments_per_unit: float | None = None  # position increments of the drive per U, signed
     velocity_unit: float | None = None  # what 1 in the drive's velocity objects means [U/s]
     acceleration_unit: float | None = None  # likewise for acceleration [U/s²]
@@ -103,6 +114,14 @@ class MotorModel:
                 raise UsageError(f"motor model {self.name}: {field} {problem}")
         if _is_empty(self.position_min, self.position_max):
             raise UsageError(f"motor model {self.name}: position_min is not below position_max")
+        made = _increments(self.kind, self.gear_ratio, self.encoder_increments_rev)
+        if self.increments_per_unit is None:
+            object.__setattr__(self, "increments_per_unit", made)
+        elif _differ(self.increments_per_unit, made):
+            raise UsageError(
+                f"motor model {self.name}: increments_per_unit is {self.increments_per_unit:g},"
+                f" gear_ratio and encoder_increments_rev make {made:g}"
+            )
 
     @property
     def unit(self) -> str:
@@ -123,6 +142,12 @@ class MotorModel:
     def deceleration(self) -> float:
         """The limit while slowing down [U/s²]."""
         return self.acceleration_max if self.deceleration_max is None else self.deceleration_max
+
+    @property
+    def resolution(self) -> float | None:
+        """The smallest change of position that the drive can count [U]; None: not known."""
+        increments = self.increments_per_unit
+        return None if increments is None else 1.0 / abs(increments)
 
     @property
     def start_tolerance(self) -> float:
@@ -196,6 +221,11 @@ class MotorModel:
         if _is_empty(values["position_min"], values["position_max"]):
             key = _key_of("position_min", kind)
             raise reader.error(key, "is not below position_max", "exchange or correct them")
+        made = _increments(kind, values["gear_ratio"], values["encoder_increments_rev"])
+        if _differ(values["increments_per_unit"], made):
+            key = _key_of("increments_per_unit", kind)
+            problem = f"is not {made:.10g}, which the gear and encoder_increments_rev make"
+            raise reader.error(key, problem, "leave it out, or correct one of them")
         name = reader.text("name", default_name)
         referencing = reader.flag("requires_referencing")
         velocity, acceleration = values.pop("velocity_max"), values.pop("acceleration_max")
@@ -283,8 +313,8 @@ class _Reader:
 
 
 def _key_of(field: str, kind: MotionKind) -> str:
-    if field == "torque_max" and kind is MotionKind.LINEAR:
-        return "force_max_n"
+    if kind is MotionKind.LINEAR and field in _OF_LINEAR:
+        return _OF_LINEAR[field]
     return _NUMBER_KEYS[field].format(u=_UNIT[kind])
 
 
@@ -298,7 +328,7 @@ def _problem(field: str, value: float | None) -> str:
         return ""
     if not isfinite(value):
         return f"is {value}, not a finite number"
-    if field == "increments_per_unit" and value == 0.0:
+    if field in _NOT_ZERO and value == 0.0:
         return "is 0"
     if field not in _SIGNED and value <= 0.0:
         return f"is {value:g}, not > 0"
@@ -311,6 +341,19 @@ def _is_name(text: object) -> bool:
 
 def _is_empty(low: float | None, high: float | None) -> bool:
     return low is not None and high is not None and not low < high
+
+
+def _increments(kind: MotionKind, gear: float | None, encoder: float | None) -> float | None:
+    """Position increments per U that gear and encoder make; None if one is not known."""
+    if gear is None or encoder is None:
+        return None
+    return gear * encoder / (tau if kind is MotionKind.ROTARY else 1.0)
+
+
+def _differ(given: float | None, made: float | None) -> bool:
+    if given is None or made is None:
+        return False
+    return abs(given - made) > _SAME * abs(made)
 
 
 def _line_of(text: str, key: str) -> int | None:

@@ -163,7 +163,7 @@ def test_a_second_rig_with_the_same_bus_is_refused(write):
             'kind = "echo"',
             'kind = "ecco"',
             'rig.toml:6: controller.left.kind: unknown controller kind "ecco" '
-            "(known: broken, cia402, echo); did you mean echo?",
+            "(known: broken, cia401, cia402, echo); did you mean echo?",
         ),
         (
             "velocity_max_rad_s = 6.0",
@@ -228,8 +228,8 @@ def test_what_the_rig_says_of_a_plant_counts_more_than_the_motor_model(write):
 def test_a_model_that_fits_no_whole_encoder_is_refused(write):
     asked = "node_id = 2\nplant.from_motor_model = true\nplant.gear_ratio = 16.5\n"
     assert refusal(write(GOOD.replace("node_id = 2\n", asked))) == (
-        "rig.toml:14: controller.right.plant.from_motor_model: increments_per_rad = 10185.9163 of "
-        "the motor model makes 3878.79 increments per motor turn with gear_ratio = 16.5; "
+        "rig.toml:14: controller.right.plant.from_motor_model: the motor model's increments, "
+        "10185.9163 per rad with gear_ratio = 16.5, are 3878.79 per motor turn: no whole number; "
         "correct one of them"
     )
 

@@ -89,9 +89,9 @@ def test_a_rig_is_read_as_it_is_written():
     assert rig.buses["can0"].bitrate_bit_s == 1_000_000
     assert list(rig.controllers) == ["left", "right"]
     assert rig.controllers["left"].settings == {"node_id": 1, "plant": {"resistance_ohm": 1.5}}
-    assert not rig.controllers["left"].plant_from_motor_model
+    assert rig.controllers["left"].plants_from_model == ()
     assert rig.controllers["right"].settings == {"node_id": 2, "plant": {}}
-    assert rig.controllers["right"].plant_from_motor_model
+    assert rig.controllers["right"].plants_from_model == (("plant",),)
     left, spare = rig.motors.values()
     assert (left.bus, left.node_id, left.controller) == ("can0", 1, "left")
     assert left.model == {"name": "wheel"}

@@ -111,6 +111,7 @@ def test_the_schema_accepts_and_refuses_rigs_without_a_bus_as_the_reader_does():
 def test_the_schema_knows_the_motor_models_keys(tmp_path):
     limits = dict.fromkeys((field.name for field in fields(MotorModel)), 1.0)
     limits.update(name="wheel", position_min=-1.0, requires_referencing=True)
+    limits["increments_per_unit"] = None  # what gear and encoder make
     for kind in ("rotary", "linear"):
         limits["kind"] = next(k for k in type(MotorModel.__dataclass_fields__["kind"].default))
         limits["kind"] = type(limits["kind"])(kind)

@@ -1,4 +1,4 @@
-from math import inf, nan
+from math import inf, nan, pi
 
 import pytest
 from hypothesis import given
@@ -169,6 +169,10 @@ POSITIVE = st.floats(1e-300, 1e300)
         position_min=st.none() | st.floats(-1e9, -1.0),
         position_max=st.none() | st.floats(-0.5, 1e9),
         increments_per_unit=st.none() | POSITIVE,
+        jerk_max=st.none() | POSITIVE,
+        current_max=st.none() | POSITIVE,
+        position_tolerance=st.none() | POSITIVE,
+        encoder_increments_rev=st.none() | POSITIVE,
         velocity_unit=st.none() | POSITIVE,
         requires_referencing=st.booleans(),
     )
@@ -177,3 +181,51 @@ def test_what_was_saved_is_loaded_equal(tmp_path_factory, model):
     path = tmp_path_factory.getbasetemp() / "saved.toml"
     model.save(path)
     assert MotorModel.load(path) == model
+
+
+def model_of(**numbers):
+    return MotorModel(name="m", velocity_max=1.0, acceleration_max=1.0, **numbers)
+
+
+def test_gear_and_encoder_make_the_resolution():
+    wheel = model_of(gear_ratio=66.0, encoder_increments_rev=2000.0)
+    assert wheel.increments_per_unit == 66.0 * 2000.0 / (2.0 * pi)
+    assert wheel.resolution == 1.0 / wheel.increments_per_unit
+    reversing = model_of(gear_ratio=-66.0, encoder_increments_rev=2000.0)
+    assert reversing.increments_per_unit == -wheel.increments_per_unit
+    assert reversing.resolution == wheel.resolution
+    slide = model_of(kind=MotionKind.LINEAR, gear_ratio=200.0, encoder_increments_rev=2000.0)
+    assert slide.increments_per_unit == 400_000.0  # 5 mm of way per turn of the motor
+    assert model_of(gear_ratio=66.0).increments_per_unit is None
+    assert model_of().resolution is None
+
+
+@pytest.mark.parametrize("factor", [1.0 - 2e-6, 1.0 + 2e-6, -1.0])
+def test_increments_that_gear_and_encoder_do_not_make_are_refused(tmp_path, factor):
+    numbers = {"gear_ratio": 66.0, "encoder_increments_rev": 2000.0}
+    right = model_of(**numbers).increments_per_unit
+    assert model_of(**numbers, increments_per_unit=right * (1.0 + 5e-7))  # written with few digits
+    with pytest.raises(UsageError, match=r"make 21008\.5"):
+        model_of(**numbers, increments_per_unit=right * factor)
+    lines = [f"{key} = {value}" for key, value in numbers.items()]
+    lines += ["velocity_max_rad_s = 1", "acceleration_max_rad_s2 = 1"]
+    error = refused(tmp_path, "\n".join([f"increments_per_rad = {right * factor!r}", *lines]))
+    assert (error.line, error.key) == (1, "increments_per_rad")
+    assert "is not 21008.45249, which the gear" in str(error)
+
+
+def test_a_linear_models_gear_is_in_turns_per_metre(tmp_path):
+    path = tmp_path / "slide.toml"
+    slide = model_of(kind=MotionKind.LINEAR, gear_ratio=200.0, encoder_increments_rev=2000.0)
+    slide.save(path)
+    assert "motor_turns_per_m = 200.0" in path.read_text()
+    assert MotorModel.load(path) == slide
+    reason = "did you mean"
+    assert reason in refused(tmp_path, path.read_text().replace("motor_turns", "turns")).remedy
+
+
+def test_a_gear_is_not_0_and_an_encoder_counts():
+    with pytest.raises(UsageError, match="gear_ratio is 0"):
+        model_of(gear_ratio=0.0)
+    with pytest.raises(UsageError, match="encoder_increments_rev is -1, not > 0"):
+        model_of(encoder_increments_rev=-1.0)
