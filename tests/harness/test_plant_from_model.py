@@ -129,8 +129,9 @@ def test_what_a_channel_cannot_take_is_told_at_its_line(bench, old, new, told):
 
 
 def test_a_channel_with_a_preset_of_its_own_inherits_no_number_of_the_common_plant(bench):
-    text = NODE.replace("from_motor_model = true\n", "current_max_a = 9.0\n")
-    for preset, current_max_a in (("", 9.0), ('preset = "mast_20w"\n', 3.0)):
+    text = NODE.replace("current_max_a = 3.0", "current_max_a = 2.25")
+    text = text.replace("from_motor_model = true\n", "current_max_a = 9.0\n")
+    for preset, current_max_a in (("", 9.0), ('preset = "mast_20w"\n', 2.25)):
         asking = f"[controller.node.channel.2.plant]\nfrom_motor_model = true\n{preset}"
         plants, _ = opened(bench, text + asking)
         assert plants[1].current_max_a == current_max_a
