@@ -1,7 +1,8 @@
 """What sums, products and compositions come to: the simplest function that is the same.
 
 Of polynomials, and of functions made of them piece by piece, the result is again one. A number
-times a function goes into the function. Sums of sums and products of products are one.
+times a function goes into the function. Sums of sums and products of products are one, and in a
+sum what differs by its amplitude only is one as well.
 """
 
 from collections.abc import Callable
@@ -11,10 +12,12 @@ from math import inf
 from motorapi.commands import as_number
 from motorapi.functions import exact
 from motorapi.functions.combined import Composition, Product, Sum
+from motorapi.functions.exponential import Exponential
 from motorapi.functions.function import Function, overlap
 from motorapi.functions.piecewise import Piecewise
 from motorapi.functions.polynomial import Constant, Polynomial, polynomial
 from motorapi.functions.sampled import Sampled
+from motorapi.functions.waves import Wave
 
 
 def as_function(operand: object) -> Function | None:
@@ -105,12 +108,26 @@ def _merged(
     """All of them, with those made of polynomials combined to one, where the first of them was."""
     result = list(parts)
     for other in others:
-        places = [i for i, part in enumerate(result) if _of_polynomials(part)]
-        if places and _of_polynomials(other):
-            result[places[0]] = combine(result[places[0]], other)
+        for i, part in enumerate(result):
+            if _of_polynomials(part) and _of_polynomials(other):
+                result[i] = combine(part, other)
+                break
+            if combine is add and (like := _like_terms(part, other)) is not None:
+                result[i] = like
+                break
         else:
             result.append(other)
     return result
+
+
+def _like_terms(left: Function, right: Function) -> Function | None:
+    """The sum of two that differ by their amplitudes only; None if they are not such."""
+    if not (isinstance(left, Wave | Exponential) and isinstance(right, type(left))):
+        return None
+    if left.unit_amplitude() != right.unit_amplitude():
+        return None
+    total = left.amplitude + right.amplitude
+    return left.unit_amplitude().times(total) if total else Constant(0.0)
 
 
 def _is_zero(function: Function) -> bool:

@@ -85,6 +85,10 @@ class Exponential(Function):
         first, last = self.value(low), self.value(high)
         return min(first, last), max(first, last)
 
+    def unit_amplitude(self) -> "Exponential":
+        """The same with the amplitude 1."""
+        return Exponential(1.0, self.rate, self.about)
+
     def times(self, number: float) -> Function:
         """The same with another amplitude."""
         if number == 0.0:

@@ -194,6 +194,8 @@ class Function(ABC):
             UsageError: `low` is above `high`.
         """
         low, high = self._interval(low, high)
+        if low == high:
+            return self.value(low), self.value(low)
         return self._bounds(low, high)
 
     @final

@@ -12,7 +12,7 @@ from motorapi.commands import as_number
 from motorapi.errors import UsageError
 from motorapi.functions import exact
 from motorapi.functions.function import LARGEST, Extrema, FloatArray, Function, finite
-from motorapi.functions.piece_table import PieceTable, pieces_of
+from motorapi.functions.piece_table import PieceFinder, PieceTable
 from motorapi.functions.polynomial import Horner, Polynomial, polynomial
 
 _SHOWN: Final = 4  # pieces in a repr
@@ -113,7 +113,7 @@ class Piecewise(Function):
         if self._rows:
             return self._as_table().values(arguments)
         result = np.empty_like(arguments)
-        number = pieces_of(np.array(self._inner), arguments)
+        number = PieceFinder(self.breaks).pieces_of(arguments)
         order = np.argsort(number, kind="stable")
         ends = np.searchsorted(number[order], np.arange(len(self.pieces) + 1))
         for i in np.flatnonzero(np.diff(ends)):
@@ -124,7 +124,7 @@ class Piecewise(Function):
     def _as_table(self) -> PieceTable:
         if self._table is None:
             coefficients = [p.coefficients for p in self.pieces if isinstance(p, Polynomial)]
-            table = PieceTable(self._inner, [row[0] for row in self._rows], coefficients)
+            table = PieceTable(self.breaks, [row[0] for row in self._rows], coefficients)
             self._keep(_table=table)
             return table
         return self._table

@@ -1,8 +1,8 @@
 """Extrema of functions of any kind, by bounds that can miss nothing.
 
-The interval is split where the function may jump, and then wherever more has to be known. A part is
-done with as soon as one of these is certain, from the bounds of the function, of its derivative and
-of the second one over that part:
+The interval is split where the function may jump, and then wherever more has to be known: first
+where the bounds leave room for the most. A part is done with as soon as one of these is certain,
+from the bounds of the function, of its derivative and of the second one over that part:
 
 - it holds no value beyond those found so far by more than the accuracy;
 - the function is monotone there: extreme at the ends, and those are known;
@@ -13,6 +13,7 @@ Source: branch and bound with the monotonicity and the mean value test: Hansen &
 Optimization Using Interval Analysis, 2nd ed. (2004), ch. 12.
 """
 
+from heapq import heappop, heappush
 from itertools import pairwise
 from math import inf, nextafter
 from typing import Final, final
@@ -20,27 +21,27 @@ from typing import Final, final
 from motorapi.errors import UsageError
 from motorapi.functions.function import Extrema, Function
 
-ACCURACY: Final = 1e-12  # of the largest size of a value found
-_PARTS: Final = 200_000
+# Of the largest size of a value found; and after how many parts one settles for less. Only terms
+# that cancel almost everywhere (a sine squared and a cosine squared) get beyond the first.
+ACCURACIES: Final = ((4096, 1e-12), (8192, 1e-9), (65536, 1e-6))
 _PROBES: Final = 16  # values taken first, to be done sooner with most parts
 
 
 def extrema(function: Function, low: float, high: float) -> Extrema:
-    """The extrema over [low, high], `low` < `high`, to `ACCURACY`.
+    """The extrema over [low, high], `low` < `high`, to the first of `ACCURACIES` that is met.
 
     Raises:
         UsageError: the bounds of this function do not get tight enough to tell.
     """
     search = _Search(function)
-    edges = [low, *function.breaks_between(low, high), high]
-    for left, right in pairwise(edges):
+    for left, right in pairwise([low, *function.breaks_between(low, high), high]):
         last = right if right == high else nextafter(right, -inf)
-        search.meet(left)
-        search.meet(last)
-        for k in range(1, _PROBES):
+        for k in range(_PROBES):
             search.meet(left + (last - left) * (k / _PROBES))
-        search.parts.append((left, last))
+        search.meet(last)
     search.meet(high)
+    for left, right in pairwise([low, *function.breaks_between(low, high), high]):
+        search.look(left, right if right == high else nextafter(right, -inf))
     search.run()
     return search.found()
 
@@ -50,13 +51,14 @@ class _Search:
     """What has been found, and what is still to be looked at."""
 
     def __init__(self, function: Function) -> None:
-        self.parts: list[tuple[float, float]] = []
         self._function = function
         self._slope = function.derivative()
         self._bend = function.derivative(2)
         self._least = self._most = 0.0
         self._at_least: float | None = None
         self._at_most = 0.0
+        # (room left, negative; from, to; least and greatest value possible)
+        self._parts: list[tuple[float, float, float, float, float]] = []
 
     def found(self) -> Extrema:
         assert self._at_least is not None
@@ -75,42 +77,58 @@ class _Search:
         return value
 
     def run(self) -> None:
-        for _ in range(_PARTS):
-            if not self.parts:
+        """Until nothing is left that matters."""
+        done = 0
+        for parts, accuracy in ACCURACIES:
+            while self._parts and -self._parts[0][0] > self._slack(accuracy):
+                if done == parts:
+                    break
+                done += 1
+                _, left, right, least, most = heappop(self._parts)
+                if self._room(least, most) > self._slack(accuracy):
+                    middle = left + 0.5 * (right - left)
+                    self.look(left, middle)
+                    self.look(middle, right)
+            else:
                 return
-            left, right = self.parts.pop()
-            middle = left + 0.5 * (right - left)
-            if left < middle < right and not self._is_done(left, right, middle):
-                self.parts += [(middle, right), (left, middle)]
         raise UsageError(
-            f"{self._function!r}: what is known of its values between two arguments is too little"
-            f" to find its extrema to {ACCURACY:g}"
+            f"{self._function!r}: too little is known of its values between two arguments to find"
+            f" its extrema to {ACCURACIES[-1][1]:g}"
         )
 
-    def _within(self, least: float, most: float) -> bool:
-        """Whether no value from `least` to `most` matters."""
-        slack = ACCURACY * max(abs(self._least), abs(self._most))
-        return least >= self._least - slack and most <= self._most + slack
-
-    def _is_done(self, left: float, right: float, middle: float) -> bool:
-        """Whether all that matters between two arguments, both met, has been met."""
-        if self._within(*self._function.bounds(left, right)):
-            return True
+    def look(self, left: float, right: float) -> None:
+        """At what is between two arguments, both met: done with, or left for later."""
+        middle = left + 0.5 * (right - left)
+        if not left < middle < right:
+            return
+        least, most = self._function.bounds(left, right)
+        slack = self._slack(ACCURACIES[0][1])
+        if self._room(least, most) <= slack:
+            return
         value = self.meet(middle)
-        if not self._function.is_smooth(left, right):
-            return False
-        falls, rises = self._slope.bounds(left, right)
-        if falls >= 0.0 or rises <= 0.0:
-            return True
-        reach = max(-falls, rises) * (middle - left)
-        if self._within(value - reach, value + reach):
-            return True
-        low, high = self._bend.bounds(left, right)
-        if low < 0.0 < high:
-            return False
-        if (self._slope.value(left) < 0.0) != (self._slope.value(right) < 0.0):
-            self.meet(_zero(self._slope, left, right))
-        return True
+        if self._function.is_smooth(left, right):
+            falls, rises = self._slope.bounds(left, right)
+            low, high = self._bend.bounds(left, right)
+            if falls >= 0.0 or rises <= 0.0:
+                return
+            if low >= 0.0 or high <= 0.0:
+                if (self._slope.value(left) < 0.0) != (self._slope.value(right) < 0.0):
+                    self.meet(_zero(self._slope, left, right))
+                return
+            half = middle - left
+            by_bend = half * (abs(self._slope.value(middle)) + 0.5 * half * max(-low, high))
+            reach = min(half * max(-falls, rises), by_bend)
+            least, most = max(least, value - reach), min(most, value + reach)
+        room = self._room(least, most)
+        if room > slack:
+            heappush(self._parts, (-room, left, right, least, most))
+
+    def _room(self, least: float, most: float) -> float:
+        """By how much a value could be beyond those found."""
+        return max(self._least - least, most - self._most)
+
+    def _slack(self, accuracy: float) -> float:
+        return accuracy * max(abs(self._least), abs(self._most))
 
 
 def _zero(slope: Function, left: float, right: float) -> float:

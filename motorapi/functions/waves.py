@@ -106,6 +106,11 @@ class Wave(Function):
         return found.minimum, found.maximum
 
     @final
+    def unit_amplitude(self) -> "Wave":
+        """The same with the amplitude 1."""
+        return self._like(type(self), 1.0)
+
+    @final
     def times(self, number: float) -> Function:
         """The same with another amplitude."""
         return self._like(type(self), self.amplitude * number)

@@ -57,6 +57,13 @@ PLANTS = [
         "import motorapi.adaptations.cia402",
         "motorapi.motor -> motorapi.adaptations.cia402",
     ),
+    (
+        "functions",
+        "motorapi/functions/exact.py",
+        "import motorapi.functions.sampled",
+        "motorapi.functions.exact -> motorapi.functions.sampled",
+    ),
+    ("functions", "motorapi/functions/novelty.py", "", "novelty"),
     ("host-libraries", "motorapi/group.py", "import canopen", "motorapi.group -> canopen"),
     (
         "host-libraries",
