@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass
 from math import inf
-from typing import final
+from typing import Final, Self, final
 
 from motorapi.commands import Range
 from motorapi.errors import UsageError
@@ -72,31 +72,34 @@ class ProfileLimits:
         store(self, "backward", backward)
         store(self, "value", value)
 
-    def tightened(
-        self, *, first: Range | None = None, second: Range | None = None
-    ) -> "ProfileLimits":
+    @classmethod
+    def by_direction(
+        cls, velocity: Range, forward: Range, backward: Range, *, value: Range | None = None
+    ) -> Self:
+        """Limits with ranges of the second derivative while the value grows and while it falls.
+
+        Raises:
+            UsageError: a range is empty or does not hold 0.
+        """
+        made = cls(velocity, forward, value=value)
+        object.__setattr__(made, "backward", cls(velocity, backward).backward)
+        return made
+
+    def tightened(self, *, first: Range | None = None, second: Range | None = None) -> Self:
         """These limits and further ranges of the derivatives, whatever is tighter on each side.
 
         Raises:
             UsageError: a range leaves out 0.
         """
-        made = ProfileLimits.__new__(ProfileLimits)
-        plain = ProfileLimits(
+        return self.by_direction(
             self.velocity if first is None else _common(self.velocity, first),
             self.forward if second is None else _common(self.forward, second),
+            self.backward if second is None else _common(self.backward, second),
+            value=self.value,
         )
-        backward = self.backward if second is None else _common(self.backward, second)
-        for name, bounds in (
-            ("velocity", plain.velocity),
-            ("forward", plain.forward),
-            ("backward", backward),
-            ("value", self.value),
-        ):
-            object.__setattr__(made, name, bounds)
-        return made
 
 
-_UNLIMITED = (-inf, inf)
+_UNLIMITED: Final = (-inf, inf)
 
 
 def _common(one: Range, other: Range) -> Range:

@@ -194,34 +194,41 @@ def assembled(
         initial: the value at the beginning.
         final: the value at the end.
     """
-    sign, _, begin, end, *_ = task
-    parts = _ramp(task, begin, peak, up)
-    risen = len(parts)
+    sign, _, begin, end, _, _, rise, fall, back_rise, back_fall = task
+    sizes = (rise, back_rise) if up > 0.0 else (-fall, -back_fall)
+    before = _ramp(begin, peak, up, sizes[0], sizes[1])
+    sizes = (-fall, -back_fall) if down > 0.0 else (rise, back_rise)
+    after = _ramp(peak, end, -down, sizes[0], sizes[1])
     if hold_s > 0.0:
-        parts.append((hold_s, peak, peak, 0.0))
-    parts += _ramp(task, peak, end, -down)
-    risen = min(risen, len(parts) - 1)  # the last piece is reckoned from the end
-    values = [initial]
-    for lasts_s, before, after, _ in parts[:risen]:
-        values.append(values[-1] + sign * 0.5 * (before + after) * lasts_s)
-    tail = [final]
-    for lasts_s, before, after, _ in parts[:risen:-1]:
-        tail.append(tail[-1] - sign * 0.5 * (before + after) * lasts_s)
-    values += tail[::-1]
+        before.append((hold_s, peak, peak, 0.0))
+    if not after:
+        after = before[-1:]  # the last piece is reckoned from the end, whichever it is
+        del before[-1:]
     pieces: list[Piece] = []
-    time_s = 0.0
-    for index, (lasts_s, before, after, acceleration) in enumerate(parts):
-        since_s, time_s = time_s, time_s + lasts_s
+    time_s, value, half = 0.0, initial, 0.5 * sign
+    for lasts_s, entry, leave, acceleration in before:
+        since_s, since = time_s, value
+        time_s += lasts_s
+        value += half * (entry + leave) * lasts_s
         pieces.append(
-            (
-                since_s,
-                time_s,
-                values[index],
-                values[index + 1],
-                sign * before,
-                sign * after,
-                sign * acceleration,
-            )
+            (since_s, time_s, since, value, sign * entry, sign * leave, sign * acceleration)
+        )
+    if len(after) == 2:
+        lasts_s, entry, leave, _ = after[1]
+        kink = final - half * (entry + leave) * lasts_s
+    else:
+        kink = final
+    if pieces and after:
+        # The two reckonings meet here.
+        lasts_s, entry, leave, _ = after[0]
+        value = kink - half * (entry + leave) * lasts_s
+        pieces[-1] = (*pieces[-1][:3], value, *pieces[-1][4:])
+    for lasts_s, entry, leave, acceleration in after:
+        since_s, since = time_s, value
+        time_s += lasts_s
+        value, kink = kink, final
+        pieces.append(
+            (since_s, time_s, since, value, sign * entry, sign * leave, sign * acceleration)
         )
     if not pieces:
         pieces.append((0.0, 0.0, final, final, sign * end, sign * end, 0.0))
@@ -229,24 +236,22 @@ def assembled(
 
 
 def _ramp(
-    task: Task, begin: float, end: float, change: float
+    begin: float, end: float, change: float, forward: float, backward: float
 ) -> list[tuple[float, float, float, float]]:
-    """(duration, velocity before and after, acceleration) of the pieces of a ramp.
+    """(duration, velocity where it begins, where it ends, acceleration) of the pieces of a ramp.
 
-    `change` is the difference of the velocities, which may be known better than from subtracting.
-    Without a limit of acceleration a ramp takes no time and is no piece.
+    `change` is the difference of the velocities, which may be known better than from subtracting;
+    `forward` and `backward` are the accelerations, signed as it is. Without a limit of acceleration
+    a ramp takes no time and is no piece.
     """
-    _, _, _, _, _, _, rise, fall, back_rise, back_fall = task
-    forward, backward = (rise, back_rise) if change > 0.0 else (-fall, -back_fall)
     if begin >= 0.0 <= end:
-        ramp = [(change / forward, begin, end, forward)]
-    elif begin <= 0.0 >= end:
-        ramp = [(change / backward, begin, end, backward)]
-    elif begin < 0.0:
-        ramp = [(-begin / backward, begin, 0.0, backward), (end / forward, 0.0, end, forward)]
-    else:
-        ramp = [(-begin / forward, begin, 0.0, forward), (end / backward, 0.0, end, backward)]
-    return [part for part in ramp if part[0] > 0.0]
+        lasts_s = change / forward
+        return [(lasts_s, begin, end, forward)] if lasts_s > 0.0 else []
+    if begin <= 0.0 >= end:
+        lasts_s = change / backward
+        return [(lasts_s, begin, end, backward)] if lasts_s > 0.0 else []
+    one, other = (forward, backward) if begin > 0.0 else (backward, forward)
+    return _ramp(begin, 0.0, -begin, one, one) + _ramp(0.0, end, end, other, other)
 
 
 def _direct_way(begin: float, end: float, size: float, back_size: float) -> float:

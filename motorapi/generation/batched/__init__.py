@@ -1,0 +1,11 @@
+"""The generators over arrays: many motions at once. Loads numpy.
+
+Every array is of shape (n,), or a number that holds for all n motions. A motion that cannot be made
+is an error that names its index; what the limits allow, `possible_durations` tells beforehand.
+"""
+
+from motorapi.generation.batched.limits import LimitArrays
+from motorapi.generation.batched.profiles import Profiles
+from motorapi.generation.batched.trapezoids import trapezoids
+
+__all__ = ["LimitArrays", "Profiles", "trapezoids"]

@@ -1,0 +1,152 @@
+"""What a trajectory costs to generate, one and many; ruckig in the same run is the yardstick."""
+
+from collections.abc import Callable
+from time import process_time
+
+import numpy as np
+
+from motorapi.generation import ProfileLimits, trapezoid
+from motorapi.generation.batched import LimitArrays, trapezoids
+
+MANY = 100_000
+FEW = 20_000
+
+
+def run() -> list[tuple[str, float, str]]:
+    """(name, figure, unit)."""
+    return [*single(), *batched()]
+
+
+def best(work: Callable[[], object], times: int = 7) -> float:
+    """The least of several [s of processor], for other work on the machine only adds."""
+    found = []
+    for _ in range(times):
+        start = process_time()
+        work()
+        found.append(process_time() - start)
+    return min(found)
+
+
+def single() -> list[tuple[str, float, str]]:
+    """One trapezoid, its limits made anew each time as ruckig's are."""
+
+    def at_rest() -> None:
+        for _ in range(FEW):
+            trapezoid(10.0, ProfileLimits((-1.0, 2.0), (-3.0, 4.0)))
+
+    def moving() -> None:
+        for _ in range(FEW):
+            trapezoid(
+                10.0,
+                ProfileLimits((-1.0, 2.0), (-3.0, 4.0)),
+                initial=1.0,
+                initial_velocity=0.5,
+                final_velocity=-0.25,
+            )
+
+    def prepared() -> None:
+        limits = ProfileLimits((-1.0, 2.0), (-3.0, 4.0))
+        for _ in range(FEW):
+            trapezoid(10.0, limits)
+
+    def asked() -> None:
+        limits = ProfileLimits((-1.0, 2.0), (-3.0, 4.0))
+        for _ in range(FEW):
+            trapezoid(10.0, limits, duration_s=9.0)
+
+    def sampled() -> None:
+        profile = trapezoid(10.0, ProfileLimits((-1.0, 2.0), (-3.0, 4.0)))
+        for k in range(FEW):
+            profile.value(k * 2.5e-4)
+
+    figures = {work: best(work) / FEW * 1e6 for work in (at_rest, moving, prepared, asked, sampled)}
+    rows = [
+        ("a trapezoid from rest to rest, with its limits", figures[at_rest], "us"),
+        ("a trapezoid between two velocities, with its limits", figures[moving], "us"),
+        ("a trapezoid from rest to rest, of prepared limits", figures[prepared], "us"),
+        ("a trapezoid of a given duration, of prepared limits", figures[asked], "us"),
+        ("its value at one moment", figures[sampled], "us"),
+    ]
+    for name, states, ours in (("from rest to rest", False, at_rest), ("moving", True, moving)):
+        peer = ruckig_loop([10.0] * FEW, [2.0] * FEW, [4.0] * FEW, [3.0] * FEW, moving=states)
+        if peer is None:
+            continue
+        theirs = best(peer) / FEW * 1e6
+        rows.append((f"the same by ruckig, {name}", theirs, "us"))
+        rows.append((f"ours over ruckig's, {name} (to be <= 3)", figures[ours] / theirs, "x"))
+    return rows
+
+
+def batched() -> list[tuple[str, float, str]]:
+    """100,000 from rest to rest, each with limits of its own."""
+    random = np.random.default_rng(1)
+    ways, velocities = random.uniform(-10.0, 10.0, MANY), random.uniform(0.1, 5.0, MANY)
+    ups, downs = random.uniform(0.1, 10.0, MANY), random.uniform(0.1, 10.0, MANY)
+    limits = LimitArrays(velocities, ups, downs)
+    made = trapezoids(ways, limits)
+    many_s = best(lambda: trapezoids(ways, LimitArrays(velocities, ups, downs)))
+    rows = [
+        ("100,000 trapezoids from rest to rest, with their limits", many_s * 1e3, "ms"),
+        (
+            "100,000 between two velocities",
+            best(
+                lambda: trapezoids(
+                    ways,
+                    limits,
+                    initial_velocity=0.5 * velocities,
+                    final_velocity=-0.3 * velocities,
+                )
+            )
+            * 1e3,
+            "ms",
+        ),
+        (
+            "100,000 of given durations",
+            best(lambda: trapezoids(ways, limits, duration_s=1.5 * made.duration_s)) * 1e3,
+            "ms",
+        ),
+        ("100,000 values, one of each", best(lambda: made.value(0.3)) * 1e3, "ms"),
+    ]
+    peer = ruckig_loop(
+        ways.tolist(), velocities.tolist(), ups.tolist(), downs.tolist(), moving=False
+    )
+    if peer is not None:
+        loop_s = best(peer, 3)
+        rows.append(("the same 100,000 in a loop over ruckig", loop_s * 1e3, "ms"))
+        rows.append(("ruckig's loop over ours (to be >= 50)", loop_s / many_s, "x"))
+    return rows
+
+
+def ruckig_loop(
+    ways: list[float],
+    velocities: list[float],
+    ups: list[float],
+    downs: list[float],
+    *,
+    moving: bool,
+) -> Callable[[], object] | None:
+    """Its input and trajectory made for each, itself once; None if it is not installed."""
+    try:
+        import ruckig
+    except ImportError:
+        return None
+    generator = ruckig.Ruckig(1)
+
+    def loop() -> list[float]:
+        durations = []
+        for way, velocity, up, down in zip(ways, velocities, ups, downs, strict=True):
+            given = ruckig.InputParameter(1)
+            given.target_position = [way]
+            given.max_velocity = [velocity]
+            given.max_acceleration = [up]
+            given.min_acceleration = [-down]
+            if moving:
+                given.current_position = [1.0]
+                given.current_velocity = [0.5]
+                given.target_velocity = [-0.25]
+            made = ruckig.Trajectory(1)
+            generator.calculate(given, made)
+            durations.append(made.duration)
+        return durations
+
+    return loop
