@@ -154,7 +154,7 @@ def bring_up(node: DriveNode, options: HwOptions) -> DriveFacts:
         PeerError: it refused what is indispensable.
     """
     node.may_change_state()
-    identity = _identity(node, _first_answer(node, options.connect_timeout_s))
+    identity = _identity(node, first_answer(node, options.connect_timeout_s))
     limitations: list[str] = []
     _set_up_dead_man(node, options, limitations)
     sync_id = node.read_optional(0x1005)
@@ -184,8 +184,12 @@ def bring_up(node: DriveNode, options: HwOptions) -> DriveFacts:
     return facts
 
 
-def _first_answer(node: DriveNode, timeout_s: float) -> int:
-    """1000h; a drive that boots answers once it has booted."""
+def first_answer(node: DriveNode, timeout_s: float) -> int:
+    """1000h; a device that boots answers once it has booted.
+
+    Raises:
+        DeadlineExceeded: it does not answer within `timeout_s` [s].
+    """
     runtime = node.link.runtime
     deadline_ns = runtime.now_ns() + round(timeout_s * 1e9)
     while True:
@@ -223,25 +227,25 @@ def _modes(node: DriveNode) -> frozenset[Mode] | None:
 def _set_up_dead_man(node: DriveNode, options: HwOptions, limitations: list[str]) -> None:
     """Each side watches the other: 1017h there and here, 1016h and 6007h there."""
     if options.connection_loss is not None:
-        _write_if_different(
+        write_if_different(
             node, 0x6007, 0, options.connection_loss, 2, limitations, "what it does without us"
         )
-    _write_if_different(
+    write_if_different(
         node, 0x1017, 0, options.heartbeat_ms, 2, limitations, "its heartbeat: we cannot miss it"
     )
     watched = node.read_optional(0x1016, 1)
     if not options.heartbeat_ms and watched and watched >> 16 == options.host_node_id:
-        _write_if_different(node, 0x1016, 1, 0, 4, limitations, "not to watch us any more")
+        write_if_different(node, 0x1016, 1, 0, 4, limitations, "not to watch us any more")
     if options.heartbeat_ms and options.heartbeat_timeout_ms:
         consumer = options.host_node_id << 16 | options.heartbeat_timeout_ms
-        _write_if_different(
+        write_if_different(
             node, 0x1016, 1, consumer, 4, limitations, "whom to watch: it does not notice our end"
         )
         if node.read_optional(0x1017) == options.heartbeat_ms:
             node.expect_heartbeat()
 
 
-def _write_if_different(
+def write_if_different(
     node: DriveNode,
     index: int,
     subindex: int,
@@ -250,6 +254,10 @@ def _write_if_different(
     limitations: list[str],
     meaning: str,
 ) -> None:
+    """An object holds `value`, in `size` bytes; if it is refused, a line of `limitations` says so.
+
+    `meaning` completes "it does not let us set ...".
+    """
     if node.read_optional(index, subindex) == value:
         return
     try:

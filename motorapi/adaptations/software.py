@@ -1,0 +1,187 @@
+"""Central servo: what an application imports, and what a rig builds.
+
+The servo runs on the host, as on JPL's FIDO: trajectories are sampled and PID is computed once a
+cycle, the hardware is a plain torque amplifier and an encoder counter on a CANopen I/O node::
+
+    hw = AmplifierHwMotor(bus, node_id=3, channel=1, current_per_volt_a_v=0.8)
+    gains = PidGains.tuned(60.0, current_per_acceleration=0.038)
+    motor = SoftwareMotor(hw, MotorModel.load("wheel.toml"), gains)
+"""
+
+from collections.abc import Mapping
+from dataclasses import fields
+from difflib import get_close_matches
+from typing import TYPE_CHECKING, Final
+from weakref import WeakValueDictionary
+
+from motorapi.adaptations.software_cycle import CycleReport
+from motorapi.adaptations.software_gains import PidGains
+from motorapi.adaptations.software_hardware import AmplifierHwMotor
+from motorapi.adaptations.software_motor import ServoParameters, SoftwareMotor
+from motorapi.adaptations.software_node import IoOptions
+from motorapi.errors import UsageError
+from motorapi.sharing import bus_key
+
+if TYPE_CHECKING:
+    from collections.abc import Hashable
+
+    import can
+
+    from motorapi.model import MotorModel
+    from motorapi.runtime import Runtime
+
+__all__ = [
+    "AmplifierHwMotor",
+    "CycleReport",
+    "IoOptions",
+    "PidGains",
+    "ServoParameters",
+    "SoftwareMotor",
+    "build",
+]
+
+_OPTIONS: Final = tuple(field.name for field in fields(IoOptions))
+# A field and its key in a table, which has the motor's unit {u} (rad or m) in it.
+_SETTINGS: Final = {
+    "position_window": "position_window_{u}",
+    "settle_s": "settle_s",
+    "following_error_window": "following_error_window_{u}",
+    "following_error_s": "following_error_s",
+    "quick_stop_deceleration": "quick_stop_deceleration_{u}_s2",
+}
+_GAINS: Final = {
+    "kp": "kp_a_{u}",
+    "ki": "ki_a_{u}_s",
+    "kd": "kd_a_s_{u}",
+    "velocity_feedforward": "velocity_feedforward_a_s_{u}",
+    "acceleration_feedforward": "acceleration_feedforward_a_s2_{u}",
+    "friction_feedforward": "friction_feedforward_a",
+    "derivative_filter_s": "derivative_filter_s",
+}
+_BANDWIDTH: Final = "bandwidth_rad_s"
+_TORQUE: Final = {"rad": "torque_constant_n_m_a", "m": "torque_constant_n_a"}
+_BUILT: "Final[WeakValueDictionary[Hashable, AmplifierHwMotor]]" = WeakValueDictionary()
+
+
+def build(
+    bus: "can.BusABC", settings: Mapping[str, object], model: "MotorModel", runtime: "Runtime"
+) -> SoftwareMotor:
+    """The motor that a table of settings describes (entry point `motorhil.adaptations`, software).
+
+    Motors that name the same channel of a node share one hardware object.
+
+    Args:
+        bus: where the node is.
+        settings: `node_id`, `channel` (1), `current_per_volt_a_v`, `gains` (a table); `name`; any
+            field of IoOptions; any of ServoParameters, with its unit in the key.
+        model: the motor's.
+        runtime: where it waits.
+
+    Raises:
+        UsageError: a setting is unknown, missing, or wrong.
+    """
+    keys = {key.format(u=model.unit): field for field, key in _SETTINGS.items()}
+    torque = _TORQUE[model.unit]
+    own = ("name", "node_id", "channel", "current_per_volt_a_v", torque, "gains")
+    known = (*own, *keys, *_OPTIONS)
+    _refuse_unknown(settings, known, "setting of a software motor")
+    for key, example in (("current_per_volt_a_v", "0.8"), ("gains", "a table")):
+        if key not in settings:
+            raise UsageError(f"{key} is missing: write {key} = {example}")
+    node_id = _whole(settings, "node_id", None)
+    channel = _whole(settings, "channel", 1)
+    options = IoOptions(
+        **{key: _number(key, value) for key, value in settings.items() if key in _OPTIONS}  # type: ignore[arg-type]  # IoOptions checks them
+    )
+    current_per_volt_a_v = float(_number("current_per_volt_a_v", settings["current_per_volt_a_v"]))
+    gains = _gains(settings["gains"], model.unit)
+    parameters = ServoParameters(
+        **{field: _number(key, settings[key]) for key, field in keys.items() if key in settings}
+    )
+    name = settings.get("name")
+    hardware = _shared_hardware(bus, (node_id, channel), current_per_volt_a_v, options, runtime)
+    return SoftwareMotor(
+        hardware,
+        model,
+        gains,
+        parameters=parameters,
+        torque_constant=_number(torque, settings[torque]) if torque in settings else None,
+        name=None if name is None else str(name),
+        on_close=lambda: _give_back(hardware),
+    )
+
+
+def _gains(table: object, unit: str) -> PidGains:
+    """The gains of a table: each by itself, or tuned for a bandwidth."""
+    if not isinstance(table, Mapping):
+        raise UsageError(f"gains = {table!r}: must be a table")
+    keys = {key.format(u=unit): field for field, key in _GAINS.items()}
+    _refuse_unknown(table, (_BANDWIDTH, *keys), "gain")
+    given = {field: _number(key, table[key]) for key, field in keys.items() if key in table}
+    if _BANDWIDTH not in table:
+        if "kp" not in given:
+            raise UsageError(
+                f"gains: {_GAINS['kp'].format(u=unit)} is missing; give it, or {_BANDWIDTH} with"
+                f" {_GAINS['acceleration_feedforward'].format(u=unit)}"
+            )
+        return PidGains(**given)
+    inertia = given.pop("acceleration_feedforward", None)
+    if inertia is None:
+        key = _GAINS["acceleration_feedforward"].format(u=unit)
+        raise UsageError(f"gains: {_BANDWIDTH} needs {key}, what it takes to turn the motor")
+    tuned = PidGains.tuned(_number(_BANDWIDTH, table[_BANDWIDTH]), inertia)
+    return PidGains(**{**{f.name: getattr(tuned, f.name) for f in fields(tuned)}, **given})
+
+
+def _refuse_unknown(table: Mapping[str, object], known: tuple[str, ...], what: str) -> None:
+    for key in table:
+        if key not in known:
+            near = get_close_matches(key, known, 1)
+            hint = f"did you mean {near[0]}?" if near else f"known: {', '.join(known)}"
+            raise UsageError(f"{key} is no {what}; {hint}")
+
+
+def _number(key: str, value: object) -> float:
+    if isinstance(value, bool) or not isinstance(value, int | float):
+        raise UsageError(f"{key} = {value!r}: must be a number")
+    return value
+
+
+def _whole(settings: Mapping[str, object], key: str, default: int | None) -> int:
+    value = settings.get(key, default)
+    if not isinstance(value, int) or isinstance(value, bool):
+        raise UsageError(f"{key} = {value!r}: must be a whole number")
+    return value
+
+
+def _shared_hardware(
+    bus: "can.BusABC",
+    place: tuple[int, int],
+    current_per_volt_a_v: float,
+    options: IoOptions,
+    runtime: "Runtime",
+) -> AmplifierHwMotor:
+    key = (*bus_key(bus), *place)
+    hardware = _BUILT.get(key)
+    if hardware is None or hardware.is_closed:
+        hardware = AmplifierHwMotor(
+            bus,
+            *place,
+            current_per_volt_a_v=current_per_volt_a_v,
+            runtime=runtime,
+            options=options,
+        )
+        _BUILT[key] = hardware
+    elif (hardware.options, hardware.current_per_volt_a_v) != (options, current_per_volt_a_v):
+        raise UsageError(
+            f"{hardware.label} is used with other settings already; motors that share a channel"
+            " share its settings"
+        )
+    hardware.users += 1
+    return hardware
+
+
+def _give_back(hardware: AmplifierHwMotor) -> None:
+    hardware.users -= 1
+    if hardware.users == 0:
+        hardware.close()

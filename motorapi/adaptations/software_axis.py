@@ -1,0 +1,231 @@
+"""One motor of central servo, as the cycle works it: its servo, what is armed, what went wrong."""
+
+from typing import TYPE_CHECKING, Final, final
+
+from motorapi.adaptations.software_courses import POSITION, Course
+from motorapi.adaptations.software_servo import Servo, ServoLimits
+from motorapi.errors import LinkError, MotorError
+from motorapi.state import Fault, MotorState
+
+if TYPE_CHECKING:
+    from motorapi.adaptations.software_gains import PidGains
+    from motorapi.adaptations.software_node import AmplifierNode
+    from motorapi.sharing import PhysicalMotor
+
+READY: Final = 1
+FAULT: Final = 2
+AMPLIFIER_FAULT: Final = 0x5400  # device hardware, power section (CiA 402-2, error codes)
+COMMUNICATION: Final = 0x8100
+FOLLOWING_ERROR: Final = 0x8611
+_RAW_MAX: Final = 32767
+
+
+@final
+class ServoAxis:
+    """Implements `motorapi.adaptations.software_cycle.Axis`. Positions are increments.
+
+    Attributes:
+        servo: position, demand and output, as of the last cycle.
+        is_active: whether it takes part in the cycle.
+        is_stopped: whether a quick stop was the last thing commanded.
+        failure: what ended the servo's control, if that is no fault of the motor; None: nothing.
+        fault: what the host found; None: nothing.
+        amplifier_fault_ns: since when the amplifier reports one; None: it does not.
+        counted_ns: when the last count came (-1: none).
+        steps: how many came since it became active.
+        started_ns, ended_ns: of the last motion; None: not (yet), or not to its end.
+    """
+
+    def __init__(
+        self,
+        io: "AmplifierNode",
+        channel: int,
+        physical: "PhysicalMotor",
+        period_s: float,
+        raw_per_ampere: float,
+    ) -> None:
+        self.physical: Final = physical
+        self.servo: Final = Servo(period_s)
+        self.is_active = False
+        self.is_stopped = False
+        self.failure: MotorError | None = None
+        self.fault: Fault | None = None
+        self.amplifier_fault_ns: int | None = None
+        self.counted_ns = -1
+        self.steps = 0
+        self.started_ns: int | None = None
+        self.ended_ns: int | None = None
+        self._io: Final = io
+        self._node: Final = io.node
+        self._channel: Final = channel
+        self._raw_per_ampere: Final = raw_per_ampere
+        self._armed: tuple[Course, PidGains, ServoLimits] | None = None
+        self._moves = False  # a motion, not a stop
+
+    # --- what can be seen ------------------------------------------------------------------
+
+    @property
+    def is_powered(self) -> bool:
+        """Whether the servo holds the motor."""
+        return self.servo.course is not None
+
+    @property
+    def is_over(self) -> bool:
+        """Whether what it was told to do last has been reached, or it has no power."""
+        return self._armed is None and (self.servo.is_done or self.servo.course is None)
+
+    @property
+    def state(self) -> MotorState:
+        """The state of the motor, if its node is heard."""
+        if self.current_fault() is not None:
+            return MotorState.FAULT
+        if not self.is_powered:
+            return MotorState.DISABLED
+        return MotorState.STOPPED if self.is_stopped else MotorState.ENABLED
+
+    def current_fault(self) -> Fault | None:
+        """What keeps it from moving until that is reset; None if nothing does."""
+        if self.fault is None and self.amplifier_fault_ns is not None:
+            return Fault(AMPLIFIER_FAULT, "amplifier fault", self.amplifier_fault_ns)
+        return self.fault
+
+    # --- what it is told -------------------------------------------------------------------
+
+    def activate(self) -> None:
+        """It takes part in the cycle, with no control and no current yet."""
+        self.failure = None
+        self.servo.forget()
+        self.is_active = True
+        self.is_stopped = False
+        self.steps = 0
+
+    def hold(self, gains: "PidGains", limits: ServoLimits) -> None:
+        """The servo holds the motor where it is."""
+        course = Course(POSITION, self.servo.position)
+        self.servo.begin(course, gains, limits, self._io.cycle.count)
+        self.servo.is_done = True
+        self._moves = False
+        self._node.news.grow()
+
+    def arm(self, course: Course, gains: "PidGains", limits: ServoLimits) -> None:
+        """This begins when the cycle says so.
+
+        Raises:
+            LinkError: the servo does not hold the motor any more.
+        """
+        if self.failure is not None and not self.is_powered:
+            raise self.failure
+        if not self.is_powered:
+            raise LinkError(link=self.physical.label, reason="its servo is off")
+        self._armed = (course, gains, limits)
+
+    def disarm(self) -> None:
+        """What was armed does not begin any more."""
+        self._armed = None
+        armed = self._io.cycle.armed
+        if self in armed:
+            armed.remove(self)
+
+    def slow_down(self, deceleration_inc_s2: float, *, quickly: bool = False) -> None:
+        """The motor comes to rest at this deceleration, and holds."""
+        self.disarm()
+        if self.is_powered:
+            self.is_stopped = self.is_stopped or quickly
+            self.servo.brake(deceleration_inc_s2)
+            self._moves = False
+        self._node.news.grow()
+
+    def call_here(self, position_inc: int) -> None:
+        """The place where the motor is is called so from now on; nothing moves."""
+        self.servo.call_here(position_inc)
+        self.servo.is_done = True
+        self._node.news.grow()
+
+    def cut(self) -> None:
+        """No control, no current, and the amplifier is switched off.
+
+        Raises:
+            LinkError: the bus does not take the frame that says so.
+        """
+        self.is_active = self.is_stopped = False
+        self.disarm()
+        self.servo.release()
+        try:
+            if self._io.is_switched(self._channel):
+                self._io.switch(self._channel, False)
+        finally:
+            self._node.news.grow()
+
+    # --- what the cycle, and the node, call ------------------------------------------------
+
+    def step(self, count: int, cycle: int, time_ns: int) -> int:
+        """A count came, of this cycle: the output for it (6411h)."""
+        servo = self.servo
+        was_done = servo.is_done
+        self.counted_ns = time_ns
+        self.steps += 1
+        raw = round(servo.step(count, cycle) * self._raw_per_ampere)
+        if servo.is_done and not was_done:
+            if self._moves:
+                self.ended_ns = time_ns
+            self._node.news.grow()
+        if servo.lags:
+            servo.lags = False
+            behind = servo.demand - servo.position
+            text = f"following error: {behind:.0f} increments"
+            self._trip(Fault(FOLLOWING_ERROR, text, time_ns))
+            return 0
+        if servo.error is not None:
+            self.failure, servo.error = servo.error, None
+            self.slow_down(servo.deceleration)
+        return _RAW_MAX if raw > _RAW_MAX else max(raw, -_RAW_MAX)
+
+    def look(self, count: int) -> None:
+        """A further count of one cycle came."""
+        self.servo.look(count)
+
+    def begin(self, cycle: int) -> None:
+        """What was armed begins with the count of this cycle."""
+        armed, self._armed = self._armed, None
+        if armed is None or not self.is_powered:
+            return
+        self.failure = None
+        self.started_ns = self.ended_ns = None
+        self._moves = True
+        self.servo.begin(*armed, cycle)
+
+    def began(self, time_ns: int) -> None:
+        """That cycle's SYNC was on the wire at `time_ns`."""
+        if self._moves:
+            self.started_ns = time_ns
+
+    def fail(self, error: MotorError) -> None:
+        """The cycle has failed it: no more control."""
+        self.failure = error
+        if self._node.lost_since_ns is None and self._node.is_up:
+            now_ns = self._io.link.runtime.now_ns()
+            self.fault = Fault(COMMUNICATION, str(error), now_ns)
+        self._cut_anyhow()
+
+    def see_inputs(self, time_ns: int) -> None:
+        """The node told its digital inputs."""
+        status = self._io.status(self._channel)
+        if not status & FAULT:
+            self.amplifier_fault_ns = None
+        elif self.amplifier_fault_ns is None:
+            self.amplifier_fault_ns = time_ns
+        if self.is_powered and not status & READY:
+            text = "amplifier fault" if status & FAULT else "amplifier not ready"
+            self._trip(Fault(AMPLIFIER_FAULT, text, time_ns))
+
+    def _trip(self, fault: Fault) -> None:
+        self.fault = fault
+        self._cut_anyhow()
+
+    def _cut_anyhow(self) -> None:
+        """As `cut`, from a callback: a bus that takes no frames is no second error."""
+        try:
+            self.cut()
+        except LinkError as error:
+            if self.failure is None:
+                self.failure = error

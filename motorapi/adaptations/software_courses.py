@@ -1,0 +1,255 @@
+"""What a servo on the host demands, cycle by cycle: set-points as they are, trajectories sampled.
+
+A set-point of position is its target from the first cycle on: no profile, the servo alone acts on
+the step. A set-point of velocity, torque or current steps too, or goes there at the rate that the
+command limits it to. All in increments of the counter, seconds and amperes.
+"""
+
+from dataclasses import dataclass
+from math import inf
+from typing import TYPE_CHECKING, Final, final
+
+from motorapi.commands import ControlMode, ControlVariable, Motion
+from motorapi.demand import Demand, demand_of
+
+if TYPE_CHECKING:
+    from motorapi.arguments import Argument
+
+POSITION: Final = 0
+VELOCITY: Final = 1
+CURRENT: Final = 2
+
+
+class Course:
+    """What is demanded from the cycle on in which it began; `sample` makes it that of one moment.
+
+    Attributes:
+        kind: POSITION, VELOCITY or CURRENT: what `value` is.
+        value: the demand [inc, inc/s or A].
+        velocity, acceleration: what to feed forward [inc/s, inc/s²].
+        is_step: a set-point of position; its error is no following error.
+        is_stop: coming to rest: over when the motor stands still, wherever.
+        target: where it ends; of an argument's trajectory, where it is now.
+        is_over: whether the demand has come to its end.
+    """
+
+    def __init__(self, kind: int, target: float, *, is_step: bool = False) -> None:
+        self.kind = kind
+        self.value = target
+        self.velocity = 0.0
+        self.acceleration = 0.0
+        self.is_step = is_step
+        self.is_stop = False
+        self.target = target
+        self.is_over = True
+
+    def sample(self, elapsed_s: float, ahead_s: float) -> None:
+        """The demand is that of `elapsed_s` after the start; what is fed forward, `ahead_s` later.
+
+        Raises:
+            MotorError: the argument of the trajectory is not known any more.
+        """
+
+    def shift(self, by: float) -> None:
+        """All positions are called `by` more from now on [inc]."""
+        if self.kind == POSITION:
+            self.value += by
+            self.target += by
+
+
+@final
+class Rated(Course):
+    """A set-point of velocity or current that is approached at limited rates.
+
+    Args:
+        kind: VELOCITY or CURRENT.
+        start: where it begins.
+        target: where it ends.
+        growing: how fast its size may grow; inf: at once.
+        shrinking: how fast its size may shrink, first to 0 if the sign changes.
+    """
+
+    def __init__(
+        self, kind: int, start: float, target: float, growing: float, shrinking: float
+    ) -> None:
+        super().__init__(kind, target)
+        self._pieces: list[tuple[float, float, float]] = []  # duration [s], from, rate
+        before = start
+        if before * target < 0.0:
+            self._add(before, 0.0, shrinking)
+            before = 0.0
+        self._add(before, target, growing if abs(target) > abs(before) else shrinking)
+        self.is_over = not self._pieces
+
+    def _add(self, before: float, after: float, rate: float) -> None:
+        change = after - before
+        if change and rate != inf:
+            self._pieces.append((abs(change) / rate, before, rate if change > 0.0 else -rate))
+
+    def sample(self, elapsed_s: float, ahead_s: float) -> None:
+        """The demand is that of `elapsed_s` after the start."""
+        left_s = elapsed_s
+        self.acceleration = 0.0
+        for duration_s, before, rate in self._pieces:
+            if left_s < duration_s:
+                self.value = before + rate * left_s
+                self._feed(rate)
+                return
+            left_s -= duration_s
+        self.value = self.target
+        self.is_over = True
+        self._feed(0.0)
+
+    def _feed(self, rate: float) -> None:
+        if self.kind == VELOCITY:
+            self.velocity = self.value
+            self.acceleration = rate
+
+
+@final
+class Braking(Course):
+    """Coming to rest at a constant deceleration, from a place and a velocity."""
+
+    def __init__(self, place: float, velocity: float, deceleration: float) -> None:
+        self._place = place
+        self._velocity = velocity
+        self._rate = -deceleration if velocity > 0.0 else deceleration
+        self._end_s = abs(velocity) / deceleration
+        super().__init__(POSITION, place + 0.5 * velocity * self._end_s)
+        self.is_over = False
+        self.is_stop = True
+
+    def sample(self, elapsed_s: float, ahead_s: float) -> None:
+        """The demand is that of `elapsed_s` after the start."""
+        end_s = self._end_s
+        then_s = min(elapsed_s + ahead_s, end_s)
+        self.velocity = self._velocity + self._rate * then_s if then_s < end_s else 0.0
+        self.acceleration = self._rate if then_s < end_s else 0.0
+        if elapsed_s < end_s:
+            self.value = self._place + (self._velocity + 0.5 * self._rate * elapsed_s) * elapsed_s
+        else:
+            self.value = self.target
+            self.is_over = True
+
+    def shift(self, by: float) -> None:
+        """All positions are called `by` more from now on [inc]."""
+        super().shift(by)
+        self._place += by
+
+
+@final
+class Tracked(Course):
+    """A trajectory over time."""
+
+    def __init__(self, kind: int, demand: Demand, scale: float) -> None:
+        super().__init__(kind, demand.value(demand.final_argument) * scale)
+        self._demand = demand
+        self._scale = scale
+        self._start = demand.initial_argument
+        self._end = demand.final_argument
+        self.is_over = False
+
+    def sample(self, elapsed_s: float, ahead_s: float) -> None:
+        """The demand is that of `elapsed_s` after the start."""
+        demand = self._demand
+        now = self._start + elapsed_s
+        self.value = demand.value(now) * self._scale
+        self.is_over = now >= self._end
+        if self.kind == POSITION:
+            then = now + ahead_s
+            self.velocity = demand.first(then) * self._scale
+            self.acceleration = demand.second(then) * self._scale
+        elif self.kind == VELOCITY:
+            self.velocity = self.value
+            self.acceleration = demand.first(now + ahead_s) * self._scale
+
+
+@final
+class Led(Course):
+    """A trajectory over an argument that something else determines, read once a cycle."""
+
+    def __init__(self, kind: int, demand: Demand, scale: float, argument: "Argument") -> None:
+        super().__init__(kind, demand.value(argument.value()) * scale)
+        self._demand = demand
+        self._scale = scale
+        self._argument = argument
+        self._before = (0.0, argument.value())
+        self.is_over = False
+
+    def sample(self, elapsed_s: float, ahead_s: float) -> None:
+        """The demand is what the argument of this moment asks for."""
+        demand = self._demand
+        now = self._argument.value()
+        then_s, before = self._before
+        passed_s = elapsed_s - then_s
+        rate = (now - before) / passed_s if passed_s > 0.0 else 0.0
+        self._before = (elapsed_s, now)
+        self.value = self.target = demand.value(now) * self._scale
+        self.is_over = now >= demand.final_argument
+        if self.kind == POSITION:
+            self.velocity = demand.first(now) * rate * self._scale
+            self.acceleration = demand.second(now) * rate * rate * self._scale
+        elif self.kind == VELOCITY:
+            self.velocity = self.value
+            self.acceleration = demand.first(now) * rate * self._scale
+
+
+@final
+@dataclass(frozen=True, slots=True)
+class Scales:
+    """What a motor's own units are to its servo.
+
+    Attributes:
+        increments: of the counter per unit of position, signed.
+        torque: per current at the output [N·m/A, of a linear motor N/A]; None: not known.
+    """
+
+    increments: float
+    torque: float | None
+
+    @property
+    def sign(self) -> float:
+        """1, or -1 if the counter counts against the motor's positive direction."""
+        return 1.0 if self.increments > 0.0 else -1.0
+
+    def of(self, variable: ControlVariable) -> float:
+        """The servo's units per unit of this variable."""
+        if variable is ControlVariable.TORQUE:
+            return self.sign / (1.0 if self.torque is None else self.torque)
+        return self.sign if variable is ControlVariable.CURRENT else self.increments
+
+
+_KINDS: Final = {ControlVariable.POSITION: POSITION, ControlVariable.VELOCITY: VELOCITY}
+
+
+def course_of(
+    motion: Motion, scales: Scales, velocity: float, current_a: float, *, is_rated: bool
+) -> Course:
+    """The course of a motion.
+
+    Args:
+        motion: a set-point, or a trajectory of whatever kind, in the motor's units.
+        scales: what these are to the servo.
+        velocity: demanded just now [inc/s].
+        current_a: put out just now [A].
+        is_rated: whether a set-point of velocity asks for limited rates.
+
+    Raises:
+        MotorError: the argument of the trajectory is not known.
+    """
+    kind = _KINDS.get(motion.variable, CURRENT)
+    scale = scales.of(motion.variable)
+    if motion.mode is ControlMode.TRAJECTORY:
+        demand = demand_of(motion)
+        if motion.argument is not None:
+            return Led(kind, demand, scale, motion.argument)
+        return Tracked(kind, demand, scale)
+    target = motion.target * scale
+    if kind == POSITION:
+        return Course(POSITION, target, is_step=True)
+    size = abs(scale)
+    if kind == CURRENT:
+        return Rated(CURRENT, current_a, target, motion.slope * size, motion.slope * size)
+    growing = motion.acceleration * size if is_rated else inf
+    shrinking = motion.deceleration * size if is_rated else inf
+    return Rated(VELOCITY, velocity, target, growing, shrinking)

@@ -1,0 +1,102 @@
+"""The gains of a servo on the host: what a control engineer turns, typed, immutable.
+
+The servo computes, once a cycle, the current that the amplifier is asked for:
+
+    current = kp e + kd de/dt + integral of ki e dt
+            + velocity feed-forward * v + acceleration feed-forward * a + friction, with v's sign
+
+e is demand minus measured position; v and a are what the trajectory demands when the output will
+be out, one and a half cycles later. U stands for the motor's unit of position: rad, or m if linear.
+"""
+
+from dataclasses import dataclass, fields, replace
+from math import isfinite
+from typing import Self, final
+
+from motorapi.commands import as_number
+from motorapi.errors import UsageError
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PidGains:
+    """Gains of one motor's servo, all >= 0.
+
+    Attributes:
+        kp: current per error [A/U].
+        ki: growth of the current per error and time [A/(U s)].
+        kd: current per rate of the error [A s/U].
+        velocity_feedforward: current per demanded velocity [A s/U], against viscous friction.
+        acceleration_feedforward: current per demanded acceleration [A s²/U]: what turns inertia.
+        friction_feedforward: current against dry friction, in the direction of motion [A].
+        derivative_filter_s: time constant of a low-pass for de/dt, which counts make coarse [s].
+
+    Raises:
+        UsageError: a gain is not a finite number >= 0, or kp and kd are both 0.
+    """
+
+    kp: float
+    ki: float = 0.0
+    kd: float = 0.0
+    velocity_feedforward: float = 0.0
+    acceleration_feedforward: float = 0.0
+    friction_feedforward: float = 0.0
+    derivative_filter_s: float = 0.0
+
+    def __post_init__(self) -> None:
+        for field in fields(self):
+            value = as_number(getattr(self, field.name))
+            if not isfinite(value) or value < 0.0:
+                raise UsageError(f"PidGains: {field.name} is {value!r}, not a number >= 0")
+            object.__setattr__(self, field.name, value)
+        if self.kp == 0.0:
+            raise UsageError("PidGains: kp is 0: nothing would hold the motor")
+
+    @classmethod
+    def tuned(
+        cls,
+        bandwidth_rad_s: float,
+        current_per_acceleration: float,
+        *,
+        friction_a: float = 0.0,
+        velocity_feedforward: float = 0.0,
+    ) -> Self:
+        """Gains that put all three poles of an inertia under PID control at one place.
+
+        Args:
+            bandwidth_rad_s: where [rad/s]. At a rate f of the servo some f / 16 is a good value;
+                with more than f / 8 it is not stable: sampling and holding cost two cycles.
+            current_per_acceleration: what it takes to turn the motor with its load [A s²/U].
+            friction_a: current that overcomes dry friction [A].
+            velocity_feedforward: see above.
+
+        Raises:
+            UsageError: one of them is no such number.
+        """
+        bandwidth, inertia = as_number(bandwidth_rad_s), as_number(current_per_acceleration)
+        for name, value in (
+            ("bandwidth_rad_s", bandwidth),
+            ("current_per_acceleration", inertia),
+        ):
+            if not (isfinite(value) and value > 0.0):
+                raise UsageError(f"PidGains.tuned: {name} is {value!r}, not a number > 0")
+        return cls(
+            kp=3.0 * inertia * bandwidth * bandwidth,
+            ki=inertia * bandwidth * bandwidth * bandwidth,
+            kd=3.0 * inertia * bandwidth,
+            acceleration_feedforward=inertia,
+            velocity_feedforward=velocity_feedforward,
+            friction_feedforward=friction_a,
+        )
+
+    def per_increment(self, increments_per_unit: float) -> Self:
+        """The same gains for a servo that counts increments, `increments_per_unit` of them in U."""
+        size = abs(increments_per_unit)
+        return replace(
+            self,
+            kp=self.kp / size,
+            ki=self.ki / size,
+            kd=self.kd / size,
+            velocity_feedforward=self.velocity_feedforward / size,
+            acceleration_feedforward=self.acceleration_feedforward / size,
+        )

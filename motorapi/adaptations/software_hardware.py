@@ -1,0 +1,363 @@
+"""The hardware class of central servo: an amplifier and an encoder on a node, the servo here.
+
+As on JPL's FIDO: the robot's computer closes the loop, the hardware is plain. One object per
+physical motor and process; it knows currents and counts, and runs the servo with whatever gains the
+logical motor that has it took along.
+"""
+
+from collections.abc import Callable
+from contextlib import suppress
+from typing import TYPE_CHECKING, Final, final
+
+from motorapi.adaptations.canopen_link import Transmission, bus_name
+from motorapi.adaptations.cia402_objects import Value
+from motorapi.adaptations.drive_objects import DriveObjects
+from motorapi.adaptations.raw_frames import FrameInbox, raw_frame
+from motorapi.adaptations.software_axis import AMPLIFIER_FAULT, COMMUNICATION, READY, ServoAxis
+from motorapi.adaptations.software_cycle import ChannelPair, CycleReport, ServoTrigger
+from motorapi.adaptations.software_node import (
+    CHANNELS_MAX,
+    AmplifierNode,
+    IoFacts,
+    IoOptions,
+    open_node,
+)
+from motorapi.commands import as_number
+from motorapi.errors import DeadlineExceeded, DeviceFault, LinkError, StateError, UsageError
+from motorapi.runtime import runtime_of
+from motorapi.sharing import (
+    PhysicalMotor,
+    RunStatus,
+    bus_key,
+    register_physical_motor,
+    release_physical_motor,
+)
+from motorapi.state import MotorState
+
+if TYPE_CHECKING:
+    import can
+
+    from motorapi.adaptations.software_courses import Course
+    from motorapi.adaptations.software_gains import PidGains
+    from motorapi.adaptations.software_servo import Servo, ServoLimits
+    from motorapi.runtime import Runtime
+    from motorapi.synchronization import Trigger
+
+_RAW_PER_VOLT: Final = 32768 / 10.0  # 6411h: +-10 V, left-adjusted in 16 bits
+_ENABLE_TIMEOUT_S: Final = 0.5
+_STEPS_BEFORE_POWER: Final = 3  # so that an output of 0 has been latched
+_OFF_TIMEOUT_S: Final = 0.1
+
+
+@final
+class AmplifierHwMotor:
+    """One motor on a channel of an I/O node. Shared by all logical motors and threads.
+
+    It lives until it is closed, for the cycle has it: `close()` lets go of the motor.
+
+    Args:
+        bus: an open python-can bus, of whatever interface.
+        node_id: the node's, 1..127.
+        channel: of the node, from 1.
+        current_per_volt_a_v: what the amplifier makes of a volt at its input; < 0 if a positive
+            current turns the motor towards lower counts.
+        runtime: where to wait; None: the bus's own (virtual time), else the wall's.
+        options: see IoOptions; equal for all channels of a node.
+
+    Attributes:
+        io: the node; `node` what is heard of it; `objects` its object dictionary.
+        axis: the servo, and what it is told.
+        physical: the record that logical motors share.
+        users: how many motors were built on it by settings; the last one closes it.
+
+    Raises:
+        UsageError: a hardware object for this channel exists already (it is named), or a setting is
+            wrong.
+    """
+
+    def __init__(
+        self,
+        bus: "can.BusABC",
+        node_id: int,
+        channel: int = 1,
+        *,
+        current_per_volt_a_v: float,
+        runtime: "Runtime | None" = None,
+        options: IoOptions | None = None,
+    ) -> None:
+        if not isinstance(node_id, int) or not 1 <= node_id <= 127:
+            raise UsageError(f"node_id = {node_id!r}: a node-ID is 1 to 127")
+        if not isinstance(channel, int) or not 1 <= channel <= CHANNELS_MAX:
+            raise UsageError(f"channel = {channel!r}: a node's channels are 1 to {CHANNELS_MAX}")
+        if not 1e-9 <= abs(as_number(current_per_volt_a_v)) <= 1e9:
+            raise UsageError(
+                f"current_per_volt_a_v = {current_per_volt_a_v!r}: a number of A/V, not 0"
+            )
+        self.runtime: Final = runtime_of(bus) if runtime is None else runtime
+        self.options: Final = IoOptions() if options is None else options
+        self.channel: Final = channel
+        self.current_per_volt_a_v: Final = float(current_per_volt_a_v)
+        self.label: Final = f"{bus_name(bus)} node {node_id} channel {channel}"
+        self._key = (*bus_key(bus), node_id, "channel", channel)
+        self.physical: Final[PhysicalMotor] = register_physical_motor(self._key, self.label, self)
+        try:
+            self.io: Final[AmplifierNode] = open_node(bus, node_id, self.runtime, self.options)
+        except BaseException:
+            release_physical_motor(self._key, self)
+            raise
+        self.node: Final = self.io.node
+        self.link: Final = self.io.link
+        self.physical.news = self.node.news
+        self.objects: Final = DriveObjects(self.node, self.physical)
+        self.axis: Final = ServoAxis(
+            self.io,
+            channel,
+            self.physical,
+            self.options.cycle_ms / 1e3,
+            _RAW_PER_VOLT / self.current_per_volt_a_v,
+        )
+        self.is_closed = False
+        self.users = 0
+        self._pair: ChannelPair | None = None
+        self._boot = -1
+        self._homed_at_boot = -1
+        self.io.on_facts.append(self._take_place)
+        self.io.on_inputs.append(self.axis.see_inputs)
+
+    def __repr__(self) -> str:
+        return f"<AmplifierHwMotor {self.label}: {self.state().value}>"
+
+    def close(self) -> None:
+        """The motor is without current, and nothing more is sent to it or heard of it."""
+        if self.is_closed:
+            return
+        status = RunStatus.DONE if self.axis.is_over else RunStatus.GOING
+        self.physical.end(f"close() of {self.label}", self.runtime.now_ns(), status)
+        self.is_closed = True
+        with suppress(LinkError):  # the bus is gone: the node's dead-man does it
+            self.axis.cut()
+        self.io.on_facts.remove(self._take_place)
+        self.io.on_inputs.remove(self.axis.see_inputs)
+        if self._pair is not None:
+            self._pair.place((self.channel - 1) % 2, None)
+            self._pair = None
+        release_physical_motor(self._key, self)
+        self.io.release()
+
+    # --- bringing up -----------------------------------------------------------------------
+
+    def connect(self) -> IoFacts:
+        """The node is up and configured; costs nothing if it is already. See `AmplifierNode`.
+
+        Raises:
+            UsageError: the node has no such channel.
+        """
+        if self._pair is not None and self.io.is_up:
+            return self.io.connect()
+        if self.is_closed:
+            raise LinkError(link=self.label, reason="this hardware object is closed")
+        with self.physical.passage(self.label, of_holder=True):
+            facts = self.io.connect()
+            if self._pair is None:
+                self._take_place(facts)
+            return facts
+
+    def _take_place(self, facts: IoFacts) -> None:
+        """The node was brought up: this motor has its place in the frames, and its count."""
+        if self.channel > facts.channels:
+            raise UsageError(f"{self.label}: the node has {facts.channels} channels")
+        self._pair = self.io.place(self.channel, self.axis)
+        axis = self.axis
+        if axis.fault is not None and axis.fault.code == COMMUNICATION:
+            axis.fault = None
+        if axis.is_active:  # of before: the node has lost what it was told
+            axis.cut()
+        count = self._read_count()
+        if self._boot == facts.boot:
+            axis.servo.look(count)
+        else:
+            self._boot = facts.boot
+            axis.servo.restart(count)
+
+    def _read_count(self) -> int:
+        data = self.node.sdo.upload(self.options.counter, self.channel)
+        self.axis.counted_ns = self.runtime.now_ns()
+        return int.from_bytes(data[:4], "little", signed=True)
+
+    # --- objects and frames ----------------------------------------------------------------
+
+    def upload(self, index: int, subindex: int = 0) -> bytes:
+        """The bytes of an object of the node. Raises as `DriveObjects.upload`."""
+        return self.objects.upload(index, subindex)
+
+    def download(self, index: int, subindex: int, data: bytes) -> None:
+        """The node has `data` in an object. Raises as `DriveObjects.upload`."""
+        self.objects.download(index, subindex, data)
+
+    def read(self, what: int | str, subindex: int = 0, kind: str | None = None) -> Value:
+        """The value of an object of the node; see `Cia402HwMotor.read`."""
+        return self.objects.read(what, subindex, kind)
+
+    def write(
+        self, what: int | str, value: Value, subindex: int = 0, kind: str | None = None
+    ) -> None:
+        """An object of the node has this value; see `Cia402HwMotor.write`."""
+        self.objects.write(what, value, subindex, kind)
+
+    def send_frame(self, can_id: int, data: bytes = b"", *, extended: bool = False) -> Transmission:
+        """A frame of your own is on its way; see `Cia402HwMotor.send_frame`."""
+        frame = raw_frame(can_id, data, extended=extended)
+        with self.physical.passage(self.label, of_holder=True):
+            return self.link.send_tracked(frame)
+
+    def listen(self, *can_ids: int) -> FrameInbox:
+        """Frames of others with these identifiers (none: all), as they are, from now on."""
+        return FrameInbox(self.link, can_ids)
+
+    def fall_silent(self) -> None:
+        """Nothing is sent to the node's channel by itself any more, until others are let in again.
+
+        Raises:
+            StateError: the servo holds the motor, or one that shares its frames.
+        """
+        if self.axis.is_powered:
+            raise StateError(
+                motor=self.label,
+                operation="low_level()",
+                state="its servo holds it, by a frame every cycle",
+                remedy="disable() it first",
+            )
+        self.node.sdo.finish()
+        pair = self._pair
+        if pair is None or self.runtime.wait_until(lambda: not pair.is_running(), _OFF_TIMEOUT_S):
+            self.node.sdo.physical = self.physical
+            return
+        raise StateError(
+            motor=self.label,
+            operation="low_level()",
+            state="the servo of the neighbour channel sends to both",
+            remedy="disable() that motor first",
+        )
+
+    def let_in(self) -> None:
+        """Low-level access has ended: the node is brought up as if it were new."""
+        self.node.sdo.physical = None
+        self.objects.doubt()
+        self.io.doubt()
+
+    # --- what can be seen ------------------------------------------------------------------
+
+    @property
+    def servo(self) -> "Servo":
+        """Position, demand and output, as of the last cycle."""
+        return self.axis.servo
+
+    @property
+    def is_homed(self) -> bool:
+        """Whether position 0 was set since the node was last heard to boot."""
+        return self._homed_at_boot == self.node.boots
+
+    def state(self) -> MotorState:
+        """The state heard last; does not wait."""
+        if self.is_closed or self._pair is None or self.node.lost_since_ns is not None:
+            return MotorState.OFFLINE
+        return self.axis.state
+
+    def refresh(self) -> None:
+        """The position is fresh also where no cycle brings it."""
+        if self._pair is not None and not self._pair.is_running():
+            self.axis.servo.look(self._read_count())
+
+    def report(self) -> CycleReport:
+        """How well the servo has kept its time; see `CycleReport`."""
+        if self._pair is None:
+            return CycleReport(self.options.cycle_ms / 1e3, 0, 0, 0, 0, 0)
+        return self._pair.report()
+
+    # --- commanding ------------------------------------------------------------------------
+
+    def enable(self, gains: "PidGains", limits: "ServoLimits") -> None:
+        """The servo holds the motor where it is; SYNC runs.
+
+        Raises:
+            DeviceFault: the amplifier reports a fault.
+            DeadlineExceeded: it did not become ready.
+            LinkError: no counts come.
+            MotorBusyError: somebody has low-level access to a motor that shares its frames.
+        """
+        self.connect()
+        axis, pair = self.axis, self._pair
+        axis.is_stopped = False
+        if axis.is_powered or pair is None:
+            return
+        pair.require_free()
+        if self.io.is_switched(self.channel):  # left so by somebody else
+            self.io.switch(self.channel, False)
+        axis.activate()
+        try:
+            pair.join()
+            self._await(lambda: axis.steps >= _STEPS_BEFORE_POWER, "counts at SYNC")
+            self.io.switch(self.channel, True)
+            self._await(lambda: self.io.status(self.channel) != 0, "its amplifier to be ready")
+            if not self.io.status(self.channel) & READY:
+                self._raise_amplifier_fault()
+        except BaseException:
+            axis.cut()
+            raise
+        axis.hold(gains, limits)
+
+    def _await(self, done: Callable[[], bool], awaited: str) -> None:
+        axis = self.axis
+        if not self.runtime.wait_until(
+            lambda: axis.failure is not None or done(), _ENABLE_TIMEOUT_S
+        ):
+            raise DeadlineExceeded(
+                awaited=f"{self.label}: {awaited}",
+                timeout_s=_ENABLE_TIMEOUT_S,
+                last_heard=f"digital inputs {self.io.inputs:02X}h",
+            )
+        if axis.failure is not None:
+            raise axis.failure
+
+    def _raise_amplifier_fault(self) -> None:
+        fault = self.axis.current_fault()
+        since_ns = self.runtime.now_ns() if fault is None else fault.since_ns
+        raise DeviceFault(
+            motor=self.label, code=AMPLIFIER_FAULT, text="amplifier fault", since_ns=since_ns
+        )
+
+    def disable(self) -> None:
+        """The amplifier is off."""
+        self.connect()
+        self.axis.cut()
+        channel = self.channel
+        self.runtime.wait_until(lambda: not self.io.status(channel) & READY, _OFF_TIMEOUT_S)
+
+    def reset_fault(self) -> None:
+        """There is no fault any more; the amplifier is off.
+
+        Raises:
+            DeviceFault: its cause is still there.
+        """
+        self.connect()
+        axis = self.axis
+        axis.cut()
+        self.io.switch(self.channel, False)  # what resets an amplifier
+        if not self.runtime.wait_until(lambda: axis.amplifier_fault_ns is None, _OFF_TIMEOUT_S):
+            self._raise_amplifier_fault()
+        axis.fault = axis.failure = None
+
+    def arm(
+        self, course: "Course", gains: "PidGains", limits: "ServoLimits", *, together: bool
+    ) -> "Trigger":
+        """What the trigger returned starts, at the SYNC it waits for. Raises as `ServoAxis.arm`."""
+        self.axis.arm(course, gains, limits)
+        cycle = self.io.cycle
+        if together:
+            cycle.armed.append(self.axis)
+        return ServoTrigger(cycle, None if together else self.axis)
+
+    def call_here(self, position_inc: int) -> None:
+        """The place where the motor is is called so from now on; nothing moves."""
+        self.axis.call_here(position_inc)
+        self._homed_at_boot = self.node.boots

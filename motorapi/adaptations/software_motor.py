@@ -1,0 +1,359 @@
+"""The adaptation of the motor interface to central servo: sampling and PID on the host.
+
+| command                      | what the servo does                                              |
+| ---------------------------- | ---------------------------------------------------------------- |
+| set-point, position          | the target is the demand at once: no profile, PID acts on a step |
+| set-point, velocity          | likewise; with a limit of acceleration it is approached so       |
+| set-point, torque or current | the amplifier's current, at once or at the limit of its slope    |
+| trajectory, any variable     | is sampled every cycle; position and velocity with feed-forward  |
+| homing (35, 37)              | here is 0                                                        |
+
+A step of position is answered no faster than the model's maximum velocity, and with no more current
+than the model allows; limits of its derivatives cannot be promised without a profile, so they are
+refused. Motors of one bus begin with the same SYNC.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass, fields
+from math import inf, isfinite
+from typing import TYPE_CHECKING, Final, final
+
+from motorapi.adaptations.software_courses import Scales, course_of
+from motorapi.adaptations.software_cycle import CycleReport
+from motorapi.adaptations.software_gains import PidGains
+from motorapi.adaptations.software_hardware import AmplifierHwMotor
+from motorapi.adaptations.software_servo import ServoLimits
+from motorapi.commands import ControlMode, ControlVariable, Motion, Setpoint, as_number
+from motorapi.errors import DeviceFault, UnsupportedError, UsageError
+from motorapi.motor import Motor
+from motorapi.state import Fault, Measurement, MotorState
+from motorapi.synchronization import MotionTimes, SyncLevel, SyncOffer, Trigger
+
+if TYPE_CHECKING:
+    from motorapi.model import MotorModel
+    from motorapi.trajectory import Trajectory
+
+_HERE_IS_ZERO: Final = (None, 35, 37)
+_VOLTS: Final = 10.0
+_LIMITED: Final = "torque, current and velocity set-points with a limit of their first derivative"
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ServoParameters:
+    """What an application may tune of a servo besides its gains. U is rad, or m of a linear motor.
+
+    Attributes:
+        position_window: how near a target is reached [U]; None: ten increments.
+        settle_s: for how long it must be, and how long a motor at rest must stand still.
+        following_error_window: a motion that is further behind is stopped by a fault [U]; inf: none
+            is. None: ten times the model's start tolerance.
+        following_error_s: for how long it must be.
+        quick_stop_deceleration: [U/s²]; None: as the model's deceleration.
+
+    Raises:
+        UsageError: one is not a number > 0.
+    """
+
+    position_window: float | None = None
+    settle_s: float = 0.02
+    following_error_window: float | None = None
+    following_error_s: float = 0.01
+    quick_stop_deceleration: float | None = None
+
+    def __post_init__(self) -> None:
+        for field in fields(self):
+            value = getattr(self, field.name)
+            if value is None and not field.name.endswith("_s"):
+                continue
+            check_positive(field.name, value, may_be_inf=field.name == "following_error_window")
+
+
+def check_positive(name: str, value: object, *, may_be_inf: bool = False) -> None:
+    """Raises UsageError if it is no number > 0."""
+    number = as_number(value)
+    if not number > 0.0 or not (isfinite(number) or (may_be_inf and number == inf)):
+        raise UsageError(f"{name} = {value!r}: must be a number > 0")
+
+
+@final
+class SoftwareMotor(Motor):
+    """A logical motor whose servo runs here. Any number of them may share one hardware object.
+
+    Args:
+        hardware: the amplifier and the encoder.
+        model: what is constant of the motor; it must tell `increments_per_unit`.
+        gains: of the servo.
+        parameters: what else may be tuned of it. Gains and parameters are this logical motor's own,
+            and count from its next start() on.
+        torque_constant: torque at the output per current [N·m/A, of a linear motor N/A]; None: not
+            known, then torque cannot be commanded.
+        name: what messages and records call it; None: the model's name and where it is.
+        on_close: is called once, when the motor is closed. The hardware object is its maker's.
+
+    Raises:
+        UsageError: the model does not tell what a position is in increments.
+    """
+
+    def __init__(
+        self,
+        hardware: AmplifierHwMotor,
+        model: "MotorModel",
+        gains: PidGains,
+        *,
+        parameters: ServoParameters | None = None,
+        torque_constant: float | None = None,
+        name: str | None = None,
+        on_close: Callable[[], None] | None = None,
+    ) -> None:
+        super().__init__(
+            name=f"{model.name} at {hardware.label}" if name is None else name,
+            model=model,
+            runtime=hardware.runtime,
+            physical=hardware.physical,
+        )
+        if model.increments_per_unit is None:
+            raise UsageError(
+                f"{self.name}: the model does not tell increments_per_{model.unit}, and a counter"
+                " does not either"
+            )
+        self._hardware = hardware
+        if torque_constant is not None:
+            check_positive("torque_constant", torque_constant)
+        self._torque_constant = torque_constant
+        self._scale = model.increments_per_unit
+        self._scales = Scales(model.increments_per_unit, torque_constant)
+        self.gains = gains
+        self.parameters = ServoParameters() if parameters is None else parameters
+        self._is_rated = False
+        self._held: tuple[float, float] = (0.0, 0.0)  # demand [inc], and the value asked for [U]
+        self._on_close = on_close
+
+    def close(self) -> None:
+        """It is no longer used; closing again does nothing."""
+        on_close, self._on_close = self._on_close, None
+        if on_close is not None:
+            on_close()
+
+    @property
+    def hardware(self) -> AmplifierHwMotor:
+        """The amplifier, the encoder, and the servo between them."""
+        return self._hardware
+
+    @property
+    def gains(self) -> PidGains:
+        """Of this logical motor; they count from its next start() on."""
+        return self._gains
+
+    @gains.setter
+    def gains(self, gains: PidGains) -> None:
+        if not isinstance(gains, PidGains):
+            raise UsageError(f"gains = {gains!r}: give PidGains(kp=..., ki=..., kd=...)")
+        self._gains = gains
+
+    @property
+    def parameters(self) -> ServoParameters:
+        """Of this logical motor; they count from its next start() on."""
+        return self._parameters
+
+    @parameters.setter
+    def parameters(self, parameters: ServoParameters) -> None:
+        if not isinstance(parameters, ServoParameters):
+            raise UsageError(f"parameters = {parameters!r}: give ServoParameters(...)")
+        self._parameters = parameters
+
+    @property
+    def cycles(self) -> CycleReport:
+        """How well the servo has kept its time."""
+        return self._hardware.report()
+
+    # --- what it can do --------------------------------------------------------------------
+
+    def _supports(self, mode: ControlMode, variable: ControlVariable) -> bool:
+        return variable is not ControlVariable.TORQUE or self._torque_constant is not None
+
+    def _check_command(self, variable: ControlVariable, command: "Setpoint | Trajectory") -> None:
+        if not isinstance(command, Setpoint):
+            return
+        limits = command.limits
+        self._is_rated = limits is not None and limits.first is not None
+        if limits is None or variable is not ControlVariable.POSITION:
+            return
+        if limits.first is not None or limits.second is not None or limits.third is not None:
+            raise UnsupportedError(
+                motor=self.name,
+                feature="limits on the derivatives of a position set-point, which has no profile",
+                supported=f"{_LIMITED}, and trajectories",
+            )
+
+    def _sync_offer(self) -> SyncOffer:
+        period_s = self._hardware.io.cycle.period_s
+        reason = f"one SYNC every {period_s * 1e3:g} ms: counts of it, outputs latched by the next"
+        group = ("servo cycle", self._hardware.link.name, period_s)
+        return SyncOffer(SyncLevel.CYCLIC, group, (period_s, period_s), reason)
+
+    def _quantise(self, motion: Motion) -> Motion:
+        return motion
+
+    # --- connecting, state and measurements ------------------------------------------------
+
+    def _connect(self) -> None:
+        self._hardware.connect()
+
+    def _read_state(self) -> MotorState:
+        return self._hardware.state()
+
+    def _read_fault(self) -> Fault | None:
+        return self._hardware.axis.current_fault()
+
+    def _read_referenced(self) -> bool:
+        return self._hardware.is_homed
+
+    def _read_position(self) -> float:
+        self._hardware.node.check_heard()
+        self._hardware.refresh()
+        return self._hardware.servo.position / self._scale
+
+    def _read_velocity(self) -> float:
+        self._hardware.node.check_heard()
+        if self._hardware.servo.course is None:
+            return self._measure_velocity()
+        return self._hardware.servo.velocity / self._scale
+
+    def _read_reference(self) -> float:
+        hardware = self._hardware
+        hardware.node.check_link()
+        course = hardware.servo.course
+        if course is None:
+            return self._read_position()
+        demand = course.target if course.is_over else hardware.servo.demand
+        # What was asked for, where that is what it holds: rounding must not add up.
+        return self._held[1] if demand == self._held[0] else demand / self._scale
+
+    def _read_following_error(self) -> float:
+        servo = self._hardware.servo
+        return 0.0 if servo.course is None else (servo.demand - servo.position) / self._scale
+
+    def _latest(self) -> Measurement | None:
+        hardware = self._hardware
+        counted_ns = hardware.axis.counted_ns
+        if counted_ns < 0:
+            return None
+        servo, scale = hardware.servo, self._scale
+        return Measurement(
+            counted_ns,
+            hardware.state(),
+            servo.position / scale,
+            servo.velocity / scale,
+            None,
+            (servo.demand - servo.position) / scale,
+        )
+
+    def _measure_velocity(self) -> float:
+        """Velocity where no cycle brings counts: of two that are asked for."""
+        hardware = self._hardware
+        hardware.refresh()
+        first, first_ns = hardware.servo.position, hardware.axis.counted_ns
+        hardware.refresh()
+        passed_ns = hardware.axis.counted_ns - first_ns
+        moved = hardware.servo.position - first
+        return 0.0 if passed_ns <= 0 else moved / passed_ns * 1e9 / self._scale
+
+    # --- power, fault, reference -----------------------------------------------------------
+
+    def _enable(self) -> None:
+        self._hardware.enable(self._gains.per_increment(self._scale), self._limits(None))
+
+    def _disable(self) -> None:
+        self._hardware.disable()
+
+    def _reset_fault(self) -> None:
+        self._hardware.reset_fault()
+
+    def _home(self, method: int | None) -> None:
+        if method not in _HERE_IS_ZERO:
+            raise UnsupportedError(
+                motor=self.name, feature=f"homing by method {method}", supported="35 and 37"
+            )
+        self._hardware.call_here(0)
+
+    # --- motion ----------------------------------------------------------------------------
+
+    def _arm(self, motion: Motion, *, together: bool) -> Trigger:
+        servo = self._hardware.servo
+        course = course_of(
+            motion,
+            self._scales,
+            servo.demand_velocity,
+            servo.current_a,
+            is_rated=self._is_rated,
+        )
+        if motion.variable is ControlVariable.POSITION and motion.argument is None:
+            self._held = (course.target, motion.target)
+        gains = self._gains.per_increment(self._scale)
+        return self._hardware.arm(course, gains, self._limits(motion), together=together)
+
+    def _limits(self, motion: Motion | None) -> ServoLimits:
+        """What the servo keeps to, in increments."""
+        own, model, size = self._parameters, self.model, abs(self._scale)
+        current_a = _VOLTS * abs(self._hardware.current_per_volt_a_v)
+        if model.current_max is not None:
+            current_a = min(current_a, model.current_max)
+        if model.torque_max is not None and self._torque_constant is not None:
+            current_a = min(current_a, model.torque_max / self._torque_constant)
+        behind = own.following_error_window
+        if behind is None:
+            behind = 10.0 * model.start_tolerance
+        deceleration = model.deceleration if motion is None else motion.deceleration
+        period_s = self._hardware.io.cycle.period_s
+        return ServoLimits(
+            current_max_a=current_a,
+            velocity_max=model.velocity_max * size,
+            following_error=behind * size,
+            following_s=own.following_error_s,
+            window=10.0 if own.position_window is None else own.position_window * size,
+            velocity_window=0.02 * model.velocity_max * size + 0.5 / period_s,
+            settle_s=own.settle_s,
+            deceleration=deceleration * size,
+        )
+
+    def _disarm(self) -> None:
+        self._hardware.axis.disarm()
+
+    def _confirm(self, motion: Motion) -> None:
+        """It began with the SYNC that the trigger saw on the wire."""
+
+    def _is_done(self) -> bool:
+        axis = self._hardware.axis
+        self._hardware.node.check_link()
+        if axis.failure is not None:
+            raise axis.failure
+        fault = axis.current_fault()
+        if fault is not None:
+            raise DeviceFault(
+                motor=self.name, code=fault.code, text=fault.text, since_ns=fault.since_ns
+            )
+        return axis.is_over
+
+    def _stop(self) -> None:
+        self._hardware.axis.slow_down(self._hardware.servo.deceleration)
+
+    def _quick_stop(self) -> None:
+        deceleration = self._parameters.quick_stop_deceleration
+        if deceleration is None:
+            deceleration = self.model.deceleration
+        self._hardware.axis.slow_down(deceleration * abs(self._scale), quickly=True)
+
+    def _motion_times(self) -> MotionTimes | None:
+        axis = self._hardware.axis
+        if axis.started_ns is None:
+            return None
+        source = "SYNC on the wire; the count with which it had settled"
+        return MotionTimes(axis.started_ns, axis.ended_ns, source)
+
+    def _open_low_level(self) -> AmplifierHwMotor:
+        self._hardware.fall_silent()
+        return self._hardware
+
+    def _close_low_level(self) -> None:
+        self._hardware.let_in()

@@ -1,0 +1,384 @@
+"""The host's side of a CiA 401 I/O node with amplifiers and encoder counters on its channels.
+
+One object per node and process, shared by the motors on its channels. Two channels share frames:
+
+| PDO        | what                                                       | when            |
+| ---------- | ---------------------------------------------------------- | --------------- |
+| RPDO 1     | 6200h:1, a bit for each amplifier's enable input           | on change       |
+| TPDO 1     | 6000h:1, two bits for each amplifier: ready, fault         | on change       |
+| RPDO 2, 3  | 6411h, the outputs of channels 1 and 2, of 3 and 4         | latched by SYNC |
+| TPDO 2, 3  | 6820h, the counters of channels 1 and 2, of 3 and 4        | at SYNC         |
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Final, final
+
+from motorapi.adaptations.canopen_link import TurnLock, can_frame, open_link, release_link
+from motorapi.adaptations.drive_node import DriveNode
+from motorapi.adaptations.drive_setup import HwOptions, first_answer, write_if_different
+from motorapi.adaptations.pdo_setup import EVENT_DRIVEN, SYNCHRONOUS, PdoSetUp, PdoWish
+from motorapi.adaptations.software_cycle import Axis, ChannelPair, Cycle, cycle_of
+from motorapi.errors import DeadlineExceeded, LinkError, UnsupportedError, UsageError
+from motorapi.sharing import bus_key
+
+if TYPE_CHECKING:
+    from collections.abc import Hashable
+
+    import can
+
+    from motorapi.runtime import Runtime
+
+INPUTS: Final = 0x6000
+OUTPUTS: Final = 0x6200
+ANALOGUE_OUTPUT: Final = 0x6411
+CHANNELS_MAX: Final = 4
+
+_FIRST_INPUTS_S: Final = 0.5
+_TPDOS: Final = 4
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True)
+class IoOptions:
+    """How the host treats an I/O node; all motors on its channels share them.
+
+    Attributes:
+        cycle_ms: period of the servo, and of SYNC.
+        misses_max: so many missed cycles in a row stop a motor.
+        counter: index of the object with the counters; 6820h: CiA 406 beside CiA 401.
+        host_node_id, heartbeat_ms, heartbeat_timeout_ms, connect_timeout_s, sdo_timeout_s,
+            sdo_quarantine_s: as in HwOptions.
+        status_period_ms: the node repeats its digital inputs so often; 0: on change only.
+    """
+
+    cycle_ms: float = 1.0
+    misses_max: int = 10
+    counter: int = 0x6820
+    host_node_id: int = 127
+    heartbeat_ms: int = 100
+    heartbeat_timeout_ms: int = 300
+    status_period_ms: int = 20
+    connect_timeout_s: float = 3.0
+    sdo_timeout_s: float = 0.3
+    sdo_quarantine_s: float = 1.0
+
+    def __post_init__(self) -> None:
+        """Refuse what no node can be told.
+
+        Raises:
+            UsageError: an option has the wrong type or is out of range.
+        """
+        if not isinstance(self.cycle_ms, int | float) or not 0.1 <= self.cycle_ms <= 1000.0:
+            raise UsageError(f"cycle_ms = {self.cycle_ms!r}: must be 0.1 to 1000 ms")
+        if not isinstance(self.misses_max, int) or not 1 <= self.misses_max <= 1_000_000:
+            raise UsageError(f"misses_max = {self.misses_max!r}: must be a whole number >= 1")
+        if not isinstance(self.counter, int) or not 0x2000 <= self.counter <= 0x9FFF:
+            raise UsageError(f"counter = {self.counter!r}: must be an index, 2000h to 9FFFh")
+        HwOptions(
+            host_node_id=self.host_node_id,
+            heartbeat_ms=self.heartbeat_ms,
+            heartbeat_timeout_ms=self.heartbeat_timeout_ms,
+            status_period_ms=self.status_period_ms,
+            connect_timeout_s=self.connect_timeout_s,
+            sdo_timeout_s=self.sdo_timeout_s,
+            sdo_quarantine_s=self.sdo_quarantine_s,
+        )
+
+
+@final
+@dataclass(frozen=True, slots=True)
+class IoFacts:
+    """What was found and agreed when the node was brought up.
+
+    Attributes:
+        channels: how many have both an analogue output and a counter.
+        enable_id: identifier of the RPDO with the digital outputs.
+        pairs: identifiers of (RPDO, TPDO) of channels 1 and 2, and of 3 and 4.
+        boot: which boot of the node it was.
+        limitations: what this node cannot do for us, in words.
+    """
+
+    channels: int
+    enable_id: int
+    pairs: tuple[tuple[int, int], ...]
+    boot: int
+    limitations: tuple[str, ...]
+
+
+@final
+class AmplifierNode:
+    """One I/O node, by node-ID; motors get theirs by `open_node`.
+
+    Attributes:
+        node: what is heard of it.
+        inputs: 6000h:1 as heard last; `inputs_ns`: when (-1: never).
+        on_inputs: is called whenever inputs were heard.
+        on_facts: is called when it was brought up, before it is OPERATIONAL.
+        cycle: the clock of all servos on its bus.
+        users: how many motors share it.
+    """
+
+    def __init__(
+        self, bus: "can.BusABC", node_id: int, runtime: "Runtime", options: IoOptions
+    ) -> None:
+        self.options: Final = options
+        self._key = (*bus_key(bus), node_id)
+        self.link: Final = open_link(bus, runtime)
+        if options.heartbeat_ms and (node_id == options.host_node_id or self.link.is_host(node_id)):
+            name = self.link.name
+            release_link(self.link)
+            raise UsageError(
+                f"{name} node {node_id}: node {node_id} is also the host's node-ID; give the host"
+                " another host_node_id"
+            )
+        self.node: Final = DriveNode(
+            self.link,
+            node_id,
+            sdo_timeout_s=options.sdo_timeout_s,
+            quarantine_s=options.sdo_quarantine_s,
+            heartbeat_timeout_ms=options.heartbeat_timeout_ms,
+        )
+        self.inputs = 0
+        self.inputs_ns = -1
+        self.users = 0
+        self.is_closed = False
+        self.on_inputs: list[Callable[[int], None]] = []
+        self.on_facts: list[Callable[[IoFacts], None]] = []
+        self.facts: IoFacts | None = None
+        self.cycle: Final[Cycle] = cycle_of(self.link, options.cycle_ms / 1e3)
+        self._pairs: tuple[ChannelPair, ...] = ()
+        self._outputs = 0
+        self._inputs_id: int | None = None
+        self._setting_up = TurnLock(runtime)
+
+    def close(self) -> None:
+        """Nothing is sent or heard any more; the node's dead-man switches its outputs off."""
+        if self.is_closed:
+            return
+        self.is_closed = True
+        self.facts = None
+        if _NODES.get(self._key) is self:
+            del _NODES[self._key]
+        for pair in self._pairs:
+            pair.close()
+        self.node.close()
+        if self._inputs_id is not None:
+            self.link.ignore(self._inputs_id)
+        if self.node.uses_host_heartbeat:
+            self.link.release_heartbeat(self.options.host_node_id)
+        release_link(self.link)
+
+    def place(self, channel: int, axis: Axis) -> ChannelPair:
+        """The frames of the channel, which it shares with its neighbour; they are `axis`'s now."""
+        pair = self._pairs[(channel - 1) // 2]
+        pair.place((channel - 1) % 2, axis)
+        return pair
+
+    # --- digital outputs and inputs --------------------------------------------------------
+
+    def switch(self, channel: int, on: bool) -> None:
+        """The enable input of the channel's amplifier is on, or off, as soon as the bus allows.
+
+        Raises:
+            LinkError: the bus does not take the frame.
+        """
+        facts = self.facts
+        bit = 1 << channel - 1
+        self._outputs = self._outputs | bit if on else self._outputs & ~bit
+        if facts is not None:
+            self.link.send(can_frame(facts.enable_id, bytes((self._outputs,))))
+
+    def is_switched(self, channel: int) -> bool:
+        """Whether the amplifier's enable input is on, as far as the host knows."""
+        return self._outputs >> channel - 1 & 1 != 0
+
+    def status(self, channel: int) -> int:
+        """READY and FAULT of the channel's amplifier, as heard last."""
+        return self.inputs >> 2 * (channel - 1) & 3
+
+    def _on_inputs(self, frame: bytes, time_ns: int) -> None:
+        if frame[4] != 1:
+            self.node.malformed += 1
+            return
+        self.inputs_ns = time_ns
+        if frame[8] != self.inputs:
+            self.inputs = frame[8]
+            self.node.news.count += 1
+        for action in self.on_inputs:
+            action(time_ns)
+
+    # --- bringing up -----------------------------------------------------------------------
+
+    @property
+    def is_up(self) -> bool:
+        """Whether it still is what it was brought up to."""
+        return self.facts is not None and self.node.is_up
+
+    def doubt(self) -> None:
+        """Nothing is believed of the node any more; `connect` brings it up as if it were new."""
+        self.facts = None
+
+    def release(self) -> None:
+        """One user less; the last one closes it."""
+        self.users -= 1
+        if self.users == 0:
+            self.close()
+
+    def connect(self) -> IoFacts:
+        """The node is up and configured; costs nothing if it is already.
+
+        Raises:
+            LinkError: it was closed.
+            DeadlineExceeded: it does not answer.
+            UsageError: it is no such I/O node.
+            UnsupportedError: it does not let us have the PDOs that a servo needs.
+        """
+        facts = self.facts
+        if facts is not None and self.node.is_up:
+            return facts
+        if self.is_closed:
+            raise LinkError(link=self.node.label, reason="this hardware object is closed")
+        options = self.options
+        what = f"{self.node.label}: its set-up"
+        with self._setting_up.turn(4 * options.connect_timeout_s, what):
+            if self.facts is not None and self.node.is_up:
+                return self.facts
+            if options.heartbeat_ms and not self.node.uses_host_heartbeat:
+                self.link.produce_heartbeat(options.host_node_id, options.heartbeat_ms)
+                self.node.uses_host_heartbeat = True
+            self.facts = None  # what fails now is tried again the next time
+            self.facts = self._bring_up()
+            return self.facts
+
+    def _bring_up(self) -> IoFacts:
+        node, options = self.node, self.options
+        node.may_change_state()
+        first_answer(node, options.connect_timeout_s)
+        boot = node.boots
+        channels = self._count_channels()
+        sync_id = node.read_optional(0x1005)
+        if sync_id is not None and sync_id & 0x7FF != self.link.sync_id:
+            raise UsageError(
+                f"{node.label}: its SYNC is {sync_id & 0x7FF:03X}h, ours {self.link.sync_id:03X}h"
+            )
+        limitations: list[str] = []
+        self._set_up_dead_man(channels, limitations)
+        self._outputs = node.read_optional(OUTPUTS, 1) or 0
+        pdos = PdoSetUp(node)
+        enable = pdos.configure(PdoWish(False, 1, (OUTPUTS << 16 | 0x108,), EVENT_DRIVEN))
+        inputs = pdos.configure(
+            PdoWish(
+                *(True, 1, (INPUTS << 16 | 0x108,), EVENT_DRIVEN),
+                event_ms=options.status_period_ms,
+            )
+        )
+        pairs: list[tuple[int, int]] = []
+        for first in range(1, channels + 1, 2):
+            places = range(first, min(first + 1, channels) + 1)
+            outputs = tuple(ANALOGUE_OUTPUT << 16 | place << 8 | 16 for place in places)
+            counts = tuple(options.counter << 16 | place << 8 | 32 for place in places)
+            number = 2 + first // 2
+            out = pdos.configure(PdoWish(False, number, outputs, SYNCHRONOUS))
+            back = pdos.configure(PdoWish(True, number, counts, SYNCHRONOUS))
+            if out is not None and back is not None:
+                pairs.append((out[0], back[0]))
+        if enable is None or inputs is None or len(pairs) < (channels + 1) // 2:
+            raise UnsupportedError(
+                motor=node.label,
+                feature="a servo on the host",
+                supported="; ".join(pdos.refusals),
+            )
+        for number in range(2 + len(pairs), _TPDOS + 1):
+            pdos.switch_off(number, keep=None)
+        self._inputs_id = inputs[0]
+        self.link.handle(inputs[0], self._on_inputs)
+        self._pair_up(pairs)
+        facts = IoFacts(channels, enable[0], tuple(pairs), boot, tuple(limitations))
+        for action in tuple(self.on_facts):
+            action(facts)
+        pdos.finish()
+        self._await_inputs()
+        node.stays_operational()
+        return facts
+
+    def _pair_up(self, identifiers: list[tuple[int, int]]) -> None:
+        if [pair.identifiers for pair in self._pairs] == identifiers:
+            return
+        for pair in self._pairs:
+            pair.close()
+        self._pairs = tuple(
+            ChannelPair(self.cycle, self.node, both, self.options.misses_max)
+            for both in identifiers
+        )
+
+    def _count_channels(self) -> int:
+        node, counter = self.node, self.options.counter
+        outputs, counters = node.read_optional(ANALOGUE_OUTPUT), node.read_optional(counter)
+        if not outputs or not counters or node.read_optional(OUTPUTS) is None:
+            lacking = [
+                f"{index:04X}h"
+                for index, number in ((ANALOGUE_OUTPUT, outputs), (counter, counters))
+                if not number
+            ]
+            raise UsageError(
+                f"{node.label} is no I/O node with analogue outputs and encoder counters: it has no"
+                f" {', '.join(lacking) or '6200h'}"
+            )
+        return min(outputs, counters, CHANNELS_MAX)
+
+    def _set_up_dead_man(self, channels: int, limitations: list[str]) -> None:
+        """Each side watches the other; without us every output goes to 0, every amplifier off."""
+        node, options = self.node, self.options
+        bits = (1 << channels) - 1
+        for index, wanted in ((0x6206, bits), (0x6207, 0)):
+            found = node.read_optional(index, 1)
+            value = (0 if found is None else found & ~bits) | wanted
+            write_if_different(node, index, 1, value, 1, limitations, "what its outputs fall to")
+        for channel in range(1, channels + 1):
+            meaning = f"what output {channel} falls to"
+            write_if_different(node, 0x6443, channel, 1, 1, limitations, meaning)
+            write_if_different(node, 0x6444, channel, 0, 4, limitations, meaning)
+        what = "its heartbeat: we cannot miss it"
+        write_if_different(node, 0x1017, 0, options.heartbeat_ms, 2, limitations, what)
+        if options.heartbeat_ms and options.heartbeat_timeout_ms:
+            consumer = options.host_node_id << 16 | options.heartbeat_timeout_ms
+            what = "whom to watch: it does not notice our end"
+            write_if_different(node, 0x1016, 1, consumer, 4, limitations, what)
+            if node.read_optional(0x1017) == options.heartbeat_ms:
+                node.expect_heartbeat()
+
+    def _await_inputs(self) -> None:
+        """It runs: its inputs came, as they do when it becomes OPERATIONAL."""
+        before_ns = self.inputs_ns
+        timeout_s = max(_FIRST_INPUTS_S, 3 * self.options.status_period_ms / 1e3)
+        if not self.link.runtime.wait_until(lambda: self.inputs_ns != before_ns, timeout_s):
+            raise DeadlineExceeded(
+                awaited=f"{self.node.label}: its digital inputs",
+                timeout_s=timeout_s,
+                last_heard="nothing in OPERATIONAL",
+            )
+
+
+_NODES: "Final[dict[Hashable, AmplifierNode]]" = {}
+
+
+def open_node(
+    bus: "can.BusABC", node_id: int, runtime: "Runtime", options: IoOptions
+) -> AmplifierNode:
+    """The node of this ID on this bus, made if it is the first use.
+
+    Raises:
+        UsageError: it is used with other options already.
+    """
+    key = (*bus_key(bus), node_id)
+    io = _NODES.get(key)
+    if io is None:
+        io = _NODES[key] = AmplifierNode(bus, node_id, runtime, options)
+    elif io.options != options:
+        raise UsageError(
+            f"{io.node.label} is used with other settings already; motors on one node share its"
+            " settings"
+        )
+    io.users += 1
+    return io

@@ -1,0 +1,309 @@
+"""The servo of one motor on the host: counts in, current out, once a cycle. Sans-I/O, no clock.
+
+Velocity is controlled as position: the demand moves on at the demanded velocity, so that the motor
+makes the way it should have made. While the output is saturated, what would only wind up stands
+still: the integral, and the error of a velocity that cannot be reached. All in increments of the
+counter, seconds and amperes; a positive current turns the motor towards higher counts.
+"""
+
+from dataclasses import dataclass
+from math import inf
+from typing import Final, final
+
+from motorapi.adaptations.software_courses import CURRENT, VELOCITY, Braking, Course
+from motorapi.adaptations.software_gains import PidGains
+from motorapi.errors import MotorError, PluginError
+
+_AHEAD: Final = 1.5  # cycles: the output is out from the next SYNC to the one after it
+_SMOOTH: Final = 0.2  # of the velocity that is told, which one count makes coarse
+_DEAD_BAND_INC: Final = 1.0  # an error at rest that is none: the integral would hunt for it
+_STILL_INC: Final = 2.0
+_HALF: Final = 0x8000_0000
+_MASK: Final = 0xFFFF_FFFF
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ServoLimits:
+    """What the servo keeps to, and when it takes a motion for ended.
+
+    Attributes:
+        current_max_a: the output's saturation [A].
+        velocity_max: what a step of position may be answered with [inc/s].
+        following_error: beyond it for `following_s` the motor is stopped [inc]; inf: never.
+        window: a position is reached within it, for `settle_s` [inc].
+        velocity_window: a velocity is reached within it, for `settle_s` [inc/s].
+        deceleration: what the motor is brought to rest with if its course fails [inc/s²].
+    """
+
+    current_max_a: float
+    velocity_max: float
+    following_error: float
+    following_s: float
+    window: float
+    velocity_window: float
+    settle_s: float
+    deceleration: float
+
+
+_NO_GAINS: Final = PidGains(kp=1e-300)
+_NO_LIMITS: Final = ServoLimits(
+    current_max_a=0.0,
+    velocity_max=0.0,
+    following_error=inf,
+    following_s=1.0,
+    window=0.0,
+    velocity_window=0.0,
+    settle_s=1.0,
+    deceleration=1.0,
+)
+
+
+@final
+class Servo:
+    """Position, velocity and current control of one motor.
+
+    Attributes:
+        position: measured [inc]; velocity: likewise, smoothed [inc/s].
+        demand, demand_velocity: what should be [inc, inc/s]; without a course what is measured.
+        current_a: what the amplifier is asked for.
+        course: what is demanded; None: no control, no current.
+        is_done: whether the course has come to its end, and the motor with it.
+        lags: whether the following error is beyond its limit for too long.
+        error: what went wrong with the demand itself; None: nothing.
+    """
+
+    def __init__(self, period_s: float) -> None:
+        self.position = 0.0
+        self.velocity = 0.0
+        self.demand = 0.0
+        self.demand_velocity = 0.0
+        self.current_a = 0.0
+        self.course: Course | None = None
+        self.is_done = True
+        self.lags = False
+        self.error: MotorError | None = None
+        self._period_s: Final = period_s
+        self._count = 0
+        self._travel = 0
+        self._offset = 0
+        self._cycle = -1  # of the last count; -1: none yet
+        self._begun = 0
+        self._error = 0.0
+        self._rate = 0.0
+        self._integral = 0.0
+        self._settled = 0
+        self._still = (0.0, 0)  # where it stands still, and for how many cycles
+        self._behind = 0
+        self._gains = _NO_GAINS
+        self._limits = _NO_LIMITS
+        self._take(_NO_GAINS, _NO_LIMITS)
+
+    def _take(self, gains: PidGains, limits: ServoLimits) -> None:
+        """These count from the next cycle on."""
+        self._gains = gains
+        self._limits = limits
+        period_s = self._period_s
+        self._alpha = period_s / (period_s + gains.derivative_filter_s)
+        self._settle_cycles = max(1, round(limits.settle_s / period_s))
+        self._following_cycles = max(1, round(limits.following_s / period_s))
+        # A step beyond this error is answered with velocity_max, where kd balances kp.
+        self._step_error = limits.velocity_max * gains.kd / gains.kp if gains.kd > 0.0 else 1e300
+
+    @property
+    def deceleration(self) -> float:
+        """What the motor is brought to rest with if its course fails [inc/s²]."""
+        return self._limits.deceleration
+
+    # --- what to do
+
+    def begin(self, course: Course, gains: PidGains, limits: ServoLimits, cycle: int) -> None:
+        """The course begins with the count of this cycle."""
+        was = self.course
+        if was is None or was.kind == CURRENT:
+            self._integral = 0.0 if was is None else self.current_a
+            self._rate = 0.0
+        if was is None or was.kind == CURRENT or was.is_step:
+            self.demand = self.position
+        self._take(gains, limits)
+        if course.is_step:
+            self.demand = course.target  # the step itself is no velocity
+        self.course = course
+        self._begun = cycle
+        self._settled = self._behind = 0
+        self._still = (self.position, 0)
+        self.is_done = self.lags = False
+
+    def brake(self, deceleration: float) -> None:
+        """The motor comes to rest at this rate [inc/s²], from what is demanded now, and holds."""
+        course = self.course
+        if course is None:
+            return
+        if course.kind == CURRENT or course.is_step:
+            stop = Braking(self.position, self.velocity, deceleration)
+        else:
+            stop = Braking(self.demand, self.demand_velocity, deceleration)
+        self.begin(stop, self._gains, self._limits, self._cycle)
+
+    def release(self) -> None:
+        """No control any more, no current."""
+        self.course = None
+        self.current_a = 0.0
+        self.demand = self.position
+        self.demand_velocity = 0.0
+        self._integral = self._rate = 0.0
+
+    def forget(self) -> None:
+        """The next count says nothing of how far the motor went since the last."""
+        self.release()
+        self._cycle = -1
+
+    def call_here(self, position: int) -> None:
+        """The place where the motor is is called `position` from now on; nothing moves."""
+        by = position - self._travel - self._offset
+        self._offset += by
+        self.position = float(position)
+        self.demand += by
+        self._still = (self.position, 0)
+        if self.course is not None:
+            self.course.shift(by)
+
+    def restart(self, count: int) -> None:
+        """The counter has begun anew, and says this: the position is what it counts."""
+        self.forget()
+        self._count = self._travel = count
+        self._offset = 0
+        self.position = self.demand = float(count)
+
+    def look(self, count: int) -> None:
+        """A count that was asked for, in no cycle."""
+        self.measure(count, self._cycle)
+
+    # --- once a cycle
+
+    def measure(self, count: int, cycle: int) -> int:
+        """A count came, of this cycle; how many cycles after the last one (0: it is the first)."""
+        before = self._cycle
+        self._cycle = cycle
+        change = ((count - self._count + _HALF) & _MASK) - _HALF
+        self._count = count
+        self._travel += change
+        self.position = float(self._travel + self._offset)
+        if before < 0:
+            self.velocity = 0.0
+            self._error = 0.0
+            self.demand = self.position
+            return 0
+        cycles = cycle - before
+        if cycles <= 0:
+            return 0
+        self.velocity += (change / (cycles * self._period_s) - self.velocity) * _SMOOTH
+        return cycles
+
+    def step(self, count: int, cycle: int) -> float:
+        """A count came, of this cycle: what the amplifier shall be asked for now [A]."""
+        place = self.position
+        cycles = self.measure(count, cycle)
+        course = self.course
+        if course is None:
+            return 0.0
+        passed_s = cycles * self._period_s
+        try:
+            course.sample((cycle - self._begun) * self._period_s, _AHEAD * self._period_s)
+        except MotorError as error:
+            self.error = error
+            return self.current_a
+        except Exception as error:  # of an argument, or a function, that somebody else made
+            self.error = PluginError(
+                plugin=type(error).__name__, where="sampling a trajectory", problem=str(error)
+            )
+            return self.current_a
+        if course.kind == CURRENT:
+            self._error = 0.0
+            self.demand = self.position
+            self.demand_velocity = self.velocity
+            limit = self._limits.current_max_a
+            self.current_a = max(-limit, min(limit, course.value))
+            self.is_done = course.is_over
+            return self.current_a
+        before = self.demand
+        if course.kind == VELOCITY:
+            self.demand = before + course.value * passed_s
+        else:
+            self.demand = course.value
+        if cycles:
+            self.demand_velocity = (self.demand - before) / passed_s
+            rate = self.demand_velocity - (self.position - place) / passed_s
+            self._rate += (rate - self._rate) * self._alpha
+        self._control(course, passed_s)
+        self._judge(course)
+        return self.current_a
+
+    def _control(self, course: Course, passed_s: float) -> None:
+        """PID, feed-forward, saturation, and no winding up."""
+        gains = self._gains
+        error = self.demand - self.position
+        acting = error
+        if course.is_step:
+            bound = self._step_error
+            acting = max(-bound, min(bound, error))
+        wanted = gains.kp * acting + gains.kd * self._rate + self._integral
+        velocity = course.velocity
+        if velocity or course.acceleration:
+            wanted += (
+                gains.acceleration_feedforward * course.acceleration
+                + gains.velocity_feedforward * velocity
+            )
+            if velocity > 0.0:
+                wanted += gains.friction_feedforward
+            elif velocity < 0.0:
+                wanted -= gains.friction_feedforward
+        limit = self._limits.current_max_a
+        if wanted > limit or wanted < -limit:
+            is_high = wanted > limit
+            wanted = limit if is_high else -limit
+            if is_high == (error > 0.0):
+                if course.kind == VELOCITY and abs(error) > abs(self._error):
+                    error = self._error  # it cannot keep up: the way lost is not made good
+                    self.demand = self.position + error
+                self._error = error
+                self.current_a = wanted
+                return
+        self._error = error
+        self.current_a = wanted
+        # Still, and within an increment: that is there. Stepping far: kp and kd see to it.
+        if acting == error and (velocity or abs(error) > _DEAD_BAND_INC):
+            self._integral += gains.ki * error * passed_s
+            self._integral = max(-limit, min(limit, self._integral))
+
+    def _judge(self, course: Course) -> None:
+        """Whether the motor is where, or as fast as, it should be; or not, for too long."""
+        limits = self._limits
+        error = self._error
+        if not course.is_step and abs(error) > limits.following_error:
+            self._behind += 1
+            if self._behind >= self._following_cycles:
+                self.lags = True
+        else:
+            self._behind = 0
+        still = self._stands_still()
+        if self.is_done or not course.is_over:
+            return
+        if course.is_stop:
+            self.is_done = still
+            return
+        if course.kind == VELOCITY:
+            is_there = abs(self.velocity - course.target) <= limits.velocity_window
+        else:
+            is_there = abs(course.target - self.position) <= limits.window
+        self._settled = self._settled + 1 if is_there else 0
+        self.is_done = self._settled >= self._settle_cycles
+
+    def _stands_still(self) -> bool:
+        """Whether the motor has not moved for as long as settling takes."""
+        place, cycles = self._still
+        if abs(self.position - place) > _STILL_INC:
+            self._still = (self.position, 0)
+            return False
+        self._still = (place, cycles + 1)
+        return cycles + 1 >= self._settle_cycles
