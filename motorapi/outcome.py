@@ -1,8 +1,8 @@
 """How a motion ended, and telling whoever asked to be told: once, from the event that ended it.
 
 The event may be a frame heard, a heartbeat that failed to come, or a call of another logical motor;
-the callback runs inside it. So it may neither wait nor start anything that waits (set a flag, or
-`runtime.spawn` a party that does), and what it raises must not break what runs it: that becomes a
+the callback runs inside it. So it may neither wait nor start anything that waits (it sets a flag
+that a party waits for), and what it raises must not break what runs it: that becomes a
 `PluginError`, which is logged and raised where that motor is waited for or looked at next.
 """
 

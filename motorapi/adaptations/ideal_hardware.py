@@ -120,7 +120,7 @@ class IdealHwMotor:
         self.physical.end(f"close() of {self.label}", now_ns, status)
         self._stand_still()
         self.is_closed = True
-        self._news.count += 1
+        self._news.grow()
         release_physical_motor(self._key, self)
 
     # --- what can be seen ------------------------------------------------------------------
@@ -247,15 +247,17 @@ class IdealHwMotor:
         self.disarm()
         self._take(Held(self.runtime.now_ns(), self.reading().position), None)
 
-    def _take(self, course: Course, motion: "Motion | None") -> None:
+    def _take(
+        self, course: Course, motion: "Motion | None", failure: MotorError | None = None
+    ) -> None:
         """The motor does this from now on; while it moves, it is looked at at a fixed rate."""
         if self._course is self._last and not self.is_over:
             self._cut_short = True
         self._stop_looking()
-        self._course, self._motion, self.failure = course, motion, None
-        self._news.count += 1
+        self._course, self._motion, self.failure = course, motion, failure
         if not isinstance(course, Held):
             self._looking = self.runtime.every(LOOK_PERIOD_S, lambda: self._look(course))
+        self._news.grow()
 
     def _look(self, course: Course) -> None:
         if course is not self._course:
@@ -264,13 +266,12 @@ class IdealHwMotor:
         try:
             course.look(now_ns)
         except MotorError as error:  # what leads it is not known any more
-            self._take(Held(now_ns, course.place), None)
-            self.failure = error
+            self._take(Held(now_ns, course.place), None, error)
             return
-        self._news.count += 1
         is_over = course.over_ns is not None and now_ns >= course.over_ns
         if is_over and course.at(now_ns).velocity == 0.0:
             self._stop_looking()
+        self._news.grow()
 
     def _stop_looking(self) -> None:
         looking, self._looking = self._looking, None

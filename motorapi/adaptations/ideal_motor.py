@@ -173,6 +173,9 @@ class IdealMotor(Motor):
     def _quick_stop(self) -> None:
         self._hardware.slow_down(self.model.deceleration, quickly=True)
 
+    def _open_low_level(self) -> IdealHwMotor:
+        return self._hardware
+
     def _motion_times(self) -> MotionTimes | None:
         begun_ns, over_ns = self._hardware.motion_times_ns()
         if begun_ns is None:
