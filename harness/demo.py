@@ -1,7 +1,8 @@
 """`motorhil demo`: a six-wheel rover drives an arc, a crab and a turn while its mast looks on.
 
-The application is `harness/examples/rover.py`, the rig `harness/examples/rover.toml`; this is the
-frame around them: progress, record, and a table of what came of it.
+The application is `harness/examples/rover.py`, the rig `harness/examples/rover.toml`, or with
+`--rig` another that holds the same motors on other hardware; this is the frame around them:
+progress, record, and a table of what came of it.
 """
 
 import argparse
@@ -15,6 +16,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, final
 
 from harness.exit_status import FAILED, PASSED
+from harness.scaffold import EXAMPLES
 from harness.seed_option import add_seed
 from harness.settings import RigError
 
@@ -22,8 +24,10 @@ if TYPE_CHECKING:
     from harness.examples.rover import Move, Rover
     from harness.rig import Rig
     from harness.rig_file import RigDescription
+    from motorapi.motor import Motor
 
-RIG: Final = Path(__file__).parent / "examples" / "rover.toml"
+RIGS: Final = ("rover", "rocky8", "fido")
+RIG: Final = EXAMPLES / "rover.toml"
 POINT_M: Final = (6.0, 1.5, 0.4)
 SAMPLE_NS: Final = 20_000_000
 INCREMENTS_PER_TURN: Final = 2000  # of the motors in RIG
@@ -33,6 +37,13 @@ ERROR_MAX_RAD: Final = 0.002  # a motor that ends further off has not done its j
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The words after `motorhil demo`."""
+    parser.add_argument(
+        "--rig",
+        choices=RIGS,
+        default=RIG.stem,
+        help="the rover's hardware: drives on two buses (rover), drives on one (rocky8), plain I/O"
+        " nodes and a servo on the host (fido); the application is the same (default rover)",
+    )
     parser.add_argument(
         "--eds",
         action="append",
@@ -65,7 +76,8 @@ def run(options: argparse.Namespace) -> int:
     from motorapi import MotorError
     from traces.digest import digest
 
-    description = _with_eds(read_rig(RIG, installed_plugins()), options.eds)
+    rig_file = EXAMPLES / f"{options.rig}.toml"
+    description = _with_eds(read_rig(rig_file, installed_plugins()), options.eds)
     _make_folder(options.output.parent)
     begun_s = time.perf_counter()
     with Rig(
@@ -105,6 +117,8 @@ def run(options: argparse.Namespace) -> int:
 def _again(options: argparse.Namespace, seed: int) -> str:
     """The command that does the same once more."""
     words = ["motorhil", "demo", "--seed", str(seed), "-o", str(options.output)]
+    if options.rig != RIG.stem:
+        words += ["--rig", options.rig]
     for file in options.eds:
         words += ["--eds", str(file)]
     return shlex.join([*words, "--realtime"] if options.realtime else words)
@@ -129,6 +143,8 @@ def _with_eds(description: "RigDescription", files: Sequence[Path]) -> "RigDescr
     for file in files:
         if not file.is_file():
             raise RigError(file, "no such EDS file", "check the path given with --eds")
+    if any(controller.kind != "cia402" for controller in description.controllers.values()):
+        raise RigError(description.source.path, "has no drives", "use --eds with another --rig")
     kinds = list(dict.fromkeys(name.split("_")[0] for name in description.controllers))
     given = {kind: files[place % len(files)] for place, kind in enumerate(kinds)}
     unit_inc_s = INCREMENTS_PER_TURN / 60.0
@@ -163,20 +179,52 @@ def _model_in_rpm(model: Path | Mapping[str, Any], unit_inc_s: float) -> dict[st
 
 @final
 class _PeakFollowingError:
-    """The largest following error of each controller, in increments, sampled at 20 ms."""
+    """The largest following error of each motor, in increments, sampled at 20 ms.
+
+    As the drive knows it; where the servo is on the host, as the host does.
+    """
 
     def __init__(self, rig: "Rig") -> None:
-        self._peaks = dict.fromkeys(rig.controllers, 0.0)
+        self._rig = rig
+        self._peaks = dict.fromkeys(rig.motors, 0.0)
+        self._behind = {name: _motors_behind(rig, name) for name in rig.controllers}
         rig.world.tap_samples(SAMPLE_NS, self._sample)
 
     def _sample(self, now_ns: int, controller: str, truth: Mapping[str, float]) -> None:
-        size = abs(truth["following_error_inc"])
-        if size > self._peaks[controller]:
-            self._peaks[controller] = size
+        for name in self._behind[controller]:
+            size = truth.get(_in_truth(self._rig, name, "following_error_inc"))
+            if size is None:
+                size = _heard_error_inc(self._rig.motors[name])
+            self._peaks[name] = max(self._peaks[name], abs(size))
 
-    def of(self, controller: str) -> float:
+    def of(self, motor: str) -> float:
         """The peak so far [increments]."""
-        return self._peaks[controller]
+        return self._peaks[motor]
+
+
+def _motors_behind(rig: "Rig", controller: str) -> list[str]:
+    motors = rig.description.motors.values()
+    return [motor.name for motor in motors if motor.controller == controller]
+
+
+def _in_truth(rig: "Rig", motor: str, key: str) -> str:
+    """What the motor's controller calls it: of channels after the first with a prefix."""
+    channel = rig.description.motors[motor].settings.get("channel", 1)
+    return key if channel == 1 else f"channel_{channel}_{key}"
+
+
+def _heard_error_inc(motor: "Motor") -> float:
+    latest = motor.latest()
+    if latest is None or latest.following_error is None:
+        return 0.0
+    return latest.following_error * (motor.model.increments_per_unit or 0.0)
+
+
+def _reached_rad(rig: "Rig", motor: str) -> float:
+    """Where the motor really is."""
+    controller = rig.description.motors[motor].controller
+    assert controller is not None
+    return rig.controllers[controller].snapshot()[_in_truth(rig, motor, "position_rad")]
 
 
 def _print_table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
@@ -196,7 +244,7 @@ def _print_motors(rig: "Rig", rover: "Rover", peaks: _PeakFollowingError) -> boo
     arrived = True
     for name in rig.motors:
         target_rad, move, place = last[name]
-        reached_rad = rig.controllers[name].snapshot()["position_rad"]
+        reached_rad = _reached_rad(rig, name)
         error_rad = reached_rad - target_rad
         arrived = arrived and abs(error_rad) <= ERROR_MAX_RAD
         times = move.quality.times[place][1]

@@ -200,7 +200,9 @@ def test_new_leaves_nothing_half_written(bench, say, monkeypatch):
 def test_every_example_is_listed_and_right(bench, say):
     status, out, _ = say("list", "examples", "--json")
     examples = json.loads(out)
-    assert [example["name"] for example in examples] == ["ideal_wheels", "rover", "two_wheels"]
+    assert [example["name"] for example in examples] == [
+        *("fido", "ideal_wheels", "rocky8", "rover", "two_wheels")
+    ]
     for example in examples:
         status, _, err = say("check", example["path"])
         assert (status, err) == (0, "")

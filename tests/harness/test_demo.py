@@ -1,10 +1,14 @@
 """The demo: the whole tool on the paper's manoeuvre, as `motorhil demo` runs it."""
 
 import re
+from functools import reduce
 
 import pytest
 
 from harness.cli import main
+from harness.demo import POINT_M
+from harness.examples.rover import MANOEUVRE
+from harness.examples.rover_kinematics import Pose, look_at
 from harness.scaffold import EXAMPLES
 from traces.reader import read_trace
 
@@ -55,6 +59,58 @@ def test_fourteen_motors_on_two_buses_arrive_together_and_one_record_tells_it(ca
     assert {"/can/can0", "/can/can1", "/motor/pan/state", "/controller/drive_fl/truth"} <= topics
     again = demo(capsys, "-o", tmp_path / "again.mcap")[1]
     assert re.search(r"digest ([0-9a-f]{64})", again)[1] == digest
+
+
+# Largest error at the end [mrad], and while following [increments]: of drives the position window
+# and their fast loops; of the host's servo ten increments of 0.05 mrad, and poles at 30 rad/s.
+KINDS = {"rocky8": (0.1, 200, "TRIGGERED"), "fido": (0.5, 400, "CYCLIC")}
+
+
+@pytest.mark.parametrize("name", KINDS)
+def test_the_same_application_drives_a_distributed_and_a_central_rover(capsys, tmp_path, name):
+    error_max_mrad, peak_max_inc, level = KINDS[name]
+    record = tmp_path / "demo.mcap"
+    status, out, err = demo(capsys, "--rig", name, "-o", record)
+    assert status == 0, err
+    motors = {row[0]: row for row in rows_after(out, "motor")}
+    assert list(motors) == list(MOTORS)
+    for motor, (_, target, _, error_mrad, _, peak_inc) in motors.items():
+        assert float(target) == pytest.approx(MOTORS[motor], abs=2e-3)  # from where it really was
+        assert abs(float(error_mrad)) < error_max_mrad
+        assert 0 < float(peak_inc) < peak_max_inc
+    for _, _, how, bound, start, *_ in rows_after(out, "group"):
+        assert how == level
+        assert float(start) <= float(bound)
+    digest = re.search(r"digest ([0-9a-f]{64})", out)[1]
+    again = demo(capsys, "--rig", name, "-o", tmp_path / "again.mcap")[1]
+    assert re.search(r"digest ([0-9a-f]{64})", again)[1] == digest
+
+
+# Where the manoeuvre ends, by the geometry of the rover alone [rad]: what each wheel has rolled and
+# how it is steered for the last leg; and the mast's view of the point, which needs no hardware.
+_KINEMATICS = {
+    name: [leg.wheel(name) for leg in MANOEUVRE] for name in ("fl", "fr", "ml", "mr", "rl", "rr")
+}
+_POSE = reduce(lambda pose, leg: leg.pose_after(pose, 1.0), MANOEUVRE, Pose())
+MOTORS = {
+    **{f"drive_{n}": sum(roll for _, roll in legs) for n, legs in _KINEMATICS.items()},
+    **{f"steer_{n}": legs[-1][0] for n, legs in _KINEMATICS.items()},
+    **dict(zip(("pan", "tilt"), look_at(_POSE, POINT_M), strict=True)),
+}
+
+
+def test_vendors_files_are_for_rigs_with_drives(capsys, tmp_path):
+    words = ("--rig", "fido", "--eds", EXAMPLES / "fido.toml", "-o", tmp_path / "x.mcap")
+    status, out, err = demo(capsys, *words)
+    assert (status, out) == (2, "")
+    assert "fido.toml: has no drives; use --eds with another --rig" in err
+
+
+def test_a_demo_on_another_rig_is_repeated_on_that(capsys, tmp_path, monkeypatch):
+    monkeypatch.setattr("harness.demo.ERROR_MAX_RAD", 0.0)
+    status, _, err = demo(capsys, "--rig", "rocky8", "-o", tmp_path / "x.mcap")
+    assert status == 1
+    assert err.splitlines()[-1].endswith("--rig rocky8")
 
 
 @pytest.mark.data
