@@ -19,6 +19,8 @@ if TYPE_CHECKING:
     import can
     import canopen
 
+    from motorapi.adaptations.cia402_triggers import ArmedStream
+
 FrameHandler = Callable[[bytes, int], None]
 """(frame, time_ns) of a frame with the identifier that was asked for."""
 
@@ -112,6 +114,7 @@ class CanopenLink:
         confirms: whether an own frame has ever been reported as transmitted.
         sync_id: the identifier of SYNC.
         latching: node-IDs of drives that may have something latched that a SYNC would start.
+        armed_streams: set-points of several motors that are to begin at one SYNC.
     """
 
     def __init__(self, bus: "can.BusABC", runtime: Runtime) -> None:
@@ -121,6 +124,7 @@ class CanopenLink:
         self.confirms = False
         self.sync_id = SYNC_ID
         self.latching: set[int] = set()
+        self.armed_streams: list[ArmedStream] = []
         self.users = 0
         self._handlers: dict[bytes, FrameHandler] = {}
         self._awaited: dict[bytes, deque[Transmission]] = {}

@@ -20,6 +20,7 @@ from motorapi.adaptations.canopen_link import (
     release_link,
 )
 from motorapi.adaptations.cia402_objects import Mode, PdsState, Value
+from motorapi.adaptations.cia402_parameters import ParameterStore
 from motorapi.adaptations.csp_stream import CspStream
 from motorapi.adaptations.drive_control import DriveControl
 from motorapi.adaptations.drive_node import DriveNode, Emergency
@@ -113,6 +114,7 @@ class Cia402HwMotor:
         self.users = 0
         self.quick_stopped = False
         self.stream: CspStream | None = None
+        self.parameters: Final = ParameterStore(self.node, self.objects)
         self._homed_at_boot: int | None = None
         self._is_doubted = False
         self._close = weakref.finalize(self, _let_go, self.link, self.node, self.options)
@@ -136,6 +138,8 @@ class Cia402HwMotor:
             status = RunStatus.DONE if done else RunStatus.GOING
             self.physical.end(f"close() of {self.label}", self.runtime.now_ns(), status)
         release_physical_motor(self._key, self)
+        if self.stream is not None:
+            self.stream.cancel()
         self._facts = None
         self._close()
 
@@ -318,6 +322,14 @@ class Cia402HwMotor:
         self.stream = CspStream(self, period_s, next_target)
         return self.stream
 
+    def end_stream(self, word: int) -> None:
+        """Set-points that are being streamed bring this controlword, and then end; does not wait.
+
+        The drive has been given the word, and brakes or coasts as it says.
+        """
+        if self.stream is not None:
+            self.stream.stop(word)
+
     # --- low-level access ------------------------------------------------------------------
 
     def fall_silent(self) -> None:
@@ -349,6 +361,7 @@ class Cia402HwMotor:
         Whether it is referenced is not forgotten: who homed it by hand says `was_homed()`.
         """
         self._is_doubted = True
+        self.parameters.forget()
         self.objects.doubt()
         self.control.forget()
 

@@ -1,10 +1,18 @@
 """What starts a motion that was armed in a CiA 402 drive."""
 
-from typing import final
+from dataclasses import dataclass
+from functools import partial
+from typing import Final, final
 
 from motorapi.adaptations.canopen_link import CanopenLink
 from motorapi.adaptations.cia402_hardware import Cia402HwMotor
+from motorapi.adaptations.csp_stream import CspStream
 from motorapi.adaptations.motion_watch import SetpointWatch
+from motorapi.adaptations.streamed_motion import StreamedMotion
+from motorapi.errors import LinkError
+
+_LATCHED_S: Final = 0.2
+_FIRST_SYNC_S: Final = 0.5
 
 
 @final
@@ -43,19 +51,73 @@ class SetPointTrigger:
 
 
 @final
-class VelocityTrigger:
-    """One drive's target velocity."""
+class LiveTargetTrigger:
+    """One drive's target velocity (60FFh) or torque (6071h), which counts as it is written."""
 
-    def __init__(self, hardware: Cia402HwMotor, watch: SetpointWatch, target: int) -> None:
+    def __init__(
+        self, hardware: Cia402HwMotor, watch: SetpointWatch, index: int, target: int
+    ) -> None:
         self._hardware = hardware
         self._watch = watch
+        self._index = index
         self._target = target
 
     def fire(self) -> None:
-        """The drive has its target velocity, and no halt holds it."""
+        """The drive has its target, and no halt holds it."""
         hardware = self._hardware
-        hardware.objects.write(0x60FF, self._target)
+        hardware.objects.write(self._index, self._target)
         transmission = hardware.control.send_holding_word()
         if transmission is not None:
             hardware.link.confirmed([transmission])
         self._watch.begin(hardware.runtime.now_ns())
+
+
+@final
+class StreamTrigger:
+    """The first SYNC of every stream of set-points that was armed for it."""
+
+    def __init__(self, link: CanopenLink, streams: "list[ArmedStream]") -> None:
+        self._link = link
+        self._streams = streams
+
+    def fire(self) -> None:
+        """The SYNC that latched the first set-points was on the wire.
+
+        Who needs less time to where its trajectory begins waits for who needs most, there.
+
+        Raises:
+            LinkError: it was not, after a while.
+        """
+        link = self._link
+        if link.sync_period_ns is None:
+            # Somebody else's set-point may wait in a drive for another SYNC: it goes first.
+            link.runtime.wait_until(lambda: not link.latching, _LATCHED_S)
+        streams = [one for one in self._streams if not one.stream.ended]
+        self._streams.clear()
+        lead = max((one.motion.lead_in for one in streams), default=0)
+        for one in streams:
+            one.motion.lead = lead
+            one.stream.begin()
+        for one in streams:
+            begun = partial(_has_begun, one.stream)
+            if not link.runtime.wait_until(begun, _FIRST_SYNC_S + 3 * one.stream.period_s):
+                raise LinkError(link=link.name, reason="no SYNC was transmitted")
+
+    def __eq__(self, other: object, /) -> bool:
+        return isinstance(other, StreamTrigger) and other._streams is self._streams
+
+    def __hash__(self) -> int:
+        return id(self._streams)
+
+
+@final
+@dataclass(frozen=True, slots=True)
+class ArmedStream:
+    """Set-points that are ready to be sent."""
+
+    stream: CspStream
+    motion: StreamedMotion
+
+
+def _has_begun(stream: CspStream) -> bool:
+    return stream.started_ns is not None or stream.ended

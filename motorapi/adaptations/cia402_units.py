@@ -105,6 +105,10 @@ class DriveUnits:
         """Increments as a position [U]."""
         return position_inc / self._position()
 
+    def increments(self, distance: float) -> float:
+        """A distance [U] in increments, signed, not rounded."""
+        return distance * self._position()
+
     def position_inc(self, position: float) -> int:
         """The nearest increment to a position [U].
 

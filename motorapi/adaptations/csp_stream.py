@@ -5,13 +5,16 @@ from collections.abc import Callable
 from typing import TYPE_CHECKING, Final, final
 
 from motorapi.adaptations.canopen_errors import SdoAborted
-from motorapi.adaptations.cia402_objects import ENABLE_OPERATION, Mode
-from motorapi.errors import UnsupportedError, UsageError
+from motorapi.adaptations.canopen_link import Transmission
+from motorapi.adaptations.cia402_objects import ENABLE_OPERATION, HALT, Mode, PdsState
+from motorapi.errors import LinkError, UnsupportedError, UsageError
 
 if TYPE_CHECKING:
     from motorapi.adaptations.cia402_hardware import Cia402HwMotor
+    from motorapi.runtime import Registration
 
 _SETPOINT: Final = struct.Struct("<IB3xHi2x")
+_LAST_WORDS: Final = 2  # set-points that bring a stop, in case one is lost
 
 
 @final
@@ -19,17 +22,33 @@ class CspStream:
     """Set-points in csp (CiA 402-2, cyclic synchronous position mode), one before each SYNC.
 
     The target of cycle k is sent right after SYNC k-1 and latched by SYNC k, so the frames of a
-    cycle have a whole period to pass the bus. Cycle 0 is the position the drive holds now.
+    cycle have a whole period to pass the bus. Cycle 0 is the position the drive holds now. The
+    drive's demand is at the target of cycle k one period after SYNC k: it goes there evenly.
+
+    Args:
+        hardware: the drive's.
+        period_s: of SYNC: whole milliseconds.
+        next_target: (cycle, from 1) -> its target in increments; None: there are no more.
+        began: is told when SYNC 1 was on the wire [ns].
+        at_once: False: nothing is sent before `begin`.
 
     Attributes:
         sent: set-points sent.
         late: set-points that were still waiting for the bus when their SYNC was sent.
         ended: whether the last target has been latched.
-        error: what `next_target` raised, if it did; the stream ends with that.
+        error: what `next_target` raised, if it did; the drive is halted then, by its own ramp.
+        started_ns: when SYNC 1 was on the wire, the first to bring a target of `next_target`.
+        latched_ns: when the SYNC after the last target was on the wire.
     """
 
     def __init__(
-        self, hardware: "Cia402HwMotor", period_s: float, next_target: Callable[[int], int | None]
+        self,
+        hardware: "Cia402HwMotor",
+        period_s: float,
+        next_target: Callable[[int], int | None],
+        *,
+        began: Callable[[int], None] | None = None,
+        at_once: bool = True,
     ) -> None:
         facts = hardware.connect()
         can_id = facts.latched_ids.get(0x607A)
@@ -43,17 +62,27 @@ class CspStream:
         if not 1 <= period_ms <= 255 or abs(period_ms / 1e3 - period_s) > 1e-9:
             raise UsageError(f"period_s = {period_s}: whole milliseconds, 1 to 255 (60C2h)")
         self._hardware = hardware
+        self._link = hardware.link
         self._next_target = next_target
+        self._tell_began = began
         self._can_id = can_id
+        self.period_s: Final = period_s
         self._cycle = 0
         self._target = 0
+        self._step = 0  # between the last two targets
+        self._word = ENABLE_OPERATION
+        self._words_left = _LAST_WORDS
+        self._registration: Registration | None = None
+        self._last_sent: Transmission | None = None
         self.sent = 0
         self.late = 0
         self.ended = False
         self.error: Exception | None = None
+        self.started_ns: int | None = None
+        self.latched_ns: int | None = None
         self._set_up(period_ms)
-        self._last_sent = hardware.link.send_tracked(self._frame(self._target))
-        self._registration = hardware.link.on_sync(period_s, self._after_sync)
+        if at_once:
+            self.begin()
 
     def _set_up(self, period_ms: int) -> None:
         hardware = self._hardware
@@ -78,25 +107,87 @@ class CspStream:
         exponent = self._hardware.objects.read_optional(0x60C2, 2)
         return f"one every {value} x 10^{exponent} s (60C2h)"
 
-    def _frame(self, target: int) -> bytes:
-        return _SETPOINT.pack(self._can_id, 6, ENABLE_OPERATION, target)
+    def begin(self) -> None:
+        """Cycle 0 is on its way; SYNC runs. Several that begin together share every SYNC."""
+        if self._registration is not None or self.ended:
+            return
+        self._last_sent = self._send()
+        self._registration = self._link.on_sync(self.period_s, self._after_sync)
+
+    def _send(self) -> Transmission:
+        frame = _SETPOINT.pack(self._can_id, 6, self._word, self._target)
+        return self._link.send_tracked(frame)
 
     def _after_sync(self) -> None:
         """SYNC k was queued: what follows it on the wire is the target of cycle k + 1."""
-        if self._cycle and self._last_sent.time_ns is None:
+        last = self._last_sent
+        if self._cycle and last is not None and last.time_ns is None:
             self.late += 1
+        if self._cycle == 1:
+            self._link.at_next_sync(self._began)
         self._cycle += 1
         try:
+            if self._word != ENABLE_OPERATION:
+                self._go_on_stopping()
+                return
+            if self._hardware.node.state is not PdsState.OPERATION_ENABLED:
+                self.cancel()  # a fault, or somebody else: it does not follow any more
+                return
             target = self._next_target(self._cycle)
+            if target is None:
+                self._link.at_next_sync(self._was_latched)
+                self.cancel()
+                return
+            self._step = target - self._target
+            self._target = target
+            self.sent += 1
+            self._last_sent = self._send()
+        except LinkError as error:
+            self.error = error
+            self.cancel()
         except Exception as error:  # the application's own: it is told by whoever waits
             self.error = error
-            target = None
-        if target is None:
+            self._fail()
+
+    def _fail(self) -> None:
+        """The drive brakes on its ramp, from the velocity it has."""
+        self._target += self._step
+        try:
+            self._hardware.control.send_halt()
+            self.stop(ENABLE_OPERATION | HALT)
+        except LinkError:
+            self.cancel()
+
+    def stop(self, word: int) -> None:
+        """The drive was given this controlword: it comes with what is sent from now on, too.
+
+        A set-point that waits in the drive for the next SYNC would take it back. So it is sent
+        again with the word, and SYNC runs on until that is sure to be latched. Its target stays:
+        from there the drive takes the velocity it slows down from.
+        """
+        if self.ended:
+            return
+        if self._registration is None:
             self.cancel()
             return
-        self._target = target
-        self.sent += 1
-        self._last_sent = self._hardware.link.send_tracked(self._frame(target))
+        self._word = word
+        self._last_sent = self._send()
+
+    def _go_on_stopping(self) -> None:
+        if self._words_left == 0:
+            self.cancel()
+            return
+        self._words_left -= 1
+        self._target += self._step
+        self._last_sent = self._send()
+
+    def _began(self, time_ns: int) -> None:
+        self.started_ns = time_ns
+        if self._tell_began is not None:
+            self._tell_began(time_ns)
+
+    def _was_latched(self, time_ns: int) -> None:
+        self.latched_ns = time_ns
 
     @property
     def target(self) -> int:
@@ -107,4 +198,5 @@ class CspStream:
         """No more set-points; the drive holds the last one."""
         if not self.ended:
             self.ended = True
-            self._registration.cancel()
+            if self._registration is not None:
+                self._registration.cancel()

@@ -266,6 +266,11 @@ class DriveControl:
         """A halt goes on until the next set-point; `is_halted` tells of stops from now on."""
         self._halted = False
 
+    def hold(self) -> None:
+        """The drive is halted, so that no mode it changes to moves it, until its next set-point."""
+        self.write_controlword(ENABLE_OPERATION | HALT)
+        self._halted = False
+
     def release(self) -> None:
         """The controlword is plain operation enabled: no halt, no bit of a mode."""
         self._halted = False

@@ -71,22 +71,26 @@ class DriveObjects:
 
         What was written is believed until the motor changes hands or boots.
         """
-        if self.is_believed(index, value, subindex):
+        return self.push_bytes(index, subindex, encode(type_of(index, subindex) or "u32", value))
+
+    def push_bytes(self, index: int, subindex: int, data: bytes) -> bool:
+        """As `push`, for what is encoded already."""
+        if self._believes(index, subindex, data):
             return False
-        data = encode(type_of(index, subindex) or "u32", value)
         self.download(index, subindex, data)
         self._believed[index, subindex] = data
         return True
 
     def is_believed(self, index: int, value: int, subindex: int = 0) -> bool:
         """Whether this value was written, and the motor has not changed hands since."""
+        return self._believes(index, subindex, encode(type_of(index, subindex) or "u32", value))
+
+    def _believes(self, index: int, subindex: int, data: bytes) -> bool:
         token = self.physical.token
         if token != self._token:
             self._believed.clear()
             self._token = token
-        return self._believed.get((index, subindex)) == encode(
-            type_of(index, subindex) or "u32", value
-        )
+        return self._believed.get((index, subindex)) == data
 
     def doubt(self, index: int | None = None, subindex: int = 0) -> None:
         """What was written to an object (None: to any) is not believed any more."""

@@ -162,12 +162,15 @@ def as_motion(motion: Motion, profile: DriveProfile, units: DriveUnits) -> Motio
     acceleration = units.acceleration(profile.acceleration)
     deceleration = units.acceleration(profile.deceleration)
     if motion.variable is ControlVariable.VELOCITY:
-        return replace(
+        made = replace(
             motion,
             target=units.velocity(profile.target),
             acceleration=acceleration,
             deceleration=deceleration,
         )
+        if motion.duration_s is None:
+            return made
+        return replace(made, duration_s=planning.duration_of(made))
     made = replace(
         motion,
         start=units.position(units.position_inc(motion.start)),

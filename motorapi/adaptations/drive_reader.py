@@ -13,6 +13,7 @@ from motorapi.adaptations.cia402_objects import (
 from motorapi.adaptations.cia402_units import DriveUnits, drive_units
 from motorapi.adaptations.drive_profile import DriveLimits
 from motorapi.adaptations.drive_setup import DriveFacts
+from motorapi.adaptations.drive_torque import TorqueUnit, torque_unit
 from motorapi.errors import UnsupportedError
 from motorapi.state import Fault, Measurement, MotorState
 
@@ -50,6 +51,7 @@ class DriveReader:
         self._facts: DriveFacts | None = None
         self._units: DriveUnits | None = None
         self._limits: DriveLimits | None = None
+        self._torque: TorqueUnit | None = None
 
     def known(self) -> tuple[DriveUnits, DriveLimits]:
         """Units and limits, read from the drive once after each time it was brought up.
@@ -60,8 +62,23 @@ class DriveReader:
         if self._units is None or self._limits is None or facts is not self._facts:
             self._units = drive_units(self._motor, self._model, self._objects.read_optional)
             self._limits = _read_limits(self._hardware)
+            self._torque = None
             self._facts = facts
         return self._units, self._limits
+
+    def torque_unit(self) -> TorqueUnit:
+        """What 1 means in the drive's torque objects; read once, as the others.
+
+        Raises:
+            UnsupportedError: nobody says.
+        """
+        units = self.known()[0]
+        unit = self._torque
+        if unit is None:
+            read = self._objects.read_optional
+            unit = torque_unit(self._motor, self._model, units.increments(1.0), read)
+            self._torque = unit
+        return unit
 
     @property
     def units(self) -> DriveUnits:
@@ -124,13 +141,12 @@ class DriveReader:
         return self.position()
 
     def torque(self) -> float:
-        """Measured torque of the motor [N·m]."""
+        """Measured torque of the output [N·m], or force [N]: the motor's, times the gear ratio."""
+        unit = self.torque_unit()
         permille = self._objects.read_optional(0x6077)
-        rated = self._objects.read_optional(0x6076)
-        if permille is None or not rated:
-            missing = "6077h" if permille is None else "6076h, rated torque"
-            raise UnsupportedError(motor=self._motor, feature=f"measuring torque (no {missing})")
-        return permille / 1e3 * rated / 1e3  # per mille of the rated torque [mN·m]
+        if permille is None:
+            raise UnsupportedError(motor=self._motor, feature="measuring torque (no 6077h)")
+        return unit.torque(permille)
 
     def following_error(self) -> float:
         """Demand minus actual position [U]."""

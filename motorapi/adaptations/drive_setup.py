@@ -49,6 +49,8 @@ class HwOptions:
         connection_loss: what the drive does without the host (6007h): 1 fault, 2 disable voltage,
             3 quick stop (the next program need not reset a fault); None leaves it as it is.
         servo_period_ms: the drive's profile tick, for predicting skew; None: not known.
+        set_point_period_ms: between two set-points (SYNCs) of what the host streams to the drive;
+            the same for all drives of a bus.
         connect_timeout_s: how long a drive may take to boot.
         sdo_timeout_s: how long it may take to answer.
         sdo_quarantine_s: how long after an unanswered request an old answer may still come.
@@ -62,6 +64,7 @@ class HwOptions:
     velocity_period_ms: int = 0
     connection_loss: int | None = 3
     servo_period_ms: float | None = None
+    set_point_period_ms: int = 5
     connect_timeout_s: float = 3.0
     sdo_timeout_s: float = 0.3
     sdo_quarantine_s: float = 1.0
@@ -103,6 +106,7 @@ _WHOLE: Final = {  # lowest, highest, unit
     "heartbeat_timeout_ms": (0, 65535, " ms"),  # 1016h
     "status_period_ms": (0, 65535, " ms"),  # 1800h:05h
     "velocity_period_ms": (0, 65535, " ms"),
+    "set_point_period_ms": (1, 255, " ms"),  # 60C2h
     "connection_loss": (-32768, 3, ""),  # 6007h; below 0 are the vendor's
 }
 _DURATIONS_MS: Final = {"status_inhibit_ms": 6553.5, "servo_period_ms": 1000.0}  # 1800h:03h

@@ -132,6 +132,76 @@ class RestWatch:
 
 
 @final
+class StreamWatch:
+    """Set-points of the host's: no bit tells of their end, so the drive's own position does.
+
+    Over when the last set-point has been latched, its period has passed, and the position is
+    within the tolerance of it (None: stands still). If they failed: when the drive stands still.
+
+    Attributes:
+        error: why there are no more set-points, short of the last; the drive was told to stop.
+    """
+
+    def __init__(self, *, period_ns: int, tolerance_inc: int | None) -> None:
+        self.started_ns: int | None = None
+        self.ended_ns: int | None = None
+        self.failed = False
+        self.on_end: Callable[[], None] | None = None
+        self.error: Exception | None = None
+        self._period_ns = period_ns
+        self._tolerance_inc = tolerance_inc
+        self._target_inc: int | None = None
+        self._arrival_ns: int | None = None
+        self._position_inc: int | None = None
+        self._still_since_ns = 0
+
+    def begin(self, time_ns: int) -> None:
+        """The SYNC that began it was on the wire."""
+        self.started_ns = time_ns
+
+    def arrive(self, target_inc: int | None, time_ns: int) -> None:
+        """The SYNC after the last set-point was on the wire; None: it goes on at its velocity."""
+        if self._arrival_ns is None:
+            self._target_inc = target_inc
+            self._arrival_ns = time_ns + self._period_ns
+
+    @property
+    def has_arrived(self) -> bool:
+        """Whether `arrive` was called."""
+        return self._arrival_ns is not None
+
+    def fail(self, error: Exception) -> None:
+        """There are no more set-points; the drive brakes."""
+        if self.error is None and self.ended_ns is None:
+            self.failed = True
+            self.error = error
+
+    def see(self, statusword: int, position_inc: int, time_ns: int) -> None:
+        """A statusword came, with the position sampled with it."""
+        if self.ended_ns is not None:
+            return
+        before = self._position_inc
+        if before is None or abs(position_inc - before) > _STILL_INC:
+            self._position_inc = position_inc
+            self._still_since_ns = time_ns
+        stands = time_ns - self._still_since_ns >= SETTLE_NS
+        if self.error is not None:
+            is_over = stands
+        elif self._arrival_ns is None or time_ns < self._arrival_ns:
+            return
+        elif self._target_inc is None:
+            is_over = True
+        elif self._tolerance_inc is None:
+            is_over = stands
+        else:
+            is_over = abs(position_inc - self._target_inc) <= self._tolerance_inc
+        if is_over:
+            self.ended_ns = time_ns
+            if self.on_end is not None:
+                self.on_end()
+
+
+@final
 class HomingWatch:
     """One homing (statusword bits 10, 12 and 13 in hm).
 

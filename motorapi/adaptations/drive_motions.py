@@ -1,0 +1,395 @@
+"""Motions of a CiA 402 drive, armed, started and confirmed: which mode of the drive makes which.
+
+| command                                 | mode | how it starts                                   |
+| --------------------------------------- | ---- | ----------------------------------------------- |
+| set-point or simple trajectory, position | pp  | new set-point, changed immediately              |
+| set-point or simple trajectory, velocity | pv  | target velocity 60FFh; ramps 6083h, 6084h       |
+| set-point or simple trajectory, torque   | tq  | target torque 6071h; slope 6087h                |
+| trajectory that is a function            | csp | its first set-point, latched by SYNC            |
+"""
+
+from functools import partial
+from typing import TYPE_CHECKING, Final, final
+
+from motorapi.adaptations.cia402_hardware import Cia402HwMotor
+from motorapi.adaptations.cia402_objects import FAULT_BIT, Mode
+from motorapi.adaptations.cia402_parameters import WINDOW_OFF, Cia402Parameters
+from motorapi.adaptations.cia402_triggers import (
+    ArmedStream,
+    LiveTargetTrigger,
+    SetPointTrigger,
+    StreamTrigger,
+    SyncTrigger,
+)
+from motorapi.adaptations.csp_stream import CspStream
+from motorapi.adaptations.drive_profile import (
+    DriveProfile,
+    as_motion,
+    check_limits,
+    check_target,
+    expected_s,
+    profile_of,
+)
+from motorapi.adaptations.drive_reader import DriveReader
+from motorapi.adaptations.drive_torque import as_torque_motion, ramp_s, torque_profile_of
+from motorapi.adaptations.motion_watch import SETTLE_NS, MotionWatch, SetpointWatch, StreamWatch
+from motorapi.adaptations.streamed_motion import StreamedMotion
+from motorapi.commands import ControlVariable, Motion
+from motorapi.errors import DeadlineExceeded, StateError
+from motorapi.synchronization import MotionTimes, SyncLevel, SyncOffer, Trigger
+
+if TYPE_CHECKING:
+    from motorapi.model import MotorModel
+
+_CONFIRM_TIMEOUT_S: Final = 0.5
+_RESEND_S: Final = 0.1
+POLL_S: Final = 0.01
+_LATCHED: Final = {ControlVariable.POSITION: 0x607A, ControlVariable.VELOCITY: 0x60FF}
+_LIVE: Final = {ControlVariable.VELOCITY: 0x60FF, ControlVariable.TORQUE: 0x6071}
+
+
+@final
+class DriveMotions:
+    """What one logical motor has its drive do, from arming to the end.
+
+    Attributes:
+        parameters: what the drive is to hold when a motion of this logical motor begins.
+    """
+
+    def __init__(
+        self, hardware: Cia402HwMotor, model: "MotorModel", reader: DriveReader, motor: str
+    ) -> None:
+        self._hardware = hardware
+        self._runtime = hardware.runtime
+        self._node = hardware.node
+        self._control = hardware.control
+        self._objects = hardware.objects
+        self._model = model
+        self._reader = reader
+        self._motor = motor
+        self.parameters = Cia402Parameters()
+        self._watch: SetpointWatch | StreamWatch | None = None
+        self._before: MotionWatch | None = None
+        self._armed: CspStream | None = None  # the stream that begins, or began last
+        self._together = False
+
+    @property
+    def _set_point_period_s(self) -> float:
+        return self._hardware.options.set_point_period_ms / 1e3
+
+    # --- what will come of it ------------------------------------------------------------------
+
+    def offer(self, variable: ControlVariable, *, streamed: bool) -> SyncOffer:
+        """How a motion of `variable` can begin together with others."""
+        facts = self._hardware.connect()
+        label, link = self._hardware.label, self._node.link
+        if variable is ControlVariable.TORQUE:
+            reason = "6071h, target torque, is in no RPDO that SYNC latches"
+            return SyncOffer(SyncLevel.SEQUENTIAL, label, None, reason)
+        armed = facts.latched_ids.get(0x607A if streamed else _LATCHED[variable])
+        if armed is None:
+            reason = "; ".join(facts.limitations) or "it has no RPDO latched by SYNC"
+            return SyncOffer(SyncLevel.SEQUENTIAL, label, None, reason)
+        if link.sync_period_ns is not None and not streamed:
+            reason = "SYNC runs already, for set-points of other motors: it cannot start several"
+            return SyncOffer(SyncLevel.SEQUENTIAL, label, None, reason)
+        reason = f"RPDO {armed:03X}h is latched by SYNC"
+        tick_ms = self._hardware.options.servo_period_ms
+        latency_s = None if tick_ms is None else (0.0, tick_ms / 1e3)
+        if tick_ms is None:
+            reason += "; servo_period_ms, from the latch to the profile, is not told"
+        if streamed:
+            return SyncOffer(SyncLevel.CYCLIC, ("csp", link.name), latency_s, reason)
+        return SyncOffer(SyncLevel.TRIGGERED, link.name, latency_s, reason)
+
+    def quantise(self, motion: Motion) -> Motion:
+        """See `MotorHooks._quantise`."""
+        units, limits = self._reader.known()
+        if motion.function is not None:
+            return motion  # whose set-points are rounded to increments, each by itself
+        if motion.variable is ControlVariable.TORQUE:
+            unit = self._reader.torque_unit()
+            return as_torque_motion(motion, torque_profile_of(motion, unit), unit)
+        return as_motion(motion, profile_of(motion, self._model, units, limits), units)
+
+    # --- arming ----------------------------------------------------------------------------
+
+    def arm(self, motion: Motion, *, together: bool) -> Trigger:
+        """See `MotorHooks._arm`."""
+        self._together = together
+        stream = self._hardware.stream
+        if stream is not None and not stream.ended:
+            raise StateError(
+                motor=self._motor,
+                operation="start",
+                state="set-points are being streamed to it",
+                remedy="stop() first",
+            )
+        self._push_parameters(motion)
+        if motion.function is not None:
+            return self._arm_stream(motion)
+        if motion.variable is ControlVariable.TORQUE:
+            return self._arm_torque(motion)
+        units, limits = self._reader.known()
+        profile = profile_of(motion, self._model, units, limits)
+        check_limits(self._motor, profile, units, limits)
+        if motion.variable is ControlVariable.VELOCITY:
+            return self._arm_velocity(motion, profile)
+        return self._arm_position(motion, profile)
+
+    def _arm_position(self, motion: Motion, profile: DriveProfile) -> Trigger:
+        units, limits = self._reader.known()
+        check_target(self._motor, profile.target, units, limits)
+        self._control.set_mode(Mode.PROFILE_POSITION)
+        self._push_ramps(profile.acceleration, profile.deceleration)
+        self._objects.push(0x6081, profile.speed)
+        self._control.take_set_points()
+        watch = SetpointWatch(
+            commanded_ns=None,
+            expected_ns=round(expected_s(motion, profile, units) * 1e9),
+            acknowledged=True,
+            target_inc=profile.target,
+            tolerance_inc=self._window(),
+            distance_inc=profile.target - self._node.position_inc,
+        )
+        self._follow(watch)
+        self._reader.held = (profile.target, motion.target)
+        if self._can_arm(0x607A):
+            self._control.arm(0x607A, profile.target, fired=watch.begin)
+            return SyncTrigger(self._node.link)
+        self._objects.push(0x607A, profile.target)
+        return SetPointTrigger(self._hardware, watch)
+
+    def _arm_velocity(self, motion: Motion, profile: DriveProfile) -> Trigger:
+        if not self._control.is_in(Mode.PROFILE_VELOCITY):
+            self._objects.write(0x60FF, 0)  # whatever was there would count at once
+            self._control.set_mode(Mode.PROFILE_VELOCITY)
+        self._push_ramps(profile.acceleration, profile.deceleration)
+        change = abs(motion.target - self._reader.velocity())
+        slowest = min(motion.acceleration, motion.deceleration)
+        self._control.keep_halt()
+        watch = _live_watch(round(change / slowest * 1e9))
+        self._follow(watch)
+        if self._can_arm(0x60FF):
+            self._control.arm(0x60FF, profile.target, fired=watch.begin)
+            return SyncTrigger(self._node.link)
+        return LiveTargetTrigger(self._hardware, watch, 0x60FF, profile.target)
+
+    def _arm_torque(self, motion: Motion) -> Trigger:
+        unit = self._reader.torque_unit()
+        profile = torque_profile_of(motion, unit)
+        if not self._control.is_in(Mode.PROFILE_TORQUE):
+            # Whatever 6071h is counts at once in tq; and with 0, a load would drop.
+            self._control.hold()
+            self._control.set_mode(Mode.PROFILE_TORQUE)
+        self._push_stopping_ramps(motion)
+        if profile.slope is not None:
+            self._objects.push(0x6087, profile.slope)
+        self._control.keep_halt()
+        expected_ns = round(ramp_s(motion, profile, unit) * 1e9)
+        watch = _live_watch(max(expected_ns, SETTLE_NS))
+        self._follow(watch)
+        return LiveTargetTrigger(self._hardware, watch, 0x6071, profile.target)
+
+    def _arm_stream(self, motion: Motion) -> Trigger:
+        hardware, period_s = self._hardware, self._set_point_period_s
+        units = self._reader.known()[0]
+        velocity = motion.variable is ControlVariable.VELOCITY
+        if velocity and abs(motion.start) > motion.acceleration * period_s:
+            raise StateError(
+                motor=self._motor,
+                operation="start",
+                state=f"the trajectory begins at {motion.start:g} {units.unit}/s, and the drive"
+                " changes to csp at rest",
+                remedy="begin it at 0",
+            )
+        if not velocity:
+            self._check_ends(motion)
+        self._push_stopping_ramps(motion)
+        self._control.keep_halt()
+        watch = StreamWatch(period_ns=round(period_s * 1e9), tolerance_inc=self._window())
+
+        def next_target(cycle: int) -> int | None:
+            was_over = streamed.over
+            try:
+                target = streamed.target(cycle)
+            except Exception as error:
+                watch.fail(error)
+                raise
+            if was_over and not watch.has_arrived:  # the last one goes with the SYNC just queued
+                last = None if streamed.velocity else stream.target
+                self._node.link.at_next_sync(partial(watch.arrive, last))
+            return target
+
+        stream = CspStream(hardware, period_s, next_target, began=watch.begin, at_once=False)
+        streamed = StreamedMotion(self._motor, motion, units, period_s, stream.target)
+        self._armed = hardware.stream = stream
+        self._follow(watch)
+        self._reader.held = (None, 0.0)
+        if not velocity:
+            self._reader.held = (units.position_inc(motion.target), motion.target)
+        armed = self._node.link.armed_streams if self._together else []
+        armed.append(ArmedStream(stream, streamed))
+        return StreamTrigger(self._node.link, armed)
+
+    def _check_ends(self, motion: Motion) -> None:
+        """All of the trajectory is within the drive's own software position limits."""
+        units, limits = self._reader.known()
+        if motion.function is None or limits.position is None:
+            return
+        found = motion.function.extrema(*motion.interval)
+        for value in (found.minimum, found.maximum):
+            check_target(self._motor, units.position_inc(value + motion.offset), units, limits)
+
+    def _push_stopping_ramps(self, motion: Motion) -> None:
+        """A stop, a halt, slow down as the model allows (6084h), where the mode has no ramps."""
+        units = self._reader.known()[0]
+        self._push_ramps(
+            units.acceleration_raw(motion.acceleration), units.acceleration_raw(motion.deceleration)
+        )
+
+    def _push_parameters(self, motion: Motion) -> None:
+        """The drive holds this logical motor's parameters, and its own where that has none."""
+        store = self._hardware.parameters
+        units = self._reader.known()[0]
+        wanted = self.parameters.objects(units)
+        if motion.function is not None:
+            # A quick stop in mid-stream is no harder than the model allows.
+            own = store.own((0x6085, 0))
+            if own is None:
+                own = self._objects.read_optional(0x6085)
+            highest = units.acceleration_raw(motion.deceleration)
+            if own is not None and (own == 0 or own > highest):
+                wanted[0x6085, 0] = highest
+        store.apply(self._motor, wanted)
+
+    def _window(self) -> int | None:
+        """How near the target is reached [increments]; None: the drive does not say."""
+        units, limits = self._reader.known()
+        if self.parameters.position_window is not None:
+            return self.parameters.objects(units)[0x6067, 0]
+        own = self._hardware.parameters.own((0x6067, 0))
+        return limits.window if own is None else (None if own == WINDOW_OFF else own)
+
+    def _push_ramps(self, acceleration: int, deceleration: int) -> None:
+        self._objects.push(0x6083, acceleration)
+        if self._reader.known()[1].has_deceleration:
+            self._objects.push(0x6084, deceleration)
+
+    def _can_arm(self, index: int) -> bool:
+        """SYNC can start it: it is latched, and no SYNC comes before the others are armed."""
+        runs = self._node.link.sync_period_ns is not None
+        return self._together and not runs and index in self._hardware.connect().latched_ids
+
+    def _follow(self, watch: SetpointWatch | StreamWatch) -> None:
+        self._before = self._node.watch
+        self._watch = watch
+        self._hardware.follow(watch)
+
+    def disarm(self) -> None:
+        """See `MotorHooks._disarm`."""
+        watch, stream = self._watch, self._armed
+        if watch is not None and watch is self._node.watch and not _is_commanded(watch, stream):
+            self._hardware.follow(self._before)  # a stop that came while it was being armed, say
+        if stream is not None and stream.started_ns is None:
+            stream.cancel()
+        self._control.disarm()
+
+    # --- confirming ----------------------------------------------------------------------------
+
+    def confirm(self, motion: Motion) -> None:
+        """See `MotorHooks._confirm`."""
+        watch = self._watch
+        if watch is None or self._control.is_halted:
+            return
+        if isinstance(watch, StreamWatch):
+            self._node.check_motion(self._motor)  # the trigger has waited for the first SYNC
+        elif motion.variable is ControlVariable.POSITION:
+            self._await_acknowledge(watch)
+        else:
+            self._confirm_target(motion)
+        if not self._control.is_halted:
+            self._control.has_started()
+            if motion.variable is ControlVariable.POSITION and isinstance(watch, SetpointWatch):
+                self._control.send_holding_word()
+
+    def _await_acknowledge(self, watch: SetpointWatch) -> None:
+        """The set-point was acknowledged; a controlword that was lost is sent again.
+
+        Sending it again is safe: the drive looks for an edge of bit 4, and there is none if it has
+        the controlword already.
+        """
+        node = self._node
+        deadline_ns = self._runtime.now_ns() + round(_CONFIRM_TIMEOUT_S * 1e9)
+
+        def is_over() -> bool:
+            ends = watch.started_ns is not None or self._control.is_halted
+            return ends or node.statusword & FAULT_BIT != 0 or node.lost_since_ns is not None
+
+        while True:
+            node.refresh()
+            pause_s = _RESEND_S if node.status_is_cyclic else POLL_S
+            if self._runtime.wait_until(is_over, pause_s):
+                if not self._control.is_halted:
+                    node.check_motion(self._motor)
+                return
+            if self._runtime.now_ns() >= deadline_ns:
+                raise DeadlineExceeded(
+                    awaited=f"{self._motor}: set-point acknowledge",
+                    timeout_s=_CONFIRM_TIMEOUT_S,
+                    last_heard=node.describe_status(),
+                )
+            if not self._together:
+                self._control.send_set_point()
+
+    def _confirm_target(self, motion: Motion) -> None:
+        """There is no acknowledge in pv and tq: the target is read back."""
+        index = _LIVE[motion.variable]
+        if motion.variable is ControlVariable.TORQUE:
+            target = torque_profile_of(motion, self._reader.torque_unit()).target
+        else:
+            units, limits = self._reader.known()
+            target = profile_of(motion, self._model, units, limits).target
+        found = self._objects.read_int(index)
+        if found != target and not self._control.is_halted:
+            raise DeadlineExceeded(
+                awaited=f"{self._motor}: target {motion.variable.value} {target} in the drive",
+                timeout_s=0.0,
+                last_heard=f"{index:04X}h = {found}",
+            )
+        self._node.check_motion(self._motor)
+
+    def times(self) -> MotionTimes | None:
+        """See `MotorHooks._motion_times`."""
+        watch = self._watch
+        if watch is None:
+            return None
+        if isinstance(watch, StreamWatch):
+            source = "SYNC of the first set-point on the wire; position within its window in a TPDO"
+            stream = self._armed
+            if stream is not None and stream.late:
+                source += f"; {stream.late} of {stream.sent} set-points were late"
+            return MotionTimes(watch.started_ns, watch.ended_ns, source)
+        if self._together:
+            return MotionTimes(
+                watch.commanded_ns, watch.ended_ns, "SYNC on the wire; target reached in a TPDO"
+            )
+        source = "set-point acknowledge and target reached in a TPDO"
+        return MotionTimes(watch.started_ns, watch.ended_ns, source)
+
+
+def _live_watch(expected_ns: int) -> SetpointWatch:
+    """For a target without acknowledge and position."""
+    return SetpointWatch(
+        commanded_ns=None,
+        expected_ns=expected_ns,
+        acknowledged=False,
+        target_inc=None,
+        tolerance_inc=None,
+    )
+
+
+def _is_commanded(watch: SetpointWatch | StreamWatch, stream: CspStream | None) -> bool:
+    if isinstance(watch, StreamWatch):
+        return stream is not None and stream.started_ns is not None
+    return watch.commanded_ns is not None

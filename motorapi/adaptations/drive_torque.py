@@ -1,0 +1,161 @@
+"""Torque of a CiA 402 drive: what 1 means in 6071h, 6074h, 6077h, and a motion of it in integers.
+
+The drive counts in 1/1000 of the motor's rated torque 6076h [mN m], at the motor's shaft. Torque
+here is that of the output, where position is counted: times the gear ratio, of the motor model or
+else of 6091h; friction and inertia in between are not taken off. A linear motor has a force: 2 pi
+times the motor's turns per metre, of which the drive knows nothing. Nothing is guessed.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from math import floor, inf, pi
+from typing import Final, final
+
+from motorapi.commands import ControlMode, Motion
+from motorapi.errors import LimitError, UnsupportedError
+from motorapi.model import MotionKind, MotorModel
+
+ReadObject = Callable[[int, int], int | None]
+
+_INT16_MAX: Final = 0x7FFF
+_UINT32_MAX: Final = 0xFFFF_FFFF
+_STEEPEST: Final = _UINT32_MAX  # 6087h: no ramp was asked for
+
+
+@final
+@dataclass(frozen=True, slots=True)
+class TorqueUnit:
+    """What 1 means in the drive's torque objects.
+
+    Attributes:
+        motor, unit: its name, and "N·m" or "N", for messages.
+        size: torque of the output per 1/1000 of 6076h, > 0.
+        sign: -1 where the drive counts the other way.
+        highest: 6072h, maximum torque [1/1000]; None: the drive does not say.
+        has_slope: whether there is 6087h, torque slope.
+    """
+
+    motor: str
+    unit: str
+    size: float
+    sign: int
+    highest: int | None
+    has_slope: bool
+
+    def torque(self, raw: int) -> float:
+        """The drive's number as a torque [N·m, N]."""
+        return self.sign * raw * self.size
+
+    def raw(self, torque: float) -> int:
+        """A torque [N·m, N] in the drive's units, rounded towards 0.
+
+        Raises:
+            LimitError: the drive cannot be told of it, or would cut it.
+        """
+        steps = abs(torque) / self.size
+        raw = floor(steps * (1.0 + 4e-16) + 1e-9)
+        highest = _INT16_MAX if self.highest is None else min(self.highest, _INT16_MAX)
+        if raw > highest:
+            raise LimitError(
+                motor=self.motor,
+                quantity="target torque",
+                value=torque,
+                low=-highest * self.size,
+                high=highest * self.size,
+                unit=self.unit,
+                reason="6071h has 16 bits" if highest == _INT16_MAX else f"6072h is {highest}",
+            )
+        return raw * self.sign if torque >= 0.0 else -raw * self.sign
+
+
+@final
+@dataclass(frozen=True, slots=True)
+class TorqueProfile:
+    """One motion of torque in the drive's integers: 6071h, 6087h (None: the drive has none)."""
+
+    target: int
+    slope: int | None
+
+
+def torque_unit(
+    motor: str, model: MotorModel, increments_per_unit: float, read: ReadObject
+) -> TorqueUnit:
+    """What torque means in this drive.
+
+    Raises:
+        UnsupportedError: nobody says.
+    """
+    rated = read(0x6076, 0)
+    if not rated:
+        raise _unsupported(motor, "the drive does not tell its rated torque, 6076h")
+    gear = None if model.gear_ratio is None else abs(model.gear_ratio)
+    if model.kind is MotionKind.LINEAR:
+        if gear is None:
+            raise _unsupported(motor, "write motor_turns_per_m into the motor model")
+        gear *= 2.0 * pi
+    elif gear is None:
+        turns, shaft = read(0x6091, 1), read(0x6091, 2)
+        if not turns or not shaft or turns < 0 or shaft < 0:
+            reason = "the drive does not tell its gear ratio, 6091h; write gear_ratio into the"
+            raise _unsupported(motor, f"{reason} motor model")
+        gear = turns / shaft
+    return TorqueUnit(
+        motor=motor,
+        unit="N·m" if model.kind is MotionKind.ROTARY else "N",
+        size=rated * 1e-6 * gear,
+        sign=-1 if increments_per_unit < 0.0 else 1,
+        highest=read(0x6072, 0),
+        has_slope=read(0x6087, 0) is not None,
+    )
+
+
+def _unsupported(motor: str, reason: str) -> UnsupportedError:
+    return UnsupportedError(motor=motor, feature=f"torque in SI units ({reason})")
+
+
+def torque_profile_of(motion: Motion, unit: TorqueUnit) -> TorqueProfile:
+    """The integers that make `motion`; the slope is rounded down, but never to 0.
+
+    Raises:
+        LimitError: they do not fit the drive, or it cannot go as slowly as a limit asks.
+        UnsupportedError: a ramp is asked for, and the drive makes none.
+    """
+    target = unit.raw(motion.target)
+    if not unit.has_slope:
+        if motion.slope < inf:
+            raise UnsupportedError(
+                motor=unit.motor, feature="a ramp of torque: the drive has no 6087h"
+            )
+        return TorqueProfile(target, None)
+    steps = motion.slope / unit.size
+    if steps >= _UINT32_MAX:
+        return TorqueProfile(target, _STEEPEST)
+    slope = floor(steps * (1.0 + 4e-16) + 1e-9)
+    if slope < 1:
+        raise LimitError(
+            motor=unit.motor,
+            quantity="slope of torque",
+            value=motion.slope,
+            low=unit.size,
+            high=None,
+            unit=f"{unit.unit}/s",
+            reason="the drive's units tell nothing smaller",
+        )
+    return TorqueProfile(target, slope)
+
+
+def as_torque_motion(motion: Motion, profile: TorqueProfile, unit: TorqueUnit) -> Motion:
+    """What `profile` amounts to, in SI units, with its duration."""
+    target = unit.torque(profile.target)
+    slope = inf if profile.slope in (None, _STEEPEST) else (profile.slope or 0) * unit.size
+    made = replace(motion, target=target, slope=slope)
+    if motion.mode is ControlMode.SETPOINT or motion.duration_s is None:
+        return made
+    return replace(made, duration_s=abs(target - motion.start) / slope)
+
+
+def ramp_s(motion: Motion, profile: TorqueProfile, unit: TorqueUnit) -> float:
+    """About how long the drive's ramp takes [s]."""
+    if profile.slope in (None, 0):
+        return 0.0
+    return abs(motion.distance) / ((profile.slope or 1) * unit.size)
