@@ -26,7 +26,7 @@ class _Moved(Function):
         if not isinstance(function, Function):
             raise UsageError(f"{type(self).__name__}: {function!r} is no function")
         self._keep(function=function, _inner_ends=function.domain)
-        low, high = sorted(self._out(end) for end in function.domain)
+        low, high = sorted(self._out(end) + 0.0 for end in function.domain)
         self._keep(_ends=(low, high))
         if not low < high:
             raise UsageError(f"{self!r}: nothing is left of the domain")

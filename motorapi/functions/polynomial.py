@@ -161,11 +161,10 @@ class Polynomial(Function):
         return polynomial(scaled, self.about * factor)
 
     def __repr__(self) -> str:
-        shown = ", ".join(repr(c) for c in self.coefficients[:_SHOWN])
-        if len(self.coefficients) > _SHOWN:
-            shown += f", ... {len(self.coefficients)} in all"
+        if self.degree >= _SHOWN:
+            return f"<Polynomial: degree {self.degree}, about {self.about!r}>"
         place = f", about={self.about!r}" if self.about else ""
-        return f"Polynomial(({shown}{',' if self.degree == 0 else ''}){place})"
+        return f"Polynomial({self.coefficients!r}{place})"
 
 
 @final

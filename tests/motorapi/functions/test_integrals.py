@@ -1,0 +1,174 @@
+"""Integrals: exact where the function is made of polynomials, against quadrature elsewhere."""
+
+import itertools
+from fractions import Fraction
+from math import exp, inf, log, sqrt
+
+import numpy as np
+import pytest
+from hypothesis import assume, given
+from hypothesis import strategies as st
+
+from motorapi.errors import DomainError
+from motorapi.functions import (
+    Constant,
+    Cosine,
+    Exponential,
+    Integral,
+    Interpolation,
+    Piecewise,
+    Polynomial,
+    Sampled,
+    Sine,
+)
+from tests.motorapi.functions import jets
+from tests.motorapi.functions.strategies import (
+    ARGUMENTS,
+    any_function,
+    any_smooth,
+    piecewise,
+    polynomials,
+    simple,
+)
+
+
+def exactly(function, low, high):
+    """The integral of a polynomial in rational arithmetic, term by term."""
+    a, b = (Fraction(x) - Fraction(function.about) for x in (low, high))
+    return sum(
+        Fraction(c) * (b ** (k + 1) - a ** (k + 1)) / (k + 1)
+        for k, c in enumerate(function.coefficients)
+    )
+
+
+def of_size(function, low, high):
+    """The integral of the function's size, by many samples: what an error is small beside."""
+    x = np.linspace(low, high, 1001)
+    return abs(high - low) * float(np.abs(function(x)).mean())
+
+
+@given(polynomials, ARGUMENTS, ARGUMENTS)
+def test_the_integral_of_a_polynomial_is_the_nearest_double(function, low, high):
+    assert function.integrate(low, high) == float(exactly(function, low, high))
+
+
+@given(piecewise(), ARGUMENTS, ARGUMENTS)
+def test_so_is_that_of_polynomials_by_pieces(function, low, high):
+    low, high = min(low, high), max(low, high)
+    cuts = [low, *(b for b in function.breaks if low < b < high), high]
+    exact = sum(exactly(jets.piece_at(function, a), a, b) for a, b in itertools.pairwise(cuts))
+    assert function.integrate(low, high) == float(exact)
+    assert function.integrate(high, low) == -float(exact)
+
+
+@given(any_function, ARGUMENTS, ARGUMENTS)
+def test_integrals_are_those_of_quadpack(function, low, high):
+    integrate = pytest.importorskip("scipy.integrate", reason="scipy is not installed")
+    low, high = min(low, high), max(low, high)
+    assume(high - low > 1e-3)
+    assume(function.domain[0] <= low and high <= function.domain[1])
+    cuts = [low, *function.breaks_between(low, high), high]
+    parts = [
+        integrate.quad(function.value, a, b, epsabs=0.0, epsrel=1e-13, limit=200, full_output=1)[0]
+        for a, b in itertools.pairwise(cuts)
+    ]
+    # QUADPACK's own accuracy is about this where a function nearly cancels.
+    slack = 1e-12 * of_size(function, low, high) + 1e-15
+    assert abs(function.integrate(low, high) - sum(parts)) <= slack
+
+
+@given(any_function, ARGUMENTS)
+def test_the_derivative_of_the_integral_is_the_function(function, x):
+    assume(function.domain[0] <= x <= function.domain[1])
+    size = jets.jet(function, x, 0)[1][0]
+    assert abs(function.integral().derivative().value(x) - function.value(x)) <= 1e-13 * size
+
+
+@given(simple, ARGUMENTS, ARGUMENTS)
+def test_the_integral_grows_by_the_definite_one(function, low, high):
+    whole = function.integral()
+    grown = whole.value(high) - whole.value(low)
+    size = abs(whole.value(high)) + abs(whole.value(low)) + of_size(function, low, high)
+    if isinstance(function, Exponential | Sine | Cosine):
+        rate = function.rate if isinstance(function, Exponential) else function.frequency_rad_s
+        size += abs(function.value(0.0) / rate) + 4.0 * abs(function.amplitude / rate)
+    assert abs(grown - function.integrate(low, high)) <= 1e-13 * (size + 1.0)
+
+
+@given(any_function)
+def test_the_integral_is_0_where_the_domain_begins_or_at_0(function):
+    whole = function.integral()
+    assert whole.domain == function.domain
+    low, high = function.domain
+    origin = low if low > -inf else min(0.0, high)
+    size = 1.0 + abs(whole.value(min(max(1.0, low), high)))
+    assert abs(whole.value(origin)) <= 1e-13 * size
+
+
+def test_the_integral_is_continuous_over_jumps():
+    step = Sampled((0.0, 2.0, 4.0), (1.0, 3.0, -2.0), Interpolation.NEAREST)
+    assert step.integral()(np.array([0.0, 1.0, 2.0, 3.0, 4.0])).tolist() == [0, 1, 4, 7, 5]
+
+
+def test_half_open_domains_have_an_integral_too():
+    held = Piecewise((-inf, 0.0, inf), (Constant(1.0), Polynomial((1.0, 1.0))))
+    whole = held.integral()
+    assert [whole.value(x) for x in (-2.0, 0.0, 2.0)] == [-2.0, 0.0, 4.0]
+    early = Piecewise((-inf, -3.0), (Constant(2.0),)).integral()
+    assert [early.value(x) for x in (-4.0, -3.0)] == [-2.0, 0.0]
+    assert held.integrate(-2.0, 2.0) == 6.0
+
+
+def test_small_steps_far_away_keep_their_digits():
+    # By a difference of antiderivatives nothing would be left of these.
+    for at in (1e6, 1e9):
+        for function, slope in ((Sine(1.0, 1e-3), 0.0), (Polynomial((0.0, 0.0, 1.0)), 2.0)):
+            width = 2.0**-10
+            middle = function.value(at + 0.5 * width)
+            expected = width * middle + slope * width**3 / 24.0
+            assert function.integrate(at, at + width) == pytest.approx(expected, rel=1e-12)
+    decay = Exponential(1.0, -1.0)
+    assert decay.integrate(30.0, 30.0 + 2.0**-20) == pytest.approx(
+        exp(-30.0) * (2.0**-20 - 2.0**-41), rel=1e-12
+    )
+    assert Exponential(1.0, -100.0).integrate(0.0, 1e3) == pytest.approx(0.01, rel=1e-15)
+    assert Exponential(1e-300, 1.0).integrate(0.0, 700.0) == pytest.approx(
+        1e-300 * exp(700.0), rel=1e-15
+    )
+
+
+def test_known_integrals_without_a_closed_form_here():
+    # The Gaussian over the line (from -8 to 8, beyond which less than 1e-28 is left), and others.
+    gauss = Exponential(1.0, -1.0).after(Polynomial((0.0, 0.0, 1.0)))
+    assert gauss.integrate(-8.0, 8.0) == pytest.approx(sqrt(np.pi), rel=1e-13)
+    damped = Sine(1.0, 3.0) * Exponential(1.0, -0.5)
+    exact = 3.0 / 9.25  # of e^(-x/2) sin 3x from 0 to infinity: b / (a² + b²)
+    assert damped.integrate(0.0, 150.0) == pytest.approx(exact, rel=1e-13)
+    wedge = Polynomial((0.0, 1.0)) * Cosine(1.0, 100.0)
+    exact = (np.cos(1000.0) - 1.0) / 1e4 + 10.0 * np.sin(1000.0) / 100.0
+    assert wedge.integrate(0.0, 10.0) == pytest.approx(exact, abs=1e-13 * 50.0 * 2 / np.pi)
+    logistic = Exponential(1.0, -1.0) + 1.0
+    assert logistic.integrate(0.0, 2.0) == pytest.approx(3.0 - exp(-2.0), rel=1e-15)
+    assert log(logistic.integrate(0.0, 1.0)) == pytest.approx(log(2.0 - exp(-1.0)), rel=1e-15)
+
+
+def test_a_jump_that_is_not_known_beforehand_is_found():
+    # Where the inner function meets the breaks of the outer one, nobody says.
+    stairs = Sampled((0.0, 1.0, 2.0), (0.0, 1.0, 4.0), Interpolation.NEAREST)
+    over = stairs.after(Sine(1.0, 1.0) + 1.0)  # 0 below sin = -1/2, 4 from sin = 1/2
+    exact = 1.0 * (2 * np.pi / 3) + 4.0 * (2 * np.pi / 3)
+    assert over.integrate(0.0, 2 * np.pi) == pytest.approx(exact, rel=1e-12)
+
+
+@given(any_smooth, st.floats(-1.0, 1.0))
+def test_an_integral_can_be_integrated_again(function, x):
+    twice = Integral(function).integral()
+    # Cauchy: the repeated integral is that of (x - t) f(t).
+    way = Polynomial((x, -1.0))
+    size = of_size(function, 0.0, x or 1.0)
+    assert abs(twice.value(x) - (way * function).integrate(0.0, x)) <= 1e-12 * (size + 1e-3)
+
+
+def test_beyond_the_domain_nothing_is_integrated():
+    with pytest.raises(DomainError):
+        Sampled((0.0, 1.0), (0.0, 1.0)).integrate(0.0, 1.5)
