@@ -14,6 +14,7 @@ from weakref import WeakValueDictionary
 
 from motorapi.adaptations.cia402_hardware import Cia402HwMotor
 from motorapi.adaptations.cia402_motor import Cia402Motor
+from motorapi.adaptations.cia402_parameters import Cia402Parameters
 from motorapi.adaptations.drive_setup import HwOptions
 from motorapi.errors import UsageError
 from motorapi.sharing import bus_key
@@ -26,7 +27,7 @@ if TYPE_CHECKING:
     from motorapi.model import MotorModel
     from motorapi.runtime import Runtime
 
-__all__ = ["Cia402HwMotor", "Cia402Motor", "HwOptions", "build"]
+__all__ = ["Cia402HwMotor", "Cia402Motor", "Cia402Parameters", "HwOptions", "build"]
 
 _OPTIONS: Final = tuple(field.name for field in fields(HwOptions))
 _KEYS: Final = ("name", "node_id", *_OPTIONS)
