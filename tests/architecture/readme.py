@@ -12,6 +12,7 @@ included, in the order of a terminal. In between, and before a block, comments s
     <!-- not run: WHY -->          it cannot be run here
     <!-- by machine: REGEX -->     what matches may differ in the text that follows
 
+Blocks of `pycon` are one session, and a doctest: each is run behind those before it.
 A line "..." in a text stands for any lines left out, and "..." within a line for any characters.
 The first `make demo` runs what the Makefile says; of other targets only that they exist is asked.
 """
@@ -31,7 +32,12 @@ README = CHECKOUT / "README.md"
 PICTURE = CHECKOUT / "docs" / "rover.svg"
 FENCE = re.compile(r"^```(\w*)$")
 COMMENT = re.compile(r"^<!-- ([a-z ]+): (.*) -->$")
-RUN = ("bash", "python")
+RUN = ("bash", "python", "pycon")
+DOCTEST = """
+import doctest, sys
+failed, _ = doctest.testfile(sys.argv[1], module_relative=False, optionflags=doctest.ELLIPSIS)
+sys.exit(failed > 0)
+"""
 PRELUDE = f"""set -euo pipefail
 make() {{
     grep -q "^$1:.*##" {CHECKOUT}/Makefile
@@ -122,6 +128,11 @@ def run(block, folder):
         return 0, ""
     if block.language == "bash":
         command, text = ["bash", "-c", PRELUDE + block.text], ""
+    elif block.language == "pycon":
+        session = folder / "session.txt"
+        with session.open("a", encoding="utf-8") as file:
+            file.write(f"{block.text}\n")
+        command, text = ["python", "-c", DOCTEST, str(session)], ""
     elif "in the rig" in block.special:
         command, text = ["motorhil", "run", block.special["in the rig"], "-"], block.text
     else:

@@ -54,7 +54,7 @@ def test_every_block_of_commands_python_and_toml_is_part_of_the_story():
     places = [block.first for block, _ in STEPS]
     assert len(places) > 15
     for block in blocks_of(TEXT):
-        assert block.language in ("bash", "python", "toml", "text"), str(block)
+        assert block.language in ("bash", "python", "pycon", "toml", "text"), str(block)
         assert block.language == "text" or block.first in places, str(block)
         assert "not run" not in block.special, f"{block}: everything can be run so far"
 
