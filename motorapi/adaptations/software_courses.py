@@ -50,12 +50,6 @@ class Course:
             MotorError: the argument of the trajectory is not known any more.
         """
 
-    def shift(self, by: float) -> None:
-        """All positions are called `by` more from now on [inc]."""
-        if self.kind == POSITION:
-            self.value += by
-            self.target += by
-
 
 @final
 class Rated(Course):
@@ -130,11 +124,6 @@ class Braking(Course):
         else:
             self.value = self.target
             self.is_over = True
-
-    def shift(self, by: float) -> None:
-        """All positions are called `by` more from now on [inc]."""
-        super().shift(by)
-        self._place += by
 
 
 @final

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from math import inf
 from typing import Final, final
 
-from motorapi.adaptations.software_courses import CURRENT, VELOCITY, Braking, Course
+from motorapi.adaptations.software_courses import CURRENT, POSITION, VELOCITY, Braking, Course
 from motorapi.adaptations.software_gains import PidGains
 from motorapi.errors import MotorError, PluginError
 
@@ -159,14 +159,14 @@ class Servo:
         self._cycle = -1
 
     def call_here(self, position: int) -> None:
-        """The place where the motor is is called `position` from now on; nothing moves."""
+        """The place where the motor rests is called `position` from now on; nothing moves."""
         by = position - self._travel - self._offset
         self._offset += by
         self.position = float(position)
         self.demand += by
         self._still = (self.position, 0)
         if self.course is not None:
-            self.course.shift(by)
+            self.course = Course(POSITION, self.demand)
 
     def restart(self, count: int) -> None:
         """The counter has begun anew, and says this: the position is what it counts."""
