@@ -47,6 +47,9 @@ if TYPE_CHECKING:
     from motorapi.runtime import Runtime
 
 
+_STREAM_ENDS_CYCLES: Final = 4
+
+
 @final
 class Cia402HwMotor:
     """One drive on one CANopen bus, by node-ID. Shared by all logical motors and threads.
@@ -339,7 +342,10 @@ class Cia402HwMotor:
             StateError: set-points are being streamed.
             LinkError: what was sent to the drive before does not get on the bus.
         """
-        if self.stream is not None and not self.stream.ended:
+        stream = self.stream
+        if stream is not None and not self.runtime.wait_until(
+            lambda: stream.ended, _STREAM_ENDS_CYCLES * stream.period_s
+        ):  # one that was stopped still has its last words to say
             raise StateError(
                 motor=self.label,
                 operation="low_level()",

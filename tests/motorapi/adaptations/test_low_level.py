@@ -18,10 +18,11 @@ from motorapi.errors import (
     StateError,
     UsageError,
 )
+from motorapi.functions import Sine
 from motorapi.group import MotorGroup
 from motorapi.motor import Motor
 from motorapi.state import MotorState
-from motorapi.trajectory import TrapezoidalTrajectory
+from motorapi.trajectory import ComplexTrajectory, TrapezoidalTrajectory
 from tests.motorapi.adaptations.conftest import drive
 
 OpenRig = Callable[..., Rig]
@@ -214,7 +215,7 @@ def test_another_thread_cannot_work_the_hardware_object(rig: Rig, motor: Cia402M
             lambda: hardware.sdo().__enter__(),
             lambda: hardware.stream_positions(0.01, lambda cycle: None),
         ):
-            with pytest.raises(MotorBusyError, match="low-level access"):
+            with pytest.raises(MotorBusyError, match=r"low_level\(\) of left"):
                 act()
             refused.append("one")
 
@@ -381,7 +382,7 @@ def test_who_waits_in_vain_is_told_by_whom(rig: Rig, motor: Cia402Motor, other: 
     for timeout_s, waited_ns in ((None, 0), (0.0, 0), (0.25, 250_000_000)):
         begun_ns = rig.runtime.now_ns()
         with (
-            pytest.raises(MotorBusyError, match=r"low_level\(\) of left for low-level access"),
+            pytest.raises(MotorBusyError, match=r"low_level\(\) of left"),
             other.low_level(timeout_s=timeout_s),
         ):
             raise AssertionError("it was given")
@@ -491,3 +492,21 @@ def test_a_state_told_after_the_block_is_the_drives(motor: Cia402Motor):
         pass
     assert motor.state() is MotorState.ENABLED  # heard all the time, if not brought up again yet
     assert isinstance(motor.hardware, Cia402HwMotor)
+
+
+@pytest.mark.parametrize("stopped", [True, False])
+def test_a_streamed_motion_has_said_its_last_word_before_access_is_given(
+    rig: Rig, motor: Cia402Motor, stopped: bool
+):
+    motor.set_control_mode(ControlMode.TRAJECTORY)
+    motor.set_trajectory(ComplexTrajectory(Sine(0.1, 0.5).restricted(0.0, 2.0), relative=True))
+    motor.start()
+    sent = sent_on(rig)
+    rig.runtime.run_for(0.3)
+    if stopped:
+        motor.stop()
+    with motor.low_level(timeout_s=5):
+        entered_ns = rig.runtime.now_ns()
+        rig.runtime.run_for(0.5)
+    assert {can_id for _, can_id, _ in sent} >= {0x301}
+    assert max(time_ns for time_ns, _, _ in sent) <= entered_ns
