@@ -63,6 +63,7 @@ class _Motor:
         self.encoder = JointStateEncoder(name)
         self.active = True
         self.always = False
+        self.has_position = False  # until then its units may become known between two equal frames
         self.payload = b""
         self.sampled_ns = 0
 
@@ -74,6 +75,7 @@ class _Source:
     def __init__(self, number: int) -> None:
         self.number = number
         self.motors: list[_Motor] = []
+        self.last = b""  # of its frames; the same again tells nothing of a motor
 
 
 @final
@@ -140,8 +142,10 @@ class Recorder:
         if time_ns >= self._hand_over_ns:
             self._hand_over(time_ns)
         self._pending.append((source.number, time_ns, frame))
+        tells_more = frame != source.last
+        source.last = frame
         for motor in source.motors:
-            if not motor.active:
+            if not motor.active and (tells_more or not motor.has_position):
                 self._wake(motor, time_ns)
 
     def truth(self, time_ns: int, controller: str, values: Mapping[str, float]) -> None:
@@ -292,6 +296,7 @@ class Recorder:
             payload = b""
             if reading is not None:
                 payload = motor.encoder.encode(reading[0], reading[1], reading[2])
+                motor.has_position = reading[0] is not None
             if payload and payload != motor.payload:
                 if motor.payload and now_ns - motor.sampled_ns > self._period_ns:
                     self._add(now_ns, motor.channel, motor.payload)

@@ -36,9 +36,11 @@ class Bench:
         self.polls.append(now_ns)
         self.recorder.poll(now_ns)
 
-    def frame_at(self, time_ns, sender="left", can_id=0x181):
+    def frame_at(self, time_ns, sender="left", data=None):
+        """Each frame tells something new, unless its data are given."""
         self.queue.run_until(time_ns)
-        self.recorder.frame("can0", time_ns, sender, can_frame(can_id, b"\1"))
+        data = struct.pack("<Q", time_ns) if data is None else data
+        self.recorder.frame("can0", time_ns, sender, can_frame(0x181, data))
 
     def messages(self, topic=None):
         """(log time, message) by mcap's own reader, in the order in the file."""
@@ -203,6 +205,21 @@ def test_a_motor_at_rest_is_not_looked_at_until_a_frame_of_its_drive_passes():
     bench.queue.run_until(3602 * SECOND)
     assert motor.reads == reads + 1  # looked at once, found unchanged
     assert states(bench) == [(0, 0.0)]
+
+
+def test_a_frame_told_twice_in_a_row_wakes_nobody_once_the_position_is_known():
+    bench, motor = motor_bench()
+    motor.reading = (None, 0.0, 0.0)
+    bench.queue.run_until(SECOND)
+    woken = []
+    for second, data in enumerate([b"1", b"1", b"1", b"1", b"2", b"1", b"1"], start=1):
+        if second == 3:
+            motor.reading = (0.0, 0.0, 0.0)  # its units have become known meanwhile
+        reads = motor.reads
+        bench.frame_at(second * SECOND + 1, data=data)
+        bench.queue.run_until((second + 1) * SECOND)
+        woken.append(motor.reads > reads)
+    assert woken == [True, True, True, False, True, True, False]
 
 
 def test_a_motor_that_moves_after_a_pause_shows_a_step():
