@@ -136,8 +136,7 @@ class DriveNode:
         if word != self._word:
             self._new_statusword(word, time_ns)
         if self.watch is not None:
-            self.watch.see(word, position_inc, time_ns)
-            self.news.count += 1  # an end is told by the watch: nothing more here, for every frame
+            self.watch.see(word, position_inc, time_ns)  # an end is told by the watch
 
     def _new_statusword(self, word: int, time_ns: int) -> None:
         self._word = self.statusword = word
