@@ -17,12 +17,12 @@ UNSET: Final = -1  # in place of a time: none
 class Alarm:
     """One re-settable deadline; its action is called with the time once, when it is due.
 
-    `time_ns` and `turn` belong to this module.
+    `action`, `time_ns` and `turn` belong to this module.
     """
 
     def __init__(self, queue: "EventQueue", action: Action) -> None:
         self._queue = queue
-        self._action = action
+        self.action = action
         self.time_ns = UNSET
         self.turn = UNSET
 
@@ -35,6 +35,8 @@ class Alarm:
 
     def move(self, time_ns: int) -> None:
         """As `set`, with UNSET for None."""
+        if time_ns == self.time_ns:
+            return
         queue = self._queue
         first = queue.first
         if time_ns == UNSET:
@@ -45,8 +47,8 @@ class Alarm:
             return
         if time_ns < queue.now_ns:
             time_ns = queue.now_ns
-        if time_ns == self.time_ns:
-            return
+            if time_ns == self.time_ns:
+                return
         self.time_ns = time_ns
         queue.asked += 1
         self.turn = queue.asked
@@ -65,12 +67,6 @@ class Alarm:
     def due_ns(self) -> int | None:
         """When the action will run [ns]; None if it will not."""
         return None if self.time_ns == UNSET else self.time_ns
-
-    def ring(self, now_ns: int) -> None:
-        """Run the action; it may set the alarm again."""
-        self.time_ns = UNSET
-        self.turn = UNSET
-        self._action(now_ns)
 
 
 @final
@@ -112,14 +108,18 @@ class EventQueue:
 
     def run_next(self) -> bool:
         """Time has moved to the next event and it has run; False if there is none."""
-        if self.next_ns() == UNSET:
-            return False
         first = self.first
-        assert first is not None
+        if first is None:
+            self.next_ns()
+            first = self.first
+            if first is None:
+                return False
         self.first = None
         time_ns = first.time_ns
         self.now_ns = time_ns
-        first.ring(time_ns)
+        first.time_ns = UNSET
+        first.turn = UNSET
+        first.action(time_ns)
         return True
 
     def run_until(self, time_ns: int) -> None:

@@ -17,7 +17,7 @@ import threading
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Final, Protocol, final
 
-from emulators.event_queue import Alarm, EventQueue
+from emulators.event_queue import UNSET, Alarm, EventQueue
 from motorapi.errors import UsageError
 
 if TYPE_CHECKING:
@@ -254,18 +254,14 @@ class VirtualRuntime:
 
     def _ready(self) -> _Waiter | None:
         """Whoever asked first among those that can go on now; their answer is in the waiter."""
-        self._in_callback = True
-        try:
-            for waiter in self._waiters:
-                try:
-                    if waiter.done():
-                        waiter.result = True
-                        return waiter
-                except Exception as error:
-                    waiter.error = error
+        for waiter in self._waiters:
+            try:
+                if waiter.done():
+                    waiter.result = True
                     return waiter
-        finally:
-            self._in_callback = False
+            except Exception as error:
+                waiter.error = error
+                return waiter
         return None
 
     def _expired(self) -> _Waiter | None:
@@ -279,7 +275,11 @@ class VirtualRuntime:
         """Events run until it is the turn of `mine` (None: until anybody has the baton)."""
         self._pumping = True
         try:
-            ready = self._run_to_next_turn()
+            self._in_callback = True
+            try:
+                ready = self._run_to_next_turn(self._first_deadline_ns())
+            finally:
+                self._in_callback = False
             self._waiters.remove(ready)
             if ready is not mine:
                 ready.party.baton.release()
@@ -288,7 +288,15 @@ class VirtualRuntime:
         if ready is not mine and mine is not None:
             self._await_baton(mine)
 
-    def _run_to_next_turn(self) -> _Waiter:
+    def _first_deadline_ns(self) -> int:
+        deadline_ns = _NEVER
+        for waiter in self._waiters:
+            if waiter.deadline_ns != _NEVER and not 0 <= deadline_ns <= waiter.deadline_ns:
+                deadline_ns = waiter.deadline_ns
+        return deadline_ns
+
+    def _run_to_next_turn(self, deadline_ns: int) -> _Waiter:
+        """Events have run until somebody can go on; nobody's time is up before `deadline_ns`."""
         queue = self.queue
         while True:
             self._turns += 1
@@ -300,13 +308,27 @@ class VirtualRuntime:
                     if waiter.party.thread is None:
                         waiter.done, waiter.error = _at_once, KeyboardInterrupt()
             ready = self._ready()
-            if ready is None:
-                next_ns = queue.next_time_ns()
-                if next_ns != queue.now_ns:
-                    ready = self._expired()
+            next_ns = queue.next_ns()
+            now_ns = queue.now_ns
+            if ready is None and _NEVER != deadline_ns <= now_ns != next_ns:
+                ready = self._expired()
             if ready is not None:
                 return ready
-            self._advance(next_ns)
+            is_event = next_ns != UNSET and (deadline_ns == _NEVER or next_ns <= deadline_ns)
+            if not is_event and deadline_ns == _NEVER:
+                self._nothing_will_happen()
+                continue
+            due_ns = next_ns if is_event else deadline_ns
+            if due_ns > now_ns or not is_event:
+                self._polls = 0
+            if self._pace is not None:
+                self._pumping = False  # asleep: an interrupt counts at once
+                self._pace(due_ns)
+                self._pumping = True
+            if is_event:
+                queue.run_next()
+            else:
+                queue.run_until(due_ns)
 
     def _await_baton(self, mine: _Waiter) -> None:
         try:
@@ -317,34 +339,6 @@ class VirtualRuntime:
             if not mine.party.baton.acquire(timeout=GRACE_S):
                 self._closing = True  # it does not wait: it is over when it does
                 raise
-
-    def _advance(self, next_ns: int | None) -> None:
-        """The next event has run, or it is the next deadline."""
-        queue = self.queue
-        deadline_ns = _NEVER
-        for waiter in self._waiters:
-            if waiter.deadline_ns != _NEVER and not 0 <= deadline_ns <= waiter.deadline_ns:
-                deadline_ns = waiter.deadline_ns
-        if next_ns is None and deadline_ns == _NEVER:
-            self._nothing_will_happen()
-            return
-        due_ns, is_event = deadline_ns, False
-        if next_ns is not None and not 0 <= deadline_ns < next_ns:
-            due_ns, is_event = next_ns, True
-        if due_ns > queue.now_ns or not is_event:
-            self._polls = 0
-        if self._pace is not None:
-            self._pumping = False  # asleep: an interrupt counts at once
-            self._pace(due_ns)
-            self._pumping = True
-        if not is_event:
-            queue.run_until(due_ns)
-            return
-        self._in_callback = True
-        try:
-            queue.run_next()
-        finally:
-            self._in_callback = False
 
     def _nothing_will_happen(self) -> None:
         names = ", ".join(waiter.party.name for waiter in self._waiters)

@@ -139,7 +139,10 @@ class CanBus:
             node = self._ports[number]
             deliveries.append((node.frame, number, DELIVERED))
             self._succeed(node, entry)
-            self._arbitrate(self._free_ns)
+            if self._competing:
+                self._arbitrate(self._free_ns)
+            else:
+                self._flight = 0
         return deliveries
 
     def pending(self, port: int) -> int:
@@ -224,7 +227,9 @@ class CanBus:
         if self._collided:
             self.statistics.count_collision(key)
         self._occupy(bits)
-        if node.promote():
+        if not node.behind:
+            node.entry = 0
+        elif node.promote():
             node.starts_seen = self._starts
             heappush(self._competing, node.entry)
 
