@@ -20,8 +20,12 @@ class Controller(Protocol):
     def receive(self, data: bytes, now_ns: int) -> None:
         """A frame was on the medium, complete at `now_ns` (CAN: Linux can_frame, 16 bytes)."""
 
-    def sent(self, data: bytes, now_ns: int) -> None:
-        """An own frame left the medium at `now_ns`."""
+    def sent(self, data: bytes, now_ns: int) -> bool | None:
+        """An own frame left the medium at `now_ns`.
+
+        Returns:
+            False if nothing comes of it: no output, no event, no other deadline.
+        """
 
     def wants_sent(self) -> bool:
         """Whether `sent` is to be called at all; constant."""

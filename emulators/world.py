@@ -57,8 +57,7 @@ class ControllerSlot(Endpoint):
 
     def confirm(self, frame: bytes, now_ns: int) -> None:
         """The controller knows that its frame went out, if it wants to."""
-        if self._wants_sent:
-            self.controller.sent(frame, now_ns)
+        if self._wants_sent and self.controller.sent(frame, now_ns) is not False:
             self.settle(now_ns)
 
     def _expire(self, now_ns: int) -> None:
@@ -127,7 +126,8 @@ class BusSegment:
         self._by_port: list[Endpoint] = []
         self._slots: list[ControllerSlot] = []
         self._listeners: list[Endpoint] = []  # hosts, and controllers that hear everything
-        self._routes: dict[int, list[Endpoint]] = {}
+        self._routes: dict[bytes, list[Endpoint]] = {}  # by the bytes of the identifier
+        self._everything: list[Endpoint] = []  # who hears an identifier that is not in there
         self._routes_valid = False
         self.taps: list[FrameTap] = []
         self._settle(world.queue.now_ns)
@@ -196,15 +196,18 @@ class BusSegment:
                 for can_id in identifiers:
                     chosen.append((can_id, slot))
         everything.extend(self._listeners)
-        routes: dict[int, list[Endpoint]] = {-1: everything}
+        everything.sort(key=_port_of)
+        routes: dict[bytes, list[Endpoint]] = {}
         for can_id, slot in chosen:
-            known = routes.get(can_id)
+            key = can_id.to_bytes(4, "little")
+            known = routes.get(key)
             if known is None:
-                known = routes[can_id] = everything.copy()
+                known = routes[key] = everything.copy()
             if slot not in known:
                 known.append(slot)
         for receivers in routes.values():
             receivers.sort(key=_port_of)
+        self._everything = everything
         self._routes = routes
         self._routes_valid = True
 
@@ -218,11 +221,9 @@ class BusSegment:
                     tap(self.name, now_ns, sender.name, frame)
                 if not self._routes_valid:
                     self._build_routes()
-                can_id = int.from_bytes(frame[:4], "little")
-                routes = self._routes
-                receivers = routes.get(can_id)
+                receivers = self._routes.get(frame[:4])
                 if receivers is None:
-                    receivers = routes[-1]
+                    receivers = self._everything
                 for endpoint in receivers:
                     if endpoint is not sender and (kind == DELIVERED or hears(kind, endpoint.port)):
                         endpoint.deliver(frame, now_ns)

@@ -40,7 +40,8 @@ _HEARTBEAT_KEY: Final = 0x1_0000  # EMCY: above all RPDO numbers
 class CanopenNode:
     """One CANopen slave, sans-I/O. Frames are Linux can_frame, 16 bytes; times int ns from 0.
 
-    `state` is the NMT state; read it, never write it.
+    `state` is the NMT state, `outbox` what `take_output` and `take_events` will answer, and whether
+    `deadline_ns` may answer something new; read them, never write them.
     """
 
     def __init__(
@@ -53,13 +54,13 @@ class CanopenNode:
         self.state: int = NmtState.INITIALISING
         self._timing = timing
         self._host = host
-        self._outbox = Outbox()
-        self._emcy = EmcyProducer(od, node_id, self._outbox)
+        self.outbox = Outbox()
+        self._emcy = EmcyProducer(od, node_id, self.outbox)
         self._sync = SyncConsumer(od)
-        self._sdo = SdoServer(DictionaryAccess(od, host, self), timing.sdo_reply_ns, self._outbox)
-        self._pdos = PdoService(od, node_id, self._emcy, self._outbox, host)
-        self._producer = HeartbeatProducer(od, node_id, self._outbox)
-        self._consumer = HeartbeatConsumer(od, self._outbox)
+        self._sdo = SdoServer(DictionaryAccess(od, host, self), timing.sdo_reply_ns, self.outbox)
+        self._pdos = PdoService(od, node_id, self._emcy, self.outbox, host)
+        self._producer = HeartbeatProducer(od, node_id, self.outbox)
+        self._consumer = HeartbeatConsumer(od, self.outbox)
         self._boot_ns: int = NEVER
         self._deadline_ns: int = NEVER
         self._handlers: dict[bytes, _Handler] = {}
@@ -70,7 +71,7 @@ class CanopenNode:
 
     def start(self, now_ns: int) -> None:
         """Power comes on: all values are defaults; boot-up after `boot_up_ns`."""
-        self._outbox.frames.clear()
+        self.outbox.frames.clear()
         self._reset(True, now_ns)
 
     def receive(self, data: bytes, now_ns: int) -> None:
@@ -94,7 +95,7 @@ class CanopenNode:
 
     def deadline_ns(self) -> int:
         """As `next_deadline_ns`, with NEVER for None."""
-        if self._outbox.deadlines_moved:
+        if self.outbox.deadlines_moved:
             self._find_deadline()
         return self._deadline_ns
 
@@ -114,18 +115,18 @@ class CanopenNode:
 
     def take_output(self) -> Sequence[bytes]:
         """The frames to send now, in order; () if none."""
-        frames = self._outbox.frames
+        frames = self.outbox.frames
         if not frames:
             return ()
-        self._outbox.frames = []
+        self.outbox.frames = []
         return frames
 
     def take_events(self) -> Sequence[tuple[str, str]]:
         """(level, text) of what happened since last asked; () if nothing."""
-        events = self._outbox.events
+        events = self.outbox.events
         if not events:
             return ()
-        self._outbox.events = []
+        self.outbox.events = []
         return events
 
     def identifiers(self) -> Sequence[int]:
@@ -181,7 +182,7 @@ class CanopenNode:
         self._listen()
 
     def _find_deadline(self) -> None:
-        self._outbox.deadlines_moved = False
+        self.outbox.deadlines_moved = False
         deadline_ns = self._pdos.deadline_ns()
         if self._boot_ns < deadline_ns:
             deadline_ns = self._boot_ns
@@ -219,7 +220,7 @@ class CanopenNode:
         timing = self._timing
         delay_ns = timing.boot_up_ns if whole else timing.reset_communication_ns
         self._boot_ns = now_ns + delay_ns
-        self._outbox.deadlines_moved = True
+        self.outbox.deadlines_moved = True
         self._host.on_reset(whole, now_ns)
 
     def _configure_all(self) -> None:
@@ -299,7 +300,7 @@ class CanopenNode:
 
     def _lose(self, node_id: int, now_ns: int) -> None:
         """A heartbeat is lost: EMCY, the reaction that 1029h asks for, then the device."""
-        self._outbox.events.append(("warning", f"heartbeat of node {node_id} lost"))
+        self.outbox.events.append(("warning", f"heartbeat of node {node_id} lost"))
         self._emcy.find(_HEARTBEAT_KEY + node_id, HEARTBEAT_LOST, bytes((node_id,)))
         if self.state == NmtState.OPERATIONAL:
             reaction = self.od.integer(0x1029, 1, 0)

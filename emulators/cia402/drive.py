@@ -81,13 +81,16 @@ class Cia402Drive:
             NodeTiming(boot_up_ns=settings.boot_up_ns, sdo_reply_ns=settings.sdo_reply_ns),
             self,
         )
+        self._outbox = self._node.outbox
         self._events: list[tuple[str, str]] = list(events)
         self._statusword: int = 0  # as last told to the node's TPDOs
         self._mode: int = 0
         self._error_code: int = NO_FAULT
         self._errors: int = 0  # the classes (1001h) of all errors since the last fault reset
         self._touched: bool = False  # something other than time may have changed what shows
+        self._is_settled: bool = False  # all that shows is told, and nothing has happened since
         self._deadline_ns: int = NEVER
+        self._motor_due_ns: int = NEVER  # the same without the node's
         self._deadline_moved: bool = True
         self._truth: dict[str, float] = {}  # as last shown, of this state, mode and rest:
         self._truth_of: tuple[int, int, int] = (0, 0, -1)
@@ -102,14 +105,19 @@ class Cia402Drive:
     def receive(self, data: bytes, now_ns: int) -> None:
         """A frame was on the bus."""
         self._node.receive(data, now_ns)
-        self._deadline_moved = True
         if self._touched:
             self._publish(now_ns)
+        elif self._outbox.deadlines_moved:
+            self._deadline_moved = True
 
-    def sent(self, data: bytes, now_ns: int) -> None:
-        """An own frame left the bus."""
+    def sent(self, data: bytes, now_ns: int) -> bool:
+        """An own frame left the bus; False: nothing comes of it."""
         self._node.sent(data, now_ns)
-        self._deadline_moved = True
+        outbox = self._outbox
+        if self._touched or outbox.deadlines_moved or outbox.frames or outbox.events:
+            self._deadline_moved = True
+            return True
+        return False
 
     def wants_sent(self) -> bool:
         """The node waits for its TPDOs to leave."""
@@ -123,24 +131,29 @@ class Cia402Drive:
 
     def expire(self, now_ns: int) -> None:
         """What is due is done: first the motor's, then the node's."""
-        self.axis.at(now_ns)
-        self._power_drive.settle(now_ns)
-        self._publish(now_ns)
+        if now_ns >= self._motor_due_ns or self._deadline_moved:
+            self.axis.at(now_ns)
+            self._power_drive.settle(now_ns)
+            self._publish(now_ns)
+            self._is_settled = True
         self._node.expire(now_ns)
-        self._publish(now_ns)
+        self._is_settled = False
+        if self._touched:
+            self._publish(now_ns)
+        elif self._outbox.deadlines_moved:
+            self._deadline_moved = True
 
     def take_output(self) -> Sequence[bytes]:
         """The frames to send now."""
-        return self._node.take_output()
+        return self._node.take_output() if self._outbox.frames else ()
 
     def take_events(self) -> Sequence[tuple[str, str]]:
         """(level, text) of what happened since last asked."""
-        events = self._node.take_events()
-        if not self._events:
-            return events
+        if not self._outbox.events and not self._events:
+            return ()
         own = self._events
         self._events = []
-        return [*events, *own]
+        return [*self._node.take_events(), *own]
 
     def stimulate(self, name: str, value: float, now_ns: int) -> None:
         """The load at the output [N m], an error code to fail with, or the power stage's supply.
@@ -201,7 +214,7 @@ class Cia402Drive:
 
     def on_nmt(self, state: int, now_ns: int) -> None:
         """Once initialised, the power drive is too; in STOPPED nobody controls it."""
-        self._touched = True
+        self._happens()
         if state == NmtState.PRE_OPERATIONAL:
             self.axis.at(now_ns)
             self._power_drive.initialised(now_ns)
@@ -213,7 +226,7 @@ class Cia402Drive:
         if not whole:
             self._abort(COMMUNICATION, now_ns)
             return
-        self._touched = True
+        self._happens()
         self.axis.at(now_ns)
         self._objects.reload()
         self._power_drive.power_on()
@@ -225,7 +238,7 @@ class Cia402Drive:
         if not written:
             return
         objects.written = 0
-        self._touched = True
+        self._happens()
         self.axis.at(now_ns)
         self._power_drive.settle(now_ns)
         self._power_drive.written(written, now_ns)
@@ -235,8 +248,10 @@ class Cia402Drive:
 
     def before_read(self, now_ns: int) -> None:
         """Readers answer as of now."""
-        self._touched = True
         self.axis.at(now_ns)
+        if self._is_settled or (now_ns < self._motor_due_ns and not self._touched):
+            return  # nothing shows but where the motor is
+        self._touched = True
         self._power_drive.settle(now_ns)
 
     def on_heartbeat_lost(self, node_id: int, now_ns: int) -> None:
@@ -245,7 +260,13 @@ class Cia402Drive:
 
     # --- inside
 
+    def _happens(self) -> None:
+        """Something other than time may change what shows."""
+        self._touched = True
+        self._is_settled = False
+
     def _abort(self, code: int, now_ns: int) -> None:
+        self._happens()
         self.axis.at(now_ns)
         self._power_drive.abort_connection(code, now_ns)
 
@@ -290,12 +311,11 @@ class Cia402Drive:
     def _find_deadline(self) -> None:
         """The earliest of the node's, the power drive's and the axis' next event."""
         self._deadline_moved = False
-        deadline_ns = self._power_drive.deadline_ns()
+        motor_ns = self._power_drive.deadline_ns()
         node_ns = self._node.deadline_ns()
-        if node_ns < deadline_ns:
-            deadline_ns = node_ns
         if self._power_drive.is_powered():  # otherwise no flag matters
-            event_ns = self.axis.event_ns(deadline_ns)
-            if event_ns < deadline_ns:
-                deadline_ns = event_ns
-        self._deadline_ns = deadline_ns
+            event_ns = self.axis.event_ns(node_ns if node_ns < motor_ns else motor_ns)
+            if event_ns < motor_ns:
+                motor_ns = event_ns
+        self._motor_due_ns = motor_ns
+        self._deadline_ns = node_ns if node_ns < motor_ns else motor_ns

@@ -150,7 +150,8 @@ class PowerDrive:
 
     def deadline_ns(self) -> int:
         """When `settle` must be called at the latest [ns], flags aside; or NEVER."""
-        return min(self._enable_due_ns, self._active.wake_ns())
+        wake_ns = self._active.wake_ns()
+        return wake_ns if wake_ns < self._enable_due_ns else self._enable_due_ns
 
     def fault(self, code: int, now_ns: int) -> None:
         """Transition 13 with this error code (603Fh), and the reaction 605Eh asks for."""
