@@ -102,7 +102,7 @@ class SdoServer:
             return
         size = len(data)
         if 0 < size <= 4:
-            self._end()
+            self._index = self._subindex = 0  # over already
             command = 0x43 | (4 - size) << 2  # expedited, size indicated
         else:
             self._state = _UPLOAD_SEGMENT

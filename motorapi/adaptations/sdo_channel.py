@@ -12,9 +12,9 @@ with a deadline of the runtime's own time, and never believes a stale answer:
 """
 
 from collections import deque
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
-from typing import TYPE_CHECKING, Final, TypeVar, final
+from typing import TYPE_CHECKING, Final, final
 
 import canopen
 from canopen.sdo.client import SdoClient
@@ -44,8 +44,6 @@ _REQUEST_ID: Final = 0x600
 _RESPONSE_ID: Final = 0x580
 _TURN_TIMEOUT_S: Final = 10.0
 _OTHER_CLIENTS: Final = "another SDO client may be using this channel"
-
-_T = TypeVar("_T")
 
 
 @final
@@ -268,18 +266,17 @@ class SdoChannel:
             DeadlineExceeded: it did not answer in time.
             ProtocolViolation: it answered something else.
         """
-        client = self._client
-        return self._transfer(index, subindex, lambda: client.upload(index, subindex))
+        return self._transfer(index, subindex, None)
 
     def download(self, index: int, subindex: int, data: bytes) -> None:
         """`data` was written to an object of the device.
 
         Raises: as `upload`. After DeadlineExceeded it is not known whether the device has it.
         """
-        client = self._client
-        self._transfer(index, subindex, lambda: client.download(index, subindex, data))
+        self._transfer(index, subindex, data)
 
-    def _transfer(self, index: int, subindex: int, transfer: Callable[[], _T]) -> _T:
+    def _transfer(self, index: int, subindex: int, data: bytes | None) -> bytes:
+        """An upload where there are no `data`."""
         client = self._client
         turn = self._lock.take(_TURN_TIMEOUT_S, self._what)
         try:
@@ -288,7 +285,10 @@ class SdoChannel:
             client.begin(index.to_bytes(2, "little") + bytes((subindex,)))
             bound_ns = self._link.runtime.now_ns() + self._quarantine_ns
             try:
-                return transfer()
+                if data is None:
+                    return client.upload(index, subindex)
+                client.download(index, subindex, data)
+                return b""
             except SdoAbortedError as error:
                 raise SdoAborted(
                     node_id=self._node_id, index=index, subindex=subindex, abort_code=error.code
