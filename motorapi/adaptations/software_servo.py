@@ -29,7 +29,7 @@ class ServoLimits:
 
     Attributes:
         current_max_a: the output's saturation [A].
-        velocity_max: what a step of position may be answered with [inc/s].
+        velocity_max: what a large error may be answered with, beyond what is demanded [inc/s].
         following_error: beyond it for `following_s` the motor is stopped [inc]; inf: never.
         window: a position is reached within it, for `settle_s` [inc].
         velocity_window: a velocity is reached within it, for `settle_s` [inc/s].
@@ -107,8 +107,8 @@ class Servo:
         self._alpha = period_s / (period_s + gains.derivative_filter_s)
         self._settle_cycles = max(1, round(limits.settle_s / period_s))
         self._following_cycles = max(1, round(limits.following_s / period_s))
-        # A step beyond this error is answered with velocity_max, where kd balances kp.
-        self._step_error = limits.velocity_max * gains.kd / gains.kp if gains.kd > 0.0 else 1e300
+        # More error than this is answered with velocity_max, where kd balances kp.
+        self._error_max = limits.velocity_max * gains.kd / gains.kp if gains.kd > 0.0 else 1e300
 
     @property
     def deceleration(self) -> float:
@@ -243,10 +243,8 @@ class Servo:
         """PID, feed-forward, saturation, and no winding up."""
         gains = self._gains
         error = self.demand - self.position
-        acting = error
-        if course.is_step:
-            bound = self._step_error
-            acting = max(-bound, min(bound, error))
+        bound = self._error_max
+        acting = max(-bound, min(bound, error))
         wanted = gains.kp * acting + gains.kd * self._rate + self._integral
         velocity = course.velocity
         if velocity or course.acceleration:
@@ -271,7 +269,7 @@ class Servo:
                 return
         self._error = error
         self.current_a = wanted
-        # Still, and within an increment: that is there. Stepping far: kp and kd see to it.
+        # Still, and within an increment: that is there. Far behind: kp and kd see to it.
         if acting == error and (velocity or abs(error) > _DEAD_BAND_INC):
             self._integral += gains.ki * error * passed_s
             self._integral = max(-limit, min(limit, self._integral))

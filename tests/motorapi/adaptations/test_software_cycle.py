@@ -1,0 +1,399 @@
+"""What goes wrong with central servo: missed cycles, lost nodes, hosts and amplifiers."""
+
+from collections.abc import Callable
+
+import pytest
+
+from emulators.media.faults import FaultKind, FaultRule
+from harness.rig import Rig
+from motorapi.commands import ControlMode, ControlVariable
+from motorapi.errors import (
+    DeadlineExceeded,
+    DeviceFault,
+    LinkError,
+    MotorBusyError,
+    StateError,
+    UsageError,
+)
+from motorapi.motor import Motor
+from motorapi.state import MotorState
+from motorapi.trajectory import TrapezoidalTrajectory
+from tests.motorapi.adaptations.conftest import drive
+from tests.motorapi.adaptations.software_rigs import (
+    INC_PER_RAD,
+    enabled,
+    inc,
+    lag_bound_inc,
+    motor,
+    node,
+    one,
+    two,
+)
+
+OpenRig = Callable[..., Rig]
+MS = 1_000_000
+COUNTS = 0x281  # TPDO 2 of node 1
+OUTPUTS = 0x301  # RPDO 2 of node 1
+
+
+def moving(rig: Rig, name: str = "left", distance: float = 2.0) -> Motor:
+    """The motor is 0.2 s into a trajectory."""
+    chosen = enabled(rig, name)
+    chosen.set_control_mode(ControlMode.TRAJECTORY)
+    chosen.set_trajectory(TrapezoidalTrajectory(distance))
+    chosen.start()
+    rig.runtime.run_for(0.2)
+    return chosen
+
+
+def rule(kind: FaultKind, can_id: int, **conditions: object) -> FaultRule:
+    return FaultRule(kind.value, kind, identifier=can_id, **conditions)
+
+
+# --- missed cycles
+
+
+@pytest.mark.parametrize("count", [1, 4])
+def test_counts_that_come_too_late_are_misses_and_the_motion_goes_on(open_rig: OpenRig, count: int):
+    rig = open_rig(one())
+    left = moving(rig)
+    before = left.cycles
+    assert before.missed == 0
+    late = rule(FaultKind.DELAY, COUNTS, delay_ns=1_300_000, limit=count, skip=10, probability=1.0)
+    rig.faults.inject("can0", late)
+    left.wait_until_done(3)
+    after = left.cycles
+    # Each is missed by its own cycle. The last one delayed comes in a cycle that has its own count
+    # as well; the others take the place of one that is late in its turn.
+    assert rig.faults.fired()["delay"] == count
+    assert (after.counts_missed, after.outputs_late, after.surplus) == (1, 0, 1)
+    assert after.worst_in_a_row == 1
+    assert left.position() == pytest.approx(2.0, abs=10 / INC_PER_RAD)
+
+
+@pytest.mark.parametrize("count", [1, 3])
+def test_lost_counts_are_missed_one_by_one_and_told_in_a_row(open_rig: OpenRig, count: int):
+    rig = open_rig(one())
+    left = moving(rig)
+    worst: list[float] = []
+    rig.runtime.every(0.001, lambda: worst.append(abs(left.following_error()) * INC_PER_RAD))
+    rig.faults.inject("can0", rule(FaultKind.DROP, COUNTS, limit=count))
+    left.wait_until_done(3)
+    report = left.cycles
+    assert (report.counts_missed, report.worst_in_a_row, report.surplus) == (count, count, 0)
+    assert f"{count} counts missed, 0 outputs late, at most {count} in a row" in str(report)
+    assert left.position() == pytest.approx(2.0, abs=10 / INC_PER_RAD)
+    # nothing but the outputs of those cycles is older than it should be
+    assert max(worst) < lag_bound_inc() + 20 * count
+
+
+def test_outputs_that_still_wait_when_sync_is_due_are_late(open_rig: OpenRig):
+    """Somebody with better identifiers has the bus from the counts on until after the next SYNC."""
+    rig = open_rig(one())
+    left = moving(rig)
+    port = rig.world.add_host("can0", "stranger", lambda *_: None)
+    frames = [(0x010).to_bytes(4, "little") + b"\x08\0\0\0" + bytes(range(8))] * 9
+    bursts = [3]
+
+    def on_frame(bus: str, time_ns: int, sender: str, frame: bytes) -> None:
+        if frame[:4] == COUNTS.to_bytes(4, "little") and bursts[0]:
+            bursts[0] -= 1
+            for one_of_nine in frames:
+                port.send(one_of_nine)
+
+    rig.world.tap_frames(on_frame)
+    left.wait_until_done(3)
+    report = left.cycles
+    assert report.outputs_late >= 1
+    assert report.missed >= 2
+    assert left.position() == pytest.approx(2.0, abs=10 / INC_PER_RAD)
+
+
+def test_too_many_misses_in_a_row_switch_the_motor_off_and_say_why(open_rig: OpenRig):
+    rig = open_rig(one(motor="misses_max = 5"))
+    left = moving(rig)
+    begun = left.cycles.counts_missed
+    rig.faults.inject("can0", rule(FaultKind.DROP, COUNTS))
+    since_ns = rig.runtime.now_ns()
+    with pytest.raises(LinkError, match="no counts came in 5 cycles of 1 ms in a row") as caught:
+        left.wait_until_done(3)
+    assert rig.runtime.now_ns() - since_ns <= 7 * MS
+    assert since_ns - 2 * MS <= caught.value.since_ns <= since_ns
+    assert left.cycles.counts_missed - begun == 5
+    rig.runtime.run_for(0.01)
+    truth = rig.controllers["io"].snapshot()
+    assert (truth["ready"], truth["current_a"]) == (0.0, 0.0)
+    assert left.state() is MotorState.FAULT
+    with pytest.raises(DeviceFault, match="8100h"):
+        left.start()
+    rig.faults.lift("can0", "drop")
+    left.reset_fault()
+    left.set_trajectory(TrapezoidalTrajectory(0.1))
+    rig.runtime.run_for(1.0)
+    left.start()
+    left.wait_until_done(2)
+
+
+def test_late_outputs_in_a_row_end_in_a_deadline_error(open_rig: OpenRig):
+    """A bus that is full all the time: SYNC is delayed with them, which is a miss as well."""
+    rig = open_rig(one(motor="misses_max = 4"))
+    left = moving(rig)
+    port = rig.world.add_host("can0", "stranger", lambda *_: None)
+    frame = (0x010).to_bytes(4, "little") + b"\x08\0\0\0" + bytes(range(8))
+
+    def on_frame(bus: str, time_ns: int, sender: str, heard: bytes) -> None:
+        if heard[:4] == COUNTS.to_bytes(4, "little"):
+            for _ in range(9):
+                port.send(frame)
+
+    rig.world.tap_frames(on_frame)
+    with pytest.raises((DeadlineExceeded, LinkError)) as caught:
+        left.wait_until_done(3)
+    assert "in a row" in str(caught.value)
+    assert left.cycles.outputs_late >= 1
+    rig.runtime.run_for(0.01)
+    assert rig.controllers["io"].snapshot()["ready"] == 0.0
+
+
+def test_a_neighbour_on_another_node_goes_on(open_rig: OpenRig):
+    rig = open_rig(node("io", 1), node("b", 2), motor("left", "io"), motor("right", "b"))
+    right = moving(rig, "right")
+    left = moving(rig, "left")
+    rig.faults.inject("can0", rule(FaultKind.DROP, COUNTS))
+    with pytest.raises(LinkError):
+        left.wait_until_done(3)
+    right.wait_until_done(3)
+    assert right.cycles.missed == 0
+
+
+def test_two_motors_of_one_bus_share_one_period(open_rig: OpenRig):
+    rig = open_rig(
+        node("io", 1), node("b", 2), motor("left", "io"), motor("right", "b", motor="cycle_ms = 2")
+    )
+    left = moving(rig, "left")
+    with pytest.raises(UsageError, match="SYNC runs every 1 ms already, so not every 2 ms"):
+        rig.motors["right"].enable()
+    left.wait_until_done(3)
+
+
+def test_at_2_ms_it_works_as_well(open_rig: OpenRig):
+    rig = open_rig(one(motor="cycle_ms = 2", bandwidth=30.0))
+    left = moving(rig)
+    left.wait_until_done(3)
+    assert left.position() == pytest.approx(2.0, abs=10 / INC_PER_RAD)
+    assert left.cycles.period_s == 0.002
+
+
+# --- the node, the host and the amplifier
+
+
+def test_a_dead_host_leaves_outputs_at_their_error_values_within_the_heartbeats_time(
+    open_rig: OpenRig,
+):
+    rig = open_rig(one())
+    left = moving(rig)
+    assert rig.controllers["io"].snapshot()["ready"] == 1.0
+    rig.faults.inject("can0", FaultRule("cut", FaultKind.CUT, ports=("host",)))
+    killed_ns = rig.runtime.now_ns()
+    off: list[int] = []
+
+    def look() -> None:
+        truth = rig.controllers["io"].snapshot()
+        if not off and truth["ready"] == 0.0 and truth["output_v"] == 0.0:
+            off.append(rig.runtime.now_ns())
+
+    rig.runtime.every(0.001, look)
+    rig.runtime.run_for(0.5)
+    assert off
+    assert 190 * MS < off[0] - killed_ns <= 301 * MS  # 300 ms after the last heartbeat heard
+    with pytest.raises(LinkError):
+        left.is_done()
+
+
+def test_a_lost_node_is_a_link_error_within_the_misses_allowed(open_rig: OpenRig):
+    rig = open_rig(one())
+    left = moving(rig)
+    rig.faults.inject("can0", FaultRule("cut", FaultKind.CUT, ports=("io",)))
+    lost_ns = rig.runtime.now_ns()
+    with pytest.raises(LinkError, match="no counts came in 10 cycles"):
+        left.wait_until_done(3)
+    assert rig.runtime.now_ns() - lost_ns <= 12 * MS
+    rig.runtime.run_for(0.4)
+    assert left.state() is MotorState.OFFLINE
+    with pytest.raises(LinkError, match="no heartbeat for 300 ms"):
+        left.position()
+    rig.faults.lift("can0", "cut")
+    rig.runtime.run_for(0.5)
+    left.set_trajectory(TrapezoidalTrajectory(0.1))
+    left.start()  # brought up again: its fault was of the connection
+    left.wait_until_done(2)
+
+
+def test_a_silent_node_is_lost_by_its_heartbeat_where_misses_are_allowed(open_rig: OpenRig):
+    rig = open_rig(one(motor="misses_max = 1000000"))
+    left = moving(rig, distance=20.0)
+    rig.faults.inject("can0", FaultRule("cut", FaultKind.CUT, ports=("io",)))
+    lost_ns = rig.runtime.now_ns()
+    with pytest.raises(LinkError, match="no heartbeat for 300 ms"):
+        left.wait_until_done(30)
+    assert rig.runtime.now_ns() - lost_ns <= 301 * MS
+
+
+def test_a_node_that_boots_has_lost_everything_and_is_brought_up_again(open_rig: OpenRig):
+    rig = open_rig(one())
+    left = moving(rig)
+    left.hardware.send_frame(0x000, b"\x81\x01")  # NMT: reset node
+    with pytest.raises(LinkError):
+        left.wait_until_done(3)
+    rig.runtime.run_for(1.0)
+    assert not left.is_referenced()
+    left.set_trajectory(TrapezoidalTrajectory(0.1))
+    left.start()
+    begun = inc(rig)
+    left.wait_until_done(2)
+    assert inc(rig) - begun == pytest.approx(0.1 * INC_PER_RAD, abs=30)
+
+
+def test_an_amplifiers_fault_ends_the_motion_when_its_frame_comes(open_rig: OpenRig):
+    rig = open_rig(two())
+    right = moving(rig, "right")
+    left = moving(rig, "left")
+    rig.controllers["io"].stimulate("fault", 1)
+    since_ns = rig.runtime.now_ns()
+    with pytest.raises(DeviceFault, match=r"left: fault 5400h \(amplifier fault\)"):
+        left.wait_until_done(3)
+    assert rig.runtime.now_ns() - since_ns < MS
+    assert left.state() is MotorState.FAULT
+    assert left.fault().code == 0x5400
+    right.wait_until_done(3)  # its amplifier has no fault
+    with pytest.raises(DeviceFault):
+        left.reset_fault()
+    rig.controllers["io"].stimulate("fault", 0)
+    left.reset_fault()
+    assert left.fault() is None
+    left.enable()
+    left.set_trajectory(TrapezoidalTrajectory(0.1))
+    left.start()
+    left.wait_until_done(2)
+
+
+def test_an_amplifier_without_supply_is_a_fault_while_it_should_drive(open_rig: OpenRig):
+    rig = open_rig(one())
+    left = moving(rig)
+    rig.controllers["io"].stimulate("power", 0)
+    with pytest.raises(DeviceFault, match="amplifier not ready"):
+        left.wait_until_done(3)
+    left.reset_fault()
+    with pytest.raises(DeadlineExceeded, match="its amplifier to be ready"):
+        left.enable()
+    assert left.state() is MotorState.DISABLED
+    rig.controllers["io"].stimulate("power", 1)
+    left.enable()
+
+
+def test_a_blocked_motor_is_stopped_by_its_following_error(open_rig: OpenRig):
+    rig = open_rig(one(motor="following_error_window_rad = 0.05\nfollowing_error_s = 0.02"))
+    left = moving(rig)
+    rig.controllers["io"].stimulate("load_torque_n_m", 20.0)  # the motor has 13.7 N m
+    with pytest.raises(DeviceFault, match=r"8611h \(following error: \d+ increments\)"):
+        left.wait_until_done(3)
+    rig.controllers["io"].stimulate("load_torque_n_m", 0.0)
+    rig.runtime.run_for(1.0)
+    left.reset_fault()
+    left.set_trajectory(TrapezoidalTrajectory(0.1))
+    left.start()
+    left.wait_until_done(2)
+
+
+def test_without_a_window_a_blocked_motor_pushes_on(open_rig: OpenRig):
+    rig = open_rig(one(motor="following_error_window_rad = inf"))
+    left = moving(rig)
+    rig.controllers["io"].stimulate("load_torque_n_m", 13.8)  # what the motor and friction hold
+    rig.runtime.run_for(0.5)
+    assert left.following_error() > 0.5
+    rig.controllers["io"].stimulate("load_torque_n_m", 0.0)
+    left.wait_until_done(5)
+    assert left.position() == pytest.approx(2.0, abs=10 / INC_PER_RAD)
+
+
+# --- low-level access, bringing up
+
+
+def test_low_level_access_needs_a_servo_that_is_off(open_rig: OpenRig):
+    rig = open_rig(two())
+    left, right = enabled(rig, "left"), enabled(rig, "right")
+    with pytest.raises(StateError, match=r"its servo holds it.*disable\(\)"), left.low_level():
+        pass
+    left.disable()
+    with pytest.raises(StateError, match="neighbour channel"), left.low_level():
+        pass
+    right.disable()
+    with left.low_level() as hardware:
+        hardware.write(0x6411, 1234, 1, kind="i16")
+        assert hardware.read(0x6411, 1, kind="i16") == 1234
+        wire: list[int] = []
+        rig.world.tap_frames(lambda bus, when, who, frame: wire.append(frame[0] | frame[1] << 8))
+        busy: list[Exception] = []
+
+        def other() -> None:
+            try:
+                right.enable()
+            except MotorBusyError as error:
+                busy.append(error)
+
+        rig.runtime.spawn("other", other).join(1)
+        assert busy
+        rig.runtime.run_for(0.05)
+        assert 0x080 not in wire
+    left.enable()
+    left.set_control_mode(ControlMode.SETPOINT, ControlVariable.POSITION)
+    left.set_setpoint(0.05)
+    left.start()
+    left.wait_until_done(1)
+
+
+def test_a_second_connection_writes_nothing_that_the_node_has_already(open_rig: OpenRig):
+    rig = open_rig(one())
+    left = rig.motors["left"]
+    left.position()
+    hardware = left.hardware
+    hardware.io.doubt()
+    downloads: list[bytes] = []
+
+    def on_frame(bus: str, time_ns: int, sender: str, frame: bytes) -> None:
+        if frame[:2] == b"\x01\x06" and frame[8] >> 5 == 1:
+            downloads.append(frame)
+
+    rig.world.tap_frames(on_frame)
+    hardware.connect()
+    assert downloads == []
+
+
+def test_outputs_fall_to_0_whatever_the_node_says_by_default(open_rig: OpenRig):
+    objects = '[controller.io.objects]\n"6444h:1" = 20000\n"6443h:1" = 0\n"6206h:1" = 0\n'
+    rig = open_rig(node("io", 1, more=objects), motor("left", "io"))
+    moving(rig)
+    rig.faults.inject("can0", FaultRule("cut", FaultKind.CUT, ports=("host",)))
+    rig.runtime.run_for(0.5)
+    truth = rig.controllers["io"].snapshot()
+    assert (truth["output_v"], truth["ready"]) == (0.0, 0.0)
+
+
+def test_a_drive_is_no_io_node_and_a_channel_must_be_there(open_rig: OpenRig):
+    rig = open_rig(drive("d", 3), one(), motor("far", "io", 4), motor("no", "d"))
+    with pytest.raises(UsageError, match=r"node 3 is no I/O node.*: it has no 6411h, 6820h"):
+        rig.motors["no"].position()
+    with pytest.raises(UsageError, match="channel 4: the node has 1 channels"):
+        rig.motors["far"].position()
+
+
+def test_a_drive_and_a_servo_share_a_bus_and_the_drive_is_not_disturbed(open_rig: OpenRig):
+    rig = open_rig(one(), drive("d", 3))
+    left, d = moving(rig), rig.motors["d"]
+    d.set_control_mode(ControlMode.TRAJECTORY)
+    d.set_trajectory(TrapezoidalTrajectory(0.5))
+    d.start()
+    d.wait_until_done(3)
+    left.wait_until_done(3)
+    assert left.cycles.missed == 0
+    assert left.position() == pytest.approx(2.0, abs=10 / INC_PER_RAD)
