@@ -25,6 +25,16 @@ class Argument(Protocol):
         """What it is now. Asked from callbacks: must neither wait nor send."""
 
 
+def require_argument(motor: str, argument: object) -> None:
+    """Raises UsageError if it is neither None nor an `Argument`; `motor` is named."""
+    if argument is None or callable(getattr(argument, "value", None)):
+        return
+    raise UsageError(
+        f"{motor}: argument {argument!r} is none; give an Argument, as MotorPosition(other), or"
+        " leave it out for time"
+    )
+
+
 class Leader(Protocol):
     """What may lead: any Motor."""
 
@@ -49,6 +59,8 @@ class MotorPosition:
     """
 
     def __init__(self, motor: Leader) -> None:
+        if not callable(getattr(motor, "latest", None)):
+            raise UsageError(f"{motor!r} is no motor: its position cannot be an argument")
         self._motor = motor
         self._name = f"position of {motor.name}"
 

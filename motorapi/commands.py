@@ -79,12 +79,13 @@ def _around_zero(name: str, limit: object) -> Range | None:
     if limit is None:
         return None
     if isinstance(limit, Real):
-        limit = (-float(limit), float(limit))
+        size = as_number(limit)
+        limit = (-size, size)
     if not _is_pair(limit):
         raise UsageError(
             f"the range of the {name} derivative, {limit!r}, is no number and no pair of numbers"
         )
-    low, high = limit
+    low, high = as_number(limit[0]), as_number(limit[1])
     if isnan(low) or isnan(high) or not low < 0 < high:
         raise UsageError(
             f"the range of the {name} derivative, ({low:g}, {high:g}), must hold 0 inside:"

@@ -66,6 +66,7 @@ class DeviceGroup(Generic[D]):
         Raises:
             UsageError: it is a member already, or another member has its name.
         """
+        _require_device(device)
         for member in self._devices:
             if member is device:
                 raise UsageError(f"{device.name} is in the group already")
@@ -81,6 +82,7 @@ class DeviceGroup(Generic[D]):
         Raises:
             UsageError: it is not a member.
         """
+        _require_device(device)
         for place, member in enumerate(self._devices):
             if member is device:
                 del self._devices[place]
@@ -121,3 +123,8 @@ class DeviceGroup(Generic[D]):
     def __repr__(self) -> str:
         names = ", ".join(device.name for device in self._devices)
         return f"<{type(self).__name__} of {len(self._devices)}: {names}>"
+
+
+def _require_device(device: object) -> None:
+    if not isinstance(device, Device):
+        raise UsageError(f"{device!r} is no device: a group holds devices")

@@ -22,6 +22,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import TYPE_CHECKING
 
+from motorapi.commands import as_number
 from motorapi.errors import MotorBusyError, StateError
 from motorapi.execution import require_rest
 from motorapi.motion_waits import check_timeout
@@ -38,6 +39,7 @@ if TYPE_CHECKING:
 def low_level_access(motor: "Motor", timeout_s: float | None) -> Iterator[object]:
     """The hardware object of `motor`; see `Motor.low_level`."""
     check_timeout(timeout_s)
+    timeout_s = None if timeout_s is None else as_number(timeout_s)
     physical, runtime = motor._physical, motor.runtime
     held = motor._held_hardware
     if held is not None and held[0] is physical.access and physical.is_held_here:

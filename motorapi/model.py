@@ -35,7 +35,7 @@ from math import isfinite, tau
 from pathlib import Path
 from typing import Final, Self, final
 
-from motorapi.commands import ControlVariable
+from motorapi.commands import ControlVariable, as_number
 from motorapi.errors import FileError, UsageError
 
 
@@ -177,7 +177,7 @@ class MotorModel:
             problem, remedy = "cannot be read: not UTF-8", _FILE_REMEDY
         except RecursionError:
             problem, remedy = "no TOML: nested too deeply", _TOML_REMEDY
-        except (OSError, ValueError) as error:  # ValueError: no path, or an endless number
+        except (OSError, ValueError, TypeError) as error:  # no path, or an endless number
             problem = f"cannot be read: {getattr(error, 'strerror', None) or error}"
             remedy = _FILE_REMEDY
         else:
@@ -326,12 +326,13 @@ def _problem(field: str, value: float | None) -> str:
     """What is wrong with a number, in words; empty if nothing is."""
     if value is None:
         return ""
-    if not isfinite(value):
+    number = as_number(value)
+    if not isfinite(number):
         return f"is {value}, not a finite number"
-    if field in _NOT_ZERO and value == 0.0:
+    if field in _NOT_ZERO and number == 0.0:
         return "is 0"
-    if field not in _SIGNED and value <= 0.0:
-        return f"is {value:g}, not > 0"
+    if field not in _SIGNED and number <= 0.0:
+        return f"is {number:g}, not > 0"
     return ""
 
 

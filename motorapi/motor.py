@@ -26,6 +26,7 @@ from dataclasses import replace
 from typing import TYPE_CHECKING, Any, Final, final
 
 from motorapi import planning
+from motorapi.arguments import require_argument
 from motorapi.commands import ControlMode, ControlVariable, DerivativeLimits, Setpoint
 from motorapi.errors import (
     PluginError,
@@ -147,6 +148,7 @@ class Motor(SharedMotor):
             UnsupportedError: the motor cannot follow one of that kind.
         """
         self._require_mode(ControlMode.TRAJECTORY, "set_trajectory")
+        require_argument(self.name, argument)
         planning.check_trajectory(self.name, self.model, self._variable, trajectory, argument)
         self._call(self._check_command, self._variable, trajectory)
         self._command = trajectory

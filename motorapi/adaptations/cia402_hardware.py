@@ -86,6 +86,8 @@ class Cia402HwMotor:
     ) -> None:
         if not isinstance(node_id, int) or not 1 <= node_id <= 127:
             raise UsageError(f"node_id = {node_id!r}: a node-ID is 1 to 127")
+        if not hasattr(bus, "channel_info"):
+            raise UsageError(f"{bus!r} is no bus: give what can.Bus(...) returned")
         if runtime is None:
             runtime = runtime_of(bus)
         self.node_id: Final = node_id
@@ -315,8 +317,11 @@ class Cia402HwMotor:
 
     def set_mode(self, mode: Mode) -> None:
         """The drive is in this mode of operation. See `DriveControl.set_mode`."""
+        if mode not in tuple(Mode):
+            names = ", ".join(f"Mode.{one.name}" for one in Mode)
+            raise UsageError(f"{self.label}: mode {mode!r}: give one of {names}")
         self.connect()
-        self.control.set_mode(mode)
+        self.control.set_mode(Mode(mode))
 
     def stream_positions(
         self, period_s: float, next_target: Callable[[int], int | None]

@@ -11,7 +11,7 @@ set-point until then. One motor alone starts by an RPDO that acts at once, or by
 """
 
 from collections.abc import Callable
-from typing import TYPE_CHECKING, Final, final
+from typing import Final, final
 
 from motorapi.adaptations.canopen_errors import HomingFailed, SdoAborted
 from motorapi.adaptations.cia402_hardware import Cia402HwMotor
@@ -32,14 +32,12 @@ from motorapi.adaptations.drive_reader import DriveReader
 from motorapi.adaptations.motion_watch import HomingWatch, RestWatch, StreamWatch
 from motorapi.commands import ControlMode, ControlVariable, Motion, Setpoint
 from motorapi.errors import UnsupportedError, UsageError
+from motorapi.model import MotorModel
 from motorapi.motor import Motor
 from motorapi.smooth_planning import asks_for_smoothness
 from motorapi.state import Fault, Measurement, MotorState
 from motorapi.synchronization import MotionTimes, SyncOffer, Trigger
 from motorapi.trajectory import ComplexTrajectory, Trajectory
-
-if TYPE_CHECKING:
-    from motorapi.model import MotorModel
 
 _MODES: Final = {
     ControlVariable.POSITION: Mode.PROFILE_POSITION,
@@ -70,11 +68,12 @@ class Cia402Motor(Motor):
     def __init__(
         self,
         hardware: Cia402HwMotor,
-        model: "MotorModel",
+        model: MotorModel,
         *,
         name: str | None = None,
         on_close: Callable[[], None] | None = None,
     ) -> None:
+        _check_parts(hardware, model)
         super().__init__(
             name=f"{model.name} at {hardware.label}" if name is None else name,
             model=model,
@@ -278,3 +277,9 @@ class Cia402Motor(Motor):
 
     def _motion_times(self) -> MotionTimes | None:
         return self._motions.times()
+
+
+def _check_parts(hardware: object, model: object) -> None:
+    if not isinstance(hardware, Cia402HwMotor) or not isinstance(model, MotorModel):
+        wanted = "Cia402Motor(Cia402HwMotor(bus, node_id=...), MotorModel(...))"
+        raise UsageError(f"Cia402Motor({hardware!r}, {model!r}): give {wanted}")

@@ -111,6 +111,7 @@ _FORMATS: Final[dict[str, struct.Struct]] = {
     "f32": struct.Struct("<f"),
     "f64": struct.Struct("<d"),
 }
+KINDS: Final = (*_FORMATS, "string", "bytes")
 
 # name: (index, sub-index, type), spelt as the standard spells it
 OBJECTS: Final[dict[str, tuple[int, int, str]]] = {
@@ -257,11 +258,11 @@ def encode(kind: str, value: Value) -> bytes:
     if isinstance(value, bytes):
         return value
     if kind in ("string", "bytes"):
-        return str(value).encode()
+        return str(value).encode("utf-8", "replace")
     form = _FORMATS[kind]
     try:
         return form.pack(value if kind[0] == "f" else _whole(value))
-    except struct.error:
+    except (struct.error, OverflowError, TypeError):
         raise UsageError(f"{value!r} does not fit the data type {kind}") from None
 
 

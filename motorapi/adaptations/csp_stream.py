@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Final, final
 from motorapi.adaptations.canopen_errors import SdoAborted
 from motorapi.adaptations.canopen_link import Transmission
 from motorapi.adaptations.cia402_objects import ENABLE_OPERATION, HALT, Mode, PdsState
+from motorapi.commands import as_number
 from motorapi.errors import LinkError, UnsupportedError, UsageError
 
 if TYPE_CHECKING:
@@ -58,7 +59,8 @@ class CspStream:
                 feature="csp streaming",
                 supported="; ".join(facts.limitations),
             )
-        period_ms = round(period_s * 1e3)
+        asked_ms = as_number(period_s) * 1e3
+        period_ms = round(asked_ms) if 0.5 <= asked_ms < 1e3 else 0
         if not 1 <= period_ms <= 255 or abs(period_ms / 1e3 - period_s) > 1e-9:
             raise UsageError(f"period_s = {period_s}: whole milliseconds, 1 to 255 (60C2h)")
         self._hardware = hardware
@@ -188,6 +190,11 @@ class CspStream:
 
     def _was_latched(self, time_ns: int) -> None:
         self.latched_ns = time_ns
+
+    @property
+    def is_stopping(self) -> bool:
+        """Whether it was told to stop; it ends within three periods then."""
+        return self._word != ENABLE_OPERATION
 
     @property
     def target(self) -> int:

@@ -3,7 +3,7 @@
 import difflib
 from typing import TYPE_CHECKING, Final, final
 
-from motorapi.adaptations.cia402_objects import OBJECTS, Value, decode, encode, type_of
+from motorapi.adaptations.cia402_objects import KINDS, OBJECTS, Value, decode, encode, type_of
 from motorapi.errors import UsageError
 
 if TYPE_CHECKING:
@@ -61,8 +61,8 @@ class DriveObjects:
         index, subindex, kind = place_of(what, subindex, kind)
         if kind is None and not isinstance(value, bytes):
             raise UsageError(
-                f"{index:04X}h:{subindex:02X}h is not in the standard: say kind=, one of u8 i8 u16"
-                " i16 u32 i32 u64 i64 f32 f64 string, or give bytes"
+                f"{index:04X}h:{subindex:02X}h is not in the standard: say kind=, one of"
+                f" {' '.join(KINDS)}, or give bytes"
             )
         self.download(index, subindex, encode(kind or "bytes", value))
 
@@ -104,8 +104,14 @@ def place_of(what: int | str, subindex: int, kind: str | None) -> tuple[int, int
     """(index, sub-index, data type) of an object by index or by the standard's name.
 
     Raises:
-        UsageError: the standard has no such name.
+        UsageError: the standard has no such name, or there is no such place or type.
     """
+    if kind is not None and (not isinstance(kind, str) or kind not in KINDS):
+        raise UsageError(f"kind = {kind!r}: give one of {', '.join(KINDS)}")
+    if not isinstance(subindex, int):
+        raise UsageError(f"sub-index {subindex!r}: it is 0 to FFh")
+    if not isinstance(what, int | str):
+        raise UsageError(f"{what!r} is no object: give an index, or the standard's name")
     if isinstance(what, int):
         return what, subindex, kind or type_of(what, subindex)
     known = OBJECTS.get(what)

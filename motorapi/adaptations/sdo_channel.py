@@ -22,7 +22,7 @@ from canopen.sdo.exceptions import SdoAbortedError, SdoCommunicationError
 
 from motorapi.adaptations.canopen_errors import ProtocolViolation, SdoAborted
 from motorapi.adaptations.canopen_link import CanopenLink, Transmission, TurnLock, can_frame
-from motorapi.errors import DeadlineExceeded, MotorError
+from motorapi.errors import DeadlineExceeded, MotorError, UsageError
 
 if TYPE_CHECKING:
     from motorapi.runtime import Runtime
@@ -273,16 +273,23 @@ class SdoChannel:
 
         Raises: as `upload`. After DeadlineExceeded it is not known whether the device has it.
         """
+        if not isinstance(data, bytes):
+            raise UsageError(f"{self._what}: data {data!r}: what is written are bytes")
         self._transfer(index, subindex, data)
 
     def _transfer(self, index: int, subindex: int, data: bytes | None) -> bytes:
         """An upload where there are no `data`."""
         client = self._client
+        try:
+            place = index.to_bytes(2, "little") + bytes((subindex,))
+        except (AttributeError, OverflowError, TypeError, ValueError):
+            place_text = f"index {index!r}, sub-index {subindex!r}"
+            raise UsageError(f"{self._what}: {place_text}: 0 to FFFFh, 0 to FFh") from None
         turn = self._lock.take(_TURN_TIMEOUT_S, self._what)
         try:
             if self.physical is not None and self.physical.access is not None:
                 self.physical.require_not_held_elsewhere()
-            client.begin(index.to_bytes(2, "little") + bytes((subindex,)))
+            client.begin(place)
             bound_ns = self._link.runtime.now_ns() + self._quarantine_ns
             try:
                 if data is None:
