@@ -45,9 +45,10 @@ class PidGains:
 
     def __post_init__(self) -> None:
         for field in fields(self):
-            value = as_number(getattr(self, field.name))
+            given = getattr(self, field.name)
+            value = as_number(given)
             if not isfinite(value) or value < 0.0:
-                raise UsageError(f"PidGains: {field.name} is {value!r}, not a number >= 0")
+                raise UsageError(f"PidGains: {field.name} is {given!r}, not a number >= 0")
             object.__setattr__(self, field.name, value)
         if self.kp == 0.0:
             raise UsageError("PidGains: kp is 0: nothing would hold the motor")
@@ -73,13 +74,14 @@ class PidGains:
         Raises:
             UsageError: one of them is no such number.
         """
-        bandwidth, inertia = as_number(bandwidth_rad_s), as_number(current_per_acceleration)
-        for name, value in (
-            ("bandwidth_rad_s", bandwidth),
-            ("current_per_acceleration", inertia),
+        for name, given in (
+            ("bandwidth_rad_s", bandwidth_rad_s),
+            ("current_per_acceleration", current_per_acceleration),
         ):
+            value = as_number(given)
             if not (isfinite(value) and value > 0.0):
-                raise UsageError(f"PidGains.tuned: {name} is {value!r}, not a number > 0")
+                raise UsageError(f"PidGains.tuned: {name} is {given!r}, not a number > 0")
+        bandwidth, inertia = float(bandwidth_rad_s), float(current_per_acceleration)
         return cls(
             kp=3.0 * inertia * bandwidth * bandwidth,
             ki=inertia * bandwidth * bandwidth * bandwidth,
