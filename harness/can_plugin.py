@@ -170,6 +170,11 @@ class EmulatedBus(can.BusABC):
         return _Subscription(self._ears.listeners, on_frame)
 
     @property
+    def hub_bus(self) -> tuple[str, str] | None:
+        """(path of the hub's socket, name of the bus there); None in a rig of this process."""
+        return None if self._hub is None else (self._hub.path, self._hub.bus)
+
+    @property
     def dropped(self) -> int:
         """Frames nobody read, given up oldest first (at most 65,536 wait)."""
         return self._ears.dropped

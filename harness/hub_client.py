@@ -56,7 +56,7 @@ class HubLink:
             reason = answer.decode("utf-8", "replace") or "it has closed the connection"
             raise CanInitializationError(f"{path}: {reason}")
         self.bus = answer[len(WELCOME) :].decode()
-        self._path = path
+        self.path = path
         self._socket.setblocking(True)
 
     def fileno(self) -> int:
@@ -93,7 +93,7 @@ class HubLink:
                 raise self._gone()
             if record.startswith(REFUSED):
                 reason = record[len(REFUSED) :].decode("utf-8", "replace")
-                raise CanOperationError(f"{self._path}: {reason}; the hub has disconnected us")
+                raise CanOperationError(f"{self.path}: {reason}; the hub has disconnected us")
             if record[0] in (HEARD, SENT):
                 kind, time_ns, frame = unpack_told(record)
                 return frame, time_ns, kind == SENT
@@ -106,7 +106,7 @@ class HubLink:
             return self._socket.recv(RECORD_MAX)
 
     def _gone(self) -> CanOperationError:
-        return CanOperationError(f"{self._path}: the hub has closed the connection")
+        return CanOperationError(f"{self.path}: the hub has closed the connection")
 
     def close(self) -> None:
         """Disconnected."""

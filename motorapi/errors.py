@@ -153,16 +153,30 @@ class MotorBusyError(MotorError):
     """Somebody else holds the motor.
 
     Attributes: motor (name), holder (who, in words), since_ns (of the runtime's time), purpose
-    ("low-level access"; "" if the holder's name says it all).
+    ("low-level access"; "" if the holder's name says it all). If the holder is a process, through a
+    lock between processes, also pid and program, and since (in words).
     """
 
-    def __init__(self, *, motor: str, holder: str, since_ns: int, purpose: str = "") -> None:
+    def __init__(
+        self,
+        *,
+        motor: str,
+        holder: str,
+        since_ns: int,
+        purpose: str = "",
+        pid: int | None = None,
+        program: str = "",
+        since: str = "",
+    ) -> None:
         self.motor = motor
         self.holder = holder
         self.since_ns = since_ns
         self.purpose = purpose
+        self.pid = pid
+        self.program = program
+        self.since = since or f"{since_ns / 1e9:.6f} s"
         whom = f"{holder} for {purpose}" if purpose else holder
-        super().__init__(f"{motor} is held by {whom} since {since_ns / 1e9:.6f} s")
+        super().__init__(f"{motor} is held by {whom} since {self.since}")
 
 
 @final

@@ -147,6 +147,11 @@ class WallRuntime:
                     pause_s = min(pause_s, left_ns / 1e9)
                 self._changed.wait(pause_s)
 
+    def wake(self) -> None:
+        """Whoever waits looks at once; for what has changed outside of any callback."""
+        with self._changed:
+            self._changed.notify_all()
+
     def every(self, period_s: float, action: Callable[[], None]) -> Timer:
         """`action` runs at start + k * `period_s` [s]; one that is late skips what it missed."""
         if not 1e-9 <= period_s <= 1e9:

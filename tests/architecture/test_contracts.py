@@ -45,6 +45,7 @@ PLANTS = [
     ("traces-alone", "traces/writer.py", "from time import time", "traces.writer -> time"),
     ("traces-alone", "traces/reader.py", "import mcap.reader", "traces.reader -> mcap"),
     ("waiting", "motorapi/motor.py", "import time", "motorapi.motor -> time"),
+    ("waiting", "motorapi/sharing.py", "import fcntl", "motorapi.sharing -> fcntl"),
     (
         "waiting",
         "motorapi/adaptations/sdo_channel.py",

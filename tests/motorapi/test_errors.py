@@ -45,6 +45,18 @@ TOLD = [
     ),
     (errors.PluginError, {"plugin": "MyMotor", "where": "_arm", "problem": "KeyError('x')"}),
     (errors.DomainError, {"argument": 7.5, "low": 0.0, "high": 5.0, "function": "<Profile>"}),
+    (
+        errors.MotorBusyError,
+        {
+            "motor": "left",
+            "holder": "pid 7 (drive.py)",
+            "since_ns": 1,
+            "purpose": "driving",
+            "pid": 7,
+            "program": "drive.py",
+            "since": "noon",
+        },
+    ),
 ]
 EXAMPLES = [kind(**facts) for kind, facts in TOLD]
 

@@ -1,0 +1,180 @@
+import os
+import stat
+
+import pytest
+
+from motorapi import lock_directory
+from motorapi.errors import UsageError
+from motorapi.lock_directory import VARIABLE, LockDirectory
+
+ROOT = os.geteuid() == 0
+SOMEBODY = 54321
+
+
+def mode_of(path):
+    return stat.S_IMODE(path.stat().st_mode)
+
+
+@pytest.fixture
+def default(tmp_path, monkeypatch):
+    """Where locks are by default."""
+    monkeypatch.delenv(VARIABLE, raising=False)
+    monkeypatch.setattr(lock_directory, "_DEFAULT", str(tmp_path / "motorhil-{}"))
+    return tmp_path / f"motorhil-{os.geteuid()}"
+
+
+@pytest.fixture
+def group(tmp_path):
+    """A directory that a group shares."""
+    folder = tmp_path / "robot"
+    folder.mkdir()
+    folder.chmod(0o2770)
+    return folder
+
+
+def test_by_default_it_is_the_users_own_and_is_made(default):
+    os.close(LockDirectory().open("pan"))
+    assert mode_of(default) == 0o700
+    assert mode_of(default / "pan") == 0o600
+    os.close(LockDirectory().open("pan"))
+    assert LockDirectory().names() == ["pan"]
+
+
+def test_it_is_the_same_wherever_a_session_keeps_its_files(default, tmp_path, monkeypatch):
+    for name in ("XDG_RUNTIME_DIR", "TMPDIR", "HOME"):
+        monkeypatch.setenv(name, str(tmp_path))
+    assert LockDirectory().path == default
+
+
+def test_reading_makes_nothing(default):
+    assert LockDirectory().open("pan", to_read=True) is None
+    assert LockDirectory().names() == []
+    assert not default.exists()
+
+
+def test_the_environment_names_another(default, group, monkeypatch):
+    monkeypatch.setenv(VARIABLE, str(group))
+    assert LockDirectory().path == group
+    monkeypatch.setenv(VARIABLE, "here")
+    with pytest.raises(UsageError, match=f"{VARIABLE}=here: must be an absolute path"):
+        LockDirectory()
+
+
+def test_in_a_groups_directory_the_group_can_use_what_any_of_them_made(group):
+    before = os.umask(0o077)
+    try:
+        os.close(LockDirectory(group).open("pan"))
+    finally:
+        os.umask(before)
+    assert mode_of(group / "pan") == 0o660
+    assert (group / "pan").stat().st_gid == group.stat().st_gid
+
+
+def test_a_directory_that_is_named_is_not_made(tmp_path):
+    with pytest.raises(UsageError, match="no such directory"):
+        LockDirectory(tmp_path / "none").open("pan")
+
+
+@pytest.mark.parametrize("mode", [0o770, 0o777, 0o1777, 0o2777, 0o2775, 0o755, 0o2750])
+def test_a_directory_that_lets_in_whom_it_should_not_is_refused(tmp_path, mode):
+    folder = tmp_path / "locks"
+    folder.mkdir()
+    folder.chmod(mode)
+    with pytest.raises(UsageError, match=f"{folder}: mode {mode:04o}.*{VARIABLE}"):
+        LockDirectory(folder).open("pan")
+
+
+def test_the_default_directory_is_nobody_elses(default):
+    default.mkdir()
+    default.chmod(0o2770)
+    with pytest.raises(UsageError, match="mode 2770 lets others in; it must be 0700"):
+        LockDirectory().open("pan")
+
+
+@pytest.mark.skipif(not ROOT, reason="only root can give a directory away")
+def test_a_default_directory_that_somebody_made_first_is_refused(default):
+    default.mkdir(mode=0o700)
+    os.chown(default, SOMEBODY, -1)
+    with pytest.raises(UsageError, match=f"belongs to user {SOMEBODY}"):
+        LockDirectory().open("pan")
+    with pytest.raises(UsageError, match=f"belongs to user {SOMEBODY}"):
+        LockDirectory().names()
+
+
+@pytest.mark.skipif(not ROOT, reason="only root can give a directory away")
+def test_a_private_directory_of_somebody_else_is_refused_when_named(tmp_path):
+    folder = tmp_path / "theirs"
+    folder.mkdir(mode=0o700)
+    os.chown(folder, SOMEBODY, -1)
+    with pytest.raises(UsageError, match="must be 2770, or 0700 and your own"):
+        LockDirectory(folder).open("pan")
+
+
+def test_a_link_in_place_of_the_directory_is_refused(default, tmp_path):
+    elsewhere = tmp_path / "elsewhere"
+    elsewhere.mkdir(mode=0o700)
+    default.symlink_to(elsewhere)
+    with pytest.raises(UsageError, match="it is a link"):
+        LockDirectory().open("pan")
+    assert list(elsewhere.iterdir()) == []
+
+
+def test_a_link_in_place_of_a_file_is_refused_and_what_it_leads_to_stays(group, tmp_path):
+    precious = tmp_path / "precious"
+    precious.write_text("keep")
+    (group / "pan").symlink_to(precious)
+    with pytest.raises(UsageError, match=f"{group}/pan: Too many levels of symbolic links"):
+        LockDirectory(group).open("pan")
+    (group / "tilt").symlink_to(tmp_path / "to be made")
+    with pytest.raises(UsageError):
+        LockDirectory(group).open("tilt")
+    assert precious.read_text() == "keep"
+    assert not (tmp_path / "to be made").exists()
+
+
+def test_a_file_that_has_another_name_elsewhere_is_refused(group, tmp_path):
+    precious = tmp_path / "precious"
+    precious.write_text("keep")
+    precious.chmod(0o660)
+    (group / "pan").hardlink_to(precious)
+    with pytest.raises(UsageError, match="hard link"):
+        LockDirectory(group).open("pan")
+
+
+def test_a_fifo_in_place_of_a_file_is_refused_at_once(group):
+    os.mkfifo(group / "pan", 0o660)
+    for to_read in (False, True):
+        with pytest.raises(UsageError, match="it is no file"):
+            LockDirectory(group).open("pan", to_read=to_read)
+
+
+def test_a_file_that_others_can_write_is_refused(default, group):
+    default.mkdir(mode=0o700)
+    (default / "pan").touch(0o600)
+    (default / "pan").chmod(0o620)
+    with pytest.raises(UsageError, match="mode 0620; it must be your own, 0600"):
+        LockDirectory().open("pan")
+    (group / "pan").touch()
+    (group / "pan").chmod(0o666)
+    with pytest.raises(UsageError, match="mode 0666; it must be group"):
+        LockDirectory(group).open("pan")
+
+
+@pytest.mark.skipif(not ROOT, reason="only root can give a file away")
+def test_a_file_of_somebody_else_is_refused_in_a_private_directory(default):
+    default.mkdir(mode=0o700)
+    (default / "pan").touch(0o600)
+    os.chown(default / "pan", SOMEBODY, -1)
+    with pytest.raises(UsageError, match=f"user {SOMEBODY}, mode 0600"):
+        LockDirectory().open("pan")
+
+
+def test_refusals_leave_no_descriptor_open(default, group, tmp_path):
+    before = len(os.listdir("/proc/self/fd"))
+    default.mkdir(mode=0o755)
+    (group / "pan").touch(0o666)
+    os.mkfifo(group / "tilt", 0o660)
+    for directory, name in ((None, "pan"), (group, "pan"), (group, "tilt"), (tmp_path / "x", "x")):
+        with pytest.raises(UsageError):
+            LockDirectory(directory).open(name)
+    assert len(os.listdir("/proc/self/fd")) == before

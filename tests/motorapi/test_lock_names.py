@@ -1,0 +1,123 @@
+import os
+import pty
+import socket
+
+import can
+import pytest
+
+from emulators.event_queue import EventQueue
+from emulators.hub import HubServer
+from emulators.media.can_bus import CanBus
+from emulators.world import World
+from harness.virtual_time import VirtualRuntime
+from motorapi.errors import UsageError
+from motorapi.lock_names import bus_name, hub_name, serial_name, socketcan_name, tcp_name
+
+
+def test_a_serial_line_has_one_name_whatever_link_leads_to_it(tmp_path):
+    ours, theirs = pty.openpty()
+    try:
+        line = os.ttyname(theirs)
+        (tmp_path / "by-id").mkdir()
+        (tmp_path / "by-id" / "usb-drive").symlink_to(line)
+        (tmp_path / "drive").symlink_to(tmp_path / "by-id" / "usb-drive")
+        names = {
+            serial_name(str(path))
+            for path in (line, tmp_path / "drive", tmp_path / "by-id" / "usb-drive")
+        }
+    finally:
+        os.close(ours)
+        os.close(theirs)
+    number = line.rpartition("/")[2]
+    assert names == {f"serial-136-{number}"}  # devices.txt of Linux: 136 is UNIX98 PTY slaves
+
+
+def test_what_is_no_serial_line_is_refused(tmp_path):
+    (tmp_path / "file").touch()
+    with pytest.raises(UsageError, match="no serial line, but a file"):
+        serial_name(str(tmp_path / "file"))
+    with pytest.raises(UsageError, match="No such file"):
+        serial_name(str(tmp_path / "none"))
+
+
+def test_a_hubs_bus_has_one_name_whatever_path_leads_to_it_and_another_hub_has_another(tmp_path):
+    (tmp_path / "here").mkdir()
+    with socket.socket(socket.AF_UNIX) as one, socket.socket(socket.AF_UNIX) as two:
+        one.bind(str(tmp_path / "here" / "hub"))
+        two.bind(str(tmp_path / "other"))
+        (tmp_path / "link").symlink_to(tmp_path / "here")
+        straight = hub_name(str(tmp_path / "here" / "hub"), "can0")
+        assert hub_name(str(tmp_path / "link" / ".." / "here" / "hub"), "can0") == straight
+        assert hub_name(str(tmp_path / "link" / "hub"), "can0") == straight
+        assert hub_name(str(tmp_path / "here" / "hub"), "can1") != straight
+        assert hub_name(str(tmp_path / "other"), "can0") != straight
+
+
+def test_a_network_interface_is_known_by_its_index_and_namespace():
+    name, index = "lo", socket.if_nametoindex("lo")
+    namespace = os.stat("/proc/self/ns/net").st_ino
+    assert socketcan_name(name) == f"can-if{index}-net{namespace}"
+    with pytest.raises(UsageError, match="no-such-if0: no such network interface"):
+        socketcan_name("no-such-if0")
+
+
+@pytest.mark.parametrize(
+    ("host", "name"),
+    [
+        ("localhost", "tcp-127.0.0.1-502"),
+        ("127.0.0.1", "tcp-127.0.0.1-502"),
+        ("::1", "tcp-127.0.0.1-502"),
+        ("::ffff:10.0.0.7", "tcp-10.0.0.7-502"),
+        ("10.0.0.7", "tcp-10.0.0.7-502"),
+        ("Drive.Local.", "tcp-drive.local-502"),
+        ("fe80::1", "tcp-fe80::1-502"),
+    ],
+)
+def test_a_tcp_server_is_known_by_its_address(host, name):
+    assert tcp_name(host, 502) == name
+
+
+def test_a_bus_of_a_rig_in_this_process_needs_no_name():
+    class RigBus:
+        runtime = VirtualRuntime(EventQueue())
+
+    assert bus_name(RigBus()) is None
+    with can.Bus(interface="virtual", channel="lock-names") as bus:
+        assert bus_name(bus) is None
+
+
+def test_two_spellings_of_a_hubs_bus_are_one(tmp_path):
+    world = World(EventQueue())
+    world.add_bus(CanBus("can0"))
+    hub = HubServer(tmp_path / "hub", world)
+
+    class HubBus:  # as harness.can_plugin.EmulatedBus; tests/wall opens real ones
+        channel_info = "emulated bus"
+
+        def __init__(self, path, name):
+            self.hub_bus = (str(path), name)
+            self.channel = f"{path}#{name}"
+
+    try:
+        (tmp_path / "link").symlink_to(tmp_path / "hub")
+        assert bus_name(HubBus(tmp_path / "hub", "can0")) == bus_name(
+            HubBus(tmp_path / "link", "can0")
+        )
+    finally:
+        hub.close()
+
+
+def test_any_other_bus_is_known_by_its_interface_and_channel():
+    class PcanBus:
+        channel = "PCAN_USBBUS1"
+        channel_info = "PCAN"
+
+    class SlcanBus:
+        channel = "/dev/null"
+        channel_info = "slcan"
+
+    assert bus_name(PcanBus()) == "pcan-PCAN_USBBUS1"
+    assert bus_name(SlcanBus()) == "slcan-serial-1-3"  # devices.txt of Linux: 1:3 is /dev/null
+    for name in ("a/b", "../x"):
+        PcanBus.channel = name
+        assert "/" not in bus_name(PcanBus())

@@ -1,0 +1,292 @@
+"""The lock between processes, seen from one; tests/wall has several."""
+
+import gc
+import os
+import threading
+
+import pytest
+
+from emulators.event_queue import EventQueue
+from harness.virtual_time import VirtualRuntime
+from motorapi.errors import MotorBusyError, UsageError
+from motorapi.lock_directory import LockDirectory
+from motorapi.lock_view import list_locks
+from motorapi.process_lock import ProcessLock
+from motorapi.wall_runtime import WallRuntime
+
+LONG_S = 20.0
+
+
+@pytest.fixture
+def directory(tmp_path):
+    return LockDirectory(tmp_path)
+
+
+@pytest.fixture
+def runtime():
+    wall = WallRuntime()
+    yield wall
+    wall.close()
+
+
+@pytest.fixture
+def lock(directory):
+    return ProcessLock("pan", "the pan", directory)
+
+
+@pytest.fixture
+def other(directory):
+    """What another program would have."""
+    return ProcessLock("pan", "the pan", directory)
+
+
+def purposes(view):
+    return [one.record and one.record.purpose for _, one in view.waiters]
+
+
+def test_every_ownership_has_a_greater_token_and_knows_whether_it_changed_hands(
+    lock, other, runtime
+):
+    told = []
+    for one in (lock, lock, other, other, lock):
+        with one.acquire(runtime, "x") as hold:
+            told.append((hold.token, hold.changed_hands))
+    assert told == [(1, True), (2, False), (3, True), (4, False), (5, True)]
+
+
+def test_the_token_outlives_everybody(directory, lock, runtime):
+    lock.acquire(runtime, "x").release()
+    lock.close()
+    del lock
+    gc.collect()
+    hold = ProcessLock("pan", "the pan", directory).acquire(runtime, "x")
+    assert (hold.token, hold.changed_hands) == (2, True)
+
+
+def test_its_owner_takes_it_again_and_lets_go_as_often(lock, other, runtime):
+    hold = lock.acquire(runtime, "x")
+    assert lock.acquire(runtime, "y") is hold
+    hold.release()
+    with pytest.raises(MotorBusyError, match=r"held by pid .*for x since"):
+        other.acquire(runtime, "z")
+    hold.release()
+    assert not hold.is_held
+    again = other.acquire(runtime, "z")
+    hold.release()  # once too often: of no effect
+    assert again.is_held
+    with pytest.raises(MotorBusyError):
+        lock.acquire(runtime, "x")
+
+
+def test_owners_are_threads_unless_they_are_named(lock, runtime):
+    me, you = object(), object()
+    hold = lock.acquire(runtime, "x", owner=me)
+    assert lock.acquire(runtime, "x", owner=me) is hold
+    for owner in (you, None):
+        with pytest.raises(MotorBusyError):
+            lock.acquire(runtime, "y", owner=owner)
+
+
+def test_threads_have_it_in_the_order_of_asking(lock, runtime):
+    order = []
+    hold = lock.acquire(runtime, "x")
+
+    def take(name):
+        with lock.acquire(runtime, name, LONG_S):
+            order.append(name)
+
+    parties = []
+    for number, name in enumerate("abc"):
+        parties.append(runtime.spawn(name, lambda name=name: take(name)))
+        assert runtime.wait_until(
+            lambda n=number: purposes(lock.look()) == [*"abc"[: n + 1]], LONG_S
+        )
+    hold.release()
+    for party in parties:
+        assert party.join(LONG_S)
+        assert party.error is None
+    assert order == ["a", "b", "c"]
+
+
+def test_a_wait_ends_with_its_timeout_and_its_place_is_given_up(lock, other, runtime):
+    hold = lock.acquire(runtime, "x")
+    begun_ns = runtime.now_ns()
+    for timeout_s in (0.0, 0.03):
+        with pytest.raises(MotorBusyError, match=r"the pan is held by pid .*for x since"):
+            other.acquire(runtime, "y", timeout_s)
+    assert runtime.now_ns() - begun_ns >= 30_000_000
+    assert lock.look().waiters == ()
+    hold.release()
+    other.acquire(runtime, "y").release()
+
+
+class WokenRuntime:
+    """A runtime that looks only when it is woken: who waits in it is not polling."""
+
+    def __init__(self):
+        self._woken = threading.Semaphore(0)
+
+    def now_ns(self):
+        return 0
+
+    def wake(self):
+        self._woken.release()
+
+    def wait_until(self, done, timeout_s=None):
+        while not done():
+            if not self._woken.acquire(timeout=timeout_s):
+                return False
+        return True
+
+
+def test_whoever_waits_is_woken_and_need_not_look(lock, other, runtime):
+    order = []
+
+    def take(name):
+        with other.acquire(WokenRuntime(), name, LONG_S):
+            order.append(name)
+
+    for attempt in range(3):
+        hold = lock.acquire(runtime, "x")
+        party = runtime.spawn("waits", lambda name=attempt: take(str(name)))
+        assert runtime.wait_until(lambda: purposes(lock.look()), LONG_S)
+        hold.release()
+        assert party.join(LONG_S / 2)
+        assert party.error is None
+    assert order == ["0", "1", "2"]
+
+
+def test_a_wait_that_was_given_up_is_in_nobodys_way(lock, other, runtime, directory):
+    hold = lock.acquire(runtime, "x")
+    with pytest.raises(MotorBusyError):
+        other.acquire(runtime, "gives up", 0.01)
+    order = []
+
+    def take(name):
+        with other.acquire(WokenRuntime(), name, LONG_S):
+            order.append(name)
+
+    party = runtime.spawn("waits", lambda: take("late"))
+    assert runtime.wait_until(lambda: purposes(lock.look()) == ["late"], LONG_S)
+    hold.release()
+    assert party.join(LONG_S)
+    assert (party.error, order) == (None, ["late"])
+
+
+def test_in_a_callback_nobody_waits_for_it(lock, other, runtime):
+    lock.acquire(runtime, "x")
+    told = []
+
+    def meddle():
+        try:
+            other.acquire(runtime, "y", 1.0)
+        except UsageError as error:
+            told.append(str(error))
+
+    timer = runtime.every(0.005, meddle)
+    assert runtime.wait_until(lambda: bool(told), LONG_S)
+    timer.cancel()
+    assert told[0].startswith("waiting inside a callback")
+    assert lock.look().waiters == ()
+
+
+def test_a_runtime_that_is_closed_ends_the_wait_and_the_place(lock, other):
+    runtime = WallRuntime()
+    lock.acquire(runtime, "x")
+    party = runtime.spawn("waits", lambda: other.acquire(runtime, "y", LONG_S))
+    assert runtime.wait_until(lambda: purposes(lock.look()) == ["y"], LONG_S)
+    runtime.close()
+    assert party.finished
+    assert lock.look().waiters == ()
+
+
+def test_in_virtual_time_parties_of_this_process_wait_for_each_other(lock):
+    virtual = VirtualRuntime(EventQueue())
+    order = []
+
+    def take(name):
+        with lock.acquire(virtual, name, 10.0):
+            order.append((name, virtual.now_ns()))
+            virtual.run_for(0.1)
+
+    parties = [virtual.spawn(name, lambda name=name: take(name)) for name in "abc"]
+    for party in parties:
+        assert party.join(10.0)
+        assert party.error is None
+    assert order == [("a", 0), ("b", 100_000_000), ("c", 200_000_000)]
+
+
+def test_looking_takes_nothing_and_tells_who_has_it_and_who_waits(lock, other, runtime, directory):
+    assert lock.look().holder is None
+    assert list_locks(directory) == []  # looking makes no file
+    hold = lock.acquire(runtime, "drive ü" + "!" * 200)
+    party = runtime.spawn("waits", lambda: other.acquire(runtime, "b", LONG_S).release())
+    assert runtime.wait_until(lambda: purposes(lock.look()) == ["b"], LONG_S)
+    (view,) = list_locks(directory)
+    assert (view.name, view.label) == ("pan", "the pan")
+    assert view.holder.record.purpose == "drive ü" + "!" * 88  # 96 bytes
+    assert (view.holder.record.pid, view.holder.is_paused) == (os.getpid(), False)
+    assert view.holder.age_s >= 0.0
+    assert purposes(view) == ["b"]
+    hold.release()
+    assert party.join(LONG_S)
+    (view,) = list_locks(directory)
+    assert (view.label, view.holder, view.waiters) == ("the pan", None, ())
+
+
+def test_of_a_process_that_has_not_yet_said_who_it_is_only_that_is_told(
+    lock, other, runtime, monkeypatch
+):
+    monkeypatch.setattr("motorapi.lock_file.LockFile.tell_holder", lambda *told: None)
+    lock.acquire(runtime, "x")
+    with pytest.raises(MotorBusyError, match="has not yet said who it is since just now") as caught:
+        other.acquire(runtime, "y")
+    assert caught.value.pid is None
+
+
+def test_who_has_it_is_not_told_from_a_file_that_somebody_has_restored(lock, runtime, tmp_path):
+    with lock.acquire(runtime, "long ago"):
+        old = (tmp_path / "pan").read_bytes()
+    hold = lock.acquire(runtime, "now")
+    (tmp_path / "pan").write_bytes(old)
+    holder = lock.look().holder
+    assert holder is not None
+    assert holder.record is None
+    hold.release()
+
+
+def test_after_somebody_has_tidied_up_all_use_the_new_file(lock, other, runtime, tmp_path):
+    lock.acquire(runtime, "x").release()
+    (tmp_path / "pan").unlink()
+    hold = other.acquire(runtime, "y")
+    assert hold.token == 1
+    with pytest.raises(MotorBusyError, match="for y since"):
+        lock.acquire(runtime, "x")
+
+
+def test_what_is_no_lock_file_is_left_alone(lock, runtime, tmp_path):
+    (tmp_path / "pan").touch(0o600)
+    (tmp_path / "pan").write_text("my precious notes")
+    with pytest.raises(UsageError, match=f"{tmp_path}/pan: this is no lock file"):
+        lock.acquire(runtime, "x")
+    assert (tmp_path / "pan").read_text() == "my precious notes"
+
+
+@pytest.mark.parametrize("name", ["", "a/b", ".hidden", "..", "x" * 201])
+def test_a_name_that_is_no_files_is_refused(name, directory):
+    with pytest.raises(UsageError, match="lock '"):
+        ProcessLock(name, "x", directory)
+
+
+def test_a_lock_that_nobody_uses_any_more_keeps_nothing_open(directory, runtime):
+    gc.collect()
+    before = len(os.listdir("/proc/self/fd"))
+    lock = ProcessLock("pan", "the pan", directory)
+    lock.acquire(runtime, "x").release()
+    assert len(os.listdir("/proc/self/fd")) == before + 1  # kept for the next time
+    lock.close()
+    assert len(os.listdir("/proc/self/fd")) == before
+    lock.acquire(runtime, "x").release()
+    del lock
+    gc.collect()
+    assert len(os.listdir("/proc/self/fd")) == before

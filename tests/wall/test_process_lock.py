@@ -1,0 +1,221 @@
+"""The lock between processes, with processes that are nobody's relatives."""
+
+import contextlib
+import os
+import select
+import signal
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from emulators.event_queue import EventQueue
+from harness.virtual_time import VirtualRuntime
+from motorapi.errors import MotorBusyError
+from motorapi.lock_directory import LockDirectory
+from motorapi.process_lock import ProcessLock
+from motorapi.wall_runtime import WallRuntime
+
+pytestmark = pytest.mark.wall
+
+LONG_S = 20.0
+
+
+class Program:
+    """tests/wall/lock_holder.py, running."""
+
+    def __init__(self, folder):
+        self.process = subprocess.Popen(
+            [sys.executable, "-m", "tests.wall.lock_holder", str(folder), "pan"],
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            text=True,
+        )
+        self.pid = self.process.pid
+
+    def say(self, text):
+        self.process.stdin.write(text + "\n")
+        self.process.stdin.flush()
+
+    def hear(self):
+        assert select.select([self.process.stdout], [], [], LONG_S)[0], "no answer"
+        return self.process.stdout.readline().strip()
+
+    def ask(self, text):
+        self.say(text)
+        return self.hear()
+
+    def signal(self, number):
+        os.kill(self.pid, number)
+
+    def kill(self):
+        self.process.kill()
+        self.process.wait()
+
+
+@pytest.fixture
+def programs(tmp_path):
+    """Starts programs; none is left."""
+    started = []
+
+    def start(count=1):
+        new = [Program(tmp_path) for _ in range(count)]
+        started.extend(new)
+        return new if count > 1 else new[0]
+
+    yield start
+    for program in started:
+        program.kill()
+        program.process.stdin.close()
+        program.process.stdout.close()
+
+
+@pytest.fixture
+def wall():
+    runtime = WallRuntime()
+    yield runtime
+    runtime.close()
+
+
+@pytest.fixture
+def lock(tmp_path):
+    return ProcessLock("pan", "the pan", LockDirectory(tmp_path))
+
+
+def until_waiting(wall, lock, pids):
+    """These wait in the queue, in this order, and have said so."""
+
+    def waiting():
+        records = [one.record for _, one in lock.look().waiters]
+        return [one and one.pid for one in records] == pids
+
+    assert wall.wait_until(waiting, LONG_S), lock.look()
+
+
+def holder_pid(lock):
+    holder = lock.look().holder
+    return holder and holder.record and holder.record.pid
+
+
+def test_another_process_is_refused_and_told_who_has_it(programs, lock, wall):
+    drive = programs()
+    assert drive.ask("take driving") == "has 1 True"
+    with pytest.raises(MotorBusyError) as caught:
+        lock.acquire(wall, "looking around")
+    error = caught.value
+    assert (error.pid, error.program, error.purpose) == (drive.pid, "lock_holder.py", "driving")
+    assert error.motor == "the pan"
+    assert error.since_ns <= wall.now_ns()
+    assert str(error).startswith(
+        f"the pan is held by pid {drive.pid} (lock_holder.py) for driving since 2"
+    )
+    assert drive.ask("release") == "released"
+    hold = lock.acquire(wall, "looking around")
+    assert (hold.token, hold.changed_hands) == (2, True)
+    refused = drive.ask("take driving")
+    assert refused.startswith(f"busy the pan is held by pid {os.getpid()} (")
+    assert ") for looking around since 2" in refused
+    hold.release()
+    assert not lock.acquire(wall, "again").changed_hands  # but for one who was refused, nobody
+
+
+def test_those_who_wait_have_it_in_the_order_of_asking(programs, lock, wall):
+    waiting = programs(8)
+    hold = lock.acquire(wall, "first")
+    for number, one in enumerate(waiting):
+        one.say(f"take w{number} {LONG_S}")
+        until_waiting(wall, lock, [other.pid for other in waiting[: number + 1]])
+    hold.release()
+    for number, one in enumerate(waiting):
+        assert one.hear() == f"has {number + 2} True"
+        assert holder_pid(lock) == one.pid
+        until_waiting(wall, lock, [other.pid for other in waiting[number + 1 :]])
+        assert one.ask("release") == "released"
+    assert lock.look().holder is None
+
+
+def test_the_next_has_it_when_its_holder_is_killed_and_those_killed_waiting_are_passed_over(
+    programs, lock, wall
+):
+    holder, dies, lives, last = waiting = programs(4)
+    assert holder.ask("take holding") == "has 1 True"
+    for number, one in enumerate(waiting[1:]):
+        one.say(f"take w {LONG_S}")
+        until_waiting(wall, lock, [other.pid for other in waiting[1 : number + 2]])
+    dies.kill()
+    until_waiting(wall, lock, [lives.pid, last.pid])
+    holder.kill()
+    assert lives.hear() == "has 2 True"
+    assert holder_pid(lock) == lives.pid
+    lives.kill()
+    assert last.hear() == "has 3 True"
+    last.kill()
+    assert lock.look().holder is None  # at once: never stale
+    assert lock.acquire(wall, "mine").token == 4
+
+
+def test_a_paused_holder_is_named_as_such_and_keeps_it(programs, lock, wall):
+    holder = programs()
+    holder.ask("take thinking")
+    holder.signal(signal.SIGSTOP)
+    assert wall.wait_until(lambda: lock.look().holder.is_paused, LONG_S)
+    with pytest.raises(MotorBusyError, match=rf"pid {holder.pid} \(lock_holder.py, paused\)"):
+        lock.acquire(wall, "mine", timeout_s=0.05)
+    holder.signal(signal.SIGCONT)
+    assert holder.ask("release") == "released"
+    lock.acquire(wall, "mine").release()
+
+
+def test_one_who_is_paused_while_it_waits_is_named_when_its_turn_has_come(programs, lock, wall):
+    waits, behind = programs(2)
+    hold = lock.acquire(wall, "first")
+    waits.say(f"take dozing {LONG_S}")
+    until_waiting(wall, lock, [waits.pid])
+    waits.signal(signal.SIGSTOP)
+    assert wall.wait_until(lambda: lock.look().waiters[0][1].is_paused, LONG_S)
+    hold.release()
+    refused = behind.ask("take x 0.1")
+    assert f"held by pid {waits.pid} (lock_holder.py, paused) for dozing" in refused
+    waits.signal(signal.SIGCONT)
+    assert waits.hear() == "has 2 True"
+
+
+def test_who_gives_up_waiting_leaves_no_place_behind(programs, lock, wall):
+    gives_up, stays = programs(2)
+    hold = lock.acquire(wall, "first")
+    assert gives_up.ask("take a 0.05").startswith("busy the pan is held by pid ")
+    assert lock.look().waiters == ()
+    stays.say(f"take b {LONG_S}")
+    until_waiting(wall, lock, [stays.pid])
+    gives_up.say(f"take a {LONG_S}")
+    until_waiting(wall, lock, [stays.pid, gives_up.pid])
+    hold.release()
+    assert stays.hear() == "has 2 True"
+    assert stays.ask("release") == "released"
+    assert gives_up.hear() == "has 3 True"
+
+
+@pytest.mark.parametrize("how", ["fork", "child"])
+def test_a_child_of_a_dead_holder_does_not_keep_it(programs, lock, wall, how):
+    holder = programs()
+    holder.ask("take a")
+    child = int(holder.ask(how).split()[1])
+    try:
+        assert holder_pid(lock) == holder.pid
+        holder.kill()
+        lock.acquire(wall, "mine", timeout_s=LONG_S)
+        assert Path(f"/proc/{child}").exists()
+    finally:
+        with contextlib.suppress(ProcessLookupError):
+            os.kill(child, signal.SIGKILL)
+
+
+def test_a_runtime_of_its_own_time_refuses_what_another_process_has(programs, lock, wall):
+    holder = programs()
+    holder.ask("take a")
+    virtual = VirtualRuntime(EventQueue())
+    with pytest.raises(MotorBusyError, match=f"held by pid {holder.pid} "):
+        lock.acquire(virtual, "mine", timeout_s=10.0)
+    assert virtual.now_ns() == 0
+    assert lock.look().waiters == ()
