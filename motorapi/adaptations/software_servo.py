@@ -189,6 +189,8 @@ class Servo:
         self._count = count
         self._travel += change
         self.position = float(self._travel + self._offset)
+        if self.course is None:
+            self.demand = self.position
         if before < 0:
             self.velocity = 0.0
             self._error = 0.0

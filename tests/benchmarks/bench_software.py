@@ -1,8 +1,8 @@
 """Central servo: twelve motors whose loops are closed on the host, all of them moving.
 
 A motor costs a count there and an output back in every cycle, exact frames on the bus, a sample of
-its trajectory, PID, and the plant. Times are CPU's: one thread does it all. Figures grow with motors
-and with the rate.
+its trajectory, PID, and the plant. Times are CPU's: one thread does it all. Figures grow with
+motors and with the rate.
 """
 
 import time
