@@ -77,7 +77,10 @@ class ReadableMotor(MotorHooks):
 
     def __repr__(self) -> str:
         text = f"<{type(self).__name__} {self.name!r} on {self._physical.label}"
-        latest = self._latest()
+        try:
+            latest = self._latest()
+        except Exception as error:  # at a prompt a repr that raises hides what is wrong
+            return f"{text}: {error!r}>"
         if latest is None:
             return f"{text}>"
         where = "" if latest.position is None else f", {latest.position:g} {self.model.unit}"
@@ -113,6 +116,7 @@ class ReadableMotor(MotorHooks):
         except MotorError:
             raise
         except Exception as error:
+            where = getattr(hook, "__name__", None) or repr(hook)
             raise PluginError(
-                plugin=type(self).__qualname__, where=hook.__name__, problem=repr(error)
+                plugin=type(self).__qualname__, where=str(where), problem=repr(error)
             ) from error

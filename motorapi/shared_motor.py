@@ -132,7 +132,7 @@ class SharedMotor(ReadableMotor):
             return True
         if run.interrupted_by is not None:
             if run.error is not None:
-                raise copy(run.error)
+                raise copy(run.error) from run.error.__cause__
             raise MotionInterrupted(
                 motor=self.name, by=run.interrupted_by, at_ns=run.interrupted_at_ns
             )

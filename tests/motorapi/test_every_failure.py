@@ -1,0 +1,154 @@
+"""Every failure of every call is of the error tree, whatever an adaptation or a callback raises."""
+
+import struct
+
+import can
+import pytest
+from canopen.sdo.exceptions import SdoAbortedError, SdoCommunicationError
+
+from motorapi import (
+    ControlMode,
+    Motor,
+    MotorError,
+    MotorGroup,
+    PluginError,
+    TrapezoidalTrajectory,
+    UsageError,
+)
+from motorapi.hooks import MotorHooks
+from tests.motorapi.ideal import IdealBus, IdealHwMotor, IdealMotor
+
+HOOKS = sorted(
+    name
+    for name in vars(MotorHooks)
+    if name.startswith("_") and not name.startswith("__") and callable(vars(MotorHooks)[name])
+)
+RAISED = (
+    KeyError("planted"),
+    OSError(19, "No such device"),
+    struct.error("unpack requires 4 bytes"),
+    can.CanOperationError("bus off"),
+    SdoAbortedError(0x06020000),
+    SdoCommunicationError("planted"),
+    AssertionError(),
+    StopIteration(),
+    RuntimeError("planted"),
+)
+CALLS = {
+    "mode": lambda motor: motor.set_control_mode(ControlMode.SETPOINT),
+    "setpoint": lambda motor: motor.set_setpoint(1.0),
+    "trajectory": lambda motor: (
+        motor.set_control_mode(ControlMode.TRAJECTORY),
+        motor.set_trajectory(TrapezoidalTrajectory(1.0)),
+    ),
+    "start": Motor.start,
+    "progress": Motor.progress,
+    "on_done": lambda motor: motor.on_done(lambda outcome: None),
+    "is_done": Motor.is_done,
+    "wait": lambda motor: motor.wait_until_done(timeout_s=3.0),
+    "stop": Motor.stop,
+    "halt": Motor.halt,
+    "quick_stop": Motor.quick_stop,
+    "enable": Motor.enable,
+    "disable": Motor.disable,
+    "home": lambda motor: motor.home(37, timeout_s=1.0),
+    "reset_fault": Motor.reset_fault,
+    "state": Motor.state,
+    "fault": Motor.fault,
+    "is_referenced": Motor.is_referenced,
+    "position": Motor.position,
+    "velocity": Motor.velocity,
+    "torque": Motor.torque,
+    "following_error": Motor.following_error,
+    "latest": Motor.latest,
+    "low_level": lambda motor: motor.low_level(timeout_s=1.0).__enter__(),
+    "repr": repr,
+    "close": Motor.close,
+}
+GROUP_CALLS = {
+    "start": MotorGroup.start,
+    "is_done": MotorGroup.is_done,
+    "wait": lambda group: group.wait_until_done(timeout_s=3.0),
+    "capability": MotorGroup.sync_capability,
+    "quality": MotorGroup.sync_quality,
+    "stop": MotorGroup.stop,
+    "repr": repr,
+}
+
+
+NOT_ASKED = ("_close_low_level", "_disarm", "_reset_fault")
+"""This adaptation gives no hardware away, and none of these starts fails."""
+
+
+def failures_of(calls, thing):
+    """What each call raised, of what is no error of the tree too."""
+    raised = {}
+    for name, call in calls.items():
+        try:
+            call(thing)
+        except Exception as error:
+            raised[name] = error
+    return raised
+
+
+CASES = [(hook, RAISED[0]) for hook in HOOKS]
+CASES += [(hook, planted) for hook in ("_arm", "_is_done", "_stop") for planted in RAISED[1:]]
+
+
+@pytest.mark.parametrize(("hook", "planted"), CASES)
+def test_whatever_a_hook_raises_is_told_as_the_adaptations(runtime, hook, planted):
+    def fail(self, *args, **kwargs):
+        raise planted
+
+    fail.__name__ = hook
+    broken = type("Broken", (IdealMotor,), {hook: fail})
+    bus = IdealBus()
+    motors = [broken(IdealHwMotor(runtime, node, bus)) for node in (1, 2)]
+    raised = failures_of(CALLS, motors[0])
+    raised |= {f"group {k}": e for k, e in failures_of(GROUP_CALLS, MotorGroup(*motors)).items()}
+    assert [name for name, error in raised.items() if not isinstance(error, MotorError)] == []
+    plugin = [error for error in raised.values() if isinstance(error, PluginError)]
+    for error in plugin:
+        assert (error.plugin, error.problem) == ("Broken", repr(planted))
+        assert error.where == hook or (error.where, hook) == ("_halt", "_stop")  # its default
+        assert error.__cause__ is planted
+    assert plugin or hook in NOT_ASKED
+    assert "repr" not in raised
+
+
+def test_what_a_callback_of_the_runtime_raises_is_told_with_its_place(runtime, motor):
+    def clumsy():
+        raise ZeroDivisionError("planted")
+
+    motor.set_control_mode(ControlMode.TRAJECTORY)
+    motor.set_trajectory(TrapezoidalTrajectory(3.0))
+    motor.start()
+    timer = runtime.every(0.1, clumsy)
+    with pytest.raises(PluginError) as caught:
+        motor.wait_until_done(timeout_s=5.0)
+    timer.cancel()
+    assert caught.value.plugin.endswith("clumsy")
+    assert "test_every_failure.py" in caught.value.where
+    assert isinstance(caught.value.__cause__, ZeroDivisionError)
+    motor.wait_until_done(timeout_s=5.0)  # the motion is none the worse
+
+
+def test_what_an_observer_of_a_group_raises_is_told_as_that(pair):
+    group = MotorGroup(*pair)
+    for motor in pair:
+        motor.set_control_mode(ControlMode.TRAJECTORY)
+        motor.set_trajectory(TrapezoidalTrajectory(1.0))
+    group.observe(lambda quality: {}["planted"])
+    group.start()
+    with pytest.raises(PluginError, match=r"observer of m1, m2: KeyError\('planted'\)"):
+        group.wait_until_done()
+    assert [motor.position() for motor in pair] == [1.0, 1.0]
+
+
+@pytest.mark.parametrize("junk", [None, "left", 7, object(), []], ids=str)
+def test_what_is_no_device_is_no_member(pair, junk):
+    group = MotorGroup(*pair)
+    for call in (group.append, group.remove):
+        with pytest.raises(UsageError, match="is no device"):
+            call(junk)
+    assert len(group) == 2
