@@ -82,7 +82,9 @@ class MotorPosition:
         """
         latest = self._motor.latest()
         if latest is None or latest.position is None:
-            raise UsageError(f"the {self._name} is not known: it has not been heard yet")
+            raise UsageError(
+                f"the {self._name} is not known: it has not been heard yet; ask for it once"
+            )
         return latest.position
 
     def __repr__(self) -> str:

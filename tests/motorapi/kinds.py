@@ -1,0 +1,152 @@
+"""The kinds of hardware there are, each as a rig of two motors, `left` and `right`, in a group.
+
+What a test may hold against a kind are the facts stated here, and nothing else: what it can be
+told, how closely it follows a trajectory, how near it ends. The same model of a motor is in all of
+them: 2 rad/s, 4 rad/s^2.
+"""
+
+from contextlib import contextmanager
+from dataclasses import dataclass
+
+from harness.rig import Rig, installed_plugins
+from harness.rig_file import parse_rig
+from harness.settings import Source
+from motorapi import ControlVariable
+
+POSITION, VELOCITY = ControlVariable.POSITION, ControlVariable.VELOCITY
+TORQUE, CURRENT = ControlVariable.TORQUE, ControlVariable.CURRENT
+VELOCITY_MAX, ACCELERATION_MAX = 2.0, 4.0
+
+MODEL = f"""\
+velocity_max_rad_s = {VELOCITY_MAX}
+acceleration_max_rad_s2 = {ACCELERATION_MAX}
+torque_max_n_m = 5.0
+current_max_a = 4.0
+gear_ratio = 66.0
+encoder_increments_rev = 2000
+velocity_unit_rad_s = 4.7599888690754445e-05
+acceleration_unit_rad_s2 = 4.7599888690754445e-05
+"""
+GROUP = '[group.both]\nmotors = ["left", "right"]\n'
+BUS = "[bus.can0]\nbitrate_bit_s = 1_000_000\n"
+
+
+_CIA402_DRIVE = """\
+[controller.{name}]
+kind = "cia402"
+bus = "can0"
+node_id = {number}
+plant = {{ preset = "wheel_60w" }}
+"""
+_IO_NODE = """\
+[controller.node]
+kind = "cia401"
+bus = "can0"
+node_id = 1
+channels = 2
+plant = { preset = "wheel_60w" }
+"""
+# The motor in each, to be formatted with its name, and place ("left", 1) or ("right", 2).
+_IDEAL = 'adaptation = "ideal"\naxis = "{place}"\n'
+_CIA402 = 'adaptation = "cia402"\ncontroller = "{place}"\nservo_period_ms = 1.0\n'
+_SOFTWARE = """\
+adaptation = "software"
+controller = "node"
+channel = {number}
+current_per_volt_a_v = 0.8
+torque_constant_n_m_a = 1.7094
+[motor.{name}.gains]
+bandwidth_rad_s = 60.0
+acceleration_feedforward_a_s2_rad = 0.038
+friction_feedforward_a = 0.154
+"""
+_PLACES = (("left", 1), ("right", 2))
+
+
+@dataclass(frozen=True)
+class Kind:
+    """One kind of hardware, and what it promises.
+
+    hardware: what is on its bus, in a rig file.
+    motor: a motor of its, likewise.
+    following: how far the motor may be from what a trajectory demands, at any instant [rad].
+    window: how far from its target it may end [rad].
+    latency_s: from the start that is told to the start of motion, shortest and longest.
+    heard_s: how old what is heard of another motor's position may be when it acts.
+    variables: what of it can be commanded, as set-point and as trajectory.
+    complex: the variables of which it follows any function.
+    """
+
+    name: str
+    hardware: str
+    motor: str
+    following: float
+    window: float
+    latency_s: tuple[float, float]
+    heard_s: float
+    variables: tuple
+    complex: tuple
+
+    def rig(self, users=()):
+        """The rig of a left and a right motor, and of logical motors of this name on the left."""
+        places = [*((name, name, number) for name, number in _PLACES)]
+        places += [(user, "left", 1) for user in users]
+        return (
+            self.hardware
+            + "".join(
+                f"[motor.{name}]\n"
+                + self.motor.format(name=name, place=place, number=number)
+                + f"[motor.{name}.model]\n{MODEL}"
+                for name, place, number in places
+            )
+            + GROUP
+        )
+
+
+ALL = (POSITION, VELOCITY, TORQUE, CURRENT)
+DRIVES = "".join(_CIA402_DRIVE.format(name=name, number=number) for name, number in _PLACES)
+KINDS = {
+    kind.name: kind
+    for kind in (
+        Kind("ideal", "", _IDEAL, 1e-12, 1e-12, (0.0, 0.0), 0.0, ALL, ALL),
+        Kind(
+            "cia402",
+            BUS + DRIVES,
+            _CIA402,
+            0.0005,  # ten increments: a tick of delay in the drive's loops
+            0.001,
+            (0.0, 0.001),
+            0.04,  # status every 20 ms, and answered as a step
+            (POSITION, VELOCITY, TORQUE),
+            (POSITION, VELOCITY),
+        ),
+        Kind(
+            "software",
+            BUS + _IO_NODE,
+            _SOFTWARE,
+            0.003,  # where acceleration steps by 4 rad/s^2; poles at 60 rad/s, 3 ms of delay
+            0.001,
+            (0.001, 0.001),
+            0.004,
+            ALL,
+            ALL,
+        ),
+    )
+}
+
+
+@contextmanager
+def opened(kind, path, users=()):
+    """The kind's rig; `path` is what it is called, and not read."""
+    description = parse_rig(Source(path, kind.rig(users)), installed_plugins())
+    with Rig(description) as rig:
+        yield rig
+
+
+def true_position(rig, name):
+    """Where the motor really is now [rad]: asked of the plant, not of the wire."""
+    motor = rig.description.motors[name]
+    if motor.controller is None:
+        return rig.motors[name].position()
+    prefix = "" if motor.settings.get("channel", 1) == 1 else "channel_2_"
+    return rig.controllers[motor.controller].snapshot()[f"{prefix}position_rad"]

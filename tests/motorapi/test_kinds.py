@@ -1,0 +1,388 @@
+"""One application on every kind of hardware: the paper's algorithms, and the modes told apart.
+
+Where a motor is, is asked of the plant, not of the wire: what the application reads may be 20 ms
+old. The expected profiles are written here once more, from the textbook.
+"""
+
+from functools import partial
+from itertools import pairwise
+from math import sqrt
+from pathlib import Path
+from threading import Thread
+
+import pytest
+
+from motorapi import (
+    ComplexTrajectory,
+    ControlMode,
+    ControlVariable,
+    DerivativeLimits,
+    LimitError,
+    Motor,
+    MotorBusyError,
+    MotorGroup,
+    MotorModel,
+    MotorPosition,
+    TrapezoidalTrajectory,
+    UnsupportedError,
+    WallRuntime,
+)
+from motorapi.adaptations.ideal import IdealHwMotor, IdealMotor
+from motorapi.functions import Polynomial
+from tests.motorapi.kinds import ACCELERATION_MAX, KINDS, VELOCITY_MAX, opened, true_position
+
+SETPOINT, TRAJECTORY = ControlMode.SETPOINT, ControlMode.TRAJECTORY
+SHAPE = Polynomial((0.0, 0.0, 3.0, -2.0)).restricted(0.0, 1.0)  # 3 s^2 - 2 s^3: rest to rest
+
+
+@pytest.fixture(params=KINDS)
+def kind(request):
+    return KINDS[request.param]
+
+
+@pytest.fixture
+def rig(kind):
+    with opened(kind, Path(f"{kind.name}.toml")) as rig:
+        yield rig
+
+
+# --- the paper's algorithms, line by line; lines 1 and 2, hardware and motor, are the rig's
+
+
+def algorithm_1(motor):
+    motor.set_control_mode(ControlMode.SETPOINT)
+    motor.set_setpoint(1.0)
+    motor.start()
+    motor.wait_until_done()
+    motor.set_control_mode(ControlMode.TRAJECTORY)
+    motor.set_trajectory(TrapezoidalTrajectory(1.0))
+    motor.start()
+
+
+def algorithm_2(motor1, motor2):
+    motor_grp = MotorGroup(motor1, motor2)
+    motor_grp.for_each(Motor.set_control_mode, ControlMode.TRAJECTORY)
+    motor_grp.set_trajectory(TrapezoidalTrajectory(1.0), TrapezoidalTrajectory(2.0))
+    motor_grp.start()
+    return motor_grp
+
+
+def test_algorithm_1_ends_at_1_then_at_2(kind, rig):
+    motor = rig.motors["left"]
+    algorithm_1(motor)
+    assert abs(true_position(rig, "left") - 1.0) <= kind.window
+    motor.wait_until_done(timeout_s=5)
+    assert abs(true_position(rig, "left") - 2.0) <= kind.window
+    assert abs(motor.position() - 2.0) <= kind.window
+
+
+def test_algorithm_2_begins_and_ends_at_the_same_time_as_fast_as_the_motors_allow(kind, rig):
+    left, right = rig.motors["left"], rig.motors["right"]
+    group = algorithm_2(left, right)
+    capability = group.sync_capability()
+    shortest_s = 2.0 / VELOCITY_MAX + VELOCITY_MAX / ACCELERATION_MAX  # the slower one's
+    taken = sampled(rig, group, shortest_s)
+    group.wait_until_done(timeout_s=5)
+    for name, goal in (("left", 1.0), ("right", 2.0)):
+        assert abs(true_position(rig, name) - goal) <= kind.window
+    quality = group.sync_quality()
+    assert quality.start_skew_s <= capability.start_skew_s
+    assert capability.start_skew_s <= 0.001
+    # The slower one as fast as it can, the other for as long.
+    assert worst_deviation(kind, taken, "left", trapezoid(1.0, shortest_s)) <= kind.following
+    assert worst_deviation(kind, taken, "right", trapezoid(2.0, shortest_s)) <= kind.following
+
+
+# --- the modes told apart
+
+
+def sampled(rig, group, duration_s, period_s=0.0025):
+    """[(time since the start that was measured [s], {motor: true position [rad]})]."""
+    times = group.sync_quality().times
+    began_ns = max(its.started_ns for _, its in times)
+    taken = []
+    while rig.runtime.now_ns() - began_ns < duration_s * 1e9:
+        at_s = (rig.runtime.now_ns() - began_ns) / 1e9
+        taken.append((at_s, {motor.name: true_position(rig, motor.name) for motor in group}))
+        rig.runtime.run_for(period_s)
+    at_s = (rig.runtime.now_ns() - began_ns) / 1e9
+    taken.append((at_s, {motor.name: true_position(rig, motor.name) for motor in group}))
+    return taken
+
+
+def started(rig, *trajectories):
+    group = rig.groups["both"]
+    group.for_each(Motor.enable)
+    group.for_each(Motor.set_control_mode, TRAJECTORY)
+    group.set_trajectory(*trajectories)
+    group.start()
+    return group
+
+
+def trapezoid(way, duration_s, acceleration=ACCELERATION_MAX):
+    """Position over time, rest to rest (Biagiotti & Melchiorri, 2008, 3.2.3)."""
+    least = acceleration * duration_s
+    peak = 0.5 * (least - sqrt(least**2 - 4.0 * acceleration * way))
+    ramp_s = peak / acceleration
+
+    def position(at_s):
+        at_s = min(max(at_s, 0.0), duration_s)
+        if at_s < ramp_s:
+            return 0.5 * acceleration * at_s**2
+        if at_s <= duration_s - ramp_s:
+            return peak * (at_s - 0.5 * ramp_s)
+        return way - 0.5 * acceleration * (duration_s - at_s) ** 2
+
+    return position
+
+
+def worst_deviation(kind, taken, name, wanted):
+    """How far the motor was from `wanted` at worst, whenever in the promised latency it began."""
+    early_s, late_s = kind.latency_s
+    worst = 0.0
+    for at_s, where in taken:
+        position = where[name]
+        bounds = [wanted(at_s - late_s), wanted(at_s - early_s)]
+        worst = max(worst, min(bounds) - position, position - max(bounds))
+    return worst
+
+
+def test_a_trajectory_tracks_its_function_at_every_sample(kind, rig):
+    group = started(
+        rig, TrapezoidalTrajectory(1.0, duration_s=2.0), TrapezoidalTrajectory(-0.5, duration_s=2.0)
+    )
+    taken = sampled(rig, group, 2.2)
+    assert len(taken) > 800
+    left, right = trapezoid(1.0, 2.0), trapezoid(0.5, 2.0)
+    assert worst_deviation(kind, taken, "left", left) <= kind.following
+    assert worst_deviation(kind, taken, "right", lambda at_s: -right(at_s)) <= kind.following
+    # Not a vacuous bound: of a function that is a twentieth slower it is far off.
+    slower = trapezoid(1.0, 2.1)
+    assert worst_deviation(kind, taken, "left", slower) > 10 * kind.following
+
+
+def test_a_complex_trajectory_tracks_its_function_at_every_sample(kind, rig):
+    function = SHAPE.scaled(2.0)
+    group = started(
+        rig,
+        ComplexTrajectory(function, relative=True),
+        ComplexTrajectory(function * -0.7, relative=True),
+    )
+    taken = sampled(rig, group, 2.2)
+    group.wait_until_done(5)
+
+    def smooth(at_s):
+        share = min(max(at_s / 2.0, 0.0), 1.0)
+        return 3.0 * share**2 - 2.0 * share**3
+
+    assert worst_deviation(kind, taken, "left", smooth) <= kind.following
+    assert worst_deviation(kind, taken, "right", lambda t: -0.7 * smooth(t)) <= kind.following
+    assert worst_deviation(kind, taken, "left", trapezoid(1.0, 2.0)) > 10 * kind.following
+    assert abs(true_position(rig, "left") - 1.0) <= kind.window
+
+
+def test_a_motor_led_by_another_is_where_the_function_of_its_position_says(kind, rig):
+    left, right = rig.motors["left"], rig.motors["right"]
+    for motor in (left, right):
+        motor.enable()
+        motor.set_control_mode(TRAJECTORY)
+    gear = Polynomial((0.0, -0.5)).restricted(-0.1, 1.0)  # half as fast, the other way
+    assert right.position() == 0.0  # it has been heard
+    left.set_trajectory(ComplexTrajectory(gear), MotorPosition(right))
+    right.set_trajectory(TrapezoidalTrajectory(1.001, duration_s=2.0))
+    left.start()
+    right.start()
+    peak = 0.6  # of the trapezoid: 1 rad in 2 s at 4 rad/s^2 has its plateau at 0.5858 rad/s
+    worst = 0.0
+    for _ in range(1000):
+        rig.runtime.run_for(0.0025)
+        wanted = gear.value(min(max(true_position(rig, "right"), -0.1), 1.0))
+        worst = max(worst, abs(true_position(rig, "left") - wanted))
+    assert worst <= 0.5 * peak * kind.heard_s + 2 * kind.following
+    left.wait_until_done(5)
+    assert abs(true_position(rig, "left") + 0.5) <= kind.window + kind.following
+
+
+def test_a_set_point_does_not_track_and_goes_as_fast_as_its_limits_let_it(kind, rig):
+    group = rig.groups["both"]
+    group.for_each(Motor.enable)
+    group.for_each(Motor.set_control_mode, SETPOINT)
+    for motor in group:
+        motor.set_setpoint(1.0)
+    group.start()
+    taken = sampled(rig, group, 2.2)
+    group.wait_until_done(5)
+    assert abs(true_position(rig, "left") - 1.0) <= kind.window
+    # There is no duration to keep: it is there long before the trajectory would be.
+    assert worst_deviation(kind, taken, "left", trapezoid(1.0, 2.0)) > 50 * kind.following
+    there_s = next(at_s for at_s, where in taken if abs(where["left"] - 1.0) <= kind.window)
+    assert 1.0 / VELOCITY_MAX - 0.01 <= there_s <= 1.1
+
+
+def test_a_set_points_limit_of_velocity_is_kept_or_refused_before_anything_moves(kind, rig):
+    motor = rig.motors["left"]
+    motor.enable()
+    motor.set_control_mode(SETPOINT)
+    slow = DerivativeLimits(first=0.5)
+    with pytest.raises(LimitError):
+        motor.set_setpoint(1.0, limits=DerivativeLimits(first=1.1 * VELOCITY_MAX))
+    try:
+        motor.set_setpoint(1.0, limits=slow)
+    except UnsupportedError:
+        assert kind.name == "software"  # a step has no profile whose derivative could be limited
+        return
+    motor.start()
+    began_ns = rig.runtime.now_ns()
+    motor.wait_until_done(5)
+    assert rig.runtime.now_ns() - began_ns >= 1.99e9
+
+
+# --- what each kind can be told
+
+
+@pytest.mark.parametrize("variable", ControlVariable, ids=lambda variable: variable.value)
+@pytest.mark.parametrize("mode", ControlMode, ids=lambda mode: mode.value)
+def test_a_motor_says_what_it_supports_and_refuses_the_rest_before_anything_moves(
+    kind, rig, mode, variable
+):
+    motor = rig.motors["left"]
+    motor.enable()
+    if variable not in kind.variables:
+        with pytest.raises(UnsupportedError, match="it supports"):
+            motor.set_control_mode(mode, variable)
+        return
+    motor.set_control_mode(mode, variable)
+    if mode is SETPOINT:
+        motor.set_setpoint(0.5)
+    else:
+        motor.set_trajectory(TrapezoidalTrajectory(0.5, duration_s=1.0))
+        complex_one = ComplexTrajectory(SHAPE.scaled(1.0) * 0.25, relative=True)
+        if variable in kind.complex:
+            motor.set_trajectory(complex_one)
+        else:
+            with pytest.raises(UnsupportedError):
+                motor.set_trajectory(complex_one)
+    assert motor.state().value == "enabled"
+    assert true_position(rig, "left") == 0.0
+    motor.start()
+    motor.wait_until_done(5)
+    motor.stop()
+    motor.wait_until_done(5)
+
+
+@pytest.mark.parametrize("mode", ControlMode, ids=lambda mode: mode.value)
+def test_velocity_is_reached_and_goes_on(kind, rig, mode):
+    motor = rig.motors["left"]
+    motor.set_control_mode(mode, ControlVariable.VELOCITY)
+    if mode is SETPOINT:
+        motor.set_setpoint(1.0)
+    else:
+        motor.set_trajectory(TrapezoidalTrajectory(1.0, duration_s=0.5))
+    motor.start()
+    motor.wait_until_done(5)
+    rig.runtime.run_for(0.2)
+    before = true_position(rig, "left")
+    rig.runtime.run_for(1.0)
+    assert abs(true_position(rig, "left") - before - 1.0) <= 0.01
+    motor.stop()
+    motor.wait_until_done(5)
+
+
+# --- many users of one motor (3.5)
+
+
+USERS = ("ann", "ben", "cem", "dot")
+TIMES = 3
+
+
+def one_move(motor, way, duration_s):
+    """Code for one thread, as anybody would write it."""
+    motor.set_control_mode(ControlMode.TRAJECTORY)
+    motor.set_trajectory(TrapezoidalTrajectory(way, duration_s=duration_s))
+    motor.start()
+    motor.wait_until_done()
+
+
+def use(motor, place, log):
+    """A user of the motor: moves it `TIMES` times in a way of their own, when it is free.
+
+    Whoever is refused was moved nothing and asks again; the code that moves knows of nobody.
+    """
+    way, duration_s = 0.01 * (place + 1), 0.1 + 0.05 * place
+    for _ in range(TIMES):
+        while True:
+            try:
+                one_move(motor, way, duration_s)
+                break
+            except MotorBusyError:
+                motor.runtime.wait_until(lambda: False, 0.002)
+        log.append((motor._run.since_ns, motor.runtime.now_ns(), motor.name, duration_s))
+
+
+def check_log(log):
+    """Everybody moved as often as wanted, one after another, each for as long as they asked."""
+    assert sorted(user for *_, user, _ in log) == sorted(USERS * TIMES)
+    log.sort()
+    for since_ns, waited_ns, user, duration_s in log:
+        assert waited_ns - since_ns >= round(duration_s * 1e9), user
+    for (before_ns, _, _, duration_s), (since_ns, *_) in pairwise(log):
+        assert since_ns >= before_ns + round(duration_s * 1e9)
+
+
+def test_code_for_one_thread_is_right_in_many_parties_that_share_a_motor(kind):
+    log = []
+    with opened(kind, Path("shared.toml"), USERS) as rig:
+        motors = [rig.motors[name] for name in USERS]
+        assert len({id(motor.hardware) for motor in motors}) == 1
+        parties = [
+            rig.runtime.spawn(motor.name, partial(use, motor, place, log))
+            for place, motor in enumerate(motors)
+        ]
+        for party in parties:
+            party.join()
+            assert party.error is None
+        goal = TIMES * sum(0.01 * (place + 1) for place in range(len(USERS)))
+        assert abs(true_position(rig, USERS[0]) - goal) <= kind.window
+    check_log(log)
+
+
+@pytest.mark.wall
+def test_code_for_one_thread_is_right_in_many_threads_that_share_a_motor():
+    runtime = WallRuntime()
+    hardware = IdealHwMotor(runtime, "shared")
+    model = MotorModel(name="m", velocity_max=VELOCITY_MAX, acceleration_max=ACCELERATION_MAX)
+    log, errors, seen = [], [], []
+
+    def run(place, name):
+        try:
+            use(IdealMotor(hardware, model, name=name), place, log)
+        except BaseException as error:
+            errors.append(error)
+
+    threads = [Thread(target=run, args=pair) for pair in enumerate(USERS)]
+    for thread in threads:
+        thread.start()
+    onlooker = IdealMotor(hardware, model, name="onlooker")
+    while any(thread.is_alive() for thread in threads):
+        seen.append(onlooker.position())  # reading disturbs nobody
+        runtime.wait_until(lambda: False, 0.005)
+    runtime.close()
+    assert errors == []
+    check_log(log)
+    assert onlooker.position() == pytest.approx(TIMES * 0.1, abs=1e-12)  # 12 sums of floats
+    assert seen == sorted(seen)  # only forward, and never torn
+
+
+@pytest.mark.wall
+def test_on_the_wall_ideal_motors_of_a_group_begin_at_the_same_nanosecond():
+    runtime = WallRuntime()
+    model = MotorModel(name="m", velocity_max=VELOCITY_MAX, acceleration_max=ACCELERATION_MAX)
+    hardware = [IdealHwMotor(runtime, f"axis {n}") for n in range(8)]
+    group = MotorGroup(*(IdealMotor(one, model, name=one.label) for one in hardware))
+    group.for_each(Motor.set_control_mode, TRAJECTORY)
+    group.set_trajectory(*(TrapezoidalTrajectory(0.01 * (n + 1)) for n in range(8)))
+    group.start()
+    group.wait_until_done(10.0)
+    quality = group.sync_quality()
+    runtime.close()
+    assert (quality.start_skew_s, quality.end_skew_s) == (0.0, 0.0)
