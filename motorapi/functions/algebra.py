@@ -167,7 +167,7 @@ def _of_polynomials(function: Function) -> bool:
 
 def _piecewise(function: Function) -> Piecewise:
     if isinstance(function, Sampled):
-        return function.pieces
+        return function.curve
     assert isinstance(function, Piecewise)
     return function
 

@@ -50,7 +50,7 @@ class Sampled(Function):
         UsageError: an argument is not as stated, or is given for a kind that has no use for it.
     """
 
-    __slots__ = ("_last", "arguments", "ends", "first", "kind", "pieces", "second", "values")
+    __slots__ = ("_last", "arguments", "curve", "ends", "first", "kind", "second", "values")
 
     arguments: tuple[float, ...]
     values: tuple[float, ...]
@@ -58,7 +58,7 @@ class Sampled(Function):
     first: tuple[float, ...] | None
     second: tuple[float, ...] | None
     ends: Ends
-    pieces: Piecewise
+    curve: Piecewise
     _last: tuple[float, float]
 
     def __init__(
@@ -93,7 +93,7 @@ class Sampled(Function):
             first=slopes,
             second=bends,
             ends=ends,
-            pieces=_MAKERS[kind](x, y, slopes, bends, ends),
+            curve=_MAKERS[kind](x, y, slopes, bends, ends),
             _last=(x[-1], y[-1]),
         )
 
@@ -106,42 +106,42 @@ class Sampled(Function):
         """Of the polynomial there; at a sample, the sample's."""
         if argument == self._last[0]:
             return self._last[1]
-        return self.pieces.value(argument)
+        return self.curve.value(argument)
 
     def _values(self, arguments: FloatArray) -> FloatArray:
-        values = self.pieces(arguments)
+        values = self.curve(arguments)
         values[arguments == self._last[0]] = self._last[1]
         return values
 
     def _derivative(self, order: int) -> Function:
-        return self.pieces.derivative(order)
+        return self.curve.derivative(order)
 
     def integral(self) -> Function:
         """Piecewise."""
-        return self.pieces.integral()
+        return self.curve.integral()
 
     def _integrate(self, low: float, high: float) -> float:
-        return self.pieces.integrate(low, high)
+        return self.curve.integrate(low, high)
 
     def _extrema(self, low: float, high: float) -> Extrema:
-        found = self.pieces.extrema(low, high)
+        found = self.curve.extrema(low, high)
         last = self.value(high)
         least = min((found.minimum, found.at_minimum), (last, high))
         most = (last, high) if last > found.maximum else (found.maximum, found.at_maximum)
         return Extrema(*least, *most)
 
     def _bounds(self, low: float, high: float) -> tuple[float, float]:
-        least, most = self.pieces.bounds(low, high)
+        least, most = self.curve.bounds(low, high)
         last = self.value(high)
         return min(least, last), max(most, last)
 
     def breaks_between(self, low: float, high: float) -> tuple[float, ...]:
         """The samples; of NEAREST, half-way between them."""
-        return self.pieces.breaks_between(low, high)
+        return self.curve.breaks_between(low, high)
 
     def is_smooth(self, low: float, high: float) -> bool:
         """Whether it is one polynomial there."""
-        return self.pieces.is_smooth(low, high)
+        return self.curve.is_smooth(low, high)
 
     def times(self, number: float) -> Function:
         """Sample by sample."""
@@ -158,6 +158,19 @@ class Sampled(Function):
         way = finite("Sampled", "offset", offset)
         arguments = [x + way for x in self.arguments]
         return Sampled(arguments, self.values, self.kind, self.first, self.second, self.ends)
+
+    def scaled(self, factor: float) -> Function:
+        """Sample by sample; the derivatives are divided by the factor and its square."""
+        number = finite("Sampled", "factor", factor)
+        if number == 0.0:
+            raise UsageError("Sampled: the argument cannot be scaled by 0")
+        order = 1 if number > 0.0 else -1
+        first, second = (
+            None if told is None else [one / power for one in told[::order]]
+            for told, power in ((self.first, number), (self.second, number * number))
+        )
+        arguments = [x * number for x in self.arguments[::order]]
+        return Sampled(arguments, self.values[::order], self.kind, first, second, self.ends)
 
     def _parameters(self) -> tuple[object, ...]:
         return self.arguments, self.values, self.kind, self.first, self.second, self.ends

@@ -35,7 +35,7 @@ def jet(function, x, order):
     if isinstance(function, Piecewise):
         return jet(piece_at(function, x), x, order)
     if isinstance(function, Sampled):
-        return jet(function.pieces, x, order)
+        return jet(function.curve, x, order)
     if isinstance(function, Sine | Cosine):
         return wave(function, x, order)
     if isinstance(function, Exponential):

@@ -1,0 +1,277 @@
+"""Extrema and bounds: none is missed, and each is there."""
+
+import itertools
+from math import e, exp, inf, nextafter, pi, sqrt
+
+import numpy as np
+import pytest
+from hypothesis import assume, event, example, given
+from hypothesis import strategies as st
+
+from motorapi.errors import DomainError, UsageError
+from motorapi.functions import (
+    Constant,
+    Cosine,
+    Exponential,
+    Extrema,
+    Function,
+    Interpolation,
+    Piecewise,
+    Polynomial,
+    Sampled,
+    Sine,
+    search,
+)
+from tests.motorapi.functions import jets
+from tests.motorapi.functions.strategies import (
+    ARGUMENTS,
+    any_function,
+    made_of_polynomials,
+    polynomials,
+    waves,
+)
+
+
+def samples(function, low, high, count=400):
+    """Many values, at breaks and beside them too."""
+    x = [low + (high - low) * k / count for k in range(count)] + [high]
+    for b in function.breaks_between(low, high):
+        x += [nextafter(b, -inf), b, nextafter(b, inf)]
+    return [(function.value(at), at) for at in x if low <= at <= high]
+
+
+def ordered(function, *arguments):
+    """The arguments in order, if the function is known there and they are not too near."""
+    low, high = sorted(arguments)
+    assume(function.domain[0] <= low and high <= function.domain[1])
+    assume(high - low > 1e-6)
+    return low, high
+
+
+@given(any_function, ARGUMENTS, ARGUMENTS)
+def test_extrema_bound_every_sample_and_are_values_themselves(function, one, other):
+    low, high = ordered(function, one, other)
+    event(type(function).__name__)
+    found = function.extrema(low, high)
+    assert low <= found.at_minimum <= high
+    assert low <= found.at_maximum <= high
+    size = max(jets.jet(function, x, 0)[1][0] for _, x in samples(function, low, high, 8))
+    # The search's accuracy, and the rounding of a value made of terms of that size.
+    slack = 1e-12 * max(abs(found.minimum), abs(found.maximum)) + 1e-14 * size
+    values = [value for value, _ in samples(function, low, high)]
+    assert found.minimum - slack <= min(values)
+    assert max(values) <= found.maximum + slack
+    assert abs(function.value(found.at_minimum) - found.minimum) <= slack
+    assert abs(function.value(found.at_maximum) - found.maximum) <= slack
+
+
+@given(any_function, ARGUMENTS, ARGUMENTS)
+def test_bounds_hold_every_sample(function, one, other):
+    low, high = ordered(function, one, other)
+    least, most = function.bounds(low, high)
+    size = max(jets.jet(function, x, 0)[1][0] for _, x in samples(function, low, high, 8))
+    for value, _ in samples(function, low, high, 50):
+        assert least - 1e-14 * size <= value <= most + 1e-14 * size
+
+
+@given(polynomials, ARGUMENTS, ARGUMENTS)
+def test_extrema_of_polynomials_are_at_the_roots_of_the_derivative(function, one, other):
+    low, high = ordered(function, one, other)
+    slope = np.polynomial.Polynomial(function.coefficients).deriv()
+    roots = slope.roots() if slope.degree() > 0 else np.array([])
+    at = [low, high] + [
+        float(r.real) + function.about for r in roots if low <= r.real + function.about <= high
+    ]
+    values = [function.value(x) for x in at]
+    found = function.extrema(low, high)
+    # A value near its extremum is off by the square of what the root is off: eps of the size.
+    size = max(jets.jet(function, x, 0)[1][0] for x in (low, high))
+    assert abs(found.minimum - min(values)) <= 1e-13 * size
+    assert abs(found.maximum - max(values)) <= 1e-13 * size
+
+
+@pytest.mark.parametrize("degree", range(1, 16))
+def test_all_waves_of_a_chebyshev_polynomial_are_found(degree):
+    # T_n has n + 1 extrema on [-1, 1], all of them +-1 (Rivlin, Chebyshev Polynomials, 1.1).
+    p = Polynomial(np.polynomial.chebyshev.cheb2poly([0] * degree + [1]))
+    extremes = [np.cos(np.pi * k / degree) for k in range(degree, -1, -1)]
+    size = sum(abs(c) for c in p.coefficients)
+    for a, b in itertools.pairwise(extremes):
+        middle, width = (a + b) / 2, (b - a) / 2
+        found = p.extrema(max(-1.0, middle - 1.01 * width), min(1.0, middle + 1.01 * width))
+        assert abs(found.minimum + 1.0) <= 4e-16 * size
+        assert abs(found.maximum - 1.0) <= 4e-16 * size
+        assert min(abs(found.at_minimum - a), abs(found.at_minimum - b)) <= 1e-6
+        assert min(abs(found.at_maximum - a), abs(found.at_maximum - b)) <= 1e-6
+
+
+@pytest.mark.parametrize("width", [1e-2, 1e-5, 1e-9])
+@pytest.mark.parametrize("number", [0, 137, 499])
+def test_a_narrow_spike_is_not_missed_however_long_the_rest(width, number):
+    """No sampling would see it: a parabola as narrow as 1e-9 among 500 pieces over 500."""
+    breaks, rows = [0.0], []
+    for i in range(500):
+        if i == number:
+            up = [0.0, 4.0 / width, -4.0 / width**2]
+            breaks += [i + width, i + 2 * width, i + 1.0]
+            rows += [up, [-2.0 * c for c in up], [0.0]]
+        else:
+            breaks.append(i + 1.0)
+            rows.append([0.0, 0.5, -0.5])
+    for function in (
+        Piecewise.of_polynomials(breaks, rows),
+        Piecewise.of_polynomials(breaks, rows) + Constant(0.0).restricted(-1.0, 501.0),
+    ):
+        found = function.extrema()
+        # An argument next to the top may be a double away from it: 1.2e-13 near 500.
+        off = 8.0 * (1.2e-13 / width) ** 2 + 1e-15
+        assert found.maximum == pytest.approx(1.0, abs=off)
+        assert found.minimum == pytest.approx(-2.0, abs=2.0 * off)
+        assert abs(found.at_maximum - (number + 0.5 * width)) <= 1e-7 * width + 1e-13
+        assert abs(found.at_minimum - (number + 1.5 * width)) <= 1e-7 * width + 1e-13
+
+
+@given(waves, ARGUMENTS, st.floats(0.01, 40.0))
+@example(Sine(2.0, 3.0), 0.0, 1.0)
+@example(Cosine(-2.0, -3.0, 1.0), -1.0, 1.0)
+def test_extrema_of_waves_are_at_their_crests(function, low, length):
+    high = low + length
+    found = function.extrema(low, high)
+    assert found.maximum <= abs(function.amplitude)
+    x = np.linspace(low, high, 2001)
+    # Between samples h apart a wave rises by less than A (w h)² / 8 above both.
+    rise = abs(function.amplitude) * (function.frequency_rad_s * length / 2000) ** 2 / 8
+    for sign, value, at in (
+        (1.0, found.maximum, found.at_maximum),
+        (-1.0, found.minimum, found.at_minimum),
+    ):
+        highest = float((sign * function(x)).max())
+        assert -1e-14 <= sign * value - highest <= rise * (1 + 1e-9) + 1e-14
+        assert abs(function.value(at) - value) <= 1e-13
+    if length * abs(function.frequency_rad_s) >= 2.001 * pi:
+        assert found.maximum == abs(function.amplitude)
+        assert found.minimum == -abs(function.amplitude)
+
+
+def test_of_equal_extrema_the_first_is_told():
+    assert Sine().extrema(0.0, 50.0) == Extrema(-1.0, 1.5 * pi, 1.0, 0.5 * pi)
+    assert Sine(-1.0).extrema(0.0, 50.0) == Extrema(-1.0, 0.5 * pi, 1.0, 1.5 * pi)
+    assert Cosine(2.0, 2.0).extrema(-0.5, 50.0) == Extrema(-2.0, 0.5 * pi, 2.0, 0.0)
+    assert Constant(3.0).extrema(-1.0, 2.0) == Extrema(3.0, -1.0, 3.0, -1.0)
+    bump = Polynomial((1.0, 0.0, -2.0, 0.0, 1.0))
+    assert bump.extrema(-2.0, 2.0) == Extrema(0.0, -1.0, 9.0, -2.0)
+    teeth = Piecewise.of_polynomials(range(5), [[0.0, 1.0], [1.0, -1.0]] * 2)
+    assert teeth.extrema() == Extrema(0.0, 0.0, 1.0, 1.0)
+    assert teeth.extrema(0.5, 3.5) == Extrema(0.0, 2.0, 1.0, 1.0)
+
+
+def test_extrema_of_other_functions_by_hand():
+    wedge = Polynomial((0.0, 1.0)) * Exponential(1.0, -1.0)
+    found = wedge.extrema(0.0, 20.0)
+    assert found.maximum == pytest.approx(1.0 / e, rel=1e-12)
+    assert found.at_maximum == pytest.approx(1.0, abs=1e-6)
+    assert (found.minimum, found.at_minimum) == (0.0, 0.0)
+    gauss = Exponential(1.0, -1.0).after(Polynomial((0.0, 0.0, 1.0)))
+    steepest = gauss.derivative().extrema(-5.0, 5.0)
+    assert steepest.maximum == pytest.approx(sqrt(2.0 / e), rel=1e-12)
+    assert steepest.at_maximum == pytest.approx(-sqrt(0.5), abs=1e-6)
+    damped = Exponential(1.0, -0.1) * Cosine(1.0, 2.0)
+    found = damped.extrema(0.5, 30.0)  # extreme where tan 2x = -0.05
+    assert found.at_minimum == pytest.approx((pi - np.arctan(0.05)) / 2, abs=1e-6)
+    assert found.minimum == pytest.approx(damped.value((pi - np.arctan(0.05)) / 2), rel=1e-12)
+
+
+def test_a_narrow_pulse_among_waves_is_not_missed():
+    """Narrower than any sampling of the search: found by bounds."""
+    pulse = Exponential(3.0, -1e8).after(Polynomial((0.0, 0.0, 1.0), about=7.123))
+    found = (Sine(1.0, 5.0) + pulse).extrema(0.0, 10.0)
+    top = Sine(1.0, 5.0).value(7.123) + 3.0
+    assert found.maximum == pytest.approx(top, rel=1e-6)
+    assert found.at_maximum == pytest.approx(7.123, abs=1e-6)
+    assert found.minimum == -1.0
+
+
+def test_at_a_jump_what_the_left_side_comes_to_counts_too():
+    saw = Piecewise.of_polynomials((0.0, 1.0, 2.0), [(0.0, 1.0), (0.0, 1.0)])
+    for function in (saw, saw + Sine(1e-9), saw * (Exponential(1e-12) + 1.0)):
+        found = function.extrema(0.25, 1.5)
+        assert found.maximum == pytest.approx(1.0, abs=1e-8)
+        assert found.at_maximum == nextafter(1.0, 0.0)
+        assert abs(found.minimum) <= 1e-8
+        assert found.at_minimum == 1.0
+    assert saw.extrema(0.25, 1.0) == Extrema(0.0, 1.0, nextafter(1.0, 0.0), nextafter(1.0, 0.0))
+    assert saw.extrema(0.25, 1.0 - 2.0**-20).minimum == 0.25
+
+
+def test_a_jump_in_a_composition_is_found_by_its_bounds():
+    step = Sampled((0.0, 1.0, 2.0), (0.0, 5.0, 1.0), Interpolation.NEAREST)
+    narrow = step.after(Cosine(0.25 + 1e-6, 1.0) + 0.25)  # over 1/2 near 0 only
+    found = narrow.extrema(-1.0, 2.0)
+    assert (found.minimum, found.maximum) == (0.0, 5.0)
+    assert abs(found.at_maximum) <= 0.003
+
+
+@given(made_of_polynomials, ARGUMENTS)
+def test_over_a_single_argument_there_is_a_single_value(function, x):
+    assume(function.domain[0] <= x <= function.domain[1])
+    value = function.value(x)
+    assert function.extrema(x, x) == Extrema(value, x, value, x)
+    assert function.bounds(x, x) == (value, value)
+
+
+def test_the_whole_domain_is_meant_where_nothing_is_said():
+    ramp = Piecewise.of_polynomials((0.0, 1.0, 3.0), [(0.0, 0.0, 0.5), (0.5, 1.0)])
+    assert ramp.extrema() == ramp.extrema(0.0, 3.0) == Extrema(0.0, 0.0, 2.5, 3.0)
+    assert ramp.extrema(high=1.0).maximum == 0.5
+    assert ramp.extrema(2.0).minimum == 1.5
+
+
+def test_an_interval_without_an_end_or_turned_round_is_refused():
+    with pytest.raises(DomainError):
+        Sine().extrema()
+    with pytest.raises(DomainError):
+        Polynomial((1.0, 2.0)).bounds(0.0)
+    with pytest.raises(UsageError, match="between"):
+        Sine().extrema(2.0, 1.0)
+
+
+def test_terms_that_cancel_everywhere_are_told_to_less_accuracy(monkeypatch):
+    monkeypatch.setattr(search, "ACCURACIES", ((64, 1e-12), (128, 1e-9), (2048, 1e-6)))
+    one = Sine(1.0, 2.0) * Sine(1.0, 2.0) + Cosine(1.0, 2.0) * Cosine(1.0, 2.0)
+    found = one.extrema(0.0, 1.0)
+    assert found.minimum == pytest.approx(1.0, abs=1e-6)
+    assert found.maximum == pytest.approx(1.0, abs=1e-6)
+
+
+class Unbounded(Function):
+    """Knows nothing of its values between two arguments."""
+
+    __slots__ = ()
+
+    @property
+    def domain(self):
+        return 0.0, 1.0
+
+    def value(self, argument):
+        return exp(argument)
+
+    def _values(self, arguments):
+        return np.exp(arguments)
+
+    def _derivative(self, order):
+        return self
+
+    def integral(self):
+        return self
+
+    def _bounds(self, low, high):
+        return -inf, inf
+
+    def _parameters(self):
+        return ()
+
+
+def test_what_has_no_bounds_is_refused_and_not_guessed(monkeypatch):
+    monkeypatch.setattr(search, "ACCURACIES", ((64, 1e-12), (128, 1e-6)))
+    with pytest.raises(UsageError, match="too little is known"):
+        Unbounded().extrema()

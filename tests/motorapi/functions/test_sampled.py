@@ -1,0 +1,236 @@
+"""Sampled functions against scipy's interpolation, and in exact arithmetic."""
+
+from fractions import Fraction
+from math import inf, nan, nextafter
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from motorapi.errors import UsageError
+from motorapi.functions import Constant, Ends, Interpolation, Piecewise, Sampled
+from motorapi.functions.splines import solved
+from tests.motorapi.functions.strategies import NUMBERS, sampled
+
+NEAREST, LINEAR, CUBIC, HERMITE, QUINTIC = Interpolation
+
+
+@pytest.fixture(scope="module")
+def scipy():
+    return pytest.importorskip("scipy.interpolate", reason="scipy is not installed")
+
+
+@st.composite
+def data(draw, least=2, rows=1):
+    """Arguments with gaps of 1/4 to 1, and rows of values."""
+    gaps = draw(st.lists(st.floats(0.25, 1.0), min_size=least - 1, max_size=12))
+    x = np.cumsum([draw(st.floats(-5.0, 5.0)), *gaps])
+    numbers = st.lists(NUMBERS, min_size=len(x), max_size=len(x))
+    return x, *(np.array(draw(numbers)) for _ in range(rows))
+
+
+def agrees(ours, theirs, orders, x, accuracy=1e-12):
+    """Values and derivatives, relative to the largest of each over the samples."""
+    at = np.linspace(x[0], x[-1], 301)
+    for order in orders:
+        expected = theirs(at, order)
+        scale = max(np.abs(expected).max(), 1e-3)
+        assert np.abs(ours.derivative(order)(at) - expected).max() <= accuracy * scale
+
+
+SPLINES = [(Ends.NOT_A_KNOT, "not-a-knot"), (Ends.NATURAL, "natural"), (Ends.AT_REST, "clamped")]
+
+
+@pytest.mark.parametrize(("ends", "theirs"), SPLINES)
+@given(samples=data())
+def test_cubic_splines_are_scipys(scipy, samples, ends, theirs):
+    x, y = samples
+    agrees(Sampled(x, y, CUBIC, ends=ends), scipy.CubicSpline(x, y, bc_type=theirs), (0, 1, 2), x)
+
+
+NATURAL_5 = ([(3, 0.0), (4, 0.0)], [(3, 0.0), (4, 0.0)])
+AT_REST_5 = ([(1, 0.0), (2, 0.0)], [(1, 0.0), (2, 0.0)])
+
+
+@pytest.mark.parametrize(
+    ("ends", "theirs"),
+    [(Ends.NOT_A_KNOT, None), (Ends.NATURAL, NATURAL_5), (Ends.AT_REST, AT_REST_5)],
+)
+@given(samples=data(least=6))
+def test_quintic_splines_are_scipys(scipy, samples, ends, theirs):
+    x, y = samples
+    spline = scipy.make_interp_spline(x, y, k=5, bc_type=theirs)
+    # Both solve a system whose condition grows with the gaps' ratio to the 4th: measured, 1e-11.
+    agrees(Sampled(x, y, QUINTIC, ends=ends), spline, (0, 1, 2, 3), x, accuracy=1e-10)
+
+
+def test_equal_gaps_make_a_quintic_spline_of_full_accuracy(scipy):
+    x = np.arange(12.0)
+    y = np.sin(x) * 3 + x
+    for ends, theirs in ((Ends.NOT_A_KNOT, None), (Ends.NATURAL, NATURAL_5)):
+        spline = scipy.make_interp_spline(x, y, k=5, bc_type=theirs)
+        agrees(Sampled(x, y, QUINTIC, ends=ends), spline, (0, 1, 2), x)
+
+
+@given(samples=data(rows=2))
+def test_hermite_curves_are_scipys(scipy, samples):
+    x, y, first = samples
+    theirs = scipy.CubicHermiteSpline(x, y, first)
+    agrees(Sampled(x, y, HERMITE, first), theirs, (0, 1, 2, 3), x)
+
+
+@given(samples=data(rows=3))
+def test_quintic_curves_with_given_derivatives_are_scipys(scipy, samples):
+    x, y, first, second = samples
+    theirs = scipy.BPoly.from_derivatives(x, np.column_stack([y, first, second]))
+    agrees(Sampled(x, y, QUINTIC, first, second), theirs, (0, 1, 2), x)
+
+
+@given(samples=data())
+def test_straight_lines_are_numpys(samples):
+    x, y = samples
+    at = np.linspace(x[0], x[-1], 301)
+    assert np.abs(Sampled(x, y)(at) - np.interp(at, x, y)).max() <= 1e-14 * (1 + np.abs(y).max())
+
+
+def test_nearest_changes_half_way_and_there_the_later_one_counts():
+    steps = Sampled((0.0, 1.0, 4.0), (5.0, 6.0, 7.0), NEAREST)
+    at = [0.0, nextafter(0.5, 0), 0.5, 1.0, nextafter(2.5, 0), 2.5, 4.0]
+    assert [steps.value(x) for x in at] == [5, 5, 6, 6, 6, 7, 7]
+
+
+@given(sampled())
+def test_samples_are_taken_exactly_the_last_one_too(function):
+    assert [function.value(x) for x in function.arguments] == list(function.values)
+    assert function(np.array(function.arguments)).tolist() == list(function.values)
+
+
+@given(sampled(QUINTIC) | sampled(HERMITE))
+def test_given_derivatives_are_taken_too(function):
+    for order, given_ones in ((1, function.first), (2, function.second)):
+        if given_ones is not None:
+            slope = function.derivative(order)
+            for x, expected in zip(function.arguments, given_ones, strict=True):
+                assert slope.value(x) == pytest.approx(expected, abs=1e-7)
+            begins = slope.value(function.arguments[0])
+            assert begins == given_ones[0]
+
+
+@pytest.mark.parametrize(
+    ("kind", "ends", "smooth"),
+    [(CUBIC, ends, 2) for ends in Ends] + [(QUINTIC, ends, 4) for ends in Ends],
+)
+@given(samples=data(least=7))
+def test_splines_do_not_jump_at_their_samples(samples, kind, ends, smooth):
+    x, y = samples
+    spline = Sampled(x, y, kind, ends=ends)
+    for order in range(smooth + 1):
+        pieces = spline.curve.derivative(order).pieces
+        scale = 1.0 + max(abs(piece.value(at)) for piece, at in zip(pieces, x[:-1], strict=True))
+        for i, at in enumerate(x[1:-1].tolist()):
+            # By how much rounding makes it jump grows with the power of 1/gap.
+            assert abs(pieces[i].value(at) - pieces[i + 1].value(at)) <= 1e-9 * scale
+
+
+@given(samples=data(least=7))
+def test_splines_end_as_asked(samples):
+    x, y = samples
+    both = [x[0], x[-1]]
+    size = 1.0 + np.abs(y).max()
+    rest = Sampled(x, y, CUBIC, ends=Ends.AT_REST)
+    assert np.abs(rest.derivative()(both)).max() <= 1e-12 * size
+    rest = Sampled(x, y, QUINTIC, ends=Ends.AT_REST)
+    assert np.abs(rest.derivative()(both)).max() <= 1e-10 * size
+    assert np.abs(rest.derivative(2)(both)).max() <= 1e-9 * size
+    natural = Sampled(x, y, CUBIC, ends=Ends.NATURAL)
+    assert np.abs(natural.derivative(2)(both)).max() <= 1e-10 * size
+
+
+@pytest.mark.parametrize(("kind", "most"), [(CUBIC, 4), (QUINTIC, 6)])
+@given(samples=data(least=6))
+def test_of_few_samples_a_spline_is_the_polynomial_through_them(samples, kind, most):
+    x, y = samples
+    for count in range(2, most + 1):
+        curve = Sampled(x[:count], y[:count], kind)
+        for at in np.linspace(x[0], x[count - 1], 7).tolist():
+            exact, size = lagrange(x[:count], y[:count], at)
+            assert abs(curve.value(at) - exact) <= 1e-12 * (1.0 + size)
+
+
+def lagrange(x, y, at):
+    """The value of the polynomial through all points, exactly; and of its terms' sizes."""
+    knots, at = [Fraction(k) for k in x.tolist()], Fraction(at)
+    total = size = Fraction(0)
+    for i, knot in enumerate(knots):
+        term = Fraction(y.tolist()[i])
+        for j, other in enumerate(knots):
+            if i != j:
+                term *= (at - other) / (knot - other)
+        total, size = total + term, size + abs(term)
+    return float(total), float(size)
+
+
+def test_a_spline_reproduces_what_it_is_made_of():
+    x = np.array([0.0, 0.4, 1.0, 1.7, 2.1, 3.0, 3.3])
+    for kind, degree in ((CUBIC, 3), (QUINTIC, 5)):
+        p = np.polynomial.Polynomial(np.arange(1.0, degree + 2))
+        at = np.linspace(0.0, 3.3, 100)
+        assert np.allclose(Sampled(x, p(x), kind)(at), p(at), rtol=1e-11, atol=0.0)
+
+
+def test_ten_thousand_samples_are_no_trouble():
+    x = np.arange(10_000) * 1e-3
+    wave = np.sin(x)
+    spline = Sampled(x, wave, CUBIC)
+    at = np.linspace(0.0, x[-1], 5000)
+    assert np.abs(spline(at) - np.sin(at)).max() <= 1e-13  # h^4 / 384 and rounding
+    assert isinstance(spline.derivative(), Piecewise)
+
+
+def test_the_banded_solver_pivots():
+    # By hand: the first pivot is 0 but for the swap; x = (1, 2, 3).
+    rows = [
+        (0, [1e-30, 1.0], 2.0),
+        (0, [1.0, 1.0, 1.0], 6.0),
+        (1, [1.0, -1.0], -1.0),
+    ]
+    assert solved(rows, 3) == pytest.approx([1.0, 2.0, 3.0], rel=1e-15)
+
+
+def test_samples_move_with_their_function():
+    curve = Sampled((0.0, 1.0, 3.0), (1.0, 2.0, 0.0), CUBIC, ends=Ends.AT_REST)
+    assert curve.shifted(2.0) == Sampled((2.0, 3.0, 5.0), (1, 2, 0), CUBIC, ends=Ends.AT_REST)
+    assert curve * 2.0 == Sampled((0.0, 1.0, 3.0), (2, 4, 0), CUBIC, ends=Ends.AT_REST)
+    given_ones = Sampled((0.0, 1.0), (1.0, 2.0), QUINTIC, (1.0, 2.0), (3.0, 4.0))
+    assert given_ones / -2 == Sampled((0, 1), (-0.5, -1), QUINTIC, (-0.5, -1), (-1.5, -2))
+    assert isinstance(curve + Constant(1.0), Piecewise)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "told"),
+    [
+        (((0.0,), (1.0,)), "two"),
+        (((), ()), "two"),
+        (((0.0, 1.0), (1.0,)), "2 arguments, but 1 of values"),
+        (((0.0, 0.0), (1.0, 2.0)), "argument 1 is 0.0, not above argument 0, 0.0"),
+        (((0.0, 1.0, 0.5), (1.0, 2.0, 3.0)), "argument 2 is 0.5"),
+        (((0.0, nan), (1.0, 2.0)), "arguments\\[1\\] is nan"),
+        (((0.0, inf), (1.0, 2.0)), "arguments\\[1\\] is inf"),
+        (((0.0, 1.0), (1.0, nan)), "values\\[1\\]"),
+        (((0.0, 1.0), (1.0, "2")), "values\\[1\\]"),
+        ((3.0, (1.0, 2.0)), "not a sequence"),
+        (((0.0, 1.0), (1.0, 2.0), "cubic"), "no Interpolation"),
+        (((0.0, 1.0), (1.0, 2.0), CUBIC, None, None, "natural"), "no Ends"),
+        (((0.0, 1.0), (1.0, 2.0), HERMITE), "first derivatives"),
+        (((0.0, 1.0), (1.0, 2.0), HERMITE, (1.0,)), "but 1 of first"),
+        (((0.0, 1.0), (1.0, 2.0), HERMITE, (1, 2), (1, 2)), "only these"),
+        (((0.0, 1.0), (1.0, 2.0), QUINTIC, (1.0, 2.0)), "or neither"),
+        (((0.0, 1.0), (1.0, 2.0), CUBIC, (1.0, 2.0)), "CUBIC takes no derivatives"),
+        (((0.0, 1.0), (1.0, 2.0), LINEAR, None, None, Ends.AT_REST), "no spline"),
+        (((0.0, 1.0), (1, 2), QUINTIC, (1, 2), (1, 2), Ends.NATURAL), "no spline"),
+    ],
+)
+def test_samples_that_make_no_function_are_refused(arguments, told):
+    with pytest.raises(UsageError, match=told):
+        Sampled(*arguments)
