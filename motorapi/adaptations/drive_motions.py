@@ -43,6 +43,7 @@ if TYPE_CHECKING:
 
 _CONFIRM_TIMEOUT_S: Final = 0.5
 _RESEND_S: Final = 0.1
+_STOPPING_PERIODS: Final = 4
 POLL_S: Final = 0.01
 _LATCHED: Final = {ControlVariable.POSITION: 0x607A, ControlVariable.VELOCITY: 0x60FF}
 _LIVE: Final = {ControlVariable.VELOCITY: 0x60FF, ControlVariable.TORQUE: 0x6071}
@@ -118,6 +119,8 @@ class DriveMotions:
         """See `MotorHooks._arm`."""
         self._together = together
         stream = self._hardware.stream
+        if stream is not None and stream.is_stopping:
+            self._runtime.wait_until(lambda: stream.ended, _STOPPING_PERIODS * stream.period_s)
         if stream is not None and not stream.ended:
             raise StateError(
                 motor=self._motor,

@@ -175,6 +175,7 @@ class StreamWatch:
         if self.error is None and self.ended_ns is None:
             self.failed = True
             self.error = error
+            self._position_inc = None  # it stands still only if it does so from now on
 
     def see(self, statusword: int, position_inc: int, time_ns: int) -> None:
         """A statusword came, with the position sampled with it."""

@@ -4,11 +4,18 @@ Cycle k is k set-point periods after the start. A trajectory over time is sample
 another argument, that is asked for its value in each cycle. A trajectory of velocity is followed by
 its integral: exactly over time, by the trapezoidal rule over another argument.
 
+What another argument does is known only as it does it. So its set-points are held against the
+limits one by one: no step of position beyond the velocity limit; at the start, where the motor is
+at rest, no step of velocity beyond what the acceleration limit makes in a period; later, where an
+argument that is heard over a bus may come a period late, no change of the velocity over 20 ms
+beyond it. What exceeds them is a LimitError, and is not sent.
+
 An absolute trajectory may begin a little beside where the motor is (`MotorModel.start_tolerance`).
 To step there in one period would break every limit, so the motor first moves there, within the
 limits: `lead_in` cycles before the first one of the trajectory.
 """
 
+from collections import deque
 from math import ceil
 from typing import TYPE_CHECKING, Final, final
 
@@ -23,6 +30,8 @@ if TYPE_CHECKING:
 
 _ROUNDING: Final = 1e-9
 _STEP_ROUNDING_INC: Final = 1.0  # two targets, each off by at most half an increment
+_WINDOW_S: Final = 0.02
+_LATE: Final = 1.5  # periods: an argument may come one late, and its own be another than ours
 
 
 @final
@@ -66,6 +75,10 @@ class StreamedMotion:
                 self._integral = motion.function.integral()
         else:
             self._from = motion.start
+        self._scale = abs(units.increments(1.0))
+        self._window = max(1, ceil(_WINDOW_S / period_s))
+        self._recent: deque[float] = deque([self._from], 2 * self._window + 1)
+        self._shift = 0.0  # of a relative trajectory, by what the argument did since it was planned
         self._approach = self._approach_of(motion)
         self.lead_in = 0
         if self._approach is not None:
@@ -98,9 +111,31 @@ class StreamedMotion:
         position = self._position(place)
         target = self._units.position_inc(position)
         if abs(target - self._last_inc) > self._step_inc_max:
-            raise self._too_fast(target)
+            step = self._units.position(target) - self._units.position(self._last_inc)
+            raise self._beyond("velocity", step / self._period_s, self._motion.velocity)
+        if self._argument is not None:
+            self._check_change(place, position)
         self._last_inc = target
         return target
+
+    def _check_change(self, place: int, position: float) -> None:
+        """How fast the velocity changes, of an argument nobody knows beforehand."""
+        recent, period_s = self._recent, self._period_s
+        limit = min(self._motion.acceleration, self._motion.deceleration)
+        recent.append(position)
+        if place <= 2:  # of a relative trajectory the first set-point is where the motor is
+            velocity = (position - recent[-2]) / period_s
+            allowed = limit * period_s + 2.0 * _STEP_ROUNDING_INC / (self._scale * period_s)
+            if abs(velocity) > allowed:
+                raise self._beyond("velocity at the start", velocity, allowed)
+        window_s = self._window * period_s
+        middle = recent[max(0, len(recent) - 1 - self._window)]
+        now = (position - middle) / window_s
+        change = now - (middle - recent[0]) / window_s
+        allowed = limit * window_s + _LATE * abs(now) / self._window
+        allowed += 2.0 * _STEP_ROUNDING_INC / (self._scale * window_s)
+        if abs(change) > allowed:
+            raise self._beyond("change of velocity", change / window_s, limit)
 
     def _approached(self, cycle: int) -> int:
         """Where it is on the way to the beginning."""
@@ -128,9 +163,12 @@ class StreamedMotion:
         if self.over or at >= end - _ROUNDING * max(1.0, abs(end)):
             self.over = True
             at = max(at, end)  # an argument may turn back: what is over stays over
-        if self._motion.variable is not ControlVariable.VELOCITY:
-            return demand.value(at)
-        return self._travelled(at)
+        if self._motion.variable is ControlVariable.VELOCITY:
+            return self._travelled(at)
+        trajectory = self._motion.trajectory
+        if place == 1 and self._argument is not None and trajectory and trajectory.is_relative:
+            self._shift = self._from - demand.value(at)
+        return demand.value(at) + self._shift
 
     def _travelled(self, at: float) -> float:
         """The integral of a trajectory of velocity; after its end it goes on as it ended."""
@@ -149,19 +187,19 @@ class StreamedMotion:
         )
         return self._from + way + (at - inside) * self.velocity
 
-    def _too_fast(self, target: int) -> LimitError:
-        step = self._units.position(target) - self._units.position(self._last_inc)
+    def _beyond(self, quantity: str, value: float, limit: float) -> LimitError:
         argument = self._argument
         if argument is None:
             reason = "a step of the trajectory"
         else:
-            reason = f"the {argument.name} steps further than in {self._period_s * 1e3:g} ms"
+            reason = f"the {argument.name} steps: set-points are {self._period_s * 1e3:g} ms apart"
+        per = "/s²" if quantity.startswith("change") else "/s"
         return LimitError(
             motor=self._motor,
-            quantity="velocity between two set-points",
-            value=step / self._period_s,
-            low=-self._motion.velocity,
-            high=self._motion.velocity,
-            unit=f"{self._units.unit}/s",
+            quantity=quantity,
+            value=value,
+            low=-limit,
+            high=limit,
+            unit=f"{self._units.unit}{per}",
             reason=reason,
         )
