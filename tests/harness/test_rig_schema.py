@@ -10,6 +10,7 @@ import pytest
 from hypothesis import given
 
 import harness
+from emulators.cia401 import settings as node_settings
 from emulators.cia402 import settings as drive_settings
 from emulators.media.faults import FaultKind
 from emulators.plant.dc_motor import RANGES, MotorPlant
@@ -18,8 +19,9 @@ from harness import rig_faults, rig_file
 from harness.plugins import ADAPTATIONS, installed
 from harness.rig import installed_plugins
 from harness.scaffold import EXAMPLES
-from motorapi.adaptations import ideal
+from motorapi.adaptations import ideal, software
 from motorapi.adaptations.drive_setup import HwOptions
+from motorapi.adaptations.software_node import IoOptions
 from motorapi.model import MotorModel
 from tests.harness.test_rig_file import (
     GOOD,
@@ -30,6 +32,7 @@ from tests.harness.test_rig_file import (
     mistake_in,
     unescaped,
 )
+from tests.motorapi.adaptations.software_rigs import two
 
 SCHEMA = json.loads((Path(harness.__file__).parent / "rig.schema.json").read_text())
 VALIDATOR = jsonschema.Draft202012Validator(SCHEMA)
@@ -70,13 +73,61 @@ def test_the_schema_knows_the_drives_own_keys():
     assert set(drive) == {"kind", "bus", *drive_settings._KEYS}
     assert set(drive["timing"]["properties"]) == set(drive_settings._TIMING_KEYS)
     assert set(drive["units"]["properties"]) == set(drive_settings._UNIT_KEYS)
-    plant = {"preset", "from_motor_model", *(field.name for field in fields(MotorPlant))}
-    assert set(drive["plant"]["properties"]) == plant
-    for name, limits in RANGES.items():
-        of_schema = drive["plant"]["properties"][name]
-        assert (of_schema["minimum"], of_schema["maximum"]) == limits
-    assert drive["plant"]["properties"]["preset"]["examples"] == list(PRESETS)
+    assert drive["plant"] == {"$ref": "#/$defs/plant"}
     assert drive["supported_modes"]["items"]["enum"] == list(drive_settings.EMULATED_MODES)
+
+
+def test_the_schema_knows_the_plants_own_keys():
+    plant = DEFS["plant"]["properties"]
+    names = {"preset", "from_motor_model", *(field.name for field in fields(MotorPlant))}
+    assert set(plant) == names
+    for name, limits in RANGES.items():
+        assert (plant[name]["minimum"], plant[name]["maximum"]) == limits
+    assert plant["preset"]["examples"] == list(PRESETS)
+
+
+def test_the_schema_knows_an_io_nodes_own_keys():
+    node = DEFS["cia401"]["properties"]
+    assert set(node) == {"kind", "bus", *node_settings.KEYS}
+    assert set(node["timing"]["properties"]) == set(node_settings.TIMING_KEYS)
+    channel = node["channel"]["additionalProperties"]["properties"]
+    assert set(channel) == set(node_settings.CHANNEL_KEYS)
+    assert set(DEFS["amplifier"]["properties"]) == set(node_settings.AMPLIFIER_KEYS)
+    for table in (node, channel):
+        assert table["plant"] == {"$ref": "#/$defs/plant"}
+        assert table["amplifier"] == {"$ref": "#/$defs/amplifier"}
+    assert node["channels"]["maximum"] == node_settings.CHANNELS_MAX
+
+
+def test_the_schema_knows_a_software_motors_own_keys():
+    motor = DEFS["software_motor"]["properties"]
+    own = {"channel", "current_per_volt_a_v", "gains", *software._TORQUE.values()}
+    in_units = {key.format(u=u) for key in software._SETTINGS.values() for u in ("rad", "m")}
+    options = {field.name for field in fields(IoOptions)}
+    common = {"adaptation", "controller", "bus", "node_id", "model"}
+    assert set(motor) == common | own | in_units | options
+    for field in fields(IoOptions):
+        assert motor[field.name].get("default") == field.default
+    gains = {key.format(u=u) for key in software._GAINS.values() for u in ("rad", "m")}
+    assert set(motor["gains"]["properties"]) == {software._BANDWIDTH, *gains}
+
+
+@pytest.mark.parametrize(
+    ("old", "new"),
+    [
+        ("", ""),
+        ("channels = 2", "channels = 5"),
+        ("channel = 1", "channel = 0"),
+        ("current_per_volt_a_v = 0.8", ""),
+        ("current_per_volt_a_v = 0.8", "current_per_volt_a_v = 0"),
+        ("bandwidth_rad_s = 60.0", ""),
+        ("bandwidth_rad_s = 60.0", "bandwidth_rad_s = 0"),
+        ("friction_feedforward_a", "friction"),
+    ],
+)
+def test_the_schema_knows_central_servo_as_its_readers_do(old, new):
+    text = f"[rig]\n[bus.can0]\nbitrate_bit_s = 500_000\n{two()}"
+    assert is_accepted(text.replace(old, new, 1) if old else text) is not bool(old)
 
 
 def test_the_schema_knows_the_motors_own_keys():
@@ -98,7 +149,9 @@ def test_the_schema_wants_a_bus_for_the_adaptations_that_need_one(adaptation):
     needs_bus = installed_plugins().needs_bus(adaptation)
     assert VALIDATOR.is_valid({"motor": {"m": motor}}) is not needs_bus
     bus = {"can0": {"bitrate_bit_s": 500_000}}
-    placed = {"bus": bus, "motor": {"m": {**motor, "bus": "can0", "node_id": 1}}}
+    servo = {"current_per_volt_a_v": 0.8, "gains": {"kp_a_rad": 1.0}}
+    own = servo if adaptation == "software" else {}
+    placed = {"bus": bus, "motor": {"m": {**motor, **own, "bus": "can0", "node_id": 1}}}
     assert VALIDATOR.is_valid(placed) is needs_bus
 
 
