@@ -123,7 +123,7 @@ class _FrameBusSource:
 
         try:
             self._frames.transmit(frame)
-        except CanError as error:
+        except (CanError, OSError) as error:
             raise _cannot_send(self._bus, error) from error
 
     def close(self) -> None:
@@ -222,7 +222,7 @@ class _MessageSource:
         )
         try:
             self._bus.send(message)
-        except CanError as error:
+        except (CanError, OSError) as error:
             raise _cannot_send(self._bus, error) from error
 
     def close(self) -> None:

@@ -164,10 +164,10 @@ class CanopenLink:
         """
         try:
             self.runtime.send(self.bus, frame)
-        except Exception as error:  # only python-can's own are the link's; others pass through
+        except Exception as error:  # python-can's own, and the system's; others pass through
             from can import CanError
 
-            if isinstance(error, CanError):
+            if isinstance(error, CanError | OSError):
                 raise LinkError(link=self.name, reason=f"cannot send: {error}") from error
             raise
 

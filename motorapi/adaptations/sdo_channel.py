@@ -178,6 +178,16 @@ class _Client(SdoClient):
         """Whether it was about the very object of the transfer, so that the server meant it."""
         return self.odd is not None and self.odd[1:4] == self._opened
 
+    def place(self) -> tuple[int, int]:
+        """(index, sub-index) of the transfer; 0 where none has begun."""
+        opened = self._opened.ljust(3, b"\0")
+        return int.from_bytes(opened[:2], "little"), opened[2]
+
+    def aborted(self, node_id: int, code: int) -> SdoAborted:
+        """The error of the interface for an abort of the transfer."""
+        index, subindex = self.place()
+        return SdoAborted(node_id=node_id, index=index, subindex=subindex, abort_code=code)
+
     def begin(self, place: bytes) -> None:
         """A transfer of this object begins; it waits while an old answer may still come."""
         self._opened = place
@@ -229,16 +239,29 @@ class SdoChannel:
     def alone(self) -> Iterator[SdoClient]:
         """The client of canopen, used by nobody else inside the block, and with no old answer due.
 
-        Its own errors come as they are: SdoAbortedError, SdoCommunicationError.
+        Its own errors, SdoAbortedError and SdoCommunicationError, leave the block as `upload`'s.
         """
         with self._lock.turn(_TURN_TIMEOUT_S, self._what):
             if self.physical is not None:
                 self.physical.require_not_held_elsewhere()
-            self._client.begin(b"")
+            client = self._client
+            client.begin(b"")
+            bound_ns = self._link.runtime.now_ns() + self._quarantine_ns
             try:
-                yield self._client
+                yield client
+            except SdoAbortedError as error:
+                raise client.aborted(self._node_id, error.code) from error
+            except SdoCommunicationError as error:
+                client.quarantine(bound_ns)
+                index, subindex = client.place()
+                if isinstance(error, _NoAnswer):
+                    raise self._no_answer(index, subindex) from error
+                where, problem = _where(index, subindex), f"{error} ({_OTHER_CLIENTS})"
+                raise ProtocolViolation(
+                    node_id=self._node_id, where=where, problem=problem
+                ) from error
             finally:
-                self._client.end()
+                client.end()
 
     def finish(self) -> None:
         """What was under way is over, and who comes now has found out who may come.

@@ -8,12 +8,14 @@ from canopen.sdo.exceptions import SdoAbortedError, SdoCommunicationError
 
 from motorapi import (
     ControlMode,
+    LinkError,
     Motor,
     MotorError,
     MotorGroup,
     PluginError,
     TrapezoidalTrajectory,
     UsageError,
+    WallRuntime,
 )
 from motorapi.hooks import MotorHooks
 from tests.motorapi.ideal import IdealBus, IdealHwMotor, IdealMotor
@@ -152,3 +154,20 @@ def test_what_is_no_device_is_no_member(pair, junk):
         with pytest.raises(UsageError, match="is no device"):
             call(junk)
     assert len(group) == 2
+
+
+@pytest.mark.parametrize("error", [OSError(100, "Network is down"), can.CanOperationError("off")])
+def test_a_real_bus_that_cannot_send_is_a_lost_link(error):
+    class Broken:
+        channel_info = "broken bus"
+
+        def send(self, message):
+            raise error
+
+    runtime = WallRuntime()
+    try:
+        with pytest.raises(LinkError, match="broken bus: cannot send") as caught:
+            runtime.send(Broken(), bytes(16))
+        assert caught.value.__cause__ is error
+    finally:
+        runtime.close()
