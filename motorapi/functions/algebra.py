@@ -7,11 +7,12 @@ sum what differs by its amplitude only is one as well.
 
 from collections.abc import Callable
 from fractions import Fraction
+from itertools import zip_longest
 from math import inf
 
 from motorapi.commands import as_number
-from motorapi.functions import exact
 from motorapi.functions.combined import Composition, Product, Sum
+from motorapi.functions.exact import Exact, nearest
 from motorapi.functions.exponential import Exponential
 from motorapi.functions.function import Function, overlap
 from motorapi.functions.piecewise import Piecewise
@@ -32,7 +33,10 @@ def add(left: Function, right: Function) -> Function:
     """Left + right."""
     if isinstance(left, Polynomial) and isinstance(right, Polynomial):
         about = _about(left, right)
-        return polynomial(exact.rounded(exact.plus(_at(left, about), _at(right, about))), about)
+        if left.about == right.about or min(left.degree, right.degree) == 0:
+            terms = zip_longest(left.coefficients, right.coefficients, fillvalue=0.0)
+            return polynomial([a + b for a, b in terms], about)
+        return polynomial(left.exact(about).plus(right.exact(about)).rounded(), about)
     if _is_zero(left):
         return right
     if _is_zero(right):
@@ -48,13 +52,13 @@ def add(left: Function, right: Function) -> Function:
 
 def multiply(left: Function, right: Function) -> Function:
     """Left * right."""
-    if isinstance(left, Polynomial) and isinstance(right, Polynomial):
-        about = _about(left, right)
-        return polynomial(exact.rounded(exact.times(_at(left, about), _at(right, about))), about)
     for one, other in ((left, right), (right, left)):
         if isinstance(one, Polynomial) and one.degree == 0:
             number = one.coefficients[0]
             return other if number == 1.0 else other.times(number)
+    if isinstance(left, Polynomial) and isinstance(right, Polynomial):
+        about = _about(left, right)
+        return polynomial(left.exact(about).times(right.exact(about)).rounded(), about)
     merged = _by_pieces(left, right, multiply)
     if merged is not None:
         return merged
@@ -66,10 +70,8 @@ def multiply(left: Function, right: Function) -> Function:
 def compose(outer: Function, inner: Function) -> Function:
     """X -> outer(inner(x))."""
     if isinstance(outer, Polynomial) and isinstance(inner, Polynomial):
-        within = exact.rational(inner.coefficients)
-        within[0] -= Fraction(outer.about)
-        composed = exact.composed(exact.rational(outer.coefficients), within)
-        return polynomial(exact.rounded(composed), inner.about)
+        local = inner.exact().plus(Exact.of([-outer.about]))
+        return polynomial(outer.exact().after(local).rounded(), inner.about)
     if isinstance(outer, Polynomial) and _of_polynomials(inner):
         pieces = [compose(outer, piece) for piece in _piecewise(inner).pieces]
         return Piecewise(_piecewise(inner).breaks, pieces)
@@ -82,7 +84,7 @@ def _stretched(outer: Piecewise, line: Polynomial) -> Function:
     """outer(line(x)), piece by piece."""
     start, slope = (Fraction(c) for c in line.coefficients)
     breaks = [
-        exact.nearest((Fraction(b) - start) / slope + Fraction(line.about)) if abs(b) < inf else b
+        nearest((Fraction(b) - start) / slope + Fraction(line.about)) if abs(b) < inf else b
         for b in outer.breaks
     ]
     pieces = [compose(piece, line) for piece in outer.pieces]
@@ -137,10 +139,6 @@ def _is_zero(function: Function) -> bool:
 def _about(left: Polynomial, right: Polynomial) -> float:
     """That of the one that loses more by moving."""
     return left.about if left.degree >= right.degree else right.about
-
-
-def _at(p: Polynomial, about: float) -> exact.Rationals:
-    return exact.moved(exact.rational(p.coefficients), Fraction(about) - Fraction(p.about))
 
 
 def _by_pieces(

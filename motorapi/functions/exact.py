@@ -1,77 +1,111 @@
 """Coefficients of polynomials in exact arithmetic: every result is rounded once.
 
-A double is a rational number; so are a polynomial's coefficients, and what is written here is
-done in rational numbers. Shifting a polynomial to another place by floats instead loses digits
-by cancellation, as do composing and integrating it. Coefficients ascend; `about` is where the
-local argument is 0: p(x) = c0 + c1 (x - about) + c2 (x - about)² + ...
+A double is a rational number; so are a polynomial's coefficients, and what is written here is done
+in whole numbers over a common denominator. Shifting a polynomial to another place by floats instead
+loses digits by cancellation, as do composing and integrating it. Coefficients ascend; they are in a
+local argument: p = c0 + c1 t + c2 t² + ..., where t is x less the place that p is about.
 """
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from fractions import Fraction
-from typing import TypeAlias
-
-Rationals: TypeAlias = list[Fraction]
-
-
-def rational(coefficients: Iterable[float]) -> Rationals:
-    """The coefficients as what they are."""
-    return [Fraction(c) for c in coefficients]
+from math import lcm
+from typing import final
 
 
-def rounded(coefficients: Iterable[Fraction]) -> tuple[float, ...]:
-    """The nearest doubles; infinite where there is none."""
-    return tuple(nearest(c) for c in coefficients)
+@final
+class Exact:
+    """A polynomial without any rounding; immutable.
+
+    Attributes:
+        numbers: the coefficients, ascending, times the denominator.
+        denominator: > 0.
+    """
+
+    __slots__ = ("denominator", "numbers")
+
+    def __init__(self, numbers: list[int], denominator: int) -> None:
+        self.numbers = numbers
+        self.denominator = denominator
+
+    @classmethod
+    def of(cls, coefficients: Iterable[float | Fraction]) -> "Exact":
+        """Of at least one finite coefficient, taken as what it is."""
+        ratios = [c.as_integer_ratio() for c in coefficients]
+        common = lcm(*(d for _, d in ratios))
+        return cls([n * (common // d) for n, d in ratios], common)
+
+    def rounded(self) -> tuple[float, ...]:
+        """The nearest doubles; infinite where there is none."""
+        return tuple(_nearest(n, self.denominator) for n in self.numbers)
+
+    def coefficient(self, power: int) -> Fraction:
+        """One coefficient; 0 beyond the highest."""
+        if power >= len(self.numbers):
+            return Fraction(0)
+        return Fraction(self.numbers[power], self.denominator)
+
+    def moved(self, way: float | Fraction) -> "Exact":
+        """The same polynomial about a place that lies `way` further to the right."""
+        p, q = way.as_integer_ratio()
+        if p == 0 or len(self.numbers) == 1:
+            return self
+        # In t = s / q the coefficients are whole numbers, and s moves by a whole number.
+        degree = len(self.numbers) - 1
+        numbers = [n * q ** (degree - k) for k, n in enumerate(self.numbers)]
+        for start in range(degree):
+            for k in range(degree - 1, start - 1, -1):
+                numbers[k] += p * numbers[k + 1]
+        return Exact([n * q**k for k, n in enumerate(numbers)], self.denominator * q**degree)
+
+    def plus(self, other: "Exact") -> "Exact":
+        """The sum of two about one place."""
+        common = lcm(self.denominator, other.denominator)
+        left = [n * (common // self.denominator) for n in self.numbers]
+        right = [n * (common // other.denominator) for n in other.numbers]
+        longer, shorter = (left, right) if len(left) >= len(right) else (right, left)
+        for k, n in enumerate(shorter):
+            longer[k] += n
+        return Exact(longer, common)
+
+    def times(self, other: "Exact") -> "Exact":
+        """The product of two about one place."""
+        product = [0] * (len(self.numbers) + len(other.numbers) - 1)
+        for i, a in enumerate(self.numbers):
+            if a:
+                for j, b in enumerate(other.numbers):
+                    product[i + j] += a * b
+        return Exact(product, self.denominator * other.denominator)
+
+    def after(self, inner: "Exact") -> "Exact":
+        """This one, about 0, of the values of another."""
+        total = Exact(self.numbers[-1:], self.denominator)
+        for n in reversed(self.numbers[:-1]):
+            total = total.times(inner).plus(Exact([n], self.denominator))
+        return total
+
+    def integral(self) -> "Exact":
+        """The antiderivative that is 0 at 0."""
+        common = lcm(*range(1, len(self.numbers) + 1))
+        raised = [n * (common // k) for k, n in enumerate(self.numbers, 1)]
+        return Exact([0, *raised], self.denominator * common)
+
+    def value(self, local: Fraction) -> Fraction:
+        """The value at a local argument."""
+        p, q = local.as_integer_ratio()
+        total, power = 0, 1
+        for n in reversed(self.numbers):
+            total = total * p + n * power
+            power *= q
+        return Fraction(total * q, self.denominator * power)
 
 
 def nearest(number: Fraction) -> float:
     """The nearest double; infinite if it is too large."""
+    return _nearest(number.numerator, number.denominator)
+
+
+def _nearest(numerator: int, denominator: int) -> float:
     try:
-        return float(number)
+        return numerator / denominator  # of whole numbers, this is the nearest double
     except OverflowError:
-        return float("inf") if number > 0 else float("-inf")
-
-
-def moved(coefficients: Rationals, way: Fraction) -> Rationals:
-    """The coefficients about a place `way` further to the right (Horner's scheme, n²/2 steps)."""
-    shifted = list(coefficients)
-    if not way:
-        return shifted
-    for start in range(len(shifted) - 1):
-        for k in range(len(shifted) - 2, start - 1, -1):
-            shifted[k] += way * shifted[k + 1]
-    return shifted
-
-
-def plus(left: Rationals, right: Rationals) -> Rationals:
-    """The coefficients of the sum, both about one place."""
-    longer, shorter = (left, right) if len(left) >= len(right) else (right, left)
-    return [c + shorter[k] if k < len(shorter) else c for k, c in enumerate(longer)]
-
-
-def times(left: Rationals, right: Rationals) -> Rationals:
-    """The coefficients of the product, both about one place."""
-    product = [Fraction(0)] * (len(left) + len(right) - 1)
-    for i, a in enumerate(left):
-        if a:
-            for j, b in enumerate(right):
-                product[i + j] += a * b
-    return product
-
-
-def composed(outer: Rationals, inner: Rationals) -> Rationals:
-    """The coefficients of outer(inner(t)); outer is about 0."""
-    result = [outer[-1]]
-    for c in reversed(outer[:-1]):
-        result = times(result, inner)
-        result[0] += c
-    return result
-
-
-def integral_between(coefficients: Sequence[float], low: Fraction, high: Fraction) -> Fraction:
-    """The definite integral between two local arguments."""
-    total_low = total_high = Fraction(0)
-    for k in range(len(coefficients) - 1, -1, -1):
-        term = Fraction(coefficients[k]) / (k + 1)
-        total_low = (total_low * low) + term
-        total_high = (total_high * high) + term
-    return total_high * high - total_low * low
+        return float("inf") if numerator > 0 else float("-inf")

@@ -364,7 +364,7 @@ def finite(owner: str, name: str, value: object) -> float:
     Raises:
         UsageError: it is no finite number.
     """
-    number = as_number(value)
+    number = value if type(value) is float else as_number(value)
     if not -LARGEST <= number <= LARGEST:
         raise UsageError(f"{owner}: {name} is {value!r}, not a finite number")
     return number

@@ -10,7 +10,7 @@ import numpy as np
 
 from motorapi.commands import as_number
 from motorapi.errors import UsageError
-from motorapi.functions import exact
+from motorapi.functions.exact import Exact, nearest
 from motorapi.functions.function import LARGEST, Extrema, FloatArray, Function, finite
 from motorapi.functions.piece_table import PieceFinder, PieceTable
 from motorapi.functions.polynomial import Horner, Polynomial, polynomial
@@ -139,13 +139,11 @@ class Piecewise(Function):
         for i, piece in enumerate(self.pieces):
             anchor = self._anchor(i)
             if isinstance(piece, Polynomial):
-                local = piece.moved_to(anchor)
-                raised = [sums[i]]
-                raised += [Fraction(c) / (k + 1) for k, c in enumerate(local.coefficients)]
-                pieces.append(polynomial(exact.rounded(raised), anchor))
+                raised = piece.exact(anchor).integral().plus(Exact.of([sums[i]]))
+                pieces.append(polynomial(raised.rounded(), anchor))
             else:
                 whole = piece.integral()
-                pieces.append(whole + exact.nearest(sums[i] - Fraction(whole.value(anchor))))
+                pieces.append(whole + nearest(sums[i] - Fraction(whole.value(anchor))))
         return Piecewise(self.breaks, pieces)
 
     def _anchor(self, piece: int) -> float:
@@ -164,7 +162,7 @@ class Piecewise(Function):
         return sums
 
     def _integrate(self, low: float, high: float) -> float:
-        return exact.nearest(_exact(self, low, high))
+        return nearest(_exact(self, low, high))
 
     @property
     def is_polynomial(self) -> bool:

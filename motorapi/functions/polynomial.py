@@ -8,7 +8,7 @@ from typing import Final, TypeAlias, final
 import numpy as np
 
 from motorapi.errors import UsageError
-from motorapi.functions import exact
+from motorapi.functions.exact import Exact, nearest
 from motorapi.functions.function import LARGEST, Extrema, FloatArray, Function, finite
 from motorapi.functions.polynomial_extrema import candidates, range_over
 
@@ -105,20 +105,17 @@ class Polynomial(Function):
 
     def integral(self) -> Function:
         """The antiderivative that is 0 at 0, about the same place."""
-        raised = [Fraction(0)]
-        raised += [Fraction(c) / (k + 1) for k, c in enumerate(self.coefficients)]
-        raised[0] = -exact.moved(raised, Fraction(-self.about))[0]
-        return polynomial(exact.rounded(raised), self.about)
+        raised = self.exact().integral()
+        start = Exact.of([-raised.value(-Fraction(self.about))])
+        return polynomial(raised.plus(start).rounded(), self.about)
 
     def _integrate(self, low: float, high: float) -> float:
-        return exact.nearest(self.exact_integral(low, high))
+        return nearest(self.exact_integral(low, high))
 
     def exact_integral(self, low: float, high: float) -> Fraction:
         """The definite integral, unrounded."""
-        about = Fraction(self.about)
-        return exact.integral_between(
-            self.coefficients, Fraction(low) - about, Fraction(high) - about
-        )
+        raised, about = self.exact().integral(), Fraction(self.about)
+        return raised.value(Fraction(high) - about) - raised.value(Fraction(low) - about)
 
     def _extrema(self, low: float, high: float) -> Extrema:
         points = candidates(self.coefficients, low - self.about, high - self.about)
@@ -137,8 +134,14 @@ class Polynomial(Function):
         """The same polynomial about another place, its coefficients rounded once."""
         if about == self.about:
             return self
-        way = Fraction(about) - Fraction(self.about)
-        return polynomial(exact.rounded(exact.moved(exact.rational(self.coefficients), way)), about)
+        return polynomial(self.exact(about).rounded(), about)
+
+    def exact(self, about: float | None = None) -> Exact:
+        """The coefficients, unrounded; about another place, if one is given."""
+        coefficients = Exact.of(self.coefficients)
+        if about is None or about == self.about:
+            return coefficients
+        return coefficients.moved(Fraction(about) - Fraction(self.about))
 
     @final
     def times(self, number: float) -> Function:
@@ -154,11 +157,12 @@ class Polynomial(Function):
     @final
     def scaled(self, factor: float) -> Function:
         """With coefficients c_k / factor^k."""
-        number = Fraction(finite(repr(self), "factor", factor))
-        if not number:
+        number = finite(repr(self), "factor", factor)
+        if number == 0.0:
             raise UsageError(f"{self!r}: the argument cannot be scaled by 0")
-        scaled = exact.rounded(Fraction(c) / number**k for k, c in enumerate(self.coefficients))
-        return polynomial(scaled, self.about * factor)
+        power = Fraction(number)
+        scaled = [nearest(Fraction(c) / power**k) for k, c in enumerate(self.coefficients)]
+        return polynomial(scaled, self.about * number)
 
     def __repr__(self) -> str:
         if self.degree >= _SHOWN:

@@ -12,7 +12,7 @@ from enum import Enum
 from fractions import Fraction
 from typing import TypeAlias
 
-from motorapi.functions import exact
+from motorapi.functions.exact import Exact, nearest
 
 Equation: TypeAlias = tuple[int, list[float], float]  # first unknown, coefficients, right side
 Derivatives: TypeAlias = tuple[list[float], list[float]]
@@ -114,20 +114,19 @@ def _at_end(order: int, at_right: bool, h: float, rise: float) -> tuple[list[flo
 
 def _through_all(x: Sequence[float], y: Sequence[float]) -> Derivatives:
     """The derivatives of the one polynomial through all samples (Newton's form, exactly)."""
-    knots = exact.rational(x)
-    table = exact.rational(y)
+    knots, table = [Fraction(k) for k in x], [Fraction(value) for value in y]
     newton = [table[0]]
     for k in range(1, len(x)):
         table = [
             (table[i + 1] - table[i]) / (knots[i + k] - knots[i]) for i in range(len(table) - 1)
         ]
         newton.append(table[0])
-    power = [newton[-1]]
+    power = Exact.of(newton[-1:])
     for k in range(len(x) - 2, -1, -1):
-        power = exact.times(power, [-knots[k], Fraction(1)])
-        power[0] += newton[k]
-    local = [[*exact.moved(power, knot), Fraction(0), Fraction(0)] for knot in knots]
-    return [exact.nearest(c[1]) for c in local], [exact.nearest(2 * c[2]) for c in local]
+        power = power.times(Exact.of([-knots[k], 1.0])).plus(Exact.of([newton[k]]))
+    local = [power.moved(knot) for knot in knots]
+    first = [nearest(c.coefficient(1)) for c in local]
+    return first, [nearest(2 * c.coefficient(2)) for c in local]
 
 
 def solved(rows: list[Equation], unknowns: int) -> list[float]:
