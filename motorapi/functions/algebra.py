@@ -34,8 +34,8 @@ def add(left: Function, right: Function) -> Function:
     if isinstance(left, Polynomial) and isinstance(right, Polynomial):
         about = _about(left, right)
         if left.about == right.about or min(left.degree, right.degree) == 0:
-            terms = zip_longest(left.coefficients, right.coefficients, fillvalue=0.0)
-            return polynomial([a + b for a, b in terms], about)
+            pairs = zip_longest(left.coefficients, right.coefficients, fillvalue=0.0)
+            return polynomial([a + b for a, b in pairs], about)
         return polynomial(left.exact(about).plus(right.exact(about)).rounded(), about)
     if _is_zero(left):
         return right
