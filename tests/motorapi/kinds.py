@@ -124,9 +124,9 @@ KINDS = {
             "software",
             BUS + _IO_NODE,
             _SOFTWARE,
-            0.003,  # where acceleration steps by 4 rad/s^2; poles at 60 rad/s, 3 ms of delay
+            0.0002,  # four increments: the demand is fed forward to when the output is out
             0.001,
-            (0.001, 0.001),
+            (0.0, 0.0),
             0.004,
             ALL,
             ALL,
