@@ -21,6 +21,7 @@ from motorapi.errors import (
     LimitError,
     LinkError,
     MotionInterrupted,
+    MotorBusyError,
     StateError,
     UsageError,
 )
@@ -179,10 +180,16 @@ def require_rest(motor: "Motor", operation: str) -> None:
 
     Raises:
         StateError: one does.
+        MotorBusyError: another logical motor stopped it since it was taken, and it slows down.
     """
     run = motor._physical.run
-    if run is None or run.finished or motor._status() is RunStatus.FAILED:
+    if run is None or run.finished:
         return
+    status = motor._status()
+    if status is RunStatus.FAILED or (status is RunStatus.DONE and run.ends):
+        return
+    if run.owner is not motor:
+        raise MotorBusyError(motor=motor.name, holder=run.name, since_ns=run.since_ns)
     raise StateError(
         motor=motor.name,
         operation=operation,
