@@ -36,6 +36,7 @@ HOT = (
     "motorapi/adaptations/drive_node.py",
     "motorapi/adaptations/drive_reader.py",
     "motorapi/adaptations/motion_watch.py",
+    "motorapi/adaptations/turn_lock.py",
 )
 INTERPRETED = ("__init__.py", "factory.py", "settings.py")
 

@@ -8,11 +8,10 @@ RPDO that still waits (CiA 301 default identifiers), so a SYNC sent too early fi
 
 import struct
 from collections import deque
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, Final, final
 
-from motorapi.errors import DeadlineExceeded, LinkError, UsageError
+from motorapi.errors import LinkError, UsageError
 from motorapi.runtime import Registration, Runtime
 
 if TYPE_CHECKING:
@@ -52,50 +51,6 @@ class Transmission:
 
 
 @final
-class TurnLock:
-    """One party at a time, first come first served; those who wait let time pass."""
-
-    def __init__(self, runtime: Runtime) -> None:
-        self._runtime = runtime
-        self._tickets: deque[object] = deque()
-
-    def take(self, timeout_s: float, awaited: str) -> object:
-        """It is the caller's turn, until `give_back` of what this returns.
-
-        Raises:
-            DeadlineExceeded: others kept it for `timeout_s` [s]; `awaited` says what for.
-        """
-        ticket = object()
-        tickets = self._tickets
-        tickets.append(ticket)
-        if tickets[0] is ticket:
-            return ticket
-        try:
-            if self._runtime.wait_until(lambda: tickets[0] is ticket, timeout_s):
-                return ticket
-        except BaseException:
-            tickets.remove(ticket)
-            raise
-        tickets.remove(ticket)
-        raise DeadlineExceeded(
-            awaited=awaited, timeout_s=timeout_s, last_heard=f"{len(tickets)} others before it"
-        )
-
-    def give_back(self, ticket: object) -> None:
-        """The turn is the next one's."""
-        self._tickets.remove(ticket)
-
-    @contextmanager
-    def turn(self, timeout_s: float, awaited: str) -> Iterator[None]:
-        """The block is run alone. Raises as `take`."""
-        ticket = self.take(timeout_s, awaited)
-        try:
-            yield
-        finally:
-            self.give_back(ticket)
-
-
-@final
 class _HostHeartbeat:
     """The heartbeat of one host node-ID, as long as somebody needs it."""
 
@@ -115,6 +70,7 @@ class CanopenLink:
         sync_id: the identifier of SYNC.
         latching: node-IDs of drives that may have something latched that a SYNC would start.
         armed_streams: set-points of several motors that are to begin at one SYNC.
+        cycle: of the servos on the host that share this link (motorapi.adaptations.software_cycle).
     """
 
     def __init__(self, bus: "can.BusABC", runtime: Runtime) -> None:
@@ -125,6 +81,7 @@ class CanopenLink:
         self.sync_id = SYNC_ID
         self.latching: set[int] = set()
         self.armed_streams: list[ArmedStream] = []
+        self.cycle: object = None
         self.users = 0
         self._handlers: dict[bytes, FrameHandler] = {}
         self._awaited: dict[bytes, deque[Transmission]] = {}

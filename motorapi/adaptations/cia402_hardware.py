@@ -14,7 +14,6 @@ from typing import TYPE_CHECKING, Final, final
 from motorapi.adaptations.canopen_link import (
     CanopenLink,
     Transmission,
-    TurnLock,
     bus_name,
     open_link,
     release_link,
@@ -27,6 +26,7 @@ from motorapi.adaptations.drive_node import DriveNode, Emergency
 from motorapi.adaptations.drive_objects import DriveObjects
 from motorapi.adaptations.drive_setup import DriveFacts, HwOptions, bring_up
 from motorapi.adaptations.raw_frames import FrameInbox, raw_frame
+from motorapi.adaptations.turn_lock import TurnLock
 from motorapi.errors import LinkError, StateError, UsageError
 from motorapi.runtime import runtime_of
 from motorapi.sharing import (

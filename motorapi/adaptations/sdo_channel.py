@@ -21,7 +21,8 @@ from canopen.sdo.client import SdoClient
 from canopen.sdo.exceptions import SdoAbortedError, SdoCommunicationError
 
 from motorapi.adaptations.canopen_errors import ProtocolViolation, SdoAborted
-from motorapi.adaptations.canopen_link import CanopenLink, Transmission, TurnLock, can_frame
+from motorapi.adaptations.canopen_link import CanopenLink, Transmission, can_frame
+from motorapi.adaptations.turn_lock import TurnLock
 from motorapi.errors import DeadlineExceeded, MotorError, UsageError
 
 if TYPE_CHECKING:

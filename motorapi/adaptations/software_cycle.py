@@ -9,7 +9,6 @@ the outputs stay), or if the outputs still wait for the bus then.
 """
 
 import struct
-import weakref
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final, Protocol, final
@@ -316,18 +315,14 @@ class Cycle:
         self._link.at_next_sync(on_wire)
 
 
-_CYCLES: "Final[weakref.WeakKeyDictionary[CanopenLink, Cycle]]" = weakref.WeakKeyDictionary()
-
-
 def cycle_of(link: CanopenLink, period_s: float) -> Cycle:
     """The cycle of this link, made if it is the first use.
 
     One of another period is given as well; its `join` is refused where that matters.
     """
-    cycle = _CYCLES.get(link)
-    if cycle is None or (cycle.period_s != period_s and link.sync_period_ns is None):
-        cycle = Cycle(link, period_s)
-        _CYCLES[link] = cycle
+    cycle = link.cycle
+    if not isinstance(cycle, Cycle) or (cycle.period_s != period_s and link.sync_period_ns is None):
+        link.cycle = cycle = Cycle(link, period_s)
     elif cycle.period_s != period_s:
         return Cycle(link, period_s)
     return cycle

@@ -14,11 +14,12 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final, final
 
-from motorapi.adaptations.canopen_link import TurnLock, can_frame, open_link, release_link
+from motorapi.adaptations.canopen_link import can_frame, open_link, release_link
 from motorapi.adaptations.drive_node import DriveNode
 from motorapi.adaptations.drive_setup import HwOptions, first_answer, write_if_different
 from motorapi.adaptations.pdo_setup import EVENT_DRIVEN, SYNCHRONOUS, PdoSetUp, PdoWish
 from motorapi.adaptations.software_cycle import Axis, ChannelPair, Cycle, cycle_of
+from motorapi.adaptations.turn_lock import TurnLock
 from motorapi.errors import DeadlineExceeded, LinkError, UnsupportedError, UsageError
 from motorapi.sharing import bus_key
 
