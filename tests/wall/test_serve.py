@@ -161,3 +161,10 @@ def test_a_hub_killed_without_mercy_leaves_a_readable_record(tmp_path):
     assert Path(path).exists()  # as a killed process leaves it; the next hub takes it over
     again = motorhil("serve", RIG, "--socket", str(path), "--", sys.executable, "-c", "pass")
     assert (again.returncode, again.stderr) == (0, "")
+
+
+def test_threads_that_share_a_drive_are_each_as_if_alone():
+    script = str(Path(__file__).parent / "threaded_wheels.py")
+    done = motorhil("serve", RIG, "--", sys.executable, script, SCRIPT[1])
+    assert (done.returncode, done.stderr) == (0, "")
+    assert done.stdout == "0.24 12 ['done']\n"  # 4 threads, 3 moves of 0.02 rad

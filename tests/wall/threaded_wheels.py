@@ -1,0 +1,70 @@
+"""Four threads, each with a logical motor of its own on node 1, as a user's program.
+
+Each moves, looks, is told how its motion ended, and now and then has the hardware for itself. All
+that is not as if it were alone: whoever has the motor is waited for.
+"""
+
+import sys
+import threading
+from contextlib import suppress
+
+import can
+
+from motorapi import ControlMode, MotorBusyError, MotorModel, TrapezoidalTrajectory
+from motorapi.adaptations.cia402 import Cia402HwMotor, Cia402Motor, HwOptions
+
+PATIENT = HwOptions(heartbeat_timeout_ms=10_000, sdo_timeout_s=10.0, connect_timeout_s=30.0)
+WAIT_S = 120.0
+ROUNDS = 3
+WAY = 0.02
+
+model = MotorModel.load(sys.argv[1])
+told: list[str] = []
+inside: list[str] = []
+failures: list[BaseException] = []
+
+
+def start(motor: Cia402Motor) -> None:
+    motor.set_control_mode(ControlMode.TRAJECTORY)
+    motor.set_trajectory(TrapezoidalTrajectory(WAY))
+    while True:
+        with suppress(MotorBusyError):
+            return motor.start()
+        motor.runtime.wait_until(lambda: False, 0.01)
+
+
+def use(motor: Cia402Motor) -> None:
+    for _ in range(ROUNDS):
+        start(motor)
+        motor.on_done(lambda outcome: told.append(outcome.ending.value))
+        motor.wait_until_done(timeout_s=WAIT_S)
+        with motor.low_level(timeout_s=WAIT_S) as hardware:
+            inside.append(motor.name)
+            hardware.write("profile_velocity", 1)  # nobody's next start may believe in another
+            hardware.read("statusword")
+            assert inside == [motor.name], inside
+            inside.clear()
+        with suppress(MotorBusyError):
+            motor.position()
+
+
+def run(motor: Cia402Motor) -> None:
+    try:
+        use(motor)
+    except BaseException as error:
+        failures.append(error)
+
+
+with can.Bus() as bus:
+    drive = Cia402HwMotor(bus, node_id=1, options=PATIENT)
+    motors = [Cia402Motor(drive, model=model, name=f"m{place}") for place in range(4)]
+    threads = [threading.Thread(target=run, args=(motor,)) for motor in motors]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    for error in failures:
+        raise error
+    print(f"{motors[0].position():.2f} {len(told)} {sorted(set(told))}")
+    motors[0].disable()
+    drive.close()
