@@ -62,8 +62,8 @@ def test_fourteen_motors_on_two_buses_arrive_together_and_one_record_tells_it(ca
 
 
 # Largest error at the end [mrad], and while following [increments]: of drives the position window
-# and their fast loops; of the host's servo ten increments of 0.05 mrad, and poles at 30 rad/s.
-KINDS = {"rocky8": (0.1, 200, "TRIGGERED"), "fido": (0.5, 400, "CYCLIC")}
+# and their fast loops; of the host's servo ten increments of 0.05 mrad, and poles at 50 rad/s.
+KINDS = {"rocky8": (0.1, 200, "TRIGGERED"), "fido": (0.5, 100, "CYCLIC")}
 
 
 @pytest.mark.parametrize("name", KINDS)
