@@ -2,13 +2,14 @@
 
 import struct
 from collections.abc import Callable
+from contextlib import suppress
 from typing import TYPE_CHECKING, Final, final
 
 from motorapi.adaptations.canopen_errors import SdoAborted
 from motorapi.adaptations.canopen_link import Transmission
 from motorapi.adaptations.cia402_objects import ENABLE_OPERATION, HALT, Mode, PdsState
 from motorapi.commands import as_number
-from motorapi.errors import LinkError, UnsupportedError, UsageError
+from motorapi.errors import LinkError, MotorError, UnsupportedError, UsageError
 
 if TYPE_CHECKING:
     from motorapi.adaptations.cia402_hardware import Cia402HwMotor
@@ -155,10 +156,11 @@ class CspStream:
         """The drive brakes on its ramp, from the velocity it has."""
         self._target += self._step
         try:
-            self._hardware.control.send_halt()
             self.stop(ENABLE_OPERATION | HALT)
         except LinkError:
             self.cancel()
+        with suppress(MotorError):  # at once, where an RPDO can bring it; set-points do anyway
+            self._hardware.control.send_halt()
 
     def stop(self, word: int) -> None:
         """The drive was given this controlword: it comes with what is sent from now on, too.

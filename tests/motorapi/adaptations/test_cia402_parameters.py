@@ -56,6 +56,19 @@ def test_two_logical_motors_each_move_with_their_own_gains(rig: Rig):
     assert "60FB" not in [name for name, _ in written]  # it has not changed hands
 
 
+def test_what_was_written_is_believed_only_while_the_motor_does_not_change_hands(rig: Rig):
+    """Whoever had it in between may have written something else: here, behind our back."""
+    first, second = two_motors(rig)
+    for motor in (first, second):
+        motor.set_parameters(Cia402Parameters(position_gains=(30_000,)))
+    move(first)
+    first.hardware.node.sdo.download(0x60FB, 1, (50_000).to_bytes(4, "little"))
+    move(first)
+    assert gain(first) == 50_000
+    move(second)
+    assert gain(second) == 30_000
+
+
 def test_who_says_nothing_of_a_gain_has_the_drive_s_own(rig: Rig):
     tuned, plain = two_motors(rig)
     tuned.set_parameters(Cia402Parameters(position_gains=(20_000, None, 0), position_window=0.05))

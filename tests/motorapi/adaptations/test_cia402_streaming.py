@@ -363,6 +363,8 @@ def test_in_mid_stream_it_brakes_within_the_model_s_limit(
     assert motor.state() is (MotorState.STOPPED if how == "quick_stop" else MotorState.ENABLED)
     assert motor.hardware.stream is not None
     assert motor.hardware.stream.ended
+    word = motor.hardware.read("controlword")
+    assert word == (0x0002 if how == "quick_stop" else 0x010F)  # no set-point took it back
     if others:
         other.wait_until_done(timeout_s=3)
         assert rig.controllers["right"].snapshot()["demand_inc"] == round(2.0 * INC_PER_RAD)
@@ -375,6 +377,21 @@ def test_in_mid_stream_it_brakes_within_the_model_s_limit(
     assert rig.controllers["left"].snapshot()["demand_inc"] == pytest.approx(
         still + 2.0 * INC_PER_RAD, abs=1
     )
+
+
+def test_a_stop_whose_first_frames_are_lost_is_in_the_next_set_points(rig: Rig):
+    motor = set_function(motor_of(rig), quintic(2.0, 1.5))
+    motor.start()
+    rig.runtime.run_for(0.6005)  # between a set-point and the next SYNC
+    for name, identifier in (("word", 0x201), ("set-point", LEFT)):
+        rule = FaultRule(name=name, kind=FaultKind.DROP, identifier=identifier, limit=1)
+        rig.faults.inject("can0", rule)
+    motor.stop()
+    rig.runtime.run_for(0.004)
+    assert motor.hardware.stream.ended
+    assert motor.hardware.link.sync_period_ns is None
+    assert motor.hardware.read("controlword") == 0x010F
+    motor.wait_until_done(timeout_s=1)
 
 
 def test_a_stop_by_another_logical_motor_ends_the_stream(rig: Rig):
@@ -596,6 +613,24 @@ def test_a_step_beyond_the_limits_ends_the_motion_with_a_controlled_stop(rig: Ri
     motor.set_trajectory(ComplexTrajectory(quintic(0.5, 0.7), relative=True))
     motor.start()
     motor.wait_until_done(timeout_s=3)
+
+
+def test_an_argument_that_becomes_too_fast_ends_it_too(rig: Rig):
+    """It says 1 rad/s at most, and comes to more than the motor's 3 rad/s, never abruptly."""
+    motor, argument = motor_of(rig), Jumps()
+    motor.set_control_mode(ControlMode.TRAJECTORY)
+    line = Polynomial((0.0, 1.0)).restricted(0.0, 10.0)
+    motor.set_trajectory(ComplexTrajectory(line, relative=True), argument)
+    motor.start()
+
+    def go_on() -> None:
+        argument.rate += 8e-3
+        argument.now += argument.rate * 1e-3
+
+    ramp = rig.runtime.every(1e-3, go_on)
+    with pytest.raises(LimitError, match=r"velocity 3\.0"):
+        motor.wait_until_done(timeout_s=2)
+    ramp.cancel()
 
 
 def test_it_does_not_jump_onto_an_argument_that_moves(rig: Rig):

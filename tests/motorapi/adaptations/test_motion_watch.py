@@ -2,7 +2,13 @@
 
 import pytest
 
-from motorapi.adaptations.motion_watch import SETTLE_NS, HomingWatch, RestWatch, SetpointWatch
+from motorapi.adaptations.motion_watch import (
+    SETTLE_NS,
+    HomingWatch,
+    RestWatch,
+    SetpointWatch,
+    StreamWatch,
+)
 
 MS = 1_000_000
 # statuswords of a drive in operation enabled (CiA 402-2): 0237h and bits 10, 12, 13
@@ -152,3 +158,57 @@ def test_homing_attained_but_still_moving_is_not_over():
     assert watch.ended_ns is None
     watch.see(ACK_REACHED, 0, 9 * MS)
     assert watch.ended_ns == 9 * MS
+
+
+def test_set_points_are_over_when_the_last_had_its_period_and_the_position_is_there():
+    watch = StreamWatch(period_ns=5 * MS, tolerance_inc=10)
+    watch.begin(10 * MS)
+    assert watch.started_ns == 10 * MS
+    watch.see(MOVING, 1000, 90 * MS)  # it is there, but there are more to come
+    assert watch.ended_ns is None
+    watch.arrive(1000, 100 * MS)
+    watch.arrive(0, 101 * MS)  # once is enough
+    watch.see(MOVING, 995, 104 * MS)  # the drive is still on its way to it
+    assert watch.ended_ns is None
+    watch.see(MOVING, 989, 105 * MS)
+    assert watch.ended_ns is None
+    watch.see(MOVING, 990, 106 * MS)
+    watch.see(MOVING, 1000, 107 * MS)
+    assert watch.ended_ns == 106 * MS
+
+
+def test_without_a_window_set_points_are_over_when_the_motor_stands():
+    watch = StreamWatch(period_ns=MS, tolerance_inc=None)
+    watch.arrive(1000, 100 * MS)
+    for time_ms, position in ((101, 900), (110, 950), (120, 951), (129, 951)):
+        watch.see(MOVING, position, time_ms * MS)
+        assert watch.ended_ns is None
+    watch.see(MOVING, 951, 110 * MS + SETTLE_NS)
+    assert watch.ended_ns == 110 * MS + SETTLE_NS
+
+
+def test_set_points_that_go_on_at_a_velocity_are_over_as_they_arrive():
+    watch = StreamWatch(period_ns=MS, tolerance_inc=10)
+    watch.arrive(None, 100 * MS)
+    watch.see(MOVING, 123, 101 * MS)
+    assert watch.ended_ns == 101 * MS
+
+
+def test_set_points_that_failed_are_over_when_the_motor_stands_from_then_on():
+    watch = StreamWatch(period_ns=MS, tolerance_inc=10)
+    told: list[int] = []
+    watch.on_end = lambda: told.append(1)
+    watch.see(MOVING, 5, 10 * MS)
+    watch.fail(ValueError("no more"))
+    watch.fail(ValueError("again"))
+    watch.see(MOVING, 5, 50 * MS)
+    assert watch.ended_ns is None
+    watch.see(MOVING, 5, 50 * MS + SETTLE_NS - 1)
+    assert watch.ended_ns is None
+    watch.see(MOVING, 5, 50 * MS + SETTLE_NS)
+    assert (watch.ended_ns, watch.failed, str(watch.error)) == (
+        50 * MS + SETTLE_NS,
+        True,
+        "no more",
+    )
+    assert told == [1]
