@@ -107,6 +107,7 @@ class DriveNode:
         self._boots_known = 0
         self._word = -1
         self._heartbeat_timeout_ms = heartbeat_timeout_ms
+        self._heartbeat_ns = 0  # when the last one came
         self._silence: Registration | None = None
         self._tpdo_ids: list[int] = []
         link.handle(HEARTBEAT_ID + node_id, self._on_heartbeat)
@@ -167,6 +168,7 @@ class DriveNode:
             self.malformed += 1
             return
         state = frame[8] & 0x7F
+        is_news = not state or state != self.nmt_state or self.lost_since_ns is not None
         if state == 0:
             self.boots += 1
             self.error = None
@@ -175,22 +177,30 @@ class DriveNode:
         if state == OPERATIONAL and self._watches_nmt:
             self._was_operational = True
         self.lost_since_ns = None
-        if self._silence is not None:
-            self._silence.cancel()
-            self._watch_heartbeat()
-        self.news.grow()
+        self._heartbeat_ns = self.link.runtime.now_ns()
+        if is_news:
+            self.news.grow()
 
     def expect_heartbeat(self) -> None:
         """From now on silence means that the drive is lost."""
         if self._heartbeat_timeout_ms and self._silence is None:
-            self._watch_heartbeat()
+            self._heartbeat_ns = self.link.runtime.now_ns()
+            self._look_again_in(self._heartbeat_timeout_ms * 1_000_000)
 
-    def _watch_heartbeat(self) -> None:
-        self._silence = self.link.runtime.every(self._heartbeat_timeout_ms / 1e3, self._fell_silent)
+    def _look_again_in(self, wait_ns: int) -> None:
+        self._silence = self.link.runtime.every(wait_ns / 1e9, self._look_for_heartbeat)
 
-    def _fell_silent(self) -> None:
-        if self.lost_since_ns is None:
-            self.lost_since_ns = self.link.runtime.now_ns()
+    def _look_for_heartbeat(self) -> None:
+        """The last one heard when this look was asked for is too old now; but the last one?"""
+        if self._silence is None:
+            return
+        self._silence.cancel()
+        now_ns = self.link.runtime.now_ns()
+        timeout_ns = self._heartbeat_timeout_ms * 1_000_000
+        left_ns = self._heartbeat_ns + timeout_ns - now_ns
+        self._look_again_in(left_ns if left_ns > 0 else timeout_ns)
+        if left_ns <= 0 and self.lost_since_ns is None:
+            self.lost_since_ns = now_ns
             self.news.grow()
 
     def may_change_state(self) -> None:
