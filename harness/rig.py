@@ -75,7 +75,7 @@ class Rig:
         self.seed = description.seed if seed is None else seed
         self.notes: list[str] = []
         self.recording: Recorder | None = None
-        self._models = {name: _model(description, name) for name in description.motors}
+        self._models = _models(description)
         self._plugins = {group: installed(group) for group in (CONTROLLERS, ADAPTATIONS)}
         with ExitStack() as cleanup:
             queue = EventQueue()
@@ -320,6 +320,18 @@ def installed_plugins() -> Known:
         return getattr(build, "needs_bus", True) is not False
 
     return Known(tuple(installed(CONTROLLERS)), tuple(adaptations), needs_bus)
+
+
+def _models(description: RigDescription) -> dict[str, MotorModel]:
+    """The models of all motors, each file read once. Raises as `_model`."""
+    files: dict[Path, MotorModel] = {}
+    models: dict[str, MotorModel] = {}
+    for name, motor in description.motors.items():
+        model = files.get(motor.model) if isinstance(motor.model, Path) else None
+        models[name] = _model(description, name) if model is None else model
+        if isinstance(motor.model, Path):
+            files[motor.model] = models[name]
+    return models
 
 
 def _model(description: RigDescription, motor: str) -> MotorModel:
