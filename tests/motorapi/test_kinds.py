@@ -346,6 +346,21 @@ def test_code_for_one_thread_is_right_in_many_parties_that_share_a_motor(kind):
     check_log(log)
 
 
+def test_low_level_access_gives_the_hardware_and_keeps_everybody_else_away(kind):
+    with opened(kind, Path("shared.toml"), USERS[:2]) as rig:
+        holder, other = (rig.motors[name] for name in USERS[:2])
+        other.set_control_mode(SETPOINT)
+        other.set_setpoint(0.1)
+        with holder.low_level() as hardware:
+            assert type(hardware) is type(holder.hardware)
+            for operation in (other.start, other.stop, other.enable, other.home):
+                with pytest.raises(MotorBusyError, match=r"low_level\(\) of ann"):
+                    operation()
+        other.start()
+        other.wait_until_done(5)
+        assert abs(true_position(rig, USERS[1]) - 0.1) <= kind.window
+
+
 @pytest.mark.wall
 def test_code_for_one_thread_is_right_in_many_threads_that_share_a_motor():
     runtime = WallRuntime()
