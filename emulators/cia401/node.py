@@ -42,6 +42,7 @@ class IoNode:
         self._events: list[tuple[str, str]] = list(events)
         self._inputs: int = 0  # as last told to the node's TPDOs
         self._touched: bool = False  # inputs may have changed
+        self._has_started: bool = False
 
     # --- Controller
 
@@ -141,10 +142,14 @@ class IoNode:
             self._fall_back("stopped", now_ns)
 
     def on_reset(self, whole: bool, now_ns: int) -> None:
-        """Reset node makes every output 0; reset communication takes the host away."""
+        """Reset node makes outputs and counters 0; reset communication takes the host away."""
         if whole:
             self._objects.presets.clear()
             self._take_over(now_ns)
+            if self._has_started:  # at power-on it counts from where the motor is
+                for channel in self.channels:
+                    channel.axis.set_position(0)
+            self._has_started = True
         else:
             self._fall_back("communication reset", now_ns)
 

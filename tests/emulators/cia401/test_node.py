@@ -114,9 +114,15 @@ def test_without_enable_no_current_flows_whatever_the_output(io):
     io.outputs(HALF, HALF)
     io.run(50 * MS)
     assert (io.truth("current_a"), io.truth("channel_2_current_a")) == (0.0, 0.0)
-    io.enables(0b01)  # the output that stands there counts from ready on
+    for _ in range(2):
+        io.enables(0b01)  # the output that stands there counts from ready on
+        io.run(10 * MS)
+        assert io.truth("current_a") > 1.0
+        assert io.truth("channel_2_current_a") == 0.0
+        io.enables(0)
+        io.run(10 * MS)
+    io.enables(0b01)
     io.run(10 * MS)
-    assert io.truth("current_a") > 1.0
     assert io.truth("channel_2_current_a") == 0.0
 
 
@@ -272,9 +278,14 @@ def test_reset_node_makes_every_output_zero_whatever_its_error_value(io):
     io.ready()
     io.set(0x6444, 1, HALF, 4)
     io.outputs(HALF, HALF)
+    io.outputs(HALF, HALF)
+    io.run(50 * MS)
+    assert io.truth("position_inc") > 0
     io.nmt(0x81)
     assert io.truth("output_v") == 0.0
     assert io.truth("ready") == 0.0
+    assert io.truth("position_inc") == 0.0  # an incremental encoder's counter starts anew
+    assert io.truth("position_rad") > 0.0
 
 
 # --- the amplifier

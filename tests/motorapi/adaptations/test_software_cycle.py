@@ -237,6 +237,19 @@ def test_a_silent_node_is_lost_by_its_heartbeat_where_misses_are_allowed(open_ri
     with pytest.raises(LinkError, match="no heartbeat for 300 ms"):
         left.wait_until_done(30)
     assert rig.runtime.now_ns() - lost_ns <= 301 * MS
+    rig.runtime.run_for(0.01)
+    assert not left.hardware.axis.is_powered
+    assert left.hardware.link.sync_period_ns is None
+
+
+def test_misses_that_are_not_in_a_row_stop_nothing(open_rig: OpenRig):
+    rig = open_rig(one(motor="misses_max = 3"))
+    left = moving(rig)
+    for k in range(6):
+        lost = FaultRule(f"drop {k}", FaultKind.DROP, identifier=COUNTS, skip=3 * k, limit=1)
+        rig.faults.inject("can0", lost)
+    left.wait_until_done(3)
+    assert (left.cycles.counts_missed, left.cycles.worst_in_a_row) == (6, 1)
 
 
 def test_a_node_that_boots_has_lost_everything_and_is_brought_up_again(open_rig: OpenRig):
@@ -245,8 +258,9 @@ def test_a_node_that_boots_has_lost_everything_and_is_brought_up_again(open_rig:
     left.hardware.send_frame(0x000, b"\x81\x01")  # NMT: reset node
     with pytest.raises(LinkError):
         left.wait_until_done(3)
-    rig.runtime.run_for(1.0)
+    rig.runtime.run_for(2.0)
     assert not left.is_referenced()
+    assert left.position() == inc(rig) / INC_PER_RAD  # its counter has begun anew
     left.set_trajectory(TrapezoidalTrajectory(0.1))
     left.start()
     begun = inc(rig)

@@ -13,6 +13,7 @@ from motorapi.adaptations.software_courses import (
     VELOCITY,
     Braking,
     Course,
+    Led,
     Rated,
     Scales,
     course_of,
@@ -87,24 +88,85 @@ def test_the_law_is_pid_with_feedforward_term_by_term():
     gains = PidGains(
         kp=0.01,
         ki=3.0,
-        kd=0.002,
+        kd=2e-5,
         velocity_feedforward=1e-5,
         acceleration_feedforward=2e-6,
         friction_feedforward=0.3,
     )
     servo = Servo(T)
     servo.step(100, 1)
-    servo.begin(Braking(200.0, -1000.0, 5000.0), gains, LIMITS, 1)
+    servo.begin(Braking(130.0, -1000.0, 5000.0), gains, LIMITS, 1)
     out = servo.step(103, 2)
     # by hand: the counter began at 100; demand of 1 ms after the start, what is ahead 2.5 ms
-    demand = 200.0 - 1.0 + 0.5 * 5000.0 * 1e-6
+    demand = 130.0 - 1.0 + 0.5 * 5000.0 * 1e-6
     error = demand - 103.0
     before = 100.0  # what was demanded when it was taken over: where it was
     rate = (demand - before) / T - 3.0 / T
     velocity = -1000.0 + 5000.0 * 0.0025
-    wanted = 0.01 * error + 0.002 * rate + 1e-5 * velocity + 2e-6 * 5000.0 - 0.3
-    assert out == pytest.approx(min(8.0, wanted), rel=1e-12)
-    assert servo._integral == pytest.approx(0.0 if wanted > 8 else 3.0 * error * T, rel=1e-12)
+    wanted = 0.01 * error + 2e-5 * rate + 1e-5 * velocity + 2e-6 * 5000.0 - 0.3
+    assert abs(wanted) < 8.0
+    assert out == pytest.approx(wanted, rel=1e-12)
+    assert servo._integral == pytest.approx(3.0 * error * T, rel=1e-12)
+    servo.step(200, 3)
+    again = PidGains(kp=1e-300, friction_feedforward=0.3, derivative_filter_s=3 * T)
+    servo.begin(Braking(200.0, 1000.0, 5000.0), again, LIMITS, 3)
+    servo._integral = 0.0
+    assert servo.step(201, 4) == pytest.approx(0.3)
+
+
+def test_the_rate_of_the_error_is_filtered_as_the_gains_say():
+    """A first-order low-pass: of a step, T / (T + tau) in the first cycle, the rest follows."""
+    gains = PidGains(kp=1e-300, kd=1.0, derivative_filter_s=3 * T)
+    servo = Servo(T)
+    servo.step(0, 1)
+    servo.begin(Course(POSITION, 0.0), gains, limits(current_max_a=1e9), 1)
+    outs = [servo.step(-k, 1 + k) for k in (1, 2, 3)]
+    assert outs == pytest.approx([1000 * (1 - 0.75**k) for k in (1, 2, 3)])
+
+
+def test_a_stop_in_the_middle_of_a_step_brakes_from_where_the_motor_is():
+    motor = ready()
+    motor.servo.begin(Course(POSITION, 1e6, is_step=True), GAINS, LIMITS, motor.cycle)
+    motor.run(200)
+    assert motor.v > 0.9 * LIMITS.velocity_max
+    motor.servo.brake(100_000.0)
+    outs: list[float] = []
+    motor.run(30, lambda: outs.append(motor.servo.current_a))
+    assert min(outs) > -4.0  # -0.18 A would do; no kick from a demand that jumped
+
+
+def test_a_led_course_feeds_forward_what_its_argument_makes_of_it():
+    class Ramp:
+        name = "ramp"
+        rate_max = None
+        now = 0.0
+
+        def value(self) -> float:
+            return self.now
+
+    class Cubic:
+        initial_argument, final_argument = 0.0, 10.0
+
+        def value(self, x: float) -> float:
+            return x**3
+
+        def first(self, x: float) -> float:
+            return 3 * x**2
+
+        def second(self, x: float) -> float:
+            return 6 * x
+
+    ramp = Ramp()
+    course = Led(POSITION, Cubic(), 2.0, ramp)
+    course.sample(0.0, T)
+    ramp.now = 3.0
+    course.sample(0.5, T)
+    # the argument grows by 6 a second: dx/dt = 27 * 6, d2x/dt2 = 18 * 36, both times 2
+    assert (course.value, course.velocity, course.acceleration) == (54.0, 324.0, 1296.0)
+    assert not course.is_over
+    ramp.now = 10.0
+    course.sample(1.0, T)
+    assert course.is_over
 
 
 def test_a_step_of_position_is_no_velocity():
