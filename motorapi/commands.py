@@ -6,11 +6,12 @@ motor's own unit of position throughout: rad for a rotary motor, m for a linear 
 
 from dataclasses import dataclass
 from enum import Enum
-from math import inf, isnan, nan
+from math import inf, isfinite, isnan, nan
 from numbers import Real
 from typing import TYPE_CHECKING, TypeGuard, final
 
 from motorapi.errors import UsageError
+from motorapi.wording import given
 
 if TYPE_CHECKING:
     from motorapi.arguments import Argument
@@ -40,7 +41,7 @@ class ControlVariable(Enum):
 
 
 @final
-@dataclass(frozen=True, slots=True, init=False)
+@dataclass(frozen=True, slots=True, init=False, repr=False)
 class DerivativeLimits:
     """Allowed ranges of a control variable and of its derivatives; None: the model's limit holds.
 
@@ -55,6 +56,11 @@ class DerivativeLimits:
     first: Range | None
     second: Range | None
     third: Range | None
+
+    def __repr__(self) -> str:
+        set_here = ((name, getattr(self, name)) for name in self.__slots__)
+        limits = ", ".join(f"{name}={limit}" for name, limit in set_here if limit is not None)
+        return f"DerivativeLimits({limits})"
 
     def __init__(
         self,
@@ -111,7 +117,7 @@ def as_number(value: object) -> float:
 
 
 @final
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, repr=False)
 class Setpoint:
     """A target value that the motor tries to reach, without a prescribed profile."""
 
@@ -119,9 +125,12 @@ class Setpoint:
     relative: bool = False
     limits: DerivativeLimits | None = None
 
+    def __repr__(self) -> str:
+        return given(self)
+
 
 @final
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, repr=False)
 class Motion:
     """One resolved command, ready for an adaptation: absolute, signed, SI, within the limits.
 
@@ -156,6 +165,23 @@ class Motion:
     """(initial, final) argument of the function."""
     argument: "Argument | None" = None
     """What the function is a function of; None: of time, `interval[0]` at the start [s]."""
+
+    def __repr__(self) -> str:
+        text = f"<Motion {self.mode.value} of {self.variable.value}"
+        if self.function is not None:
+            over = "time" if self.argument is None else f"the {self.argument.name}"
+            low, high = self.interval
+            return f"{text}: {self.function!r} of {over} from {low:g} to {high:g}>"
+        text += f": {self.start:g} to {self.target:g}"
+        if self.duration_s is not None:
+            text += f" in {self.duration_s:g} s"
+        if self.variable is ControlVariable.POSITION:
+            text += f", velocity up to {self.velocity:g}"
+        if self.variable in (ControlVariable.POSITION, ControlVariable.VELOCITY):
+            text += f", acceleration {self.acceleration:g}, deceleration {self.deceleration:g}"
+        elif isfinite(self.slope):
+            text += f", {self.slope:g} per s"
+        return f"{text}>"
 
     @property
     def distance(self) -> float:

@@ -37,6 +37,7 @@ from typing import Final, Self, final
 
 from motorapi.commands import ControlVariable, as_number
 from motorapi.errors import FileError, UsageError
+from motorapi.wording import given
 
 
 @final
@@ -77,7 +78,7 @@ _SAME: Final = 1e-6
 
 
 @final
-@dataclass(frozen=True, slots=True, kw_only=True)
+@dataclass(frozen=True, slots=True, kw_only=True, repr=False)
 class MotorModel:
     """The motor model (paper, 3.2): limits and units, immutable, shared between copies.
 
@@ -122,6 +123,9 @@ class MotorModel:
                 f"motor model {self.name}: increments_per_unit is {self.increments_per_unit:g},"
                 f" gear_ratio and encoder_increments_rev make {made:g}"
             )
+
+    def __repr__(self) -> str:
+        return given(self)
 
     @property
     def unit(self) -> str:

@@ -34,7 +34,7 @@ class Ending(Enum):
 
 
 @final
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, repr=False)
 class Outcome:
     """How one motion ended. It is true if that was as commanded.
 
@@ -54,6 +54,9 @@ class Outcome:
 
     def __bool__(self) -> bool:
         return self.ending is Ending.DONE
+
+    def __repr__(self) -> str:
+        return f"<Outcome of {self}>"
 
     def __str__(self) -> str:
         text = f"{self.operation}: {self.ending.value} at {self.time_ns / 1e9:.6f} s"

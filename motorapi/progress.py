@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
 
 @final
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, repr=False)
 class Progress:
     """How far a motion is. U is rad, or m if the motor is linear.
 
@@ -38,6 +38,16 @@ class Progress:
     fraction: float | None
     position: float | None
     target: float | None
+
+    def __repr__(self) -> str:
+        text = f"<Progress of {self.operation}: {self.elapsed_s:.3f} s"
+        if self.expected_s is not None:
+            text += f" of {self.expected_s:.3f} s"
+        if self.fraction is not None:
+            text += f", {self.fraction:.1%}"
+        if self.position is not None and self.target is not None:
+            text += f", at {self.position:g} on the way to {self.target:g}"
+        return f"{text}>"
 
 
 def progress_of(motor: "SharedMotor", run: "Run") -> Progress:

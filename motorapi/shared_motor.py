@@ -28,6 +28,18 @@ class SharedMotor(ReadableMotor):
     _callback_error: PluginError | None = None
     _held_hardware: "tuple[Ticket, Any] | None" = None
 
+    def __repr__(self) -> str:
+        text = super().__repr__()
+        doing = ""
+        access, run = self._physical.access, self._physical.run
+        if access is not None:
+            doing = f"; {access.who} has it"
+        elif run is not None and not run.is_over:
+            status = self._status()
+            if status is RunStatus.GOING or (status is RunStatus.DONE and not run.ends):
+                doing = f"; {run.name} goes on"
+        return f"{text[:-1]}{doing}>"
+
     @final
     def is_done(self) -> bool:
         """Whether `wait_until_done` would return at once; raises as it does."""

@@ -76,6 +76,10 @@ class Run:
         self.interrupted_by: str | None = None
         self.interrupted_at_ns = 0
 
+    def __repr__(self) -> str:
+        how = "done" if self.finished else self.interrupted_by or "not known to be over"
+        return f"<Run {self.name} since {self.since_ns / 1e9:.6f} s: {how}>"
+
     @property
     def ends(self) -> bool:
         """Whether it ends by itself. What is said of velocity, torque or current goes on."""

@@ -17,13 +17,16 @@ class MotorState(Enum):
 
 
 @final
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, repr=False)
 class Fault:
     """What the drive says is wrong: its own error code, in words, and since when [ns]."""
 
     code: int
     text: str
     since_ns: int
+
+    def __repr__(self) -> str:
+        return f"<Fault {self.code:04X}h ({self.text}) since {self.since_ns / 1e9:.6f} s>"
 
 
 @final
@@ -36,3 +39,10 @@ class Measurement(NamedTuple):  # a recorder asks for one 50 times a second and 
     velocity: float | None = None
     torque: float | None = None
     following_error: float | None = None
+
+    def __repr__(self) -> str:
+        text = f"<Measurement at {self.time_ns / 1e9:.6f} s: {self.state.value}"
+        for name, value in zip(self._fields[2:], self[2:], strict=True):
+            if value is not None:
+                text += f", {name.replace('_', ' ')} {value:g}"
+        return f"{text}>"

@@ -1,0 +1,16 @@
+"""How values show themselves at a prompt: what was given, and so that it can be given again."""
+
+from dataclasses import MISSING, fields
+from enum import Enum
+from typing import Any
+
+
+def given(value: Any) -> str:
+    """The call that makes this dataclass, with the arguments that are not the default."""
+    arguments = []
+    for field in fields(value):
+        held = getattr(value, field.name)
+        if field.default is MISSING or held != field.default:
+            shown = f"{type(held).__name__}.{held.name}" if isinstance(held, Enum) else repr(held)
+            arguments.append(f"{field.name}={shown}")
+    return f"{type(value).__name__}({', '.join(arguments)})"
