@@ -254,7 +254,10 @@ def test_misses_that_are_not_in_a_row_stop_nothing(open_rig: OpenRig):
 
 def test_a_node_that_boots_has_lost_everything_and_is_brought_up_again(open_rig: OpenRig):
     rig = open_rig(one())
-    left = moving(rig)
+    left = moving(rig, distance=0.3)
+    left.wait_until_done(2)
+    left.home()
+    moving(rig)
     left.hardware.send_frame(0x000, b"\x81\x01")  # NMT: reset node
     with pytest.raises(LinkError):
         left.wait_until_done(3)
