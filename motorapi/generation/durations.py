@@ -6,7 +6,7 @@ At a given duration T, with every ramp as steep as the limits allow, the way gro
 
 so there is one peak for every way that can be made in T at all, and no motion of another shape
 covers a way that none of these does. Counted from c = T - (time of the direct ramp), with G the
-excess that a peak makes (the words are those of `motorapi.generation.trapezoid`):
+excess that a peak makes (the words are those of `motorapi.generation.closed_form`):
 
     between the boundary velocities   G = u c
     above or below                    G is a square polynomial of u on each side of 0
@@ -23,9 +23,9 @@ from typing import Final
 
 from motorapi.commands import Range
 from motorapi.errors import UsageError
+from motorapi.generation.closed_form import Task, assembled, peak_of, task_of
 from motorapi.generation.limits import ProfileLimits
 from motorapi.generation.profile import Piece
-from motorapi.generation.trapezoid import Task, assembled, peak_of, task_of
 
 _ROUNDING: Final = 1e-9
 

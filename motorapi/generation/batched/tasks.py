@@ -6,8 +6,8 @@ from typing import Final, final
 import numpy as np
 
 from motorapi.generation.batched.limits import FloatArray, refuse_where
+from motorapi.generation.closed_form import task_of
 from motorapi.generation.limits import ProfileLimits
-from motorapi.generation.trapezoid import task_of
 
 UNBOUNDED: Final = "the limits allow no such motion, or do not bound it"
 _LOST: Final = 64.0  # as for a single one

@@ -1,4 +1,4 @@
-"""Many trapezoidal profiles at once. The formulas are those of `motorapi.generation.trapezoid`."""
+"""Many trapezoidal profiles at once, by the formulas of `motorapi.generation.closed_form`."""
 
 from typing import Final
 

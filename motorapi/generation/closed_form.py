@@ -27,7 +27,6 @@ trapezoidal trajectories with non-null initial and final velocities; ramps that 
 that turn round follow the same way.
 """
 
-from fractions import Fraction
 from math import inf, isfinite, sqrt
 from typing import Final, TypeAlias
 
@@ -269,8 +268,9 @@ def _exact_excess(
     final: float, initial: float, begin: float, end: float, size: float, back_size: float
 ) -> float:
     """The excess without a rounding error but the last: slow, and seldom needed."""
+    from fractions import Fraction
 
-    def way_to(velocity: float) -> Fraction:
+    def way_to(velocity: float) -> "Fraction":
         """From rest to `velocity`."""
         taken = size if velocity > 0.0 else back_size
         return Fraction(velocity) ** 2 / (2 * Fraction(taken)) if isfinite(taken) else Fraction(0)

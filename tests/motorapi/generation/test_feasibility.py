@@ -1,0 +1,204 @@
+from math import inf
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from motorapi.commands import ControlVariable, DerivativeLimits
+from motorapi.errors import LimitError, UsageError
+from motorapi.functions import Piecewise, Polynomial
+from motorapi.generation import (
+    Feasibility,
+    ProfileLimits,
+    feasible,
+    generate,
+    jerk_limited,
+    through_waypoints,
+    trapezoid,
+)
+from motorapi.model import MotorModel
+from motorapi.trajectory import ComplexTrajectory, TrapezoidalTrajectory
+from tests.motorapi.generation.problems import problems
+
+MODEL = MotorModel(
+    name="wheel",
+    velocity_max=2.0,
+    acceleration_max=4.0,
+    deceleration_max=1.0,
+    position_min=-3.0,
+    position_max=3.0,
+)
+SMOOTH = MotorModel(name="smooth", velocity_max=2.0, acceleration_max=4.0, jerk_max=10.0)
+PARABOLA = Polynomial([0.0, 0.0, 0.5])  # t² / 2: velocity t, acceleration 1
+
+
+def only(feasibility):
+    (violation,) = feasibility.violations
+    return violation
+
+
+def test_what_is_feasible_is_true_and_says_so():
+    answer = feasible(TrapezoidalTrajectory(1.0), MODEL)
+    assert answer
+    assert answer == Feasibility()
+    assert str(answer) == "feasible"
+
+
+def test_a_range_of_the_value_that_is_left_by_a_motion_turning_round():
+    # From 2.5 rad at 2 rad/s and 1 rad/s² it cannot but reach 4.5 rad, after 2 s.
+    answer = feasible(TrapezoidalTrajectory(2.0, 2.5, initial_derivatives=(2.0,)), MODEL)
+    assert not answer
+    violation = only(answer)
+    assert (violation.quantity, violation.value, violation.argument) == ("position", 4.5, 2.0)
+    assert (violation.low, violation.high, violation.by) == (-3.0, 3.0, 1.5)
+    assert str(answer) == "position 4.5 rad at 2 s is 1.5 rad above the highest, 3 rad"
+
+
+def test_a_boundary_velocity_beyond_its_limit():
+    violation = only(feasible(TrapezoidalTrajectory(1.0, final_derivatives=(-2.5,)), MODEL))
+    assert (violation.quantity, violation.value, violation.by) == ("velocity", -2.5, 0.5)
+    assert violation.argument is None
+    assert (
+        str(violation)
+        == "velocity -2.5 rad/s is 0.5 rad/s below the lowest, -2 rad/s: where it ends"
+    )
+    began = only(
+        feasible(
+            TrapezoidalTrajectory(1.0, initial_derivatives=(2.5,), initial_argument=7.0), MODEL
+        )
+    )
+    assert (began.argument, began.reason) == (7.0, "where it begins")
+
+
+def test_a_duration_that_is_too_short_or_in_a_gap():
+    violation = only(feasible(TrapezoidalTrajectory(1.0, duration_s=1.0), MODEL))
+    assert (violation.quantity, violation.unit) == ("duration", "s")
+    # A triangle up at 4 and down at 1: T = sqrt(2 (1/4 + 1)).
+    assert violation.low == pytest.approx(2.5**0.5, rel=1e-15)
+    assert violation.by == pytest.approx(2.5**0.5 - 1.0, rel=1e-14)
+    through = {"initial_derivatives": (1.0,), "final_derivatives": (1.0,)}
+    gap = feasible(TrapezoidalTrajectory(0.1, duration_s=1.0, **through), MODEL)
+    assert only(gap).high < 1.0
+    assert "it can run back and come again" in str(gap)
+    assert feasible(TrapezoidalTrajectory(0.1, duration_s=10.0, **through), MODEL)
+
+
+def test_a_function_by_hand():
+    assert feasible(PARABOLA, MODEL, interval=(0.0, 1.0))
+    # Until 3 s: velocity 3 and position 4.5 at the end.
+    answer = feasible(PARABOLA, MODEL, interval=(0.0, 3.0))
+    assert [(v.quantity, v.value, v.argument, v.by) for v in answer.violations] == [
+        ("position", 4.5, 3.0, 1.5),
+        ("velocity", 3.0, 3.0, 1.0),
+    ]
+    # Slowing down by 2 rad/s² is too much, speeding up is not.
+    steep = Polynomial([0.0, 0.0, 1.0])
+    assert feasible(steep, MODEL, interval=(0.0, 1.0))
+    slowing = feasible(steep, MODEL, interval=(-1.0, 0.0))
+    assert (only(slowing).quantity, only(slowing).by) == ("acceleration", 1.0)
+
+
+def test_limits_alone_name_derivatives_plainly():
+    limits = DerivativeLimits(first=(-0.5, 1.0), second=0.25, third=0.1)
+    answer = feasible(Polynomial([0.0, 0.0, 0.0, 1.0 / 6.0]), limits, interval=(0.0, 2.0))
+    assert [str(v) for v in answer.violations] == [
+        "first derivative 2 at 2 s is 1 above the highest, 1",
+        "second derivative 2 at 2 s is 1.75 above the highest, 0.25",
+        "third derivative 1 at 0 s is 0.9 above the highest, 0.1",
+    ]
+    assert not feasible(TrapezoidalTrajectory(1.0, duration_s=0.5), limits)
+    assert feasible(TrapezoidalTrajectory(1.0), limits)
+
+
+def test_complex_trajectories_bring_their_interval_their_limits_and_their_start():
+    climb = ComplexTrajectory(PARABOLA, 0.0, 2.0, relative=True)
+    assert feasible(climb, MODEL, start=0.5)
+    assert only(feasible(climb, MODEL, start=1.5)).value == 3.5
+    tight = ComplexTrajectory(PARABOLA, 0.0, 2.0, limits=DerivativeLimits(first=1.5))
+    assert only(feasible(tight, MODEL)).by == 0.5
+    velocity = ComplexTrajectory(PARABOLA, 0.0, 3.0)
+    answer = feasible(velocity, MODEL, variable=ControlVariable.VELOCITY)
+    assert [(v.quantity, v.unit) for v in answer.violations] == [
+        ("velocity", "rad/s"),
+        ("acceleration", "rad/s²"),
+    ]
+
+
+def test_a_step_needs_a_derivative_without_end():
+    jump = Piecewise((0.0, 1.0, 2.0), (Polynomial([0.0]), Polynomial([0.5])))
+    violation = only(feasible(jump, MODEL))
+    assert (violation.quantity, violation.value, violation.by) == ("velocity", inf, inf)
+    assert violation.argument == 1.0
+    assert violation.reason == "position steps by 0.5 rad there"
+    kink = Piecewise((0.0, 1.0, 2.0), (Polynomial([0.0]), Polynomial([0.0, -0.5], about=1.0)))
+    assert str(feasible(kink, MODEL)) == (
+        "acceleration -inf rad/s² at 1 s is inf rad/s² below the lowest, -1 rad/s²:"
+        " velocity steps by -0.5 rad/s there"
+    )
+    # Of the next derivative's limits, 10 ms are let pass: samples are no smoother.
+    small = Piecewise((0.0, 1.0, 2.0), (Polynomial([0.0]), Polynomial([0.0, 0.009], about=1.0)))
+    assert feasible(small, MODEL)
+
+
+def test_a_function_without_an_end_is_refused():
+    with pytest.raises(UsageError, match="give interval="):
+        feasible(PARABOLA, MODEL)
+
+
+def test_what_generators_make_is_feasible():
+    profile = generate(TrapezoidalTrajectory(2.0, -1.0, initial_derivatives=(-1.0,)), MODEL)
+    assert feasible(profile, MODEL)
+    assert feasible(profile.as_function(), MODEL)
+    course = through_waypoints([0.0, 2.0, -1.0], limits=DerivativeLimits(first=2.0, second=1.0))
+    assert feasible(course, MODEL)
+
+
+def test_what_ruckig_makes_is_feasible_and_a_trapezoid_is_not_where_jerk_is_limited():
+    pytest.importorskip("ruckig")
+    limits = ProfileLimits(2.0, 4.0)
+    assert feasible(jerk_limited(2.0, limits, 10.0), SMOOTH)
+    violation = feasible(trapezoid(2.0, limits).as_function(), SMOOTH).violations[0]
+    assert (violation.quantity, abs(violation.value)) == ("jerk", inf)
+
+
+@given(problems(1.0))
+def test_profiles_are_feasible_for_their_limits_and_for_none_that_is_tighter(problem):
+    final, limits, states = problem
+    if limits.forward != limits.backward:
+        return
+    profile = trapezoid(final, limits, **states)
+    told = DerivativeLimits(first=limits.velocity, second=limits.forward)
+    assert feasible(profile, told)
+    most = profile.velocity_range[1]
+    if most > 0.01 and most > 0.5 * limits.velocity[1]:
+        tight = DerivativeLimits(first=(limits.velocity[0], 0.5 * most))
+        violation = only(feasible(profile, tight))
+        assert violation.by == pytest.approx(0.5 * most, rel=1e-12)
+        assert profile.first(violation.argument) == pytest.approx(most, rel=1e-9)
+
+
+@given(
+    st.floats(-2.9, 2.9),
+    st.floats(-2.9, 2.9),
+    st.floats(-2.0, 2.0),
+    st.floats(-2.0, 2.0),
+    st.none() | st.floats(0.1, 10.0),
+)
+def test_generate_refuses_just_what_is_not_feasible(initial, final, begin, end, duration_s):
+    trajectory = TrapezoidalTrajectory(
+        final,
+        initial,
+        duration_s=duration_s,
+        initial_derivatives=(begin,),
+        final_derivatives=(end,),
+    )
+    answer = feasible(trajectory, MODEL)
+    if answer:
+        profile = generate(trajectory, MODEL)
+        assert feasible(profile, MODEL)
+        return
+    with pytest.raises(LimitError) as told:
+        generate(trajectory, MODEL)
+    violation = answer.violations[0]
+    assert told.value.value == violation.value
+    assert violation.by > 0.0

@@ -1,0 +1,222 @@
+import sys
+from math import inf, nan
+from random import Random
+
+import numpy as np
+import pytest
+
+from motorapi.errors import PluginError, UnsupportedError, UsageError
+from motorapi.generation import ProfileLimits, batched, jerk_limited, trapezoid
+from tests.motorapi.generation.problems import magnitude
+from tests.motorapi.generation.smooth_bounds import is_impossible, rest_to_rest_s
+
+UNIT = ProfileLimits(1.0, 1.0)
+
+
+@pytest.fixture(scope="module", autouse=True)
+def _ruckig():
+    pytest.importorskip("ruckig")
+
+
+def smooth_problem(random, decades):
+    """(final, limits, jerk, states) whose states can be reached and left within the limits."""
+    velocity = (-magnitude(random, decades), magnitude(random, decades))
+    acceleration = (-magnitude(random, decades), magnitude(random, decades))
+    jerk = magnitude(random, decades)
+    states = []
+    for sense in (1.0, -1.0):
+        a = random.choice([0.0, random.uniform(*acceleration)])
+        moves = sense * a * abs(a) / (2.0 * jerk)  # by how much velocity goes on changing
+        low, high = velocity[0] - min(moves, 0.0), velocity[1] - max(moves, 0.0)
+        if low >= high:
+            a, low, high = 0.0, *velocity
+        states.append(
+            (
+                random.choice([0.0, random.uniform(low, high)])
+                if low < 0 < high
+                else random.uniform(low, high),
+                a,
+            )
+        )
+    final = random.choice([-1.0, 1.0]) * magnitude(random, decades)
+    return final, ProfileLimits(velocity, acceleration), jerk, tuple(states)
+
+
+def made(problem, **more):
+    final, limits, jerk, (begin, end) = problem
+    return jerk_limited(
+        final, limits, jerk, initial_derivatives=begin, final_derivatives=end, **more
+    )
+
+
+def assert_is_right(function, problem, rounding):
+    """Both states, no steps, all limits."""
+    final, limits, jerk, (begin, end) = problem
+    low, high = function.domain
+    derivatives = [function.derivative(order) for order in range(4)]
+    assert [derivative.value(low) for derivative in derivatives[:3]] == [0.0, *begin]
+    assert [derivative.value(high) for derivative in derivatives[:3]] == [final, *end]
+    extent = [one.extrema() for one in derivatives]
+    size = [max(abs(one.minimum), abs(one.maximum)) for one in extent]
+    for order in range(3):
+        for left, right, at in zip(
+            derivatives[order].pieces,
+            derivatives[order].pieces[1:],
+            function.breaks[1:-1],
+            strict=False,
+        ):
+            step = abs(left.value(at) - right.value(at))
+            assert step <= rounding * (size[order] + size[order + 1] * (high - low))
+    for order, (lowest, highest) in (
+        (1, limits.velocity),
+        (2, limits.forward),
+        (3, (-jerk, jerk)),
+    ):
+        # Where the function is long, its argument tells no shorter moments apart.
+        slack = 1e-9 * max(-lowest, highest) + 1e-12 * size[order]
+        slack += 4e-16 * high * size[order + 1] if order < 3 else 0.0
+        assert lowest - slack <= extent[order].minimum
+        assert extent[order].maximum <= highest + slack
+
+
+def test_states_and_limits_of_2000_random_motions():
+    random = Random("motorhil:smooth")
+    for _ in range(2_000):
+        problem = smooth_problem(random, 1.0)
+        function = made(problem)
+        assert_is_right(function, problem, 1e-10)
+        final, limits, _, (begin, end) = problem
+        rough = trapezoid(final, limits, initial_velocity=begin[0], final_velocity=end[0])
+        # With no limit of jerk it cannot take longer; unless it has to turn round for nothing.
+        assert rough.duration_s <= function.domain[1] * (1 + 1e-9)
+
+
+def test_of_limits_that_differ_by_three_decades_it_is_right_or_says_that_it_is_not():
+    random = Random("motorhil:smooth decades")
+    refused = []
+    for _ in range(500):
+        problem = smooth_problem(random, 3.0)
+        try:
+            function = made(problem)
+        except PluginError:
+            refused.append(problem)
+            continue
+        assert_is_right(function, problem, 1e-6)
+    assert 0 < len(refused) < 100
+    final, limits, jerk, (begin, end) = refused[0]
+    with pytest.raises(PluginError, match=r"ruckig: .*: no motion from "):
+        batched.jerk_limited(
+            [final, final], limits, jerk, initial_derivatives=begin, final_derivatives=end
+        )
+
+
+def test_rest_to_rest_takes_what_the_double_s_profile_takes():
+    random = Random("motorhil:double S")
+    for _ in range(1_000):
+        way, velocity, acceleration, jerk = (magnitude(random, 2.0) for _ in range(4))
+        function = jerk_limited(way, ProfileLimits(velocity, acceleration), jerk)
+        expected = rest_to_rest_s(way, velocity, acceleration, jerk)
+        assert function.domain[1] == pytest.approx(expected, rel=1e-9)
+
+
+def test_no_motion_is_shorter_by_a_linear_program():
+    optimize = pytest.importorskip("scipy.optimize")
+    random = Random("motorhil:linear program")
+    for _ in range(12):
+        final, limits, jerk, (begin, end) = problem = smooth_problem(random, 0.5)
+        duration_s = made(problem).domain[1]
+        asked = ((0.0, *begin), (final, *end), limits.velocity, limits.forward, jerk)
+        assert is_impossible(optimize.linprog, *asked, 0.97 * duration_s)
+        assert not is_impossible(optimize.linprog, *asked, 1.001 * duration_s)
+
+
+@pytest.mark.parametrize("length", [1e-9, 1e-3, 1e9])
+@pytest.mark.parametrize("time", [1e-6, 1e6])
+def test_units_do_not_matter(length, time):
+    random = Random("motorhil:smooth units")
+    for _ in range(50):
+        final, limits, jerk, (begin, end) = problem = smooth_problem(random, 1.0)
+        velocity, acceleration = length / time, length / time**2
+        scaled = (
+            final * length,
+            ProfileLimits(
+                tuple(x * velocity for x in limits.velocity),
+                tuple(x * acceleration for x in limits.forward),
+            ),
+            jerk * length / time**3,
+            tuple((v * velocity, a * acceleration) for v, a in (begin, end)),
+        )
+        expected = made(problem).domain[1] * time
+        assert made(scaled).domain[1] == pytest.approx(expected, rel=1e-9)
+
+
+def test_a_given_duration_is_held_and_an_impossible_one_told():
+    function = jerk_limited(1.0, UNIT, 1.0, duration_s=10.0, initial_argument=5.0)
+    assert function.domain == pytest.approx((5.0, 15.0), rel=1e-12)
+    assert function.value(15.0) == 1.0
+    with pytest.raises(UsageError, match=r"cannot take 1 s; the next that it can is 3\.1748 s"):
+        jerk_limited(1.0, UNIT, 1.0, duration_s=1.0)
+    with pytest.raises(UsageError, match="not a finite number >= 0"):
+        jerk_limited(1.0, UNIT, 1.0, duration_s=-1.0)
+
+
+def test_the_tighter_limit_holds_where_directions_differ():
+    limits = ProfileLimits(10.0, 4.0, 2.0)
+    assert jerk_limited(1.0, limits, 1e6).derivative(2).extrema().maximum <= 2.0 + 1e-9
+
+
+@pytest.mark.parametrize(
+    ("arguments", "told"),
+    [
+        ({"jerk": 0.0}, "limit of jerk is 0.0"),
+        ({"jerk": inf}, "limit of jerk is inf"),
+        ({"final": nan}, "not finite"),
+        ({"initial_argument": inf}, "not a finite number"),
+        ({"initial_derivatives": (1.5,)}, "initial velocity 1.5 lies outside its limits, -1 to 1"),
+        ({"final_derivatives": (0.0, -2.0)}, "final acceleration -2 lies outside its limits"),
+        ({"initial_derivatives": (0.9, 0.9)}, "initial velocity, by its acceleration, 1.305"),
+        ({"final_derivatives": (0.9, -0.9)}, "final velocity, by its acceleration, 1.305"),
+        ({"final_derivatives": (0.0, 0.0, 0.0)}, "derivatives are"),
+        ({"final": 0.0}, "takes no time"),
+    ],
+)
+def test_what_cannot_be_is_refused(arguments, told):
+    arguments = {"final": 1.0, "limits": UNIT, "jerk": 1.0} | arguments
+    with pytest.raises(UsageError, match=told):
+        jerk_limited(**arguments)
+
+
+def test_without_the_package_it_is_said_which_extra_has_it(monkeypatch):
+    monkeypatch.setitem(sys.modules, "ruckig", None)
+    with pytest.raises(UnsupportedError, match=r"pip install 'motorhil\[ruckig\]'"):
+        jerk_limited(1.0, UNIT, 1.0)
+
+
+def test_many_are_as_one_by_one():
+    random = Random("motorhil:smooth batch")
+    some = [smooth_problem(random, 1.0) for _ in range(600)]
+    finals, limits, jerks, states = zip(*some, strict=True)
+    begins, ends = (np.array([pair[side] for pair in states]).T for side in (0, 1))
+    curves = batched.jerk_limited(
+        finals, limits, jerks, initial_derivatives=begins, final_derivatives=ends
+    )
+    assert len(curves) == 600
+    times = np.random.default_rng(1).uniform(size=(600, 9)) * curves.duration_s[:, None]
+    found = [curves.value(times, order) for order in range(3)]
+    for index, problem in enumerate(some):
+        function = made(problem)
+        assert curves.duration_s[index] == pytest.approx(function.domain[1], rel=1e-12)
+        for order, values in enumerate(found):
+            derivative = function.derivative(order)
+            told = derivative(np.minimum(times[index], function.domain[1]))
+            # The last piece is reckoned from its other end.
+            np.testing.assert_allclose(values[index], told, rtol=1e-9, atol=1e-8)
+    last = curves.function(599)
+    assert last.value(0.0) == 0.0
+
+
+def test_the_first_of_many_that_cannot_be_is_named():
+    with pytest.raises(UsageError, match=r"motion 2: the initial velocity 1\.5 lies outside"):
+        batched.jerk_limited(1.0, UNIT, 1.0, initial_derivatives=[np.array([0.0, 0.5, 1.5])])
+    with pytest.raises(UsageError, match="2 limits for 3 motions"):
+        batched.jerk_limited(np.ones(3), [UNIT, UNIT], 1.0)

@@ -1,0 +1,223 @@
+from math import inf, nan
+from random import Random
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from motorapi.commands import DerivativeLimits
+from motorapi.errors import UsageError
+from motorapi.generation import batched, through_waypoints
+from motorapi.generation.batched.curves import differentiated, ranges
+
+VALUE = st.floats(-100.0, 100.0)
+STEP = st.floats(0.01, 10.0)
+LIMITS = DerivativeLimits(first=(-1.0, 2.0), second=3.0, third=40.0)
+
+
+@st.composite
+def courses(draw, most=8):
+    values = draw(st.lists(VALUE, min_size=2, max_size=most))
+    times = np.cumsum([draw(st.floats(-5.0, 5.0)), *(draw(STEP) for _ in values[1:])])
+    return values, times.tolist()
+
+
+def steps_of(function, order):
+    """(step, size) of a derivative at each inner break."""
+    derivative = function.derivative(order)
+    if len(function.pieces) == 1:
+        return []
+    found = derivative.extrema()
+    size = max(abs(found.minimum), abs(found.maximum))
+    pieces = zip(derivative.pieces, derivative.pieces[1:], function.breaks[1:-1], strict=False)
+    return [(abs(left.value(at) - right.value(at)), size) for left, right, at in pieces]
+
+
+def test_two_way_points_by_hand():
+    # Rest to rest over 1 in 1 s: 3 t² - 2 t³, and 10 t³ - 15 t⁴ + 6 t⁵.
+    (cubic,) = through_waypoints([0.0, 1.0], [0.0, 1.0]).pieces
+    assert cubic.coefficients == (0.0, 0.0, 3.0, -2.0)
+    (quintic,) = through_waypoints([0.0, 1.0], [0.0, 1.0], degree=5).pieces
+    assert quintic.coefficients == (0.0, 0.0, 0.0, 10.0, -15.0, 6.0)
+
+
+@given(courses(), st.sampled_from([3, 5]))
+def test_it_goes_through_all_points_smoothly_and_rests_at_its_ends(course, degree):
+    values, times = course
+    function = through_waypoints(values, times, degree=degree)
+    size = max(abs(function.extrema().minimum), abs(function.extrema().maximum))
+    for t, value in zip(times, values, strict=True):
+        assert function.value(t) == pytest.approx(value, abs=1e-12 * size)
+    rests = range(1, 2 if degree == 3 else 3)
+    for order in rests:
+        derivative = function.derivative(order)
+        size = max(abs(derivative.extrema().minimum), abs(derivative.extrema().maximum))
+        assert derivative.value(times[0]) == 0.0
+        assert derivative.value(times[-1]) == pytest.approx(0.0, abs=1e-9 * size)
+    for order in range(1, degree):
+        for step, size in steps_of(function, order):
+            # The equations are solved for this; rounding grows with the powers of the steps.
+            assert step <= 1e-7 * size
+
+
+@given(courses(12), st.booleans())
+def test_cubics_are_scipys_spline(course, natural):
+    interpolate = pytest.importorskip("scipy.interpolate")
+    values, times = course
+    if natural and len(values) > 2:
+        ours = through_waypoints(values, times, first=[None] * len(values))
+        theirs = interpolate.CubicSpline(times, values, bc_type="natural")
+    else:
+        ours = through_waypoints(values, times)
+        theirs = interpolate.CubicSpline(times, values, bc_type="clamped")
+    at = np.linspace(times[0], times[-1], 50)
+    size = np.abs(theirs(at)).max() + np.abs(values).max()
+    np.testing.assert_allclose(ours(at), theirs(at), rtol=0.0, atol=1e-12 * size)
+
+
+@given(courses(), st.data())
+def test_given_derivatives_are_as_given(course, data):
+    values, times = course
+    free = st.none() | st.floats(-3.0, 3.0)
+    first = [data.draw(free) for _ in values]
+    second = [data.draw(free) for _ in values]
+    for end in (0, -1):  # what is free at an end of quintics is determined by nothing else
+        first[end], second[end] = 1.0, -2.0
+    for degree, orders in ((3, (first,)), (5, (first, second))):
+        extra = {"second": second} if degree == 5 else {}
+        function = through_waypoints(values, times, first=first, degree=degree, **extra)
+        for order, given_ in enumerate(orders, start=1):
+            derivative = function.derivative(order)
+            size = max(abs(derivative.extrema().minimum), abs(derivative.extrema().maximum), 1.0)
+            for t, number in zip(times, given_, strict=True):
+                if number is not None:
+                    assert derivative.value(t) == pytest.approx(number, abs=1e-9 * size)
+    # Where one of both is free, one more derivative of a quintic goes through.
+    for order, free_one in ((3, second), (4, first)):
+        for place, (step, size) in enumerate(steps_of(function, order), start=1):
+            if free_one[place] is None:
+                assert step <= 1e-6 * size
+
+
+@pytest.mark.parametrize("degree", [3, 5])
+@pytest.mark.parametrize("ends", [None, (0.5, -0.25)])
+def test_the_shortest_times_hold_the_limits_and_reach_one(degree, ends):
+    random = Random(f"motorhil:shortest times {degree}")
+    bounds = ((1, LIMITS.first), (2, LIMITS.second), (3, LIMITS.third))
+    for count in (2, 3, 5, 7):
+        values = [random.uniform(-3.0, 3.0) for _ in range(count)]
+        first = None if ends is None else [ends[0], *([None] * (len(values) - 2)), ends[1]]
+        function = through_waypoints(
+            values, limits=LIMITS, degree=degree, first=first, initial_argument=2.0
+        )
+        assert function.domain[0] == 2.0
+        used = []
+        for order, (low, high) in bounds:
+            found = function.derivative(order).extrema()
+            used += [found.minimum / low, found.maximum / high]
+        assert max(used) == pytest.approx(1.0, rel=1e-9)
+
+
+def test_no_division_of_the_time_that_a_search_finds_is_shorter_by_a_hundredth():
+    optimize = pytest.importorskip("scipy.optimize")
+    random = Random("motorhil:division")
+    bounds = ((1, LIMITS.first), (2, LIMITS.second), (3, LIMITS.third))
+    for _ in range(4):
+        values = [random.uniform(-3.0, 3.0) for _ in range(4)]
+        ours = through_waypoints(values, limits=LIMITS)
+
+        def lasts(logs, values=values):
+            steps = np.exp(np.clip(logs, -10.0, 10.0))
+            curves = batched.through_waypoints(values, np.cumsum([0.0, *steps]))
+            factor = 0.0
+            for order, (low, high) in bounds:
+                least, most = ranges(differentiated(curves.coefficients, order), steps[None])
+                factor = max(factor, max(least.min() / low, most.max() / high) ** (1.0 / order))
+            return factor * steps.sum()
+
+        start = np.log(np.diff(ours.breaks))
+        assert lasts(start) == pytest.approx(ours.domain[1], rel=1e-9)
+        found = optimize.minimize(lasts, start, method="Nelder-Mead", options={"maxiter": 200})
+        assert found.fun >= 0.99 * ours.domain[1]
+
+
+def test_many_are_as_one_by_one():
+    random = np.random.default_rng(3)
+    values = random.uniform(-2.0, 2.0, (40, 5))
+    times = np.cumsum(random.uniform(0.1, 1.0, (40, 5)), axis=1)
+    for degree in (3, 5):
+        for given_ in ({"times": times}, {"limits": LIMITS}):
+            curves = batched.through_waypoints(values, degree=degree, **given_)
+            for index in range(0, 40, 7):
+                one = dict(given_)
+                if "times" in one:
+                    one["times"] = times[index]
+                function = through_waypoints(values[index], degree=degree, **one)
+                np.testing.assert_allclose(curves.breaks[index], function.breaks, rtol=1e-12)
+                at = np.linspace(*function.domain, 9)
+                own = batched.Curves(curves.breaks[[index]], curves.coefficients[[index]])
+                for order in (0, 1, 2):
+                    size = np.abs(function.derivative(order)(at)).max()
+                    np.testing.assert_allclose(
+                        own.value(at[None], order)[0],
+                        function.derivative(order)(at),
+                        rtol=0.0,
+                        atol=1e-9 * size,
+                    )
+
+
+def test_curves_hold_their_ends_outside():
+    curves = batched.through_waypoints([[0.0, 1.0], [2.0, 4.0]], [0.0, 1.0])
+    assert curves.value(-1.0).tolist() == [0.0, 2.0]
+    assert curves.value(2.0).tolist() == [1.0, 4.0]
+    assert curves.value(0.5).tolist() == [0.5, 3.0]
+    assert curves.value(0.5, order=1).tolist() == [1.5, 3.0]
+    assert curves.value([[0.0, 1.0], [0.0, 1.0]]).tolist() == [[0.0, 1.0], [2.0, 4.0]]
+    assert repr(curves) == "<2 functions of 1 polynomials of degree 3>"
+
+
+@given(st.lists(st.floats(-10.0, 10.0), min_size=1, max_size=6), st.floats(0.01, 10.0))
+def test_ranges_of_polynomials_miss_nothing(coefficients, length):
+    low, high = ranges(np.array([coefficients]), np.array([length]))
+    at = np.linspace(0.0, length, 400)
+    values = np.polynomial.polynomial.polyval(at, coefficients)
+    slack = 1e-9 * (np.abs(values).max() + 1e-300)
+    assert low[0] <= values.min() + slack
+    assert high[0] >= values.max() - slack
+    near = (
+        0.5
+        * (length / 399) ** 2
+        * np.abs(
+            np.polynomial.polynomial.polyval(at, np.polynomial.polynomial.polyder(coefficients, 2))
+        ).max()
+    )
+    assert low[0] >= values.min() - near - slack - 1e-3 * np.ptp(values)
+    assert high[0] <= values.max() + near + slack + 1e-3 * np.ptp(values)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "told"),
+    [
+        ({"values": [1.0]}, "at least two"),
+        ({"values": [1.0, nan]}, "finite numbers"),
+        ({"times": [0.0, 0.0, 1.0]}, "times must be finite numbers and ascend"),
+        ({"times": [0.0, 1.0, inf]}, "times must be finite numbers and ascend"),
+        ({"times": [0.0, 1.0]}, "times have shape"),
+        ({"times": None}, "need times, or limits"),
+        ({"times": None, "limits": DerivativeLimits()}, "must be a limit of a derivative"),
+        ({"times": None, "limits": LIMITS, "values": [1.0] * 3}, "all the same take no time"),
+        (
+            {"times": None, "limits": LIMITS, "first": [2.5, None, 0.0]},
+            "no times keep the derivatives",
+        ),
+        ({"degree": 4}, "of degree 3 or 5, not 4"),
+        ({"second": [0.0] * 3}, "to pieces of degree 5 only"),
+        ({"first": [inf, None, 0.0]}, "finite, or nan"),
+        ({"initial_argument": nan}, "initial argument"),
+    ],
+)
+def test_what_cannot_be_is_refused(arguments, told):
+    arguments = {"values": [0.0, 1.0, 3.0], "times": [0.0, 1.0, 2.0]} | arguments
+    with pytest.raises(UsageError, match=told):
+        through_waypoints(arguments.pop("values"), **arguments)
