@@ -27,10 +27,33 @@ _HEAD_SIZE: Final = MESSAGE_HEAD.size
 _CONSTANT: Final = struct.Struct("<BQHI")  # of a message's head, all before the times
 _REMEMBERED: Final = 1 << 16  # prefixes; a bus full of random identifiers must not fill the memory
 
-_Template = tuple[Callable[..., None], bytes, bytes, int, int, Callable[[int], None]]
-"""pack_into, head, middle, size of the record, size of the frame, what the index is told by."""
-
 _source_of: Final = itemgetter(0)
+
+
+@final
+class _Template:
+    """How frames of one sender that begin alike are packed.
+
+    Attributes: size, of the record; frame_size, of the frame; places, the index of its channel.
+    """
+
+    __slots__ = ("frame_size", "head", "middle", "pack_into", "places", "size")
+
+    def __init__(
+        self,
+        pack_into: Callable[..., None],
+        head: bytes,
+        middle: bytes,
+        size: int,
+        frame_size: int,
+        places: list[int],
+    ) -> None:
+        self.pack_into = pack_into
+        self.head = head
+        self.middle = middle
+        self.size = size
+        self.frame_size = frame_size
+        self.places = places
 
 
 @final
@@ -38,7 +61,7 @@ class ChunkBuffer:
     """The messages of one chunk, not yet compressed; used again for the next one.
 
     Attributes: used, bytes of it that are filled; first_ns and last_ns, the earliest and the latest
-    log time in it; counts, its messages by channel.
+    log time in it.
     """
 
     def __init__(self, size: int, indexed: bool) -> None:
@@ -46,18 +69,20 @@ class ChunkBuffer:
         self.used: int = 0
         self.first_ns: int = 0
         self.last_ns: int = 0
-        self.counts: dict[int, int] = {}
+        self._counts: dict[int, int] = {}  # by channel, where there is no index to tell
         self._buffer: bytearray = bytearray(size)
         self._sources: list[tuple[int, bytes, int]] = []
-        self._known: dict[tuple[int, bytes], _Template] = {}
+        self._known: list[dict[bytes, _Template]] = []  # by source, then by a frame's first 8 bytes
+        self._known_count = 0
         self._wholes: dict[int, Callable[..., None]] = {}  # by length
         self._widest: int = 0
         self._indexed: bool = indexed
-        self._index: dict[int, array[int]] = {}  # by channel: time, offset, time, offset, ...
+        self._index: dict[int, list[int]] = {}  # by channel: time, offset, time, offset, ...
 
     def add_source(self, channel: int, sender: str, direction: int) -> int:
         """The number of a sender on a CAN channel."""
         self._sources.append((channel, sender.encode(), direction))
+        self._known.append({})
         return len(self._sources) - 1
 
     def content(self) -> memoryview:
@@ -69,18 +94,24 @@ class ChunkBuffer:
         out: list[tuple[int, bytes]] = []
         for channel, places in self._index.items():
             if places:
+                packed = array("Q", places)
                 if sys.byteorder == "big":
-                    places = array("Q", places)
-                    places.byteswap()
-                out.append((channel, places.tobytes()))
+                    packed.byteswap()
+                out.append((channel, packed.tobytes()))
         return out
+
+    def counts(self) -> dict[int, int]:
+        """Its messages by channel."""
+        if not self._indexed:
+            return self._counts
+        return {channel: len(places) // 2 for channel, places in self._index.items()}
 
     def clear(self) -> None:
         """It is empty; what it knows about sources stays."""
         self.used = 0
-        self.counts.clear()
+        self._counts.clear()
         for places in self._index.values():
-            del places[:]  # the array stays: templates know it
+            places.clear()  # the list stays: templates know it
 
     def extend(self, entries: list[Entry]) -> None:
         """These messages are in it, behind those before; or, if it raises, none of them is.
@@ -98,9 +129,10 @@ class ChunkBuffer:
             for channel, places in self._index.items():
                 del places[marks.get(channel, 0) :]
             raise
-        for source, count in Counter(map(_source_of, entries)).items():
-            channel = self._sources[source][0] if source >= 0 else -source
-            self.counts[channel] = self.counts.get(channel, 0) + count
+        if not self._indexed:
+            for source, count in Counter(map(_source_of, entries)).items():
+                channel = self._sources[source][0] if source >= 0 else -source
+                self._counts[channel] = self._counts.get(channel, 0) + count
 
     def _pack(self, entries: list[Entry]) -> None:
         """The records are in the buffer; it is told how much of it is used when all of them are."""
@@ -127,23 +159,23 @@ class ChunkBuffer:
                     pack_whole = self._learn_length(length)
                 pack_whole(buffer, used, MESSAGE, size - 9, -source, 0, time_ns, time_ns, data)
                 if indexed:
-                    note = self._places(-source).append
-                    note(time_ns)
-                    note(used)
+                    places = self._places(-source)
+                    places.append(time_ns)
+                    places.append(used)
                 used += size
                 continue
-            try:
-                pack_into, head, middle, size, frame_size, note = known[source, data[:8]]
-            except KeyError:
-                frame_size = 0
-            if len(data) != frame_size:
-                pack_into, head, middle, size, frame_size, note = self._learn(source, data)
+            template = known[source].get(data[:8])
+            if template is None or len(data) != template.frame_size:
+                template = self._learn(source, data)
                 self._reserve(used + len(entries) * self._widest)
-            pack_into(buffer, used, head, time_ns, time_ns, middle, data[8:])
+            template.pack_into(
+                buffer, used, template.head, time_ns, time_ns, template.middle, data[8:]
+            )
             if indexed:
-                note(time_ns)
-                note(used)
-            used += size
+                places = template.places
+                places.append(time_ns)
+                places.append(used)
+            used += template.size
         self.used, self.first_ns, self.last_ns = used, first, last
 
     def _learn(self, source: int, data: bytes) -> _Template:
@@ -153,11 +185,14 @@ class ChunkBuffer:
         # 15 bytes: the record's head up to the times; sequence 0, as mcap's own writer has it.
         layout = struct.Struct(f"<15sQQ{len(middle)}s{length}s")
         head = _CONSTANT.pack(MESSAGE, layout.size - 9, channel, 0)
-        note = self._places(channel).append
-        template = (layout.pack_into, head, middle, layout.size, len(data), note)
-        if len(self._known) >= _REMEMBERED:
-            self._known.clear()
-        self._known[source, data[:8]] = template
+        places = self._places(channel)
+        template = _Template(layout.pack_into, head, middle, layout.size, len(data), places)
+        if self._known_count >= _REMEMBERED:
+            for known in self._known:
+                known.clear()
+            self._known_count = 0
+        self._known_count += 1
+        self._known[source][data[:8]] = template
         self._widest = max(self._widest, layout.size)
         return template
 
@@ -169,11 +204,11 @@ class ChunkBuffer:
         self._wholes[length] = pack_whole
         return pack_whole
 
-    def _places(self, channel: int) -> "array[int]":
+    def _places(self, channel: int) -> list[int]:
         """Where the channel's messages are."""
         places = self._index.get(channel)
         if places is None:
-            places = self._index[channel] = array("Q")
+            places = self._index[channel] = []
         return places
 
     def _reserve(self, size: int) -> None:

@@ -257,7 +257,7 @@ class TraceWriter:
             parts.append(records.message_index(channel, places))
             end += len(parts[-1])
         self._put(b"".join(parts))
-        for channel, count in chunk.counts.items():
+        for channel, count in chunk.counts().items():
             self._counts[channel] += count
         chunk.clear()
         self._chunk_indexes.append(
