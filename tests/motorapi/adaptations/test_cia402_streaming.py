@@ -18,6 +18,7 @@ from motorapi.commands import ControlMode, ControlVariable, DerivativeLimits
 from motorapi.errors import (
     DeviceFault,
     LimitError,
+    LinkError,
     MotionInterrupted,
     StateError,
     UnsupportedError,
@@ -417,6 +418,38 @@ def test_a_fault_in_mid_stream_ends_both(rig: Rig):
     rig.runtime.run_for(0.1)
     assert motor.hardware.stream.ended
     assert motor.hardware.link.sync_period_ns is None
+
+
+def test_a_drive_that_is_heard_no_more_is_braked_all_the_same(rig: Rig):
+    motor = set_function(motor_of(rig), quintic(4.0, 3.0))
+    motor.start()
+    rig.runtime.run_for(1.0)
+    rule = FaultRule(name="deaf", kind=FaultKind.DROP, sender="left")
+    rig.faults.inject("can0", rule)
+    with pytest.raises(LinkError, match="no heartbeat"):
+        motor.wait_until_done(timeout_s=2)
+    at = demands(rig, "left", 0.5)
+    steps = [b - a for a, b in pairwise(at)]
+    assert steps[0] > 30
+    assert steps[-1] == 0
+    assert min(b - a for a, b in pairwise(steps)) >= -10.0 * INC_PER_RAD * 1e-6 - 2.0
+    assert motor.hardware.stream.ended
+
+
+def test_who_begins_to_stream_beside_another_disturbs_nobody(rig: Rig):
+    left = set_function(motor_of(rig), quintic(1.0, 1.0))
+    right = set_function(motor_of(rig, "right"), quintic(-1.0, 1.0))
+    tap = Tap(rig)
+    left.start()
+    rig.runtime.run_for(0.3)
+    right.start()
+    for motor in (left, right):
+        motor.wait_until_done(timeout_s=3)
+    for can_id, distance in ((LEFT, 1.0), (RIGHT, -1.0)):
+        function = quintic(distance, 1.0)
+        expected = [round(function.value(k * 1e-3) * INC_PER_RAD) for k in range(1001)]
+        assert [target for _, target in tap.latched(can_id)] == expected
+        assert motor.hardware.stream.late == 0
 
 
 def test_switching_off_ends_the_stream(rig: Rig):
