@@ -8,12 +8,11 @@ here; it is no limit of motions that do not ask.
 """
 
 from dataclasses import replace
-from math import inf
 from typing import TYPE_CHECKING
 
 from motorapi.commands import ControlVariable, Motion
 from motorapi.errors import UnsupportedError
-from motorapi.generation import ProfileLimits, trapezoid
+from motorapi.generation import ProfileLimits, jerk_limited, trapezoid
 from motorapi.trajectory import TrapezoidalTrajectory
 
 if TYPE_CHECKING:
@@ -55,12 +54,21 @@ def _generated(
 ) -> "tuple[Function, float]":
     limits = trajectory.limits
     assert limits is not None
-    if limits.second is None or motion.variable is ControlVariable.POSITION:
-        raise UnsupportedError(motor=motor, feature="a limit on the jerk of a position trajectory")
-    rate = motion.acceleration if motion.variable is ControlVariable.VELOCITY else motion.slope
-    profile = trapezoid(
-        motion.target,
-        ProfileLimits(min(rate, inf), limits.second),
-        initial=motion.start,
-    )
-    return profile.as_function(), profile.duration_s
+    if motion.variable is not ControlVariable.POSITION:
+        assert limits.second is not None
+        rate = motion.acceleration if motion.variable is ControlVariable.VELOCITY else motion.slope
+        profile = trapezoid(motion.target, ProfileLimits(rate, limits.second), initial=motion.start)
+        return profile.as_function(), profile.duration_s
+    assert limits.third is not None
+    try:
+        curve = jerk_limited(
+            motion.target,
+            ProfileLimits(motion.velocity, motion.acceleration, motion.deceleration),
+            min(-limits.third[0], limits.third[1]),
+            initial=motion.start,
+        )
+    except UnsupportedError as error:  # without the package that makes it
+        raise UnsupportedError(
+            motor=motor, feature=f"a limit on the jerk of a position ({error})"
+        ) from error
+    return curve, curve.domain[1]

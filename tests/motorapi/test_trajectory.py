@@ -311,3 +311,22 @@ def test_a_derivative_that_nothing_bounds_is_refused():
     smooth = TrapezoidalTrajectory(1.0, limits=DerivativeLimits(second=10.0))
     with pytest.raises(LimitError, match="jerk limit"):
         planning.check_trajectory("m", jerky, V, smooth)
+
+
+def test_a_position_may_bound_its_jerk():
+    """Seven phases; at 2 rad/s, 4 rad/s² and 16 rad/s³ a ramp takes 0.5 + 0.25 s, 5 rad 3.25 s.
+
+    Source: Biagiotti & Melchiorri (2008), 3.4: D/v + v/a + a/j.
+    """
+    pytest.importorskip("ruckig", reason="the extra ruckig is not installed")
+    limits = DerivativeLimits(third=16.0)
+    motion = planned(TrapezoidalTrajectory(5.0, limits=limits), reference=-2.5)
+    assert motion.duration_s == pytest.approx(3.25, rel=1e-9)  # ruckig's own accuracy
+    demand = demand_of(motion)
+    for time_s, velocity in ((0.125, 0.125), (0.25, 0.5), (0.375, 1.0), (0.75, 2.0), (2.0, 2.0)):
+        assert demand.first(time_s) == pytest.approx(velocity, rel=1e-8)
+    assert (demand.value(0.0), demand.value(demand.final_argument)) == (-2.5, 2.5)
+    longer = planning.stretch(motion, 6.5)
+    assert longer.duration_s == 6.5
+    assert demand_of(longer).first(3.25) == pytest.approx(1.0, rel=1e-8)
+    assert planned(TrapezoidalTrajectory(0.0, limits=limits)).duration_s == 0.0
