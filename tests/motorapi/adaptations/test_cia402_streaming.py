@@ -450,8 +450,9 @@ def test_who_begins_to_stream_beside_another_disturbs_nobody(rig: Rig):
         expected = [round(function.value(k * 1e-3) * INC_PER_RAD) for k in range(1001)]
         latched = tap.latched(can_id)
         assert [target for _, target in latched] == expected
-        # as evenly as SYNC, which wins every arbitration, can wait for a frame under way: 0.14 ms
-        assert all(abs(b - a - MS) <= 140_000 for (a, _), (b, _) in pairwise(latched))
+        # SYNC wins every arbitration, but waits for a frame under way and for the host's own
+        # before it: at most 0.135 ms each, two of them.
+        assert all(abs(b - a - MS) <= 300_000 for (a, _), (b, _) in pairwise(latched))
     assert left.hardware.stream.late == right.hardware.stream.late == 0
 
 
