@@ -8,6 +8,7 @@ from motorapi import (
     LinkError,
     MotionInterrupted,
     Motor,
+    MotorBusyError,
     MotorState,
     PluginError,
     StateError,
@@ -231,6 +232,20 @@ def test_a_stop_during_start_wins(runtime, moment):
             motor.wait_until_done()
     else:
         motor.wait_until_done()  # nothing was begun
+
+
+def test_a_stop_between_taking_and_planning_is_told_as_the_holder(runtime, hw, motor, monkeypatch):
+    other = IdealMotor(hw, name="other")
+    monkeypatch.setattr(hw, "done", lambda: False)  # it slows down for a long time
+    hw.connecting_s = 0.01
+    stopping = runtime.spawn("stop", other.stop)  # once it is connected, at 10 ms
+    runtime.run_for(0.005)
+    aim(motor, 1.0)
+    with pytest.raises(MotorBusyError, match=r"held by stop\(\) of other"):
+        motor.start()  # took the motor at 5 ms, is connected at 15 ms
+    assert runtime.now_ns() == 15_000_000
+    assert stopping.finished
+    assert ("_arm", False) not in hw.log
 
 
 def test_errors_of_an_adaptation_are_told_as_such_with_their_cause(motor, hw):

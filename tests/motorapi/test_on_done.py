@@ -138,6 +138,16 @@ def test_a_cancelled_callback_is_not_called(runtime, motor, told):
     assert motor._physical.bell.listeners == []
 
 
+def test_two_that_see_the_end_at_once_tell_it_once(runtime, motor):
+    follow(motor, 1.0)
+    motor.start()
+    told = []
+    notice = motor.on_done(lambda outcome: (told.append(outcome), notice.look()))
+    runtime.run_for(2.0)
+    notice.look()
+    assert len(told) == 1
+
+
 def test_who_is_told_is_told_in_the_order_of_asking(runtime, motor, told):
     order = []
     for name in "abc":

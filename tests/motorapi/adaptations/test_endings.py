@@ -219,6 +219,18 @@ def test_a_homing_that_fails_ends_it(rig: Rig):
     assert ended_ns == begun_ns + 20_000
 
 
+def test_a_stop_has_ended_when_the_drive_is_seen_at_rest(rig: Rig):
+    motor, _, _ = moving(rig)
+    motor.stop()
+    endings = Endings(rig, motor)
+    ended_ns, error = endings.within(1.0)
+    assert error is None
+    watch = motor.hardware.node.watch
+    assert watch is not None
+    assert ended_ns == watch.ended_ns
+    assert endings.told[0].operation == "stop() of left"
+
+
 def test_low_level_access_afterwards_does_not_change_how_it_ended(rig: Rig):
     motor, _, endings = moving(rig)
     rig.controllers["left"].stimulate("fault", 0x3210)

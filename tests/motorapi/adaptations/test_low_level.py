@@ -444,6 +444,7 @@ def test_a_block_inside_a_block_of_the_same_motor_changes_nothing(
 def test_access_ends_with_whatever_leaves_the_block(motor: Cia402Motor, other: Cia402Motor):
     with pytest.raises(ZeroDivisionError), motor.low_level():
         raise ZeroDivisionError
+    other.stop()
     with pytest.raises(SdoAborted), motor.low_level() as hardware:
         hardware.upload(0x5FFF)
     other.enable()
