@@ -534,6 +534,46 @@ def test_a_velocity_that_does_not_end_at_0_goes_on(rig: Rig):
     assert motor.hardware.stream.ended
 
 
+def test_a_velocity_over_another_argument_is_summed_up_cycle_by_cycle(rig: Rig):
+    """v = x, and x comes to grow by 1 in a second: the way is the integral of x over time."""
+    motor, argument = motor_of(rig), Jumps()
+    line = Polynomial((0.0, 1.0)).restricted(0.0, 1.0)
+    motor.set_control_mode(ControlMode.TRAJECTORY, ControlVariable.VELOCITY)
+    motor.set_trajectory(ComplexTrajectory(line), argument)
+    motor.start()
+    way = [0.0]
+
+    def go_on() -> None:
+        argument.now += 1e-3
+        way[0] += min(argument.now, 1.0) * 1e-3
+
+    ramp = rig.runtime.every(1e-3, go_on)
+    motor.wait_until_done(timeout_s=3)
+    rig.runtime.run_for(1.0)  # it goes on at 1 rad/s, as it ended
+    at = rig.controllers["left"].snapshot()["demand_inc"]
+    ramp.cancel()
+    # read up to 1 ms ago, latched 1 ms later, reached 1 to 2 ms after that: 4 ms at 1 rad/s
+    assert 0.0 <= way[0] * INC_PER_RAD - at <= 4e-3 * INC_PER_RAD
+    motor.stop()
+    motor.wait_until_done(timeout_s=2)
+
+
+def test_a_function_of_velocity_begins_at_rest(rig: Rig):
+    motor = motor_of(rig)
+    motor.set_control_mode(ControlMode.SETPOINT, ControlVariable.VELOCITY)
+    motor.set_setpoint(1.0)
+    motor.start()
+    motor.wait_until_done(timeout_s=2)
+    rig.runtime.run_for(0.2)
+    ramp = Polynomial((1.0, 0.0, 3.0, -2.0)).restricted(0.0, 1.0)  # from 1 to 2 rad/s
+    set_function(motor, ramp, ControlVariable.VELOCITY, relative=False)
+    with pytest.raises(StateError, match="changes to csp at rest"):
+        motor.start()
+    rig.runtime.run_for(0.2)
+    assert rig.controllers["left"].snapshot()["velocity_rad_s"] == pytest.approx(1.0, abs=0.05)
+    motor.stop()
+
+
 def test_a_simple_trajectory_of_velocity_is_the_drive_s_ramp(rig: Rig):
     """From 0 to 2 rad/s in 0.8 s, then to -1 rad/s in 1.5 s: pv, with equal ramps up and down."""
     motor = motor_of(rig)
