@@ -4,11 +4,13 @@ Pure functions. The function says itself where it is extreme (exactly, if it is 
 limit is not missed between two samples. U stands for the unit of the control variable.
 """
 
-from math import inf, nextafter
+from math import inf
 from typing import TYPE_CHECKING, Final
 
-from motorapi.commands import ControlMode, ControlVariable, DerivativeLimits, Motion, Range
+from motorapi.commands import ControlMode, ControlVariable, Motion
 from motorapi.errors import LimitError, StateError, UsageError
+from motorapi.generation.allowed import Allowed
+from motorapi.generation.feasibility import Violation, feasible
 from motorapi.limits import check_target, slack, value_range
 from motorapi.model import MotorModel
 from motorapi.trajectory import ComplexTrajectory
@@ -18,9 +20,6 @@ if TYPE_CHECKING:
 
 _STEP_S: Final = 0.01
 """A velocity may step by what the acceleration makes in this time: samples are no smoother."""
-
-_VALUE_STEP_S: Final = 1e-6
-"""A position may step by what the velocity makes in this time: rounding, that is."""
 
 
 def check(
@@ -33,27 +32,19 @@ def check(
     """What can be said before it is known where the motor is.
 
     Raises:
-        LimitError: a derivative, or an absolute value, leaves the limits; says where.
-        UsageError: it steps, or does not begin and end at rest.
+        LimitError: a derivative, or an absolute value, leaves the limits or steps; says where.
+        UsageError: it does not begin and end at rest.
     """
-    limits = trajectory.limits
-    if not trajectory.relative:
-        _check_values(motor, model, variable, trajectory, 0.0)
-    for order, low, high, quantity in _derivative_ranges(model, variable, limits):
-        if argument is None:
-            unit = model.unit_of(variable) + ("/s", "/s²", "/s³")[order - 1]
-            _check_derivative(motor, trajectory, order, (low, high), (1.0, quantity, unit))
-            below = model.unit_of(variable) + ("", "/s", "/s²")[order - 1]
-            at_once = _VALUE_STEP_S if variable is ControlVariable.POSITION else _STEP_S
-            step = min(-low, high) * (at_once if order == 1 else _STEP_S)
-            rests = order == 2 and variable is ControlVariable.POSITION
-            _check_steps(motor, trajectory, order - 1, step, below, rests=rests)
-        elif order == 1 and argument.rate_max is not None:
-            # How fast the rate itself changes is not known, so higher orders cannot be checked.
-            size = min(-low, high)
-            unit = f"{model.unit_of(variable)}/s while the {argument.name} changes fastest"
-            told = (argument.rate_max, quantity, unit)
-            _check_derivative(motor, trajectory, order, (-size, size), told)
+    if argument is not None:
+        if not trajectory.relative:
+            _check_values(motor, model, variable, trajectory, 0.0)
+        _check_rate(motor, model, variable, trajectory, argument)
+        return
+    for violation in feasible(trajectory, model, variable=variable).violations:
+        if not (trajectory.relative and violation.quantity == variable.value):
+            raise _as_error(motor, violation)
+    if variable is ControlVariable.POSITION:
+        _check_ends(motor, model, trajectory)
 
 
 def plan(
@@ -122,28 +113,19 @@ def require_at_start(
         )
 
 
-def _derivative_ranges(
-    model: MotorModel, variable: ControlVariable, limits: DerivativeLimits | None
-) -> list[tuple[int, float, float, str]]:
-    """(order, lowest, highest, name) of what is limited, by time."""
-    own = (None, None, None) if limits is None else (limits.first, limits.second, limits.third)
-    speed = model.velocity_max
-    change = min(model.acceleration_max, model.deceleration)
-    jerk = inf if model.jerk_max is None else model.jerk_max
-    by_model: list[tuple[float, str]] = []
-    if variable is ControlVariable.POSITION:
-        by_model = [(speed, "velocity"), (change, "acceleration"), (jerk, "jerk")]
-    elif variable is ControlVariable.VELOCITY:
-        by_model = [(change, "acceleration"), (jerk, "jerk")]
-    else:
-        by_model = [(inf, f"slope of {variable.value}")]
-    ranges: list[tuple[int, float, float, str]] = []
-    for place, (bound, name) in enumerate(by_model):
-        low, high = own[place] or (-inf, inf)
-        low, high = max(low, -bound), min(high, bound)
-        if low > -inf or high < inf:
-            ranges.append((place + 1, low, high, name))
-    return ranges
+def _as_error(motor: str, violation: Violation) -> LimitError:
+    reason = violation.reason
+    if violation.argument is not None:
+        reason = f"at argument {violation.argument:g}{', ' if reason else ''}{reason}"
+    return LimitError(
+        motor=motor,
+        quantity=f"{violation.quantity} of the trajectory",
+        value=violation.value,
+        low=None if violation.low == -inf else violation.low,
+        high=None if violation.high == inf else violation.high,
+        unit=violation.unit,
+        reason=reason,
+    )
 
 
 def _check_values(
@@ -161,58 +143,46 @@ def _check_values(
         check_target(motor, model, variable, value + offset, trajectory.limits)
 
 
-def _check_derivative(
+def _check_rate(
     motor: str,
+    model: MotorModel,
+    variable: ControlVariable,
     trajectory: ComplexTrajectory,
-    order: int,
-    allowed: Range,
-    told: tuple[float, str, str],
+    argument: "Argument",
 ) -> None:
-    rate, quantity, unit = told
-    low, high = allowed
-    found = trajectory.function.derivative(order).extrema(*trajectory.interval)
+    """The first derivative by time, as fast as the argument may change; no more can be foreseen."""
+    rate = argument.rate_max
+    if rate is None:
+        return
+    allowed = Allowed.by(model, variable, trajectory.limits)
+    low, high = allowed.first
+    size = min(-low, high)
+    found = trajectory.function.derivative().extrema(*trajectory.interval)
     for value, where in (
         (found.minimum * rate, found.at_minimum),
         (found.maximum * rate, found.at_maximum),
     ):
-        if value < low - slack(low) or value > high + slack(high):
+        if abs(value) > size + slack(size):
             raise LimitError(
                 motor=motor,
-                quantity=f"{quantity} of the trajectory",
+                quantity=f"{allowed.names[1]} of the trajectory",
                 value=value,
-                low=None if low == -inf else low,
-                high=None if high == inf else high,
-                unit=unit,
-                reason=f"at argument {where:g}",
+                low=-size,
+                high=size,
+                unit=allowed.units[1],
+                reason=f"at argument {where:g}, while the {argument.name} changes fastest",
             )
 
 
-def _check_steps(
-    motor: str,
-    trajectory: ComplexTrajectory,
-    order: int,
-    allowed: float,
-    unit: str,
-    *,
-    rests: bool,
-) -> None:
-    """No step of a derivative that would need more of the next one than there is.
-
-    Steps are where pieces meet; and at both ends, if the motor `rests` there.
-    """
-    low, high = trajectory.interval
-    function = trajectory.function.derivative(order)
-    steps = [
-        (where, function.value(where) - function.value(nextafter(where, -inf)))
-        for where in function.breaks_between(low, high)
-        if low < where < high
-    ]
-    if rests:
-        steps += [(low, function.value(low)), (high, -function.value(high))]
-    for where, step in steps:
-        if abs(step) > allowed:
+def _check_ends(motor: str, model: MotorModel, trajectory: ComplexTrajectory) -> None:
+    """A motion from rest to rest: a step of velocity at an end is an endless acceleration too."""
+    allowed = min(model.acceleration_max, model.deceleration) * _STEP_S
+    derivative = trajectory.function.derivative()
+    for where, what in zip(trajectory.interval, ("begins", "ends"), strict=True):
+        velocity = derivative.value(where)
+        if abs(velocity) > allowed:
             raise UsageError(
-                f"{motor}: the trajectory steps by {step:g} {unit} at argument {where:g}"
-                f"{' (the motor is at rest there)' if where in (low, high) else ''}, allowed is"
-                f" {allowed:g} {unit}; join it smoothly, or begin and end where its derivative is 0"
+                f"{motor}: the trajectory {what} at {velocity:g} {model.unit}/s, at argument"
+                f" {where:g}, where the motor is at rest; allowed is a step of {allowed:g}"
+                f" {model.unit}/s: lead it in and out, or cut it where its derivative is 0"
             )

@@ -93,8 +93,8 @@ def check(trajectory, variable=P, argument=None):
         (rest_to_rest(2.0, 1.0), P, "velocity of the trajectory 3"),
         (rest_to_rest(-2.9, 2.1), P, "velocity of the trajectory -2.07"),
         (rest_to_rest(0.5, 0.8), P, "acceleration of the trajectory"),
-        (rest_to_rest(3.1, 9.0), P, "target position 3.1"),
-        (rest_to_rest(2.1, 9.0), V, "target velocity 2.1"),
+        (rest_to_rest(3.1, 9.0), P, "position of the trajectory 3.1"),
+        (rest_to_rest(2.1, 9.0), V, "velocity of the trajectory 2.1"),
         (rest_to_rest(1.9, 0.5), V, "acceleration of the trajectory"),
     ],
 )
@@ -105,15 +105,17 @@ def test_a_function_that_leaves_a_limit_is_refused_and_says_where(function, vari
 
 def test_a_function_with_a_kink_or_a_jump_is_refused():
     ramp = Polynomial((0.0, 1.0)).restricted(0.0, 1.0)
-    with pytest.raises(UsageError, match=r"steps by 1 rad/s at argument 0 \(the motor is at rest"):
+    with pytest.raises(
+        UsageError, match=r"begins at 1 rad/s, at argument 0, where the motor is at rest"
+    ):
         check(ComplexTrajectory(ramp))
     kink = Piecewise((0.0, 1.0, 2.0), (Polynomial((0.0, 0.0, 0.5)), Polynomial((0.5,))))
-    with pytest.raises(UsageError, match="steps by -1 rad/s at argument 1,"):
+    with pytest.raises(LimitError, match="at argument 1, velocity steps by -1 rad/s there"):
         check(ComplexTrajectory(kink))
     jump = Piecewise((0.0, 1.0, 2.0), (Polynomial((0.0,)), Polynomial((0.5,))))
-    with pytest.raises(UsageError, match=r"steps by 0\.5 rad at argument 1,"):
+    with pytest.raises(LimitError, match=r"at argument 1, position steps by 0\.5 rad there"):
         check(ComplexTrajectory(jump))
-    with pytest.raises(UsageError, match=r"steps by 0\.5 rad/s at argument 1,"):
+    with pytest.raises(LimitError, match=r"at argument 1, velocity steps by 0\.5 rad/s there"):
         check(ComplexTrajectory(jump), V)
     check(ComplexTrajectory(jump), T)  # torque may step
 
