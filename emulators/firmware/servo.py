@@ -91,6 +91,19 @@ Orders = tuple[int, int, float, Profile, bool, float, float, float]
 Windows = tuple[float, float, float, float, int, int, int, int]
 
 
+# Added to a number whose size is below _EXACT it leaves no room for a fraction, and so rounds it.
+_ROUNDS: Final = 1.5 * 2.0**52
+_EXACT: Final = 2.0**51
+
+
+def whole(x: float) -> float:
+    """The largest whole number not above x: x // 1.0, without the division it is compiled to."""
+    if not -_EXACT < x < _EXACT:
+        return x // 1.0
+    rounded = x + _ROUNDS - _ROUNDS
+    return rounded - 1.0 if rounded > x else rounded
+
+
 def standing(count: float) -> State:
     """A motor without power that has always stood at `count`."""
     return (
@@ -212,7 +225,7 @@ def run(
         c3 = c2
         c2 = c1
         c1 = c0
-        c0 = x // 1.0
+        c0 = whole(x)
         velocity = (c0 - c4) * 0.25
         # 3. the servo
         if mode == OFF:
@@ -253,7 +266,7 @@ def run(
             # the average is one tick old: compare it with the demand of that moment
             error_v = feed_v * (v + (s - 1.0) * change if s > 1.0 else v) - (c0 - c2) * 0.5
             if mode == POSITION:
-                demand = (p + s * (slope + s * half) + 0.5) // 1.0
+                demand = whole(p + s * (slope + s * half) + 0.5)
                 error = demand - c0
                 error_v += kp * error
                 if error > following_window or error < -following_window:

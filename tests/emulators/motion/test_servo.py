@@ -35,6 +35,16 @@ def state_with(i, u, w, wanted):
     return (True, i, u, w, 0.5, 0.0, wanted, *quiet[7:])
 
 
+@given(
+    st.floats(allow_infinity=False, allow_nan=False)
+    | st.floats(-1e7, 1e7)
+    | st.integers(-(2**53), 2**53).map(lambda halves: halves / 2)
+    | st.integers(-(2**51), 2**51).map(lambda number: math.nextafter(float(number), -math.inf))
+)
+def test_the_encoder_counts_whole_increments_as_floor_division_does(x):
+    assert servo.whole(x) == x // 1.0
+
+
 def check_one_tick(name, current, error, speed, mismatch, load):
     plant, tables = PRESETS[name], TABLES[name]
     wanted = max(-8.0, min(8.0, current + error))
