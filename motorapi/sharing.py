@@ -22,8 +22,8 @@ with the grant of low-level access and kept to its end (`grant`, `revoke`); the 
 
 import threading
 import weakref
-from collections.abc import Hashable, Iterator
-from contextlib import AbstractContextManager, contextmanager
+from collections.abc import Hashable
+from contextlib import AbstractContextManager
 from enum import Enum
 from typing import TYPE_CHECKING, Final, final
 
@@ -104,6 +104,24 @@ class Run:
 
 
 @final
+class _Passage:
+    """A block that uses the hardware outside of any transaction. A class: readings are many."""
+
+    __slots__ = ("_motor", "_of_holder", "_physical")
+
+    def __init__(self, physical: "PhysicalMotor", motor: str, of_holder: bool) -> None:
+        self._physical = physical
+        self._motor = motor
+        self._of_holder = of_holder
+
+    def __enter__(self) -> None:
+        self._physical.enter(self._motor, self._of_holder)
+
+    def __exit__(self, *_: object) -> None:
+        self._physical.leave()
+
+
+@final
 class PhysicalMotor:
     """The record of one physical motor in this process. `label` is its name for people."""
 
@@ -145,8 +163,7 @@ class PhysicalMotor:
         """No other operation on this motor runs inside the block; see `Turns.turn`."""
         return self._turns.turn(runtime, who, timeout_s)
 
-    @contextmanager
-    def passage(self, motor: str, *, of_holder: bool = False) -> Iterator[None]:
+    def passage(self, motor: str, *, of_holder: bool = False) -> "_Passage":
         """Nobody is given low-level access while this block uses the hardware, in no transaction.
 
         Args:
@@ -156,16 +173,20 @@ class PhysicalMotor:
         Raises:
             MotorBusyError: somebody has low-level access; the holder itself counts too.
         """
+        return _Passage(self, motor, of_holder)
+
+    def enter(self, motor: str, of_holder: bool) -> None:
+        """A passage begins. Raises as `passage`."""
         with self._mutex:
             access = self.access
             if access is not None and not (of_holder and access.thread == threading.get_ident()):
                 raise access.busy(motor)
             self._inside += 1
-        try:
-            yield
-        finally:
-            with self._mutex:
-                self._inside -= 1
+
+    def leave(self) -> None:
+        """A passage ends."""
+        with self._mutex:
+            self._inside -= 1
 
     @property
     def is_held_here(self) -> bool:

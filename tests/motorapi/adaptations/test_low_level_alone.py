@@ -19,9 +19,10 @@ from harness.rig import Rig
 from motorapi.adaptations.cia402 import Cia402Motor
 from motorapi.commands import ControlMode
 from motorapi.errors import MotorBusyError, MotorError
+from motorapi.functions import Sine
 from motorapi.group import MotorGroup
 from motorapi.sharing import PhysicalMotor
-from motorapi.trajectory import TrapezoidalTrajectory
+from motorapi.trajectory import ComplexTrajectory, TrapezoidalTrajectory
 from tests.motorapi.adaptations.conftest import HEAD, drive
 
 NODE = 1
@@ -73,8 +74,16 @@ def move(motor: Cia402Motor) -> None:
     motor.start()
 
 
+def stream(motor: Cia402Motor) -> None:
+    """Set-points in csp, one a SYNC; perhaps stopped on the way by who comes next."""
+    motor.set_control_mode(ControlMode.TRAJECTORY)
+    motor.set_trajectory(ComplexTrajectory(Sine(0.02, 2.0).restricted(0.0, 0.3), relative=True))
+    motor.start()
+
+
 OTHERS: dict[str, Callable[[Cia402Motor], object]] = {
     "move": move,
+    "stream": stream,
     "move and wait": lambda motor: (move(motor), motor.wait_until_done(timeout_s=1.0)),
     "wait": lambda motor: motor.wait_until_done(timeout_s=0.5),
     "stop": Cia402Motor.stop,
