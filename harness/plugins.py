@@ -1,6 +1,12 @@
 """What is installed: emulated controllers and motor adaptations, by entry point.
 
 Their names come from package metadata; a module is loaded only when one of its kind is used.
+
+    motorhil.controllers    build(settings, context) -> emulators.controller.Controller
+    motorhil.adaptations    build(bus, settings, model, runtime) -> motorapi.Motor
+
+An adaptation whose motors are on no bus says so by an attribute, `build.needs_bus = False`; it is
+given None, and a rig's motor of its kind names neither controller nor bus.
 """
 
 import sys
