@@ -162,10 +162,13 @@ def _banner(rig: "Rig") -> str:
 
 @contextmanager
 def bus_settings(rig: "Rig") -> Iterator[None]:
-    """Within it, a plain `can.Bus()` joins the rig's first bus, and `can.Bus("can1")` another."""
+    """Within it, a plain `can.Bus()` joins the rig's first bus, and `can.Bus("can1")` another.
+
+    Of a rig without a bus it joins nothing, and says so.
+    """
     before = {name: os.environ.pop(name, None) for name in _CAN_SETTINGS}
     os.environ["CAN_INTERFACE"] = "emulated"
-    os.environ["CAN_CHANNEL"] = next(iter(rig.description.buses))
+    os.environ["CAN_CHANNEL"] = next(iter(rig.description.buses), "none")
     try:
         yield
     finally:

@@ -18,6 +18,7 @@ from emulators.socketcan import SocketCanError, SocketCanGateway
 from harness.exit_status import PASSED, WRONG_USAGE
 from harness.rig import Rig
 from harness.seed_option import add_seed
+from harness.settings import RigError
 
 _NOT_FOUND: Final = 127
 _GRACE_S: Final = 3.0
@@ -57,6 +58,12 @@ def run(options: argparse.Namespace) -> int:
         return WRONG_USAGE
     with ExitStack() as cleanup:
         rig = cleanup.enter_context(Rig.open(options.rig, seed=options.seed, record=options.output))
+        if not rig.world.bus_names():
+            raise RigError(
+                options.rig,
+                "the rig has no bus, so there is nothing to serve",
+                "motorhil run opens a prompt with its motors",
+            )
         loop = WallLoop(rig.world.queue)
         cleanup.callback(loop.close)
         try:

@@ -153,3 +153,18 @@ def test_the_same_words_move_the_examples_with_and_without_drives():
             move(rig)
             ends.append(rig.motors["left"].position())
     assert ends == pytest.approx([1.0, 1.0], abs=1e-3)  # a drive's position window
+
+
+def test_a_script_that_asks_a_rig_without_a_bus_for_one_is_told(folder, say, monkeypatch):
+    monkeypatch.chdir(folder)
+    (folder / "script.py").write_text("print(1)\nimport can\ncan.Bus()\n")
+    status, out, err = say("run", "ideal.toml", "script.py")
+    assert (status, out) == (1, "1\n")
+    assert "channel 'none': no rig open in this process has that bus (open: none)" in err
+
+
+def test_there_is_nothing_to_serve_in_a_rig_without_a_bus(folder, say):
+    status, out, err = say("serve", str(folder / "ideal.toml"))
+    assert (status, out) == (2, "")
+    assert "ideal.toml: the rig has no bus, so there is nothing to serve; motorhil run" in err
+    assert err.count("\n") == 1
