@@ -7,9 +7,12 @@ import pytest
 
 from harness.cli import main
 from harness.demo import POINT_M
-from harness.examples.rover import MANOEUVRE
+from harness.examples.rover import MANOEUVRE, Rover, manoeuvre
 from harness.examples.rover_kinematics import Pose, look_at
+from harness.rig import Rig, installed_plugins
+from harness.rig_file import parse_rig
 from harness.scaffold import EXAMPLES
+from harness.settings import Source
 from traces.reader import read_trace
 
 
@@ -97,6 +100,25 @@ MOTORS = {
     **{f"steer_{n}": legs[-1][0] for n, legs in _KINEMATICS.items()},
     **dict(zip(("pan", "tilt"), look_at(_POSE, POINT_M), strict=True)),
 }
+
+
+def test_on_ideal_motors_the_application_ends_exactly_where_geometry_says():
+    models = {"drive": "rover_wheel", "steer": "rover_steering", "pan": "rover_mast"}
+    text = "".join(
+        f'[motor.{name}]\nadaptation = "ideal"\n'
+        f'model = "{models.get(name.split("_")[0], "rover_mast")}.toml"\n'
+        for name in MOTORS
+    )
+    groups = (EXAMPLES / "rover.toml").read_text().partition("[group.wheels]")
+    source = Source(EXAMPLES / "ideal_rover.toml", text + groups[1] + groups[2])
+    with Rig(parse_rig(source, installed_plugins())) as rig:
+        rover = Rover(rig.groups["wheels"], rig.groups["steering"], rig.groups["mast"])
+        manoeuvre(rover, rig.runtime, POINT_M, lambda text: None)
+        for name, motor in rig.motors.items():
+            assert motor.position() == pytest.approx(MOTORS[name], abs=1e-12), name
+        for move in rover.moves:
+            assert move.quality.start_skew_s in (0.0, None)  # None: nobody had a way to go
+            assert move.quality.end_skew_s in (0.0, None)
 
 
 def test_vendors_files_are_for_rigs_with_drives(capsys, tmp_path):
