@@ -44,7 +44,7 @@ _WATCHED: Final = (
     (0x606F, 0, WINDOWS),
     (0x6070, 0, WINDOWS),
     (0x6071, 0, TORQUE),
-    (0x6072, 0, TORQUE_LIMIT),
+    *((index, 0, TORQUE_LIMIT) for index in (0x6072, 0x60E0, 0x60E1)),
     (0x6075, 0, FACTORS | TORQUE_LIMIT),
     (0x6076, 0, FACTORS | TORQUE_LIMIT),
     (0x6087, 0, TORQUE),

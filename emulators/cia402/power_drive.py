@@ -75,8 +75,8 @@ class PowerDrive:
         self._enable_due_ns: int = NEVER
         self._at_rest: int = NO_TRANSITION  # the transition to take when the motor has come to rest
         self._gains: ServoGains = objects.settings.gains  # as the axis has them
-        self._limit_a: float = objects.torque.limit_a()
-        axis.set_current_limit(self._limit_a)
+        self._limits_a: tuple[float, float] = objects.torque.limits_a()
+        axis.set_current_limit(*self._limits_a)
         self._apply_servo()
         self._homing = Homing(axis, objects, tick_ns)
         self._modes: dict[int, Mode] = {
@@ -316,10 +316,10 @@ class PowerDrive:
 
     def _apply_servo(self) -> None:
         """The current's limit, and the gains: both count in every mode."""
-        limit_a = self._objects.torque.limit_a()
-        if limit_a != self._limit_a:
-            self._limit_a = limit_a
-            self._axis.set_current_limit(limit_a)
+        limits_a = self._objects.torque.limits_a()
+        if limits_a != self._limits_a:
+            self._limits_a = limits_a
+            self._axis.set_current_limit(limits_a[0], limits_a[1])
         gains = self._objects.control.gains()
         if gains != self._gains:
             self._gains = gains

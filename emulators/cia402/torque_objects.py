@@ -20,10 +20,11 @@ _D = DataType
 
 @final
 class TorqueObjects:
-    """6071h, 6072h, 6075h, 6076h, 6087h, 6088h in amperes of the motor.
+    """6071h, 6072h, 6075h, 6076h, 6087h, 6088h, 60E0h, 60E1h in amperes of the motor.
 
     Attributes:
         target, maximum, slope: 6071h, 6072h, 6087h.
+        positive, negative: 60E0h, 60E1h.
     """
 
     def __init__(self, od: ObjectDictionary, plant: MotorPlant, defaults: DriveDefaults) -> None:
@@ -44,6 +45,8 @@ class TorqueObjects:
         self.maximum: Variable = ensure(0x6072, 0, _D.UNSIGNED16, most)
         if self.maximum.default == 0:  # as files have it that state no value
             self.maximum.set_default(most)
+        self.positive: Variable = ensure(0x60E0, 0, _D.UNSIGNED16, _UNSIGNED16_MAX)
+        self.negative: Variable = ensure(0x60E1, 0, _D.UNSIGNED16, _UNSIGNED16_MAX)
         self.slope: Variable = ensure(0x6087, 0, _D.UNSIGNED32, SLOPE_DEFAULT)
         ensure(0x6088, 0, _D.INTEGER16, 0)
 
@@ -51,9 +54,11 @@ class TorqueObjects:
         """The current that makes the torque 6071h."""
         return self.target.integer() * self._per_permille_a()
 
-    def limit_a(self) -> float:
-        """The current that makes the torque 6072h."""
-        return self.maximum.integer() * self._per_permille_a()
+    def limits_a(self) -> tuple[float, float]:
+        """The currents that make the most torque allowed: 6072h within 60E0h, and within 60E1h."""
+        unit, most = self._per_permille_a(), self.maximum.integer()
+        positive, negative = self.positive.integer(), self.negative.integer()
+        return min(most, positive) * unit, min(most, negative) * unit
 
     def slope_a_s(self) -> float:
         """6087h; always > 0."""

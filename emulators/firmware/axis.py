@@ -59,14 +59,14 @@ class Axis:
 
         self._offset_inc = 0
         self._load_torque_n_m = plant.load_torque_n_m
-        self._current_limit_a = plant.current_max_a
+        self._limits_a = (plant.current_max_a, plant.current_max_a)  # forwards, backwards
         self._windows: servo.Windows = default_windows(tick_ns)
         self._mode = servo.OFF
         self._profile_tick = 0  # at which the profile's time is 0
         self._profile = profile.hold(float(initial_position_inc))
         self._orders: servo.Orders = (
             *(servo.OFF, 0, _NEVER, self._profile),
-            *(False, 0.0, 0.0, plant.current_max_a),
+            *(False, 0.0, 0.0, plant.current_max_a, plant.current_max_a),
         )
         self._time = Timeline(
             tables_of(plant, gains, tick_ns, current_steps),
@@ -334,16 +334,17 @@ class Axis:
         tables = tables_of(self._plant, gains, self._tick_ns, self._current_steps)
         self._time.set_tables(tables, self._load_torque_n_m)
 
-    def set_current_limit(self, current_a: float) -> None:
-        """No loop asks for more current than this, nor than the plant's current_max_a.
+    def set_current_limit(self, current_a: float, backward_a: float | None = None) -> None:
+        """No loop asks for more than this (None: either way), nor than the plant's current_max_a.
 
         Raises:
-            ValueError: current_a < 0.
+            ValueError: one is < 0.
         """
-        if not current_a >= 0.0:
-            raise ValueError(f"current limit {current_a} A: must be >= 0")
-        self._current_limit_a = min(current_a, self._current_max_a)
-        self._orders = (*self._orders[:7], self._current_limit_a)
+        back_a = current_a if backward_a is None else backward_a
+        if not (current_a >= 0.0 and back_a >= 0.0):
+            raise ValueError(f"current limits {current_a} and {back_a} A: must be >= 0")
+        self._limits_a = (min(current_a, self._current_max_a), min(back_a, self._current_max_a))
+        self._orders = (*self._orders[:7], *self._limits_a)
         self._time.order(self._orders, self._time.state)
 
     def set_position(self, position_inc: int) -> None:
@@ -375,14 +376,8 @@ class Axis:
         self._profile = pieces
         self._profile_tick = self._time.tick + 1
         self._orders = (
-            self._mode,
-            self._profile_tick,
-            active,
-            pieces,
-            has_target,
-            pieces[-1][2],
-            run_velocity,
-            self._current_limit_a,
+            *(self._mode, self._profile_tick, active, pieces, has_target, pieces[-1][2]),
+            *(run_velocity, self._limits_a[0], self._limits_a[1]),
         )
         state = self._time.state
         flags = state[servo.I_FLAGS] & ~(IN_TARGET_WINDOW | IN_VELOCITY_WINDOW | CURRENT_REACHED)

@@ -83,8 +83,9 @@ I_FLAGS: Final = 14
 
 # What was commanded: mode; the tick at which the profile starts; until which time in it
 # PROFILE_ACTIVE (below 0: never); the profile; whether there is a target, and where (or which
-# current); the velocity wanted by run_at, or how near the current must come; current limit.
-Orders = tuple[int, int, float, Profile, bool, float, float, float]
+# current); the velocity wanted by run_at, or how near the current must come; limits of the current,
+# forwards and backwards, both >= 0.
+Orders = tuple[int, int, float, Profile, bool, float, float, float, float]
 
 # Half widths: target and following [increments], speed threshold and velocity [increments/tick];
 # then for how many ticks in a row each must hold, this one included.
@@ -141,7 +142,7 @@ def run(
     (load, volts_max, bend_least,
      fi, fu, fw, fx, fcw, fcx, bi, bu, bw, bx, bcw, bcx) = load_table
     target_window, following_window, slow, velocity_window, need_t, need_f, need_z, need_v = windows
-    mode, origin, active, profile, has_target, target, run_velocity, limit = orders
+    mode, origin, active, profile, has_target, target, run_velocity, limit, back = orders
     (on, i, u, w, x, hold_a, wanted, c0, c1, c2, c3, demand, demand_v, velocity,
      flags, in_target, behind, still, in_velocity) = state
     # fmt: on
@@ -247,8 +248,8 @@ def run(
             if wanted > limit:
                 wanted = limit
                 flags |= CURRENT_SATURATED
-            elif wanted < -limit:
-                wanted = -limit
+            elif wanted < -back:
+                wanted = -back
                 flags |= CURRENT_SATURATED
             hold_a = wanted
             if t < active:
@@ -285,8 +286,8 @@ def run(
                 flags |= CURRENT_SATURATED
                 if error_v < 0.0:
                     hold_a += ki_v * error_v
-            elif wanted < -limit:
-                wanted = -limit
+            elif wanted < -back:
+                wanted = -back
                 flags |= CURRENT_SATURATED
                 if error_v > 0.0:
                     hold_a += ki_v * error_v

@@ -105,6 +105,20 @@ def test_max_torque_cuts_it_and_bit_11_says_so(bench):
     assert not bench.statusword() & LIMIT_ACTIVE
 
 
+def test_each_direction_has_a_limit_of_its_own(bench):
+    """60E0h and 60E1h, each within 6072h."""
+    bench.set(0x60E0, 0, 400, 2)
+    bench.set(0x60E1, 0, 250, 2)
+    for asked, given, limited in ((800, 400, True), (-800, -250, True), (-200, -200, False)):
+        bench.set(0x6071, 0, asked, 2)
+        bench.run(30 * MS)
+        assert bench.read(0x6074) == given
+        assert (bench.statusword() & LIMIT_ACTIVE != 0) is limited
+    bench.set(0x6072, 0, 100, 2)
+    bench.run(30 * MS)
+    assert bench.read(0x6074) == -100
+
+
 def test_max_torque_holds_in_position_control_too():
     bench = new_bench()
     bench.enable(mode=1)

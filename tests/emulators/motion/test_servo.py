@@ -21,7 +21,7 @@ TABLES = {name: ServoTables(p, ServoGains.tuned(p, MS, 10), MS, 10) for name, p 
 
 def one_tick(tables, load_table, state):
     """The state one tick later, at hold; `one by one` if the load table forbids the map."""
-    orders = (servo.POSITION, 0, -1.0, profile.hold(0.0), True, 0.0, 0.0, 8.0)
+    orders = (servo.POSITION, 0, -1.0, profile.hold(0.0), True, 0.0, 0.0, 8.0, 8.0)
     after, made, _ = servo.run(
         *(tables.tick, tables.step, tables.current_steps, load_table),
         *(WINDOWS, orders, state, 0, 1, False),

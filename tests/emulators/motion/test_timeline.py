@@ -55,6 +55,7 @@ COMMANDS = st.one_of(
     st.tuples(st.just("power"), st.booleans()),
     st.tuples(st.just("set_load"), st.sampled_from([0.0, 1.0, -2.0])),
     st.tuples(st.just("set_current_limit"), st.sampled_from([0.5, 8.0])),
+    st.tuples(st.just("set_current_limit"), st.just(3.0), st.sampled_from([0.2, 8.0])),
     st.tuples(st.just("set_position"), st.integers(-100, 100)),
 )
 WAITS_NS = st.sampled_from([0, 1, 300_000, MS, MS + 1, 3 * MS, 10 * MS, 64 * MS, 400 * MS])

@@ -135,6 +135,24 @@ def test_more_than_the_limit_is_cut_and_told_and_is_never_reached():
         assert axis.flags & (CURRENT_SATURATED | CURRENT_REACHED) == CURRENT_SATURATED
 
 
+def test_each_direction_may_have_its_own_limit():
+    axis = powered_axis()
+    axis.set_current_limit(3.0, 1.0)
+    for asked, allowed in ((8.0, 3.0), (-8.0, -1.0), (2.0, 2.0), (-0.5, -0.5)):
+        axis.apply_current(asked, AT_ONCE)
+        axis.at((axis._time.tick + 1) * MS)
+        assert axis.current_demand_a() == allowed
+    axis.set_current_limit(8.0)
+    axis.ramp_to_rest(1e7)
+    axis.set_current_limit(8.0, 0.25)  # in position control as well
+    axis.move_to(-50_000, 100_000.0, 5e6, 5e6)
+    seen = demands(axis, axis._time.tick, 30)
+    assert min(seen) == -0.25
+    for wrong in ((-1.0, None), (1.0, -1.0), (1.0, math.nan), (math.nan, None)):
+        with pytest.raises(ValueError, match="current limit"):
+            axis.set_current_limit(*wrong)
+
+
 def test_torque_within_the_friction_turns_nothing_and_costs_nothing():
     axis = powered_axis()
     stuck = 0.9 * WHEEL_60W.coulomb_friction_n_m / WHEEL_60W.torque_constant_n_m_a
