@@ -31,7 +31,8 @@ class TorqueUnit:
         motor, unit: its name, and "N·m" or "N", for messages.
         size: torque of the output per 1/1000 of 6076h, > 0.
         sign: -1 where the drive counts the other way.
-        highest: 6072h, maximum torque [1/1000]; None: the drive does not say.
+        limits: the drive's own, forwards and backwards as it counts: (object, 1/1000), the tighter
+            one of 6072h and 60E0h or 60E1h.
         has_slope: whether there is 6087h, torque slope.
     """
 
@@ -39,7 +40,7 @@ class TorqueUnit:
     unit: str
     size: float
     sign: int
-    highest: int | None
+    limits: tuple[tuple[str, int], tuple[str, int]]
     has_slope: bool
 
     def torque(self, raw: int) -> float:
@@ -54,18 +55,20 @@ class TorqueUnit:
         """
         steps = abs(torque) / self.size
         raw = floor(steps * (1.0 + 4e-16) + 1e-9)
-        highest = _INT16_MAX if self.highest is None else min(self.highest, _INT16_MAX)
+        forwards = (torque >= 0.0) == (self.sign > 0)
+        name, highest = self.limits[0 if forwards else 1]
         if raw > highest:
+            ends = sorted((self.torque(self.limits[0][1]), self.torque(-self.limits[1][1])))
             raise LimitError(
                 motor=self.motor,
                 quantity="target torque",
                 value=torque,
-                low=-highest * self.size,
-                high=highest * self.size,
+                low=ends[0],
+                high=ends[1],
                 unit=self.unit,
-                reason="6071h has 16 bits" if highest == _INT16_MAX else f"6072h is {highest}",
+                reason=f"{name} is {highest}" if name else "6071h has 16 bits",
             )
-        return raw * self.sign if torque >= 0.0 else -raw * self.sign
+        return raw if forwards else -raw
 
 
 @final
@@ -104,9 +107,19 @@ def torque_unit(
         unit="N·m" if model.kind is MotionKind.ROTARY else "N",
         size=rated * 1e-6 * gear,
         sign=-1 if increments_per_unit < 0.0 else 1,
-        highest=read(0x6072, 0),
+        limits=(_limit(read, 0x60E0), _limit(read, 0x60E1)),
         has_slope=read(0x6087, 0) is not None,
     )
+
+
+def _limit(read: ReadObject, own: int) -> tuple[str, int]:
+    """The tightest limit in one direction, and the object that says so ("" if none does)."""
+    tightest = ("", _INT16_MAX)
+    for index in (0x6072, own):
+        limit = read(index, 0)
+        if limit is not None and limit < tightest[1]:
+            tightest = (f"{index:04X}h", limit)
+    return tightest
 
 
 def _unsupported(motor: str, reason: str) -> UnsupportedError:

@@ -157,9 +157,28 @@ def test_limits_are_the_model_s_and_the_drive_s(open_rig: OpenRig):
         push(motor, 4.2)  # 300/1000 of 0.207 N·m times 66 are 4.0986
     push(motor, 4.0)
     motor.stop()
+    right = motor_of(rig, "right")
     with pytest.raises(LimitError, match=r"6072h is 1001"):
-        push(motor_of(rig, "right"), 20.0)
+        push(right, 20.0)
     assert rig.controllers["right"].snapshot()["velocity_rad_s"] == 0.0
+
+
+def test_each_direction_may_have_its_own_limit_in_the_drive(open_rig: OpenRig):
+    """300/1000 forwards and 200/1000 backwards of 0.207 N·m times 66: 4.0986 and 2.7324 N·m."""
+    limits = 'objects = { "60E0h" = 300, "60E1h" = 200 }'
+    rig = open_rig(
+        drive("left", 1, limits), drive("right", 2, limits, model="increments_per_rad = -21008.0")
+    )
+    for name, forwards, backwards in (("left", 4.0, 2.7), ("right", 2.7, 4.0)):
+        motor = motor_of(rig, name)
+        for torque in (forwards + 0.2, -backwards - 0.2):
+            with pytest.raises(LimitError, match="60E"):
+                push(motor, torque)
+        for torque in (forwards, -backwards):
+            push(motor, torque)
+            motor.wait_until_done(timeout_s=1)
+        motor.stop()
+        motor.wait_until_done(timeout_s=3)
 
 
 @pytest.mark.parametrize(
