@@ -125,7 +125,9 @@ class CanopenLink:
             from can import CanError
 
             if isinstance(error, CanError | OSError):
-                raise LinkError(link=self.name, reason=f"cannot send: {error}") from error
+                lost = LinkError(link=self.name, reason=f"cannot send: {error}")
+                lost.__cause__ = error  # compiled code forgets what an error is raised from
+                raise lost from error
             raise
 
     def send_tracked(self, frame: bytes) -> Transmission:
