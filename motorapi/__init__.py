@@ -35,6 +35,8 @@ from motorapi.generation import Trapezoid
 from motorapi.group import MotorGroup
 from motorapi.model import MotionKind, MotorModel
 from motorapi.motor import Motor
+from motorapi.outcome import Ending, Outcome
+from motorapi.progress import Progress
 from motorapi.runtime import Runtime, runtime_of
 from motorapi.state import Fault, Measurement, MotorState
 from motorapi.synchronization import (
@@ -59,6 +61,7 @@ __all__ = [
     "DeviceFault",
     "DeviceGroup",
     "DomainError",
+    "Ending",
     "Fault",
     "FileError",
     "LimitError",
@@ -75,8 +78,10 @@ __all__ = [
     "MotorModel",
     "MotorPosition",
     "MotorState",
+    "Outcome",
     "PeerError",
     "PluginError",
+    "Progress",
     "Range",
     "Runtime",
     "Setpoint",
