@@ -137,7 +137,7 @@ class Function(ABC):
             DomainError: an argument lies outside the domain, or is not finite; the first such.
             UsageError: it is no number and no array of numbers.
         """
-        if isinstance(argument, float | int | np.number):
+        if isinstance(argument, float | int | np.integer | np.floating | np.bool_):
             return self.value(float(argument))
         try:
             points = np.asarray(argument, dtype=np.float64)

@@ -3,9 +3,8 @@
 Between two neighbouring zeros of p'' the derivative p' is monotone and has at most one zero: so
 the zeros of p' are found by signs, once those of p'' are known, those from p''' and so on, down to
 a straight line. Each is refined, by Newton's steps kept within the bracket, until the bracket's
-ends are neighbours or the step is lost in rounding. The zeros of all higher derivatives come out
-as well: told too, they cost an evaluation and cover what rounding hides (a zero of p' that
-touches zero only, at a zero of p'').
+ends are neighbours or the step is lost in rounding. A zero of p' that touches zero only is no
+extremum; neither is one whose two neighbours rounding alone makes of one sign, or only by as much.
 
 The range is that of the Bernstein coefficients: their hull holds the curve's (G. Farin, Curves and
 Surfaces for CAGD, 4.3), and shrinks to it quadratically as the interval does.
@@ -19,7 +18,7 @@ _ROUNDING: Final = 4e-16  # of one operation, and some
 
 
 def candidates(coefficients: Sequence[float], low: float, high: float) -> list[float]:
-    """Local arguments in [low, high], ascending: all zeros of p' there, and of p'', p''', ...
+    """Local arguments in [low, high], ascending: the zeros of p' where it changes its sign.
 
     Args:
         coefficients: ascending.
@@ -31,16 +30,15 @@ def candidates(coefficients: Sequence[float], low: float, high: float) -> list[f
     while len(current) > 2:
         current = [k * c for k, c in enumerate(current)][1:]
         chain.append(current)
-    found: list[float] = []  # zeros of the higher derivatives
+    found: list[float] = []  # zeros of the derivative before
     for derivative in reversed(chain):
         knots = [low, *found, high]
         values = [_horner(derivative, knot) for knot in knots]
-        new = [
+        found = [
             _zero(derivative, knots[i], knots[i + 1], values[i], values[i + 1])
             for i in range(len(knots) - 1)
             if (values[i] < 0.0) != (values[i + 1] < 0.0)
         ]
-        found = sorted({*found, *new})
     return found
 
 

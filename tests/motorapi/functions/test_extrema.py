@@ -26,6 +26,7 @@ from tests.motorapi.functions import jets
 from tests.motorapi.functions.strategies import (
     ARGUMENTS,
     any_function,
+    any_smooth,
     made_of_polynomials,
     polynomials,
     waves,
@@ -72,6 +73,24 @@ def test_bounds_hold_every_sample(function, one, other):
     size = max(jets.jet(function, x, 0)[1][0] for _, x in samples(function, low, high, 8))
     for value, _ in samples(function, low, high, 50):
         assert least - 1e-14 * size <= value <= most + 1e-14 * size
+
+
+def test_bounds_of_a_polynomial_are_those_of_its_control_polygon():
+    # By hand: t - t² has the Bernstein coefficients 0, 1/2, 0 over [0, 1].
+    least, most = Polynomial((0.0, 1.0, -1.0)).bounds(0.0, 1.0)
+    assert (least, most) == (pytest.approx(0.0, abs=1e-14), pytest.approx(0.5, abs=1e-14))
+    assert Polynomial((1.0, 2.0)).bounds(-1.0, 3.0) == pytest.approx((-1.0, 7.0), rel=1e-14)
+    least, most = Polynomial((0.0, 0.0, 0.0, 1.0), about=2.0).bounds(1.0, 3.0)
+    assert (least, most) == (pytest.approx(-1.0), pytest.approx(1.0))
+
+
+@given(any_smooth, st.floats(-1.5, 1.5))
+def test_bounds_close_in_on_the_values_as_the_interval_shrinks(function, x):
+    for width in (2.0**-4, 2.0**-8, 2.0**-12, 2.0**-16):
+        least, most = function.bounds(x, x + width)
+        _, (size, slope) = jets.jet(function, x, 1)
+        # At first order at least: by the slopes of all terms (4 times, for they vary and multiply).
+        assert most - least <= 64.0 * width * (slope + size) + 1e-12 * size + 64.0 * width
 
 
 @given(polynomials, ARGUMENTS, ARGUMENTS)
