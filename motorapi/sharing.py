@@ -134,8 +134,9 @@ class PhysicalMotor:
         self.interruptions = 0
         """Grows with every stop, quick stop and halt, so that a start in progress notices."""
         self.news: News | None = None
-        """Set by a hardware object that counts in it every change of what `_is_done` looks at; the
-        hook is then asked only when it has grown. None: it is asked after every event."""
+        """Set by a hardware object that counts in it every change of what `_is_done` looks at, by
+        `grow` where a motion may have ended with it; the hook is then asked only when it has grown.
+        None: it is asked after every event, and for callbacks every now and then."""
         self.access: Ticket | None = None
         """Who has low-level access; None: nobody."""
         self._own_news = News()
