@@ -192,7 +192,6 @@ class Cia402Motor(Motor):
             self._objects.write(0x60FF, 0)
         self._control.enable()
         self._hardware.quick_stopped = False
-        self._reader.known()  # whoever follows this motor is told its position in U from now on
 
     def _disable(self) -> None:
         self._hardware.end_stream(DISABLE_VOLTAGE)

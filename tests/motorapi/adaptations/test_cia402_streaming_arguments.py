@@ -150,6 +150,7 @@ def geared(open_rig: OpenRig) -> Rig:
 def test_a_motor_follows_another_as_by_a_gear(geared: Rig):
     left, right = motor_of(geared), motor_of(geared, "right")
     left.enable()
+    assert left.position() == 0.0  # by which its units are known, too
     cam = GEAR.restricted(-10.0, 1.0)
     set_function(right, cam, argument=MotorPosition(left))
     right.start()
