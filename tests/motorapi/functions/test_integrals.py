@@ -169,6 +169,27 @@ def test_an_integral_can_be_integrated_again(function, x):
     assert abs(twice.value(x) - (way * function).integrate(0.0, x)) <= 1e-12 * (size + 1e-3)
 
 
+@given(any_smooth, st.floats(-3.0, 70.0), st.booleans())
+def test_values_of_an_integral_are_those_from_the_beginning(function, x, bounded):
+    if bounded:
+        function = function.restricted(-3.0, 70.0)
+    begin = -3.0 if bounded else 0.0
+    fresh, used = Integral(function), Integral(function)
+    for other in (-2.9, 69.0, 0.0, 33.3):
+        used.value(other)
+    assert used.value(x) == fresh.value(x)
+    size = max(of_size(function, begin, at) for at in (x, 1.0, 70.0))
+    assert abs(fresh.value(x) - function.integrate(begin, x)) <= 1e-12 * size
+
+
+def test_an_integral_is_known_at_its_ends_and_far_away():
+    whole = Integral(Polynomial((1.0, 2.0)).restricted(-1.0, 3.0))
+    assert [whole.value(x) for x in (-1.0, 1.0, 3.0)] == pytest.approx([0.0, 2.0, 12.0], abs=1e-14)
+    far = Integral(Polynomial((1.0, 2.0)))
+    for x in (-1e6, -4096.0, -4095.5, -1.0, 0.0, 0.5, 4095.5, 4096.0, 1e6):
+        assert far.value(x) == pytest.approx(x + x * x, rel=1e-13)
+
+
 def test_beyond_the_domain_nothing_is_integrated():
     with pytest.raises(DomainError):
         Sampled((0.0, 1.0), (0.0, 1.0)).integrate(0.0, 1.5)
