@@ -181,7 +181,8 @@ class EmulatedBus(can.BusABC):
 
     def transmit(self, frame: bytes) -> None:
         """The frame waits its turn on the bus."""
-        self._check_open()
+        if self._is_shutdown:
+            self._check_open()
         if self._port is not None:
             self._port.send(frame)
         elif self._hub is not None:

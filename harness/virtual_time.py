@@ -185,7 +185,10 @@ class VirtualRuntime:
 
     def send(self, bus: "can.BusABC", frame: bytes) -> None:
         """The can_frame (16 bytes) waits its turn on `bus`."""
-        _port_of(bus).transmit(frame)
+        transmit = getattr(bus, "transmit", None)
+        if transmit is None:
+            transmit = _port_of(bus).transmit
+        transmit(frame)
 
     # --- the rig's side --------------------------------------------------------------------
 

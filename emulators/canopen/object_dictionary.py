@@ -266,7 +266,8 @@ class Variable:
 
     def upload(self) -> bytes:
         """The value as it is now, for the wire. A reader's number is cut to the data type."""
-        value = self.read()
+        reader = self.reader
+        value = self.value if reader is None else reader()
         if isinstance(value, int) and self.data_type in _INTEGERS:
             bits = self.bits
             return (value & ((1 << bits) - 1)).to_bytes((bits + 7) // 8, "little")

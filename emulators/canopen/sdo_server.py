@@ -184,15 +184,14 @@ class SdoServer:
             return AbortCode.LENGTH_TOO_HIGH
         return AbortCode.LENGTH_TOO_LOW if is_last and self._collected < expected else 0
 
+    def _end(self) -> None:
+        self._begin(0, 0)
+
     def _begin(self, index: int, subindex: int) -> None:
-        self._end()
+        """What went on is forgotten; the object of the transfer is this one."""
         self._index = index
         self._subindex = subindex
-
-    def _end(self) -> None:
         self._state = _IDLE
-        self._index = 0
-        self._subindex = 0
         self._toggle = 0
         self._data = b""
         self._parts = []

@@ -226,7 +226,8 @@ class CanBus:
         self.statistics.count(key, bits)
         if self._collided:
             self.statistics.count_collision(key)
-        self._occupy(bits)
+        self._free_ns = self._start_ns + bits * self.bit_ns
+        self.statistics.busy.add(self._start_ns, self._free_ns)
         if not node.behind:
             node.entry = 0
         elif node.promote():
