@@ -1,3 +1,5 @@
+import pickle
+from dataclasses import replace
 from math import inf, nan, pi
 
 import pytest
@@ -229,3 +231,12 @@ def test_a_gear_is_not_0_and_an_encoder_counts():
         model_of(gear_ratio=0.0)
     with pytest.raises(UsageError, match="encoder_increments_rev is -1, not > 0"):
         model_of(encoder_increments_rev=-1.0)
+
+
+def test_a_model_is_shared_because_nobody_can_change_it():
+    wheel = model_of(gear_ratio=66.0)
+    for change in ({"gear_ratio": 1.0}, {"colour": "red"}):
+        with pytest.raises((AttributeError, TypeError)):
+            setattr(wheel, *next(iter(change.items())))
+    assert pickle.loads(pickle.dumps(wheel)) == wheel
+    assert len({wheel, replace(wheel, velocity_max=2.0), model_of(gear_ratio=66.0)}) == 2
