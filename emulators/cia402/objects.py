@@ -12,6 +12,7 @@ from emulators.canopen.object_dictionary import DataType, ObjectDictionary, Vari
 from emulators.cia402.control_parameters import ControlParameters
 from emulators.cia402.factors import DriveDefaults, fill_factors
 from emulators.cia402.settings import EMULATED_MODES, DriveSettings
+from emulators.cia402.supported_modes import honest_modes, modes_with_target
 from emulators.cia402.torque_objects import TorqueObjects
 from emulators.cia402.units import Units, units_of
 
@@ -29,8 +30,6 @@ GAINS: Final = 512
 
 HOMING_METHODS: Final = (35, 37)  # on the present position; 35 is the old number of 37
 NO_WINDOW: Final = 0xFFFF_FFFF
-EMULATED_MASK: Final = sum(1 << (code - 1) for code in EMULATED_MODES.values())
-_STANDARD_MODES: Final = 0xFFFF  # 6502h: bits 16 to 31 are the manufacturer's
 _D = DataType
 
 # index, sub-index, what it counts as when written
@@ -138,7 +137,7 @@ class DriveObjects:
         self._target_velocity = ensure(0x60FF, 0, _D.INTEGER32, 0)
         self._target_velocity.writer = self._write_target_velocity
         self.error_code = ensure(0x603F, 0, _D.UNSIGNED16, 0)
-        self._supported = ensure(0x6502, 0, _D.UNSIGNED32, EMULATED_MASK)
+        self._supported = ensure(0x6502, 0, _D.UNSIGNED32, modes_with_target(od))
         self.supported_modes: int = self._honest_modes()
 
         self._abort_connection = ensure(0x6007, 0, _D.INTEGER16, 1)
@@ -357,16 +356,8 @@ class DriveObjects:
         )
 
     def _honest_modes(self) -> int:
-        """6502h: what the rig, else the file names, without the modes that have no behaviour."""
-        names = self.settings.supported_modes
-        stated = self._supported.integer()
-        if names is None:
-            wanted = stated & _STANDARD_MODES
-        else:
-            wanted = 0
-            for name in names:
-                wanted |= 1 << (EMULATED_MODES[name] - 1)
-        modes = (stated & ~_STANDARD_MODES) | (wanted & EMULATED_MASK)
+        """6502h."""
+        modes = honest_modes(self._supported.integer(), self.settings.supported_modes)
         self._supported.set_default(modes)
         return modes
 

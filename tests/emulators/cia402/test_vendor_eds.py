@@ -16,13 +16,16 @@ pytestmark = pytest.mark.data
 TURN = 2000  # encoder increments of the default motor
 FILES = {
     "maxon_epos2_50_5.eds": ({"pp", "pv", "hm", "csp"}, 1.0, TURN / 60),  # 608Ch: rpm
-    "nanotec_C5-E-2-09.eds": ({"pp", "pv", "hm", "csp"}, TURN / 3600, TURN / 60),  # 60A8h, 60A9h
+    "nanotec_C5-E-2-09.eds": (
+        {"pp", "pv", "tq", "hm", "csp"},
+        *(TURN / 3600, TURN / 60),  # 60A8h, 60A9h
+    ),
     "technosoft_ipos.eds": ({"pp", "pv", "hm"}, 1.0, 1.0),
-    "roboteq_v80.eds": ({"pp", "pv", "csp"}, 1.0, 1.0),
-    "elmo_gold_cob.dcf": ({"pp", "pv", "hm", "csp"}, 1.0, 1.0),
+    "roboteq_v80.eds": ({"pp", "pv", "tq", "csp"}, 1.0, 1.0),
+    "elmo_gold_cob.dcf": ({"pp", "pv", "tq", "hm", "csp"}, 1.0, 1.0),
     "schunk_prl_erb_0_63.dcf": ({"pp"}, 1.0, 1.0),
 }
-MODES = {"pp": 1, "pv": 3, "hm": 6, "csp": 8}
+MODES = {"pp": 1, "pv": 3, "tq": 4, "hm": 6, "csp": 8}
 
 
 def vendor_bench(shared: Path, file: str, **settings: object) -> Bench:
@@ -75,6 +78,17 @@ def test_it_comes_up_enables_and_moves_in_every_mode_it_names(shared, file):
         assert bench.read(0x606C) == pytest.approx(wanted, abs=3_000 / velocity_unit)
         bench.set(0x60FF, 0, 0, 4)
         bench.run(2500 * MS)
+    if "tq" in modes:
+        switch(bench, "tq")
+        bench.set(0x6071, 0, 80, 2)
+        bench.run_while(lambda: not bench.statusword() & 0x0400)  # 6087h differs
+        assert bench.read(0x6077) == pytest.approx(80, abs=8)
+        assert bench.truth("velocity_rad_s") > 0.0
+        bench.set(0x6071, 0, 0, 2)
+        bench.run(10_000 * MS)  # friction brakes it, more or less
+        switch(bench, "pp")
+        bench.run(5_000 * MS)
+        assert bench.truth("velocity_rad_s") == pytest.approx(0.0, abs=1e-3)
     if "csp" in modes:
         switch(bench, "csp")
         start = bench.read(0x6062)

@@ -1,0 +1,33 @@
+"""6502h, supported drive modes: none is named that has no behaviour.
+
+The bit of a mode is one less than its number in 6060h; bits 16 to 31 are the manufacturer's.
+"""
+
+from collections.abc import Sequence
+from typing import Final
+
+from emulators.canopen.object_dictionary import ObjectDictionary
+from emulators.cia402.settings import EMULATED_MODES
+
+_STANDARD: Final = 0xFFFF
+_EMULATED: Final = sum(1 << (code - 1) for code in EMULATED_MODES.values())
+_TARGETS: Final = (("pp", 0x607A), ("pv", 0x60FF), ("tq", 0x6071), ("csp", 0x607A))
+
+
+def modes_with_target(od: ObjectDictionary) -> int:
+    """What is emulated, and can be told its target: 6502h where the file does not state it."""
+    modes = _EMULATED
+    for name, index in _TARGETS:
+        if od.get(index) is None:
+            modes &= ~(1 << (EMULATED_MODES[name] - 1))
+    return modes
+
+
+def honest_modes(stated: int, names: Sequence[str] | None) -> int:
+    """What the rig names (None: nothing), else what is stated, without what is not emulated."""
+    wanted = stated & _STANDARD
+    if names is not None:
+        wanted = 0
+        for name in names:
+            wanted |= 1 << (EMULATED_MODES[name] - 1)
+    return (stated & ~_STANDARD) | (wanted & _EMULATED)
