@@ -248,7 +248,7 @@ def phases_in(profile: Any, length: float, time: float) -> list[Phase]:
     """The phases of one degree of freedom, in our units, without those of no duration."""
     jerk = length / time**3
     found: list[Phase] = []
-    for part in (profile.brake, profile, profile.accel):
+    for part in (profile.brake, profile):
         found += [(lasts * time, third * jerk) for lasts, third in zip(part.t, part.j, strict=True)]
     return [phase for phase in found if phase[0] > 0.0]
 

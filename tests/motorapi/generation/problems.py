@@ -35,15 +35,38 @@ def problems(draw, decades=3.0):
     """As `random_problem`, and with accelerations that differ by direction, at and on limits."""
     size = sizes(decades)
     low, high = -draw(size), draw(size)
-    if draw(st.booleans()):
+    kind = draw(st.sampled_from(["range", "model", "directions"]))
+    if kind == "range":
         limits = ProfileLimits((low, high), (-draw(size), draw(size)))
-    else:
+    elif kind == "model":
         limits = ProfileLimits((low, high), draw(size), draw(size))
+    else:
+        forward, backward = (-draw(size), draw(size)), (-draw(size), draw(size))
+        limits = ProfileLimits.by_direction((low, high), forward, backward)
     velocity = st.sampled_from([0.0, low, high]) | st.floats(low, high)
     begin, end = draw(velocity), draw(velocity)
     initial = draw(st.just(0.0) | st.floats(-10.0, 10.0))
     final = initial + draw(st.sampled_from([1.0, -1.0, 0.0])) * draw(size)
     return final, limits, {"initial": initial, "initial_velocity": begin, "final_velocity": end}
+
+
+def directions_problem(random, decades):
+    """As `random_problem`, with four accelerations that have nothing to do with one another."""
+    final, limits, states = random_problem(random, decades)
+    backward = (-magnitude(random, decades), magnitude(random, decades))
+    return final, ProfileLimits.by_direction(limits.velocity, limits.forward, backward), states
+
+
+def nearly_direct_problem(random):
+    """A way that the direct ramp nearly covers, where the least digit of the excess counts."""
+    begin = -magnitude(random, 2.0)
+    end = random.choice([0.0, 0.0, 1e-6, 1.0]) * begin * random.random()
+    size = magnitude(random, 2.0)
+    direct = Fraction(end) ** 2 / 2 / Fraction(size) - Fraction(begin) ** 2 / 2 / Fraction(size)
+    off = Fraction(random.choice([-1, 1]) * 10.0 ** -random.uniform(2.0, 14.0))
+    limits = ProfileLimits(2.0 * abs(begin), (-magnitude(random, 2.0), size))
+    states = {"initial": 0.0, "initial_velocity": begin, "final_velocity": end}
+    return float(direct * (1 + off)), limits, states
 
 
 def way_of(final, given):

@@ -9,7 +9,13 @@ from hypothesis import strategies as st
 from motorapi.errors import UsageError
 from motorapi.generation import ProfileLimits, possible_durations, trapezoid
 from motorapi.generation.batched import LimitArrays, trapezoids
-from tests.motorapi.generation.problems import magnitude, problems, random_problem
+from tests.motorapi.generation.problems import (
+    directions_problem,
+    magnitude,
+    nearly_direct_problem,
+    problems,
+    random_problem,
+)
 
 UNIT = ProfileLimits(1.0, 1.0)
 
@@ -73,11 +79,20 @@ def test_many_are_as_one_by_one_whatever_they_are(some):
     assert_is_as_one_by_one(trapezoids(finals, limits, **states), singles)
 
 
+def test_many_ways_that_the_direct_ramp_nearly_covers_are_as_one_by_one():
+    random = Random("motorhil:batched nearly direct")
+    some = [nearly_direct_problem(random) for _ in range(300)]
+    finals, limits, states = together(some)
+    singles = [trapezoid(final, limits, **states) for final, limits, states in some]
+    assert_is_as_one_by_one(trapezoids(finals, limits, **states), singles)
+
+
 def test_many_of_given_durations_are_as_one_by_one():
     random = Random("motorhil:batched durations")
     some, lasting = [], []
     while len(some) < 3_000:
-        final, limits, states = random_problem(random, 1.0)
+        make = random.choice((random_problem, directions_problem))
+        final, limits, states = make(random, 1.0)
         ranges = possible_durations(final, limits, **states)
         low, high = random.choice(ranges)
         some.append((final, limits, states))
@@ -122,7 +137,15 @@ def test_limits_are_never_exceeded_at_any_of_many_moments():
     some = [random_problem(random, 2.0) for _ in range(500)]
     finals, limits, states = together(some)
     made = trapezoids(finals, limits, **states)
-    times = made.duration_s[:, None] * np.linspace(0.0, 1.0, 101)
+    corners = np.stack([made.rise_s, made.rise_s + made.hold_s, made.duration_s], axis=1)
+    times = np.concatenate(
+        [
+            made.duration_s[:, None] * np.linspace(0.0, 1.0, 101),
+            np.nextafter(corners, 0.0),
+            np.nextafter(corners, np.inf),
+        ],
+        axis=1,
+    )
     velocity, acceleration = made.first(times), made.second(times)
     assert (limits.low[:, None] <= velocity).all()
     assert (velocity <= limits.high[:, None]).all()

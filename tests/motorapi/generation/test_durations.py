@@ -2,14 +2,17 @@ from fractions import Fraction
 from math import inf, nan
 from random import Random
 
+import numpy as np
 import pytest
 from hypothesis import event, given
 from hypothesis import strategies as st
 
 from motorapi.errors import UsageError
 from motorapi.generation import ProfileLimits, possible_durations, stretched, trapezoid
+from motorapi.generation.batched import trapezoids
 from tests.motorapi.generation.problems import (
     assert_is_admissible,
+    directions_problem,
     envelope_of,
     magnitude,
     problems,
@@ -117,6 +120,35 @@ def test_every_duration_that_is_possible_can_be_had_and_no_other(problem, power,
         envelope.is_possible(way, Fraction(duration_s) * (1 + shift))
         for shift in (0, ROUNDING, -ROUNDING)
     ) or duration_s < fastest * (1 + 1e-8)
+
+
+def test_durations_of_3000_random_motions_are_held_and_the_way_is_made():
+    random = Random("motorhil:durations")
+    for index in range(3_000):
+        make = (random_problem, directions_problem)[index % 2]
+        final, limits, states = make(random, 1.0)
+        low, high = random.choice(possible_durations(final, limits, **states))
+        duration_s = min(low * (1.0 + magnitude(random, 2.0)), high)
+        profile = trapezoid(final, limits, duration_s=duration_s, **states)
+        assert profile.duration_s == duration_s
+        assert_is_admissible(profile, final, limits, states)
+
+
+def test_a_duration_within_rounding_of_a_possible_one_is_taken_as_that():
+    ((low, high), (back, _)) = possible_durations(0.5, UNIT, **THROUGH)
+    for asked, taken in (
+        (low * (1 - 1e-10), low),
+        (high * (1 + 1e-10), high),
+        (back * (1 - 1e-10), back),
+    ):
+        assert trapezoid(0.5, UNIT, duration_s=asked, **THROUGH).duration_s == taken
+        many = trapezoids(0.5, UNIT, duration_s=np.array([asked]), **THROUGH)
+        assert many.duration_s[0] == pytest.approx(taken, rel=1e-15)
+    for asked in (low * (1 - 1e-8), high * (1 + 1e-8), back * (1 - 1e-8)):
+        with pytest.raises(UsageError, match="cannot take"):
+            trapezoid(0.5, UNIT, duration_s=asked, **THROUGH)
+        with pytest.raises(UsageError, match="not possible in its duration"):
+            trapezoids(0.5, UNIT, duration_s=np.array([asked]), **THROUGH)
 
 
 def gap_problem(random):

@@ -54,6 +54,11 @@ def test_a_range_of_the_value_that_is_left_by_a_motion_turning_round():
     assert str(answer) == "position 4.5 rad at 2 s is 1.5 rad above the highest, 3 rad"
 
 
+def test_of_several_moments_the_worst_is_told():
+    answer = feasible(TrapezoidalTrajectory(3.25, 3.5, initial_derivatives=(2.0,)), MODEL)
+    assert [(v.value, v.argument) for v in answer.violations] == [(5.5, 2.0)]
+
+
 def test_a_boundary_velocity_beyond_its_limit():
     violation = only(feasible(TrapezoidalTrajectory(1.0, final_derivatives=(-2.5,)), MODEL))
     assert (violation.quantity, violation.value, violation.by) == ("velocity", -2.5, 0.5)
@@ -114,6 +119,8 @@ def test_complex_trajectories_bring_their_interval_their_limits_and_their_start(
     climb = ComplexTrajectory(PARABOLA, 0.0, 2.0, relative=True)
     assert feasible(climb, MODEL, start=0.5)
     assert only(feasible(climb, MODEL, start=1.5)).value == 3.5
+    later = ComplexTrajectory(PARABOLA, 1.0, 2.0, relative=True)
+    assert only(feasible(later, MODEL, start=2.0)).value == 3.5
     tight = ComplexTrajectory(PARABOLA, 0.0, 2.0, limits=DerivativeLimits(first=1.5))
     assert only(feasible(tight, MODEL)).by == 0.5
     velocity = ComplexTrajectory(PARABOLA, 0.0, 3.0)

@@ -1,6 +1,6 @@
 import pickle
 from fractions import Fraction
-from math import inf, nan
+from math import inf, nan, nextafter
 from random import Random
 
 import pytest
@@ -8,11 +8,12 @@ from hypothesis import event, given
 from hypothesis import strategies as st
 
 from motorapi.errors import UsageError
-from motorapi.generation import ProfileLimits, shortest, trapezoid
+from motorapi.generation import ProfileLimits, possible_durations, shortest, trapezoid
 from tests.motorapi.generation.problems import (
     assert_is_admissible,
     envelope_of,
     magnitude,
+    nearly_direct_problem,
     problems,
     random_problem,
     sizes,
@@ -83,6 +84,19 @@ def test_no_way_takes_no_time_and_outside_it_has_the_state_of_the_nearer_end():
     assert (profile.value(after), profile.first(after), profile.second(after)) == (5.0, -0.25, 0.0)
     assert pickle.loads(pickle.dumps(profile)) == profile
     assert "from 0.0 to 5.0" in repr(profile)
+
+
+def test_it_arrives_to_the_last_digit():
+    """1e-9 of the duration before the end, d (T - t)² / 2 is left, and far less than rounding."""
+    for way, down in ((3.0, 1.0), (-7.0, 0.3), (1e6, 2.0)):
+        profile = trapezoid(way, ProfileLimits(2.0, 1.0, down))
+        left = profile.duration_s * 1e-9
+        t = profile.duration_s - left
+        expected = 0.5 * down * (profile.duration_s - t) ** 2
+        small = trapezoid(0.0, ProfileLimits(2.0, 1.0, down), initial=-way)
+        found = small.value(small.duration_s - left)
+        assert abs(found) == pytest.approx(expected, rel=1e-6)
+        assert found * way < 0.0
 
 
 def test_without_a_limit_of_acceleration_velocity_steps():
@@ -168,7 +182,10 @@ def test_limits_are_never_exceeded_at_any_moment(problem, share):
     final, limits, states = problem
     profile = trapezoid(final, limits, **states)
     low, high = profile.value_range
-    for t in (*sampled(profile, 16), share * profile.duration_s, *profile.switching_times_s):
+    times = [*sampled(profile, 16), share * profile.duration_s]
+    for t in profile.switching_times_s:
+        times += [nextafter(t, -inf), t, nextafter(t, inf)]
+    for t in times:
         velocity, acceleration = profile.first(t), profile.second(t)
         assert limits.velocity[0] <= velocity <= limits.velocity[1]
         allowed = limits.forward if velocity > 0.0 else limits.backward
@@ -189,6 +206,19 @@ def test_nothing_shorter_is_possible(problem, random):
     event(f"{len(profile.pieces)} pieces")
     for share in (EPS, *(Fraction(random.uniform(1e-9, 1.0)) for _ in range(4))):
         assert not duration or not envelope.is_possible(way, duration * (1 - share))
+
+
+def test_a_way_that_the_direct_ramp_nearly_covers_is_exact_too():
+    random = Random("motorhil:nearly direct")
+    for _ in range(300):
+        final, limits, states = nearly_direct_problem(random)
+        profile = trapezoid(final, limits, **states)
+        envelope, way = envelope_of(limits, states), way_of(final, states)
+        duration = Fraction(profile.duration_s)
+        assert not envelope.is_possible(way, duration * (1 - EPS))
+        (low, high), *_ = possible_durations(final, limits, **states)
+        if low * (1 + 1e-11) < high:  # or there is no time to choose a later one
+            assert envelope.is_possible(way, duration * (1 + EPS))
 
 
 @given(problems())

@@ -1,3 +1,4 @@
+from itertools import pairwise
 from math import inf, nan
 from random import Random
 
@@ -140,6 +141,21 @@ def test_no_division_of_the_time_that_a_search_finds_is_shorter_by_a_hundredth()
         assert lasts(start) == pytest.approx(ours.domain[1], rel=1e-9)
         found = optimize.minimize(lasts, start, method="Nelder-Mead", options={"maxiter": 200})
         assert found.fun >= 0.99 * ours.domain[1]
+
+
+def test_of_many_pieces_too_the_limits_are_held_and_one_is_reached():
+    """Forty points: here the ratios of the times are not searched for."""
+    random = Random("motorhil:many pieces")
+    values = [random.uniform(-3.0, 3.0) for _ in range(40)]
+    ours = through_waypoints(values, limits=LIMITS)
+    used = [
+        max(found.minimum / low, found.maximum / high)
+        for order, (low, high) in ((1, LIMITS.first), (2, LIMITS.second), (3, LIMITS.third))
+        for found in [ours.derivative(order).extrema()]
+    ]
+    assert max(used) == pytest.approx(1.0, rel=1e-9)
+    chords = sum(max(b - a, 2.0 * (a - b)) / 2.0 for a, b in pairwise(values))
+    assert ours.domain[1] < 3.0 * chords  # what it takes at the limit of velocity
 
 
 def test_many_are_as_one_by_one():
