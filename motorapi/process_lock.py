@@ -16,6 +16,7 @@ import os
 import threading
 import time
 import weakref
+from collections.abc import Callable
 from types import TracebackType
 from typing import Final, Protocol, final, runtime_checkable
 
@@ -30,9 +31,22 @@ _WORDS_MAX: Final = 64
 """So many purposes of a lock are kept packed."""
 
 
+Wait = Callable[[Runtime, Callable[[], bool], float | None], bool]
+"""As `Runtime.wait_until`, with the runtime in front."""
+
+
 @runtime_checkable
 class _Wakeable(Protocol):
     def wake(self) -> None: ...
+
+
+def can_share_time(runtime: Runtime) -> bool:
+    """Whether another process can end a wait in this runtime: it is the wall's."""
+    return isinstance(runtime, _Wakeable)
+
+
+def _plain_wait(runtime: Runtime, done: Callable[[], bool], timeout_s: float | None) -> bool:
+    return runtime.wait_until(done, timeout_s)
 
 
 @final
@@ -43,7 +57,7 @@ class Hold:
     lock object, of whatever process, had it in between, or this one has it for the first time).
     """
 
-    __slots__ = ("_depth", "_file", "_lock", "changed_hands", "owner", "token")
+    __slots__ = ("_counting", "_depth", "_file", "_lock", "changed_hands", "owner", "token")
 
     def __init__(
         self, lock: "ProcessLock", file: LockFile, owner: object, token: int, changed_hands: bool
@@ -51,6 +65,7 @@ class Hold:
         self._lock = lock
         self._file = file
         self._depth = 1
+        self._counting = threading.Lock()
         self.owner: Final = owner
         self.token: Final = token
         self.changed_hands: Final = changed_hands
@@ -73,14 +88,16 @@ class Hold:
 
     def again(self) -> None:
         """It takes one more `release` to let go."""
-        self._depth += 1
+        with self._counting:
+            self._depth += 1
 
     def release(self) -> None:
         """It was taken once less; after the last time the next one has it. More do nothing."""
-        if self._depth > 0:
+        with self._counting:
             self._depth -= 1
-            if self._depth == 0:
-                self._lock.give_back(self._file)
+            is_last = self._depth == 0
+        if is_last:
+            self._lock.give_back(self._file)
 
 
 @final
@@ -120,6 +137,9 @@ class ProcessLock:
         purpose: str,
         timeout_s: float | None = 0.0,
         owner: object = None,
+        *,
+        asker: str = "",
+        wait: Wait | None = None,
     ) -> Hold:
         """The lock is ours, until the hold was released as often as it was acquired.
 
@@ -127,7 +147,9 @@ class ProcessLock:
             runtime: where to wait.
             purpose: what for, in words; others can read it.
             timeout_s: how long to wait for those before us [s]; None: as long as it takes.
-            owner: who may take it again while it has it, in one thread at a time; None: the thread.
+            owner: who may take it again while it has it; None: the thread.
+            asker: what the error calls the one who was refused; "": the label.
+            wait: how to wait in the runtime; None: by its `wait_until`.
 
         Raises:
             MotorBusyError: somebody else has it; says who. Our place in the queue is given up.
@@ -143,7 +165,7 @@ class ProcessLock:
             file = self._take_file()
             try:
                 if not file.take_at_once():
-                    self._wait(file, runtime, purpose, timeout_s)
+                    self._wait(file, runtime, purpose, timeout_s, asker, wait or _plain_wait)
                 if not file.is_gone:
                     return self._publish(file, purpose, owner)
             except OSError as error:
@@ -204,7 +226,13 @@ class ProcessLock:
     # ---- waiting ----
 
     def _wait(
-        self, file: LockFile, runtime: Runtime, purpose: str, timeout_s: float | None
+        self,
+        file: LockFile,
+        runtime: Runtime,
+        purpose: str,
+        timeout_s: float | None,
+        asker: str,
+        wait: Wait,
     ) -> None:
         """It is our turn, and it is taken; or MotorBusyError."""
         with self._mutex:
@@ -214,16 +242,16 @@ class ProcessLock:
         if timeout_s is None or timeout_s > 0.0:
             file.tell_waiter(place, self._record(place, purpose))
             if isinstance(runtime, _Wakeable):
-                if self._wait_woken(file, place, runtime, timeout_s):
+                if self._wait_woken(file, place, runtime, timeout_s, wait):
                     return
-            elif not self._has_strangers(place) and runtime.wait_until(
-                lambda: file.take(place), timeout_s
+            elif not self._has_strangers(place) and wait(
+                runtime, lambda: file.take(place), timeout_s
             ):
                 return
-        raise self._busy(runtime, place)
+        raise self._busy(runtime, place, asker or self.label)
 
     def _wait_woken(
-        self, file: LockFile, place: int, runtime: Runtime, timeout_s: float | None
+        self, file: LockFile, place: int, runtime: Runtime, timeout_s: float | None, wait: Wait
     ) -> bool:
         assert isinstance(runtime, _Wakeable)
         wake = runtime.wake
@@ -238,7 +266,7 @@ class ProcessLock:
             return False
 
         try:
-            return runtime.wait_until(is_taken, timeout_s)
+            return wait(runtime, is_taken, timeout_s)
         finally:
             self._watcher.forget(watch)
 
@@ -251,13 +279,13 @@ class ProcessLock:
         pid = _this_process().pid
         return any(one.record is None or one.record.pid != pid for one in ahead)
 
-    def _busy(self, runtime: Runtime, place: int) -> MotorBusyError:
+    def _busy(self, runtime: Runtime, place: int, asker: str) -> MotorBusyError:
         view = self.look()
         ahead = [one for there, one in view.waiters if there < place]
         who = view.holder or (ahead[0] if ahead else Occupant(None))
         record = who.record
         return MotorBusyError(
-            motor=self.label,
+            motor=asker,
             holder=who.who,
             since_ns=runtime.now_ns() - round(who.age_s * 1e9),
             since=who.since,

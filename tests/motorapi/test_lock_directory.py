@@ -169,6 +169,15 @@ def test_a_file_of_somebody_else_is_refused_in_a_private_directory(default):
         LockDirectory().open("pan")
 
 
+@pytest.mark.skipif(not ROOT, reason="only root can give a file away")
+def test_a_file_of_another_group_is_refused_in_a_groups_directory(group):
+    (group / "pan").touch()
+    (group / "pan").chmod(0o660)
+    os.chown(group / "pan", -1, SOMEBODY)
+    with pytest.raises(UsageError, match=f"group {SOMEBODY}, mode 0660; it must be group"):
+        LockDirectory(group).open("pan")
+
+
 def test_refusals_leave_no_descriptor_open(default, group, tmp_path):
     before = len(os.listdir("/proc/self/fd"))
     default.mkdir(mode=0o755)

@@ -8,8 +8,10 @@ import pytest
 
 from emulators.event_queue import EventQueue
 from harness.virtual_time import VirtualRuntime
+from motorapi import wall_runtime
 from motorapi.errors import MotorBusyError, UsageError
 from motorapi.lock_directory import LockDirectory
+from motorapi.lock_file import LockFile
 from motorapi.lock_view import list_locks
 from motorapi.process_lock import ProcessLock
 from motorapi.wall_runtime import WallRuntime
@@ -171,6 +173,35 @@ def test_a_wait_that_was_given_up_is_in_nobodys_way(lock, other, runtime, direct
     hold.release()
     assert party.join(LONG_S)
     assert (party.error, order) == (None, ["late"])
+
+
+def test_after_a_wait_the_row_is_free_for_whoever_finds_it_so(lock, other, runtime, tmp_path):
+    hold = lock.acquire(runtime, "x")
+    party = runtime.spawn("waits", lambda: other.acquire(runtime, "y", LONG_S).release())
+    assert runtime.wait_until(lambda: purposes(lock.look()) == ["y"], LONG_S)
+    hold.release()
+    assert party.join(LONG_S)
+    assert LockFile(LockDirectory(tmp_path), "pan").take_at_once()
+
+
+def test_the_walls_runtime_looks_at_once_when_it_is_woken(runtime, monkeypatch):
+    monkeypatch.setattr(wall_runtime, "_LOOK_AGAIN_S", LONG_S)
+    looked = []
+    party = runtime.spawn(
+        "waits", lambda: runtime.wait_until(lambda: looked.append(1) or len(looked) > 1, LONG_S)
+    )
+    while not looked:
+        pass
+    runtime.wake()
+    assert party.thread is not None
+    party.thread.join(LONG_S / 2)
+    assert party.finished
+
+
+def test_who_had_the_pid_before_is_not_taken_for_its_holder(lock, other, runtime, monkeypatch):
+    lock.acquire(runtime, "x")
+    monkeypatch.setattr("motorapi.lock_view.read_process", lambda pid: ("S", 1))
+    assert lock.look().holder.record is None
 
 
 def test_in_a_callback_nobody_waits_for_it(lock, other, runtime):

@@ -6,6 +6,7 @@ python -m tests.wall.lock_holder FOLDER NAME
     release                     "released"
     fork                        "forked PID": a child that lives until it is killed
     child                       "child PID": a program that inherits all it can, likewise
+    fork_take PURPOSE           "forked PID ANSWER": what `take PURPOSE` answers the child
 """
 
 import contextlib
@@ -47,6 +48,18 @@ def main() -> None:
             answer = "released"
         elif word == "fork":
             answer = f"forked {fork()}"
+        elif word == "fork_take":
+            ours, theirs = os.pipe()
+            child = os.fork()
+            if child == 0:
+                try:
+                    taken = lock.acquire(WallRuntime(), rest[0])
+                    told = f"has {taken.token} {taken.changed_hands}"
+                except MotorBusyError as error:
+                    told = f"busy {error}"
+                os.write(theirs, told.encode())
+                signal.pause()
+            answer = f"forked {child} {os.read(ours, 1000).decode()}"
         elif word == "child":
             program = [sys.executable, "-c", "import signal; signal.pause()"]
             answer = f"child {subprocess.Popen(program, close_fds=False).pid}"

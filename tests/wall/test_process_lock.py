@@ -2,10 +2,7 @@
 
 import contextlib
 import os
-import select
 import signal
-import subprocess
-import sys
 from pathlib import Path
 
 import pytest
@@ -16,42 +13,11 @@ from motorapi.errors import MotorBusyError
 from motorapi.lock_directory import LockDirectory
 from motorapi.process_lock import ProcessLock
 from motorapi.wall_runtime import WallRuntime
+from tests.wall.programs import Program
 
 pytestmark = pytest.mark.wall
 
 LONG_S = 20.0
-
-
-class Program:
-    """tests/wall/lock_holder.py, running."""
-
-    def __init__(self, folder):
-        self.process = subprocess.Popen(
-            [sys.executable, "-m", "tests.wall.lock_holder", str(folder), "pan"],
-            stdin=subprocess.PIPE,
-            stdout=subprocess.PIPE,
-            text=True,
-        )
-        self.pid = self.process.pid
-
-    def say(self, text):
-        self.process.stdin.write(text + "\n")
-        self.process.stdin.flush()
-
-    def hear(self):
-        assert select.select([self.process.stdout], [], [], LONG_S)[0], "no answer"
-        return self.process.stdout.readline().strip()
-
-    def ask(self, text):
-        self.say(text)
-        return self.hear()
-
-    def signal(self, number):
-        os.kill(self.pid, number)
-
-    def kill(self):
-        self.process.kill()
-        self.process.wait()
 
 
 @pytest.fixture
@@ -60,15 +26,13 @@ def programs(tmp_path):
     started = []
 
     def start(count=1):
-        new = [Program(tmp_path) for _ in range(count)]
+        new = [Program("lock_holder", tmp_path, "pan") for _ in range(count)]
         started.extend(new)
         return new if count > 1 else new[0]
 
     yield start
     for program in started:
-        program.kill()
-        program.process.stdin.close()
-        program.process.stdout.close()
+        program.end()
 
 
 @pytest.fixture
@@ -209,6 +173,24 @@ def test_a_child_of_a_dead_holder_does_not_keep_it(programs, lock, wall, how):
     finally:
         with contextlib.suppress(ProcessLookupError):
             os.kill(child, signal.SIGKILL)
+
+
+@pytest.mark.parametrize("held", [True, False])
+def test_a_forked_child_is_another_process_and_has_nothing(programs, lock, held):
+    parent = programs()
+    parent.ask("take a")
+    if not held:
+        parent.ask("release")
+    _, pid, answer = parent.ask("fork_take b").split(maxsplit=2)
+    child = int(pid)
+    try:
+        if held:
+            assert answer.startswith(f"busy the pan is held by pid {parent.pid} ")
+        else:
+            assert answer == "has 2 True"
+            assert holder_pid(lock) == child
+    finally:
+        os.kill(child, signal.SIGKILL)
 
 
 def test_a_runtime_of_its_own_time_refuses_what_another_process_has(programs, lock, wall):
