@@ -15,7 +15,7 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, final
 
 from motorapi import planning
-from motorapi.commands import ControlMode, ControlVariable, Motion, Setpoint
+from motorapi.commands import ControlMode, ControlVariable, Motion, Setpoint, as_number
 from motorapi.errors import (
     DeviceFault,
     LimitError,
@@ -25,6 +25,7 @@ from motorapi.errors import (
     StateError,
     UsageError,
 )
+from motorapi.motion_waits import check_timeout
 from motorapi.sharing import Run, RunStatus
 from motorapi.state import Fault, MotorState
 from motorapi.synchronization import SyncLevel, Trigger
@@ -45,17 +46,28 @@ class Started:
     quantised: Motion
 
 
-def start_together(motors: Sequence["Motor"]) -> tuple[Started, ...]:
+def start_together(
+    motors: Sequence["Motor"], timeout_s: float | None = None
+) -> tuple[Started, ...]:
     """All motors have begun what was set for each; trajectories end together.
+
+    Args:
+        motors: all of one runtime.
+        timeout_s: how long to wait until all are free [s]; None: not at all.
 
     Raises:
         MotorError: as `Motor.start`; a note says whose it is, if there are several.
     """
+    check_timeout(timeout_s)
     for motor in motors:
         _require_command(motor)
+    asked_ns = motors[0].runtime.now_ns()
     with ExitStack() as held:
         for motor in sorted(motors, key=lambda motor: motor._physical.order):
-            held.enter_context(motor._operation("start"))
+            left_s: float | None = None
+            if timeout_s is not None:
+                left_s = max(0.0, as_number(timeout_s) - (motor.runtime.now_ns() - asked_ns) / 1e9)
+            held.enter_context(motor._operation("start", left_s))
         seen = [motor._physical.interruptions for motor in motors]
         disabled = [motor for motor in motors if _require_movable(motor) is MotorState.DISABLED]
         motions = plan(motors)

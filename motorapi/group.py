@@ -72,17 +72,20 @@ class MotorGroup(DeviceGroup[Motor]):
                 motor._command, motor._argument = command
             raise
 
-    def start(self) -> None:
+    def start(self, timeout_s: float | None = None) -> None:
         """All motors have begun what was set for each: trajectories begin and end together.
 
         They are as fast as the slowest of them allows, or take the duration that one of their
         trajectories asks for. All are armed, and confirmed it, before the first is fired. If one
         refuses, none has moved; if one fails to begin, all are stopped.
 
+        Args:
+            timeout_s: how long to wait until all are free [s], as in `Motor.start`.
+
         Raises:
             MotorError: as `Motor.start`; a note on the error says whose it is.
         """
-        self._started = start_together(self._members())
+        self._started = start_together(self._members(), timeout_s)
 
     def wait_until_done(self, timeout_s: float | None = None) -> None:
         """What was commanded last is over in every motor. If one fails, the others are stopped.

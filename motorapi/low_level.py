@@ -28,7 +28,7 @@ from motorapi.execution import require_rest
 from motorapi.motion_waits import check_timeout
 from motorapi.runtime import wait_until
 from motorapi.sharing import RunStatus
-from motorapi.turns import TRANSACTION_TIMEOUT_S
+from motorapi.turns import LOW_LEVEL, TRANSACTION_TIMEOUT_S
 from motorapi.waiting import Awaited
 
 if TYPE_CHECKING:
@@ -53,7 +53,7 @@ def low_level_access(motor: "Motor", timeout_s: float | None) -> Iterator[object
         return max(0.0, timeout_s - (runtime.now_ns() - asked_ns) / 1e9)
 
     who = f"low_level() of {motor.name}"
-    with physical.transaction(runtime, who, timeout_s) as ticket:
+    with motor._commanding(who, timeout_s, LOW_LEVEL) as ticket:
         while not _is_at_rest(motor, patient=timeout_s is not None and left_s() > 0.0):
             _await_end(motor, left_s())
         physical.grant(runtime, ticket, left_s())

@@ -20,14 +20,20 @@ motions end in `motorapi.shared_motor`. U stands for the
 motor's unit of position: rad, or m if linear.
 """
 
-from collections.abc import Callable
-from contextlib import AbstractContextManager
+from collections.abc import Callable, Iterator
+from contextlib import AbstractContextManager, contextmanager
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any, Final, final
 
 from motorapi import planning
 from motorapi.arguments import require_argument
-from motorapi.commands import ControlMode, ControlVariable, DerivativeLimits, Setpoint
+from motorapi.commands import (
+    ControlMode,
+    ControlVariable,
+    DerivativeLimits,
+    Setpoint,
+    as_number,
+)
 from motorapi.errors import (
     PluginError,
     StateError,
@@ -157,7 +163,7 @@ class Motor(SharedMotor):
     # ---- doing it ----
 
     @final
-    def start(self) -> None:
+    def start(self, timeout_s: float | None = None) -> None:
         """The motion that was set has begun, with the settings made here.
 
         One atomic operation: the motor is taken, connected and enabled if it is not, every setting
@@ -166,14 +172,44 @@ class Motor(SharedMotor):
         a set-point of its variable, and what is said of velocity, torque or current replaces what
         was said of the same; everything else starts from rest.
 
+        Args:
+            timeout_s: how long to wait, first come first served, while another logical motor, of
+                whatever process, holds it [s]; None: not at all, but for a short operation.
+
         Raises:
             StateError: nothing was set; a motion goes on; or it must be referenced first.
             LimitError: the way leaves the limits.
-            MotorBusyError: another logical motor holds it.
+            MotorBusyError: another logical motor holds it; says who, what for, and since when.
             DeviceFault: the drive reports a fault: reset_fault() first.
             MotionInterrupted: somebody stopped the motor meanwhile.
         """
-        start_together((self,))
+        start_together((self,), timeout_s)
+
+    @final
+    @contextmanager
+    def reserve(self, purpose: str = "", *, timeout_s: float | None = None) -> Iterator[None]:
+        """`with motor.reserve("survey"):` the motor is this one's over several motions.
+
+        Nobody else commands it inside the block, of whatever process; others read it, and may stop
+        it. A motion that goes on at the end holds the motor until it is over.
+
+        Args:
+            purpose: what for; those who are refused are told.
+            timeout_s: how long to wait for the motor [s], as in `start`.
+
+        Raises:
+            MotorBusyError: somebody else holds it, or moves it.
+        """
+        check_timeout(timeout_s)
+        if not isinstance(purpose, str):
+            raise UsageError(f"{self.name}: purpose {purpose!r}: say it in words")
+        patience = None if timeout_s is None else self._patience(as_number(timeout_s))
+        who = f"reserve() of {self.name}"
+        with self._physical.ownership.owned(self, who, purpose, patience):
+            with self._physical.transaction(self.runtime, who):
+                self._bury_failed_run()
+                self._physical.take(self, self.name, self._status())
+            yield
 
     @final
     def wait_until_done(self, timeout_s: float | None = None) -> None:
@@ -319,6 +355,7 @@ class Motor(SharedMotor):
             run = Run(f"{operation}() of {self.name}", self, self.runtime.now_ns(), None)
             self._run = run
             self._physical.begin(run, status)
+            self._keep()
 
     @final
     def _require_mode(self, mode: ControlMode, operation: str) -> None:

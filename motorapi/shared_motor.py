@@ -9,8 +9,16 @@ from contextlib import contextmanager
 from copy import copy
 from typing import TYPE_CHECKING, Any, final
 
-from motorapi.errors import MotionInterrupted, MotorError, PluginError, StateError, UsageError
-from motorapi.outcome import DoneNotice, Ending, Outcome, ending_of
+from motorapi.errors import (
+    MotionInterrupted,
+    MotorBusyError,
+    MotorError,
+    PluginError,
+    StateError,
+    UsageError,
+)
+from motorapi.outcome import LOOK_PERIOD_S, DoneNotice, Ending, Outcome, ending_of
+from motorapi.ownership import Patience
 from motorapi.progress import Progress, progress_of
 from motorapi.readable_motor import ReadableMotor
 from motorapi.sharing import Run, RunStatus
@@ -99,13 +107,78 @@ class SharedMotor(ReadableMotor):
 
     @final
     @contextmanager
-    def _operation(self, name: str) -> Iterator[None]:
+    def _operation(self, name: str, timeout_s: float | None = None) -> Iterator[None]:
         """The motor is ours, connected, and nobody else operates on it inside the block."""
-        with self._physical.transaction(self.runtime, f"{name}() of {self.name}"):
+        with self._commanding(f"{name}() of {self.name}", timeout_s):
             self._bury_failed_run()
             self._physical.take(self, self.name, self._status())
             self._call(self._connect)
             yield
+
+    @final
+    @contextmanager
+    def _commanding(
+        self, who: str, timeout_s: float | None = None, purpose: str = ""
+    ) -> "Iterator[Ticket]":
+        """The motor is owned, and it is our turn. None waits for short operations only.
+
+        The patient wait without a turn, so that its owner can go on meanwhile.
+        """
+        physical, runtime = self._physical, self.runtime
+        if timeout_s is None:
+            with (
+                physical.transaction(runtime, who) as ticket,
+                physical.ownership.owned(self, who, purpose),
+            ):
+                yield ticket
+            return
+        asked_ns = runtime.now_ns()
+        with physical.ownership.owned(self, who, purpose, self._patience(timeout_s)):
+            left_s = max(0.0, timeout_s - (runtime.now_ns() - asked_ns) / 1e9)
+            with physical.transaction(runtime, who, left_s) as ticket:
+                yield ticket
+
+    @final
+    def _patience(self, timeout_s: float) -> Patience:
+        """How to wait for others to end what they do with the motor."""
+        return Patience(timeout_s, self._others_run, self._refresh_run)
+
+    @final
+    def _others_run(self) -> MotorBusyError | None:
+        """What is told of a run of another logical motor; None: none goes on."""
+        run = self._physical.run
+        if run is None or run.owner is self or not self._goes_on(run):
+            return None
+        return MotorBusyError(motor=self.name, holder=run.name, since_ns=run.since_ns)
+
+    @final
+    def _refresh_run(self) -> float | None:
+        """What the hardware tells of a run there is, is fresh; when to ask again [s], if at all."""
+        physical = self._physical
+        run = physical.run
+        if run is None or run.is_over or physical.access is not None:
+            return None if physical.access is None else LOOK_PERIOD_S
+        with physical.passage(self.name):
+            return self._call(self._refresh)
+
+    @final
+    def _goes_on(self, run: Run) -> bool:
+        """Whether the run is what the motor does, and is not over."""
+        if self._physical.run is not run or run.is_over:
+            return False
+        status = self._status()
+        return status is RunStatus.GOING or (status is RunStatus.DONE and not run.ends)
+
+    @final
+    def _keep(self) -> None:
+        """No other process has the motor until what this one does with it is over."""
+        physical = self._physical
+
+        def goes_on() -> bool:
+            run = physical.run
+            return run is not None and run.owner is self and self._goes_on(run)
+
+        physical.ownership.keep(self, goes_on, physical.bell, physical.news is not None)
 
     @final
     def _status(self) -> RunStatus:
@@ -135,6 +208,7 @@ class SharedMotor(ReadableMotor):
         run = Run(name, self, self.runtime.now_ns(), motion)
         self._physical.begin(run, self._status())
         self._run = run
+        self._keep()
         return run
 
     @final

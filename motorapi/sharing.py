@@ -14,10 +14,9 @@ hardware object. It keeps three things apart:
   one meanwhile is refused at once; so is what needs no transaction (readings, stops, waiters that
   poll): it goes through a *passage*, and access is granted only while nobody is in one.
 
-Ownership across processes is to take its place behind the same four: one lock of the physical
-motor, taken with the turn and kept over a run (`PhysicalMotor.transaction`, `begin`, `end`), taken
-with the grant of low-level access and kept to its end (`grant`, `revoke`); the token, and what
-`MotorBusyError` tells of the holder, come from it then. Until then another process is not kept out.
+Behind them is *ownership* (`motorapi.ownership`): of one logical motor, for an operation, a
+reservation or low-level access. On a bus that other processes can open it keeps them out as well,
+then also while a run goes on, and the token grows when one of them had the motor in between.
 """
 
 import threading
@@ -29,6 +28,8 @@ from typing import TYPE_CHECKING, Final, final
 
 from motorapi.commands import ControlVariable, Motion
 from motorapi.errors import MotorBusyError, MotorError, UsageError
+from motorapi.ownership import Ownership
+from motorapi.process_lock import ProcessLock
 from motorapi.runtime import Runtime, wait_until
 from motorapi.turns import LOW_LEVEL, Ticket, Turns
 from motorapi.waiting import News
@@ -125,9 +126,10 @@ class _Passage:
 class PhysicalMotor:
     """The record of one physical motor in this process. `label` is its name for people."""
 
-    def __init__(self, label: str, serial: int) -> None:
+    def __init__(self, label: str, serial: int, lock: ProcessLock | None = None) -> None:
         self.label: Final = label
-        self.order: Final = (label, serial)
+        self.ownership: Final = Ownership(lock)
+        self.order: Final = (label if lock is None else lock.name, label, serial)
         """Transactions of several motors are taken in this order, so that none can deadlock."""
         self.token = 0
         self.run: Run | None = None
@@ -141,6 +143,7 @@ class PhysicalMotor:
         """Who has low-level access; None: nobody."""
         self._own_news = News()
         self._owner: object = None
+        self._absences = 0  # of `ownership`, when the token was looked at last
         self._turns = Turns(label)
         self._inside = 0
         self._mutex = threading.Lock()  # of the few numbers here; never held while waiting
@@ -259,8 +262,9 @@ class PhysicalMotor:
             going_on = status is not RunStatus.FAILED and not run.finished
             if going_on and run.owner is not owner:
                 raise MotorBusyError(motor=motor, holder=run.name, since_ns=run.since_ns)
-        if self._owner is not owner:
+        if self._owner is not owner or self._absences != self.ownership.absences:
             self._owner = owner
+            self._absences = self.ownership.absences
             self.token += 1
 
     def begin(self, run: Run, status: RunStatus) -> None:
@@ -302,13 +306,16 @@ _registry: Final[dict[Hashable, "weakref.ref[object]"]] = {}
 _serial = 0
 
 
-def register_physical_motor(key: Hashable, label: str, hardware: object) -> PhysicalMotor:
+def register_physical_motor(
+    key: Hashable, label: str, hardware: object, lock: ProcessLock | None = None
+) -> PhysicalMotor:
     """The record of the physical motor `key`, for the one hardware object that speaks for it.
 
     Args:
         key: says which physical motor: for a drive on CAN `(*bus_key(bus), node_id)`.
         label: its name for people ("can0 node 3").
         hardware: the hardware object. It is held weakly: dropping it lets go of the motor.
+        lock: between processes; None: no other process can speak for this motor.
 
     Raises:
         UsageError: a hardware object for this motor lives already. It is named.
@@ -329,7 +336,7 @@ def register_physical_motor(key: Hashable, label: str, hardware: object) -> Phys
 
         _registry[key] = weakref.ref(hardware, forget)
         _serial += 1
-        return PhysicalMotor(label, _serial)
+        return PhysicalMotor(label, _serial, lock)
 
 
 def release_physical_motor(key: Hashable, hardware: object) -> None:

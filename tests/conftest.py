@@ -44,6 +44,12 @@ def pytest_runtest_makereport(
     return report
 
 
+@pytest.fixture(scope="session", autouse=True)
+def own_locks(tmp_path_factory: pytest.TempPathFactory) -> None:
+    """Locks between processes of this run are not those of the next, nor of real motors."""
+    os.environ["MOTORHIL_LOCK_DIR"] = str(tmp_path_factory.mktemp("locks"))
+
+
 @pytest.fixture(scope="session")
 def shared() -> Path:
     """The folder of third-party data beside the checkout; without it, a skip that says so."""

@@ -26,6 +26,7 @@ from motorapi.adaptations.drive_node import DriveNode, Emergency
 from motorapi.adaptations.drive_objects import DriveObjects
 from motorapi.adaptations.drive_setup import DriveFacts, HwOptions, bring_up
 from motorapi.adaptations.raw_frames import FrameInbox, raw_frame
+from motorapi.adaptations.shared_node import SharedNode, node_locks
 from motorapi.adaptations.turn_lock import TurnLock
 from motorapi.errors import LinkError, StateError, UsageError
 from motorapi.runtime import runtime_of
@@ -98,7 +99,11 @@ class Cia402HwMotor:
             raise self._is_the_hosts()
         self._facts: DriveFacts | None = None
         self._key = (*bus_key(bus), node_id)
-        self.physical: Final[PhysicalMotor] = register_physical_motor(self._key, self.label, self)
+        lock, sdo_lock = node_locks(bus, runtime, node_id, self.label)
+        self.physical: Final[PhysicalMotor] = register_physical_motor(
+            self._key, self.label, self, lock
+        )
+        self._shared = SharedNode(self.physical, sdo_lock, runtime)
         self.link: Final[CanopenLink] = open_link(bus, runtime)
         if self.link.is_host(node_id):
             release_link(self.link)
@@ -113,6 +118,7 @@ class Cia402HwMotor:
         )
         self.physical.news = self.node.news
         self.node.sdo.physical = self.physical
+        self.node.sdo.process_lock = sdo_lock
         self.objects: Final = DriveObjects(self.node, self.physical)
         self._setting_up = TurnLock(runtime)
         self.control: Final = DriveControl(self.link, self.node, self.objects)
@@ -167,7 +173,7 @@ class Cia402HwMotor:
     def connect(self) -> DriveFacts:
         """The drive is up and configured; costs nothing if it is already. See `bring_up`."""
         facts = self._facts
-        if facts is not None and self.node.is_up and self._close.alive and not self._is_doubted:
+        if facts is not None and self._close.alive and self._is_known:
             return facts
         if not self._close.alive:
             raise LinkError(link=self.label, reason="this hardware object is closed")
@@ -176,7 +182,7 @@ class Cia402HwMotor:
             self.physical.passage(self.label, of_holder=True),
             self._setting_up.turn(4 * options.connect_timeout_s, f"{self.label}: its set-up"),
         ):
-            if self._facts is not None and self.node.is_up and not self._is_doubted:
+            if self._facts is not None and self._is_known:
                 return self._facts
             if options.heartbeat_ms and not self.node.uses_host_heartbeat:
                 self.link.produce_heartbeat(options.host_node_id, options.heartbeat_ms)
@@ -184,9 +190,14 @@ class Cia402HwMotor:
             self.objects.doubt()
             self.control.forget()
             self._facts = self.control.facts = None  # what fails now is tried again the next time
-            self._is_doubted = False
-            self._facts = self.control.facts = bring_up(self.node, options)
+            with self._shared.setting_up(self.node.sdo, 4 * options.connect_timeout_s):
+                self._is_doubted = False
+                self._facts = self.control.facts = bring_up(self.node, options)
             return self._facts
+
+    @property
+    def _is_known(self) -> bool:
+        return self.node.is_up and not self._is_doubted and self._shared.is_as_we_left_it
 
     @property
     def facts(self) -> DriveFacts | None:

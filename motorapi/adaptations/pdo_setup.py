@@ -155,6 +155,7 @@ class PdoSetUp:
 
     def _pause(self) -> None:
         if not self._paused:
+            self._node.sdo.check_writing()
             self._paused = True
             self._node.link.nmt(0x80, self._node.node_id)
 

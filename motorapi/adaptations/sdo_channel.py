@@ -12,8 +12,8 @@ with a deadline of the runtime's own time, and never believes a stale answer:
 """
 
 from collections import deque
-from collections.abc import Iterator
-from contextlib import contextmanager
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager
 from typing import TYPE_CHECKING, Final, final
 
 import canopen
@@ -24,6 +24,7 @@ from motorapi.adaptations.canopen_errors import ProtocolViolation, SdoAborted
 from motorapi.adaptations.canopen_link import CanopenLink, Transmission, can_frame
 from motorapi.adaptations.turn_lock import TurnLock
 from motorapi.errors import DeadlineExceeded, MotorError, UsageError
+from motorapi.process_lock import Hold, ProcessLock
 
 if TYPE_CHECKING:
     from motorapi.runtime import Runtime
@@ -222,12 +223,16 @@ class SdoChannel:
 
     Attributes:
         physical: whose low-level access keeps other threads out; None: nobody's.
+        process_lock: keeps the transfers of other processes apart; None: there are none.
+        before_writing: while the node is set up: raises if it may not be written to.
     """
 
     def __init__(
         self, link: CanopenLink, node_id: int, *, timeout_s: float, quarantine_s: float
     ) -> None:
         self.physical: PhysicalMotor | None = None
+        self.process_lock: ProcessLock | None = None
+        self.before_writing: Callable[[], None] | None = None
         self._link = link
         self._node_id = node_id
         self._quarantine_ns = round(quarantine_s * 1e9)
@@ -242,9 +247,11 @@ class SdoChannel:
 
         Its own errors, SdoAbortedError and SdoCommunicationError, leave the block as `upload`'s.
         """
-        with self._lock.turn(_TURN_TIMEOUT_S, self._what):
+        with self._lock.turn(_TURN_TIMEOUT_S, self._what), ExitStack() as held:
             if self.physical is not None:
                 self.physical.require_not_held_elsewhere()
+            if self.process_lock is not None:
+                held.enter_context(self._take(self.process_lock))
             client = self._client
             client.begin(b"")
             bound_ns = self._link.runtime.now_ns() + self._quarantine_ns
@@ -299,7 +306,16 @@ class SdoChannel:
         """
         if not isinstance(data, bytes):
             raise UsageError(f"{self._what}: data {data!r}: what is written are bytes")
+        self.check_writing()
         self._transfer(index, subindex, data)
+
+    def check_writing(self) -> None:
+        """Raises MotorBusyError if the node is being set up, and another process owns it."""
+        if self.before_writing is not None:
+            self.before_writing()
+
+    def _take(self, lock: ProcessLock) -> Hold:
+        return lock.acquire(self._link.runtime, "an SDO transfer", _TURN_TIMEOUT_S, self)
 
     def _transfer(self, index: int, subindex: int, data: bytes | None) -> bytes:
         """An upload where there are no `data`."""
@@ -310,9 +326,12 @@ class SdoChannel:
             place_text = f"index {index!r}, sub-index {subindex!r}"
             raise UsageError(f"{self._what}: {place_text}: 0 to FFFFh, 0 to FFh") from None
         turn = self._lock.take(_TURN_TIMEOUT_S, self._what)
+        hold: Hold | None = None
         try:
             if self.physical is not None and self.physical.access is not None:
                 self.physical.require_not_held_elsewhere()
+            if self.process_lock is not None:
+                hold = self._take(self.process_lock)
             client.begin(place)
             bound_ns = self._link.runtime.now_ns() + self._quarantine_ns
             try:
@@ -340,6 +359,8 @@ class SdoChannel:
             finally:
                 client.end()
         finally:
+            if hold is not None:
+                hold.release()
             self._lock.give_back(turn)
 
     def _no_answer(self, index: int, subindex: int) -> MotorError:

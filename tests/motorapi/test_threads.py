@@ -219,9 +219,8 @@ def test_two_acting_at_once_would_be_noticed(hw, monkeypatch):
     """So that the tests above say something."""
     from contextlib import nullcontext
 
-    monkeypatch.setattr(
-        "motorapi.sharing.PhysicalMotor.transaction", lambda *args, **kwargs: nullcontext()
-    )
+    for way in ("sharing.PhysicalMotor.transaction", "ownership.Ownership.owned"):
+        monkeypatch.setattr(f"motorapi.{way}", lambda *args, **kwargs: nullcontext())
 
     def work(motor):
         for _ in range(10):

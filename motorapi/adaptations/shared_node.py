@@ -1,0 +1,76 @@
+"""What keeps processes apart that have the same CANopen node on a bus: two locks.
+
+One says who may command the drive (`motorapi.ownership`). The other is short: it is had for one SDO
+transfer, or for one set-up, so that the answers to one process are never taken for the answers to
+another. A process that is paused inside it keeps all others from the drive's objects; they are told
+which one it is.
+"""
+
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager
+from typing import TYPE_CHECKING, Final, final
+
+from motorapi.lock_names import bus_name
+from motorapi.process_lock import ProcessLock, can_share_time
+from motorapi.sharing import PhysicalMotor
+
+if TYPE_CHECKING:
+    import can
+
+    from motorapi.adaptations.sdo_channel import SdoChannel
+    from motorapi.runtime import Runtime
+
+
+def node_locks(
+    bus: "can.BusABC", runtime: "Runtime", node_id: int, label: str
+) -> "tuple[ProcessLock, ProcessLock] | tuple[None, None]":
+    """(of the drive, of its SDO channel); none, if no other process can be on this bus."""
+    where = bus_name(bus) if can_share_time(runtime) else None
+    if where is None:
+        return None, None
+    name = f"{where}-node{node_id}"
+    return ProcessLock(name, label), ProcessLock(f"{name}-sdo", f"the SDO channel of {label}")
+
+
+@final
+class SharedNode:
+    """One drive, as a process shares it with others.
+
+    Attributes:
+        sdo_lock: of its SDO channel; None: no other process is on its bus.
+    """
+
+    def __init__(
+        self, physical: PhysicalMotor, sdo_lock: ProcessLock | None, runtime: "Runtime"
+    ) -> None:
+        self.sdo_lock: Final = sdo_lock
+        self._physical = physical
+        self._runtime = runtime
+        self._absences = 0
+
+    @property
+    def is_as_we_left_it(self) -> bool:
+        """Whether no other process has had the drive since it was set up here."""
+        return self._absences == self._physical.ownership.absences
+
+    @contextmanager
+    def setting_up(self, sdo: "SdoChannel", timeout_s: float) -> Iterator[None]:
+        """No other process sets the drive up; what the block writes, it may write.
+
+        Raises:
+            MotorBusyError: another process does, for longer than `timeout_s` [s]; or something had
+                to be written, and another process owns the drive.
+        """
+        if self.sdo_lock is None:
+            yield
+            return
+        ownership, label = self._physical.ownership, self._physical.label
+        with ExitStack() as held:
+            what = f"set-up of {label}"
+            held.enter_context(self.sdo_lock.acquire(self._runtime, what, timeout_s, sdo))
+            sdo.before_writing = held.enter_context(ownership.owned_to_set_up(self._runtime, label))
+            try:
+                yield
+            finally:
+                sdo.before_writing = None
+            self._absences = ownership.absences

@@ -1,0 +1,245 @@
+"""Logical motors of one process that wait for one another, in virtual time."""
+
+import pytest
+
+from motorapi import (
+    ControlMode,
+    ControlVariable,
+    MotionInterrupted,
+    Motor,
+    MotorBusyError,
+    MotorGroup,
+    StateError,
+    TrapezoidalTrajectory,
+    UsageError,
+)
+from tests.motorapi.ideal import IdealBus, IdealHwMotor, IdealMotor
+
+MS = 1_000_000
+
+
+def follow(motor, way):
+    motor.set_control_mode(ControlMode.TRAJECTORY)
+    motor.set_trajectory(TrapezoidalTrajectory(way))
+
+
+@pytest.fixture
+def logical(hw):
+    """Logical motors of one physical one, each with 0.1 rad to go."""
+    motors = [IdealMotor(hw, name=name) for name in "abcd"]
+    for motor in motors:
+        follow(motor, 0.1)
+    return motors
+
+
+def spawn_moves(runtime, motors, order, timeout_s=60.0):
+    """Each moves in a party of its own, in this order of asking."""
+
+    def move(motor):
+        motor.start(timeout_s)
+        order.append((motor.name, runtime.now_ns()))
+        motor.wait_until_done()
+
+    return [runtime.spawn(motor.name, lambda motor=motor: move(motor)) for motor in motors]
+
+
+def join(parties):
+    for party in parties:
+        assert party.join(timeout_s=100)
+        if party.error is not None:
+            raise party.error
+
+
+def test_who_waits_starts_when_the_motion_before_it_is_over(runtime, logical):
+    a, b, *_ = logical
+    a.start()
+    a_takes_s = a.progress().expected_s
+    b.start(timeout_s=10)
+    assert 0 <= runtime.now_ns() - a_takes_s * 1e9 <= 2 * MS  # the double is polled every ms
+    assert a.is_done()
+    b.wait_until_done()
+    assert b.position() == pytest.approx(0.2)  # a sum of two 0.1
+
+
+def test_who_waits_too_long_is_refused_with_the_name_of_who_has_it(runtime, logical):
+    a, b, *_ = logical
+    a.set_control_mode(ControlMode.SETPOINT, ControlVariable.VELOCITY)
+    a.set_setpoint(1.0)
+    a.start()
+    for timeout_s in (0.0, 0.5):
+        begun_ns = runtime.now_ns()
+        with pytest.raises(MotorBusyError, match=r"b is held by start\(\) of a"):
+            b.start(timeout_s=timeout_s)
+        assert runtime.now_ns() - begun_ns == round(timeout_s * 1e9)
+    a.stop()
+    b.start(timeout_s=0.0)  # nothing is left behind of those who gave up
+
+
+def test_those_who_wait_start_in_the_order_of_asking(runtime, logical):
+    order = []
+    join(spawn_moves(runtime, logical, order))
+    assert [name for name, _ in order] == ["a", "b", "c", "d"]
+    times = [time_ns for _, time_ns in order]
+    assert times == sorted(set(times))
+
+
+def test_who_does_not_wait_does_not_overtake_those_who_do(runtime, logical):
+    a, b, c, _ = logical
+    with a.reserve():
+        parties = spawn_moves(runtime, [b], [])
+        runtime.run_for(0.01)
+    with pytest.raises(MotorBusyError, match=r"c is held by start\(\) of b, which waits for it,"):
+        c.start()  # free, but b was before
+    join(parties)
+    c.start()
+
+
+def test_a_reservation_holds_it_over_several_motions(runtime, logical, hw):
+    a, b, *_ = logical
+    with a.reserve("survey"):
+        runtime.run_for(1.0)
+        for _ in range(2):
+            with pytest.raises(MotorBusyError) as caught:
+                b.start()
+            told = caught.value
+            assert (told.motor, told.holder, told.purpose) == ("b", "reserve() of a", "survey")
+            assert told.since_ns == 0
+            a.start()
+            a.wait_until_done()
+        for refused in (b.enable, b.disable, b.home, b.reset_fault):
+            with pytest.raises(MotorBusyError, match="survey"):
+                refused()
+        assert b.position() == a.position()  # reading is free
+    b.start()
+    b.wait_until_done()
+    assert hw.physical.token == 2
+
+
+def test_anybody_may_stop_what_is_reserved(logical):
+    a, b, *_ = logical
+    with a.reserve():
+        a.start()
+        b.stop()
+        with pytest.raises(MotionInterrupted, match=r"stop\(\) of b"):
+            a.wait_until_done()
+        with pytest.raises(MotorBusyError):
+            b.start()
+
+
+def test_a_motion_that_goes_on_after_its_reservation_still_holds_the_motor(logical):
+    a, b, *_ = logical
+    with a.reserve():
+        a.start()
+    with pytest.raises(MotorBusyError, match=r"start\(\) of a"):
+        b.start()
+    a.wait_until_done()
+    b.start()
+
+
+def test_a_reservation_ends_with_its_block_however_that_ends(logical):
+    a, b, *_ = logical
+    with pytest.raises(RuntimeError), a.reserve():
+        raise RuntimeError
+    b.start()
+
+
+def test_reservations_of_one_motor_may_be_nested(logical):
+    a, b, *_ = logical
+    with a.reserve("outer"):
+        with a.reserve("inner"):
+            pass
+        with pytest.raises(MotorBusyError, match="outer"):
+            b.start()
+    b.start()
+
+
+def test_what_moves_for_somebody_else_is_reserved_once_it_has_ended(runtime, logical):
+    a, b, *_ = logical
+    a.start()
+    with pytest.raises(MotorBusyError, match=r"start\(\) of a"), b.reserve():
+        pass
+    with b.reserve(timeout_s=10):
+        assert a.is_done()
+        b.start()
+
+
+def test_its_owner_goes_on_while_somebody_waits(runtime, logical):
+    a, b, *_ = logical
+    with a.reserve():
+        order = []
+        parties = spawn_moves(runtime, [b], order)
+        for _ in range(3):
+            a.start()
+            a.wait_until_done()
+        a.disable()
+        assert order == []
+        asked_ns = runtime.now_ns()
+    join(parties)
+    assert order[0][1] - asked_ns <= 2 * MS
+
+
+def test_ones_own_motion_is_not_waited_for(runtime, logical):
+    a, *_ = logical
+    a.start()
+    with pytest.raises(StateError):
+        a.start(timeout_s=10)
+    assert runtime.now_ns() == 0
+
+
+def test_low_level_access_waits_for_a_reservation_and_keeps_one_out(runtime, logical):
+    a, b, *_ = logical
+    with a.reserve("survey"):
+        with pytest.raises(MotorBusyError, match="survey"), b.low_level():
+            pass
+        with pytest.raises(MotorBusyError, match="survey"), b.low_level(timeout_s=0.5):
+            pass
+        assert runtime.now_ns() == 500 * MS
+
+
+@pytest.mark.parametrize("timeout_s", [-1.0, float("nan"), "soon"])
+def test_a_time_nobody_can_wait_is_refused(logical, timeout_s):
+    a, *_ = logical
+    with pytest.raises(UsageError, match="timeout_s"):
+        a.start(timeout_s)
+    with pytest.raises(UsageError, match="timeout_s"), a.reserve(timeout_s=timeout_s):
+        pass
+    with pytest.raises(UsageError, match="say it in words"), a.reserve(1):
+        pass
+    a.start()
+
+
+def test_groups_that_wait_for_shared_motors_in_opposite_orders_all_have_their_turn(runtime):
+    bus = IdealBus()
+    hardware = [IdealHwMotor(runtime, node, bus, acts_s=0.001) for node in (1, 2, 3)]
+
+    def drive(name, order):
+        group = MotorGroup(*(IdealMotor(hardware[k], name=f"{name}{k}") for k in order))
+        group.for_each(Motor.set_control_mode, ControlMode.TRAJECTORY)
+        group.set_trajectory(*[TrapezoidalTrajectory(0.01)] * 3)
+        for _ in range(20):
+            group.start(timeout_s=10)
+            group.wait_until_done(timeout_s=5)
+
+    join(
+        [
+            runtime.spawn("up", lambda: drive("up", (0, 1, 2))),
+            runtime.spawn("down", lambda: drive("down", (2, 1, 0))),
+        ]
+    )
+    assert [hw.position() for hw in hardware] == pytest.approx([0.4] * 3)  # sums of 0.01
+
+
+def test_a_group_that_cannot_have_all_has_none(runtime):
+    bus = IdealBus()
+    hardware = [IdealHwMotor(runtime, node, bus) for node in (1, 2)]
+    group = MotorGroup(*(IdealMotor(one, name=f"g{one.node}") for one in hardware))
+    group.for_each(Motor.set_control_mode, ControlMode.TRAJECTORY)
+    group.set_trajectory(*[TrapezoidalTrajectory(0.01)] * 2)
+    second = IdealMotor(hardware[1], name="second")
+    first = IdealMotor(hardware[0], name="first")
+    with second.reserve("survey"):
+        with pytest.raises(MotorBusyError, match="survey"):
+            group.start(timeout_s=0.1)
+        follow(first, 0.1)
+        first.start()
+    assert hardware[1].position() == 0.0

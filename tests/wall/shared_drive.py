@@ -1,0 +1,116 @@
+"""A program of its own that commands node 1 of a hub: does what it reads, line by line.
+
+python -m tests.wall.shared_drive CHANNEL MODEL NAME
+
+    move DISTANCE [TIMEOUT_S]       "started", or "busy WHY"
+    run VELOCITY                    the same, without an end
+    wait                            "done", or "failed WHY"
+    stop                            "stopped"
+    reserve PURPOSE [TIMEOUT_S]     "reserved", or "busy WHY"
+    release                         "released"
+    low_level                       "alone", or "busy WHY"
+    gain P                          of the position loop, from the next motion on: "set"
+    read INDEX SUBINDEX             "read VALUE"
+    read_many COUNT                 two objects in turn: "same" if each was always what it is
+    position                        "at POSITION"
+    downloads                       "wrote COUNT": how often this process has written an object
+"""
+
+import sys
+from contextlib import ExitStack
+
+import can
+
+from motorapi import (
+    ControlMode,
+    ControlVariable,
+    MotorBusyError,
+    MotorError,
+    MotorModel,
+)
+from motorapi.adaptations.cia402 import Cia402HwMotor, Cia402Motor, HwOptions
+from motorapi.adaptations.cia402_parameters import Cia402Parameters
+from motorapi.adaptations.sdo_channel import SdoChannel
+
+PATIENT = HwOptions(heartbeat_timeout_ms=10_000, sdo_timeout_s=10.0, connect_timeout_s=30.0)
+
+
+class Program:
+    def __init__(self, bus, model, name):
+        self.hardware = Cia402HwMotor(bus, node_id=1, options=PATIENT)
+        self.motor = Cia402Motor(self.hardware, model=model, name=name)
+        self.held = ExitStack()
+        self.wrote = 0
+        write = SdoChannel.download
+
+        def counted(channel, *args):
+            self.wrote += 1
+            write(channel, *args)
+
+        SdoChannel.download = counted
+
+    def do(self, word, *rest):
+        timeout_s = float(rest[1]) if len(rest) > 1 else None
+        motor, hardware = self.motor, self.hardware
+        match word:
+            case "move":
+                motor.set_control_mode(ControlMode.SETPOINT)
+                motor.set_setpoint(float(rest[0]), relative=True)
+                motor.start(timeout_s)
+                return "started"
+            case "run":
+                motor.set_control_mode(ControlMode.SETPOINT, ControlVariable.VELOCITY)
+                motor.set_setpoint(float(rest[0]))
+                motor.start()
+                return "started"
+            case "wait":
+                motor.wait_until_done(60.0)
+                return "done"
+            case "stop":
+                motor.stop()
+                return "stopped"
+            case "reserve":
+                self.held.enter_context(motor.reserve(rest[0], timeout_s=timeout_s))
+                return "reserved"
+            case "low_level":
+                self.held.enter_context(motor.low_level())
+                return "alone"
+            case "release":
+                self.held.close()
+                return "released"
+            case "gain":
+                motor.set_parameters(Cia402Parameters(position_gains=(int(rest[0]),)))
+                return "set"
+            case "read":
+                return f"read {hardware.read(int(rest[0], 16), int(rest[1]), 'u32')}"
+            case "read_many":
+                facts = [hardware.upload(0x1018, place) for place in (1, 2)]
+                for number in range(int(rest[0])):
+                    place = number % 2
+                    if hardware.upload(0x1018, place + 1) != facts[place]:
+                        return f"different at {number}"
+                return "same"
+            case "position":
+                return f"at {motor.position():.3f}"
+            case "downloads":
+                return f"wrote {self.wrote}"
+        return f"what is {word}?"
+
+
+def main():
+    channel, model, name = sys.argv[1:]
+    with can.Bus(interface="emulated", channel=channel) as bus:
+        program = Program(bus, MotorModel.load(model), name)
+        print("ready", flush=True)
+        for line in sys.stdin:
+            try:
+                answer = program.do(*line.split())
+            except MotorBusyError as error:
+                answer = f"busy {error}"
+            except MotorError as error:
+                answer = f"failed {error}"
+            print(answer, flush=True)
+
+
+if __name__ == "__main__":
+    main()

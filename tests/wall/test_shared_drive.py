@@ -1,0 +1,219 @@
+"""One drive on a hub, commanded from several processes that are nobody's relatives."""
+
+import os
+import re
+import signal
+import subprocess
+import sys
+
+import pytest
+
+from harness.scaffold import EXAMPLES
+from motorapi.lock_directory import VARIABLE, LockDirectory
+from motorapi.lock_view import list_locks
+from motorapi.wall_runtime import WallRuntime
+from tests.wall.programs import LONG_S, Program
+
+pytestmark = pytest.mark.wall
+
+SERVE = (sys.executable, "-c", "import sys; from harness.cli import main; sys.exit(main())")
+MODEL = EXAMPLES / "wheel_model.toml"
+
+
+@pytest.fixture
+def folder(tmp_path):
+    """Where the locks are."""
+    path = tmp_path / "locks"
+    path.mkdir(mode=0o700)
+    return path
+
+
+@pytest.fixture
+def hub(tmp_path):
+    """The path of a hub that serves two wheels."""
+    path = tmp_path / "hub"
+    command = [*SERVE, "serve", str(EXAMPLES / "two_wheels.toml"), "--socket", str(path)]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL) as server:
+        assert server.stdout.readline().startswith(b"can0: ")
+        yield path
+        server.send_signal(signal.SIGINT)
+        server.wait(LONG_S)
+
+
+@pytest.fixture
+def programs(hub, folder):
+    """Starts programs on the hub; none is left."""
+    started = []
+
+    def start(*names, channel=None):
+        new = []
+        for name in names:
+            env = {**os.environ, VARIABLE: str(folder)}
+            new.append(Program("shared_drive", channel or hub, MODEL, name, env=env))
+            started.append(new[-1])
+        for program in new:
+            assert program.hear() == "ready"
+        return new if len(new) > 1 else new[0]
+
+    yield start
+    for program in started:
+        program.end()
+
+
+@pytest.fixture
+def views(folder):
+    """The lock of the drive and that of its SDO channel, as anybody sees them."""
+    return lambda: list_locks(LockDirectory(folder))
+
+
+def wait_for(done):
+    runtime = WallRuntime()
+    try:
+        assert runtime.wait_until(done, LONG_S)
+    finally:
+        runtime.close()
+
+
+def waiters(views):
+    return [one.record.pid for _, one in views()[0].waiters if one.record is not None]
+
+
+def test_who_has_a_motion_going_on_keeps_others_out_until_it_is_over(programs, views):
+    mast, drive = programs("mast", "drive")
+    assert mast.ask("move 3") == "started"
+    refused = drive.ask("move -1")
+    assert re.match(
+        rf"busy drive is held by pid {mast.pid} \(shared_drive.py\)"
+        r" for start\(\) of mast since 20..-.*UTC \(\d+\.\d s ago\)",
+        refused,
+    )
+    assert drive.ask("position").startswith("at ")  # reading is free
+    assert mast.ask("wait") == "done"
+    assert views()[0].holder is None  # let go by the event that ended it
+    assert drive.ask("move -1") == "started"
+    assert drive.ask("wait") == "done"
+    assert drive.ask("position") == "at 2.000"
+
+
+def test_a_motion_that_nobody_waits_for_is_let_go_when_it_is_over(programs, views):
+    mast = programs("mast")
+    assert mast.ask("move 0.2") == "started"
+    wait_for(lambda: views()[0].holder is None)
+    assert mast.ask("position") == "at 0.200"
+
+
+def test_those_who_wait_have_their_turn_in_the_order_of_asking(programs, views):
+    first, second, third = programs("first", "second", "third")
+    assert first.ask("reserve survey") == "reserved"
+    second.say("move 0.1 60")
+    wait_for(lambda: waiters(views) == [second.pid])
+    third.say("move 0.1 60")
+    wait_for(lambda: waiters(views) == [second.pid, third.pid])
+    for _ in range(2):  # several motions in one reservation
+        assert first.ask("move 0.5") == "started"
+        assert first.ask("wait") == "done"
+    assert first.ask("position") == "at 1.000"
+    assert first.ask("release") == "released"
+    assert second.hear() == "started"
+    assert second.ask("wait") == "done"
+    assert third.hear() == "started"
+    assert third.ask("wait") == "done"
+    assert third.ask("position") == "at 1.200"
+
+
+def test_a_reservation_tells_what_for_and_ends_with_its_process(programs, views):
+    mast, drive = programs("mast", "drive")
+    assert mast.ask("reserve survey") == "reserved"
+    assert "for survey (reserve() of mast) since" in drive.ask("move 1")
+    assert "for survey (reserve() of mast) since" in drive.ask("reserve lunch")
+    assert "for survey (reserve() of mast) since" in drive.ask("low_level")
+    assert drive.ask("reserve lunch 0.05").startswith("busy drive is held by pid ")
+    drive.say("move 0.5 60")
+    wait_for(lambda: waiters(views) == [drive.pid])
+    mast.kill()
+    assert drive.hear() == "started"
+    assert drive.ask("wait") == "done"
+
+
+def test_a_velocity_is_kept_until_it_is_stopped_and_anybody_may_stop_it(programs, views):
+    mast, drive = programs("mast", "drive")
+    assert mast.ask("run 1.0") == "started"
+    assert mast.ask("wait") == "done"  # reached
+    assert drive.ask("move 1").startswith("busy drive is held by pid ")
+    assert drive.ask("stop") == "stopped"
+    assert drive.ask("wait") == "done"
+    mast.ask("stop")  # its own: it has learnt by now that it was stopped, or does so here
+    mast.ask("wait")
+    wait_for(lambda: views()[0].holder is None)
+    assert drive.ask("move 0.1") == "started"
+    assert drive.ask("wait") == "done"
+
+
+def test_low_level_access_keeps_other_processes_out(programs):
+    mast, drive = programs("mast", "drive")
+    assert mast.ask("low_level") == "alone"
+    assert "for low-level access (low_level() of mast) since" in drive.ask("move 1")
+    assert mast.ask("release") == "released"
+    assert drive.ask("move 0.1") == "started"
+    assert drive.ask("wait") == "done"
+
+
+def test_what_one_process_has_written_another_does_not_believe_to_be_its_own(programs):
+    soft, hard = programs("soft", "hard")
+    assert soft.ask("gain 60000") == "set"
+    assert hard.ask("gain 50000") == "set"
+    for _ in range(3):
+        for program, gain in ((soft, 60000), (hard, 50000)):
+            assert program.ask("move 0.1") == "started"
+            assert program.ask("read 60FB 1") == f"read {gain}"
+            assert program.ask("wait") == "done"
+
+
+def test_what_it_has_written_it_believes_as_long_as_nobody_else_had_the_motor(programs):
+    alone = programs("alone")
+    alone.ask("gain 60000")
+    for _ in range(2):
+        assert alone.ask("move 0.1") == "started"
+        assert alone.ask("wait") == "done"
+    before = alone.ask("downloads")
+    assert alone.ask("move 0.1") == "started"
+    assert alone.ask("wait") == "done"
+    after = alone.ask("downloads")
+    # the target and the edge of its controlword: nothing of profile, mode or gains
+    assert int(after.split()[1]) - int(before.split()[1]) <= 3
+
+
+def test_their_sdo_transfers_do_not_mix(programs):
+    both = programs("one", "two")
+    for program in both:
+        program.say("read_many 300")
+    assert [program.hear() for program in both] == ["same"] * 2
+
+
+def test_one_who_is_killed_in_the_middle_of_a_transfer_blocks_nobody(programs, views):
+    dies, lives = programs("dies", "lives")
+    dies.say("read_many 1000000")
+    wait_for(lambda: any(view.holder for view in views() if view.name.endswith("-sdo")))
+    dies.kill()
+    assert lives.ask("read_many 50").startswith("same")
+    assert lives.ask("move 0.1") == "started"
+
+
+def test_the_drive_is_the_same_whatever_path_leads_to_the_hub(programs, hub, tmp_path):
+    (tmp_path / "link").symlink_to(hub)
+    mast = programs("mast")
+    drive = programs("drive", channel=f"{tmp_path}/link#can0")
+    assert mast.ask("reserve survey") == "reserved"
+    assert drive.ask("move 1").startswith(f"busy drive is held by pid {mast.pid} ")
+
+
+def test_reading_disturbs_nobody_not_even_while_the_drive_moves(programs):
+    mast = programs("mast")
+    assert mast.ask("run 0.5") == "started"
+    late = programs("late")  # it joins while the other moves
+    assert late.ask("position").startswith("at ")
+    assert late.ask("downloads") == "wrote 0"
+    assert late.ask("read 1018 1").startswith("read ")
+    assert mast.ask("wait") == "done"
+    assert mast.ask("stop") == "stopped"
+    assert mast.ask("wait") == "done"
