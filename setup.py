@@ -36,6 +36,10 @@ HOT = (
     "motorapi/adaptations/drive_node.py",
     "motorapi/adaptations/drive_reader.py",
     "motorapi/adaptations/motion_watch.py",
+    "motorapi/adaptations/software_axis.py",
+    "motorapi/adaptations/software_courses.py",
+    "motorapi/adaptations/software_cycle.py",
+    "motorapi/adaptations/software_servo.py",
     "motorapi/adaptations/turn_lock.py",
 )
 INTERPRETED = ("__init__.py", "factory.py", "settings.py")

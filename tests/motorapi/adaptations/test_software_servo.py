@@ -1,6 +1,7 @@
 """The servo by itself, on a made-up motor: its law, saturation, winding up, counters that wrap."""
 
 from collections.abc import Callable
+from dataclasses import replace
 from math import inf
 
 import pytest
@@ -38,7 +39,7 @@ LIMITS = ServoLimits(
 
 
 def limits(**changed: float) -> ServoLimits:
-    return ServoLimits(**{**{name: getattr(LIMITS, name) for name in LIMITS.__slots__}, **changed})
+    return replace(LIMITS, **changed)
 
 
 class Inertia:
