@@ -171,23 +171,21 @@ def as_motion(motion: Motion, profile: DriveProfile, units: DriveUnits) -> Motio
         if motion.duration_s is None:
             return made
         return replace(made, duration_s=planning.duration_of(made))
-    made = replace(
+    return replace(
         motion,
         start=units.position(units.position_inc(motion.start)),
         target=units.position(profile.target),
         velocity=units.speed(profile.speed),
         acceleration=acceleration,
         deceleration=deceleration,
+        duration_s=None if motion.duration_s is None else expected_s(motion, profile, units),
     )
-    if motion.duration_s is None:
-        return made
-    return replace(made, duration_s=planning.duration_of(made))
 
 
 def expected_s(motion: Motion, profile: DriveProfile, units: DriveUnits) -> float:
-    """How long the profile takes over the motion's distance [s]."""
-    made = as_motion(replace(motion, duration_s=0.0), profile, units)
-    return made.duration_s or 0.0
+    """How long the profile takes over the motion's distance [s]; of position."""
+    start = units.position(units.position_inc(motion.start))
+    return _duration_s(profile, units.position(profile.target) - start, units)
 
 
 def _speed_limit(motion: Motion, model: MotorModel) -> float:
