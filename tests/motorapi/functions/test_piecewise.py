@@ -53,6 +53,23 @@ def test_piecewise_pieces_are_taken_apart():
     assert again == outer
 
 
+def test_breaks_within_pieces_are_told_too():
+    step = Piecewise((0.0, 1.0, 3.0), (Constant(0.0), Constant(5.0)))
+    made = Piecewise((0.0, 2.0, 4.0), (Sine() + step, Constant(1.0)))
+    assert made.breaks_between(0.0, 4.0) == (1.0, 2.0)
+    assert made.breaks_between(1.0, 2.0) == ()
+    assert (made * Sine()).breaks_between(0.5, 4.0) == (1.0, 2.0)
+    assert made.shifted(1.0).breaks_between(0.0, 5.0) == (2.0, 3.0)
+    assert (Sine() + step).scaled(-2.0).breaks_between(-6.0, 0.0) == (-2.0,)
+    for low, high, smooth in (
+        (0.0, 0.5, True),
+        (0.5, 1.0, False),
+        (1.0, 1.5, True),
+        (1.5, 2.5, False),
+    ):
+        assert made.is_smooth(low, high) is smooth
+
+
 def test_what_is_joined_follows_one_upon_the_other():
     track = Piecewise.joined(RAMP, Constant(2.5).restricted(-1.0, 0.0), RAMP.scaled(-1.0))
     assert track.breaks == (0.0, 1.0, 3.0, 4.0, 6.0, 7.0)
