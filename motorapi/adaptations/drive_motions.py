@@ -8,12 +8,14 @@
 | trajectory that is a function            | csp | its first set-point, latched by SYNC            |
 """
 
+from contextlib import suppress
 from functools import partial
 from typing import TYPE_CHECKING, Final, final
 
+from motorapi.adaptations.canopen_errors import SdoAborted
 from motorapi.adaptations.cia402_hardware import Cia402HwMotor
 from motorapi.adaptations.cia402_objects import FAULT_BIT, Mode
-from motorapi.adaptations.cia402_parameters import WINDOW_OFF, Cia402Parameters
+from motorapi.adaptations.cia402_parameters import Cia402Parameters
 from motorapi.adaptations.cia402_triggers import (
     ArmedStream,
     LiveTargetTrigger,
@@ -31,7 +33,13 @@ from motorapi.adaptations.drive_profile import (
     profile_of,
 )
 from motorapi.adaptations.drive_reader import DriveReader
-from motorapi.adaptations.drive_torque import as_torque_motion, ramp_s, torque_profile_of
+from motorapi.adaptations.drive_torque import (
+    STEEPEST,
+    as_torque_motion,
+    ramp_s,
+    torque_profile_of,
+)
+from motorapi.adaptations.motion_settings import settings_of, window_of
 from motorapi.adaptations.motion_watch import SETTLE_NS, MotionWatch, SetpointWatch, StreamWatch
 from motorapi.adaptations.streamed_motion import StreamedMotion
 from motorapi.commands import ControlVariable, Motion
@@ -128,7 +136,8 @@ class DriveMotions:
                 state="set-points are being streamed to it",
                 remedy="stop() first",
             )
-        self._push_parameters(motion)
+        wanted = settings_of(motion, self.parameters, self._hardware, self._reader)
+        self._hardware.parameters.apply(self._motor, wanted)
         if motion.function is not None:
             return self._arm_stream(motion)
         if motion.variable is ControlVariable.TORQUE:
@@ -186,8 +195,9 @@ class DriveMotions:
             self._control.hold()
             self._control.set_mode(Mode.PROFILE_TORQUE)
         self._push_stopping_ramps(motion)
-        if profile.slope is not None:
-            self._objects.push(0x6087, profile.slope)
+        if profile.slope == STEEPEST:
+            with suppress(SdoAborted):  # a drive that has a steepest one of its own keeps that
+                self._objects.push(0x6087, STEEPEST)
         self._control.keep_halt()
         expected_ns = round(ramp_s(motion, profile, unit) * 1e9)
         watch = _live_watch(max(expected_ns, SETTLE_NS))
@@ -251,28 +261,8 @@ class DriveMotions:
             units.acceleration_raw(motion.acceleration), units.acceleration_raw(motion.deceleration)
         )
 
-    def _push_parameters(self, motion: Motion) -> None:
-        """The drive holds this logical motor's parameters, and its own where that has none."""
-        store = self._hardware.parameters
-        units = self._reader.known()[0]
-        wanted = self.parameters.objects(units)
-        if motion.function is not None:
-            # A quick stop in mid-stream is no harder than the model allows.
-            own = store.own((0x6085, 0))
-            if own is None:
-                own = self._objects.read_optional(0x6085)
-            highest = units.acceleration_raw(motion.deceleration)
-            if own is not None and (own == 0 or own > highest):
-                wanted[0x6085, 0] = highest
-        store.apply(self._motor, wanted)
-
     def _window(self) -> int | None:
-        """How near the target is reached [increments]; None: the drive does not say."""
-        units, limits = self._reader.known()
-        if self.parameters.position_window is not None:
-            return self.parameters.objects(units)[0x6067, 0]
-        own = self._hardware.parameters.own((0x6067, 0))
-        return limits.window if own is None else (None if own == WINDOW_OFF else own)
+        return window_of(self.parameters, self._hardware, self._reader)
 
     def _push_ramps(self, acceleration: int, deceleration: int) -> None:
         self._objects.push(0x6083, acceleration)

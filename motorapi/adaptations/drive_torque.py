@@ -19,7 +19,7 @@ ReadObject = Callable[[int, int], int | None]
 
 _INT16_MAX: Final = 0x7FFF
 _UINT32_MAX: Final = 0xFFFF_FFFF
-_STEEPEST: Final = _UINT32_MAX  # 6087h: no ramp was asked for
+STEEPEST: Final = _UINT32_MAX  # 6087h: no ramp was asked for
 
 
 @final
@@ -142,7 +142,7 @@ def torque_profile_of(motion: Motion, unit: TorqueUnit) -> TorqueProfile:
         return TorqueProfile(target, None)
     steps = motion.slope / unit.size
     if steps >= _UINT32_MAX:
-        return TorqueProfile(target, _STEEPEST)
+        return TorqueProfile(target, STEEPEST)
     slope = floor(steps * (1.0 + 4e-16) + 1e-9)
     if slope < 1:
         raise LimitError(
@@ -160,7 +160,7 @@ def torque_profile_of(motion: Motion, unit: TorqueUnit) -> TorqueProfile:
 def as_torque_motion(motion: Motion, profile: TorqueProfile, unit: TorqueUnit) -> Motion:
     """What `profile` amounts to, in SI units, with its duration."""
     target = unit.torque(profile.target)
-    slope = inf if profile.slope in (None, _STEEPEST) else (profile.slope or 0) * unit.size
+    slope = inf if profile.slope in (None, STEEPEST) else (profile.slope or 0) * unit.size
     made = replace(motion, target=target, slope=slope)
     if motion.mode is ControlMode.SETPOINT or motion.duration_s is None:
         return made

@@ -5,6 +5,7 @@ from math import inf
 
 import pytest
 
+from emulators.cia402.settings import OWN_EDS
 from emulators.plant.presets import WHEEL_60W
 from harness.rig import Rig
 from motorapi import MotorGroup, MotorModel, TrapezoidalTrajectory
@@ -271,4 +272,24 @@ def test_a_set_point_without_a_slope_is_a_step(rig: Rig):
     assert motor._physical.run is not None
     assert motor._physical.run.motion is not None
     assert motor._physical.run.motion.slope == inf
+    motor.stop()
+
+
+def test_a_drive_that_takes_no_steeper_slope_keeps_its_own(open_rig: OpenRig, tmp_path):
+    """As Elmo's, whose 6087h has a highest value; what a ramp wrote does not stay for others."""
+    text = OWN_EDS.read_text()
+    at = text.index("DefaultValue=100000")
+    eds = tmp_path / "own.eds"
+    eds.write_text(text[:at] + "HighLimit=200000\n" + text[at:])
+    rig = open_rig(drive("left", 1, f'eds = "{eds}"\n{HEAVY}'))
+    motor = motor_of(rig)
+    push(motor, 3.0, slope=30.0)
+    motor.wait_until_done(timeout_s=1)
+    assert motor.hardware.read(0x6087, kind="u32") == int(30.0 / (RATED_N_M * 1e-3 * GEAR))
+    push(motor, -3.0)
+    motor.wait_until_done(timeout_s=1)
+    assert motor.hardware.read(0x6087, kind="u32") == 100_000
+    assert asked(rig) == pytest.approx(-3.0, abs=0.02)
+    with pytest.raises(UnsupportedError, match="6087h = "):
+        push(motor, 3.0, slope=1e5)
     motor.stop()
