@@ -43,7 +43,7 @@ def push(motor: Cia402Motor, torque_n_m: float, slope: float | None = None) -> N
 
 def asked(rig: Rig, name: str = "left") -> float:
     """The drive's torque demand, 6074h, behind the gear [N·m]."""
-    permille = motor_of(rig, name).hardware.read(0x6074, kind="i16")
+    permille = motor_of(rig, name).hardware.read("torque_demand")
     assert isinstance(permille, int)
     return permille * 1e-3 * RATED_N_M * GEAR
 
@@ -285,10 +285,10 @@ def test_a_drive_that_takes_no_steeper_slope_keeps_its_own(open_rig: OpenRig, tm
     motor = motor_of(rig)
     push(motor, 3.0, slope=30.0)
     motor.wait_until_done(timeout_s=1)
-    assert motor.hardware.read(0x6087, kind="u32") == int(30.0 / (RATED_N_M * 1e-3 * GEAR))
+    assert motor.hardware.read("torque_slope") == int(30.0 / (RATED_N_M * 1e-3 * GEAR))
     push(motor, -3.0)
     motor.wait_until_done(timeout_s=1)
-    assert motor.hardware.read(0x6087, kind="u32") == 100_000
+    assert motor.hardware.read("torque_slope") == 100_000
     assert asked(rig) == pytest.approx(-3.0, abs=0.02)
     with pytest.raises(UnsupportedError, match="6087h = "):
         push(motor, 3.0, slope=1e5)
