@@ -8,10 +8,9 @@ Nothing else of this package need be imported::
 
 from collections.abc import Mapping
 from dataclasses import fields
-from difflib import get_close_matches
 from typing import TYPE_CHECKING, Final
-from weakref import WeakValueDictionary
 
+from motorapi.adaptations.building import Shared, as_name, number, refuse_unknown
 from motorapi.adaptations.cia402_hardware import Cia402HwMotor
 from motorapi.adaptations.cia402_motor import Cia402Motor
 from motorapi.adaptations.cia402_parameters import Cia402Parameters
@@ -20,8 +19,6 @@ from motorapi.errors import UsageError
 from motorapi.sharing import bus_key
 
 if TYPE_CHECKING:
-    from collections.abc import Hashable
-
     import can
 
     from motorapi.model import MotorModel
@@ -31,7 +28,7 @@ __all__ = ["Cia402HwMotor", "Cia402Motor", "Cia402Parameters", "HwOptions", "bui
 
 _OPTIONS: Final = tuple(field.name for field in fields(HwOptions))
 _KEYS: Final = ("name", "node_id", *_OPTIONS)
-_BUILT: "Final[WeakValueDictionary[Hashable, Cia402HwMotor]]" = WeakValueDictionary()
+_SHARED: Final[Shared[Cia402HwMotor]] = Shared("drive")
 
 
 def build(
@@ -50,50 +47,24 @@ def build(
     Raises:
         UsageError: a setting is unknown, missing, or wrong.
     """
-    for key in settings:
-        if key not in _KEYS:
-            near = get_close_matches(key, _KEYS, 1)
-            hint = f"did you mean {near[0]}?" if near else f"known: {', '.join(_KEYS)}"
-            raise UsageError(f"{key} is no setting of a cia402 motor; {hint}")
+    refuse_unknown(settings, _KEYS, "setting of a cia402 motor")
     node_id = settings.get("node_id")
     if not isinstance(node_id, int) or isinstance(node_id, bool):
         raise UsageError(f"node_id = {node_id!r}: must be a node-ID, 1 to 127")
-    name = settings.get("name")
-    given = {key: _option(key, value) for key, value in settings.items() if key in _OPTIONS}
+    given = {
+        key: None if value is None else number(key, value)
+        for key, value in settings.items()
+        if key in _OPTIONS
+    }
     options = HwOptions(**given)  # type: ignore[arg-type]  # HwOptions checks them
-    hardware = _shared_hardware(bus, node_id, options, runtime)
+    hardware = _SHARED.get(
+        (*bus_key(bus), node_id),
+        lambda: Cia402HwMotor(bus, node_id, runtime=runtime, options=options),
+        lambda built: built.options == options,
+    )
     return Cia402Motor(
         hardware,
         model,
-        name=None if name is None else str(name),
-        on_close=lambda: _give_back(hardware),
+        name=as_name(settings.get("name")),
+        on_close=lambda: _SHARED.give_back(hardware),
     )
-
-
-def _option(key: str, value: object) -> float | int | None:
-    if isinstance(value, bool) or not isinstance(value, int | float | None):
-        raise UsageError(f"{key} = {value!r}: must be a number")
-    return value
-
-
-def _shared_hardware(
-    bus: "can.BusABC", node_id: int, options: HwOptions, runtime: "Runtime"
-) -> Cia402HwMotor:
-    key = (*bus_key(bus), node_id)
-    hardware = _BUILT.get(key)
-    if hardware is None or hardware.is_closed:
-        hardware = Cia402HwMotor(bus, node_id, runtime=runtime, options=options)
-        _BUILT[key] = hardware
-    elif hardware.options != options:
-        raise UsageError(
-            f"{hardware.label} is used with other settings already; motors that share a drive "
-            "share its settings"
-        )
-    hardware.users += 1
-    return hardware
-
-
-def _give_back(hardware: Cia402HwMotor) -> None:
-    hardware.users -= 1
-    if hardware.users == 0:
-        hardware.close()

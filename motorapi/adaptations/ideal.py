@@ -8,11 +8,10 @@ drive, no plant; what is commanded happens, exactly and at once. See `ideal_moto
 """
 
 from collections.abc import Mapping
-from difflib import get_close_matches
 from math import isfinite
 from typing import TYPE_CHECKING, Final
-from weakref import WeakValueDictionary
 
+from motorapi.adaptations.building import Shared, refuse_unknown
 from motorapi.adaptations.ideal_hardware import IdealHwMotor, IdealTrigger
 from motorapi.adaptations.ideal_motor import IdealMotor
 from motorapi.commands import as_number
@@ -29,7 +28,7 @@ _KEYS: Final = {
     MotionKind.ROTARY: ("position_rad", "torque_constant_n_m_a"),
     MotionKind.LINEAR: ("position_m", "torque_constant_n_a"),
 }
-_BUILT: "Final[WeakValueDictionary[tuple[Runtime, str], IdealHwMotor]]" = WeakValueDictionary()
+_SHARED: Final[Shared[IdealHwMotor]] = Shared("axis")
 
 
 def build(
@@ -52,11 +51,7 @@ def build(
     """
     position_key, constant_key = _KEYS[model.kind]
     known = ("name", "axis", position_key, constant_key)
-    for key in settings:
-        if key not in known:
-            near = get_close_matches(key, known, 1)
-            hint = f"did you mean {near[0]}?" if near else f"known: {', '.join(known)}"
-            raise UsageError(f"{key} is no setting of an ideal {model.kind.value} motor; {hint}")
+    refuse_unknown(settings, known, f"setting of an ideal {model.kind.value} motor")
     name = settings.get("name", model.name)
     axis = settings.get("axis", name)
     if not isinstance(name, str) or not isinstance(axis, str) or not axis:
@@ -65,8 +60,19 @@ def build(
     constant = _number(settings, constant_key)
     if constant is not None and constant <= 0.0:
         raise UsageError(f"{constant_key} = {constant:g}: must be > 0")
-    hardware = _shared_hardware(runtime, axis, position, constant)
-    return IdealMotor(hardware, model, name=name, on_close=lambda: _give_back(hardware))
+    hardware = _SHARED.get(
+        (runtime, axis),
+        lambda: IdealHwMotor(
+            runtime,
+            axis,
+            position=0.0 if position is None else position,
+            torque_constant=1.0 if constant is None else constant,
+        ),
+        lambda built: (
+            position in (None, built.initial_position) and constant in (None, built.torque_constant)
+        ),
+    )
+    return IdealMotor(hardware, model, name=name, on_close=lambda: _SHARED.give_back(hardware))
 
 
 build.needs_bus = False  # type: ignore[attr-defined]  # what a rig asks of every adaptation
@@ -80,33 +86,3 @@ def _number(settings: Mapping[str, object], key: str) -> float | None:
     if isinstance(value, bool) or not isfinite(number):
         raise UsageError(f"{key} = {value!r}: must be a finite number")
     return number
-
-
-def _shared_hardware(
-    runtime: "Runtime", axis: str, position: float | None, constant: float | None
-) -> IdealHwMotor:
-    hardware = _BUILT.get((runtime, axis))
-    if hardware is None or hardware.is_closed:
-        hardware = IdealHwMotor(
-            runtime,
-            axis,
-            position=0.0 if position is None else position,
-            torque_constant=1.0 if constant is None else constant,
-        )
-        _BUILT[runtime, axis] = hardware
-    elif position not in (None, hardware.initial_position) or constant not in (
-        None,
-        hardware.torque_constant,
-    ):
-        raise UsageError(
-            f"axis {axis} is used with other settings already; motors that share an axis share its"
-            " settings"
-        )
-    hardware.users += 1
-    return hardware
-
-
-def _give_back(hardware: IdealHwMotor) -> None:
-    hardware.users -= 1
-    if hardware.users == 0:
-        hardware.close()

@@ -10,21 +10,18 @@ cycle, the hardware is a plain torque amplifier and an encoder counter on a CANo
 
 from collections.abc import Mapping
 from dataclasses import fields
-from difflib import get_close_matches
 from typing import TYPE_CHECKING, Final
-from weakref import WeakValueDictionary
 
+from motorapi.adaptations.building import Shared, as_name, number, refuse_unknown
 from motorapi.adaptations.software_cycle import CycleReport
 from motorapi.adaptations.software_gains import PidGains
 from motorapi.adaptations.software_hardware import AmplifierHwMotor
 from motorapi.adaptations.software_motor import ServoParameters, SoftwareMotor
-from motorapi.adaptations.software_node import IoOptions
+from motorapi.adaptations.software_options import IoOptions
 from motorapi.errors import UsageError
 from motorapi.sharing import bus_key
 
 if TYPE_CHECKING:
-    from collections.abc import Hashable
-
     import can
 
     from motorapi.model import MotorModel
@@ -60,7 +57,7 @@ _GAINS: Final = {
 }
 _BANDWIDTH: Final = "bandwidth_rad_s"
 _TORQUE: Final = {"rad": "torque_constant_n_m_a", "m": "torque_constant_n_a"}
-_BUILT: "Final[WeakValueDictionary[Hashable, AmplifierHwMotor]]" = WeakValueDictionary()
+_SHARED: Final[Shared[AmplifierHwMotor]] = Shared("amplifier")
 
 
 def build(
@@ -84,30 +81,40 @@ def build(
     torque = _TORQUE[model.unit]
     own = ("name", "node_id", "channel", "current_per_volt_a_v", torque, "gains")
     known = (*own, *keys, *_OPTIONS)
-    _refuse_unknown(settings, known, "setting of a software motor")
+    refuse_unknown(settings, known, "setting of a software motor")
     for key, example in (("current_per_volt_a_v", "0.8"), ("gains", "a table")):
         if key not in settings:
             raise UsageError(f"{key} is missing: write {key} = {example}")
     node_id = _whole(settings, "node_id", None)
     channel = _whole(settings, "channel", 1)
     options = IoOptions(
-        **{key: _number(key, value) for key, value in settings.items() if key in _OPTIONS}  # type: ignore[arg-type]  # IoOptions checks them
+        **{key: number(key, value) for key, value in settings.items() if key in _OPTIONS}  # type: ignore[arg-type]  # IoOptions checks them
     )
-    current_per_volt_a_v = float(_number("current_per_volt_a_v", settings["current_per_volt_a_v"]))
+    current_per_volt_a_v = float(number("current_per_volt_a_v", settings["current_per_volt_a_v"]))
     gains = _gains(settings["gains"], model.unit)
     parameters = ServoParameters(
-        **{field: _number(key, settings[key]) for key, field in keys.items() if key in settings}
+        **{field: number(key, settings[key]) for key, field in keys.items() if key in settings}
     )
-    name = settings.get("name")
-    hardware = _shared_hardware(bus, (node_id, channel), current_per_volt_a_v, options, runtime)
+    hardware = _SHARED.get(
+        (*bus_key(bus), node_id, channel),
+        lambda: AmplifierHwMotor(
+            *(bus, node_id, channel),
+            current_per_volt_a_v=current_per_volt_a_v,
+            runtime=runtime,
+            options=options,
+        ),
+        lambda built: (
+            (built.options, built.current_per_volt_a_v) == (options, current_per_volt_a_v)
+        ),
+    )
     return SoftwareMotor(
         hardware,
         model,
         gains,
         parameters=parameters,
-        torque_constant=_number(torque, settings[torque]) if torque in settings else None,
-        name=None if name is None else str(name),
-        on_close=lambda: _give_back(hardware),
+        torque_constant=number(torque, settings[torque]) if torque in settings else None,
+        name=as_name(settings.get("name")),
+        on_close=lambda: _SHARED.give_back(hardware),
     )
 
 
@@ -116,8 +123,8 @@ def _gains(table: object, unit: str) -> PidGains:
     if not isinstance(table, Mapping):
         raise UsageError(f"gains = {table!r}: must be a table")
     keys = {key.format(u=unit): field for field, key in _GAINS.items()}
-    _refuse_unknown(table, (_BANDWIDTH, *keys), "gain")
-    given = {field: _number(key, table[key]) for key, field in keys.items() if key in table}
+    refuse_unknown(table, (_BANDWIDTH, *keys), "gain")
+    given = {field: number(key, table[key]) for key, field in keys.items() if key in table}
     if _BANDWIDTH not in table:
         if "kp" not in given:
             raise UsageError(
@@ -129,22 +136,8 @@ def _gains(table: object, unit: str) -> PidGains:
     if inertia is None:
         key = _GAINS["acceleration_feedforward"].format(u=unit)
         raise UsageError(f"gains: {_BANDWIDTH} needs {key}, what it takes to turn the motor")
-    tuned = PidGains.tuned(_number(_BANDWIDTH, table[_BANDWIDTH]), inertia)
+    tuned = PidGains.tuned(number(_BANDWIDTH, table[_BANDWIDTH]), inertia)
     return PidGains(**{**{f.name: getattr(tuned, f.name) for f in fields(tuned)}, **given})
-
-
-def _refuse_unknown(table: Mapping[str, object], known: tuple[str, ...], what: str) -> None:
-    for key in table:
-        if key not in known:
-            near = get_close_matches(key, known, 1)
-            hint = f"did you mean {near[0]}?" if near else f"known: {', '.join(known)}"
-            raise UsageError(f"{key} is no {what}; {hint}")
-
-
-def _number(key: str, value: object) -> float:
-    if isinstance(value, bool) or not isinstance(value, int | float):
-        raise UsageError(f"{key} = {value!r}: must be a number")
-    return value
 
 
 def _whole(settings: Mapping[str, object], key: str, default: int | None) -> int:
@@ -152,36 +145,3 @@ def _whole(settings: Mapping[str, object], key: str, default: int | None) -> int
     if not isinstance(value, int) or isinstance(value, bool):
         raise UsageError(f"{key} = {value!r}: must be a whole number")
     return value
-
-
-def _shared_hardware(
-    bus: "can.BusABC",
-    place: tuple[int, int],
-    current_per_volt_a_v: float,
-    options: IoOptions,
-    runtime: "Runtime",
-) -> AmplifierHwMotor:
-    key = (*bus_key(bus), *place)
-    hardware = _BUILT.get(key)
-    if hardware is None or hardware.is_closed:
-        hardware = AmplifierHwMotor(
-            bus,
-            *place,
-            current_per_volt_a_v=current_per_volt_a_v,
-            runtime=runtime,
-            options=options,
-        )
-        _BUILT[key] = hardware
-    elif (hardware.options, hardware.current_per_volt_a_v) != (options, current_per_volt_a_v):
-        raise UsageError(
-            f"{hardware.label} is used with other settings already; motors that share a channel"
-            " share its settings"
-        )
-    hardware.users += 1
-    return hardware
-
-
-def _give_back(hardware: AmplifierHwMotor) -> None:
-    hardware.users -= 1
-    if hardware.users == 0:
-        hardware.close()
