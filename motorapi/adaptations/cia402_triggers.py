@@ -17,20 +17,48 @@ _FIRST_SYNC_S: Final = 0.5
 
 @final
 class SyncTrigger:
-    """One SYNC for every motor armed on a bus."""
+    """One SYNC for every motor armed on a bus: it latches set-points, and begins streams of them.
 
-    def __init__(self, link: CanopenLink) -> None:
+    Args:
+        link: of the bus.
+        streams: that begin; None: those of the group that is armed on this bus.
+    """
+
+    def __init__(self, link: CanopenLink, streams: "list[ArmedStream] | None" = None) -> None:
         self._link = link
+        self._streams = link.armed_streams if streams is None else streams
 
     def fire(self) -> None:
-        """SYNC was on the wire."""
-        self._link.confirmed([self._link.sync()])
+        """SYNC was on the wire; of streams the one after it, too, which brings their first step.
+
+        Raises:
+            LinkError: it was not, after a while.
+        """
+        link = self._link
+        streams = [one for one in self._streams if not one.stream.ended]
+        alone = self._streams is not link.armed_streams
+        self._streams.clear()
+        if not streams:
+            link.confirmed([link.sync()])
+            return
+        if alone and link.sync_period_ns is None:
+            # A set-point of somebody's group may wait for its own SYNC: that goes first.
+            link.runtime.wait_until(lambda: not link.latching, _LATCHED_S)
+        # Who needs less time to where its trajectory begins waits there for who needs most.
+        lead = max(one.motion.lead_in for one in streams)
+        for one in streams:
+            one.motion.lead = lead
+            one.stream.begin()
+        for one in streams:
+            begun = partial(_has_begun, one.stream)
+            if not link.runtime.wait_until(begun, _FIRST_SYNC_S + 3 * one.stream.period_s):
+                raise LinkError(link=link.name, reason="no SYNC was transmitted")
 
     def __eq__(self, other: object, /) -> bool:
-        return isinstance(other, SyncTrigger) and other._link is self._link
+        return isinstance(other, SyncTrigger) and other._streams is self._streams
 
     def __hash__(self) -> int:
-        return id(self._link)
+        return id(self._streams)
 
 
 @final
@@ -70,44 +98,6 @@ class LiveTargetTrigger:
         if transmission is not None:
             hardware.link.confirmed([transmission])
         self._watch.begin(hardware.runtime.now_ns())
-
-
-@final
-class StreamTrigger:
-    """The first SYNC of every stream of set-points that was armed for it."""
-
-    def __init__(self, link: CanopenLink, streams: "list[ArmedStream]") -> None:
-        self._link = link
-        self._streams = streams
-
-    def fire(self) -> None:
-        """The SYNC that latched the first set-points was on the wire.
-
-        Who needs less time to where its trajectory begins waits for who needs most, there.
-
-        Raises:
-            LinkError: it was not, after a while.
-        """
-        link = self._link
-        if link.sync_period_ns is None:
-            # Somebody else's set-point may wait in a drive for another SYNC: it goes first.
-            link.runtime.wait_until(lambda: not link.latching, _LATCHED_S)
-        streams = [one for one in self._streams if not one.stream.ended]
-        self._streams.clear()
-        lead = max((one.motion.lead_in for one in streams), default=0)
-        for one in streams:
-            one.motion.lead = lead
-            one.stream.begin()
-        for one in streams:
-            begun = partial(_has_begun, one.stream)
-            if not link.runtime.wait_until(begun, _FIRST_SYNC_S + 3 * one.stream.period_s):
-                raise LinkError(link=link.name, reason="no SYNC was transmitted")
-
-    def __eq__(self, other: object, /) -> bool:
-        return isinstance(other, StreamTrigger) and other._streams is self._streams
-
-    def __hash__(self) -> int:
-        return id(self._streams)
 
 
 @final

@@ -20,7 +20,6 @@ from motorapi.adaptations.cia402_triggers import (
     ArmedStream,
     LiveTargetTrigger,
     SetPointTrigger,
-    StreamTrigger,
     SyncTrigger,
 )
 from motorapi.adaptations.csp_stream import CspStream
@@ -107,9 +106,11 @@ class DriveMotions:
         latency_s = None if tick_ms is None else (0.0, tick_ms / 1e3)
         if tick_ms is None:
             reason += "; servo_period_ms, from the latch to the profile, is not told"
-        if streamed:
-            return SyncOffer(SyncLevel.CYCLIC, ("csp", link.name), latency_s, reason)
-        return SyncOffer(SyncLevel.TRIGGERED, link.name, latency_s, reason)
+        if not streamed:
+            return SyncOffer(SyncLevel.TRIGGERED, link.name, latency_s, reason)
+        if latency_s is not None:  # the first SYNC brings where it is, the next one the first step
+            latency_s = (self._set_point_period_s, self._set_point_period_s + latency_s[1])
+        return SyncOffer(SyncLevel.CYCLIC, link.name, latency_s, reason)
 
     def quantise(self, motion: Motion) -> Motion:
         """See `MotorHooks._quantise`."""
@@ -241,9 +242,11 @@ class DriveMotions:
         self._reader.held = (None, 0.0)
         if not velocity:
             self._reader.held = (units.position_inc(motion.target), motion.target)
-        armed = self._node.link.armed_streams if self._together else []
-        armed.append(ArmedStream(stream, streamed))
-        return StreamTrigger(self._node.link, armed)
+        link, armed = self._node.link, ArmedStream(stream, streamed)
+        if not self._together:
+            return SyncTrigger(link, [armed])
+        link.armed_streams.append(armed)
+        return SyncTrigger(link)
 
     def _check_ends(self, motion: Motion) -> None:
         """All of the trajectory is within the drive's own software position limits."""

@@ -180,6 +180,25 @@ def test_a_group_begins_at_the_same_sync_and_ends_with_it(rig: Rig):
     assert quality.end_skew_s <= 0.02  # as far as a TPDO every 20 ms can tell
 
 
+@pytest.mark.parametrize("order", [("left", "right"), ("right", "left")])
+def test_a_drive_s_own_profile_and_set_points_begin_by_one_sync_too(
+    rig: Rig, order: tuple[str, str]
+):
+    group = MotorGroup(*(motor_of(rig, name) for name in order))
+    group.for_each(Cia402Motor.set_control_mode, ControlMode.TRAJECTORY)
+    motor_of(rig).set_trajectory(TrapezoidalTrajectory(0.5))
+    set_function(motor_of(rig, "right"), quintic(0.5, 1.0))
+    capability = group.sync_capability()
+    assert capability.level is SyncLevel.TRIGGERED
+    assert capability.start_skew_s == 2e-3  # the set-points' first step is one period later
+    group.start()
+    group.wait_until_done(timeout_s=3)
+    quality = group.sync_quality()
+    assert quality.start_skew_s == pytest.approx(1e-3, abs=1e-5)
+    for name in order:
+        assert rig.controllers[name].snapshot()["demand_inc"] == round(0.5 * INC_PER_RAD)
+
+
 def test_who_begins_beside_its_trajectory_goes_there_first_and_the_others_wait(rig: Rig):
     left, right = motor_of(rig), motor_of(rig, "right")
     shifted = quintic(1.0, 1.0) + Constant(0.008)  # within the model's tolerance of 0.01 rad
