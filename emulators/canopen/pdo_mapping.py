@@ -5,6 +5,7 @@ precompiled call on whole frames. The others (single bits, 24-bit integers) go b
 """
 
 import struct
+from collections.abc import Callable
 from typing import Final, final
 
 from emulators.canopen.abort_code import AbortCode
@@ -80,7 +81,8 @@ class PdoMapping:
         )
         padding = f"{8 - self.length_bytes}x"
         self._reception = struct.Struct(f"<8x{layout or ''}")
-        self._frame = struct.Struct(f"<IB3x{layout or '8x'}{padding if layout is not None else ''}")
+        frame = struct.Struct(f"<IB3x{layout or '8x'}{padding if layout is not None else ''}")
+        self._pack: Callable[..., bytes] = frame.pack
         self._raw_frame = struct.Struct("<IB3xQ")
         self._fields: list[tuple[Variable, int, int]] = []  # variable, offset, length [bit]
         offset = 0
@@ -105,12 +107,12 @@ class PdoMapping:
     def build(self, can_id: int) -> bytes:
         """The frame that carries the variables as they are now."""
         if self._is_packable:
-            values: list[object] = [can_id, self.length_bytes]
-            for variable in self.variables:
-                reader = variable.reader
-                values.append(variable.value if reader is None else reader())
             try:
-                return self._frame.pack(*values)
+                if len(self.variables) == 2:  # as in most drives: what is so, and where
+                    first, second = self.variables
+                    return self._pack(can_id, self.length_bytes, first.read(), second.read())
+                values = [variable.read() for variable in self.variables]
+                return self._pack(can_id, self.length_bytes, *values)
             except struct.error:
                 pass  # a reader's number is wider than its object: cut it below
         payload = 0
