@@ -139,7 +139,8 @@ class Motion:
     `deceleration` are sizes > 0 that the motion must not exceed. For velocity, `target` is the
     velocity, acceleration counts while its size grows and deceleration while it shrinks; a
     trajectory of velocity goes from `start` to `target` at a constant rate, which both then are.
-    For torque and current, `slope` is the steepest change [N·m/s or A/s] (inf: none asked).
+    For torque and current, `slope` is the steepest change [N·m/s or A/s]; of set-points of position
+    and velocity, the tighter side of what was asked for (inf, of all: none asked).
 
     A trajectory is prescribed at every instant: by the numbers above, or by `function` where there
     is one. `motorapi.demand.demand_of` gives either as one thing to be sampled.

@@ -77,15 +77,14 @@ def plan_setpoint(
     """
     target = setpoint.value + (reference if setpoint.relative else 0.0)
     check_target(motor, model, variable, target, setpoint.limits)
-    slope = inf
+    first = None if setpoint.limits is None else setpoint.limits.first
+    slope = inf if first is None else min(-first[0], first[1])
     if variable is ControlVariable.POSITION:
         limits = _bounds(model, setpoint.limits, target - reference)
     elif variable is ControlVariable.VELOCITY:
         limits = _velocity_bounds(model, setpoint.limits, target)
     else:
         limits = _bounds(model, None, 1.0)
-        if setpoint.limits is not None and setpoint.limits.first is not None:
-            slope = min(-setpoint.limits.first[0], setpoint.limits.first[1])
     return Motion(
         mode=ControlMode.SETPOINT,
         variable=variable,

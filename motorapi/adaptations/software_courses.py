@@ -211,9 +211,7 @@ class Scales:
 _KINDS: Final = {ControlVariable.POSITION: POSITION, ControlVariable.VELOCITY: VELOCITY}
 
 
-def course_of(
-    motion: Motion, scales: Scales, velocity: float, current_a: float, *, is_rated: bool
-) -> Course:
+def course_of(motion: Motion, scales: Scales, velocity: float, current_a: float) -> Course:
     """The course of a motion.
 
     Args:
@@ -221,7 +219,6 @@ def course_of(
         scales: what these are to the servo.
         velocity: demanded just now [inc/s].
         current_a: put out just now [A].
-        is_rated: whether a set-point of velocity asks for limited rates.
 
     Raises:
         MotorError: the argument of the trajectory is not known.
@@ -239,6 +236,7 @@ def course_of(
     size = abs(scale)
     if kind == CURRENT:
         return Rated(CURRENT, current_a, target, motion.slope * size, motion.slope * size)
-    growing = motion.acceleration * size if is_rated else inf
-    shrinking = motion.deceleration * size if is_rated else inf
+    if motion.slope == inf:
+        return Rated(VELOCITY, velocity, target, inf, inf)
+    growing, shrinking = motion.acceleration * size, motion.deceleration * size
     return Rated(VELOCITY, velocity, target, growing, shrinking)

@@ -125,7 +125,6 @@ class SoftwareMotor(Motor):
         self._scales = Scales(model.increments_per_unit, torque_constant)
         self.gains = gains
         self.parameters = ServoParameters() if parameters is None else parameters
-        self._is_rated = False
         self._held: tuple[float, float] = (0.0, 0.0)  # demand [inc], and the value asked for [U]
         self._on_close = on_close
 
@@ -176,7 +175,6 @@ class SoftwareMotor(Motor):
         if not isinstance(command, Setpoint):
             return
         limits = command.limits
-        self._is_rated = limits is not None and limits.first is not None
         if limits is None or variable is not ControlVariable.POSITION:
             return
         if limits.first is not None or limits.second is not None or limits.third is not None:
@@ -281,13 +279,7 @@ class SoftwareMotor(Motor):
 
     def _arm(self, motion: Motion, *, together: bool) -> Trigger:
         servo = self._hardware.servo
-        course = course_of(
-            motion,
-            self._scales,
-            servo.demand_velocity,
-            servo.current_a,
-            is_rated=self._is_rated,
-        )
+        course = course_of(motion, self._scales, servo.demand_velocity, servo.current_a)
         if motion.variable is ControlVariable.POSITION and motion.argument is None:
             self._held = (course.target, motion.target)
         gains = self._gains.per_increment(self._scale)

@@ -330,7 +330,7 @@ def test_torque_and_current_are_scaled_with_the_counters_direction():
         acceleration=1.0,
         deceleration=1.0,
     )
-    course = course_of(motion, Scales(-1000.0, 1.5), 0.0, 0.0, is_rated=False)
+    course = course_of(motion, Scales(-1000.0, 1.5), 0.0, 0.0)
     course.sample(0.0, 0.0)
     assert (course.kind, course.value) == (CURRENT, -2.0)
 
