@@ -12,9 +12,10 @@ after: every motor of the start is stopped. A start of one motor is a start of a
 from collections.abc import Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, final
+from typing import TYPE_CHECKING, Final, final
 
 from motorapi import planning
+from motorapi.arguments import Argument, MotorPosition
 from motorapi.commands import ControlMode, ControlVariable, Motion, Setpoint, as_number
 from motorapi.errors import (
     DeviceFault,
@@ -34,6 +35,10 @@ from motorapi.turns import Turns, trigger_turns
 
 if TYPE_CHECKING:
     from motorapi.motor import Motor
+
+
+_RING_MAX: Final = 100
+"""Motors that lead each other, one after another: further nobody looks."""
 
 
 @final
@@ -92,10 +97,36 @@ def plan(motors: Sequence["Motor"]) -> list[Motion]:
     Raises:
         UsageError: one cannot be made; nothing was sent but questions.
     """
+    _require_no_ring(motors)
     motions = [_plan_one(motor) for motor in motors]
     if len(motors) > 1:
         motions = _common_duration(motors, motions)
     return motions
+
+
+def _require_no_ring(motors: Sequence["Motor"]) -> None:
+    """Nobody's position would be led by itself, directly or through others that are led."""
+    starting = {id(motor._physical): _argument(motor) for motor in motors}
+    for motor in motors:
+        led_by, way = starting[id(motor._physical)], [motor.name]
+        while isinstance(led_by, MotorPosition) and len(way) <= len(starting) + _RING_MAX:
+            way.append(led_by.leader.name)
+            physical = getattr(led_by.leader, "_physical", None)
+            if physical is motor._physical:
+                raise StateError(
+                    motor=motor.name,
+                    operation="start",
+                    state=f"its position would lead itself: {' follows '.join(way)}",
+                    remedy="lead it by a motor that does not follow it",
+                )
+            run = getattr(physical, "run", None)
+            goes_on = run is not None and not run.finished and run.motion is not None
+            led_by = starting.get(id(physical), run.motion.argument if goes_on else None)
+
+
+def _argument(motor: "Motor") -> Argument | None:
+    """What leads the motion that is to start; None: time."""
+    return motor._argument if isinstance(motor._command, ComplexTrajectory) else None
 
 
 def _plan_one(motor: "Motor") -> Motion:
@@ -195,10 +226,7 @@ def require_rest(motor: "Motor", operation: str) -> None:
         MotorBusyError: another logical motor stopped it since it was taken, and it slows down.
     """
     run = motor._physical.run
-    if run is None or run.finished:
-        return
-    status = motor._status()
-    if status is RunStatus.FAILED or (status is RunStatus.DONE and run.ends):
+    if run is None or not motor._goes_on(run):
         return
     if run.owner is not motor:
         raise MotorBusyError(motor=motor.name, holder=run.name, since_ns=run.since_ns)

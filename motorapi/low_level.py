@@ -27,7 +27,6 @@ from motorapi.errors import MotorBusyError, StateError
 from motorapi.execution import require_rest
 from motorapi.motion_waits import check_timeout
 from motorapi.runtime import wait_until
-from motorapi.sharing import RunStatus
 from motorapi.turns import LOW_LEVEL, TRANSACTION_TIMEOUT_S
 from motorapi.waiting import Awaited
 
@@ -96,10 +95,7 @@ def _await_end(motor: "Motor", timeout_s: float) -> None:
     run = physical.run
 
     def is_over() -> bool:
-        if run is None or physical.run is not run or run.is_over:
-            return True
-        status = motor._status()
-        return status is RunStatus.FAILED or (status is RunStatus.DONE and run.ends)
+        return run is None or not motor._goes_on(run)
 
     pause_s = motor._call(motor._refresh)
     if pause_s is not None:

@@ -3,7 +3,7 @@
 # ruff: noqa: SLF001 -- it works the hooks of motors, as motorapi.execution does
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Final, final
+from typing import TYPE_CHECKING, final
 
 from motorapi.commands import as_number
 from motorapi.errors import DeadlineExceeded, MotorError, UsageError
@@ -12,9 +12,6 @@ from motorapi.waiting import Awaited, Waiting
 
 if TYPE_CHECKING:
     from motorapi.motor import Motor
-
-_LOOK_AGAIN_S: Final = 0.01
-"""How soon a wait notices that low-level access is over."""
 
 
 def check_timeout(timeout_s: float | None) -> None:
@@ -43,7 +40,7 @@ def wait_for_all(motors: Sequence["Motor"], timeout_s: float | None) -> None:
     if timeout_s is not None:
         deadline_ns = runtime.now_ns() + round(min(timeout_s, 1e9) * 1e9)
     while True:
-        again_s = [_refresh(one.motor) for one in going() if one.run is not None]
+        again_s = [one.motor._refresh_freely() for one in going() if one.run is not None]
         pauses_s = [pause_s for pause_s in again_s if pause_s is not None]
         if deadline_ns is not None:
             pauses_s.append(max(0, deadline_ns - runtime.now_ns()) / 1e9)
@@ -62,15 +59,6 @@ def wait_for_all(motors: Sequence["Motor"], timeout_s: float | None) -> None:
         timeout_s=0.0 if timeout_s is None else timeout_s,
         last_heard="; ".join(_last_heard(one.motor) for one in going()),
     )
-
-
-def _refresh(motor: "Motor") -> float | None:
-    """As the hook; nothing is asked while somebody has low-level access."""
-    physical = motor._physical
-    if physical.access is not None:
-        return _LOOK_AGAIN_S
-    with physical.passage(motor.name):
-        return motor._call(motor._refresh)
 
 
 @final

@@ -19,7 +19,8 @@ if TYPE_CHECKING:
     from motorapi.sharing import PhysicalMotor
 
 LOOK_PERIOD_S: Final = 0.01
-"""How often a motor whose hardware counts no news is looked at for a callback's sake."""
+"""How often is looked at what nobody tells of: a motor whose hardware counts no news, for a
+callback's sake; whether low-level access is over."""
 
 _LOG: Final = logging.getLogger("motorapi")
 

@@ -42,10 +42,8 @@ class SharedMotor(ReadableMotor):
         access, run = self._physical.access, self._physical.run
         if access is not None:
             doing = f"; {access.who} has it"
-        elif run is not None and not run.is_over:
-            status = self._status()
-            if status is RunStatus.GOING or (status is RunStatus.DONE and not run.ends):
-                doing = f"; {run.name} goes on"
+        elif run is not None and self._goes_on(run):
+            doing = f"; {run.name} goes on"
         return f"{text[:-1]}{doing}>"
 
     @final
@@ -154,10 +152,17 @@ class SharedMotor(ReadableMotor):
     @final
     def _refresh_run(self) -> float | None:
         """What the hardware tells of a run there is, is fresh; when to ask again [s], if at all."""
+        run = self._physical.run
+        if self._physical.access is None and (run is None or run.is_over):
+            return None
+        return self._refresh_freely()
+
+    @final
+    def _refresh_freely(self) -> float | None:
+        """As the hook; while somebody has low-level access, nothing is asked but when to look."""
         physical = self._physical
-        run = physical.run
-        if run is None or run.is_over or physical.access is not None:
-            return None if physical.access is None else LOOK_PERIOD_S
+        if physical.access is not None:
+            return LOOK_PERIOD_S
         with physical.passage(self.name):
             return self._call(self._refresh)
 
