@@ -5,8 +5,20 @@ from time import process_time
 
 import numpy as np
 
-from motorapi.generation import ProfileLimits, trapezoid
+from motorapi.commands import DerivativeLimits
+from motorapi.errors import UnsupportedError
+from motorapi.generation import (
+    ProfileLimits,
+    feasible,
+    generate,
+    jerk_limited,
+    through_waypoints,
+    trapezoid,
+)
+from motorapi.generation import batched as many
 from motorapi.generation.batched import LimitArrays, trapezoids
+from motorapi.model import MotorModel
+from motorapi.trajectory import TrapezoidalTrajectory
 
 MANY = 100_000
 FEW = 20_000
@@ -14,7 +26,7 @@ FEW = 20_000
 
 def run() -> list[tuple[str, float, str]]:
     """(name, figure, unit)."""
-    return [*single(), *batched()]
+    return [*single(), *batched(), *others()]
 
 
 def best(work: Callable[[], object], times: int = 7) -> float:
@@ -117,6 +129,71 @@ def batched() -> list[tuple[str, float, str]]:
     return rows
 
 
+def others() -> list[tuple[str, float, str]]:
+    """The generators that return functions, and what asks a motor's model."""
+    model = MotorModel(name="wheel", velocity_max=2.0, acceleration_max=4.0)
+    asked = TrapezoidalTrajectory(1.0, 0.25)
+    random = np.random.default_rng(2)
+    points = random.uniform(-1.0, 1.0, (1_000, 10))
+    limits = DerivativeLimits(first=2.0, second=10.0)
+    spline = through_waypoints(points[0], limits=limits)
+
+    def times(work: Callable[[], object], count: int) -> float:
+        def loop() -> None:
+            for _ in range(count):
+                work()
+
+        return best(loop, 3) / count
+
+    rows = [
+        (
+            "generate: a trajectory and a model",
+            times(lambda: generate(asked, model), 2_000) * 1e6,
+            "us",
+        ),
+        ("feasible: the same", times(lambda: feasible(asked, model), 2_000) * 1e6, "us"),
+        (
+            "feasible: a cubic spline through 10 points",
+            times(lambda: feasible(spline, limits), 200) * 1e6,
+            "us",
+        ),
+        (
+            "a cubic spline through 10 points at given times",
+            times(lambda: through_waypoints(points[0], range(10)), 200) * 1e6,
+            "us",
+        ),
+        (
+            "a cubic spline through 10 points, as soon as limits allow",
+            times(lambda: through_waypoints(points[0], limits=limits), 3) * 1e3,
+            "ms",
+        ),
+        (
+            "1,000 cubic splines through 10 points at given times",
+            times(lambda: many.through_waypoints(points, range(10)), 3) * 1e3,
+            "ms",
+        ),
+    ]
+    try:
+        jerk_limited(1.0, ProfileLimits(1.0, 2.0), 10.0)
+    except UnsupportedError:
+        return rows
+    ways = random.uniform(-10.0, 10.0, 1_000)
+    bounds = ProfileLimits(1.0, 2.0)
+    rows += [
+        (
+            "a motion of limited jerk, by ruckig, judged, as a function",
+            times(lambda: jerk_limited(1.0, bounds, 10.0), 500) * 1e6,
+            "us",
+        ),
+        (
+            "1,000 motions of limited jerk, by ruckig, judged",
+            times(lambda: many.jerk_limited(ways, bounds, 10.0), 3) * 1e3,
+            "ms",
+        ),
+    ]
+    return rows
+
+
 def ruckig_loop(
     ways: list[float],
     velocities: list[float],
@@ -133,6 +210,7 @@ def ruckig_loop(
     generator = ruckig.Ruckig(1)
 
     def loop() -> list[float]:
+        """Asks for the durations only: nothing that ours would not give."""
         durations = []
         for way, velocity, up, down in zip(ways, velocities, ups, downs, strict=True):
             given = ruckig.InputParameter(1)

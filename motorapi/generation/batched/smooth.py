@@ -32,6 +32,7 @@ def jerk_limited(
     initial: ArrayLike = 0.0,
     initial_derivatives: Sequence[ArrayLike] = (),
     final_derivatives: Sequence[ArrayLike] = (),
+    duration_s: ArrayLike | None = None,
 ) -> Curves:
     """What `motorapi.generation.jerk_limited` makes of each, from argument 0 on.
 
@@ -42,6 +43,7 @@ def jerk_limited(
         initial: the initial values [U].
         initial_derivatives: arrays of first and second ones at the beginning.
         final_derivatives: likewise at the end.
+        duration_s: how long they take [s]; None: as short as the limits allow.
 
     Raises:
         PluginError: the package finds no motion, or a wrong one.
@@ -63,6 +65,14 @@ def jerk_limited(
             raise UsageError(f"motion {index}: {error}") from None
         tasks.append(task)
     phases: list[list[Phase]] = []
+    if duration_s is not None:
+        lasting = np.broadcast_to(np.asarray(duration_s, dtype=np.float64), (len(tasks),))
+        for index, (task, asked_s) in enumerate(zip(tasks, lasting.tolist(), strict=True)):
+            try:
+                phases.append(phases_of(task, asked_s))
+            except UsageError as error:
+                raise UsageError(f"motion {index}: {error}") from None
+        return _curves(tasks, phases)
     for begin in range(0, len(tasks), _AT_ONCE):
         phases += _phases_of(tasks[begin : begin + _AT_ONCE])
     return _curves(tasks, phases)

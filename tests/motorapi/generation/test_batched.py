@@ -142,6 +142,7 @@ def test_limits_are_never_exceeded_at_any_of_many_moments():
         [
             made.duration_s[:, None] * np.linspace(0.0, 1.0, 101),
             np.nextafter(corners, 0.0),
+            corners,
             np.nextafter(corners, np.inf),
         ],
         axis=1,

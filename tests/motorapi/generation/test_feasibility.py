@@ -81,6 +81,8 @@ def test_a_duration_that_is_too_short_or_in_a_gap():
     # A triangle up at 4 and down at 1: T = sqrt(2 (1/4 + 1)).
     assert violation.low == pytest.approx(2.5**0.5, rel=1e-15)
     assert violation.by == pytest.approx(2.5**0.5 - 1.0, rel=1e-14)
+    assert feasible(TrapezoidalTrajectory(1.0, duration_s=violation.low * (1 - 1e-10)), MODEL)
+    assert not feasible(TrapezoidalTrajectory(1.0, duration_s=violation.low * (1 - 1e-8)), MODEL)
     through = {"initial_derivatives": (1.0,), "final_derivatives": (1.0,)}
     gap = feasible(TrapezoidalTrajectory(0.1, duration_s=1.0, **through), MODEL)
     assert only(gap).high < 1.0

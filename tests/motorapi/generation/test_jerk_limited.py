@@ -230,6 +230,14 @@ def test_many_are_as_one_by_one():
     assert last.value(0.0) == 0.0
 
 
+def test_many_of_given_durations_take_them():
+    curves = batched.jerk_limited(np.array([1.0, -2.0, 0.5]), UNIT, 1.0, duration_s=[5.0, 6.0, 7.0])
+    np.testing.assert_allclose(curves.duration_s, [5.0, 6.0, 7.0], rtol=1e-12)
+    np.testing.assert_allclose(curves.value(9.0), [1.0, -2.0, 0.5], rtol=1e-9)
+    with pytest.raises(UsageError, match="motion 1: this motion cannot take 1 s"):
+        batched.jerk_limited(np.array([1.0, -2.0]), UNIT, 1.0, duration_s=[5.0, 1.0])
+
+
 def test_the_first_of_many_that_cannot_be_is_named():
     with pytest.raises(UsageError, match=r"motion 2: the initial velocity 1\.5 lies outside"):
         batched.jerk_limited(1.0, UNIT, 1.0, initial_derivatives=[np.array([0.0, 0.5, 1.5])])

@@ -196,7 +196,7 @@ def test_limits_are_never_exceeded_at_any_moment(problem, share):
         assert low <= profile.value(t) <= high
 
 
-@given(problems(), st.randoms(use_true_random=False))
+@given(problems() | problems(9.0), st.randoms(use_true_random=False))
 def test_nothing_shorter_is_possible(problem, random):
     """Against the envelope of all motions, in exact arithmetic."""
     final, limits, states = problem
