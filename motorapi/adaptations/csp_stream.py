@@ -37,6 +37,7 @@ class CspStream:
     Attributes:
         sent: set-points sent.
         late: set-points that were still waiting for the bus when their SYNC was sent.
+        missed: periods without a SYNC, for the host was late: the motion takes so much longer.
         ended: whether the last target has been latched.
         error: what `next_target` raised, if it did; the drive is halted then, by its own ramp.
         started_ns: when SYNC 1 was on the wire, the first to bring a target of `next_target`.
@@ -79,6 +80,8 @@ class CspStream:
         self._last_sent: Transmission | None = None
         self.sent = 0
         self.late = 0
+        self.missed = 0
+        self._begun_ns = 0
         self.ended = False
         self.error: Exception | None = None
         self.started_ns: int | None = None
@@ -126,8 +129,13 @@ class CspStream:
         last = self._last_sent
         if self._cycle and last is not None and last.time_ns is None:
             self.late += 1
-        if self._cycle == 1:
+        now_ns = self._link.runtime.now_ns()
+        if self._cycle == 0:
+            self._begun_ns = now_ns
+        elif self._cycle == 1:
             self._link.at_next_sync(self._began)
+        periods = round((now_ns - self._begun_ns) / (self.period_s * 1e9))
+        self.missed = max(self.missed, periods - self._cycle)
         self._cycle += 1
         try:
             if self._word != ENABLE_OPERATION:

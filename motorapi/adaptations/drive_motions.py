@@ -365,6 +365,8 @@ class DriveMotions:
             stream = self._armed
             if stream is not None and stream.late:
                 source += f"; {stream.late} of {stream.sent} set-points were late"
+            if stream is not None and stream.missed:
+                source += f"; the host missed {stream.missed} periods"
             return MotionTimes(watch.started_ns, watch.ended_ns, source)
         if self._together:
             return MotionTimes(

@@ -1,6 +1,7 @@
 """A motion as set-points: where a drive in csp shall be at each cycle, in its own increments.
 
-Cycle k is k set-point periods after the start. A trajectory over time is sampled there; over
+Cycle k is k set-point periods after the start; a period in which the host sends no SYNC does not
+count, so that no set-point is ever two steps away. A trajectory over time is sampled there; over
 another argument, that is asked for its value in each cycle. A trajectory of velocity is followed by
 its integral: exactly over time, by the trapezoidal rule over another argument.
 

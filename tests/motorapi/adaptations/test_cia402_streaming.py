@@ -126,7 +126,8 @@ def test_at_1_khz_no_set_point_is_lost_or_doubled_and_the_drive_follows_as_predi
     latched = tap.latched(LEFT)
     expected = [round(function.value(k * 1e-3) * INC_PER_RAD) for k in range(1501)]
     assert [target for _, target in latched] == expected
-    assert (motor.hardware.stream.sent, motor.hardware.stream.late) == (1500, 0)
+    stream = motor.hardware.stream
+    assert (stream.sent, stream.late, stream.missed) == (1500, 0, 0)
     syncs = [time for time, _ in latched]
     assert all(abs(b - a - MS) <= 1000 for a, b in pairwise(syncs))
     assert syncs[1] == started_ns
