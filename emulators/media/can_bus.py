@@ -16,14 +16,7 @@ from heapq import heapify, heappop, heappush
 from typing import final
 
 from emulators.media.can_bits import INTERMISSION_BITS, KEY_SHIFT, measure
-from emulators.media.can_port import (
-    BITS_MASK,
-    CUT_OFF,
-    PORT_MASK,
-    PORT_SHIFT,
-    CanPort,
-    QueueOrder,
-)
+from emulators.media.can_port import BITS_MASK, CUT_OFF, PORT_MASK, PORT_SHIFT, CanPort, QueueOrder
 from emulators.media.can_statistics import CanStatistics
 from emulators.media.delivery import DELIVERED, HEARD, KIND_MASK, LOST, Delivery, hears
 from emulators.media.fault_seam import ERROR_FRAME_BITS, FaultSeam
