@@ -73,9 +73,10 @@ class DerivativeLimits:
         if value is not None:
             if not _is_pair(value):
                 raise UsageError(f"the range of the value, {value!r}, is no pair of numbers")
+            value = (as_number(value[0]), as_number(value[1]))
             if not value[0] <= value[1]:
                 raise UsageError(f"the range of the value, {value}, is empty")
-        object.__setattr__(self, "value", None if value is None else (value[0], value[1]))
+        object.__setattr__(self, "value", value)
         object.__setattr__(self, "first", _around_zero("first", first))
         object.__setattr__(self, "second", _around_zero("second", second))
         object.__setattr__(self, "third", _around_zero("third", third))
@@ -107,13 +108,13 @@ def _is_pair(limit: object) -> TypeGuard[Range]:
 
 
 def as_number(value: object) -> float:
-    """The number, as a float; nan if it is none, inf if it is too large."""
+    """The number, as a float; nan if it is none, inf or -inf if it is too large."""
     if not isinstance(value, Real):
         return nan
     try:
         return float(value)
     except OverflowError:
-        return inf
+        return inf if abs(value) == value else -inf
 
 
 @final

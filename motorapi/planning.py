@@ -50,6 +50,8 @@ def check_setpoint(
     """
     if not isfinite(as_number(setpoint.value)):
         raise UsageError(f"{motor}: set-point {setpoint.value!r} is not a finite number")
+    if not isinstance(setpoint.relative, bool):
+        raise UsageError(f"{motor}: relative is {setpoint.relative!r}; it is True or False")
     if not isinstance(setpoint.limits, DerivativeLimits | None):
         raise UsageError(f"{motor}: limits are DerivativeLimits, not {setpoint.limits!r}")
     if setpoint.relative and variable is not ControlVariable.POSITION:
@@ -126,25 +128,37 @@ def check_trajectory(
             feature=f"a simple trajectory over the {argument.name}: it is made over time",
             supported="ComplexTrajectory(function) over any argument",
         )
-    if variable is ControlVariable.POSITION:
-        _require_rest_at_ends(motor, model, trajectory)
+    _require_rest_at_ends(motor, model, variable, trajectory)
     check_bounds(motor, model, variable, trajectory.limits, smooth=True)
     reference = 0.0 if trajectory.initial is None else trajectory.initial
     plan_trajectory(motor, model, variable, trajectory, reference, only_shape=True)
 
 
-def _require_rest_at_ends(motor: str, model: MotorModel, trajectory: TrapezoidalTrajectory) -> None:
-    for what, value in (
-        ("begins", trajectory.initial_velocity),
-        ("ends", trajectory.final_velocity),
+def _require_rest_at_ends(
+    motor: str, model: MotorModel, variable: ControlVariable, trajectory: TrapezoidalTrajectory
+) -> None:
+    """What no profile of a drive, and no ramp, does at its ends is refused, not ignored."""
+    unit = model.unit_of(variable)
+    for what, derivatives in (
+        ("begins", trajectory.initial_derivatives),
+        ("ends", trajectory.final_derivatives),
     ):
-        if value:
-            raise UnsupportedError(
-                motor=motor,
-                feature=f"a motion of position that {what} at {value:g} {model.unit}/s",
-                supported="motions from rest to rest; generate this one as a piece of a"
-                " ComplexTrajectory",
-            )
+        for order, per, value in zip(("first", "second"), ("/s", "/s²"), derivatives, strict=False):
+            if value:
+                raise UnsupportedError(
+                    motor=motor,
+                    feature=f"a simple trajectory of {variable.value} that {what} with a {order}"
+                    f" derivative of {value:g} {_per(unit, per)}",
+                    supported="those with derivatives of 0 at both ends; generate this one as a"
+                    " piece of a ComplexTrajectory",
+                )
+
+
+def _per(unit: str, per: str) -> str:
+    """A unit per s or s² more: that of velocity has one s already."""
+    if unit.endswith("/s"):
+        return unit + {"/s": "²", "/s²": "³"}[per]
+    return unit + per
 
 
 def plan_trajectory(

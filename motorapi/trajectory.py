@@ -80,7 +80,7 @@ class TrapezoidalTrajectory:
                 if allowed is not None and not allowed[0] <= value <= allowed[1]:
                     raise UsageError(
                         f"TrapezoidalTrajectory: {what}{value:g} lies outside its own limits of the"
-                        f" {what or 'value'}, {allowed[0]:g} to {allowed[1]:g}"
+                        f" {what.strip() or 'value'}, {allowed[0]:g} to {allowed[1]:g}"
                     )
 
     @property
@@ -178,6 +178,10 @@ class ComplexTrajectory:
         if not isinstance(domain, tuple) or not callable(getattr(self.function, "extrema", None)):
             raise UsageError(
                 f"ComplexTrajectory: {self.function!r} is no function of motorapi.functions"
+            )
+        if not isinstance(self.relative, bool):
+            raise UsageError(
+                f"ComplexTrajectory: relative is {self.relative!r}; it is True or False"
             )
         if not isinstance(self.limits, DerivativeLimits | None):
             raise UsageError(f"ComplexTrajectory: limits is {self.limits!r}, no DerivativeLimits")

@@ -26,6 +26,12 @@ def test_the_value_itself_need_not_be_around_zero():
         DerivativeLimits(value=(2.0, 1.0))
 
 
+def test_a_number_beyond_all_floats_is_no_traceback():
+    assert DerivativeLimits(value=(-(10**400), 10**400)).value == (-inf, inf)
+    with pytest.raises(UsageError, match="outside its own limits of the value, 2 to inf"):
+        TrapezoidalTrajectory(1.0, 0.0, limits=DerivativeLimits(value=(2, 10**400)))
+
+
 def test_trajectories_are_values():
     one = TrapezoidalTrajectory(1, limits=DerivativeLimits(first=0.5), duration_s=3)
     same = TrapezoidalTrajectory(1.0, limits=DerivativeLimits(first=0.5), duration_s=3.0)
@@ -54,7 +60,7 @@ def test_a_trajectory_is_a_distance_unless_it_says_where_it_begins():
         ),
         (
             TrapezoidalTrajectory(-1.0, limits=DerivativeLimits(second=(-2, 1), value=(-3, 0))),
-            "<TrapezoidalTrajectory by -1.0, as fast as allowed, value -3 to 0, "
+            "<TrapezoidalTrajectory by -1.0, as fast as allowed, value -3.0 to 0.0, "
             "second derivative -2.0 to 1.0>",
         ),
     ],

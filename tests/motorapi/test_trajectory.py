@@ -21,6 +21,7 @@ from motorapi import (
     UsageError,
     planning,
 )
+from motorapi.commands import Setpoint
 from motorapi.demand import demand_of
 from motorapi.functions import Piecewise, Polynomial
 from motorapi.state import Measurement, MotorState
@@ -120,11 +121,29 @@ def test_a_function_with_a_kink_or_a_jump_is_refused():
     check(ComplexTrajectory(jump), T)  # torque may step
 
 
-def test_only_motions_from_rest_to_rest_are_executed():
-    with pytest.raises(UnsupportedError, match=r"ends at 0.5 rad/s"):
-        check(TrapezoidalTrajectory(1.0, final_derivatives=(0.5,)))
-    with pytest.raises(UnsupportedError, match=r"begins at 0.5 rad/s"):
-        check(TrapezoidalTrajectory(1.0, initial_derivatives=(0.5,)))
+@pytest.mark.parametrize(
+    ("variable", "derivatives", "told"),
+    [
+        (P, (0.5,), r"with a first derivative of 0\.5 rad/s;"),
+        (P, (0.0, 0.5), r"with a second derivative of 0\.5 rad/s²;"),
+        (V, (0.5,), r"with a first derivative of 0\.5 rad/s²;"),
+        (V, (0.0, 0.5), r"with a second derivative of 0\.5 rad/s³;"),
+        (T, (0.5,), r"with a first derivative of 0\.5 N·m/s;"),
+    ],
+)
+def test_a_derivative_at_an_end_is_refused_and_not_ignored(variable, derivatives, told):
+    with pytest.raises(UnsupportedError, match=f"{variable.value} that ends {told}"):
+        check(TrapezoidalTrajectory(1.0, duration_s=9, final_derivatives=derivatives), variable)
+    with pytest.raises(UnsupportedError, match=f"{variable.value} that begins {told}"):
+        check(TrapezoidalTrajectory(1.0, duration_s=9, initial_derivatives=derivatives), variable)
+
+
+def test_limits_are_not_taken_for_relative():
+    limits = DerivativeLimits(first=0.5)
+    with pytest.raises(UsageError, match=r"relative is DerivativeLimits\(.*; it is True or False"):
+        planning.check_setpoint("left", MODEL, P, Setpoint(1.0, limits))
+    with pytest.raises(UsageError, match=r"relative is 1; it is True or False"):
+        ComplexTrajectory(rest_to_rest(1.0, 2.0), relative=1)
 
 
 class Leading:
