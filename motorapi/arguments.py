@@ -70,6 +70,11 @@ class MotorPosition:
         return self._name
 
     @property
+    def leader(self) -> Leader:
+        """The leading motor."""
+        return self._motor
+
+    @property
     def rate_max(self) -> float | None:
         """The leading motor's maximum velocity, as its model says."""
         return self._motor.model.velocity_max

@@ -116,12 +116,13 @@ def _require_no_ring(motors: Sequence["Motor"]) -> None:
                 raise StateError(
                     motor=motor.name,
                     operation="start",
-                    state=f"its position would lead itself: {' follows '.join(way)}",
+                    state=f"its position would lead itself: {' follows '.join(way)}"
+                    + ("" if way[-1] == motor.name else ", the same motor"),
                     remedy="lead it by a motor that does not follow it",
                 )
-            run = getattr(physical, "run", None)
-            goes_on = run is not None and not run.finished and run.motion is not None
-            led_by = starting.get(id(physical), run.motion.argument if goes_on else None)
+            run: Run | None = getattr(physical, "run", None)
+            goes_on = None if run is None or run.finished else run.motion
+            led_by = starting.get(id(physical), None if goes_on is None else goes_on.argument)
 
 
 def _argument(motor: "Motor") -> Argument | None:

@@ -23,6 +23,7 @@ from motorapi import (
     MotorGroup,
     MotorModel,
     MotorPosition,
+    StateError,
     TrapezoidalTrajectory,
     UnsupportedError,
     WallRuntime,
@@ -201,6 +202,27 @@ def test_a_motor_led_by_another_is_where_the_function_of_its_position_says(kind,
     assert worst <= 0.5 * peak * kind.heard_s + 2 * kind.following
     left.wait_until_done(5)
     assert abs(true_position(rig, "left") + 0.5) <= kind.window + kind.following
+
+
+def test_a_position_that_would_lead_itself_is_refused_before_anything_moves(kind, rig):
+    left, right = rig.motors["left"], rig.motors["right"]
+    gear = ComplexTrajectory(Polynomial((0.0, 0.5)).restricted(-1.0, 1.0), relative=True)
+    for motor in (left, right):
+        motor.enable()
+        assert motor.position() == 0.0  # it has been heard
+        motor.set_control_mode(TRAJECTORY)
+    left.set_trajectory(gear, MotorPosition(left))
+    with pytest.raises(StateError, match=r"would lead itself: left follows left; lead it by"):
+        left.start()
+    left.set_trajectory(gear, MotorPosition(right))
+    right.set_trajectory(gear, MotorPosition(left))
+    with pytest.raises(StateError, match=r"itself: left follows right follows left;"):
+        rig.groups["both"].start()
+    left.start()
+    with pytest.raises(StateError, match=r"itself: right follows left follows right;"):
+        right.start()
+    rig.runtime.run_for(0.1)
+    assert true_position(rig, "left") == true_position(rig, "right") == 0.0
 
 
 def test_a_set_point_does_not_track_and_goes_as_fast_as_its_limits_let_it(kind, rig):
