@@ -92,7 +92,13 @@ class ServoAxis:
     # --- what it is told -------------------------------------------------------------------
 
     def activate(self) -> None:
-        """It takes part in the cycle, with no control and no current yet."""
+        """It takes part in the cycle, with no control and no current yet.
+
+        Raises:
+            MotorBusyError: another process's servo runs on the node.
+        """
+        self._io.occupy()
+        self._io.be_heard()
         self.failure = None
         self.servo.forget()
         self.is_active = True
@@ -147,13 +153,16 @@ class ServoAxis:
         Raises:
             LinkError: the bus does not take the frame that says so.
         """
+        was_active = self.is_active
         self.is_active = self.is_stopped = False
         self.disarm()
         self.servo.release()
         try:
-            if self._io.is_switched(self._channel):
+            if was_active and self._io.is_switched(self._channel):
                 self._io.switch(self._channel, False)
         finally:
+            if was_active:
+                self._io.vacate()
             self._node.news.grow()
 
     # --- what the cycle, and the node, call ------------------------------------------------

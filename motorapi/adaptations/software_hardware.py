@@ -13,17 +13,14 @@ from motorapi.adaptations.canopen_link import Transmission, bus_name
 from motorapi.adaptations.cia402_objects import Value
 from motorapi.adaptations.drive_objects import DriveObjects
 from motorapi.adaptations.raw_frames import FrameInbox, raw_frame
+from motorapi.adaptations.shared_node import node_locks
 from motorapi.adaptations.software_axis import AMPLIFIER_FAULT, COMMUNICATION, READY, ServoAxis
 from motorapi.adaptations.software_cycle import ChannelPair, CycleReport, ServoTrigger
-from motorapi.adaptations.software_node import (
-    CHANNELS_MAX,
-    AmplifierNode,
-    IoFacts,
-    IoOptions,
-    open_node,
-)
+from motorapi.adaptations.software_node import CHANNELS_MAX, AmplifierNode, open_node
+from motorapi.adaptations.software_options import IoFacts, IoOptions
 from motorapi.commands import as_number
 from motorapi.errors import DeadlineExceeded, DeviceFault, LinkError, StateError, UsageError
+from motorapi.process_lock import ProcessLock
 from motorapi.runtime import runtime_of
 from motorapi.sharing import (
     PhysicalMotor,
@@ -99,7 +96,12 @@ class AmplifierHwMotor:
         self.current_per_volt_a_v: Final = float(current_per_volt_a_v)
         self.label: Final = f"{bus_name(bus)} node {node_id} channel {channel}"
         self._key = (*bus_key(bus), node_id, "channel", channel)
-        self.physical: Final[PhysicalMotor] = register_physical_motor(self._key, self.label, self)
+        lock = node_locks(bus, self.runtime, node_id, self.label)[0]
+        if lock is not None:  # of this motor; the node's own is `io.lock`
+            lock = ProcessLock(f"{lock.name}-channel{channel}", self.label)
+        self.physical: Final[PhysicalMotor] = register_physical_motor(
+            self._key, self.label, self, lock
+        )
         try:
             self.io: Final[AmplifierNode] = open_node(bus, node_id, self.runtime, self.options)
         except BaseException:
@@ -283,7 +285,8 @@ class AmplifierHwMotor:
             DeviceFault: the amplifier reports a fault.
             DeadlineExceeded: it did not become ready.
             LinkError: no counts come.
-            MotorBusyError: somebody has low-level access to a motor that shares its frames.
+            MotorBusyError: somebody has low-level access to a motor that shares its frames, or
+                another process's servo runs on the node.
         """
         self.connect()
         axis, pair = self.axis, self._pair
@@ -291,10 +294,10 @@ class AmplifierHwMotor:
         if axis.is_powered or pair is None:
             return
         pair.require_free()
-        if self.io.is_switched(self.channel):  # left so by somebody else
-            self.io.switch(self.channel, False)
         axis.activate()
         try:
+            if self.io.is_switched(self.channel):  # left so by somebody who is not there any more
+                self.io.switch(self.channel, False)
             pair.join()
             self._await(lambda: axis.steps >= _STEPS_BEFORE_POWER, "counts at SYNC")
             self.io.switch(self.channel, True)
@@ -327,24 +330,28 @@ class AmplifierHwMotor:
         )
 
     def disable(self) -> None:
-        """The amplifier is off."""
+        """The amplifier is off. Raises MotorBusyError as `enable`."""
         self.connect()
-        self.axis.cut()
         channel = self.channel
-        self.runtime.wait_until(lambda: not self.io.status(channel) & READY, _OFF_TIMEOUT_S)
+        with self.io.occupied():
+            self.axis.cut()
+            self.io.switch(channel, False)
+            self.runtime.wait_until(lambda: not self.io.status(channel) & READY, _OFF_TIMEOUT_S)
 
     def reset_fault(self) -> None:
         """There is no fault any more; the amplifier is off.
 
         Raises:
             DeviceFault: its cause is still there.
+            MotorBusyError: as `enable`.
         """
         self.connect()
         axis = self.axis
-        axis.cut()
-        self.io.switch(self.channel, False)  # what resets an amplifier
-        if not self.runtime.wait_until(lambda: axis.amplifier_fault_ns is None, _OFF_TIMEOUT_S):
-            self._raise_amplifier_fault()
+        with self.io.occupied():
+            axis.cut()
+            self.io.switch(self.channel, False)  # what resets an amplifier
+            if not self.runtime.wait_until(lambda: axis.amplifier_fault_ns is None, _OFF_TIMEOUT_S):
+                self._raise_amplifier_fault()
         axis.fault = axis.failure = None
 
     def arm(

@@ -10,15 +10,17 @@ One object per node and process, shared by the motors on its channels. Two chann
 | TPDO 2, 3  | 6820h, the counters of channels 1 and 2, of 3 and 4        | at SYNC         |
 """
 
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager
 from typing import TYPE_CHECKING, Final, final
 
 from motorapi.adaptations.canopen_link import can_frame, open_link, release_link
 from motorapi.adaptations.drive_node import DriveNode
-from motorapi.adaptations.drive_setup import HwOptions, first_answer, write_if_different
+from motorapi.adaptations.drive_setup import first_answer, write_if_different
 from motorapi.adaptations.pdo_setup import EVENT_DRIVEN, SYNCHRONOUS, PdoSetUp, PdoWish
+from motorapi.adaptations.shared_node import node_locks
 from motorapi.adaptations.software_cycle import Axis, ChannelPair, Cycle, cycle_of
+from motorapi.adaptations.software_options import IoFacts, IoOptions
 from motorapi.adaptations.turn_lock import TurnLock
 from motorapi.errors import DeadlineExceeded, LinkError, UnsupportedError, UsageError
 from motorapi.sharing import bus_key
@@ -28,6 +30,7 @@ if TYPE_CHECKING:
 
     import can
 
+    from motorapi.process_lock import Hold, ProcessLock
     from motorapi.runtime import Runtime
 
 INPUTS: Final = 0x6000
@@ -37,74 +40,6 @@ CHANNELS_MAX: Final = 4
 
 _FIRST_INPUTS_S: Final = 0.5
 _TPDOS: Final = 4
-
-
-@final
-@dataclass(frozen=True, slots=True, kw_only=True)
-class IoOptions:
-    """How the host treats an I/O node; all motors on its channels share them.
-
-    Attributes:
-        cycle_ms: period of the servo, and of SYNC.
-        misses_max: so many missed cycles in a row stop a motor.
-        counter: index of the object with the counters; 6820h: CiA 406 beside CiA 401.
-        host_node_id, heartbeat_ms, heartbeat_timeout_ms, connect_timeout_s, sdo_timeout_s,
-            sdo_quarantine_s: as in HwOptions.
-        status_period_ms: the node repeats its digital inputs so often; 0: on change only.
-    """
-
-    cycle_ms: float = 1.0
-    misses_max: int = 10
-    counter: int = 0x6820
-    host_node_id: int = 127
-    heartbeat_ms: int = 100
-    heartbeat_timeout_ms: int = 300
-    status_period_ms: int = 20
-    connect_timeout_s: float = 3.0
-    sdo_timeout_s: float = 0.3
-    sdo_quarantine_s: float = 1.0
-
-    def __post_init__(self) -> None:
-        """Refuse what no node can be told.
-
-        Raises:
-            UsageError: an option has the wrong type or is out of range.
-        """
-        if not isinstance(self.cycle_ms, int | float) or not 0.1 <= self.cycle_ms <= 1000.0:
-            raise UsageError(f"cycle_ms = {self.cycle_ms!r}: must be 0.1 to 1000 ms")
-        if not isinstance(self.misses_max, int) or not 1 <= self.misses_max <= 1_000_000:
-            raise UsageError(f"misses_max = {self.misses_max!r}: must be a whole number >= 1")
-        if not isinstance(self.counter, int) or not 0x2000 <= self.counter <= 0x9FFF:
-            raise UsageError(f"counter = {self.counter!r}: must be an index, 2000h to 9FFFh")
-        HwOptions(
-            host_node_id=self.host_node_id,
-            heartbeat_ms=self.heartbeat_ms,
-            heartbeat_timeout_ms=self.heartbeat_timeout_ms,
-            status_period_ms=self.status_period_ms,
-            connect_timeout_s=self.connect_timeout_s,
-            sdo_timeout_s=self.sdo_timeout_s,
-            sdo_quarantine_s=self.sdo_quarantine_s,
-        )
-
-
-@final
-@dataclass(frozen=True, slots=True)
-class IoFacts:
-    """What was found and agreed when the node was brought up.
-
-    Attributes:
-        channels: how many have both an analogue output and a counter.
-        enable_id: identifier of the RPDO with the digital outputs.
-        pairs: identifiers of (RPDO, TPDO) of channels 1 and 2, and of 3 and 4.
-        boot: which boot of the node it was.
-        limitations: what this node cannot do for us, in words.
-    """
-
-    channels: int
-    enable_id: int
-    pairs: tuple[tuple[int, int], ...]
-    boot: int
-    limitations: tuple[str, ...]
 
 
 @final
@@ -118,6 +53,7 @@ class AmplifierNode:
         on_facts: is called when it was brought up, before it is OPERATIONAL.
         cycle: the clock of all servos on its bus.
         users: how many motors share it.
+        lock: kept while a servo of this process runs on the node; None: no other process is there.
     """
 
     def __init__(
@@ -140,6 +76,9 @@ class AmplifierNode:
             quarantine_s=options.sdo_quarantine_s,
             heartbeat_timeout_ms=options.heartbeat_timeout_ms,
         )
+        locks = node_locks(bus, runtime, node_id, self.node.label)
+        self.lock: Final[ProcessLock | None] = locks[0]
+        self.node.sdo.process_lock = self._sdo_lock = locks[1]
         self.inputs = 0
         self.inputs_ns = -1
         self.users = 0
@@ -149,6 +88,8 @@ class AmplifierNode:
         self.facts: IoFacts | None = None
         self.cycle: Final[Cycle] = cycle_of(self.link, options.cycle_ms / 1e3)
         self._pairs: tuple[ChannelPair, ...] = ()
+        self._occupied = 0
+        self._hold: Hold | None = None
         self._outputs = 0
         self._inputs_id: int | None = None
         self._setting_up = TurnLock(runtime)
@@ -245,12 +186,68 @@ class AmplifierNode:
         with self._setting_up.turn(4 * options.connect_timeout_s, what):
             if self.facts is not None and self.node.is_up:
                 return self.facts
-            if options.heartbeat_ms and not self.node.uses_host_heartbeat:
-                self.link.produce_heartbeat(options.host_node_id, options.heartbeat_ms)
-                self.node.uses_host_heartbeat = True
             self.facts = None  # what fails now is tried again the next time
-            self.facts = self._bring_up()
+            with self._setting_up_alone():
+                self.facts = self._bring_up()
             return self.facts
+
+    @contextmanager
+    def _setting_up_alone(self) -> Iterator[None]:
+        """No other process sets the node up; what is written, no servo of another is hurt by."""
+        if self._sdo_lock is None:
+            yield
+            return
+        runtime, sdo = self.link.runtime, self.node.sdo
+        timeout_s = 4 * self.options.connect_timeout_s
+        with ExitStack() as held:
+            what = f"set-up of {self.node.label}"
+            held.enter_context(self._sdo_lock.acquire(runtime, what, timeout_s, sdo))
+
+            def own() -> None:
+                if not self._occupied:
+                    held.enter_context(self.occupied())
+
+            sdo.before_writing = own
+            try:
+                yield
+            finally:
+                sdo.before_writing = None
+
+    # --- whose servo runs on it ------------------------------------------------------------
+
+    def occupy(self) -> None:
+        """The node is this process's, until `vacate` is called as often.
+
+        Raises:
+            MotorBusyError: another process's servo runs on it; says whose.
+        """
+        if not self._occupied and self.lock is not None:
+            label = self.node.label
+            what = f"the servo of {label}"
+            self._hold = self.lock.acquire(self.link.runtime, what, owner=self, asker=label)
+        self._occupied += 1
+
+    def be_heard(self) -> None:
+        """The node hears the host from now on, and misses it if it falls silent."""
+        if self.options.heartbeat_ms and not self.node.uses_host_heartbeat:
+            self.link.produce_heartbeat(self.options.host_node_id, self.options.heartbeat_ms)
+            self.node.uses_host_heartbeat = True
+
+    def vacate(self) -> None:
+        """One reason less for which the node is this process's."""
+        self._occupied -= 1
+        if not self._occupied and self._hold is not None:
+            self._hold.release()
+            self._hold = None
+
+    @contextmanager
+    def occupied(self) -> Iterator[None]:
+        """The node is this process's inside the block. Raises as `occupy`."""
+        self.occupy()
+        try:
+            yield
+        finally:
+            self.vacate()
 
     def _bring_up(self) -> IoFacts:
         node, options = self.node, self.options

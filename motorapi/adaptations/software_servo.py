@@ -18,6 +18,7 @@ _AHEAD: Final = 1.5  # cycles: the output is out from the next SYNC to the one a
 _SMOOTH: Final = 0.2  # of the velocity that is told, which one count makes coarse
 _DEAD_BAND_INC: Final = 1.0  # an error at rest that is none: the integral would hunt for it
 _STILL_INC: Final = 2.0
+_NO_SPEED: Final = 1e-3  # [inc/s]
 _HALF: Final = 0x8000_0000
 _MASK: Final = 0xFFFF_FFFF
 
@@ -199,7 +200,10 @@ class Servo:
         cycles = cycle - before
         if cycles <= 0:
             return 0
-        self.velocity += (change / (cycles * self._period_s) - self.velocity) * _SMOOTH
+        speed = change / (cycles * self._period_s)
+        self.velocity += (speed - self.velocity) * _SMOOTH
+        if not change and -_NO_SPEED < self.velocity < _NO_SPEED:
+            self.velocity = 0.0
         return cycles
 
     def step(self, count: int, cycle: int) -> float:

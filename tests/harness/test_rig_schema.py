@@ -21,7 +21,7 @@ from harness.rig import installed_plugins
 from harness.scaffold import EXAMPLES
 from motorapi.adaptations import ideal, software
 from motorapi.adaptations.drive_setup import HwOptions
-from motorapi.adaptations.software_node import IoOptions
+from motorapi.adaptations.software_options import IoOptions
 from motorapi.model import MotorModel
 from tests.harness.test_rig_file import (
     GOOD,

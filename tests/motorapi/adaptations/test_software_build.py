@@ -110,7 +110,7 @@ def test_a_second_hardware_object_for_the_same_channel_is_refused_and_named(open
     again.connect()
     again.close()
     with pytest.raises(UsageError, match="also the host's node-ID"):
-        AmplifierHwMotor(bus, 127, current_per_volt_a_v=0.8)
+        AmplifierHwMotor(bus, 126, current_per_volt_a_v=0.8)
 
 
 def test_by_hand_it_is_as_in_a_rig(open_rig: OpenRig):
