@@ -4,22 +4,18 @@ Pure functions. The function says itself where it is extreme (exactly, if it is 
 limit is not missed between two samples. U stands for the unit of the control variable.
 """
 
-from math import inf
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING
 
 from motorapi.commands import ControlMode, ControlVariable, Motion
 from motorapi.errors import LimitError, StateError, UsageError
 from motorapi.generation.allowed import Allowed
-from motorapi.generation.feasibility import Violation, feasible
+from motorapi.generation.feasibility import STEP_S, feasible
 from motorapi.limits import check_target, slack, value_range
 from motorapi.model import MotorModel
 from motorapi.trajectory import ComplexTrajectory
 
 if TYPE_CHECKING:
     from motorapi.arguments import Argument
-
-_STEP_S: Final = 0.01
-"""A velocity may step by what the acceleration makes in this time: samples are no smoother."""
 
 
 def check(
@@ -42,7 +38,7 @@ def check(
         return
     for violation in feasible(trajectory, model, variable=variable).violations:
         if not (trajectory.relative and violation.quantity == variable.value):
-            raise _as_error(motor, violation)
+            raise violation.as_error(motor)
     if variable is ControlVariable.POSITION:
         _check_ends(motor, model, trajectory)
 
@@ -99,7 +95,7 @@ def require_at_start(
     if variable is ControlVariable.POSITION:
         tolerance = model.start_tolerance
     elif variable is ControlVariable.VELOCITY:
-        tolerance = model.acceleration_max * _STEP_S
+        tolerance = model.acceleration_max * STEP_S
     else:
         return  # torque and current may step
     if abs(start - reference) > tolerance:
@@ -111,21 +107,6 @@ def require_at_start(
             f" {reference:g} {unit}",
             remedy="move there first, or make it relative (leave out initial=, or relative=True)",
         )
-
-
-def _as_error(motor: str, violation: Violation) -> LimitError:
-    reason = violation.reason
-    if violation.argument is not None:
-        reason = f"at argument {violation.argument:g}{', ' if reason else ''}{reason}"
-    return LimitError(
-        motor=motor,
-        quantity=f"{violation.quantity} of the trajectory",
-        value=violation.value,
-        low=None if violation.low == -inf else violation.low,
-        high=None if violation.high == inf else violation.high,
-        unit=violation.unit,
-        reason=reason,
-    )
 
 
 def _check_values(
@@ -176,7 +157,7 @@ def _check_rate(
 
 def _check_ends(motor: str, model: MotorModel, trajectory: ComplexTrajectory) -> None:
     """A motion from rest to rest: a step of velocity at an end is an endless acceleration too."""
-    allowed = min(model.acceleration_max, model.deceleration) * _STEP_S
+    allowed = min(model.acceleration_max, model.deceleration) * STEP_S
     derivative = trajectory.function.derivative()
     for where, what in zip(trajectory.interval, ("begins", "ends"), strict=True):
         velocity = derivative.value(where)

@@ -89,13 +89,6 @@ class FrameInbox:
             )
         return frames.popleft()
 
-    def take_all(self) -> list[RawFrame]:
-        """All frames that are there; does not wait."""
-        taken = list(self._frames)
-        for _ in taken:
-            self._frames.popleft()
-        return taken
-
     def close(self) -> None:
         """Nothing more is heard."""
         self._registration.cancel()

@@ -6,7 +6,7 @@ from math import inf, nextafter
 from typing import TYPE_CHECKING, Final, final
 
 from motorapi.commands import ControlVariable, DerivativeLimits, Range
-from motorapi.errors import UsageError
+from motorapi.errors import LimitError, UsageError
 from motorapi.generation.allowed import Allowed
 from motorapi.generation.closed_form import trapezoid
 from motorapi.generation.durations import possible_durations
@@ -18,7 +18,7 @@ from motorapi.trajectory import ComplexTrajectory, Trajectory, TrapezoidalTrajec
 if TYPE_CHECKING:
     from motorapi.functions.function import Function
 
-_STEP_S: Final = 0.01
+STEP_S: Final = 0.01
 """A derivative may step by what the next one makes in this time; samples are no smoother."""
 
 
@@ -48,6 +48,19 @@ class Violation:
     def by(self) -> float:
         """How far out of the range the worst value is."""
         return max(self.low - self.value, self.value - self.high)
+
+    def as_error(self, motor: str) -> LimitError:
+        """The same as an error about a motor."""
+        when = "" if self.argument is None else f"at argument {self.argument:g}"
+        return LimitError(
+            motor=motor,
+            quantity=f"{self.quantity} of the trajectory",
+            value=self.value,
+            low=None if self.low == -inf else self.low,
+            high=None if self.high == inf else self.high,
+            unit=self.unit,
+            reason=", ".join(part for part in (when, self.reason) if part),
+        )
 
     def __str__(self) -> str:
         unit = f" {self.unit}" if self.unit else ""
@@ -259,7 +272,7 @@ def _steps(
         step = derivative.value(where) - derivative.value(before)
         top = high if step > 0.0 else -low
         rounding = ROUNDING * (abs(derivative.value(where)) + abs(derivative.value(before)))
-        if abs(step) > max(top * (_STEP_S if order else 1e-6), rounding) and abs(step) > abs(worst):
+        if abs(step) > max(top * (STEP_S if order else 1e-6), rounding) and abs(step) > abs(worst):
             worst, at = step, where
     if worst:
         unit = f" {allowed.units[order]}" if allowed.units[order] else ""

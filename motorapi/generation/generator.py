@@ -1,9 +1,7 @@
 """From what a trajectory asks for, and what a motor can do, to the motion itself."""
 
-from math import inf
-
 from motorapi.commands import ControlVariable
-from motorapi.errors import LimitError, UnsupportedError
+from motorapi.errors import UnsupportedError
 from motorapi.generation.feasibility import attempt
 from motorapi.generation.profile import Profile
 from motorapi.model import MotorModel
@@ -41,17 +39,7 @@ def generate(
     profile, violations = attempt(trajectory, model, variable, start)
     if profile is not None and not violations:
         return profile
-    worst = violations[0]
-    when = "" if worst.argument is None else f"at {worst.argument:g} s"
-    raise LimitError(
-        motor=model.name,
-        quantity=f"{worst.quantity} of the trajectory",
-        value=worst.value,
-        low=None if worst.low == -inf else worst.low,
-        high=None if worst.high == inf else worst.high,
-        unit=worst.unit,
-        reason=", ".join(part for part in (when, worst.reason) if part),
-    )
+    raise violations[0].as_error(model.name)
 
 
 def _refuse(model: MotorModel, feature: str) -> None:

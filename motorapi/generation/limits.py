@@ -85,22 +85,5 @@ class ProfileLimits:
         object.__setattr__(made, "backward", cls(velocity, backward).backward)
         return made
 
-    def tightened(self, *, first: Range | None = None, second: Range | None = None) -> Self:
-        """These limits and further ranges of the derivatives, whatever is tighter on each side.
-
-        Raises:
-            UsageError: a range leaves out 0.
-        """
-        return self.by_direction(
-            self.velocity if first is None else _common(self.velocity, first),
-            self.forward if second is None else _common(self.forward, second),
-            self.backward if second is None else _common(self.backward, second),
-            value=self.value,
-        )
-
 
 _UNLIMITED: Final = (-inf, inf)
-
-
-def _common(one: Range, other: Range) -> Range:
-    return (max(one[0], other[0]), min(one[1], other[1]))

@@ -75,16 +75,6 @@ class LimitArrays:
         """The lowest velocity [U/s]."""
         return -self.high if self._low is None else self._low
 
-    def one(self, index: int) -> ProfileLimits:
-        """The limits of one motion."""
-        low, high, rise, fall, back_rise, back_fall = (
-            float(array if array.ndim == 0 else array[index])
-            for array in (
-                self.low, self.high, self.rise, self.fall, self.back_rise, self.back_fall,
-            )
-        )  # fmt: skip
-        return ProfileLimits.by_direction((low, high), (-fall, rise), (-back_fall, back_rise))
-
 
 def refuse_first(sizes: FloatArray, why: str, first: int = 0) -> None:
     """Raises UsageError with the index of the first size that is not > 0; counts from `first`."""

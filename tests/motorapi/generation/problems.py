@@ -83,14 +83,6 @@ def envelope_of(limits, given):
     )
 
 
-def exact_way(profile):
-    """What the pieces say they cover, integrated exactly from their velocities."""
-    return sum(
-        (Fraction(ends) - Fraction(begins)) * (Fraction(entry) + Fraction(leave)) / 2
-        for begins, ends, _, _, entry, leave, _ in profile.pieces
-    )
-
-
 def assert_is_admissible(profile, final, limits, given):
     """A motion between these states within these limits, as the pieces themselves tell it."""
     pieces = profile.pieces

@@ -192,9 +192,3 @@ def test_limits_without_sense_are_refused():
         LimitArrays(1.0, (-1.0, 1.0), 1.0)
     with pytest.raises(UsageError, match="do not bound it"):
         trapezoids(1.0, ProfileLimits(inf, inf))
-
-
-def test_one_of_many_limits_is_told():
-    limits = LimitArrays(np.array([1.0, 2.0]), 3.0, np.array([4.0, 5.0]))
-    assert limits.one(1) == ProfileLimits(2.0, 3.0, 5.0)
-    assert LimitArrays.of(ProfileLimits(2.0, 3.0, 5.0)).one(0) == ProfileLimits(2.0, 3.0, 5.0)

@@ -98,7 +98,7 @@ def test_torque_takes_a_limit_of_its_own_or_a_duration():
         ),
         (
             TrapezoidalTrajectory(1.0, initial_derivatives=(2.5,)),
-            r"wheel: velocity of the trajectory 2\.5 rad/s, allowed is -2 to 2 rad/s \(at 0 s",
+            r"wheel: velocity of the trajectory 2\.5 rad/s, allowed is -2 to 2 rad/s \(at argument 0",
         ),
         (
             TrapezoidalTrajectory(
@@ -115,7 +115,7 @@ def test_what_the_limits_forbid_is_told_as_everywhere(trajectory, told):
 
 def test_a_boundary_velocity_that_overshoots_a_limit_is_refused():
     """From 2.5 rad at 2 rad/s and 1 rad/s² it cannot but reach 4.5 rad."""
-    with pytest.raises(LimitError, match=r"position of the trajectory 4\.5 rad, .*at 2 s"):
+    with pytest.raises(LimitError, match=r"position of the trajectory 4\.5 rad, .*at argument 2"):
         generate(TrapezoidalTrajectory(2.0, 2.5, initial_derivatives=(2.0,)), MODEL)
 
 

@@ -153,15 +153,6 @@ def test_limits_that_are_none_are_refused(arguments, told):
         ProfileLimits(1.0, 1.0, value=(1.0, 0.0))
 
 
-def test_limits_are_tightened_side_by_side():
-    limits = ProfileLimits(2.0, 4.0, 3.0, value=(0.0, 1.0))
-    tight = limits.tightened(first=(-1.0, inf), second=(-3.5, 2.0))
-    assert tight.velocity == (-1.0, 2.0)
-    assert (tight.forward, tight.backward) == ((-3.0, 2.0), (-3.5, 2.0))
-    assert tight.value == (0.0, 1.0)
-    assert limits.tightened() == limits
-
-
 # --- properties
 
 
