@@ -46,6 +46,8 @@ class _Port(Protocol):
 class _Waiter:
     """A party that waits: for what, until when, and how it ended."""
 
+    __slots__ = ("deadline_ns", "done", "error", "party", "result")
+
     def __init__(self, party: "VirtualParty", done: Callable[[], bool], deadline_ns: int) -> None:
         self.party = party
         self.done = done

@@ -63,6 +63,7 @@ class CanopenNode:
         self._consumer = HeartbeatConsumer(od, self.outbox)
         self._boot_ns: int = NEVER
         self._deadline_ns: int = NEVER
+        self._pdos_deadline_ns: int = NEVER
         self._handlers: dict[bytes, _Handler] = {}
         self._identifiers: tuple[int, ...] = ()
         self._identifiers_revision = 0
@@ -101,6 +102,8 @@ class CanopenNode:
 
     def expire(self, now_ns: int) -> None:
         """What is due at `now_ns` is done."""
+        if self.outbox.deadlines_moved:
+            self._find_deadline()
         if self._boot_ns <= now_ns:
             self._boot_up(now_ns)
         if self._sdo.deadline_ns <= now_ns:
@@ -110,7 +113,7 @@ class CanopenNode:
         if self._consumer.deadline_ns <= now_ns:
             for node_id in self._consumer.expire(now_ns):
                 self._lose(node_id, now_ns)
-        if self._pdos.deadline_ns() <= now_ns:
+        if self._pdos_deadline_ns <= now_ns:
             self._pdos.expire(now_ns)
 
     def take_output(self) -> Sequence[bytes]:
@@ -183,7 +186,7 @@ class CanopenNode:
 
     def _find_deadline(self) -> None:
         self.outbox.deadlines_moved = False
-        deadline_ns = self._pdos.deadline_ns()
+        deadline_ns = self._pdos_deadline_ns = self._pdos.deadline_ns()
         if self._boot_ns < deadline_ns:
             deadline_ns = self._boot_ns
         if self._sdo.deadline_ns < deadline_ns:

@@ -91,6 +91,9 @@ class Cia402Drive:
         self._is_settled: bool = False  # all that shows is told, and nothing has happened since
         self._deadline_ns: int = NEVER
         self._motor_due_ns: int = NEVER  # the same without the node's
+        self._power_due_ns: int = NEVER  # the power drive's alone; found again when it has moved
+        self._is_powered: bool = False
+        self._power_moved: bool = True
         self._deadline_moved: bool = True
         self._truth: dict[str, float] = {}  # as last shown, of this state, mode and rest:
         self._truth_of: tuple[int, int, int] = (0, 0, -1)
@@ -100,6 +103,7 @@ class Cia402Drive:
     def start(self, now_ns: int) -> None:
         """Power comes on."""
         self._node.start(now_ns)
+        self._power_moved = True
         self._deadline_moved = True
 
     def receive(self, data: bytes, now_ns: int) -> None:
@@ -252,6 +256,7 @@ class Cia402Drive:
         if self._is_settled or (now_ns < self._motor_due_ns and not self._touched):
             return  # nothing shows but where the motor is
         self._touched = True
+        self._power_moved = True
         self._power_drive.settle(now_ns)
 
     def on_heartbeat_lost(self, node_id: int, now_ns: int) -> None:
@@ -263,6 +268,7 @@ class Cia402Drive:
     def _happens(self) -> None:
         """Something other than time may change what shows."""
         self._touched = True
+        self._power_moved = True
         self._is_settled = False
 
     def _abort(self, code: int, now_ns: int) -> None:
@@ -273,6 +279,7 @@ class Cia402Drive:
     def _publish(self, now_ns: int) -> None:
         """What has changed is told: EMCY first, then to the TPDOs that map it."""
         self._touched = False
+        self._power_moved = True
         self._deadline_moved = True
         power_drive = self._power_drive
         node = self._node
@@ -311,9 +318,13 @@ class Cia402Drive:
     def _find_deadline(self) -> None:
         """The earliest of the node's, the power drive's and the axis' next event."""
         self._deadline_moved = False
-        motor_ns = self._power_drive.deadline_ns()
+        if self._power_moved:
+            self._power_moved = False
+            self._power_due_ns = self._power_drive.deadline_ns()
+            self._is_powered = self._power_drive.is_powered()
+        motor_ns = self._power_due_ns
         node_ns = self._node.deadline_ns()
-        if self._power_drive.is_powered():  # otherwise no flag matters
+        if self._is_powered:  # otherwise no flag matters
             event_ns = self.axis.event_ns(node_ns if node_ns < motor_ns else motor_ns)
             if event_ns < motor_ns:
                 motor_ns = event_ns
