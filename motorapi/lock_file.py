@@ -16,6 +16,8 @@ files exclude each other in one process too, so threads need no second lock.
 No step of this is guarded by another lock: a process that is paused in the middle of it stops
 nobody but those whom it has to precede.
 
+Whoever lets go says so before, by its token: what was had and not let go was a dead process's.
+
 What is written in the file says who they are. It is believed only as far as the kernel agrees: the
 record of the token that is locked, the record of a place that is locked. So it is never stale.
 """
@@ -46,6 +48,8 @@ _TAIL: Final = struct.Struct("<64s96s96s")
 _CHECK: Final = struct.Struct("<I")
 _RECORD_SIZE: Final = _HEAD.size + _TAIL.size + _CHECK.size
 _SLOT: Final = 512
+_RELEASED: Final = 504  # the token that was let go last, behind the record
+_TOKEN: Final = struct.Struct("<Q")
 _SLOTS: Final = 128
 """So many waiters are told by name."""
 _READS_MAX: Final = 20
@@ -211,19 +215,24 @@ class LockFile:
 
     # ---- saying who has it ----
 
-    def last(self) -> tuple[int, bytes]:
-        """(token, identity) of who has or had it last; (0, b"") if nobody ever."""
-        head = os.pread(self._fd, _HEAD.size, 0)
+    def last(self) -> tuple[int, bytes, bool]:
+        """(token, identity) of who had it last, and whether it died with it."""
+        head = os.pread(self._fd, _SLOT, 0)
         if len(head) < _HEAD.size:
-            return 0, b""
-        _, token, identity, *_ = _HEAD.unpack(head)
-        return token, identity
+            return 0, b"", False
+        _, token, identity, *_ = _HEAD.unpack_from(head)
+        return token, identity, token != _released(head)
 
     def tell_holder(self, token: int, record: bytes) -> None:
         """Everybody can read that we have it, and who we are."""
         held = _FLOCK.pack(fcntl.F_WRLCK, os.SEEK_SET, _HELD - token, token, 0)
         fcntl.fcntl(self._fd, fcntl.F_OFD_SETLK, held)
         os.pwrite(self._fd, record, 0)
+
+    def tell_release(self, token: int) -> None:
+        """Everybody can read that it was let go."""
+        if self._fd >= 0:
+            os.pwrite(self._fd, _TOKEN.pack(token), _RELEASED)
 
     def tell_waiter(self, place: int, record: bytes) -> None:
         """Everybody can read that we wait, and who we are."""
@@ -247,6 +256,14 @@ class LockReader:
         """What the lock is for; None if it was never taken."""
         record = _unpack_record(os.pread(self._fd, _RECORD_SIZE, 0))
         return None if record is None else record.label
+
+    def abandoned(self) -> int:
+        """The token of who died with it, if nobody had it since; else 0."""
+        data = os.pread(self._fd, _SLOT, 0)
+        record = _unpack_record(data[:_RECORD_SIZE])
+        if record is None or record.number == _released(data) or self.is_held():
+            return 0
+        return record.number
 
     def is_held(self) -> bool:
         """Whether somebody has it."""
@@ -281,6 +298,14 @@ class LockReader:
         if one is None:
             return []
         return [*self._places(first, one[0]), one[0] - _PLACES, *self._places(one[1] + 1, end)]
+
+
+def _released(data: bytes) -> int:
+    """The token that was let go last, in what the file begins with."""
+    if len(data) < _RELEASED + _TOKEN.size:
+        return 0
+    token: int = _TOKEN.unpack_from(data, _RELEASED)[0]
+    return token
 
 
 def _at(place: int) -> bytes:

@@ -84,13 +84,14 @@ class LockView:
     """A lock at one moment.
 
     Attributes: name (of its file), label (what it locks), holder (None: it is free), waiters (place
-    and who, in order).
+    and who, in order), abandoned (the token of who died with it, if nobody had it since; else 0).
     """
 
     name: str
     label: str
     holder: Occupant | None
     waiters: tuple[tuple[int, Occupant], ...]
+    abandoned: int = 0
 
 
 def look(directory: LockDirectory, name: str) -> LockView:
@@ -107,7 +108,7 @@ def look(directory: LockDirectory, name: str) -> LockView:
         record = reader.holder()
         holder = Occupant(record) if record is not None or reader.is_held() else None
         waiters = tuple((place, Occupant(one)) for place, one in reader.waiters())
-        return LockView(name, reader.label() or name, holder, waiters)
+        return LockView(name, reader.label() or name, holder, waiters, reader.abandoned())
     finally:
         reader.close()
 

@@ -116,11 +116,14 @@ class Ownership:
 
     Attributes:
         absences: grows whenever another process had the motor since this one owned it last.
+        is_orphan: whether who had it before died with it, so that it may be moving for nobody; the
+            next one brings it to rest first, and says so here.
     """
 
     def __init__(self, lock: ProcessLock | None) -> None:
         self.lock: Final = lock
         self.absences = 0
+        self.is_orphan = False
         self._held: _Held | None = None
         self._queue: deque[_Place] = deque()  # of those who wait here, not in the lock
         self._mutex = threading.Lock()  # never held while waiting
@@ -224,6 +227,8 @@ class Ownership:
     def _note(self, hold: Hold) -> None:
         if hold.changed_hands:
             self.absences += 1
+        if hold.was_abandoned:
+            self.is_orphan = True
 
     def give(self, owner: object) -> None:
         """One reason less for which the owner has it; after the last it is the next one's."""

@@ -54,13 +54,30 @@ class Hold:
     """A lock that was taken, until `release`; also a context manager.
 
     Attributes: owner, token (greater than that of anybody before), changed_hands (whether another
-    lock object, of whatever process, had it in between, or this one has it for the first time).
+    lock object, of whatever process, had it in between, or this one has it for the first time),
+    was_abandoned (whether the one before died with it).
     """
 
-    __slots__ = ("_counting", "_depth", "_file", "_lock", "changed_hands", "owner", "token")
+    __slots__ = (
+        "_counting",
+        "_depth",
+        "_file",
+        "_lock",
+        "changed_hands",
+        "owner",
+        "token",
+        "was_abandoned",
+    )
 
     def __init__(
-        self, lock: "ProcessLock", file: LockFile, owner: object, token: int, changed_hands: bool
+        self,
+        lock: "ProcessLock",
+        file: LockFile,
+        owner: object,
+        token: int,
+        *,
+        changed_hands: bool,
+        was_abandoned: bool,
     ) -> None:
         self._lock = lock
         self._file = file
@@ -69,6 +86,7 @@ class Hold:
         self.owner: Final = owner
         self.token: Final = token
         self.changed_hands: Final = changed_hands
+        self.was_abandoned: Final = was_abandoned
 
     def __enter__(self) -> "Hold":
         return self
@@ -97,6 +115,7 @@ class Hold:
             self._depth -= 1
             is_last = self._depth == 0
         if is_last:
+            self._file.tell_release(self.token)
             self._lock.give_back(self._file)
 
 
@@ -207,10 +226,17 @@ class ProcessLock:
         return self._open() if file is None else file
 
     def _publish(self, file: LockFile, purpose: str, owner: object) -> Hold:
-        token, identity = file.last()
+        token, identity, was_abandoned = file.last()
         token += 1
         file.tell_holder(token, self._record(token, purpose))
-        hold = self._hold = Hold(self, file, owner, token, identity != self._identity)
+        hold = self._hold = Hold(
+            self,
+            file,
+            owner,
+            token,
+            changed_hands=identity != self._identity,
+            was_abandoned=was_abandoned,
+        )
         return hold
 
     def _record(self, number: int, purpose: str) -> bytes:

@@ -7,9 +7,10 @@ Taking turns with the others is in `motorapi.sharing`; what an application comma
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from copy import copy
-from typing import TYPE_CHECKING, Any, final
+from typing import TYPE_CHECKING, Any, Final, final
 
 from motorapi.errors import (
+    DeadlineExceeded,
     MotionInterrupted,
     MotorBusyError,
     MotorError,
@@ -22,11 +23,16 @@ from motorapi.ownership import Patience
 from motorapi.progress import Progress, progress_of
 from motorapi.readable_motor import ReadableMotor
 from motorapi.sharing import Run, RunStatus
+from motorapi.state import MotorState
 
 if TYPE_CHECKING:
     from motorapi.commands import Motion
     from motorapi.runtime import Registration
     from motorapi.turns import Ticket
+
+
+_ADOPTION_S: Final = 30.0
+"""How long a motor may take to come to rest that was left moving."""
 
 
 class SharedMotor(ReadableMotor):
@@ -111,7 +117,27 @@ class SharedMotor(ReadableMotor):
             self._bury_failed_run()
             self._physical.take(self, self.name, self._status())
             self._call(self._connect)
+            if self._physical.ownership.is_orphan:
+                self._adopt()
             yield
+
+    @final
+    def _adopt(self) -> None:
+        """What another process left moving when it died is at rest.
+
+        Raises:
+            DeadlineExceeded: it does not come to rest.
+        """
+        if self._call(self._read_state) is MotorState.ENABLED:
+            self._call(self._stop)
+            patience = Patience(_ADOPTION_S, lambda: None, lambda: self._call(self._refresh))
+            if not patience.until(self.runtime, lambda: self._call(self._is_done), _ADOPTION_S):
+                raise DeadlineExceeded(
+                    awaited=f"rest of {self.name}, left moving by a process that died",
+                    timeout_s=_ADOPTION_S,
+                    last_heard=f"{self._call(self._read_velocity):g} {self.model.unit}/s",
+                )
+        self._physical.ownership.is_orphan = False
 
     @final
     @contextmanager

@@ -26,7 +26,7 @@ from motorapi.adaptations.drive_node import DriveNode, Emergency
 from motorapi.adaptations.drive_objects import DriveObjects
 from motorapi.adaptations.drive_setup import DriveFacts, HwOptions, bring_up
 from motorapi.adaptations.raw_frames import FrameInbox, raw_frame
-from motorapi.adaptations.shared_node import SharedNode, node_locks
+from motorapi.adaptations.shared_node import SharedNode, guarding, node_locks
 from motorapi.adaptations.turn_lock import TurnLock
 from motorapi.errors import LinkError, StateError, UsageError
 from motorapi.runtime import runtime_of
@@ -45,7 +45,7 @@ if TYPE_CHECKING:
     from canopen.sdo.client import SdoClient
 
     from motorapi.adaptations.motion_watch import MotionWatch
-    from motorapi.runtime import Runtime
+    from motorapi.runtime import Registration, Runtime
 
 
 _STREAM_ENDS_CYCLES: Final = 4
@@ -128,7 +128,8 @@ class Cia402HwMotor:
         self.parameters: Final = ParameterStore(self.node, self.objects)
         self._homed_at_boot: int | None = None
         self._is_doubted = False
-        self._close = weakref.finalize(self, _let_go, self.link, self.node, self.options)
+        guard = guarding(runtime, self.physical, self.node, self.control)
+        self._close = weakref.finalize(self, _let_go, self.link, self.node, self.options, guard)
         self._close.atexit = False
 
     def _is_the_hosts(self) -> UsageError:
@@ -388,7 +389,11 @@ class Cia402HwMotor:
         self.control.forget()
 
 
-def _let_go(link: CanopenLink, node: DriveNode, options: HwOptions) -> None:
+def _let_go(
+    link: CanopenLink, node: DriveNode, options: HwOptions, guard: "Registration | None"
+) -> None:
+    if guard is not None:
+        guard.cancel()
     node.close()
     if node.uses_host_heartbeat:
         link.release_heartbeat(options.host_node_id)

@@ -4,12 +4,19 @@ One says who may command the drive (`motorapi.ownership`). The other is short: i
 transfer, or for one set-up, so that the answers to one process are never taken for the answers to
 another. A process that is paused inside it keeps all others from the drive's objects; they are told
 which one it is.
+
+The drive's dead-man watches the host, not one process of it: as long as any of them sends the
+host's heartbeat, a drive goes on moving for a process that died. So those who are left look after
+it: when its owner has died, and it moves, they halt it (`Guard`).
 """
 
+import logging
 from collections.abc import Iterator
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack, contextmanager, suppress
 from typing import TYPE_CHECKING, Final, final
 
+from motorapi.adaptations.cia402_objects import PdsState
+from motorapi.errors import MotorError
 from motorapi.lock_names import bus_name
 from motorapi.process_lock import ProcessLock, can_share_time
 from motorapi.sharing import PhysicalMotor
@@ -17,8 +24,14 @@ from motorapi.sharing import PhysicalMotor
 if TYPE_CHECKING:
     import can
 
+    from motorapi.adaptations.drive_control import DriveControl
+    from motorapi.adaptations.drive_node import DriveNode
     from motorapi.adaptations.sdo_channel import SdoChannel
-    from motorapi.runtime import Runtime
+    from motorapi.runtime import Registration, Runtime
+
+LOOK_PERIOD_S: Final = 0.1
+_STILL_INC: Final = 2
+_LOG: Final = logging.getLogger("motorapi")
 
 
 def node_locks(
@@ -74,3 +87,47 @@ class SharedNode:
             finally:
                 sdo.before_writing = None
             self._absences = ownership.absences
+
+
+@final
+class Guard:
+    """Halts a drive that moves for a process that died, as long as nobody else has it.
+
+    It does so only once this process has brought the drive up, for whatever reason.
+    """
+
+    def __init__(self, physical: PhysicalMotor, node: "DriveNode", control: "DriveControl") -> None:
+        self._physical = physical
+        self._node = node
+        self._control = control
+        self._before_inc: int | None = None
+        self._rested = 0  # the token of whom it need not be halted for any more
+
+    def look(self) -> None:
+        """Called every `LOOK_PERIOD_S`."""
+        ownership = self._physical.ownership
+        if ownership.lock is None or ownership.is_here:
+            return
+        before_inc, now_inc = self._before_inc, self._node.position_inc
+        self._before_inc = now_inc
+        is_on = self._node.state is PdsState.OPERATION_ENABLED
+        if before_inc is None or not is_on or self._control.facts is None:
+            return
+        with suppress(MotorError):  # the lock cannot be read, or the bus is gone: others tell that
+            abandoned = ownership.lock.look().abandoned
+            if not abandoned or abandoned == self._rested:
+                return
+            if abs(now_inc - before_inc) <= _STILL_INC:
+                self._rested = abandoned
+                return
+            _LOG.warning("%s moves for a process that died: it is halted", self._physical.label)
+            self._control.send_halt()
+
+
+def guarding(
+    runtime: "Runtime", physical: PhysicalMotor, node: "DriveNode", control: "DriveControl"
+) -> "Registration | None":
+    """A guard looks after the drive, where other processes may have it."""
+    if physical.ownership.lock is None:
+        return None
+    return runtime.every(LOOK_PERIOD_S, Guard(physical, node, control).look)

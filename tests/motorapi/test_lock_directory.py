@@ -6,6 +6,7 @@ import pytest
 from motorapi import lock_directory
 from motorapi.errors import UsageError
 from motorapi.lock_directory import VARIABLE, LockDirectory
+from tests.motorapi.test_process_lock import open_here
 
 ROOT = os.geteuid() == 0
 SOMEBODY = 54321
@@ -179,11 +180,11 @@ def test_a_file_of_another_group_is_refused_in_a_groups_directory(group):
 
 
 def test_refusals_leave_no_descriptor_open(default, group, tmp_path):
-    before = len(os.listdir("/proc/self/fd"))
+    assert open_here(tmp_path) == 0
     default.mkdir(mode=0o755)
     (group / "pan").touch(0o666)
     os.mkfifo(group / "tilt", 0o660)
     for directory, name in ((None, "pan"), (group, "pan"), (group, "tilt"), (tmp_path / "x", "x")):
         with pytest.raises(UsageError):
             LockDirectory(directory).open(name)
-    assert len(os.listdir("/proc/self/fd")) == before
+    assert open_here(tmp_path) == 0

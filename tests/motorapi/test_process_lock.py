@@ -3,6 +3,7 @@
 import gc
 import os
 import threading
+from contextlib import suppress
 
 import pytest
 
@@ -286,6 +287,22 @@ def test_who_has_it_is_not_told_from_a_file_that_somebody_has_restored(lock, run
     hold.release()
 
 
+def test_it_is_told_whether_the_one_before_let_go_of_it(lock, other, runtime):
+    hold = lock.acquire(runtime, "x")
+    hold.release()
+    assert not lock.look().abandoned
+    hold = other.acquire(runtime, "y")
+    assert not hold.was_abandoned
+    assert not lock.look().abandoned  # it is held
+    hold._file.close()  # as the kernel does when a process dies
+    assert lock.look().abandoned == hold.token
+    assert lock.look().holder is None
+    with lock.acquire(runtime, "x") as hold:
+        assert hold.was_abandoned
+    assert not lock.look().abandoned
+    assert not lock.acquire(runtime, "x").was_abandoned
+
+
 def test_after_somebody_has_tidied_up_all_use_the_new_file(lock, other, runtime, tmp_path):
     lock.acquire(runtime, "x").release()
     (tmp_path / "pan").unlink()
@@ -309,15 +326,23 @@ def test_a_name_that_is_no_files_is_refused(name, directory):
         ProcessLock(name, "x", directory)
 
 
-def test_a_lock_that_nobody_uses_any_more_keeps_nothing_open(directory, runtime):
-    gc.collect()
-    before = len(os.listdir("/proc/self/fd"))
+def open_here(folder):
+    """How many descriptors of this process are of files in the folder."""
+    count = 0
+    for name in os.listdir("/proc/self/fd"):
+        with suppress(FileNotFoundError):  # the list's own
+            count += os.readlink(f"/proc/self/fd/{name}").startswith(str(folder))
+    return count
+
+
+def test_a_lock_that_nobody_uses_any_more_keeps_nothing_open(directory, runtime, tmp_path):
     lock = ProcessLock("pan", "the pan", directory)
     lock.acquire(runtime, "x").release()
-    assert len(os.listdir("/proc/self/fd")) == before + 1  # kept for the next time
+    assert open_here(tmp_path) == 1  # kept for the next time
     lock.close()
-    assert len(os.listdir("/proc/self/fd")) == before
+    assert open_here(tmp_path) == 0
     lock.acquire(runtime, "x").release()
+    assert open_here(tmp_path) == 1
     del lock
     gc.collect()
-    assert len(os.listdir("/proc/self/fd")) == before
+    assert open_here(tmp_path) == 0

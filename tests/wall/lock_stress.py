@@ -128,7 +128,7 @@ def plant(fault, folder):
     if fault == "no order":  # whoever is quickest
         LockFile.take = lambda file, place: file._try(lock_file._HOLD)
     elif fault == "no token":
-        LockFile.last = lambda file: (0, b"")
+        LockFile.last = lambda file: (0, b"", False)
     elif fault == "no exclusion":
         LockFile.take = lambda file, place: True
         LockFile.tell_holder = lambda file, token, record: os.pwrite(file._fd, record, 0)

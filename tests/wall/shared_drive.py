@@ -1,6 +1,6 @@
 """A program of its own that commands node 1 of a hub: does what it reads, line by line.
 
-python -m tests.wall.shared_drive CHANNEL MODEL NAME
+python -m tests.wall.shared_drive CHANNEL MODEL NAME[:STATUS_PERIOD_MS]
 
     move DISTANCE [TIMEOUT_S]       "started", or "busy WHY"
     run VELOCITY                    the same, without an end
@@ -11,13 +11,15 @@ python -m tests.wall.shared_drive CHANNEL MODEL NAME
     low_level                       "alone", or "busy WHY"
     gain P                          of the position loop, from the next motion on: "set"
     read INDEX SUBINDEX             "read VALUE"
-    read_many COUNT                 two objects in turn: "same" if each was always what it is
+    read_many COUNT                 a text, in segments: "same" if it always was
     position                        "at POSITION"
+    began                           "began at rest", or the velocity at which it was armed
     downloads                       "wrote COUNT": how often this process has written an object
 """
 
 import sys
 from contextlib import ExitStack
+from dataclasses import replace
 
 import can
 
@@ -37,7 +39,9 @@ PATIENT = HwOptions(heartbeat_timeout_ms=10_000, sdo_timeout_s=10.0, connect_tim
 
 class Program:
     def __init__(self, bus, model, name):
-        self.hardware = Cia402HwMotor(bus, node_id=1, options=PATIENT)
+        name, _, period_ms = name.partition(":")
+        options = replace(PATIENT, status_period_ms=int(period_ms or 20))
+        self.hardware = Cia402HwMotor(bus, node_id=1, options=options)
         self.motor = Cia402Motor(self.hardware, model=model, name=name)
         self.held = ExitStack()
         self.wrote = 0
@@ -48,6 +52,14 @@ class Program:
             write(channel, *args)
 
         SdoChannel.download = counted
+        self.velocity_when_armed = 0.0
+        arm = Cia402Motor._arm
+
+        def looking(motor, *args, **kwargs):
+            self.velocity_when_armed = motor.velocity()
+            return arm(motor, *args, **kwargs)
+
+        Cia402Motor._arm = looking
 
     def do(self, word, *rest):
         timeout_s = float(rest[1]) if len(rest) > 1 else None
@@ -82,16 +94,16 @@ class Program:
                 motor.set_parameters(Cia402Parameters(position_gains=(int(rest[0]),)))
                 return "set"
             case "read":
-                return f"read {hardware.read(int(rest[0], 16), int(rest[1]), 'u32')}"
+                value = hardware.upload(int(rest[0], 16), int(rest[1]))
+                return f"read {int.from_bytes(value, 'little')}"
             case "read_many":
-                facts = [hardware.upload(0x1018, place) for place in (1, 2)]
-                for number in range(int(rest[0])):
-                    place = number % 2
-                    if hardware.upload(0x1018, place + 1) != facts[place]:
-                        return f"different at {number}"
-                return "same"
+                texts = {hardware.upload(0x1008) for _ in range(int(rest[0]))}
+                return "same" if len(texts) == 1 else f"different: {texts}"
             case "position":
                 return f"at {motor.position():.3f}"
+            case "began":
+                rest = abs(self.velocity_when_armed) < 0.01
+                return f"began {'at rest' if rest else self.velocity_when_armed}"
             case "downloads":
                 return f"wrote {self.wrote}"
         return f"what is {word}?"

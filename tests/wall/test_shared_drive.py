@@ -149,6 +149,35 @@ def test_a_velocity_is_kept_until_it_is_stopped_and_anybody_may_stop_it(programs
     assert drive.ask("wait") == "done"
 
 
+def test_a_drive_that_moves_for_a_process_that_was_killed_is_halted_by_those_who_are_left(
+    programs, views
+):
+    mast, drive = programs("mast", "drive")
+    assert drive.ask("position") == "at 0.000"
+    assert mast.ask("run 1.0") == "started"
+    assert mast.ask("wait") == "done"
+    mast.kill()
+    wait_for(lambda: drive.ask("position") == drive.ask("position"))
+    assert views()[0].holder is None
+    assert views()[0].abandoned
+    assert drive.ask("run 0.5") == "started"
+    assert drive.ask("wait") == "done"
+    assert drive.ask("stop") == "stopped"
+    assert drive.ask("wait") == "done"
+    assert not views()[0].abandoned
+
+
+def test_what_was_left_moving_is_brought_to_rest_before_it_is_commanded(programs):
+    mast, drive = programs("mast", "drive")
+    assert mast.ask("run 2.0") == "started"
+    assert mast.ask("wait") == "done"
+    drive.say("move 0.5 60")
+    mast.kill()
+    assert drive.hear() == "started"
+    assert drive.ask("began").startswith("began at rest"), "it was planned while it moved"
+    assert drive.ask("wait") == "done"
+
+
 def test_low_level_access_keeps_other_processes_out(programs):
     mast, drive = programs("mast", "drive")
     assert mast.ask("low_level") == "alone"
@@ -207,13 +236,20 @@ def test_the_drive_is_the_same_whatever_path_leads_to_the_hub(programs, hub, tmp
     assert drive.ask("move 1").startswith(f"busy drive is held by pid {mast.pid} ")
 
 
-def test_reading_disturbs_nobody_not_even_while_the_drive_moves(programs):
+def test_reading_disturbs_nobody_not_even_while_the_drive_moves(programs, views, tmp_path):
     mast = programs("mast")
     assert mast.ask("run 0.5") == "started"
+    other = programs("other:50")  # it would have the drive tell its status less often
+    refused = other.ask("position")
+    assert refused.startswith(f"busy {tmp_path}/hub node 1 is held by pid {mast.pid} "), refused
     late = programs("late")  # it joins while the other moves
     assert late.ask("position").startswith("at ")
     assert late.ask("downloads") == "wrote 0"
     assert late.ask("read 1018 1").startswith("read ")
+    assert mast.ask("read 1800 5") == "read 20"
     assert mast.ask("wait") == "done"
     assert mast.ask("stop") == "stopped"
     assert mast.ask("wait") == "done"
+    wait_for(lambda: views()[0].holder is None)
+    assert other.ask("position").startswith("at ")  # now it may set the drive up
+    assert mast.ask("read 1800 5") == "read 50"
