@@ -1,0 +1,29 @@
+"""What tests of low-level access share: a motion to begin, and what the host sends."""
+
+from collections.abc import Callable
+
+from harness.rig import Rig
+from motorapi.commands import ControlMode
+from motorapi.motor import Motor
+
+OpenRig = Callable[..., Rig]
+SPARED = {0x080: "SYNC", 0x77F: "the host's heartbeat"}
+
+
+def go_to(motor: Motor, target: float) -> None:
+    motor.set_control_mode(ControlMode.SETPOINT)
+    motor.set_setpoint(target)
+    motor.start()
+
+
+def sent_on(rig: Rig) -> list[tuple[int, int, bytes]]:
+    """(time, identifier, data) of what the host sends from now on; SYNC and its heartbeat apart."""
+    heard: list[tuple[int, int, bytes]] = []
+
+    def on_frame(bus: str, time_ns: int, sender: str, frame: bytes) -> None:
+        can_id = int.from_bytes(frame[:4], "little")
+        if sender == "host" and can_id not in SPARED:
+            heard.append((time_ns, can_id, frame[8 : 8 + frame[4]]))
+
+    rig.world.tap_frames(on_frame)
+    return heard

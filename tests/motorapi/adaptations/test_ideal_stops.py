@@ -1,0 +1,273 @@
+"""How an ideal motor stops, is shared, begins together with others, and is built by a rig."""
+
+import pytest
+
+from emulators.event_queue import EventQueue
+from harness.virtual_time import VirtualRuntime
+from motorapi import (
+    DerivativeLimits,
+    DeviceFault,
+    LinkError,
+    MotionInterrupted,
+    MotionKind,
+    MotorBusyError,
+    MotorGroup,
+    MotorModel,
+    MotorState,
+    StateError,
+    TrapezoidalTrajectory,
+    UnsupportedError,
+    UsageError,
+)
+from motorapi.adaptations.ideal import IdealHwMotor, IdealMotor, build
+from motorapi.synchronization import SyncLevel
+from tests.motorapi.adaptations.ideals import (
+    MODEL,
+    ROUNDING,
+    SETPOINT,
+    TRAJECTORY,
+    VELOCITY,
+    aim,
+    follow,
+)
+
+
+@pytest.fixture
+def runtime():
+    runtime = VirtualRuntime(EventQueue())
+    yield runtime
+    runtime.close()
+
+
+@pytest.fixture
+def hw(runtime):
+    return IdealHwMotor(runtime, "axis 1", position=0.25, torque_constant=0.5)
+
+
+@pytest.fixture
+def motor(hw):
+    return IdealMotor(hw, MODEL, name="m")
+
+
+# --- stopping
+
+
+def test_stop_slows_down_at_the_motions_deceleration(runtime, motor):
+    follow(motor, TrapezoidalTrajectory(2.0, limits=DerivativeLimits(second=(-4.0, 4.0))))
+    runtime.run_for(0.5)
+    motor.stop()
+    runtime.run_for(0.25)
+    assert motor.velocity() == 1.0
+    motor.wait_until_done()
+    assert runtime.now_ns() == 1_000_000_000  # 2 rad/s at 4 rad/s^2
+    assert motor.position() == 0.25 + 0.5 + 0.5
+
+
+def test_halt_is_a_stop_and_the_next_start_needs_nothing(runtime, motor):
+    aim(motor, 1.0, VELOCITY)
+    motor.wait_until_done()
+    motor.halt()
+    motor.wait_until_done()
+    assert runtime.now_ns() == 250_000_000 + 125_000_000
+    assert motor.state() is MotorState.ENABLED
+    aim(motor, 0.0)
+    motor.wait_until_done()
+    assert motor.position() == 0.0
+
+
+def test_quick_stop_slows_down_at_the_models_deceleration_whatever_was_asked(runtime, motor):
+    aim(motor, 2.0, VELOCITY, limits=DerivativeLimits(first=1.0))
+    motor.wait_until_done()
+    motor.quick_stop()
+    begun_ns = runtime.now_ns()
+    motor.wait_until_done()
+    assert runtime.now_ns() - begun_ns == 250_000_000  # 2 rad/s at 8 rad/s^2
+    assert motor.state() is MotorState.STOPPED
+    with pytest.raises(StateError):
+        motor.start()
+    motor.enable()
+    aim(motor, 0.0)
+    motor.wait_until_done()
+    assert motor.position() == 0.0
+
+
+def test_a_motor_whose_power_goes_off_stands_still_at_once(runtime, motor):
+    aim(motor, 1.0, VELOCITY)
+    runtime.run_for(0.25)
+    motor.disable()
+    assert motor.velocity() == 0.0
+    place = motor.position()
+    runtime.run_for(1.0)
+    assert (motor.position(), motor.state()) == (place, MotorState.DISABLED)
+
+
+# --- faults, homing, closing
+
+
+def test_a_fault_in_mid_motion_ends_the_wait_when_it_comes(runtime, motor, hw):
+    follow(motor, TrapezoidalTrajectory(2.0))
+    breaks = runtime.spawn("breaks", lambda: (runtime.run_for(0.3), hw.inject_fault(0x2310)))
+    with pytest.raises(DeviceFault) as caught:
+        motor.wait_until_done(timeout_s=5)
+    assert (caught.value.code, caught.value.since_ns) == (0x2310, 300_000_000)
+    assert runtime.now_ns() == 300_000_000
+    breaks.join()
+    assert (motor.state(), motor.velocity()) == (MotorState.FAULT, 0.0)
+    with pytest.raises(DeviceFault):
+        motor.start()
+    motor.reset_fault()
+    assert motor.state() is MotorState.DISABLED
+    motor.start()
+    motor.wait_until_done()
+    place = 0.25 + 0.18 + 2.0  # 4 x 0.3^2 / 2 before the fault
+    assert motor.position() == pytest.approx(place, abs=ROUNDING)
+
+
+def test_homing_makes_here_the_place_0_at_once(runtime, motor):
+    assert not motor.is_referenced()
+    motor.home()
+    assert motor.is_referenced()
+    assert (motor.position(), runtime.now_ns()) == (0.0, 0)
+    with pytest.raises(UnsupportedError, match="method 17"):
+        motor.home(17)
+
+
+def test_a_closed_motor_is_offline_and_waiting_for_it_ends(runtime, motor, hw):
+    aim(motor, 1.0, VELOCITY, limits=DerivativeLimits(first=0.1))
+    runtime.spawn("closes", lambda: (runtime.run_for(0.1), hw.close()))
+    with pytest.raises((LinkError, MotionInterrupted)):
+        motor.wait_until_done()
+    assert (runtime.now_ns(), motor.state()) == (100_000_000, MotorState.OFFLINE)
+    with pytest.raises(LinkError, match="closed"):
+        motor.start()
+    assert IdealHwMotor(runtime, "axis 1").reading().position == 0.0
+
+
+# --- one physical motor, many logical ones
+
+
+def test_a_second_object_for_the_same_motor_is_refused_and_the_first_named(runtime, hw):
+    with pytest.raises(UsageError, match="has a hardware object already: <IdealHwMotor axis 1"):
+        IdealHwMotor(runtime, "axis 1")
+    IdealHwMotor(VirtualRuntime(EventQueue()), "axis 1")  # another world's
+
+
+def test_logical_motors_share_the_motor_and_not_their_settings(runtime, motor, hw):
+    other = IdealMotor(hw, MODEL, name="other")
+    aim(motor, 1.25)
+    other.set_control_mode(SETPOINT)
+    other.set_setpoint(0.0)
+    with pytest.raises(MotorBusyError, match=r"start\(\) of m"):
+        other.start()
+    motor.wait_until_done()
+    other.start()
+    with pytest.raises(MotorBusyError):
+        motor.start()
+    other.stop()
+    assert motor.position() == other.position()
+
+
+def test_a_stop_by_somebody_else_ends_the_wait_and_the_motion_has_no_end(runtime, motor, hw):
+    other = IdealMotor(hw, MODEL, name="other")
+    follow(motor, TrapezoidalTrajectory(2.0))
+    runtime.spawn("stops", lambda: (runtime.run_for(0.25), other.stop()))
+    with pytest.raises(MotionInterrupted, match=r"stop\(\) of other"):
+        motor.wait_until_done()
+    assert runtime.now_ns() == 250_000_000
+    runtime.run_for(2.0)
+    times = motor._motion_times()
+    assert (times.started_ns, times.ended_ns) == (0, None)
+
+
+# --- time
+
+
+def test_motors_of_a_group_begin_and_end_at_the_same_nanosecond(runtime):
+    motors = [IdealMotor(IdealHwMotor(runtime, f"axis {n}"), MODEL, name=f"m{n}") for n in "123"]
+    group = MotorGroup(*motors)
+    group.for_each(IdealMotor.set_control_mode, TRAJECTORY)
+    group.set_trajectory(*(TrapezoidalTrajectory(way) for way in (1.0, -2.0, 3.0)))
+    capability = group.sync_capability()
+    assert (capability.level, capability.start_skew_s) == (SyncLevel.TRIGGERED, 0.0)
+    group.start()
+    group.wait_until_done()
+    quality = group.sync_quality()
+    assert (quality.start_skew_s, quality.end_skew_s) == (0.0, 0.0)
+    assert {times.ended_ns for _, times in quality.times} == {runtime.now_ns()}
+    assert [motor.position() for motor in motors] == [1.0, -2.0, 3.0]
+
+
+def test_a_motor_in_motion_makes_itself_heard_so_that_conditions_are_looked_at(runtime, motor):
+    aim(motor, 1.25)
+    assert runtime.wait_until(lambda: motor.latest().position >= 1.0, 5.0)
+    assert runtime.now_ns() == 375_000_000
+
+
+def test_a_motor_at_rest_costs_nothing(runtime, motor, hw):
+    aim(motor, 1.25)
+    motor.wait_until_done()
+    motor.stop()
+    runtime.run_for(0.1)
+    assert runtime.queue.next_time_ns() is None
+
+
+def test_looking_changes_nothing(runtime):
+    """Two motors, one of them looked at every 0.1 ms: they end with the same bits."""
+    quiet, watched = (
+        IdealMotor(IdealHwMotor(runtime, name), MODEL, name=name) for name in ("quiet", "watched")
+    )
+    for motor in (quiet, watched):
+        follow(motor, TrapezoidalTrajectory(0.7, duration_s=1.1))
+    for _ in range(5000):
+        watched.latest()
+        runtime.run_for(1e-4)
+    assert quiet.latest() == watched.latest()
+
+
+# --- what a rig builds
+
+
+def test_motors_built_for_one_axis_share_it_until_the_last_is_closed(runtime):
+    table = {"name": "a", "axis": "shaft", "position_rad": 1.5, "torque_constant_n_m_a": 0.1}
+    first = build(None, table, MODEL, runtime)
+    second = build(None, {"name": "b", "axis": "shaft"}, MODEL, runtime)
+    assert first.hardware is second.hardware
+    assert (second.position(), first.hardware.torque_constant) == (1.5, 0.1)
+    first.close()
+    first.close()
+    assert second.state() is MotorState.DISABLED
+    second.close()
+    assert second.state() is MotorState.OFFLINE
+    assert build.needs_bus is False
+
+
+@pytest.mark.parametrize(
+    ("settings", "told"),
+    [
+        ({"axes": "x"}, "axes is no setting of an ideal rotary motor; did you mean axis?"),
+        ({"node_id": 1}, "node_id is no setting"),
+        ({"position_m": 1.0}, "position_m is no setting of an ideal rotary motor"),
+        ({"position_rad": "far"}, "position_rad = 'far': must be a finite number"),
+        ({"position_rad": True}, "position_rad = True: must be a finite number"),
+        ({"torque_constant_n_m_a": 0}, "torque_constant_n_m_a = 0: must be > 0"),
+        ({"axis": 3}, "axis = 3: must be a name"),
+    ],
+)
+def test_a_wrong_setting_is_named(runtime, settings, told):
+    with pytest.raises(UsageError) as caught:
+        build(None, {"name": "m", **settings}, MODEL, runtime)
+    assert str(caught.value).startswith(told)
+
+
+def test_motors_of_one_axis_must_agree_on_its_settings(runtime):
+    first = build(None, {"name": "a", "axis": "shaft", "position_rad": 1.5}, MODEL, runtime)
+    with pytest.raises(UsageError, match="share its settings"):
+        build(None, {"name": "b", "axis": "shaft", "position_rad": 1.0}, MODEL, runtime)
+    first.close()
+
+
+def test_a_linear_motors_settings_are_in_metres(runtime):
+    model = MotorModel(name="rail", kind=MotionKind.LINEAR, velocity_max=1.0, acceleration_max=1.0)
+    motor = build(None, {"name": "r", "position_m": 0.3}, model, runtime)
+    assert motor.position() == 0.3
+    motor.close()

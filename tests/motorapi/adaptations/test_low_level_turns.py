@@ -1,0 +1,321 @@
+"""When low-level access begins, who is next, and how it ends.
+
+Source: the paper, Requirement 2.
+"""
+
+from collections.abc import Callable
+
+import pytest
+
+from harness.rig import Rig
+from motorapi.adaptations.canopen_errors import SdoAborted
+from motorapi.adaptations.cia402 import Cia402HwMotor, Cia402Motor
+from motorapi.commands import ControlMode, ControlVariable
+from motorapi.errors import MotorBusyError, MotorError, StateError, UsageError
+from motorapi.functions import Sine
+from motorapi.motor import Motor
+from motorapi.state import MotorState
+from motorapi.trajectory import ComplexTrajectory, TrapezoidalTrajectory
+from tests.motorapi.adaptations.conftest import drive
+from tests.motorapi.adaptations.low_level import OpenRig, go_to, sent_on
+
+
+@pytest.fixture
+def rig(open_rig: OpenRig) -> Rig:
+    return open_rig(drive("left", 1))
+
+
+@pytest.fixture
+def motor(rig: Rig) -> Cia402Motor:
+    """A motor whose drive is up."""
+    motor = rig.motors["left"]
+    assert isinstance(motor, Cia402Motor)
+    motor.hardware.connect()
+    return motor
+
+
+@pytest.fixture
+def fresh(rig: Rig) -> Cia402Motor:
+    """A motor whose drive still boots."""
+    motor = rig.motors["left"]
+    assert isinstance(motor, Cia402Motor)
+    return motor
+
+
+@pytest.fixture
+def other(motor: Cia402Motor) -> Cia402Motor:
+    return Cia402Motor(motor.hardware, motor.model, name="other")
+
+
+# --- when it begins ---------------------------------------------------------------------------
+
+
+def test_an_own_motion_must_be_over(rig: Rig, motor: Cia402Motor):
+    go_to(motor, 1.0)
+    with pytest.raises(StateError, match=r"start\(\) of left goes on"), motor.low_level():
+        raise AssertionError("it was given")
+    motor.wait_until_done(timeout_s=5)
+    with motor.low_level():
+        pass
+
+
+def test_another_ones_motion_is_named(motor: Cia402Motor, other: Cia402Motor):
+    go_to(other, 1.0)
+    with pytest.raises(MotorBusyError, match=r"start\(\) of other"), motor.low_level():
+        raise AssertionError("it was given")
+    other.wait_until_done(timeout_s=5)
+
+
+def test_a_velocity_goes_on_until_it_is_stopped(rig: Rig, motor: Cia402Motor):
+    motor.set_control_mode(ControlMode.SETPOINT, ControlVariable.VELOCITY)
+    motor.set_setpoint(0.5)
+    motor.start()
+    motor.wait_until_done(timeout_s=5)
+    for timeout_s in (None, 0.5):
+        with pytest.raises(StateError), motor.low_level(timeout_s=timeout_s):
+            raise AssertionError("it was given")
+    assert rig.runtime.now_ns() > 500_000_000
+    motor.stop()
+    with motor.low_level(timeout_s=5):
+        assert motor.velocity is not None
+
+
+def test_the_end_of_a_motion_is_waited_for_and_its_waiter_is_told_the_truth(
+    rig: Rig, motor: Cia402Motor, other: Cia402Motor
+):
+    motor.set_control_mode(ControlMode.TRAJECTORY)
+    motor.set_trajectory(TrapezoidalTrajectory(1.0))
+    motor.start()
+    done: list[int] = []
+    waiter = rig.runtime.spawn(
+        "waiter", lambda: (motor.wait_until_done(), done.append(rig.runtime.now_ns()))
+    )
+    with other.low_level(timeout_s=5) as hardware:
+        entered_ns = rig.runtime.now_ns()
+        rig.runtime.wait_until(lambda: bool(done), 0.01)
+        assert done == [entered_ns]
+        hardware.disable()
+        rig.runtime.run_for(0.1)
+    assert waiter.join(1.0)
+    assert waiter.error is None
+    motor.wait_until_done()  # it did end at its target, whatever the holder did since
+
+
+def test_a_fault_of_before_is_what_the_waiter_hears(rig: Rig, motor: Cia402Motor):
+    go_to(motor, 1.0)
+    rig.controllers["left"].stimulate("fault", 0x3210)
+    rig.runtime.run_for(0.1)
+    with motor.low_level() as hardware:
+        hardware.reset_fault()
+        hardware.enable()
+    with pytest.raises(MotorError, match="3210h"):
+        motor.wait_until_done()
+
+
+def test_streamed_set_points_must_be_over(rig: Rig, motor: Cia402Motor):
+    motor.enable()
+    stream = motor.hardware.stream_positions(0.01, lambda cycle: 0)
+    with pytest.raises(StateError, match="streamed"), motor.low_level():
+        raise AssertionError("it was given")
+    sent = sent_on(rig)
+    rig.runtime.run_for(0.1)
+    assert len([one for one in sent if one[1] == 0x301]) >= 9  # it goes on
+    stream.cancel()
+    with motor.low_level():
+        pass
+
+
+def test_a_drive_being_brought_up_is_waited_for(rig: Rig, fresh: Cia402Motor):
+    """The reader reads: access comes after that, not in the middle of bringing the drive up."""
+    other = Cia402Motor(fresh.hardware, fresh.model, name="other")
+    read: list[float] = []
+    reader = rig.runtime.spawn("reader", lambda: read.append(other.position()))
+    rig.runtime.run_for(0.31)  # the drive has booted, and is being brought up
+    assert not read
+    with fresh.low_level() as hardware:
+        assert len(read) == 1
+        assert hardware.facts is not None
+        sent = sent_on(rig)
+        rig.runtime.run_for(0.1)
+        assert sent == []
+    assert reader.join(1.0)
+    assert reader.error is None
+
+
+def test_what_was_sent_before_is_on_the_wire_before_access_is_given(rig: Rig, motor: Cia402Motor):
+    motor.enable()
+    rig.runtime.run_for(0.1)
+    sent = sent_on(rig)
+    motor.hardware.control.send_holding_word()  # waits for the bus
+    with motor.low_level():
+        entered_ns = rig.runtime.now_ns()
+        rig.runtime.run_for(0.1)
+    assert [can_id for _, can_id, _ in sent] == [0x201]
+    assert sent[0][0] <= entered_ns
+
+
+# --- who is next ------------------------------------------------------------------------------
+
+
+def test_turns_are_first_come_first_served(rig: Rig, motor: Cia402Motor):
+    order: list[str] = []
+
+    def take(one: Motor, wait_s: float) -> Callable[[], None]:
+        def party() -> None:
+            rig.runtime.run_for(wait_s)
+            with one.low_level(timeout_s=10.0):
+                order.append(one.name)
+                rig.runtime.run_for(0.5)
+
+        return party
+
+    motors = [Cia402Motor(motor.hardware, motor.model, name=f"m{k}") for k in range(4)]
+    parties = [
+        rig.runtime.spawn(one.name, take(one, wait_s))
+        for one, wait_s in zip(motors, (0.3, 0.1, 0.2, 0.0), strict=True)
+    ]
+    assert all(party.join(10.0) for party in parties)
+    assert [party.error for party in parties] == [None] * 4
+    assert order == ["m3", "m1", "m2", "m0"]
+
+
+def test_who_waits_in_vain_is_told_by_whom(rig: Rig, motor: Cia402Motor, other: Cia402Motor):
+    def hold() -> None:
+        with motor.low_level():
+            rig.runtime.run_for(1.0)
+
+    begun_at_ns = rig.runtime.now_ns()
+    party = rig.runtime.spawn("holder", hold)
+    rig.runtime.run_for(0.1)
+    for timeout_s, waited_ns in ((None, 0), (0.0, 0), (0.25, 250_000_000)):
+        begun_ns = rig.runtime.now_ns()
+        with (
+            pytest.raises(MotorBusyError, match=r"low_level\(\) of left"),
+            other.low_level(timeout_s=timeout_s),
+        ):
+            raise AssertionError("it was given")
+        assert rig.runtime.now_ns() == begun_ns + waited_ns
+    with other.low_level(timeout_s=5.0):
+        assert rig.runtime.now_ns() == begun_at_ns + 1_000_000_000
+    assert party.join(1.0)
+
+
+def test_an_operation_behind_one_who_waits_for_access_is_refused_when_that_one_has_it(
+    rig: Rig, motor: Cia402Motor, other: Cia402Motor
+):
+    told: list[tuple[int, str]] = []
+
+    def enable() -> None:
+        try:
+            other.enable()
+        except MotorBusyError as error:
+            told.append((rig.runtime.now_ns(), error.holder))
+
+    go_to(motor, 0.5)
+
+    def access() -> None:
+        with motor.low_level(timeout_s=5.0):
+            rig.runtime.run_for(1.0)
+
+    first = rig.runtime.spawn("first", access)
+    rig.runtime.run_for(0.01)
+    second = rig.runtime.spawn("second", enable)
+    assert first.join(10.0)
+    assert second.join(10.0)
+    assert len(told) == 1
+    assert told[0][1] == "low_level() of left"
+
+
+@pytest.mark.parametrize("timeout_s", [-1.0, "soon", float("nan")])
+def test_a_timeout_is_a_time(motor: Cia402Motor, timeout_s: float):
+    with pytest.raises(UsageError, match="timeout_s"), motor.low_level(timeout_s=timeout_s):
+        pass
+
+
+# --- re-entry, and how it ends ----------------------------------------------------------------
+
+
+def test_a_block_inside_a_block_of_the_same_motor_changes_nothing(
+    motor: Cia402Motor, other: Cia402Motor
+):
+    with motor.low_level() as outer:
+        with motor.low_level() as inner:
+            assert inner is outer
+        with pytest.raises(MotorBusyError):
+            motor.enable()  # the inner block has not ended it
+        with pytest.raises(MotorBusyError), other.low_level(timeout_s=1.0):
+            pass  # it would wait for itself
+        outer.read("statusword")
+    motor.enable()
+
+
+def test_access_ends_with_whatever_leaves_the_block(motor: Cia402Motor, other: Cia402Motor):
+    with pytest.raises(ZeroDivisionError), motor.low_level():
+        raise ZeroDivisionError
+    other.stop()
+    with pytest.raises(SdoAborted), motor.low_level() as hardware:
+        hardware.upload(0x5FFF)
+    other.enable()
+
+
+def test_what_the_holder_wrote_does_not_outlive_the_block(rig: Rig, motor: Cia402Motor):
+    go_to(motor, 0.3)
+    motor.wait_until_done(timeout_s=5)
+    with motor.low_level() as hardware:
+        hardware.write("profile_velocity", 1)  # so slow that it would never arrive
+        hardware.write("modes_of_operation", 3)
+        hardware.write(0x1400, b"\x01\x02\x00\x80", subindex=1)  # RPDO 1, the controlword: off
+        hardware.write(0x1800, 0, subindex=5)  # TPDO 1 does not repeat the status any more
+    sent = sent_on(rig)
+    go_to(motor, 0.6)
+    motor.wait_until_done(timeout_s=5)
+    assert motor.position() == pytest.approx(0.6, abs=2e-3)  # the drive's position window
+    written = {
+        int.from_bytes(data[1:3], "little")
+        for _, can_id, data in sent
+        if can_id == 0x601 and data[0] >> 5 == 1
+    }
+    assert {0x6060, 0x6081, 0x6083, 0x6084, 0x607A, 0x1400, 0x1800} <= written
+
+
+def test_a_second_start_without_access_in_between_writes_only_what_differs(
+    rig: Rig, motor: Cia402Motor
+):
+    """So that the test above says something."""
+    go_to(motor, 0.3)
+    motor.wait_until_done(timeout_s=5)
+    sent = sent_on(rig)
+    go_to(motor, 0.6)
+    motor.wait_until_done(timeout_s=5)
+    written = {
+        int.from_bytes(data[1:3], "little")
+        for _, can_id, data in sent
+        if can_id == 0x601 and data[0] >> 5 == 1
+    }
+    assert written == {0x6040, 0x607A}
+
+
+def test_a_state_told_after_the_block_is_the_drives(motor: Cia402Motor):
+    motor.enable()
+    with motor.low_level():
+        pass
+    assert motor.state() is MotorState.ENABLED  # heard all the time, if not brought up again yet
+    assert isinstance(motor.hardware, Cia402HwMotor)
+
+
+@pytest.mark.parametrize("stopped", [True, False])
+def test_a_streamed_motion_has_said_its_last_word_before_access_is_given(
+    rig: Rig, motor: Cia402Motor, stopped: bool
+):
+    motor.set_control_mode(ControlMode.TRAJECTORY)
+    motor.set_trajectory(ComplexTrajectory(Sine(0.1, 0.5).restricted(0.0, 2.0), relative=True))
+    motor.start()
+    sent = sent_on(rig)
+    rig.runtime.run_for(0.3)
+    if stopped:
+        motor.stop()
+    with motor.low_level(timeout_s=5):
+        entered_ns = rig.runtime.now_ns()
+        rig.runtime.run_for(0.5)
+    assert {can_id for _, can_id, _ in sent} >= {0x301}
+    assert max(time_ns for time_ns, _, _ in sent) <= entered_ns
