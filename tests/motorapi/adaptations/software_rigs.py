@@ -4,7 +4,9 @@ import math
 
 from emulators.plant.presets import PRESETS
 from harness.rig import Rig
+from motorapi.commands import ControlMode, ControlVariable
 from motorapi.motor import Motor
+from motorapi.trajectory import TrapezoidalTrajectory
 
 WHEEL = PRESETS["wheel_60w"]
 INC_PER_RAD = WHEEL.encoder_increments_rev * WHEEL.gear_ratio / (2 * math.pi)
@@ -130,3 +132,23 @@ def lag_bound_inc(acceleration: float = ACCELERATION_MAX, period_s: float = 0.00
     viscous_a /= WHEEL.torque_constant_n_m_a
     learned = viscous_a / (3 * INERTIA_A_S2_RAD * BANDWIDTH**2)
     return (impulse + learned) * INC_PER_RAD + 2.0
+
+
+def commanded(chosen: Motor, mode: ControlMode, variable: ControlVariable, command) -> Motor:
+    chosen.set_control_mode(mode, variable)
+    if mode is ControlMode.SETPOINT:
+        chosen.set_setpoint(command)
+    else:
+        chosen.set_trajectory(command)
+    chosen.start()
+    return chosen
+
+
+def moving(rig: Rig, name: str = "left", distance: float = 2.0) -> Motor:
+    """The motor is 0.2 s into a trajectory."""
+    chosen = enabled(rig, name)
+    chosen.set_control_mode(ControlMode.TRAJECTORY)
+    chosen.set_trajectory(TrapezoidalTrajectory(distance))
+    chosen.start()
+    rig.runtime.run_for(0.2)
+    return chosen

@@ -6,25 +6,15 @@ import pytest
 
 from emulators.media.faults import FaultKind, FaultRule
 from harness.rig import Rig
-from motorapi.commands import ControlMode, ControlVariable
-from motorapi.errors import (
-    DeadlineExceeded,
-    DeviceFault,
-    LinkError,
-    MotorBusyError,
-    StateError,
-    UsageError,
-)
-from motorapi.motor import Motor
+from motorapi.errors import DeadlineExceeded, DeviceFault, LinkError, UsageError
 from motorapi.state import MotorState
 from motorapi.trajectory import TrapezoidalTrajectory
-from tests.motorapi.adaptations.conftest import drive
 from tests.motorapi.adaptations.software_rigs import (
     INC_PER_RAD,
-    enabled,
     inc,
     lag_bound_inc,
     motor,
+    moving,
     node,
     one,
     two,
@@ -34,16 +24,6 @@ OpenRig = Callable[..., Rig]
 MS = 1_000_000
 COUNTS = 0x281  # TPDO 2 of node 1
 OUTPUTS = 0x301  # RPDO 2 of node 1
-
-
-def moving(rig: Rig, name: str = "left", distance: float = 2.0) -> Motor:
-    """The motor is 0.2 s into a trajectory."""
-    chosen = enabled(rig, name)
-    chosen.set_control_mode(ControlMode.TRAJECTORY)
-    chosen.set_trajectory(TrapezoidalTrajectory(distance))
-    chosen.start()
-    rig.runtime.run_for(0.2)
-    return chosen
 
 
 def rule(kind: FaultKind, can_id: int, **conditions: object) -> FaultRule:
@@ -330,87 +310,4 @@ def test_without_a_window_a_blocked_motor_pushes_on(open_rig: OpenRig):
     assert left.following_error() > 0.5
     rig.controllers["io"].stimulate("load_torque_n_m", 0.0)
     left.wait_until_done(5)
-    assert left.position() == pytest.approx(2.0, abs=10 / INC_PER_RAD)
-
-
-# --- low-level access, bringing up
-
-
-def test_low_level_access_needs_a_servo_that_is_off(open_rig: OpenRig):
-    rig = open_rig(two())
-    left, right = enabled(rig, "left"), enabled(rig, "right")
-    with pytest.raises(StateError, match=r"its servo holds it.*disable\(\)"), left.low_level():
-        pass
-    left.disable()
-    with pytest.raises(StateError, match="neighbour channel"), left.low_level():
-        pass
-    right.disable()
-    with left.low_level() as hardware:
-        hardware.write(0x6411, 1234, 1, kind="i16")
-        assert hardware.read(0x6411, 1, kind="i16") == 1234
-        wire: list[int] = []
-        rig.world.tap_frames(lambda bus, when, who, frame: wire.append(frame[0] | frame[1] << 8))
-        busy: list[Exception] = []
-
-        def other() -> None:
-            try:
-                right.enable()
-            except MotorBusyError as error:
-                busy.append(error)
-
-        rig.runtime.spawn("other", other).join(1)
-        assert busy
-        rig.runtime.run_for(0.05)
-        assert 0x080 not in wire
-    left.enable()
-    left.set_control_mode(ControlMode.SETPOINT, ControlVariable.POSITION)
-    left.set_setpoint(0.05)
-    left.start()
-    left.wait_until_done(1)
-
-
-def test_a_second_connection_writes_nothing_that_the_node_has_already(open_rig: OpenRig):
-    rig = open_rig(one())
-    left = rig.motors["left"]
-    left.position()
-    hardware = left.hardware
-    hardware.io.doubt()
-    downloads: list[bytes] = []
-
-    def on_frame(bus: str, time_ns: int, sender: str, frame: bytes) -> None:
-        if frame[:2] == b"\x01\x06" and frame[8] >> 5 == 1:
-            downloads.append(frame)
-
-    rig.world.tap_frames(on_frame)
-    hardware.connect()
-    assert downloads == []
-
-
-def test_outputs_fall_to_0_whatever_the_node_says_by_default(open_rig: OpenRig):
-    objects = '[controller.io.objects]\n"6444h:1" = 20000\n"6443h:1" = 0\n"6206h:1" = 0\n'
-    rig = open_rig(node("io", 1, more=objects), motor("left", "io"))
-    moving(rig)
-    rig.faults.inject("can0", FaultRule("cut", FaultKind.CUT, ports=("host",)))
-    rig.runtime.run_for(0.5)
-    truth = rig.controllers["io"].snapshot()
-    assert (truth["output_v"], truth["ready"]) == (0.0, 0.0)
-
-
-def test_a_drive_is_no_io_node_and_a_channel_must_be_there(open_rig: OpenRig):
-    rig = open_rig(drive("d", 3), one(), motor("far", "io", 4), motor("no", "d"))
-    with pytest.raises(UsageError, match=r"node 3 is no I/O node.*: it has no 6411h, 6820h"):
-        rig.motors["no"].position()
-    with pytest.raises(UsageError, match="channel 4: the node has 1 channels"):
-        rig.motors["far"].position()
-
-
-def test_a_drive_and_a_servo_share_a_bus_and_the_drive_is_not_disturbed(open_rig: OpenRig):
-    rig = open_rig(one(), drive("d", 3))
-    left, d = moving(rig), rig.motors["d"]
-    d.set_control_mode(ControlMode.TRAJECTORY)
-    d.set_trajectory(TrapezoidalTrajectory(0.5))
-    d.start()
-    d.wait_until_done(3)
-    left.wait_until_done(3)
-    assert left.cycles.missed == 0
     assert left.position() == pytest.approx(2.0, abs=10 / INC_PER_RAD)

@@ -1,0 +1,139 @@
+"""Many users of one motor (3.5), on every kind of hardware."""
+
+from functools import partial
+from itertools import pairwise
+from pathlib import Path
+from threading import Thread
+
+import pytest
+
+from motorapi import (
+    ControlMode,
+    Motor,
+    MotorBusyError,
+    MotorGroup,
+    MotorModel,
+    TrapezoidalTrajectory,
+    WallRuntime,
+)
+from motorapi.adaptations.ideal import IdealHwMotor, IdealMotor
+from tests.motorapi.kinds import ACCELERATION_MAX, KINDS, VELOCITY_MAX, opened, true_position
+
+SETPOINT, TRAJECTORY = ControlMode.SETPOINT, ControlMode.TRAJECTORY
+
+
+@pytest.fixture(params=KINDS)
+def kind(request):
+    return KINDS[request.param]
+
+
+USERS = ("ann", "ben", "cem", "dot")
+TIMES = 3
+
+
+def one_move(motor, way, duration_s):
+    """Code for one thread, as anybody would write it."""
+    motor.set_control_mode(ControlMode.TRAJECTORY)
+    motor.set_trajectory(TrapezoidalTrajectory(way, duration_s=duration_s))
+    motor.start()
+    motor.wait_until_done()
+
+
+def use(motor, place, log):
+    """A user of the motor: moves it `TIMES` times in a way of their own, when it is free.
+
+    Whoever is refused was moved nothing and asks again; the code that moves knows of nobody.
+    """
+    way, duration_s = 0.01 * (place + 1), 0.1 + 0.05 * place
+    for _ in range(TIMES):
+        while True:
+            try:
+                one_move(motor, way, duration_s)
+                break
+            except MotorBusyError:
+                motor.runtime.wait_until(lambda: False, 0.002)
+        log.append((motor._run.since_ns, motor.runtime.now_ns(), motor.name, duration_s))
+
+
+def check_log(log):
+    """Everybody moved as often as wanted, one after another, each for as long as they asked."""
+    assert sorted(user for *_, user, _ in log) == sorted(USERS * TIMES)
+    log.sort()
+    for since_ns, waited_ns, user, duration_s in log:
+        assert waited_ns - since_ns >= round(duration_s * 1e9), user
+    for (before_ns, _, _, duration_s), (since_ns, *_) in pairwise(log):
+        assert since_ns >= before_ns + round(duration_s * 1e9)
+
+
+def test_code_for_one_thread_is_right_in_many_parties_that_share_a_motor(kind):
+    log = []
+    with opened(kind, Path("shared.toml"), USERS) as rig:
+        motors = [rig.motors[name] for name in USERS]
+        assert len({id(motor.hardware) for motor in motors}) == 1
+        parties = [
+            rig.runtime.spawn(motor.name, partial(use, motor, place, log))
+            for place, motor in enumerate(motors)
+        ]
+        for party in parties:
+            party.join()
+            assert party.error is None
+        goal = TIMES * sum(0.01 * (place + 1) for place in range(len(USERS)))
+        assert abs(true_position(rig, USERS[0]) - goal) <= kind.window
+    check_log(log)
+
+
+def test_low_level_access_gives_the_hardware_and_keeps_everybody_else_away(kind):
+    with opened(kind, Path("shared.toml"), USERS[:2]) as rig:
+        holder, other = (rig.motors[name] for name in USERS[:2])
+        other.set_control_mode(SETPOINT)
+        other.set_setpoint(0.1)
+        with holder.low_level() as hardware:
+            assert type(hardware) is type(holder.hardware)
+            for operation in (other.start, other.stop, other.enable, other.home):
+                with pytest.raises(MotorBusyError, match=r"low_level\(\) of ann"):
+                    operation()
+        other.start()
+        other.wait_until_done(5)
+        assert abs(true_position(rig, USERS[1]) - 0.1) <= kind.window
+
+
+@pytest.mark.wall
+def test_code_for_one_thread_is_right_in_many_threads_that_share_a_motor():
+    runtime = WallRuntime()
+    hardware = IdealHwMotor(runtime, "shared")
+    model = MotorModel(name="m", velocity_max=VELOCITY_MAX, acceleration_max=ACCELERATION_MAX)
+    log, errors, seen = [], [], []
+
+    def run(place, name):
+        try:
+            use(IdealMotor(hardware, model, name=name), place, log)
+        except BaseException as error:
+            errors.append(error)
+
+    threads = [Thread(target=run, args=pair) for pair in enumerate(USERS)]
+    for thread in threads:
+        thread.start()
+    onlooker = IdealMotor(hardware, model, name="onlooker")
+    while any(thread.is_alive() for thread in threads):
+        seen.append(onlooker.position())  # reading disturbs nobody
+        runtime.wait_until(lambda: False, 0.005)
+    runtime.close()
+    assert errors == []
+    check_log(log)
+    assert onlooker.position() == pytest.approx(TIMES * 0.1, abs=1e-12)  # 12 sums of floats
+    assert seen == sorted(seen)  # only forward, and never torn
+
+
+@pytest.mark.wall
+def test_on_the_wall_ideal_motors_of_a_group_begin_at_the_same_nanosecond():
+    runtime = WallRuntime()
+    model = MotorModel(name="m", velocity_max=VELOCITY_MAX, acceleration_max=ACCELERATION_MAX)
+    hardware = [IdealHwMotor(runtime, f"axis {n}") for n in range(8)]
+    group = MotorGroup(*(IdealMotor(one, model, name=one.label) for one in hardware))
+    group.for_each(Motor.set_control_mode, TRAJECTORY)
+    group.set_trajectory(*(TrapezoidalTrajectory(0.01 * (n + 1)) for n in range(8)))
+    group.start()
+    group.wait_until_done(10.0)
+    quality = group.sync_quality()
+    runtime.close()
+    assert (quality.start_skew_s, quality.end_skew_s) == (0.0, 0.0)
