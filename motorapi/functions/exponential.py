@@ -91,9 +91,10 @@ class Exponential(Function):
 
     def times(self, number: float) -> Function:
         """The same with another amplitude."""
-        if number == 0.0:
-            return super().times(number)
-        return Exponential(self.amplitude * number, self.rate, self.about)
+        factor = finite("Exponential", "a factor", number)
+        if factor == 0.0:
+            return super().times(factor)
+        return Exponential(self.amplitude * factor, self.rate, self.about)
 
     def shifted(self, offset: float) -> Function:
         """Exact, but for the rounding of about + offset."""

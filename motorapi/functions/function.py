@@ -138,10 +138,10 @@ class Function(ABC):
             UsageError: it is no number and no array of numbers.
         """
         if isinstance(argument, float | int | np.integer | np.floating | np.bool_):
-            return self.value(float(argument))
+            return self.value(as_number(argument) if isinstance(argument, int) else float(argument))
         try:
             points = np.asarray(argument, dtype=np.float64)
-        except (TypeError, ValueError) as error:
+        except (TypeError, ValueError, OverflowError) as error:
             raise UsageError(f"{self!r}: {argument!r} is no array of numbers") from error
         flat = np.ascontiguousarray(points).reshape(-1)
         if flat.size:
@@ -154,10 +154,13 @@ class Function(ABC):
 
     @final
     def derivative(self, order: int = 1) -> "Function":
-        """The derivative of that order, >= 0."""
+        """The derivative of that order, >= 0; UsageError if it is beyond the largest float."""
         if not isinstance(order, int) or order < 0:
             raise UsageError(f"{self!r}: {order!r} is no order of a derivative; it is 0, 1, 2, ...")
-        return self._derivative(order) if order else self
+        try:
+            return self._derivative(order) if order else self
+        except (OverflowError, RecursionError) as error:
+            raise UsageError(f"{self!r}: its derivative of this order is too large") from error
 
     @final
     def integrate(self, low: float, high: float) -> float:
@@ -165,11 +168,16 @@ class Function(ABC):
 
         Raises:
             DomainError: one of them lies outside the domain, or is not finite.
+            UsageError: it, or a value on the way, is beyond the largest float.
         """
         low, high = self._inside(low), self._inside(high)
         if low == high:
             return 0.0
-        return self._integrate(low, high) if low < high else -self._integrate(high, low)
+        try:
+            found = self._integrate(low, high) if low < high else -self._integrate(high, low)
+            return finite(repr(self), "the integral", found)
+        except (OverflowError, ValueError) as error:  # of inf - inf it is a ValueError
+            raise UsageError(f"{self!r}: its integral to {high!r} is too large") from error
 
     @final
     def extrema(self, low: float | None = None, high: float | None = None) -> Extrema:
@@ -332,7 +340,7 @@ class Function(ABC):
         told = repr(self)
         if len(told) > _TOLD:
             told = f"this {type(self).__name__}"
-        raise DomainError(argument=float(argument), low=low, high=high, function=told)
+        raise DomainError(argument=as_number(argument), low=low, high=high, function=told)
 
     @final
     def _inside(self, argument: float) -> float:

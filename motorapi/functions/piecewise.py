@@ -67,8 +67,10 @@ class Piecewise(Function):
         cls, breaks: Sequence[float], coefficients: Iterable[Iterable[float]]
     ) -> "Piecewise":
         """Polynomials in local arguments: `coefficients[i]`, ascending, in x - breaks[i]."""
-        edges = tuple(breaks)
-        rows = list(coefficients)
+        try:
+            edges, rows = tuple(breaks), list(coefficients)
+        except TypeError as error:
+            raise UsageError("Piecewise: breaks and coefficients are sequences") from error
         if len(edges) != len(rows) + 1:
             raise UsageError(
                 f"Piecewise: {len(rows)} pieces need {len(rows) + 1} breaks, not {len(edges)}"

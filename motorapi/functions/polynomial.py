@@ -146,7 +146,8 @@ class Polynomial(Function):
     @final
     def times(self, number: float) -> Function:
         """Coefficient by coefficient."""
-        return polynomial([c * number for c in self.coefficients], self.about)
+        factor = finite("Polynomial", "a factor", number)
+        return polynomial([c * factor for c in self.coefficients], self.about)
 
     @final
     def shifted(self, offset: float) -> Function:

@@ -86,6 +86,10 @@ class Sampled(Function):
             if told is not None and len(told) != len(x):
                 raise UsageError(f"Sampled: {len(x)} arguments, but {len(told)} of {name}")
         _check_use(kind, slopes, bends, ends)
+        try:
+            curve = _MAKERS[kind](x, y, slopes, bends, ends)
+        except (OverflowError, ZeroDivisionError) as error:
+            raise UsageError("Sampled: a distance of samples is too small, or too large") from error
         self._keep(
             arguments=x,
             values=y,
@@ -93,7 +97,7 @@ class Sampled(Function):
             first=slopes,
             second=bends,
             ends=ends,
-            curve=_MAKERS[kind](x, y, slopes, bends, ends),
+            curve=curve,
             _last=(x[-1], y[-1]),
         )
 

@@ -113,7 +113,8 @@ class Wave(Function):
     @final
     def times(self, number: float) -> Function:
         """The same with another amplitude."""
-        return self._like(type(self), self.amplitude * number)
+        factor = finite(type(self).__name__, "a factor", number)
+        return self._like(type(self), self.amplitude * factor)
 
     @final
     def shifted(self, offset: float) -> Function:

@@ -170,6 +170,7 @@ def test_all_three_ways_of_finding_pieces_are_taken():
     endless = PieceFinder([-inf, 0.0, 1.0, inf])
     assert endless._crowd > 4
     for finder, x in ((even, [0.9, 0.1]), (crowded, [1.0, 5.5e-9]), (endless, [1e300, -1e300])):
+        x += finder._inner[::-1].tolist()  # at a break, the later piece
         found = finder.pieces_of(np.array(x)).tolist()
         assert found == np.searchsorted(finder._inner, x, side="right").tolist()
         assert finder.runs_of(np.array(x)) is None
