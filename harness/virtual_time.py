@@ -257,18 +257,6 @@ class VirtualRuntime:
                 "time passes only while waiting; give the wait a timeout"
             )
 
-    def _ready(self) -> _Waiter | None:
-        """Whoever asked first among those that can go on now; their answer is in the waiter."""
-        for waiter in self._waiters:
-            try:
-                if waiter.done():
-                    waiter.result = True
-                    return waiter
-            except Exception as error:
-                waiter.error = error
-                return waiter
-        return None
-
     def _expired(self) -> _Waiter | None:
         now_ns = self.queue.now_ns
         for waiter in self._waiters:
@@ -312,13 +300,20 @@ class VirtualRuntime:
                 for waiter in self._waiters:
                     if waiter.party.thread is None:
                         waiter.done, waiter.error = _at_once, KeyboardInterrupt()
-            ready = self._ready()
+            for waiter in self._waiters:  # whoever asked first; the answer is in the waiter
+                try:
+                    if waiter.done():
+                        waiter.result = True
+                        return waiter
+                except Exception as error:
+                    waiter.error = error
+                    return waiter
             next_ns = queue.next_ns()
             now_ns = queue.now_ns
-            if ready is None and _NEVER != deadline_ns <= now_ns != next_ns:
-                ready = self._expired()
-            if ready is not None:
-                return ready
+            if _NEVER != deadline_ns <= now_ns != next_ns:
+                expired = self._expired()
+                if expired is not None:
+                    return expired
             is_event = next_ns != UNSET and (deadline_ns == _NEVER or next_ns <= deadline_ns)
             if not is_event and deadline_ns == _NEVER:
                 self._nothing_will_happen()

@@ -191,6 +191,8 @@ class SdoServer:
         """What went on is forgotten; the object of the transfer is this one."""
         self._index = index
         self._subindex = subindex
+        if self._state == _IDLE:
+            return
         self._state = _IDLE
         self._toggle = 0
         self._data = b""

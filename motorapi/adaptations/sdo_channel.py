@@ -11,6 +11,7 @@ with a deadline of the runtime's own time, and never believes a stale answer:
   Without that, asking the same object again would return the old value.
 """
 
+import struct
 from collections import deque
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
@@ -42,6 +43,7 @@ _UPLOAD: Final = 2
 _UPLOAD_SEGMENT: Final = 3
 _BLOCK_UPLOAD: Final = 5
 _BLOCK_DOWNLOAD: Final = 6
+_PLACE: Final = struct.Struct("<HB")  # index and sub-index
 _REQUEST_ID: Final = 0x600
 _RESPONSE_ID: Final = 0x580
 _TURN_TIMEOUT_S: Final = 10.0
@@ -110,8 +112,9 @@ class _Client(SdoClient):
         """The request is on its way; what came before it is no answer to it."""
         data = bytes(request)
         service = data[0] >> 5
-        begins_block = service in (_BLOCK_UPLOAD, _BLOCK_DOWNLOAD) and not data[0] & 0x03
-        if service in (_DOWNLOAD, _UPLOAD) or begins_block:
+        if service in (_DOWNLOAD, _UPLOAD) or (
+            service in (_BLOCK_UPLOAD, _BLOCK_DOWNLOAD) and not data[0] & 0x03  # its beginning
+        ):
             self._opened = data[1:4]
         self._answers.clear()
         transmission = Transmission(can_frame(self.rx_cobid, data))
@@ -321,8 +324,8 @@ class SdoChannel:
         """An upload where there are no `data`."""
         client = self._client
         try:
-            place = index.to_bytes(2, "little") + bytes((subindex,))
-        except (AttributeError, OverflowError, TypeError, ValueError):
+            place = _PLACE.pack(index, subindex)
+        except struct.error:
             place_text = f"index {index!r}, sub-index {subindex!r}"
             raise UsageError(f"{self._what}: {place_text}: 0 to FFFFh, 0 to FFh") from None
         turn = self._lock.take(_TURN_TIMEOUT_S, self._what)
