@@ -65,6 +65,30 @@ PLANTS = [
         "motorapi.functions.exact -> motorapi.functions.sampled",
     ),
     ("functions", "motorapi/functions/novelty.py", "", "novelty"),
+    (
+        "what-not-how",
+        "motorapi/limits.py",
+        "import motorapi.sharing",
+        "motorapi.limits -> motorapi.sharing",
+    ),
+    (
+        "what-not-how",
+        "motorapi/functions/waves.py",
+        "import motorapi.device",
+        "motorapi.device -> motorapi.runtime",
+    ),
+    (
+        "kinds",
+        "motorapi/adaptations/software_node.py",
+        "import motorapi.adaptations.cia402_hardware",
+        "software_node -> motorapi.adaptations.cia402_hardware",
+    ),
+    (
+        "kinds",
+        "motorapi/adaptations/ideal_motor.py",
+        "import motorapi.adaptations.streamed_motion",
+        "ideal_motor -> motorapi.adaptations.streamed_motion",
+    ),
     ("host-libraries", "motorapi/group.py", "import canopen", "motorapi.group -> canopen"),
     (
         "host-libraries",
