@@ -175,9 +175,11 @@ class Function(ABC):
             return 0.0
         try:
             found = self._integrate(low, high) if low < high else -self._integrate(high, low)
-            return finite(repr(self), "the integral", found)
-        except (OverflowError, ValueError) as error:  # of inf - inf it is a ValueError
-            raise UsageError(f"{self!r}: its integral to {high!r} is too large") from error
+        except (OverflowError, ValueError):  # of inf - inf it is a ValueError
+            found = inf
+        if -LARGEST <= found <= LARGEST:
+            return found
+        raise UsageError(f"{self!r}: its integral from {low!r} to {high!r} is too large")
 
     @final
     def extrema(self, low: float | None = None, high: float | None = None) -> Extrema:
