@@ -15,6 +15,7 @@ from motorapi.functions import (
     Exponential,
     Extrema,
     Function,
+    Integral,
     Interpolation,
     Piecewise,
     Polynomial,
@@ -82,6 +83,28 @@ def test_bounds_of_a_polynomial_are_those_of_its_control_polygon():
     assert Polynomial((1.0, 2.0)).bounds(-1.0, 3.0) == pytest.approx((-1.0, 7.0), rel=1e-14)
     least, most = Polynomial((0.0, 0.0, 0.0, 1.0), about=2.0).bounds(1.0, 3.0)
     assert (least, most) == (pytest.approx(-1.0), pytest.approx(1.0))
+
+
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_bounds_and_extrema_of_an_integral_hold_its_values(sign):
+    rising = Integral(sign * (Sine() * Sine() + 0.5))
+    falling = Integral(sign * Sine() * Exponential(1.0, -0.1))
+    for function in (rising, falling):
+        values = [function.value(x) for x in np.linspace(1.0, 8.0, 50).tolist()]
+        least, most = function.bounds(1.0, 8.0)
+        assert least <= min(values)
+        assert max(values) <= most
+        found = function.extrema(1.0, 8.0)
+        assert found.minimum <= min(values)
+        assert max(values) <= found.maximum
+    assert sorted((rising.extrema(1.0, 8.0).at_minimum, rising.extrema(1.0, 8.0).at_maximum)) == [
+        1.0,
+        8.0,
+    ]
+    # Of the damped sine it is extreme where that is 0.
+    found = falling.extrema(1.0, 8.0)
+    at = found.at_maximum if sign > 0 else found.at_minimum
+    assert at == pytest.approx(np.pi, abs=1e-6)
 
 
 @given(any_smooth, st.floats(-1.5, 1.5))
