@@ -339,7 +339,6 @@ def test_a_position_may_bound_its_jerk():
 
     Source: Biagiotti & Melchiorri (2008), 3.4: D/v + v/a + a/j.
     """
-    pytest.importorskip("ruckig", reason="the extra ruckig is not installed")
     limits = DerivativeLimits(third=16.0)
     motion = planned(TrapezoidalTrajectory(5.0, limits=limits), reference=-2.5)
     assert motion.duration_s == pytest.approx(3.25, rel=1e-9)  # ruckig's own accuracy

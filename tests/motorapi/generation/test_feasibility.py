@@ -163,7 +163,6 @@ def test_what_generators_make_is_feasible():
 
 
 def test_what_ruckig_makes_is_feasible_and_a_trapezoid_is_not_where_jerk_is_limited():
-    pytest.importorskip("ruckig")
     limits = ProfileLimits(2.0, 4.0)
     assert feasible(jerk_limited(2.0, limits, 10.0), SMOOTH)
     violation = feasible(trapezoid(2.0, limits).as_function(), SMOOTH).violations[0]

@@ -14,11 +14,6 @@ from tests.motorapi.generation.smooth_bounds import is_impossible, rest_to_rest_
 UNIT = ProfileLimits(1.0, 1.0)
 
 
-@pytest.fixture(scope="module", autouse=True)
-def _ruckig():
-    pytest.importorskip("ruckig")
-
-
 def smooth_problem(random, decades):
     """(final, limits, jerk, states) whose states can be reached and left within the limits."""
     velocity = (-magnitude(random, decades), magnitude(random, decades))
@@ -121,7 +116,8 @@ def test_rest_to_rest_takes_what_the_double_s_profile_takes():
 
 
 def test_no_motion_is_shorter_by_a_linear_program():
-    optimize = pytest.importorskip("scipy.optimize")
+    from scipy import optimize
+
     random = Random("motorhil:linear program")
     for _ in range(12):
         final, limits, jerk, (begin, end) = problem = smooth_problem(random, 0.5)

@@ -281,7 +281,8 @@ def by_ruckig(ruckig, final, limits, states):
 
 
 def test_ruckig_finds_the_same_12_000_times():
-    ruckig = pytest.importorskip("ruckig")
+    import ruckig
+
     random = Random("motorhil:trapezoids")
     moving = 0
     for _ in range(12_000):
@@ -304,7 +305,8 @@ def test_ruckig_finds_the_same_12_000_times():
 
 def test_where_ruckig_differs_over_six_decades_the_envelope_says_who_is_right():
     """It gives up on some, and is off by up to 1e-11 on a few; ours is right on all."""
-    ruckig = pytest.importorskip("ruckig")
+    import ruckig
+
     random = Random("motorhil:six decades")
     given_up, different = 0, 0
     for _ in range(4_000):

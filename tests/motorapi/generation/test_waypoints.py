@@ -64,7 +64,8 @@ def test_it_goes_through_all_points_smoothly_and_rests_at_its_ends(course, degre
 
 @given(courses(12), st.booleans())
 def test_cubics_are_scipys_spline(course, natural):
-    interpolate = pytest.importorskip("scipy.interpolate")
+    from scipy import interpolate
+
     values, times = course
     if natural and len(values) > 2:
         ours = through_waypoints(values, times, first=[None] * len(values))
@@ -121,7 +122,8 @@ def test_the_shortest_times_hold_the_limits_and_reach_one(degree, ends):
 
 
 def test_no_division_of_the_time_that_a_search_finds_is_shorter_by_a_hundredth():
-    optimize = pytest.importorskip("scipy.optimize")
+    from scipy import optimize
+
     random = Random("motorhil:division")
     bounds = ((1, LIMITS.first), (2, LIMITS.second), (3, LIMITS.third))
     for _ in range(4):
