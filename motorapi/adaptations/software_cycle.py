@@ -5,7 +5,9 @@
 The counts are those of the very moment of SYNC k, the outputs act at SYNC k + 1: a delay of one
 cycle, always the same one, for all motors of a bus at once. A cycle is *missed* by two channels if
 their counts have not come before the next SYNC is due (the servo then has nothing to act on, and
-the outputs stay), or if the outputs still wait for the bus then.
+the outputs stay), or if the outputs still wait for the bus then. A frame does not tell which SYNC
+its counts are of: what comes after the next SYNC is taken for that one's, until a further one comes
+in the same cycle (`surplus`). On CAN they are a cycle old at most, for a node sends them in order.
 """
 
 import struct
