@@ -2,7 +2,7 @@ import pytest
 
 from emulators.event_queue import EventQueue
 from harness.virtual_time import VirtualRuntime
-from tests.motorapi.ideal import IdealBus, IdealHwMotor, IdealMotor
+from tests.motorapi.plain import PlainBus, PlainHwMotor, PlainMotor
 
 
 @pytest.fixture
@@ -14,16 +14,16 @@ def runtime():
 
 @pytest.fixture
 def hw(runtime):
-    return IdealHwMotor(runtime)
+    return PlainHwMotor(runtime)
 
 
 @pytest.fixture
 def motor(hw):
-    return IdealMotor(hw)
+    return PlainMotor(hw)
 
 
 @pytest.fixture
 def pair(runtime):
     """Two motors that share a trigger."""
-    bus = IdealBus()
-    return [IdealMotor(IdealHwMotor(runtime, node, bus)) for node in (1, 2)]
+    bus = PlainBus()
+    return [PlainMotor(PlainHwMotor(runtime, node, bus)) for node in (1, 2)]

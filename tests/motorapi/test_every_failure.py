@@ -18,7 +18,7 @@ from motorapi import (
     WallRuntime,
 )
 from motorapi.hooks import MotorHooks
-from tests.motorapi.ideal import IdealBus, IdealHwMotor, IdealMotor
+from tests.motorapi.plain import PlainBus, PlainHwMotor, PlainMotor
 
 HOOKS = sorted(
     name
@@ -103,9 +103,9 @@ def test_whatever_a_hook_raises_is_told_as_the_adaptations(runtime, hook, plante
         raise planted
 
     fail.__name__ = hook
-    broken = type("Broken", (IdealMotor,), {hook: fail})
-    bus = IdealBus()
-    motors = [broken(IdealHwMotor(runtime, node, bus)) for node in (1, 2)]
+    broken = type("Broken", (PlainMotor,), {hook: fail})
+    bus = PlainBus()
+    motors = [broken(PlainHwMotor(runtime, node, bus)) for node in (1, 2)]
     raised = failures_of(CALLS, motors[0])
     raised |= {f"group {k}": e for k, e in failures_of(GROUP_CALLS, MotorGroup(*motors)).items()}
     assert [name for name, error in raised.items() if not isinstance(error, MotorError)] == []

@@ -8,7 +8,7 @@ from motorapi import (
     TrapezoidalTrajectory,
     UsageError,
 )
-from tests.motorapi.ideal import IdealBus, IdealHwMotor, IdealMotor
+from tests.motorapi.plain import PlainBus, PlainHwMotor, PlainMotor
 
 TRAJECTORY = ControlMode.TRAJECTORY
 
@@ -67,9 +67,9 @@ def test_a_duration_asked_for_one_holds_for_all(runtime, pair):
 
 
 def test_the_common_duration_is_the_slowest_motors_after_its_rounding(runtime):
-    bus = IdealBus()
-    fine = IdealMotor(IdealHwMotor(runtime, 1, bus))
-    coarse = IdealMotor(IdealHwMotor(runtime, 2, bus, velocity_step=0.75))
+    bus = PlainBus()
+    fine = PlainMotor(PlainHwMotor(runtime, 1, bus))
+    coarse = PlainMotor(PlainHwMotor(runtime, 2, bus, velocity_step=0.75))
     # By hand: coarse makes 1.5 of 2 rad/s: 3 rad in 3 / 1.5 + 1.5 / 4 = 2.375 s, not in 2 s.
     group = group_of([fine, coarse], 1.0, 3.0)
     group.start()
@@ -82,9 +82,9 @@ def test_the_common_duration_is_the_slowest_motors_after_its_rounding(runtime):
 @pytest.mark.parametrize("excess", [k * 1e-12 for k in range(20)])
 def test_the_slowest_motor_is_not_slowed_once_more_by_rounding(runtime, excess):
     # A way that is all but a triangle: there the peak for a duration is ill-conditioned.
-    bus = IdealBus()
-    fine = IdealMotor(IdealHwMotor(runtime, 1, bus))
-    coarse = IdealMotor(IdealHwMotor(runtime, 2, bus, velocity_step=0.75))
+    bus = PlainBus()
+    fine = PlainMotor(PlainHwMotor(runtime, 1, bus))
+    coarse = PlainMotor(PlainHwMotor(runtime, 2, bus, velocity_step=0.75))
     group_of([fine, coarse], 0.1, 0.5625 * (1.0 + excess)).start()
     assert coarse.hw.motion.velocity == 1.5
 
@@ -133,13 +133,13 @@ def test_all_are_armed_before_any_is_fired_and_the_trigger_is_fired_once(pair):
 
 
 def test_each_trigger_is_fired_once_in_the_order_of_the_motors(runtime):
-    buses = [IdealBus("bus0"), IdealBus("bus1")]
+    buses = [PlainBus("bus0"), PlainBus("bus1")]
     fired = []
     for bus in buses:
         fire = bus.fire
         bus.fire = lambda bus=bus, fire=fire: (fired.append(bus.name), fire())
     motors = [
-        IdealMotor(IdealHwMotor(runtime, node, buses[bus]))
+        PlainMotor(PlainHwMotor(runtime, node, buses[bus]))
         for node, bus in ((1, 1), (2, 0), (3, 1))
     ]
     group_of(motors, 1.0, 1.0, 1.0).start()

@@ -23,7 +23,7 @@ from motorapi import (
     UnsupportedError,
     UsageError,
 )
-from tests.motorapi.ideal import MODEL, IdealBus, IdealHwMotor, IdealMotor, fault_now
+from tests.motorapi.plain import MODEL, PlainBus, PlainHwMotor, PlainMotor, fault_now
 from tests.motorapi.test_group import group_of, hooks
 
 TRAJECTORY = ControlMode.TRAJECTORY
@@ -47,7 +47,7 @@ def test_if_one_refuses_none_moves(pair, hook, place):
 
 
 def test_a_limit_of_one_keeps_all_at_rest(runtime, pair):
-    tight = IdealMotor(IdealHwMotor(runtime, 3), replace(MODEL, position_max=1.0), name="tight")
+    tight = PlainMotor(PlainHwMotor(runtime, 3), replace(MODEL, position_max=1.0), name="tight")
     with pytest.raises(LimitError, match="tight"):
         group_of([*pair, tight], 1.0, 1.0, 1.1).start()
     assert all(hooks(motor) == [] for motor in [*pair, tight])
@@ -142,12 +142,12 @@ def test_members_are_devices_of_one_time_each_once(runtime, pair):
     with pytest.raises(UsageError, match="in the group already"):
         group.append(motor1)
     with pytest.raises(UsageError, match="same physical motor, bus0 node 1"):
-        group.append(IdealMotor(motor1.hw, name="alias"))
+        group.append(PlainMotor(motor1.hw, name="alias"))
     with pytest.raises(UsageError, match="named m1"):
-        group.append(IdealMotor(IdealHwMotor(runtime, 7), name="m1"))
+        group.append(PlainMotor(PlainHwMotor(runtime, 7), name="m1"))
     elsewhere = VirtualRuntime(EventQueue())
     with pytest.raises(UsageError, match="different runtimes"):
-        group.append(IdealMotor(IdealHwMotor(elsewhere, 8)))
+        group.append(PlainMotor(PlainHwMotor(elsewhere, 8)))
     group.append(motor2)
     assert list(group) == [motor1, motor2]
     assert (len(group), group[1]) == (2, motor2)
@@ -171,9 +171,9 @@ def test_for_each_returns_all_answers_and_names_who_refused(pair):
 
 
 def test_capability_of_one_trigger_is_bounded_by_the_latencies(runtime):
-    bus = IdealBus()
+    bus = PlainBus()
     motors = [
-        IdealMotor(IdealHwMotor(runtime, node, bus, latency_s=latency_s))
+        PlainMotor(PlainHwMotor(runtime, node, bus, latency_s=latency_s))
         for node, latency_s in ((1, 0.001), (2, 0.003))
     ]
     group = MotorGroup(*motors)
@@ -191,7 +191,7 @@ def test_capability_of_one_trigger_is_bounded_by_the_latencies(runtime):
 
 
 def test_capability_over_two_triggers_is_sequential_and_says_who_is_the_reason(runtime, pair):
-    other = IdealMotor(IdealHwMotor(runtime, 3, IdealBus("bus1")))
+    other = PlainMotor(PlainHwMotor(runtime, 3, PlainBus("bus1")))
     capability = MotorGroup(*pair, other).sync_capability()
     assert capability.level is SyncLevel.SEQUENTIAL
     assert capability.start_skew_s is None
@@ -212,8 +212,8 @@ def test_quality_before_any_start_is_refused_and_unknown_until_the_end(runtime, 
 
 
 def test_two_groups_of_one_trigger_do_not_start_each_others_motors(runtime):
-    bus = IdealBus()
-    motors = [IdealMotor(IdealHwMotor(runtime, node, bus, acts_s=0.01)) for node in range(5)]
+    bus = PlainBus()
+    motors = [PlainMotor(PlainHwMotor(runtime, node, bus, acts_s=0.01)) for node in range(5)]
     groups = [group_of(motors[:2], 1.0, 1.0), group_of(motors[2:], 1.0, 1.0, 1.0)]
 
     for motor in motors:
@@ -257,17 +257,17 @@ STEPS = st.tuples(*[st.sampled_from([0.0, 0.001, 0.01])] * 3)
 def test_rounding_ends_as_far_apart_as_predicted(ways, steps):
     """Each hardware rounds to its own units; the ends are measured on the hardware's profiles."""
     runtime = VirtualRuntime(EventQueue())
-    bus = IdealBus()
+    bus = PlainBus()
     motors = []
     for node, (position, velocity, acceleration) in enumerate(steps[: len(ways)]):
-        hardware = IdealHwMotor(
+        hardware = PlainHwMotor(
             *(runtime, node, bus),
             position_step=position,
             velocity_step=velocity,
             acceleration_step=acceleration,
         )
         hardware.polled_s = 1e-6 if node == 0 else None
-        motors.append(IdealMotor(hardware))
+        motors.append(PlainMotor(hardware))
     group = group_of(motors, *ways)
     group.start()
     quality = group.sync_quality()

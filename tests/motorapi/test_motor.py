@@ -12,7 +12,7 @@ from motorapi import (
     UnsupportedError,
     UsageError,
 )
-from tests.motorapi.ideal import MODEL, IdealHwMotor, IdealMotor, fault_now
+from tests.motorapi.plain import MODEL, PlainHwMotor, PlainMotor, fault_now
 
 SETPOINT, TRAJECTORY = ControlMode.SETPOINT, ControlMode.TRAJECTORY
 VELOCITY = ControlVariable.VELOCITY
@@ -33,8 +33,8 @@ def asked(hw):
 
 
 def test_algorithm_1_ends_at_1_then_at_2(runtime):
-    hw = IdealHwMotor(runtime, position=0.25)
-    motor = IdealMotor(hw)
+    hw = PlainHwMotor(runtime, position=0.25)
+    motor = PlainMotor(hw)
     motor.set_control_mode(ControlMode.SETPOINT)
     motor.set_setpoint(1.0)
     motor.start()
@@ -143,7 +143,7 @@ def test_what_a_motor_cannot_do_is_refused_when_set(motor):
 def bounded(runtime):
     """A model with limits on everything: -1..3 rad, 2 rad/s, 4 rad/s², 5 N·m."""
     model = replace(MODEL, position_min=-1.0, position_max=3.0, torque_max=5.0)
-    return IdealMotor(IdealHwMotor(runtime, node=9), model=model, name="joint")
+    return PlainMotor(PlainHwMotor(runtime, node=9), model=model, name="joint")
 
 
 @pytest.mark.parametrize(
@@ -266,7 +266,7 @@ def test_what_was_done_stays_done(motor, hw):
 
 def test_an_unreferenced_motor_makes_distances_only_if_its_model_says_so(runtime):
     model = replace(MODEL, requires_referencing=True)
-    motor = IdealMotor(IdealHwMotor(runtime), model=model)
+    motor = PlainMotor(PlainHwMotor(runtime), model=model)
     for command in (lambda: aim(motor, 1.0), lambda: follow(motor, 1.0, 0.0)):
         command()
         with pytest.raises(StateError, match=r"call home\(\) first"):

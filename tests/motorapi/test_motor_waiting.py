@@ -13,7 +13,7 @@ from motorapi import (
     PluginError,
     StateError,
 )
-from tests.motorapi.ideal import IdealHwMotor, IdealMotor, fault_now
+from tests.motorapi.plain import PlainHwMotor, PlainMotor, fault_now
 from tests.motorapi.test_motor import SETPOINT, aim, asked, follow
 
 VELOCITY = ControlVariable.VELOCITY
@@ -94,7 +94,7 @@ def test_own_stop_is_waited_for_and_the_motion_is_over(runtime, motor, hw):
 
 @pytest.mark.parametrize("how", [Motor.stop, Motor.quick_stop, Motor.halt])
 def test_a_stop_from_elsewhere_ends_the_wait_and_names_who(runtime, motor, hw, how):
-    other = IdealMotor(hw, name="other")
+    other = PlainMotor(hw, name="other")
     follow(motor, 3.0)
     motor.start()
     runtime.spawn("other", lambda: (runtime.run_for(0.5), how(other)))
@@ -216,8 +216,8 @@ def test_a_start_that_is_not_acknowledged_is_stopped(motor, hw):
 
 @pytest.mark.parametrize("moment", ["_enable", "_arm", "_confirm"])
 def test_a_stop_during_start_wins(runtime, moment):
-    hw = IdealHwMotor(runtime, acts_s=0.1)
-    motor, other = IdealMotor(hw), IdealMotor(hw, name="other")
+    hw = PlainHwMotor(runtime, acts_s=0.1)
+    motor, other = PlainMotor(hw), PlainMotor(hw, name="other")
     order = ["_enable", "_arm", "_confirm"]
     at_s = 0.05 + 0.1 * order.index(moment)
     aim(motor, 3.0)
@@ -235,7 +235,7 @@ def test_a_stop_during_start_wins(runtime, moment):
 
 
 def test_a_stop_between_taking_and_planning_is_told_as_the_holder(runtime, hw, motor, monkeypatch):
-    other = IdealMotor(hw, name="other")
+    other = PlainMotor(hw, name="other")
     monkeypatch.setattr(hw, "done", lambda: False)  # it slows down for a long time
     hw.connecting_s = 0.01
     stopping = runtime.spawn("stop", other.stop)  # once it is connected, at 10 ms
@@ -253,7 +253,7 @@ def test_errors_of_an_adaptation_are_told_as_such_with_their_cause(motor, hw):
     aim(motor, 1.0)
     with pytest.raises(PluginError) as caught:
         motor.start()
-    assert (caught.value.plugin, caught.value.where) == ("IdealMotor", "_arm")
+    assert (caught.value.plugin, caught.value.where) == ("PlainMotor", "_arm")
     assert isinstance(caught.value.__cause__, KeyError)
     hw.fail = {"_is_done": ZeroDivisionError()}
     motor.start()
@@ -264,7 +264,7 @@ def test_errors_of_an_adaptation_are_told_as_such_with_their_cause(motor, hw):
 def test_public_methods_cannot_be_overridden():
     with pytest.raises(PluginError, match="final"):
 
-        class Cheat(IdealMotor):
+        class Cheat(PlainMotor):
             def start(self):
                 pass
 
@@ -279,11 +279,11 @@ def test_homing_waits_or_not(runtime, motor, hw):
 
 
 def test_a_motor_tells_what_it_is(motor, hw):
-    assert repr(motor) == "<IdealMotor 'm1' on bus0 node 1: disabled, 0 rad>"
+    assert repr(motor) == "<PlainMotor 'm1' on bus0 node 1: disabled, 0 rad>"
     aim(motor, 1.0)
     motor.start()
     motor.wait_until_done()
-    assert repr(motor) == "<IdealMotor 'm1' on bus0 node 1: enabled, 1 rad>"
+    assert repr(motor) == "<PlainMotor 'm1' on bus0 node 1: enabled, 1 rad>"
     assert motor.latest().position == 1.0
     assert motor.control_mode is SETPOINT
     assert motor.control_variable is ControlVariable.POSITION

@@ -5,20 +5,20 @@ import pytest
 from motorapi import ControlMode
 from motorapi.errors import DeadlineExceeded, MotionInterrupted
 from motorapi.waiting import News
-from tests.motorapi.ideal import IdealMotor
+from tests.motorapi.plain import PlainMotor
 
 
 @pytest.fixture
 def asked(runtime, motor, monkeypatch):
     """When the motor's `_is_done` was asked [ns]; time stops every 1 ms."""
     times_ns = []
-    is_done = IdealMotor._is_done
+    is_done = PlainMotor._is_done
 
     def counted(self):
         times_ns.append(runtime.now_ns())
         return is_done(self)
 
-    monkeypatch.setattr(IdealMotor, "_is_done", counted)
+    monkeypatch.setattr(PlainMotor, "_is_done", counted)
     runtime.every(0.001, lambda: None)
     motor._physical.news = News()
     motor.set_control_mode(ControlMode.SETPOINT)
@@ -53,7 +53,7 @@ def test_who_does_not_count_is_asked_at_every_event(runtime, motor, asked):
 
 
 def test_a_stop_by_somebody_else_is_news(runtime, hw, motor, asked):
-    other = IdealMotor(hw, name="other")
+    other = PlainMotor(hw, name="other")
     party = runtime.spawn("stop", lambda: (runtime.run_for(0.5), other.stop()))
     with pytest.raises(MotionInterrupted, match="other"):
         motor.wait_until_done(timeout_s=2.0)

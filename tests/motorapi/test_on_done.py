@@ -19,7 +19,7 @@ from motorapi import (
 )
 from motorapi.outcome import Ending, Outcome
 from motorapi.waiting import News
-from tests.motorapi.ideal import IdealMotor, fault_now
+from tests.motorapi.plain import PlainMotor, fault_now
 
 MS = 1_000_000
 
@@ -67,7 +67,7 @@ def test_one_that_is_over_is_told_at_once_and_none_at_all_is_refused(motor):
 def test_a_stop_from_elsewhere_tells_at_that_very_time(runtime, hw, motor, counted):
     if counted:
         motor._physical.news = News()
-    other = IdealMotor(hw, name="other")
+    other = PlainMotor(hw, name="other")
     follow(motor, 3.0)
     motor.start()
     told = []

@@ -13,7 +13,7 @@ from motorapi import (
     TrapezoidalTrajectory,
     UsageError,
 )
-from tests.motorapi.ideal import IdealBus, IdealHwMotor, IdealMotor
+from tests.motorapi.plain import PlainBus, PlainHwMotor, PlainMotor
 
 MS = 1_000_000
 
@@ -26,7 +26,7 @@ def follow(motor, way):
 @pytest.fixture
 def logical(hw):
     """Logical motors of one physical one, each with 0.1 rad to go."""
-    motors = [IdealMotor(hw, name=name) for name in "abcd"]
+    motors = [PlainMotor(hw, name=name) for name in "abcd"]
     for motor in motors:
         follow(motor, 0.1)
     return motors
@@ -209,11 +209,11 @@ def test_a_time_nobody_can_wait_is_refused(logical, timeout_s):
 
 
 def test_groups_that_wait_for_shared_motors_in_opposite_orders_all_have_their_turn(runtime):
-    bus = IdealBus()
-    hardware = [IdealHwMotor(runtime, node, bus, acts_s=0.001) for node in (1, 2, 3)]
+    bus = PlainBus()
+    hardware = [PlainHwMotor(runtime, node, bus, acts_s=0.001) for node in (1, 2, 3)]
 
     def drive(name, order):
-        group = MotorGroup(*(IdealMotor(hardware[k], name=f"{name}{k}") for k in order))
+        group = MotorGroup(*(PlainMotor(hardware[k], name=f"{name}{k}") for k in order))
         group.for_each(Motor.set_control_mode, ControlMode.TRAJECTORY)
         group.set_trajectory(*[TrapezoidalTrajectory(0.01)] * 3)
         for _ in range(20):
@@ -230,13 +230,13 @@ def test_groups_that_wait_for_shared_motors_in_opposite_orders_all_have_their_tu
 
 
 def test_a_group_that_cannot_have_all_has_none(runtime):
-    bus = IdealBus()
-    hardware = [IdealHwMotor(runtime, node, bus) for node in (1, 2)]
-    group = MotorGroup(*(IdealMotor(one, name=f"g{one.node}") for one in hardware))
+    bus = PlainBus()
+    hardware = [PlainHwMotor(runtime, node, bus) for node in (1, 2)]
+    group = MotorGroup(*(PlainMotor(one, name=f"g{one.node}") for one in hardware))
     group.for_each(Motor.set_control_mode, ControlMode.TRAJECTORY)
     group.set_trajectory(*[TrapezoidalTrajectory(0.01)] * 2)
-    second = IdealMotor(hardware[1], name="second")
-    first = IdealMotor(hardware[0], name="first")
+    second = PlainMotor(hardware[1], name="second")
+    first = PlainMotor(hardware[0], name="first")
     with second.reserve("survey"):
         with pytest.raises(MotorBusyError, match="survey"):
             group.start(timeout_s=0.1)

@@ -18,7 +18,7 @@ from motorapi import (
     TrapezoidalTrajectory,
     errors,
 )
-from tests.motorapi.ideal import IdealMotor, fault_now
+from tests.motorapi.plain import PlainMotor, fault_now
 
 NAMES = {
     "DerivativeLimits": DerivativeLimits,
@@ -70,14 +70,14 @@ def test_a_motion_shows_what_it_is_and_no_more():
 
 
 def test_a_motor_shows_its_state_and_what_goes_on(runtime, hw, motor):
-    other = IdealMotor(hw, name="other")
+    other = PlainMotor(hw, name="other")
     motor.set_control_mode(ControlMode.TRAJECTORY)
     motor.set_trajectory(TrapezoidalTrajectory(3.0))
-    assert repr(motor) == "<IdealMotor 'm1' on bus0 node 1: disabled, 0 rad>"
+    assert repr(motor) == "<PlainMotor 'm1' on bus0 node 1: disabled, 0 rad>"
     motor.start()
     runtime.run_for(0.5)
     told = "on bus0 node 1: enabled, 0.5 rad; start() of m1 goes on>"
-    assert (repr(motor), repr(other)) == (f"<IdealMotor 'm1' {told}", f"<IdealMotor 'other' {told}")
+    assert (repr(motor), repr(other)) == (f"<PlainMotor 'm1' {told}", f"<PlainMotor 'other' {told}")
     assert repr(motor._physical) == "<PhysicalMotor bus0 node 1: start() of m1>"
     assert repr(motor._run) == "<Run start() of m1 since 0.000000 s: not known to be over>"
     assert repr(motor.progress()) == (
@@ -90,7 +90,7 @@ def test_a_motor_shows_its_state_and_what_goes_on(runtime, hw, motor):
         "<Outcome of start() of m1: interrupted at 0.500000 s: m1: the motion was ended by"
         " stop() of other at 0.500000 s>"
     )
-    assert repr(motor) == "<IdealMotor 'm1' on bus0 node 1: enabled, 0.5 rad>"
+    assert repr(motor) == "<PlainMotor 'm1' on bus0 node 1: enabled, 0.5 rad>"
     motor.set_control_mode(ControlMode.SETPOINT, ControlVariable.VELOCITY)
     motor.set_setpoint(1.0)
     motor.start()

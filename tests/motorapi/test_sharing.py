@@ -21,7 +21,7 @@ from motorapi.sharing import (
     release_physical_motor,
 )
 from motorapi.turns import TRANSACTION_TIMEOUT_S
-from tests.motorapi.ideal import IdealBus, IdealHwMotor, IdealMotor, fault_now
+from tests.motorapi.plain import PlainBus, PlainHwMotor, PlainMotor, fault_now
 
 
 def follow(motor, way):
@@ -32,28 +32,28 @@ def follow(motor, way):
 @pytest.fixture
 def logical(hw):
     """Two logical motors of one physical one."""
-    return [IdealMotor(hw, name=name) for name in ("drive", "other")]
+    return [PlainMotor(hw, name=name) for name in ("drive", "other")]
 
 
 def test_a_second_hardware_object_is_refused_and_the_first_is_named(runtime, hw):
-    with pytest.raises(UsageError, match=r"bus0 node 1 .*IdealHwMotor\('bus0', node=1\).*close"):
-        IdealHwMotor(runtime, node=1)
-    IdealHwMotor(runtime, node=2)
-    IdealHwMotor(runtime, node=1, bus=IdealBus("bus1"))
-    IdealHwMotor(VirtualRuntime(EventQueue()), node=1)  # another world
+    with pytest.raises(UsageError, match=r"bus0 node 1 .*PlainHwMotor\('bus0', node=1\).*close"):
+        PlainHwMotor(runtime, node=1)
+    PlainHwMotor(runtime, node=2)
+    PlainHwMotor(runtime, node=1, bus=PlainBus("bus1"))
+    PlainHwMotor(VirtualRuntime(EventQueue()), node=1)  # another world
 
 
 def test_a_closed_or_forgotten_hardware_object_makes_room(runtime, hw):
     hw.close()
     hw.close()
-    second = IdealHwMotor(runtime, node=1)
+    second = PlainHwMotor(runtime, node=1)
     hw.close()  # not its motor any more
     with pytest.raises(UsageError):
-        IdealHwMotor(runtime, node=1)
+        PlainHwMotor(runtime, node=1)
     second.bus.hardware.clear()
     del second
     gc.collect()
-    IdealHwMotor(runtime, node=1)
+    PlainHwMotor(runtime, node=1)
 
 
 def test_one_bus_is_one_key_however_often_it_is_opened():
@@ -164,11 +164,11 @@ def test_the_token_grows_when_the_motor_changes_hands(logical, hw):
 
 
 def test_operations_of_parties_take_turns_in_order_of_asking(runtime):
-    hw = IdealHwMotor(runtime, acts_s=0.1)
+    hw = PlainHwMotor(runtime, acts_s=0.1)
     order = []
 
     def enable_and_disable(name):
-        motor = IdealMotor(hw, name=name)
+        motor = PlainMotor(hw, name=name)
         motor.enable()
         order.append((name, "enabled", runtime.now_ns()))
         motor.disable()
@@ -187,11 +187,11 @@ def test_operations_of_parties_take_turns_in_order_of_asking(runtime):
 
 
 def test_two_starts_at_once_are_one_after_the_other(runtime):
-    hw = IdealHwMotor(runtime, acts_s=0.01)
+    hw = PlainHwMotor(runtime, acts_s=0.01)
     outcomes = []
 
     def move(name, way):
-        motor = IdealMotor(hw, name=name)
+        motor = PlainMotor(hw, name=name)
         follow(motor, way)
         try:
             motor.start()
@@ -212,7 +212,7 @@ def test_two_starts_at_once_are_one_after_the_other(runtime):
 
 
 def test_waiting_for_a_turn_ends_with_the_name_of_who_has_it(runtime, hw):
-    motor, late = IdealMotor(hw, name="slow"), IdealMotor(hw, name="late")
+    motor, late = PlainMotor(hw, name="slow"), PlainMotor(hw, name="late")
     hw.acts_s = TRANSACTION_TIMEOUT_S + 1.0
     runtime.spawn("slow", motor.enable)
     runtime.run_for(0.5)
@@ -224,8 +224,8 @@ def test_waiting_for_a_turn_ends_with_the_name_of_who_has_it(runtime, hw):
 
 
 def test_a_callback_cannot_begin_an_operation_in_the_middle_of_another(runtime):
-    hw = IdealHwMotor(runtime, acts_s=0.1)
-    motor = IdealMotor(hw)
+    hw = PlainHwMotor(runtime, acts_s=0.1)
+    motor = PlainMotor(hw)
     refused = []
 
     def meddle():
@@ -242,8 +242,8 @@ def test_a_callback_cannot_begin_an_operation_in_the_middle_of_another(runtime):
 
 
 def test_groups_that_share_motors_in_opposite_orders_do_not_lock_each_other(runtime):
-    bus = IdealBus()
-    hardware = [IdealHwMotor(runtime, node, bus, acts_s=0.001) for node in (1, 2, 3)]
+    bus = PlainBus()
+    hardware = [PlainHwMotor(runtime, node, bus, acts_s=0.001) for node in (1, 2, 3)]
     for one in hardware:
         one.connecting_s = 0.001
     rounds = []
@@ -251,7 +251,7 @@ def test_groups_that_share_motors_in_opposite_orders_do_not_lock_each_other(runt
     def drive(name, order):
         from motorapi import MotorGroup
 
-        group = MotorGroup(*(IdealMotor(hardware[k], name=f"{name}{k}") for k in order))
+        group = MotorGroup(*(PlainMotor(hardware[k], name=f"{name}{k}") for k in order))
         group.for_each(Motor.set_control_mode, ControlMode.TRAJECTORY)
         group.set_trajectory(*[TrapezoidalTrajectory(0.01)] * 3)
         done = 0

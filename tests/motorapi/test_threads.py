@@ -19,14 +19,14 @@ from motorapi import (
     WallRuntime,
 )
 from motorapi.outcome import Ending
-from tests.motorapi.ideal import IdealHwMotor, IdealMotor
+from tests.motorapi.plain import PlainHwMotor, PlainMotor
 
 THREADS = 8
 LONG_S = 30.0
 """For a machine under load; nothing below waits for it when all is well."""
 
 
-class OneAtATime(IdealHwMotor):
+class OneAtATime(PlainHwMotor):
     """Notices two acting hooks at once, and what happens under somebody's low-level access.
 
     A stop may come while another hook is at work, so what both change has a lock: the paper's "as
@@ -75,7 +75,7 @@ class OneAtATime(IdealHwMotor):
             self.intrusions.append(name)
 
 
-class Logical(IdealMotor):
+class Logical(PlainMotor):
     def _open_low_level(self):
         self.hw.held_by = threading.get_ident()
         return self.hw

@@ -15,7 +15,7 @@ from motorapi.sharing import register_physical_motor, release_physical_motor
 from motorapi.state import Fault, Measurement, MotorState
 from motorapi.synchronization import MotionTimes, SyncLevel, SyncOffer
 
-MODEL = MotorModel(name="ideal", velocity_max=2.0, acceleration_max=4.0)
+MODEL = MotorModel(name="plain", velocity_max=2.0, acceleration_max=4.0)
 ABLE = {
     (ControlMode.SETPOINT, ControlVariable.POSITION),
     (ControlMode.SETPOINT, ControlVariable.VELOCITY),
@@ -24,7 +24,7 @@ ABLE = {
 }
 
 
-class IdealBus:
+class PlainBus:
     """What motors are fired by together."""
 
     def __init__(self, name="bus0"):
@@ -41,7 +41,7 @@ class IdealBus:
             hardware.begin()
 
 
-class IdealHwMotor:
+class PlainHwMotor:
     """One motor in memory. `log` is what was asked of it, in order; `fail[hook]` is raised there.
 
     position_step, velocity_step, acceleration_step: the units it rounds to (0: not at all).
@@ -62,9 +62,9 @@ class IdealHwMotor:
         acceleration_step=0.0,
     ):
         self.runtime = runtime
-        self.bus = bus if bus is not None else IdealBus()
+        self.bus = bus if bus is not None else PlainBus()
         self.node = node
-        self.key = ("ideal", runtime, self.bus.name, node)
+        self.key = ("plain", runtime, self.bus.name, node)
         self.physical = register_physical_motor(self.key, f"{self.bus.name} node {node}", self)
         self.bus.hardware.append(self)
         self.acts_s = acts_s
@@ -88,7 +88,7 @@ class IdealHwMotor:
         self.sag = 0.0  # how far it drops when its brake is released
 
     def __repr__(self):
-        return f"IdealHwMotor({self.bus.name!r}, node={self.node})"
+        return f"PlainHwMotor({self.bus.name!r}, node={self.node})"
 
     def close(self):
         release_physical_motor(self.key, self)
@@ -147,7 +147,7 @@ class IdealHwMotor:
         return self.elapsed_s() >= self.profile().duration_s - 0.5e-9
 
 
-class IdealMotor(Motor):
+class PlainMotor(Motor):
     def __init__(self, hardware, model=MODEL, name=None):
         self.hw = hardware
         super().__init__(
@@ -281,4 +281,4 @@ def fault_now(hardware, code=0x7500, text="communication"):
     hardware.freeze()
 
 
-__all__ = ["MODEL", "IdealBus", "IdealHwMotor", "IdealMotor", "MotionInterrupted", "PeerError"]
+__all__ = ["MODEL", "MotionInterrupted", "PeerError", "PlainBus", "PlainHwMotor", "PlainMotor"]
