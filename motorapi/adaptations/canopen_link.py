@@ -76,7 +76,7 @@ class CanopenLink:
     def __init__(self, bus: "can.BusABC", runtime: Runtime) -> None:
         self.bus = bus
         self.runtime = runtime
-        self.name = bus_name(bus)
+        self.name = bus_label(bus)
         self.confirms = False
         self.sync_id = SYNC_ID
         self.latching: set[int] = set()
@@ -333,7 +333,7 @@ def _all_sent(transmissions: Sequence[Transmission]) -> bool:
     return all(one.time_ns is not None for one in transmissions)
 
 
-def bus_name(bus: "can.BusABC") -> str:
+def bus_label(bus: "can.BusABC") -> str:
     """What messages call a bus: its channel, where python-can knows it."""
     channel = getattr(bus, "channel", None)
     return str(channel) if channel is not None else str(bus.channel_info)

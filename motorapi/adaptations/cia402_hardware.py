@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Final, final
 from motorapi.adaptations.canopen_link import (
     CanopenLink,
     Transmission,
-    bus_name,
+    bus_label,
     open_link,
     release_link,
 )
@@ -94,7 +94,7 @@ class Cia402HwMotor:
         self.node_id: Final = node_id
         self.options: Final = options if options is not None else HwOptions()
         self.runtime: Final = runtime
-        self.label: Final = f"{bus_name(bus)} node {node_id}"
+        self.label: Final = f"{bus_label(bus)} node {node_id}"
         if self.options.heartbeat_ms and node_id == self.options.host_node_id:
             raise self._is_the_hosts()
         self._facts: DriveFacts | None = None

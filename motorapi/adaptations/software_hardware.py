@@ -9,7 +9,7 @@ from collections.abc import Callable
 from contextlib import suppress
 from typing import TYPE_CHECKING, Final, final
 
-from motorapi.adaptations.canopen_link import Transmission, bus_name
+from motorapi.adaptations.canopen_link import Transmission, bus_label
 from motorapi.adaptations.cia402_objects import Value
 from motorapi.adaptations.drive_objects import DriveObjects
 from motorapi.adaptations.raw_frames import FrameInbox, raw_frame
@@ -94,7 +94,7 @@ class AmplifierHwMotor:
         self.options: Final = IoOptions() if options is None else options
         self.channel: Final = channel
         self.current_per_volt_a_v: Final = float(current_per_volt_a_v)
-        self.label: Final = f"{bus_name(bus)} node {node_id} channel {channel}"
+        self.label: Final = f"{bus_label(bus)} node {node_id} channel {channel}"
         self._key = (*bus_key(bus), node_id, "channel", channel)
         lock = node_locks(bus, self.runtime, node_id, self.label)[0]
         if lock is not None:  # of this motor; the node's own is `io.lock`
