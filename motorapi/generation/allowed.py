@@ -5,6 +5,7 @@ from math import inf
 from typing import Final, final
 
 from motorapi.commands import ControlVariable, DerivativeLimits, Range
+from motorapi.errors import UsageError
 from motorapi.generation.limits import ProfileLimits
 from motorapi.limits import slack, value_range
 from motorapi.model import MotorModel
@@ -60,9 +61,16 @@ class Allowed:
             own: tighter limits.
             sizes: for a motion of velocity: where it begins and ends, for whether it speeds up or
                 slows down decides which limit of the model holds; None: the tighter one.
+
+        Raises:
+            UsageError: `against` or `variable` is none.
         """
+        if not isinstance(variable, ControlVariable):
+            raise UsageError(f"variable is {variable!r}; give a ControlVariable")
         if isinstance(against, MotorModel):
             made = cls._by_model(against, variable, sizes)
+        elif not isinstance(against, DerivativeLimits):
+            raise UsageError(f"{against!r} limits nothing; give a MotorModel or DerivativeLimits")
         else:
             made = cls("limits", _PLAIN, ("",) * 4, _ALL, _ALL, _ALL, _ALL, _ALL)
             made = made.tightened(against)

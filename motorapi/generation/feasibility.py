@@ -6,7 +6,7 @@ from math import inf, nextafter
 from typing import TYPE_CHECKING, Final, final
 
 from motorapi.commands import ControlVariable, DerivativeLimits, Range
-from motorapi.errors import LimitError, UsageError
+from motorapi.errors import LimitError, UnsupportedError, UsageError
 from motorapi.generation.allowed import Allowed
 from motorapi.generation.closed_form import trapezoid
 from motorapi.generation.durations import possible_durations
@@ -110,7 +110,8 @@ def feasible(
         interval: of a function: from when to when; None: all of its domain.
 
     Raises:
-        UsageError: the function is not bounded in its arguments.
+        UnsupportedError: of a simple trajectory: as for `motorapi.generation.generate`.
+        UsageError: the function is not bounded in its arguments, or it is no motion.
     """
     if isinstance(motion, TrapezoidalTrajectory):
         return Feasibility(tuple(attempt(motion, against, variable, start)[1]))
@@ -123,6 +124,8 @@ def feasible(
         if motion.relative:
             offset = start - motion.function.value(interval[0])
         motion = motion.function
+    if not isinstance(getattr(motion, "domain", None), tuple):
+        raise UsageError(f"{motion!r} is no trajectory, no Profile and no function of the API")
     low, high = motion.domain if interval is None else interval
     if not (-inf < low < high < inf):
         raise UsageError(f"{motion!r} has no finite beginning and end: give interval=")
@@ -136,7 +139,12 @@ def attempt(
     variable: ControlVariable,
     start: float,
 ) -> tuple[Profile | None, list[Violation]]:
-    """The profile of a trajectory, if there is one, and all limits that it exceeds."""
+    """The profile of a trajectory, if there is one, and all limits that it exceeds.
+
+    Raises:
+        UnsupportedError: no trapezoid can be what is asked for.
+    """
+    _require_trapezoid(trajectory, against)
     initial = start if trajectory.initial is None else trajectory.initial
     final_ = start + trajectory.final if trajectory.is_relative else trajectory.final
     begin, end = trajectory.initial_velocity, trajectory.final_velocity
@@ -170,6 +178,23 @@ def attempt(
         initial_argument=first_s,
     )
     return profile, list(_of_profile(profile, allowed))
+
+
+def _require_trapezoid(
+    trajectory: TrapezoidalTrajectory, against: MotorModel | DerivativeLimits
+) -> None:
+    """What a trapezoid does not keep to, or cannot begin or end with, is not asked for."""
+    feature = ""
+    if trajectory.limits is not None and trajectory.limits.third is not None:
+        feature = "a trapezoidal profile with a limit of the third derivative"
+    if any((*trajectory.initial_derivatives[1:], *trajectory.final_derivatives[1:])):
+        feature = "a trapezoidal profile that begins or ends with a second derivative"
+    if feature:
+        raise UnsupportedError(
+            motor=against.name if isinstance(against, MotorModel) else "a trapezoid",
+            feature=feature,
+            supported="that with a limited jerk: motorapi.generation.jerk_limited",
+        )
 
 
 def _duration(asked: float, ranges: tuple[Range, ...]) -> tuple[float, Violation | None]:

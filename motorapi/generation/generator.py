@@ -1,7 +1,7 @@
 """From what a trajectory asks for, and what a motor can do, to the motion itself."""
 
 from motorapi.commands import ControlVariable
-from motorapi.errors import UnsupportedError
+from motorapi.errors import UsageError
 from motorapi.generation.feasibility import attempt
 from motorapi.generation.profile import Profile
 from motorapi.model import MotorModel
@@ -30,21 +30,14 @@ def generate(
         LimitError: there is no such motion within the limits; says which, when and by how much.
         UnsupportedError: it asks for a limit of the third derivative, or begins or ends with a
             second one.
-        UsageError: nothing limits how fast it is.
+        UsageError: nothing limits how fast it is, or an argument is of another type.
     """
-    if trajectory.limits is not None and trajectory.limits.third is not None:
-        _refuse(model, "a trapezoidal profile with a limit of the third derivative")
-    if any((*trajectory.initial_derivatives[1:], *trajectory.final_derivatives[1:])):
-        _refuse(model, "a trapezoidal profile that begins or ends with a second derivative")
+    if not isinstance(trajectory, TrapezoidalTrajectory) or not isinstance(model, MotorModel):
+        raise UsageError(
+            f"generate({trajectory!r}, {model!r}): give a TrapezoidalTrajectory and a MotorModel;"
+            " a ComplexTrajectory is generated already"
+        )
     profile, violations = attempt(trajectory, model, variable, start)
     if profile is not None and not violations:
         return profile
     raise violations[0].as_error(model.name)
-
-
-def _refuse(model: MotorModel, feature: str) -> None:
-    raise UnsupportedError(
-        motor=model.name,
-        feature=feature,
-        supported="that with a limited jerk: motorapi.generation.jerk_limited",
-    )

@@ -132,6 +132,8 @@ def task_of(
     final_derivatives: Sequence[float],
 ) -> SmoothTask:
     """The states and limits, checked."""
+    if not isinstance(limits, ProfileLimits):
+        raise UsageError(f"limits is {limits!r}; give ProfileLimits(velocity, acceleration)")
     forward, backward = limits.forward, limits.backward
     acceleration = (max(forward[0], backward[0]), min(forward[1], backward[1]))
     begin = (initial, *_two(initial_derivatives))

@@ -33,7 +33,7 @@ def through_waypoints(
         times: as many, ascending [s]; None: as short as `limits` allow. Those are held to rounding,
             and one is reached; that no other division of the time among the pieces is shorter, is
             not proved.
-        limits: of first, second and third derivative, where there are no times.
+        limits: of first, second and third derivative, where there are no times; others are refused.
         first: first derivatives at the way-points [U/s], None where one is free; left out, they
             are 0 at both ends and free in between.
         second: likewise second ones [U/s²], for degree 5.

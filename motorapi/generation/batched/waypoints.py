@@ -43,6 +43,14 @@ def through_waypoints(
         raise UsageError("second derivatives are given to pieces of degree 5 only")
     slopes = _derivatives("first", first, points)
     bends = _derivatives("second", second, points) if degree == QUINTIC else None
+    if not isinstance(limits, DerivativeLimits | None):
+        raise UsageError(f"limits of way-points are DerivativeLimits, not {limits!r}")
+    if limits is not None and (times is not None or limits.value is not None):
+        what = "their value" if times is None else "way-points with times"
+        raise UsageError(
+            f"limits of {what} are not kept to: hold the function against them, by"
+            " motorapi.generation.feasible"
+        )
     if times is None:
         if limits is None:
             raise UsageError("way-points need times, or limits that tell how soon they can be")
