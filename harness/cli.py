@@ -39,7 +39,11 @@ _VERBS: Final = (
     _Verb("check", "say what is wrong in a rig file, or what it holds", "harness.verbs.check"),
     _Verb("run", "run a script, or a prompt, with a rig around it", "harness.verbs.run", True),
     _Verb("serve", "run a rig in real time for other processes", "harness.serving", True),
-    _Verb("list", "list controllers, adaptations or examples", "harness.verbs.list"),
+    _Verb(
+        "list",
+        "list controllers, adaptations, examples, motors",
+        "harness.verbs.list",
+    ),
 )
 
 

@@ -1,17 +1,19 @@
-"""`motorhil list WHAT`: what is installed, or shipped, and where it is."""
+"""`motorhil list WHAT`: what is installed, or shipped, and where it is; whose a motor is now."""
 
 import argparse
 import json
 from importlib.util import find_spec
 from pathlib import Path
+from typing import Any
 
 from harness.exit_status import PASSED
 from harness.plugins import ADAPTATIONS, CONTROLLERS, installed
+from motorapi.lock_view import Occupant, list_locks
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """What `list` can be told."""
-    parser.add_argument("what", choices=("controllers", "adaptations", "examples"))
+    parser.add_argument("what", choices=("controllers", "adaptations", "examples", "motors"))
     parser.add_argument("--json", action="store_true", help="answer for a machine")
 
 
@@ -21,14 +23,55 @@ def run(options: argparse.Namespace) -> int:
         "controllers": lambda: _plugins(CONTROLLERS),
         "adaptations": lambda: _plugins(ADAPTATIONS),
         "examples": _examples,
+        "motors": _motors,
     }[options.what]()
     if options.json:
         print(json.dumps(listing))
+        return PASSED
+    if options.what == "motors":
+        _show_motors(listing)
         return PASSED
     for entry in listing:
         name, *facts = entry.values()
         print(f"{name:<16} " + "  ".join(facts))
     return PASSED
+
+
+def _motors() -> list[dict[str, Any]]:
+    """The motors that processes of this host share, or have shared: who has each, who waits."""
+    listing = []
+    for view in list_locks():
+        if view.holder is None and view.name.endswith("-sdo"):
+            continue  # had for a moment only, unless somebody is paused in it
+        entry: dict[str, Any] = {"name": view.label, "lock": view.name}
+        entry["holder"] = None if view.holder is None else _told(view.holder)
+        entry["waiters"] = [_told(one) for _, one in view.waiters]
+        entry["abandoned"] = bool(view.abandoned)
+        listing.append(entry)
+    return sorted(listing, key=lambda entry: str(entry["name"]))
+
+
+def _told(one: Occupant) -> dict[str, Any]:
+    record = one.record
+    if record is None:
+        return {"text": str(one)}
+    return {
+        "text": f"{one}, since {one.since}",
+        "pid": record.pid,
+        "program": record.program,
+        "purpose": record.purpose,
+        "since_s": one.age_s,
+        "paused": one.is_paused,
+    }
+
+
+def _show_motors(listing: list[dict[str, Any]]) -> None:
+    for entry in listing:
+        holder = entry["holder"]
+        left = "free; whoever had it last died with it" if entry["abandoned"] else "free"
+        print(f"{entry['name']:<24} {left if holder is None else holder['text']}")
+        for place, waiter in enumerate(entry["waiters"], 1):
+            print(f"{'':<24} waits ({place}): {waiter['text']}")
 
 
 def _plugins(group: str) -> list[dict[str, str]]:

@@ -1,11 +1,13 @@
 """The wall's runtime on real SocketCAN: the kernel says which frames were ours."""
 
+import socket
 import struct
 
 import can
 import pytest
 
 from motorapi import LinkError, WallRuntime
+from motorapi.lock_names import bus_name
 
 LATE_S = 20.0
 SOL_CAN_RAW, CAN_RAW_RECV_OWN_MSGS = 101, 4  # include/uapi/linux/can/raw.h
@@ -76,6 +78,15 @@ def test_times_are_the_kernels_and_never_in_the_future(runtime, bus):
     time_ns, told_ns = times_ns[0]
     # Two clocks are read one after the other: a millisecond covers that.
     assert sent_ns - 1_000_000 <= time_ns <= told_ns
+
+
+def test_an_interface_is_one_bus_for_locks_whatever_object_is_on_it_and_whatever_its_name(bus):
+    index = socket.if_nametoindex("vcan0")
+    with can.Bus(interface="socketcan", channel="vcan0") as other:
+        assert bus_name(bus) == bus_name(other)
+    assert bus_name(bus).startswith(f"can-if{index}-net")
+    with can.Bus(interface="socketcan", channel="vcan1") as second:
+        assert bus_name(second) != bus_name(bus)
 
 
 def test_the_users_socket_is_left_as_it_was(bus):
