@@ -109,6 +109,20 @@ class Hold:
         with self._counting:
             self._depth += 1
 
+    def keep_for(self, runtime: Runtime, time_s: float) -> None:
+        """It is kept for so long [s] after now, whoever releases it meanwhile."""
+        self.again()
+
+        def over() -> None:
+            timer.cancel()
+            self.release()
+
+        try:
+            timer = runtime.every(max(time_s, 1e-6), over)
+        except BaseException:
+            self.release()
+            raise
+
     def release(self) -> None:
         """It was taken once less; after the last time the next one has it. More do nothing."""
         with self._counting:

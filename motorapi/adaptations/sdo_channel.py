@@ -263,7 +263,7 @@ class SdoChannel:
             except SdoAbortedError as error:
                 raise client.aborted(self._node_id, error.code) from error
             except SdoCommunicationError as error:
-                client.quarantine(bound_ns)
+                self._quarantine(bound_ns)
                 index, subindex = client.place()
                 if isinstance(error, _NoAnswer):
                     raise self._no_answer(index, subindex) from error
@@ -317,6 +317,14 @@ class SdoChannel:
         if self.before_writing is not None:
             self.before_writing()
 
+    def _quarantine(self, until_ns: int) -> None:
+        """An answer may still come until then; nor does another process ask anything."""
+        self._client.quarantine(until_ns)
+        hold = None if self.process_lock is None else self.process_lock.hold
+        if hold is not None:
+            runtime = self._link.runtime
+            hold.keep_for(runtime, (until_ns - runtime.now_ns()) / 1e9)
+
     def _take(self, lock: ProcessLock) -> Hold:
         return lock.acquire(self._link.runtime, "an SDO transfer", _TURN_TIMEOUT_S, self)
 
@@ -347,17 +355,17 @@ class SdoChannel:
                     node_id=self._node_id, index=index, subindex=subindex, abort_code=error.code
                 ) from None
             except _NoAnswer:
-                client.quarantine(bound_ns)
+                self._quarantine(bound_ns)
                 raise self._no_answer(index, subindex) from None
             except SdoCommunicationError as error:
-                client.quarantine(bound_ns)
+                self._quarantine(bound_ns)
                 raise ProtocolViolation(
                     node_id=self._node_id,
                     where=_where(index, subindex),
                     problem=f"{error} ({_OTHER_CLIENTS})",
                 ) from None
             except BaseException:  # interrupted in the middle: an answer is still to come
-                client.quarantine(bound_ns)
+                self._quarantine(bound_ns)
                 raise
             finally:
                 client.end()

@@ -12,6 +12,7 @@ python -m tests.wall.shared_drive CHANNEL MODEL NAME[:STATUS_PERIOD_MS]
     gain P                          of the position loop, from the next motion on: "set"
     read INDEX SUBINDEX             "read VALUE"
     read_many COUNT                 a text, in segments: "same" if it always was
+    impatient                       a read that waits 1 us for its answer: "failed WHY"
     position                        "at POSITION"
     began                           "began at rest", or the velocity at which it was armed
     downloads                       "wrote COUNT": how often this process has written an object
@@ -99,6 +100,13 @@ class Program:
             case "read_many":
                 texts = {hardware.upload(0x1008) for _ in range(int(rest[0]))}
                 return "same" if len(texts) == 1 else f"different: {texts}"
+            case "impatient":
+                client = hardware.node.sdo._client
+                client.timeout_s, patient_s = 1e-6, client.timeout_s
+                try:
+                    return f"read {hardware.upload(0x1018, 1).hex()}"
+                finally:
+                    client.timeout_s = patient_s
             case "position":
                 return f"at {motor.position():.3f}"
             case "began":
