@@ -15,8 +15,8 @@ while falling (either may differ between forward, v > 0, and backward motion):
 
 Each is shortest for its limits: at every moment no admissible motion has got further. Nothing
 cancels but the excess itself; where that loses digits it is computed exactly, in fractions. A
-direct ramp stays one although its numbers are rounded: an excess within rounding of the way does
-not make a motion turn round.
+direct ramp stays one although its numbers are rounded: an excess within rounding of the way and of
+what braking takes does not make a motion turn round.
 
 The extent is as small as possible too. Any motion with these accelerations overshoots by what
 braking from its initial velocity takes, and by what reaching its final velocity takes; this one
@@ -131,9 +131,11 @@ def task_of(
         excess = way - direct
         if abs(excess) * _LOST < abs(direct):
             excess = _exact_excess(final, initial, initial_velocity, final_velocity, *sizes)
-            lost = _ROUNDING * (abs(direct) + abs(initial) + abs(final))
-            least, most = sorted((initial_velocity, final_velocity))
-            if abs(excess) <= lost and (least > 0.0 > excess or most < 0.0 < excess):
+        if initial_velocity * final_velocity > 0.0 > excess * final_velocity:
+            # It would turn round, and back again: not for what rounding makes of the way.
+            size = sizes[0] if final_velocity > 0.0 else sizes[1]
+            squares = initial_velocity * initial_velocity + final_velocity * final_velocity
+            if abs(excess) <= _ROUNDING * (abs(initial) + abs(final) + squares / abs(size)):
                 excess = 0.0
     if excess >= 0.0:
         return (

@@ -11,6 +11,7 @@ from motorapi.generation.limits import ProfileLimits
 
 UNBOUNDED: Final = "the limits allow no such motion, or do not bound it"
 _LOST: Final = 64.0  # as for a single one
+_ROUNDING: Final = 2.0**-50  # likewise
 
 
 @final
@@ -68,6 +69,10 @@ def tasks_of(first: int, given: list[FloatArray], bounds: list[FloatArray]) -> T
     excess = (final - initial) - direct
     for index in np.flatnonzero(np.abs(excess) * _LOST < np.abs(direct)):
         excess[index] = _exactly(given, bounds, int(index))
+    size = np.where(end > 0.0, forward, backward)
+    lost = np.abs(initial) + np.abs(final) + (begin * begin + end * end) / np.abs(size)
+    turning = (begin * end > 0.0) & (excess * end < 0.0) & (begin != end)
+    excess = np.where(turning & (np.abs(excess) <= _ROUNDING * lost), 0.0, excess)
     back = excess < 0.0
     return Tasks(
         first,

@@ -43,7 +43,9 @@ def problems(draw, decades=3.0):
     else:
         forward, backward = (-draw(size), draw(size)), (-draw(size), draw(size))
         limits = ProfileLimits.by_direction((low, high), forward, backward)
-    velocity = st.sampled_from([0.0, low, high]) | st.floats(low, high)
+    # Squares of velocities below 1e-150 are no numbers any more.
+    some = st.floats(low, high).filter(lambda number: number == 0.0 or abs(number) > 1e-60)
+    velocity = st.sampled_from([0.0, low, high]) | some
     begin, end = draw(velocity), draw(velocity)
     initial = draw(st.just(0.0) | st.floats(-10.0, 10.0))
     final = initial + draw(st.sampled_from([1.0, -1.0, 0.0])) * draw(size)
@@ -60,10 +62,10 @@ def directions_problem(random, decades):
 def nearly_direct_problem(random):
     """A way that the direct ramp nearly covers, where the least digit of the excess counts."""
     begin = -magnitude(random, 2.0)
-    end = random.choice([0.0, 0.0, 1e-6, 1.0]) * begin * random.random()
+    end = random.choice([0.0, 0.0, 1e-6, 0.9]) * begin * random.random()
     size = magnitude(random, 2.0)
     direct = Fraction(end) ** 2 / 2 / Fraction(size) - Fraction(begin) ** 2 / 2 / Fraction(size)
-    off = Fraction(random.choice([-1, 1]) * 10.0 ** -random.uniform(2.0, 14.0))
+    off = Fraction(random.choice([-1, 1]) * 10.0 ** -random.uniform(2.0, 13.0))
     limits = ProfileLimits(2.0 * abs(begin), (-magnitude(random, 2.0), size))
     states = {"initial": 0.0, "initial_velocity": begin, "final_velocity": end}
     return float(direct * (1 + off)), limits, states
