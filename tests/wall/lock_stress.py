@@ -66,6 +66,7 @@ class Verdict:
     killed: int
     paused: int
     killed_inside: int
+    turns_after_last_kill: int
     intruders: int
     overtaken: int
     tokens_repeated: int
@@ -190,7 +191,7 @@ class Arena:
         Path(self.notes).touch()
         self.pids = [self.spawn() for _ in range(plan.workers)]
         self.random = random.Random(plan.seed)
-        self.killed = self.paused = self.killed_inside = 0
+        self.killed = self.paused = self.killed_inside = self.last_kill_ns = 0
 
     def spawn(self):
         pid = os.fork()
@@ -208,14 +209,26 @@ class Arena:
     def kill_one(self):
         pid = self.random.choice(self.pids)
         if self.plan.kill_inside:
-            while (pid := PAGE.unpack_from(self.page, 0)[0]) not in self.pids:
-                wait(0.001)
+            pid = self.stop_inside()
+            self.killed_inside += 1
         self.pids.remove(pid)
         os.kill(pid, signal.SIGKILL)
         os.waitpid(pid, 0)
+        self.last_kill_ns = time.monotonic_ns()
         self.killed += 1
-        self.killed_inside += PAGE.unpack_from(self.page, 0)[0] == pid
         self.pids.append(self.spawn())
+
+    def stop_inside(self):
+        """One that is in has been stopped there."""
+        while True:
+            pid = PAGE.unpack_from(self.page, 0)[0]
+            if pid in self.pids:
+                os.kill(pid, signal.SIGSTOP)
+                os.waitpid(pid, os.WUNTRACED)
+                if PAGE.unpack_from(self.page, 0)[0] == pid:
+                    return pid
+                os.kill(pid, signal.SIGCONT)
+            wait(0.001)
 
     def pause_one(self):
         pid = self.random.choice(self.pids)
@@ -286,6 +299,7 @@ def judge(notes, arena, begun_ns, ended_ns):
         killed=arena.killed,
         paused=arena.paused,
         killed_inside=arena.killed_inside,
+        turns_after_last_kill=sum(note[3] > arena.last_kill_ns for note in notes),
         intruders=sum(note[5] for note in notes),
         overtaken=overtaken,
         tokens_repeated=len(notes) - len({note[4] for note in notes}),

