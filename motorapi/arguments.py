@@ -3,9 +3,11 @@
 Source: the paper, 3.3.1: "The argument typically is a value of time, but can be another quantity."
 """
 
+from math import isfinite
 from typing import Protocol, final
 
-from motorapi.errors import UsageError
+from motorapi.commands import as_number
+from motorapi.errors import MotorError, PluginError, UsageError
 from motorapi.model import MotorModel
 from motorapi.state import Measurement
 
@@ -27,12 +29,42 @@ class Argument(Protocol):
 
 def require_argument(motor: str, argument: object) -> None:
     """Raises UsageError if it is neither None nor an `Argument`; `motor` is named."""
-    if argument is None or callable(getattr(argument, "value", None)):
+    if argument is None:
         return
-    raise UsageError(
-        f"{motor}: argument {argument!r} is none; give an Argument, as MotorPosition(other), or"
-        " leave it out for time"
-    )
+    if (
+        isinstance(argument, type)
+        or not callable(getattr(argument, "value", None))
+        or not (hasattr(argument, "name") and hasattr(argument, "rate_max"))
+    ):
+        raise UsageError(
+            f"{motor}: argument {argument!r} is none; give an Argument, as MotorPosition(other), or"
+            " leave it out for time"
+        )
+    rate = argument.rate_max
+    if rate is not None and not as_number(rate) >= 0.0:
+        raise UsageError(
+            f"{motor}: rate_max of {argument!r} is {rate!r}; a number >= 0, or None if not known"
+        )
+
+
+def value_of(argument: Argument) -> float:
+    """What the argument is now, a finite number.
+
+    Raises:
+        MotorError: it cannot be told; PluginError of what is no number, or another error.
+    """
+    try:
+        value = argument.value()
+    except MotorError:
+        raise
+    except Exception as error:
+        what = type(argument).__qualname__
+        raise PluginError(plugin=what, where="value", problem=repr(error)) from error
+    number = as_number(value)
+    if not isfinite(number):
+        problem = f"the {argument.name} is {value!r}, not a finite number"
+        raise PluginError(plugin=type(argument).__qualname__, where="value", problem=problem)
+    return number
 
 
 class Leader(Protocol):

@@ -6,6 +6,7 @@ limit is not missed between two samples. U stands for the unit of the control va
 
 from typing import TYPE_CHECKING
 
+from motorapi.arguments import value_of
 from motorapi.commands import ControlMode, ControlVariable, Motion
 from motorapi.errors import LimitError, StateError, UsageError
 from motorapi.generation.allowed import Allowed
@@ -60,7 +61,7 @@ def plan(
     """
     low, high = trajectory.interval
     function = trajectory.function
-    begins = low if argument is None else min(max(argument.value(), low), high)
+    begins = low if argument is None else min(max(value_of(argument), low), high)
     first, last = function.value(begins), function.value(high)
     offset = reference - first if trajectory.relative else 0.0
     if trajectory.relative:

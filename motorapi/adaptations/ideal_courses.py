@@ -8,13 +8,12 @@ U stands for the motor's unit of position: rad, or m if linear.
 
 from collections.abc import Callable
 from math import inf
-from typing import TYPE_CHECKING, NamedTuple, Protocol, final
+from typing import NamedTuple, Protocol, final
 
+from motorapi.arguments import Argument, value_of
 from motorapi.commands import ControlMode, ControlVariable, Motion
 from motorapi.demand import Demand, demand_of
-
-if TYPE_CHECKING:
-    from motorapi.arguments import Argument
+from motorapi.errors import MotorError, PluginError
 
 
 class Reading(NamedTuple):
@@ -216,7 +215,7 @@ class Led:
         begun_ns: int,
         now: Reading,
         motion: Motion,
-        argument: "Argument",
+        argument: Argument,
         constant: float,
     ) -> None:
         self.begun_ns = begun_ns
@@ -226,24 +225,37 @@ class Led:
         self._demand = demand_of(motion)
         self._argument = argument
         self._constant = constant
-        self._look = (begun_ns, argument.value(), 0.0, now.position)  # when, argument, rate, place
+        self._look = (begun_ns, value_of(argument), 0.0, now.position)
         self._final: Reading | None = None
 
     def at(self, now_ns: int) -> Reading:
-        """What the demand is for what the argument is now."""
+        """What the demand is for what the argument is now; where it cannot be told, at rest."""
         if self._final is not None and self.over_ns is not None:
             position, velocity, torque = self._final
             beyond_s = (now_ns - self.over_ns) / 1e9
             return Reading(position + velocity * beyond_s, velocity, torque)
-        return self._reading(now_ns, self._argument.value())
+        try:
+            return self._reading(now_ns, value_of(self._argument))
+        except Exception:  # somebody else's; the next look tells, but the motor can be stopped
+            return Reading(self.place)
 
     def look(self, now_ns: int) -> None:
-        """The argument's rate is known, and whether it has reached its end."""
+        """The argument's rate is known, and whether it has reached its end.
+
+        Raises:
+            MotorError: what leads it, or a function of it, failed.
+        """
         if self._final is not None:
             return
         then_ns, before, _, _ = self._look
-        argument = self._argument.value()
-        self.place = self._reading(now_ns, argument).position
+        try:
+            argument = value_of(self._argument)
+            self.place = self._reading(now_ns, argument).position
+        except MotorError:
+            raise
+        except Exception as error:  # of a function that somebody else made
+            what = type(error).__name__
+            raise PluginError(plugin=what, where="a trajectory", problem=str(error)) from error
         rate = (argument - before) / (now_ns - then_ns) * 1e9
         self._look = (now_ns, argument, rate, self.place)  # at once: other threads read it
         if argument >= self._demand.final_argument:

@@ -7,13 +7,11 @@ command limits it to. All in increments of the counter, seconds and amperes.
 
 from dataclasses import dataclass
 from math import inf
-from typing import TYPE_CHECKING, Final, final
+from typing import Final, final
 
+from motorapi.arguments import Argument, value_of
 from motorapi.commands import ControlMode, ControlVariable, Motion
 from motorapi.demand import Demand, demand_of
-
-if TYPE_CHECKING:
-    from motorapi.arguments import Argument
 
 POSITION: Final = 0
 VELOCITY: Final = 1
@@ -157,18 +155,18 @@ class Tracked(Course):
 class Led(Course):
     """A trajectory over an argument that something else determines, read once a cycle."""
 
-    def __init__(self, kind: int, demand: Demand, scale: float, argument: "Argument") -> None:
-        super().__init__(kind, demand.value(argument.value()) * scale)
+    def __init__(self, kind: int, demand: Demand, scale: float, argument: Argument) -> None:
+        super().__init__(kind, demand.value(value_of(argument)) * scale)
         self._demand = demand
         self._scale = scale
         self._argument = argument
-        self._before = (0.0, argument.value())
+        self._before = (0.0, value_of(argument))
         self.is_over = False
 
     def sample(self, elapsed_s: float, ahead_s: float) -> None:
         """The demand is what the argument of this moment asks for."""
         demand = self._demand
-        now = self._argument.value()
+        now = value_of(self._argument)
         then_s, before = self._before
         passed_s = elapsed_s - then_s
         rate = (now - before) / passed_s if passed_s > 0.0 else 0.0

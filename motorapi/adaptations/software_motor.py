@@ -328,13 +328,19 @@ class SoftwareMotor(Motor):
         return axis.is_over
 
     def _stop(self) -> None:
-        self._hardware.axis.slow_down(self._hardware.servo.deceleration)
+        self._slow_down(self._hardware.servo.deceleration)
+
+    def _slow_down(self, deceleration_inc_s2: float, *, quickly: bool = False) -> None:
+        axis = self._hardware.axis
+        if axis.is_powered:
+            axis.failure = None  # of the motion before; this one can succeed
+        axis.slow_down(deceleration_inc_s2, quickly=quickly)
 
     def _quick_stop(self) -> None:
         deceleration = self._parameters.quick_stop_deceleration
         if deceleration is None:
             deceleration = self.model.deceleration
-        self._hardware.axis.slow_down(deceleration * abs(self._scale), quickly=True)
+        self._slow_down(deceleration * abs(self._scale), quickly=True)
 
     def _motion_times(self) -> MotionTimes | None:
         axis = self._hardware.axis

@@ -21,6 +21,7 @@ from math import ceil
 from typing import TYPE_CHECKING, Final, final
 
 from motorapi.adaptations.cia402_units import DriveUnits
+from motorapi.arguments import value_of
 from motorapi.commands import ControlVariable, Motion
 from motorapi.demand import demand_of
 from motorapi.errors import LimitError
@@ -159,7 +160,7 @@ class StreamedMotion:
             elapsed_s = place * self._period_s
             at = demand.initial_argument + elapsed_s
         else:
-            at = self._argument.value()
+            at = value_of(self._argument)
         end = demand.final_argument
         if self.over or at >= end - _ROUNDING * max(1.0, abs(end)):
             self.over = True

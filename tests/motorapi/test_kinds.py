@@ -4,7 +4,7 @@ Where a motor is, is asked of the plant, not of the wire: what the application r
 old. The expected profiles are written here once more, from the textbook.
 """
 
-from math import sqrt
+from math import inf, nan, sqrt
 from pathlib import Path
 
 import pytest
@@ -18,6 +18,7 @@ from motorapi import (
     Motor,
     MotorGroup,
     MotorPosition,
+    PluginError,
     StateError,
     TrapezoidalTrajectory,
     UnsupportedError,
@@ -195,6 +196,51 @@ def test_a_motor_led_by_another_is_where_the_function_of_its_position_says(kind,
     assert worst <= 0.5 * peak * kind.heard_s + 2 * kind.following
     left.wait_until_done(5)
     assert abs(true_position(rig, "left") + 0.5) <= kind.window + kind.following
+
+
+class Told:
+    """An argument that is whatever was told last; raises it, if it is an error."""
+
+    name = "level"
+    rate_max = None
+
+    def __init__(self, level):
+        self.level = level
+
+    def value(self):
+        if isinstance(self.level, Exception):
+            raise self.level
+        return self.level
+
+
+@pytest.mark.parametrize("bad", [nan, inf, "1", None, ZeroDivisionError("broken")])
+def test_an_argument_that_is_no_number_ends_the_motion_and_the_motor_can_be_stopped(kind, rig, bad):
+    left = rig.motors["left"]
+    left.enable()
+    left.set_control_mode(TRAJECTORY)
+    level = Told(bad)
+    left.set_trajectory(ComplexTrajectory(Polynomial((0.0, 1.0)).restricted(0.0, 1.0)), level)
+    with pytest.raises(PluginError, match="Told: value: "):
+        left.start()
+    level.level = 0.0
+    left.start()
+    rig.runtime.run_for(0.1)
+    level.level = bad
+    left.stop()  # at once, before anything has looked
+    left.wait_until_done(1)
+    level.level = 0.0
+    left.start()
+    level.level = bad
+    rig.runtime.run_for(0.1)
+    with pytest.raises(PluginError, match="Told: value: "):
+        left.wait_until_done(1)
+    left.stop()
+    left.wait_until_done(1)
+    assert abs(left.position()) <= kind.window
+    left.set_trajectory(TrapezoidalTrajectory(0.1))
+    left.start()
+    left.wait_until_done(2)
+    assert abs(true_position(rig, "left") - 0.1) <= 2 * kind.window
 
 
 def test_a_position_that_would_lead_itself_is_refused_before_anything_moves(kind, rig):

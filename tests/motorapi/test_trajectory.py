@@ -21,6 +21,7 @@ from motorapi import (
     UsageError,
     planning,
 )
+from motorapi.arguments import require_argument
 from motorapi.commands import Setpoint
 from motorapi.demand import demand_of
 from motorapi.functions import Piecewise, Polynomial
@@ -168,6 +169,17 @@ def test_over_another_motors_position_its_speed_counts():
     Leading.heard = None
     with pytest.raises(UsageError, match="has not been heard"):
         argument.value()
+
+
+@pytest.mark.parametrize("wrong", [nan, -1.0, "fast"])
+def test_an_argument_says_how_fast_it_changes_in_a_number(wrong):
+    argument = Leading()
+    argument.value, argument.rate_max = float, wrong
+    with pytest.raises(UsageError, match=r"^left: rate_max of .*; a number >= 0, or None"):
+        require_argument("left", argument)
+    for argument in (MotorPosition, object(), Leading()):
+        with pytest.raises(UsageError, match=r"^left: argument .* is none; give an Argument"):
+            require_argument("left", argument)
 
 
 def planned(trajectory, variable=P, reference=0.0):
