@@ -17,7 +17,7 @@ UNSET: Final = -1  # in place of a time: none
 class Alarm:
     """One re-settable deadline; its action is called with the time once, when it is due.
 
-    `action`, `time_ns` and `turn` belong to this module.
+    `time_ns`, when it will ring, is for all to read; it, `action` and `turn` are this module's.
     """
 
     def __init__(self, queue: "EventQueue", action: Action) -> None:

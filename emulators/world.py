@@ -80,7 +80,9 @@ class ControllerSlot(Endpoint):
             self._revision = revision
             self._segment.forget_routes()
         deadline_ns = controller.next_deadline_ns()
-        self._alarm.move(UNSET if deadline_ns is None else deadline_ns)
+        due_ns = UNSET if deadline_ns is None else deadline_ns
+        if due_ns != self._alarm.time_ns:
+            self._alarm.move(due_ns)
         if not self.touched:
             self.touched = True
             self._world.touch(self)
@@ -164,7 +166,9 @@ class BusSegment:
     def submit(self, port: int, frame: bytes, now_ns: int) -> None:
         """The frame is queued, and the bus knows when it is next wanted."""
         self.bus.submit(port, frame, now_ns)
-        self._alarm.move(self.bus.deadline_ns())
+        due_ns = self.bus.deadline_ns()
+        if due_ns != self._alarm.time_ns:
+            self._alarm.move(due_ns)
 
     def inject(self, rule: FaultRule) -> None:
         """The rule holds from now on."""
@@ -232,7 +236,9 @@ class BusSegment:
         if self._has_rules:
             self._settle(now_ns)
         else:
-            self._alarm.move(bus.deadline_ns())
+            due_ns = bus.deadline_ns()
+            if due_ns != self._alarm.time_ns:
+                self._alarm.move(due_ns)
 
 
 def _port_of(endpoint: Endpoint) -> int:
