@@ -7,9 +7,9 @@ from math import isfinite
 from typing import Protocol, final
 
 from motorapi.commands import as_number
-from motorapi.errors import MotorError, PluginError, UsageError
+from motorapi.errors import LinkError, MotorError, PluginError, UsageError
 from motorapi.model import MotorModel
-from motorapi.state import Measurement
+from motorapi.state import Measurement, MotorState
 
 
 class Argument(Protocol):
@@ -115,9 +115,12 @@ class MotorPosition:
         """The last position heard.
 
         Raises:
+            LinkError: the motor is not heard any more: what was is where it is not.
             UsageError: none was heard yet.
         """
         latest = self._motor.latest()
+        if latest is not None and latest.state is MotorState.OFFLINE:
+            raise LinkError(link=self._motor.name, reason=f"the {self._name} is not heard any more")
         if latest is None or latest.position is None:
             raise UsageError(
                 f"the {self._name} is not known: it has not been heard yet; ask for it once"

@@ -13,6 +13,7 @@ from motorapi import (
     ControlVariable,
     DerivativeLimits,
     LimitError,
+    LinkError,
     MotorModel,
     MotorPosition,
     StateError,
@@ -165,9 +166,16 @@ def test_over_another_motors_position_its_speed_counts():
         check(ComplexTrajectory(gear * 1.1), argument=argument)
     with pytest.raises(UnsupportedError, match="over the position of leader"):
         check(TrapezoidalTrajectory(1.0), argument=argument)
-    argument = MotorPosition(Leading())
-    Leading.heard = None
+
+
+def test_the_position_of_a_motor_that_is_not_heard_leads_nobody():
+    leader = Leading()
+    argument = MotorPosition(leader)
+    leader.heard = None
     with pytest.raises(UsageError, match="has not been heard"):
+        argument.value()
+    leader.heard = Measurement(0, MotorState.OFFLINE, 0.5)
+    with pytest.raises(LinkError, match=r"^leader: the position of leader is not heard any more"):
         argument.value()
 
 
