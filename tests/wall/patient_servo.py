@@ -1,8 +1,9 @@
 """Central servo on the wall clock, as a user's program, and what becomes of it when it is killed.
 
-With "victim" as its argument it turns a motor until it is killed. Without, it starts such a victim,
+With "victim" as its argument it holds a motor until it is killed. Without, it starts such a victim,
 finds the node taken, kills it, sees the node switch its amplifier off, and moves the motor itself.
-It is slow on purpose (50 cycles a second), and allows misses: the machine may be busy.
+Then it lets go of it, for the next one. It is slow on purpose (50 cycles a second), and allows
+misses: the machine may be busy.
 """
 
 import signal
@@ -13,7 +14,6 @@ import can
 
 from motorapi import (
     ControlMode,
-    ControlVariable,
     MotorBusyError,
     MotorModel,
     TrapezoidalTrajectory,
@@ -45,10 +45,8 @@ MODEL = MotorModel(
 
 
 def as_victim(motor: SoftwareMotor) -> None:
-    motor.set_control_mode(ControlMode.SETPOINT, ControlVariable.VELOCITY)
-    motor.set_setpoint(0.5)
-    motor.start()
-    print("turning", flush=True)
+    motor.enable()
+    print("holding", flush=True)
     motor.runtime.wait_until(lambda: False, 120.0)
 
 
@@ -74,12 +72,19 @@ def as_heir(motor: SoftwareMotor) -> None:
     begin = motor.position()
     motor.start()
     motor.wait_until_done(timeout_s=60)
-    print(f"{motor.position() - begin:.2f}")
+    print(f"{motor.position() - begin:.2f}", flush=True)
+    motor.disable()
+    subprocess.run([sys.executable, __file__, "next"], check=True)
+
+
+def as_next(motor: SoftwareMotor) -> None:
+    motor.enable()
+    print("next", flush=True)
     motor.disable()
 
 
 with can.Bus() as bus:
     amplifier = AmplifierHwMotor(bus, node_id=1, current_per_volt_a_v=0.8, options=PATIENT)
     servo = SoftwareMotor(amplifier, MODEL, GAINS, parameters=COARSE)
-    as_victim(servo) if sys.argv[1:] == ["victim"] else as_heir(servo)
+    {"victim": as_victim, "next": as_next}.get(sys.argv[-1], as_heir)(servo)
     amplifier.close()

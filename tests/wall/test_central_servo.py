@@ -27,8 +27,9 @@ def test_a_killed_servo_is_missed_by_its_node_and_another_process_takes_over(tmp
     done = motorhil("serve", str(rig), "--", sys.executable, SCRIPT)
     assert (done.stderr, done.returncode) == ("", 0)
     assert done.stdout.split("\n")[:-1] == [
-        "turning",
+        "holding",
         "taken by the victim",
         "missed 0 inputs",  # neither ready nor fault: switched off
         "0.50",
+        "next",
     ]
