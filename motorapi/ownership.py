@@ -16,7 +16,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, Final, Protocol, final
 
-from motorapi.errors import MotorBusyError
+from motorapi.errors import MotorBusyError, MotorError
 from motorapi.outcome import LOOK_PERIOD_S
 from motorapi.process_lock import Hold, ProcessLock
 from motorapi.runtime import wait_until
@@ -254,11 +254,13 @@ class Ownership:
             news: tell when to ask that.
             counts: whether they tell of everything.
         """
-        if self.lock is None or (self._keeper is not None and self._keeper.owner is owner):
+        if self.lock is None or not goes_on():
             return
+        if self._keeper is not None and self._keeper.owner is owner:
+            return  # it looks at whatever goes on
         try:
             self.take(owner, f"a motion of {owner.name}")
-        except MotorBusyError:  # it was stopped without being owned, and that is allowed
+        except MotorError:  # it was stopped without being owned, and nothing must forbid that
             return
         self._keeper = _Keeper(self, owner, goes_on, news)
         self._keeper.begin(counts)
@@ -312,6 +314,7 @@ class _Keeper:
         self._listeners.append(self.look)
         if not counts:
             self._timer = self.owner.runtime.every(LOOK_PERIOD_S, self.look)
+        self.look()
 
     def look(self) -> None:
         """The motor is given away if nothing goes on any more."""

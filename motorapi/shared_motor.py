@@ -119,7 +119,10 @@ class SharedMotor(ReadableMotor):
             self._call(self._connect)
             if self._physical.ownership.is_orphan:
                 self._adopt()
-            yield
+            try:
+                yield
+            finally:
+                self._keep()
 
     @final
     def _adopt(self) -> None:
@@ -239,7 +242,6 @@ class SharedMotor(ReadableMotor):
         run = Run(name, self, self.runtime.now_ns(), motion)
         self._physical.begin(run, self._status())
         self._run = run
-        self._keep()
         return run
 
     @final

@@ -5,6 +5,7 @@ python -m tests.wall.shared_drive CHANNEL MODEL NAME[:STATUS_PERIOD_MS]
     move DISTANCE [TIMEOUT_S]       "started", or "busy WHY"
     run VELOCITY                    the same, without an end
     wait                            "done", or "failed WHY"
+    home                            "begun"
     stop                            "stopped"
     reserve PURPOSE [TIMEOUT_S]     "reserved", or "busy WHY"
     release                         "released"
@@ -79,6 +80,9 @@ class Program:
             case "wait":
                 motor.wait_until_done(60.0)
                 return "done"
+            case "home":
+                motor.home(wait=False)
+                return "begun"
             case "stop":
                 motor.stop()
                 return "stopped"

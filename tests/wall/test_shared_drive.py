@@ -96,6 +96,16 @@ def test_who_has_a_motion_going_on_keeps_others_out_until_it_is_over(programs, v
     assert drive.ask("position") == "at 2.000"
 
 
+def test_homing_that_nobody_waits_for_is_let_go_when_it_is_over(programs, views):
+    mast, drive = programs("mast", "drive")
+    assert mast.ask("move 0.2") == "started"
+    assert mast.ask("wait") == "done"
+    assert mast.ask("home") == "begun"
+    wait_for(lambda: views()[0].holder is None)
+    assert drive.ask("position") == "at 0.000"
+    assert drive.ask("move 0.1") == "started"
+
+
 def test_a_motion_that_nobody_waits_for_is_let_go_when_it_is_over(programs, views):
     mast = programs("mast")
     assert mast.ask("move 0.2") == "started"
