@@ -11,14 +11,15 @@ Algorithm 2 of the paper runs nearly word for word::
 
 # ruff: noqa: SLF001 -- a group works the hooks of its members, as Motor does its own
 
-from collections.abc import Callable
-from contextlib import ExitStack
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager
 
 from motorapi import planning
+from motorapi.commands import as_number
 from motorapi.device import DeviceGroup
 from motorapi.errors import MotorError, UsageError
 from motorapi.execution import Started, plan, start_together
-from motorapi.motion_waits import wait_for_all
+from motorapi.motion_waits import check_timeout, wait_for_all
 from motorapi.motor import Motor
 from motorapi.outcome import callback_failed
 from motorapi.synchronization import (
@@ -86,6 +87,28 @@ class MotorGroup(DeviceGroup[Motor]):
             MotorError: as `Motor.start`; a note on the error says whose it is.
         """
         self._started = start_together(self._members(), timeout_s)
+
+    @contextmanager
+    def reserve(self, purpose: str = "", *, timeout_s: float | None = None) -> Iterator[None]:
+        """`with group.reserve("survey"):` all motors are these over several motions, or none is.
+
+        They are taken one after another in one order for all programs, so that groups that share
+        motors wait for each other, and never both. See `Motor.reserve`.
+
+        Raises:
+            MotorBusyError: somebody else holds one of them.
+        """
+        check_timeout(timeout_s)
+        members = sorted(self._members(), key=lambda motor: motor._physical.order)
+        asked_ns = members[0].runtime.now_ns()
+        with ExitStack() as held:
+            for motor in members:
+                left_s: float | None = None
+                if timeout_s is not None:
+                    waited_s = (motor.runtime.now_ns() - asked_ns) / 1e9
+                    left_s = max(0.0, as_number(timeout_s) - waited_s)
+                held.enter_context(motor.reserve(purpose, timeout_s=left_s))
+            yield
 
     def wait_until_done(self, timeout_s: float | None = None) -> None:
         """What was commanded last is over in every motor. If one fails, the others are stopped.

@@ -229,6 +229,29 @@ def test_groups_that_wait_for_shared_motors_in_opposite_orders_all_have_their_tu
     assert [hw.position() for hw in hardware] == pytest.approx([0.4] * 3)  # sums of 0.01
 
 
+def test_a_group_reserves_all_its_motors_or_none(runtime):
+    bus = PlainBus()
+    hardware = [PlainHwMotor(runtime, node, bus) for node in (1, 2)]
+    group = MotorGroup(*(PlainMotor(one, name=f"g{one.node}") for one in hardware))
+    group.for_each(Motor.set_control_mode, ControlMode.TRAJECTORY)
+    group.set_trajectory(*[TrapezoidalTrajectory(0.01)] * 2)
+    first, second = (PlainMotor(one, name=f"m{one.node}") for one in hardware)
+    with group.reserve("survey"):
+        for motor in (first, second):
+            with pytest.raises(MotorBusyError, match=r"reserve\(\) of g\d for survey"):
+                motor.enable()
+        for _ in range(2):
+            group.start()
+            group.wait_until_done()
+    with second.reserve("lunch"):
+        for timeout_s in (None, 0.1):
+            with pytest.raises(MotorBusyError, match="lunch"), group.reserve(timeout_s=timeout_s):
+                pass
+        first.enable()
+    assert runtime.now_ns() >= 100 * MS
+    second.enable()
+
+
 def test_a_group_that_cannot_have_all_has_none(runtime):
     bus = PlainBus()
     hardware = [PlainHwMotor(runtime, node, bus) for node in (1, 2)]
