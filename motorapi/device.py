@@ -98,7 +98,12 @@ class DeviceGroup(Generic[D]):
         Returns:
             What each call returned, in the group's order. The first error ends it; a note on the
             error says which member it was.
+
+        Raises:
+            UsageError: `method` cannot be called.
         """
+        if not callable(method):
+            raise UsageError(f"for_each({method!r}): give a method, as Motor.enable")
         results: list[R] = []
         for place, device in enumerate(self._devices):
             try:

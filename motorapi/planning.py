@@ -260,6 +260,16 @@ def _in_time(
     motor: str, motion: Motion, trajectory: TrapezoidalTrajectory, distance: float, unit: str
 ) -> Motion:
     """The motion with its duration: the shortest, or the one asked for."""
+    try:
+        return _timed(motor, motion, trajectory, distance, unit)
+    except ArithmeticError as error:
+        what = f"{motor}: {trajectory!r} cannot be reckoned"
+        raise UsageError(f"{what}: a number of it is too large or too small") from error
+
+
+def _timed(
+    motor: str, motion: Motion, trajectory: TrapezoidalTrajectory, distance: float, unit: str
+) -> Motion:
     asked_s = trajectory.duration_s
     if smooth_planning.asks_for_smoothness(motion.variable, trajectory):
         motion = smooth_planning.smoothed(motor, motion, trajectory)

@@ -8,12 +8,15 @@ U stands for the motor's unit of position: rad, or m if linear.
 
 from collections.abc import Callable
 from math import inf
-from typing import NamedTuple, Protocol, final
+from typing import Final, NamedTuple, Protocol, final
 
 from motorapi.arguments import Argument, value_of
 from motorapi.commands import ControlMode, ControlVariable, Motion
 from motorapi.demand import Demand, demand_of
 from motorapi.errors import MotorError, PluginError
+
+_LONGEST_S: Final = 9.2e9
+"""Three centuries: what takes longer, if for ever, is not told when it is over."""
 
 
 class Reading(NamedTuple):
@@ -50,7 +53,7 @@ class _Law:
     def __init__(self, begun_ns: int, duration_s: float, place: float) -> None:
         self.begun_ns = begun_ns
         self.place = place
-        self.over_ns: int | None = begun_ns + round(duration_s * 1e9)
+        self.over_ns: int | None = begun_ns + round(min(duration_s, _LONGEST_S) * 1e9)
 
     def look(self, now_ns: int) -> None:
         """Nothing changes by being looked at."""

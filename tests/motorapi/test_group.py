@@ -24,6 +24,11 @@ def hooks(motor):
     return [entry[0] for entry in motor.hw.log]
 
 
+def test_what_is_done_for_each_is_called(pair):
+    with pytest.raises(UsageError, match=r"^for_each\('enable'\): give a method, as Motor.enable"):
+        MotorGroup(*pair).for_each("enable")
+
+
 def test_algorithm_2_begins_and_ends_together(pair):
     motor1, motor2 = pair
     group = MotorGroup(motor1, motor2)

@@ -148,6 +148,19 @@ def test_limits_are_not_taken_for_relative():
         ComplexTrajectory(rest_to_rest(1.0, 2.0), relative=1)
 
 
+@pytest.mark.parametrize(
+    "trajectory",
+    [
+        TrapezoidalTrajectory(0.1, duration_s=1e300),
+        TrapezoidalTrajectory(0.1, limits=DerivativeLimits(third=1e-300)),
+        TrapezoidalTrajectory(0.1, limits=DerivativeLimits(third=1e300)),
+    ],
+)
+def test_what_floats_cannot_reckon_is_refused(trajectory):
+    with pytest.raises(UsageError, match=r"^wheel: <Trap.*> cannot be reckoned: a number of it is"):
+        check(trajectory)
+
+
 class Leading:
     name = "leader"
     model = MODEL

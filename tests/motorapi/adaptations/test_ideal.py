@@ -164,6 +164,16 @@ def test_a_motion_that_ends_between_two_nanoseconds_ends_at_the_nearer_one(runti
     assert (motor.position(), motor.velocity()) == (1.25, 0.0)
 
 
+def test_a_motion_that_takes_longer_than_time_can_be_told_goes_on_and_can_be_stopped(motor):
+    aim(motor, 1e308)
+    motor.stop()
+    motor.wait_until_done()
+    follow(motor, ComplexTrajectory(Polynomial((0.25,)), 0.0, 1e300, relative=True))
+    motor.stop()
+    motor.wait_until_done()
+    assert motor.velocity() == 0.0
+
+
 def rest_to_rest(distance, duration_s):
     """3 s^2 - 2 s^3 of the way."""
     return Polynomial((0.0, 0.0, 3.0, -2.0)).restricted(0.0, 1.0).scaled(duration_s) * distance
