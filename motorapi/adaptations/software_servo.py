@@ -7,7 +7,7 @@ counter, seconds and amperes; a positive current turns the motor towards higher 
 """
 
 from dataclasses import dataclass
-from math import inf
+from math import inf, isfinite
 from typing import Final, final
 
 from motorapi.adaptations.software_courses import CURRENT, POSITION, VELOCITY, Braking, Course
@@ -216,6 +216,9 @@ class Servo:
         passed_s = cycles * self._period_s
         try:
             course.sample((cycle - self._begun) * self._period_s, _AHEAD * self._period_s)
+            demanded = (course.value, course.velocity, course.acceleration)
+            if not isfinite(sum(demanded)):
+                raise ValueError(f"value and derivatives are {demanded}, not finite")
         except MotorError as error:
             self.error = error
             return self.current_a

@@ -2,7 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import replace
-from math import inf
+from math import inf, nan
 
 import pytest
 from hypothesis import given
@@ -22,7 +22,7 @@ from motorapi.adaptations.software_courses import (
 from motorapi.adaptations.software_gains import PidGains
 from motorapi.adaptations.software_servo import Servo, ServoLimits
 from motorapi.commands import ControlMode, ControlVariable, Motion
-from motorapi.errors import UsageError
+from motorapi.errors import PluginError, UsageError
 
 T = 0.001
 GAINS = PidGains(kp=0.02, ki=0.4, kd=0.0004)
@@ -40,6 +40,18 @@ LIMITS = ServoLimits(
 
 def limits(**changed: float) -> ServoLimits:
     return replace(LIMITS, **changed)
+
+
+class Broken(Course):
+    """A demand that is no number from the second cycle on; or a derivative of it."""
+
+    def __init__(self, name: str, bad: float) -> None:
+        super().__init__(POSITION, 0.0)
+        self._bad = (name, bad)
+
+    def sample(self, elapsed_s: float, ahead_s: float) -> None:
+        if elapsed_s > T:
+            setattr(self, *self._bad)
 
 
 class Inertia:
@@ -357,3 +369,19 @@ def test_tuned_gains_put_three_poles_at_the_bandwidth():
     for bad in ((0.0, 1.0), (1.0, 0.0), (inf, 1.0), ("x", 1.0)):
         with pytest.raises(UsageError, match=r"PidGains\.tuned"):
             PidGains.tuned(*bad)
+
+
+@pytest.mark.parametrize("name", ["value", "velocity", "acceleration"])
+@pytest.mark.parametrize("bad", [nan, inf, -inf])
+def test_a_demand_that_is_no_finite_number_is_an_error_and_the_current_stays(
+    name: str, bad: float
+) -> None:
+    motor = ready()
+    motor.servo.begin(Broken(name, bad), GAINS, LIMITS, motor.cycle + 1)
+    motor.run(5)
+    assert isinstance(motor.servo.error, PluginError)
+    assert "not finite" in str(motor.servo.error)
+    assert motor.servo.current_a == 0.0
+    motor.servo.brake(LIMITS.deceleration)
+    motor.run(50)
+    assert motor.servo.is_done
