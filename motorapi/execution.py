@@ -1,4 +1,4 @@
-"""Executing commands: one motor or many, started as one operation, waited for as one.
+"""Executing commands: one motor or many, started as one operation.
 
     take all (in one global order) -> plan -> enable -> plan again -> take the triggers
     -> arm all -> fire each trigger once -> confirm all
@@ -7,7 +7,7 @@ Whatever fails before firing: nothing has moved, and what was armed is disarmed.
 after: every motor of the start is stopped. A start of one motor is a start of a group of one.
 """
 
-# ruff: noqa: SLF001 -- the one place beside Motor itself that works the hooks, of several motors
+# ruff: noqa: SLF001 -- it works the hooks of motors, as Motor does its own
 
 from collections.abc import Sequence
 from contextlib import ExitStack

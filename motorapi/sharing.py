@@ -2,7 +2,7 @@
 
 A hardware object registers the physical motor it speaks for; a second one for the same motor is
 refused while the first lives. The record this yields is shared by all logical motors on that
-hardware object. It keeps three things apart:
+hardware object. It keeps four things apart:
 
 - a *transaction*: one operation at a time (an SDO here, an SDO there would mix settings of two
   owners). Short, first come, first served. Nobody owns anything afterwards.

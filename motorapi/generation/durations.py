@@ -19,15 +19,13 @@ and come again, which it cannot before Tb. Between Ta and Tb there is no such mo
 """
 
 from math import inf, isfinite, sqrt
-from typing import Final
 
 from motorapi.commands import Range
 from motorapi.errors import UsageError
 from motorapi.generation.closed_form import Task, assembled, peak_of, task_of
 from motorapi.generation.limits import ProfileLimits
 from motorapi.generation.profile import Piece
-
-_ROUNDING: Final = 1e-9
+from motorapi.limits import ROUNDING
 
 
 def possible_durations(
@@ -126,7 +124,7 @@ def _allowed(task: Task, duration_s: float) -> float:
         if low <= duration_s <= high:
             return duration_s
         for end in (low, high):
-            if abs(duration_s - end) <= _ROUNDING * end < inf:
+            if abs(duration_s - end) <= ROUNDING * end < inf:
                 return end
     told = " or ".join(
         f"at least {low:g} s" if high == inf else f"from {low:g} to {high:g} s"

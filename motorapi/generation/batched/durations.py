@@ -1,13 +1,10 @@
 """Many profiles of given durations. The formulas are those of `motorapi.generation.durations`."""
 
-from typing import Final
-
 import numpy as np
 
 from motorapi.generation.batched.limits import FloatArray, refuse_where
 from motorapi.generation.batched.tasks import Tasks, peaks_of
-
-_ROUNDING: Final = 1e-9  # as for a single one
+from motorapi.limits import ROUNDING
 
 
 def peaks_lasting(
@@ -82,8 +79,8 @@ def _allowed(
     gap = (least > 0.0) & (missing > 0.0)
     asked = np.where(duration_s < shortest_s, shortest_s, duration_s)
     asked = np.where(gap & (asked > first_s) & (asked < second_s), first_s, asked)
-    near = np.abs(asked - duration_s) <= _ROUNDING * asked
-    late = gap & ~near & (second_s - duration_s <= _ROUNDING * second_s) & (second_s < np.inf)
+    near = np.abs(asked - duration_s) <= ROUNDING * asked
+    late = gap & ~near & (second_s - duration_s <= ROUNDING * second_s) & (second_s < np.inf)
     refuse_where(
         ~(near | late), "not possible in its duration (see possible_durations)", task.first
     )

@@ -19,7 +19,7 @@ _ROUNDING: Final = 2.0**-50  # likewise
 class Tasks:
     """Motions to be made, each mirrored where need be, so that its excess is >= 0.
 
-    `first` is the index of the first of them; the others are as in `trapezoid.Task`.
+    `first` is the index of the first of them; the others are as in `closed_form.Task`.
     """
 
     first: int
