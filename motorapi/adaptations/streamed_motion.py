@@ -194,7 +194,9 @@ class StreamedMotion:
         if argument is None:
             reason = "a step of the trajectory"
         else:
-            reason = f"the {argument.name} steps: set-points are {self._period_s * 1e3:g} ms apart"
+            period_ms = self._period_s * 1e3
+            reason = f"the {argument.name} steps: set-points are {period_ms:g} ms apart; it must be"
+            reason += " heard as often (status_period_ms, of a motor's position), or be slower"
         per = "/s²" if quantity.startswith("change") else "/s"
         return LimitError(
             motor=self._motor,
