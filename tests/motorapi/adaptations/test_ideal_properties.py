@@ -85,6 +85,7 @@ FASTER = (
 
 @given(STEPS)
 @example(FASTER)
+@example(((("aim", ControlVariable.POSITION, 0.5e-9, None), 0.0),))
 def test_position_is_the_integral_of_velocity_whatever_the_motor_is_told(steps):
     with one_motor() as motor:
         runtime = motor.runtime
@@ -94,7 +95,8 @@ def test_position_is_the_integral_of_velocity_whatever_the_motor_is_told(steps):
             event(f"{command[0]}: {'done' if allowed else 'refused'}")
             before = motor.latest()
             if command[0] != "home":  # which calls the place 0
-                assert before.position == place
+                # What takes less than half a nanosecond is over at once.
+                assert abs(before.position - place) <= 0.5e-9 * VELOCITY_MAX
             steps_left = int(pause_s / STEP_S)
             for _ in range(steps_left):
                 runtime.run_for(STEP_S)
