@@ -4,6 +4,7 @@ Drives that make their own profile never ask; motors whose set-points come from 
 software servo, ideal) sample nothing else. No numpy: one value at a time, in plain floats.
 """
 
+from math import inf
 from typing import TYPE_CHECKING, Protocol, final
 
 from motorapi.commands import ControlVariable, Motion
@@ -42,6 +43,27 @@ def demand_of(motion: Motion) -> Demand:
     if motion.variable is ControlVariable.POSITION:
         return _TrapezoidDemand(motion)
     return _RampDemand(motion)
+
+
+def ramps(
+    start: float, target: float, growing: float, shrinking: float
+) -> list[tuple[float, float, float]]:
+    """(duration [s], value at its beginning, rate) of each ramp from one value to another.
+
+    Args:
+        start: where it begins.
+        target: where it ends.
+        growing: how fast the size may grow, > 0; inf: at once.
+        shrinking: how fast the size may shrink, first to 0 if the sign changes, > 0; inf: at once.
+    """
+    steps = [(start, target, growing if abs(target) > abs(start) else shrinking)]
+    if start * target < 0.0:
+        steps = [(start, 0.0, shrinking), (0.0, target, growing)]
+    return [
+        (abs(after - before) / rate, before, rate if after > before else -rate)
+        for before, after, rate in steps
+        if after != before and rate != inf
+    ]
 
 
 @final

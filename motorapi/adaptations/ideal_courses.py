@@ -12,7 +12,7 @@ from typing import Final, NamedTuple, Protocol, final
 
 from motorapi.arguments import Argument, value_of
 from motorapi.commands import ControlMode, ControlVariable, Motion
-from motorapi.demand import Demand, demand_of
+from motorapi.demand import Demand, demand_of, ramps
 from motorapi.errors import MotorError, PluginError
 
 _LONGEST_S: Final = 9.2e9
@@ -111,13 +111,7 @@ class Ramped(_Law):
     def __init__(
         self, begun_ns: int, now: Reading, target: float, speeding: float, slowing: float
     ) -> None:
-        pieces: list[tuple[float, float, float]] = []  # duration [s], velocity, acceleration
-        velocity = now.velocity
-        if velocity * target < 0.0:
-            pieces.append(_change(velocity, 0.0, slowing))
-            velocity = 0.0
-        rate = speeding if abs(target) > abs(velocity) else slowing
-        pieces.append(_change(velocity, target, rate))
+        pieces = ramps(now.velocity, target, speeding, slowing)
         super().__init__(begun_ns, sum(piece[0] for piece in pieces), now.position)
         self._pieces = pieces
         self._start = now.position
@@ -134,11 +128,6 @@ class Ramped(_Law):
             if left_s <= 0.0 and not self._is_over(now_ns):
                 return Reading(position, velocity + acceleration * spent_s)
         return Reading(position + self._target * left_s, self._target)
-
-
-def _change(velocity: float, target: float, rate: float) -> tuple[float, float, float]:
-    change = target - velocity
-    return (abs(change) / rate, velocity, rate if change > 0.0 else -rate)
 
 
 @final

@@ -11,7 +11,7 @@ from typing import Final, final
 
 from motorapi.arguments import Argument, value_of
 from motorapi.commands import ControlMode, ControlVariable, Motion
-from motorapi.demand import Demand, demand_of
+from motorapi.demand import Demand, demand_of, ramps
 
 POSITION: Final = 0
 VELOCITY: Final = 1
@@ -65,18 +65,8 @@ class Rated(Course):
         self, kind: int, start: float, target: float, growing: float, shrinking: float
     ) -> None:
         super().__init__(kind, target)
-        self._pieces: list[tuple[float, float, float]] = []  # duration [s], from, rate
-        before = start
-        if before * target < 0.0:
-            self._add(before, 0.0, shrinking)
-            before = 0.0
-        self._add(before, target, growing if abs(target) > abs(before) else shrinking)
+        self._pieces = ramps(start, target, growing, shrinking)
         self.is_over = not self._pieces
-
-    def _add(self, before: float, after: float, rate: float) -> None:
-        change = after - before
-        if change and rate != inf:
-            self._pieces.append((abs(change) / rate, before, rate if change > 0.0 else -rate))
 
     def sample(self, elapsed_s: float, ahead_s: float) -> None:
         """The demand is that of `elapsed_s` after the start."""
