@@ -98,7 +98,7 @@ def test_torque_takes_a_limit_of_its_own_or_a_duration():
         ),
         (
             TrapezoidalTrajectory(1.0, initial_derivatives=(2.5,)),
-            r"wheel: velocity of the trajectory 2\.5 rad/s, allowed is -2 to 2 rad/s \(at argument 0",
+            r"velocity of the trajectory 2\.5 rad/s, allowed is -2 to 2 rad/s \(at argument 0",
         ),
         (
             TrapezoidalTrajectory(

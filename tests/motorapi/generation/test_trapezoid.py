@@ -258,7 +258,9 @@ def test_a_direct_ramp_stays_one_although_its_numbers_are_rounded(begin, end, si
     limits = ProfileLimits(2.0 * end, size)
     profile = trapezoid(way, limits, initial_velocity=-begin, final_velocity=-end)
     # Rounding of the way, told as a time.
-    assert profile.duration_s <= (end - begin) / size * (1 + 1e-12) + 1e-13 * abs(way) / begin
+    assert (
+        profile.duration_s <= (end - begin) / size * (1 + 1e-12) + 4e-15 * end * end / size / begin
+    )
 
 
 # --- ruckig
