@@ -153,11 +153,14 @@ class JointStateEncoder:
     def __init__(self, name: str) -> None:
         self._name: Final = delimited(1, name.encode())
         self._pack: Final = struct.Struct("<BdBdBd").pack
+        self._pack_position: Final = struct.Struct("<Bd").pack
 
     def encode(self, position: float | None, velocity: float | None, effort: float | None) -> bytes:
         """The message: rad or m, per second, N·m or N; what is None is left out."""
         if position is not None and velocity is not None and effort is not None:
             return self._name + self._pack(0x11, position, 0x19, velocity, 0x29, effort)
+        if position is not None and velocity is None and effort is None:  # as most drives tell it
+            return self._name + self._pack_position(0x11, position)
         out = self._name
         for head, value in ((b"\x11", position), (b"\x19", velocity), (b"\x29", effort)):
             if value is not None:
