@@ -101,6 +101,7 @@ class Guard:
         self._node = node
         self._control = control
         self._before_inc: int | None = None
+        self._told = 0
         self._rested = 0  # the token of whom it need not be halted for any more
 
     def look(self) -> None:
@@ -120,7 +121,9 @@ class Guard:
             if abs(now_inc - before_inc) <= _STILL_INC:
                 self._rested = abandoned
                 return
-            _LOG.warning("%s moves for a process that died: it is halted", self._physical.label)
+            if abandoned != self._told:
+                _LOG.warning("%s moves for a process that died: it is halted", self._physical.label)
+                self._told = abandoned
             self._control.send_halt()
 
 

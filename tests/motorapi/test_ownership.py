@@ -1,5 +1,7 @@
 """Logical motors of one process that wait for one another, in virtual time."""
 
+from types import SimpleNamespace
+
 import pytest
 
 from motorapi import (
@@ -12,7 +14,11 @@ from motorapi import (
     StateError,
     TrapezoidalTrajectory,
     UsageError,
+    WallRuntime,
 )
+from motorapi.lock_directory import LockDirectory
+from motorapi.process_lock import ProcessLock
+from motorapi.sharing import RunStatus, register_physical_motor
 from tests.motorapi.plain import PlainBus, PlainHwMotor, PlainMotor
 
 MS = 1_000_000
@@ -266,3 +272,31 @@ def test_a_group_that_cannot_have_all_has_none(runtime):
         follow(first, 0.1)
         first.start()
     assert hardware[1].position() == 0.0
+
+
+def test_the_token_grows_too_when_another_process_had_the_motor_in_between(tmp_path):
+    directory = LockDirectory(tmp_path)
+    stranger = ProcessLock("m1", "motor 1", directory)  # in what would be another process
+    hardware = object.__new__(type("Hardware", (), {}))
+    lock = ProcessLock("m1", "motor 1", directory)
+    physical = register_physical_motor(("m1", tmp_path), "motor 1", hardware, lock)
+    runtime = WallRuntime()
+    owner = SimpleNamespace(name="a", runtime=runtime)
+    tokens = []
+
+    def operate():
+        with physical.ownership.owned(owner, "enable() of a"):
+            physical.take(owner, "a", RunStatus.DONE)
+            tokens.append(physical.token)
+
+    try:
+        operate()
+        operate()
+        with stranger.acquire(runtime, "x"):
+            with pytest.raises(MotorBusyError, match=r"a is held by pid \d+ .* for x since"):
+                operate()
+        operate()
+        operate()
+    finally:
+        runtime.close()
+    assert tokens == [1, 1, 2, 2]

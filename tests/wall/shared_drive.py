@@ -36,7 +36,12 @@ from motorapi.adaptations.cia402 import Cia402HwMotor, Cia402Motor, HwOptions
 from motorapi.adaptations.cia402_parameters import Cia402Parameters
 from motorapi.adaptations.sdo_channel import SdoChannel
 
-PATIENT = HwOptions(heartbeat_timeout_ms=10_000, sdo_timeout_s=10.0, connect_timeout_s=30.0)
+PATIENT = HwOptions(
+    heartbeat_timeout_ms=10_000,
+    sdo_timeout_s=10.0,
+    connect_timeout_s=30.0,
+    sdo_quarantine_s=3.0,
+)
 
 
 class Program:

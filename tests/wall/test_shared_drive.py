@@ -267,7 +267,7 @@ def test_while_a_late_answer_may_come_no_other_process_asks(programs, views):
     assert mast.ask("read 1018 1").startswith("read ")
     assert mast.ask("impatient").startswith("failed node 1 on ")
     (channel,) = [view for view in views() if view.name.endswith("-sdo")]
-    assert channel.holder.record.pid == mast.pid  # for 1 s, HwOptions.sdo_quarantine_s
+    assert channel.holder.record.pid == mast.pid  # for HwOptions.sdo_quarantine_s
     assert drive.ask("read 1018 2") == mast.ask("read 1018 2")
     wait_for(lambda: all(view.holder is None for view in views()))
 
