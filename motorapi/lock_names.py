@@ -57,7 +57,7 @@ def socketcan_name(interface: str) -> str:
         index = socket.if_nametoindex(interface)
     except OSError as error:
         raise UsageError(f"{interface}: no such network interface ({error.strerror})") from error
-    return f"can-if{index}-net{os.stat('/proc/self/ns/net').st_ino}"
+    return f"can-if{index}-net{_stat('/proc/self/ns/net').st_ino}"
 
 
 def hub_name(path: str, bus: str) -> str:
