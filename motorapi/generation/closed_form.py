@@ -205,25 +205,22 @@ def assembled(
     if not after:
         after = before[-1:]  # the last piece is reckoned from the end, whichever it is
         del before[-1:]
+    half = 0.5 * sign
+    kink = meeting = final  # where the last ramp turns round, and where it begins
+    for lasts_s, entry, leave, _ in reversed(after):
+        kink, meeting = meeting, meeting - half * (entry + leave) * lasts_s
     pieces: list[Piece] = []
-    time_s, value, half = 0.0, initial, 0.5 * sign
+    time_s, value = 0.0, initial
+    left = len(before)
     for lasts_s, entry, leave, acceleration in before:
         since_s, since = time_s, value
         time_s += lasts_s
-        value += half * (entry + leave) * lasts_s
+        left -= 1
+        # The two reckonings meet where the last ramp begins.
+        value = value + half * (entry + leave) * lasts_s if left else meeting
         pieces.append(
             (since_s, time_s, since, value, sign * entry, sign * leave, sign * acceleration)
         )
-    if len(after) == 2:
-        lasts_s, entry, leave, _ = after[1]
-        kink = final - half * (entry + leave) * lasts_s
-    else:
-        kink = final
-    if pieces and after:
-        # The two reckonings meet here.
-        lasts_s, entry, leave, _ = after[0]
-        value = kink - half * (entry + leave) * lasts_s
-        pieces[-1] = (*pieces[-1][:3], value, *pieces[-1][4:])
     for lasts_s, entry, leave, acceleration in after:
         since_s, since = time_s, value
         time_s += lasts_s
