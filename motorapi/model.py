@@ -11,8 +11,8 @@ where a rotary one has rad and N·m:
     jerk_max_rad_s3 = 500.0
     torque_max_n_m = 12.0                # linear: force_max_n
     current_max_a = 4.0
-    position_min_rad = -3.0              # default: no limit
-    position_max_rad = 3.0
+    position_min_rad = -3.0              # of commanded positions; velocity, torque pass them
+    position_max_rad = 3.0               # both by default: no limit
     position_tolerance_rad = 0.01        # how far off an absolute trajectory may begin
     gear_ratio = 66.0                    # motor turns per turn; < 0: reversing; motor_turns_per_m
     encoder_increments_rev = 2000        # of the encoder, per turn of the motor
