@@ -44,7 +44,6 @@ def add(left: Function, right: Function) -> Function:
     merged = _by_pieces(left, right, add)
     if merged is not None:
         return merged
-    overlap("Sum", (left, right))
     terms = _merged(add, _parts(Sum, left), _parts(Sum, right))
     kept = [term for term in terms if not _is_zero(term)] or terms[:1]
     return kept[0] if len(kept) == 1 else Sum(*kept)
@@ -62,7 +61,6 @@ def multiply(left: Function, right: Function) -> Function:
     merged = _by_pieces(left, right, multiply)
     if merged is not None:
         return merged
-    overlap("Product", (left, right))
     factors = _merged(multiply, _parts(Product, left), _parts(Product, right))
     return factors[0] if len(factors) == 1 else Product(*factors)
 

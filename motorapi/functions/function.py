@@ -14,9 +14,9 @@ The rules, for every function `f`:
 - *Integral.* `f.integral()` is the antiderivative that is 0 where the domain begins, or, if it
   begins nowhere, at 0 (at its end if it ends below 0). `f.integrate(low, high)` is the definite
   one, and more accurate than a difference of the former; with `high < low` its sign changes.
-- *Extrema* over a closed interval; of several equal ones the one at the lowest argument is told.
-  Exact to rounding for polynomials and waves. Others are searched with bounds that can miss
-  nothing, to 1e-12 of the size of the function's values (see `motorapi.functions.search`).
+- *Extrema* over a closed interval, exact to rounding for polynomials (by pieces) and waves; of
+  equal ones the one at the lowest argument is told. Others are searched with bounds that can miss
+  nothing, to 1e-12 of the values' size, and any of equals is told (`motorapi.functions.search`).
 - *Arrays.* `f(x)` takes a number, or an array and gives one of the same shape. Functions made of
   polynomials give the same bits either way; sines and exponentials agree to the last place or two
   (they are the C library's for a number, numpy's for an array).
@@ -50,7 +50,7 @@ _TOLD: Final = 80  # characters of a function within a message
 @final
 @dataclass(frozen=True, slots=True)
 class Extrema:
-    """The least and the greatest value over an interval, each with the (lowest) argument of it."""
+    """The least and the greatest value over an interval, each with an argument of it."""
 
     minimum: float
     at_minimum: float

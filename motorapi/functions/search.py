@@ -70,9 +70,9 @@ class _Search:
         if self._at_least is None:
             self._least = self._most = value
             self._at_least = self._at_most = at
-        elif value < self._least or (value == self._least and at < self._at_least):
+        elif value < self._least:
             self._least, self._at_least = value, at
-        if value > self._most or (value == self._most and at < self._at_most):
+        elif value > self._most:
             self._most, self._at_most = value, at
         return value
 

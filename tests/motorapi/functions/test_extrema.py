@@ -207,6 +207,17 @@ def test_of_equal_extrema_the_first_is_told():
     assert teeth.extrema(0.5, 3.5) == Extrema(0.0, 2.0, 1.0, 1.0)
 
 
+def test_of_equal_extrema_that_are_searched_one_is_told():
+    for first, step, function in (
+        (0.0, pi, Cosine() * Cosine()),
+        (0.5 * pi, 2 * pi, Exponential().after(Sine())),
+    ):
+        at = function.extrema(1.0, 60.0).at_maximum
+        number = round((at - first) / step)
+        assert number >= 0
+        assert at == pytest.approx(first + number * step, abs=1e-6)
+
+
 def test_extrema_of_other_functions_by_hand():
     wedge = Polynomial((0.0, 1.0)) * Exponential(1.0, -1.0)
     found = wedge.extrema(0.0, 20.0)

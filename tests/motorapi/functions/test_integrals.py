@@ -19,6 +19,8 @@ from motorapi.functions import (
     Piecewise,
     Polynomial,
     Sampled,
+    Scaled,
+    Shifted,
     Sine,
 )
 from tests.motorapi.functions import jets
@@ -118,6 +120,8 @@ def test_half_open_domains_have_an_integral_too():
     early = Piecewise((-inf, -3.0), (Constant(2.0),)).integral()
     assert [early.value(x) for x in (-4.0, -3.0)] == [-2.0, 0.0]
     assert held.integrate(-2.0, 2.0) == 6.0
+    slow = Integral(Piecewise((-inf, -3.0), (Constant(2.0),)))
+    assert [slow.value(x) for x in (-4.0, -3.0)] == [-2.0, 0.0]
 
 
 def test_small_steps_far_away_keep_their_digits():
@@ -151,6 +155,37 @@ def test_known_integrals_without_a_closed_form_here():
     logistic = Exponential(1.0, -1.0) + 1.0
     assert logistic.integrate(0.0, 2.0) == pytest.approx(3.0 - exp(-2.0), rel=1e-15)
     assert log(logistic.integrate(0.0, 1.0)) == pytest.approx(log(2.0 - exp(-1.0)), rel=1e-15)
+
+
+@pytest.mark.parametrize("factor", [2.0, -0.5])
+@pytest.mark.parametrize("bounded", [True, False])
+def test_moved_functions_have_moved_integrals(factor, bounded):
+    inner = Sine(1.0, 3.0) * Exponential(1.0, 0.25)
+    if bounded:
+        inner = Integral(inner.restricted(-8.0, 8.0))
+    for function in (Scaled(inner, factor), Shifted(inner, factor), Shifted(inner, 1.0)):
+        whole = function.integral()
+        low = function.domain[0]
+        assert abs(whole.value(low if bounded else 0.0)) <= 1e-12
+        for x in (-1.5, 0.0, 2.5):
+            assert whole.derivative().value(x) == pytest.approx(function.value(x), rel=1e-13)
+            grown = whole.value(x) - whole.value(-2.0)
+            assert grown == pytest.approx(function.integrate(-2.0, x), rel=1e-11, abs=1e-12)
+            for one in (factor, 1.0 / factor):
+                # Substitution: what is scaled covers as much as its argument does.
+                wide = function.scaled(one).integrate(-0.5 * abs(one), 0.5 * abs(one))
+                assert wide == pytest.approx(
+                    abs(one) * function.integrate(-0.5, 0.5), rel=1e-11, abs=1e-12
+                )
+
+
+def test_a_spike_that_is_known_is_not_missed():
+    # As narrow as 1e-9: no node of any quadrature would meet it by chance.
+    breaks = (0.0, 0.7, 0.7 + 1e-9, 2.0)
+    spike = Piecewise(breaks, (Constant(1.0), Constant(1e9), Constant(1.0)))
+    width = breaks[2] - breaks[1]
+    exact = exp(2.0) - 1.0 + (1e9 - 1.0) * width * exp(0.7 + 0.5e-9)
+    assert (spike * Exponential()).integrate(0.0, 2.0) == pytest.approx(exact, rel=1e-13)
 
 
 def test_a_jump_that_is_not_known_beforehand_is_found():

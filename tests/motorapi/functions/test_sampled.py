@@ -192,13 +192,23 @@ def test_ten_thousand_samples_are_no_trouble():
 
 
 def test_the_banded_solver_pivots():
-    # By hand: the first pivot is 0 but for the swap; x = (1, 2, 3).
+    # By hand: without a swap the first pivot has no digits left; x = (1, 2, 3).
     rows = [
         (0, [1e-30, 1.0], 2.0),
         (0, [1.0, 1.0, 1.0], 6.0),
         (1, [1.0, -1.0], -1.0),
     ]
-    assert solved(rows, 3) == pytest.approx([1.0, 2.0, 3.0], rel=1e-15)
+    for order in (rows, rows[::-1]):
+        assert solved(order, 3) == pytest.approx([1.0, 2.0, 3.0], rel=1e-15)
+
+
+@given(sampled(), st.sampled_from([0.5, 2.0, -0.25, -4.0]), st.floats(-2.0, 2.0))
+def test_scaled_samples_make_the_same_curve_longer_or_turned_round(function, factor, x):
+    scaled = function.scaled(factor)
+    assert isinstance(scaled, Sampled)
+    if function.kind is not NEAREST or x not in function.curve.breaks:  # half-way, its later side
+        size = 1e3 * (1.0 + max(abs(c) for p in function.curve.pieces for c in p.coefficients))
+        assert abs(scaled.value(x * factor) - function.value(x)) <= 1e-12 * size
 
 
 def test_samples_move_with_their_function():
