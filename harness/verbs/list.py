@@ -43,12 +43,20 @@ def _motors() -> list[dict[str, Any]]:
     for view in list_locks():
         if view.holder is None and view.name.endswith("-sdo"):
             continue  # had for a moment only, unless somebody is paused in it
+        if view.holder is None and not view.waiters and not _is_there(view.label):
+            continue  # of a hub that is served no more
         entry: dict[str, Any] = {"name": view.label, "lock": view.name}
         entry["holder"] = None if view.holder is None else _told(view.holder)
         entry["waiters"] = [_told(one) for _, one in view.waiters]
         entry["abandoned"] = bool(view.abandoned)
         listing.append(entry)
     return sorted(listing, key=lambda entry: str(entry["name"]))
+
+
+def _is_there(label: str) -> bool:
+    """Whether the bus that a label names is there: a hub by its socket, any other always."""
+    bus = label.partition(" node ")[0]
+    return not bus.startswith("/") or Path(bus).exists()
 
 
 def _told(one: Occupant) -> dict[str, Any]:
