@@ -89,7 +89,7 @@ def test_bounds_of_a_polynomial_are_those_of_its_control_polygon():
 def test_bounds_and_extrema_of_an_integral_hold_its_values(sign):
     rising = Integral(sign * (Sine() * Sine() + 0.5))
     falling = Integral(sign * Sine() * Exponential(1.0, -0.1))
-    for function in (rising, falling):
+    for function in (rising, falling, Integral(Exponential(sign, 0.5))):
         values = [function.value(x) for x in np.linspace(1.0, 8.0, 50).tolist()]
         least, most = function.bounds(1.0, 8.0)
         assert least <= min(values)
