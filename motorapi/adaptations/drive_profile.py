@@ -16,6 +16,7 @@ from motorapi.generation import shortest
 from motorapi.model import MotorModel
 
 _ROUNDING: Final = 1e-12
+_TOO_SHORT: Final = 0.1  # of the duration asked for; nearer than that whole numbers may miss it
 _STEP_ROUNDING: Final = 1e-8  # more than DriveUnits forgives a limit that is a whole step
 
 
@@ -82,7 +83,30 @@ def profile_of(
             top = min(top, units.speed(limits.speed))
         distance = abs(units.position(distance_inc))
         profile = _nearest(profile, distance, motion.duration_s, top, units)
+        _check_slowness(motion, profile, distance, units)
     return profile
+
+
+def _check_slowness(
+    motion: Motion, profile: DriveProfile, distance: float, units: DriveUnits
+) -> None:
+    """A duration that was asked for is not cut short because the drive cannot go so slowly."""
+    trajectory = motion.trajectory
+    asked_s = None if trajectory is None else motion.duration_s
+    if profile.speed != 1 or asked_s is None or getattr(trajectory, "duration_s", None) is None:
+        return
+    made_s = _duration_s(profile, distance, units)
+    if made_s < asked_s * (1.0 - _TOO_SHORT):
+        raise LimitError(
+            motor=units.motor,
+            quantity="duration",
+            value=asked_s,
+            low=None,
+            high=made_s,
+            unit="s",
+            reason=f"for {distance:g} {units.unit}: the drive goes no slower than"
+            f" {units.speed(1):g} {units.unit}/s",
+        )
 
 
 def _check_step(quantity: str, made: float, limit: float, units: DriveUnits) -> None:

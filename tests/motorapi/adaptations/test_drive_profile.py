@@ -166,6 +166,15 @@ def test_a_limit_of_a_trajectory_below_the_smallest_step_is_refused_too():
         profile_of(motion, MODEL, COARSE, NO_LIMITS)
 
 
-def test_a_long_duration_is_met_as_nearly_as_the_smallest_step_allows():
-    profile = profile_of(trajectory(1.0, duration_s=1000.0), MODEL, COARSE, NO_LIMITS)
-    assert profile.speed == 1  # 0.01 rad/s: 100 s, within every limit
+def test_a_duration_that_the_smallest_step_cannot_fill_is_refused():
+    """Once 1 rad in 1000 s was made in 100 s, at 0.01 rad/s, without a word."""
+    with pytest.raises(LimitError, match=r"duration 1000 s, allowed is at most 100.* no slower"):
+        profile_of(trajectory(1.0, duration_s=1000.0), MODEL, COARSE, NO_LIMITS)
+    profile = profile_of(trajectory(1.0, duration_s=105.0), MODEL, COARSE, NO_LIMITS)
+    assert profile.speed == 1  # 0.01 rad/s: 100 s and a ramp, as near as can be
+
+
+def test_a_motor_of_a_group_may_end_early_where_it_cannot_go_so_slowly():
+    motion = planning.stretch(trajectory(1.0), 1000.0)
+    profile = profile_of(motion, MODEL, COARSE, NO_LIMITS)
+    assert profile.speed == 1  # what its end is early by is told as the predicted end skew
