@@ -7,6 +7,7 @@ import signal
 import subprocess
 import sys
 
+import can
 import pytest
 
 from harness.scaffold import EXAMPLES
@@ -29,6 +30,22 @@ def folder(tmp_path):
     return path
 
 
+def await_boot(path):
+    """Node 1 answers: what is asked of a drive before its boot-up (300 ms) is lost."""
+    ask = can.Message(
+        arbitration_id=0x601, data=bytes.fromhex("4000100000000000"), is_extended_id=False
+    )
+    with can.Bus(interface="emulated", channel=str(path)) as bus:
+        for _ in range(round(LONG_S / 0.1)):
+            bus.send(ask)
+            answer = bus.recv(timeout=0.1)
+            while answer is not None:
+                if answer.arbitration_id == 0x581:
+                    return
+                answer = bus.recv(timeout=0.1)
+    pytest.fail("node 1 never answered")
+
+
 @pytest.fixture
 def hub(tmp_path):
     """The path of a hub that serves two wheels."""
@@ -36,6 +53,7 @@ def hub(tmp_path):
     command = [*SERVE, "serve", str(EXAMPLES / "two_wheels.toml"), "--socket", str(path)]
     with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL) as server:
         assert server.stdout.readline().startswith(b"can0: ")
+        await_boot(path)
         yield path
         server.send_signal(signal.SIGINT)
         server.wait(LONG_S)

@@ -17,6 +17,7 @@ from motorapi.adaptations.software_courses import (
     Led,
     Rated,
     Scales,
+    Tracked,
     course_of,
 )
 from motorapi.adaptations.software_gains import PidGains
@@ -42,16 +43,27 @@ def limits(**changed: float) -> ServoLimits:
     return replace(LIMITS, **changed)
 
 
-class Broken(Course):
+class Broken:
     """A demand that is no number from the second cycle on; or a derivative of it."""
 
-    def __init__(self, name: str, bad: float) -> None:
-        super().__init__(POSITION, 0.0)
-        self._bad = (name, bad)
+    initial_argument = 0.0
+    final_argument = 1.0
 
-    def sample(self, elapsed_s: float, ahead_s: float) -> None:
-        if elapsed_s > T:
-            setattr(self, *self._bad)
+    def __init__(self, name: str, bad: float) -> None:
+        self._name = name
+        self._bad = bad
+
+    def _told(self, name: str, argument: float) -> float:
+        return self._bad if name == self._name and T < argument < 1.0 else 0.0
+
+    def value(self, argument: float) -> float:
+        return self._told("value", argument)
+
+    def first(self, argument: float) -> float:
+        return self._told("first", argument)
+
+    def second(self, argument: float) -> float:
+        return self._told("second", argument)
 
 
 class Inertia:
@@ -371,13 +383,13 @@ def test_tuned_gains_put_three_poles_at_the_bandwidth():
             PidGains.tuned(*bad)
 
 
-@pytest.mark.parametrize("name", ["value", "velocity", "acceleration"])
+@pytest.mark.parametrize("name", ["value", "first", "second"])
 @pytest.mark.parametrize("bad", [nan, inf, -inf])
 def test_a_demand_that_is_no_finite_number_is_an_error_and_the_current_stays(
     name: str, bad: float
 ) -> None:
     motor = ready()
-    motor.servo.begin(Broken(name, bad), GAINS, LIMITS, motor.cycle + 1)
+    motor.servo.begin(Tracked(POSITION, Broken(name, bad), 1.0), GAINS, LIMITS, motor.cycle + 1)
     motor.run(5)
     assert isinstance(motor.servo.error, PluginError)
     assert "not finite" in str(motor.servo.error)
