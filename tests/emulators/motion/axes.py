@@ -1,0 +1,28 @@
+"""Axes to test, at rest or holding their position."""
+
+from emulators.firmware.axis import Axis
+from emulators.firmware.gains import ServoGains
+from emulators.plant.presets import WHEEL_60W
+
+MS = 1_000_000
+GAINS = ServoGains.tuned(WHEEL_60W, MS, 10)
+
+
+def new_axis(initial_position_inc: int = 0) -> Axis:
+    return Axis(WHEEL_60W, GAINS, MS, 10, initial_position_inc)
+
+
+def powered_axis(initial_position_inc: int = 0) -> Axis:
+    axis = new_axis(initial_position_inc)
+    axis.power(True)
+    axis.at(50 * MS)
+    return axis
+
+
+def tick_by_tick(axis: Axis, start_ms: int, flag: int, becomes: bool, within_ms: int = 5000) -> int:
+    """The first tick from `start_ms` on at which the flag is so."""
+    for k in range(start_ms, start_ms + within_ms):
+        axis.at(k * MS)
+        if (axis.flags & flag != 0) is becomes:
+            return k
+    raise AssertionError(f"flag {flag} never became {becomes}")

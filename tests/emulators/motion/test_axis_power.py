@@ -1,0 +1,92 @@
+"""One axis without power, losing it and getting it back."""
+
+import pytest
+
+from emulators.firmware.flags import (
+    FOLLOWING_ERROR,
+    IN_TARGET_WINDOW,
+    POWERED,
+)
+from emulators.plant.presets import WHEEL_60W
+from tests.emulators.motion.axes import MS, new_axis, powered_axis, tick_by_tick
+
+
+def test_without_power_nothing_is_commanded_and_the_demand_is_where_the_motor_is():
+    axis = new_axis(77)
+    for what in (
+        lambda: axis.move_to(1, 1.0, 1.0, 1.0),
+        lambda: axis.run_at(1.0, 1.0, 1.0),
+        lambda: axis.ramp_to_rest(1.0),
+        lambda: axis.follow(1, MS),
+        axis.hold,
+    ):
+        with pytest.raises(RuntimeError, match="power"):
+            what()
+    axis.set_load(20.0)  # enough to turn the wheel
+    axis.at(300 * MS)
+    assert axis.position_inc() < 77
+    assert axis.demand_inc() == axis.position_inc() == axis.target_inc()
+    assert axis.flags & (POWERED | IN_TARGET_WINDOW) == 0
+    assert axis.current_a() == axis.torque_n_m() == 0.0
+
+
+def test_power_takes_hold_of_a_motor_where_it_is():
+    axis = powered_axis(1_234)
+    assert axis.flags & POWERED
+    assert axis.position_inc() == axis.demand_inc() == 1_234
+    axis.set_load(1.0)
+    axis.at(2_000 * MS)
+    assert axis.position_inc() == 1_234
+    # held by friction and current together: the motor's torque is the load's within the friction
+    friction_n_m = WHEEL_60W.coulomb_friction_n_m * WHEEL_60W.gear_ratio
+    assert axis.torque_n_m() == pytest.approx(1.0, abs=friction_n_m)
+
+
+def test_a_motor_whose_power_goes_coasts_to_rest():
+    axis = powered_axis()
+    axis.run_at(50_000.0, 1e6, 1e6)
+    axis.at(500 * MS)
+    axis.power(False)
+    axis.at(502 * MS)
+    assert axis.current_a() == 0.0
+    assert axis.velocity_inc_s() > 40_000
+    assert not axis.flags & POWERED
+    axis.at(5_000 * MS)
+    assert axis.output_velocity_rad_s() == 0.0
+    assert axis.next_event_ns() is None
+
+
+def test_power_that_returns_finds_nothing_left_from_before():
+    axis = powered_axis()
+    axis.set_windows(following_window_inc=20, following_window_ns=30 * MS)
+    axis.set_load(2.0)
+    axis.at(300 * MS)
+    assert axis.current_demand_a() > 0.5  # held by the integrator
+    axis.set_load(0.0)
+    axis.set_current_limit(0.0)
+    axis.follow(1_000, 0)
+    axis.at(321 * MS)  # 20 of the 30 ms
+    assert axis.following_error_inc() > 900
+    axis.power(False)
+    axis.at(400 * MS)
+    axis.set_current_limit(8.0)
+    axis.power(True)
+    axis.at(401 * MS)
+    assert axis.current_demand_a() == 0.0
+    axis.set_current_limit(0.0)
+    axis.follow(axis.position_inc() + 1_000, 0)
+    told = tick_by_tick(axis, 401, FOLLOWING_ERROR, True)
+    # in force at 402 ms, there at 403 ms; the 31st tick in a row
+    assert told == 403 + 30
+
+
+def test_power_that_is_on_already_disturbs_nothing():
+    axis = powered_axis()
+    axis.move_to(1_000, 20_000.0, 1e6, 1e6)
+    axis.at(60 * MS)
+    axis.power(True)
+    axis.at(500 * MS)
+    assert axis.position_inc() == 1_000
+
+
+# --- homing, units, refusals ---------------------------------------------------------------------

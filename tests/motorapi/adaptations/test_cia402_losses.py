@@ -1,0 +1,170 @@
+"""What ends a motion of a CiA 402 motor short of its target: faults, lost drives, lost hosts."""
+
+from collections.abc import Callable
+from math import pi
+
+import pytest
+
+from emulators.media.faults import FaultKind, FaultRule
+from harness.rig import Rig
+from motorapi.adaptations.cia402 import Cia402Motor
+from motorapi.commands import ControlMode, DerivativeLimits
+from motorapi.errors import (
+    DeviceFault,
+    LinkError,
+    MotionInterrupted,
+)
+from motorapi.motor import Motor
+from motorapi.state import MotorState
+from tests.motorapi.adaptations.conftest import drive
+
+OpenRig = Callable[..., Rig]
+MS = 1_000_000
+INCREMENT_RAD = 2 * pi / 132_000  # 2000 x 66, our own drive's default motor and gear
+WINDOW_RAD = 10 * INCREMENT_RAD  # its position window: "at the target" is within it
+
+
+@pytest.fixture
+def rig(open_rig: OpenRig) -> Rig:
+    return open_rig(drive("left", 1), drive("right", 2))
+
+
+def motor_of(rig: Rig, name: str = "left") -> Cia402Motor:
+    motor = rig.motors[name]
+    assert isinstance(motor, Cia402Motor)
+    return motor
+
+
+def truth(rig: Rig, name: str = "left") -> float:
+    return rig.controllers[name].snapshot()["position_rad"]
+
+
+def go_to(motor: Motor, target: float, limits: DerivativeLimits | None = None) -> None:
+    motor.set_control_mode(ControlMode.SETPOINT)
+    motor.set_setpoint(target, limits=limits)
+    motor.start()
+
+
+def frames_on(rig: Rig) -> list[tuple[int, str, int, bytes]]:
+    """(time, sender, identifier, data) of every frame from now on."""
+    heard: list[tuple[int, str, int, bytes]] = []
+
+    def on_frame(bus: str, time_ns: int, sender: str, frame: bytes) -> None:
+        can_id = int.from_bytes(frame[:4], "little")
+        heard.append((time_ns, sender, can_id, frame[8 : 8 + frame[4]]))
+
+    rig.world.tap_frames(on_frame)
+    return heard
+
+
+# --- moving ------------------------------------------------------------------------------------
+
+
+def test_a_fault_in_mid_motion_ends_the_wait_when_its_frame_arrives(rig: Rig):
+    motor = motor_of(rig)
+    go_to(motor, 3.0)
+    heard = frames_on(rig)
+    rig.runtime.run_for(0.3)
+    rig.controllers["left"].stimulate("fault", 0x3210)
+    with pytest.raises(DeviceFault, match=r"fault 3210h \(DC link over-voltage\)") as caught:
+        motor.wait_until_done(timeout_s=5)
+    first = next(
+        time_ns
+        for time_ns, _, can_id, data in heard
+        if can_id == 0x181 and int.from_bytes(data[:2], "little") & 0x08
+    )
+    assert rig.runtime.now_ns() == first
+    assert caught.value.code == 0x3210
+    with pytest.raises(DeviceFault):
+        motor.start()
+    rig.runtime.run_for(1.0)
+    motor.reset_fault()
+    assert motor.fault() is None
+    assert motor.state() is MotorState.DISABLED
+    go_to(motor, 0.0)
+    motor.wait_until_done(timeout_s=5)
+    assert [emergency.code for emergency in motor.hardware.emergencies] == [0x3210, 0x0000]
+
+
+def test_a_lost_drive_ends_the_wait_within_the_heartbeat_time(rig: Rig):
+    motor = motor_of(rig)
+    go_to(motor, 3.0)
+    heard = frames_on(rig)
+    rig.runtime.run_for(0.25)
+    lost_ns = rig.runtime.now_ns()
+    rig.faults.inject("can0", FaultRule("cut", FaultKind.CUT, ports=("left",), from_ns=lost_ns))
+    with pytest.raises(LinkError, match="can0 node 1: no heartbeat for 300 ms"):
+        motor.wait_until_done(timeout_s=5)
+    last = max(time_ns for time_ns, _, can_id, _ in heard if can_id == 0x701)
+    assert rig.runtime.now_ns() == last + 300 * MS
+    assert rig.runtime.now_ns() <= lost_ns + 300 * MS
+    assert motor.state() is MotorState.OFFLINE
+    with pytest.raises(LinkError):
+        motor.position()
+
+
+def test_a_drive_that_boots_again_is_brought_up_again(rig: Rig):
+    motor = motor_of(rig)
+    go_to(motor, 1.0)
+    motor.wait_until_done(timeout_s=5)
+    motor.home(37)
+    motor.hardware.link.nmt(0x81, 1)
+    rig.runtime.run_for(0.5)
+    assert not motor.is_referenced()
+    go_to(motor, 0.25)
+    motor.wait_until_done(timeout_s=5)
+
+
+def test_a_drive_that_boots_in_mid_motion_is_a_lost_link(rig: Rig):
+    motor = motor_of(rig)
+    go_to(motor, 3.0)
+    rig.runtime.run_for(0.2)
+    motor.hardware.link.nmt(0x81, 1)
+    with pytest.raises(LinkError):
+        motor.wait_until_done(timeout_s=5)
+
+
+def test_a_drive_that_is_switched_off_by_somebody_else_interrupts_the_motion(rig: Rig):
+    motor = motor_of(rig)
+    go_to(motor, 3.0)
+    rig.runtime.run_for(0.2)
+    motor.hardware.control.send_controlword(0x0000)
+    with pytest.raises(MotionInterrupted, match="switch on disabled"):
+        motor.wait_until_done(timeout_s=5)
+
+
+def test_a_drive_that_leaves_operational_is_a_lost_link(rig: Rig):
+    motor = motor_of(rig)
+    go_to(motor, 3.0)
+    rig.runtime.run_for(0.2)
+    motor.hardware.link.nmt(0x80, 1)
+    with pytest.raises(LinkError, match="NMT state is 7Fh"):
+        motor.wait_until_done(timeout_s=5)
+
+
+def test_a_host_that_was_not_heard_for_a_while_is_told_why_its_motion_ended(rig: Rig):
+    motor = motor_of(rig)
+    go_to(motor, 3.0)
+    lose = FaultRule("lose", FaultKind.DROP, identifier=0x77F, from_ns=rig.runtime.now_ns())
+    rig.faults.inject("can0", lose)
+    # CiA 301, 1029h: a node that misses its host leaves OPERATIONAL; its heartbeat says so
+    with pytest.raises(LinkError, match=r"NMT state is 7Fh.*, after EMCY 8130h .* host was not"):
+        motor.wait_until_done(timeout_s=5)
+    rig.faults.lift("can0", "lose")
+    rig.runtime.run_for(0.2)
+    go_to(motor, 0.1)
+    motor.wait_until_done(timeout_s=5)
+    assert abs(truth(rig) - 0.1) <= WINDOW_RAD
+
+
+def test_the_drive_stops_when_the_host_falls_silent(rig: Rig):
+    motor = motor_of(rig)
+    go_to(motor, 3.0)
+    rig.runtime.run_for(0.2)
+    motor.hardware.close()  # the host's end: no heartbeat any more
+    rig.runtime.run_for(1.0)
+    assert rig.controllers["left"].snapshot()["velocity_rad_s"] == 0.0
+    assert truth(rig) < 2.5
+
+
+# --- together ------------------------------------------------------------------------------------
