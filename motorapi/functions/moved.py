@@ -3,6 +3,7 @@
 `f.shifted(...)` and `f.scaled(...)` make these of functions that have no simpler way.
 """
 
+from abc import abstractmethod
 from math import inf, nextafter
 from typing import final
 
@@ -31,11 +32,13 @@ class _Moved(Function):
         if not low < high:
             raise UsageError(f"{self!r}: nothing is left of the domain")
 
+    @abstractmethod
     def _in(self, argument: float) -> float:
-        raise NotImplementedError
+        """The inner function's argument."""
 
+    @abstractmethod
     def _out(self, argument: float) -> float:
-        raise NotImplementedError
+        """Where an argument of the inner function is."""
 
     @property
     @final

@@ -1,63 +1,26 @@
 """What ends a motion of a CiA 402 motor short of its target: faults, lost drives, lost hosts."""
 
 from collections.abc import Callable
-from math import pi
 
 import pytest
 
 from emulators.media.faults import FaultKind, FaultRule
 from harness.rig import Rig
-from motorapi.adaptations.cia402 import Cia402Motor
-from motorapi.commands import ControlMode, DerivativeLimits
 from motorapi.errors import (
     DeviceFault,
     LinkError,
     MotionInterrupted,
 )
-from motorapi.motor import Motor
 from motorapi.state import MotorState
 from tests.motorapi.adaptations.conftest import drive
+from tests.motorapi.adaptations.wheels import MS, WINDOW_RAD, frames_on, go_to, motor_of, truth
 
 OpenRig = Callable[..., Rig]
-MS = 1_000_000
-INCREMENT_RAD = 2 * pi / 132_000  # 2000 x 66, our own drive's default motor and gear
-WINDOW_RAD = 10 * INCREMENT_RAD  # its position window: "at the target" is within it
 
 
 @pytest.fixture
 def rig(open_rig: OpenRig) -> Rig:
     return open_rig(drive("left", 1), drive("right", 2))
-
-
-def motor_of(rig: Rig, name: str = "left") -> Cia402Motor:
-    motor = rig.motors[name]
-    assert isinstance(motor, Cia402Motor)
-    return motor
-
-
-def truth(rig: Rig, name: str = "left") -> float:
-    return rig.controllers[name].snapshot()["position_rad"]
-
-
-def go_to(motor: Motor, target: float, limits: DerivativeLimits | None = None) -> None:
-    motor.set_control_mode(ControlMode.SETPOINT)
-    motor.set_setpoint(target, limits=limits)
-    motor.start()
-
-
-def frames_on(rig: Rig) -> list[tuple[int, str, int, bytes]]:
-    """(time, sender, identifier, data) of every frame from now on."""
-    heard: list[tuple[int, str, int, bytes]] = []
-
-    def on_frame(bus: str, time_ns: int, sender: str, frame: bytes) -> None:
-        can_id = int.from_bytes(frame[:4], "little")
-        heard.append((time_ns, sender, can_id, frame[8 : 8 + frame[4]]))
-
-    rig.world.tap_frames(on_frame)
-    return heard
-
-
-# --- moving ------------------------------------------------------------------------------------
 
 
 def test_a_fault_in_mid_motion_ends_the_wait_when_its_frame_arrives(rig: Rig):
