@@ -14,6 +14,7 @@ from motorapi.commands import ControlVariable, Motion
 from motorapi.errors import LimitError
 from motorapi.generation import shortest
 from motorapi.model import MotorModel
+from motorapi.trajectory import TrapezoidalTrajectory
 
 _ROUNDING: Final = 1e-12
 _TOO_SHORT: Final = 0.1  # of the duration asked for; nearer than that whole numbers may miss it
@@ -92,8 +93,10 @@ def _check_slowness(
 ) -> None:
     """A duration that was asked for is not cut short because the drive cannot go so slowly."""
     trajectory = motion.trajectory
-    asked_s = None if trajectory is None else motion.duration_s
-    if profile.speed != 1 or asked_s is None or getattr(trajectory, "duration_s", None) is None:
+    if profile.speed != 1 or not isinstance(trajectory, TrapezoidalTrajectory):
+        return
+    asked_s = trajectory.duration_s
+    if asked_s is None:
         return
     made_s = _duration_s(profile, distance, units)
     if made_s < asked_s * (1.0 - _TOO_SHORT):
