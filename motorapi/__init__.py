@@ -40,8 +40,11 @@ from motorapi.progress import Progress
 from motorapi.runtime import Runtime, runtime_of
 from motorapi.state import Fault, Measurement, MotorState
 from motorapi.synchronization import (
+    FaultReaction,
     MotionTimes,
+    PathDeviation,
     SyncCapability,
+    Synchronization,
     SyncLevel,
     SyncOffer,
     SyncQuality,
@@ -63,6 +66,7 @@ __all__ = [
     "DomainError",
     "Ending",
     "Fault",
+    "FaultReaction",
     "FileError",
     "LimitError",
     "LinkError",
@@ -79,6 +83,7 @@ __all__ = [
     "MotorPosition",
     "MotorState",
     "Outcome",
+    "PathDeviation",
     "PeerError",
     "PluginError",
     "Progress",
@@ -90,6 +95,7 @@ __all__ = [
     "SyncLevel",
     "SyncOffer",
     "SyncQuality",
+    "Synchronization",
     "Trajectory",
     "Trapezoid",
     "TrapezoidalTrajectory",

@@ -14,22 +14,15 @@ Algorithm 2 of the paper runs nearly word for word::
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
 
-from motorapi import planning
+from motorapi.capability import capability_of, quality_of
 from motorapi.commands import as_number
 from motorapi.device import DeviceGroup
 from motorapi.errors import MotorError, UsageError
-from motorapi.execution import Started, plan, start_together
+from motorapi.execution import Started, start_together
 from motorapi.motion_waits import check_timeout, wait_for_all
 from motorapi.motor import Motor
 from motorapi.outcome import callback_failed
-from motorapi.synchronization import (
-    SyncCapability,
-    SyncLevel,
-    SyncOffer,
-    SyncQuality,
-    predicted_start_skew_s,
-    spread_s,
-)
+from motorapi.synchronization import SyncCapability, SyncQuality
 from motorapi.trajectory import Trajectory
 
 
@@ -155,30 +148,7 @@ class MotorGroup(DeviceGroup[Motor]):
         Raises:
             MotorError: a motor does not answer.
         """
-        members = self._members()
-        with ExitStack() as passages:
-            for motor in members:
-                passages.enter_context(motor._physical.passage(motor.name))
-            return self._capability(members)
-
-    def _capability(self, members: tuple[Motor, ...]) -> SyncCapability:
-        offers: list[SyncOffer] = []
-        for motor in members:
-            motor._call(motor._connect)
-            offers.append(motor._call(motor._sync_offer))
-        weakest = min(range(len(offers)), key=lambda place: offers[place].level)
-        level, reason = offers[weakest].level, offers[weakest].reason
-        for place, offer in enumerate(offers):
-            if offer.group != offers[0].group and level is not SyncLevel.SEQUENTIAL:
-                level, weakest = SyncLevel.SEQUENTIAL, place
-                reason = f"it has another trigger ({offer.group}) than {members[0].name}"
-        return SyncCapability(
-            level=level,
-            start_skew_s=predicted_start_skew_s(offers),
-            end_skew_s=self._predicted_end_skew_s(),
-            weakest=members[weakest].name,
-            reason=reason,
-        )
+        return capability_of(self._members())
 
     def sync_quality(self) -> SyncQuality:
         """How well the last start began and ended together; what has not happened yet is None.
@@ -188,33 +158,12 @@ class MotorGroup(DeviceGroup[Motor]):
         """
         if not self._started:
             raise UsageError("the group has not been started: there is no quality to tell")
-        times = tuple(
-            (one.motor.name, one.motor._call(one.motor._motion_times)) for one in self._started
-        )
-        known = [its for one, (_, its) in zip(self._started, times, strict=True) if not _stays(one)]
-        return SyncQuality(
-            predicted_end_skew_s=_end_skew_s(self._started),
-            start_skew_s=spread_s([None if its is None else its.started_ns for its in known]),
-            end_skew_s=spread_s([None if its is None else its.ended_ns for its in known]),
-            times=times,
-        )
+        return quality_of(self._started)
 
     def _members(self) -> tuple[Motor, ...]:
         if not len(self):
             raise UsageError("the group is empty: append a motor first")
         return tuple(self)
-
-    def _predicted_end_skew_s(self) -> float | None:
-        try:
-            motions = plan(self._members())
-        except UsageError:
-            return None
-        return _end_skew_s(
-            [
-                Started(motor, motion, motor._call(motor._quantise, motion))
-                for motor, motion in zip(self, motions, strict=True)
-            ]
-        )
 
     def _every(self, method: Callable[[Motor], None]) -> None:
         first: MotorError | None = None
@@ -229,21 +178,3 @@ class MotorGroup(DeviceGroup[Motor]):
                     first.add_note(f"and {motor.name}: {error}")
         if first is not None:
             raise first
-
-
-def _stays(one: Started) -> bool:
-    """Whether the motor is where it is to go, to the hardware's resolution: nothing ends late."""
-    motion = one.motion
-    return (
-        motion.trajectory is not None and motion.function is None and one.quantised.distance == 0.0
-    )
-
-
-def _end_skew_s(started: "tuple[Started, ...] | list[Started]") -> float:
-    """Between the ends of the profiles as the hardware makes them; motors at rest do not count."""
-    durations_s = [
-        planning.duration_of(one.quantised)
-        for one in started
-        if one.motion.duration_s is not None and not _stays(one)
-    ]
-    return max(durations_s) - min(durations_s) if durations_s else 0.0

@@ -8,7 +8,7 @@ trigger group and are fired by one trigger; the others one after another.
 
 from collections.abc import Hashable, Sequence
 from dataclasses import dataclass
-from enum import IntEnum
+from enum import Enum, IntEnum
 from typing import Protocol, final
 
 
@@ -19,6 +19,24 @@ class SyncLevel(IntEnum):
     SEQUENTIAL = 0  # a start command for each, one after another
     TRIGGERED = 1  # one signal starts all of them
     CYCLIC = 2  # set-points at a common rate, latched by one signal
+
+
+@final
+class Synchronization(Enum):
+    """What the trajectories of a group have in common."""
+
+    TIME = "time"  # they begin and end together
+    PHASE = "phase"  # and at every instant each has gone the same part of its way
+    NONE = "none"  # they begin together; each is as fast as it can be
+
+
+@final
+class FaultReaction(Enum):
+    """What becomes of the others when one motor of a group fails."""
+
+    TOGETHER = "together"  # they slow down along the path, and come to rest together
+    EACH = "each"  # each slows down as fast as it may
+    NONE = "none"  # they go on
 
 
 class Trigger(Protocol):
@@ -40,26 +58,64 @@ class SyncOffer:
     Attributes:
         level: what it can do.
         group: motors whose offers name an equal group (a bus) are fired by one trigger.
-        latency_s: shortest and longest time from `Trigger.fire` to the start of motion [s];
-            None if no bound is known.
+        latency_s: shortest and longest time from the instant at which the drive has latched its
+            command to the start of motion [s]; None if no bound is known.
         reason: why it is not better, in words ("RPDO 1 has transmission type 255").
+        fire_s: shortest and longest time from the call of `Trigger.fire` to the instant at which
+            the drive latches, and to the call's return, which is not earlier [s]; None if no
+            bound is known. What another trigger before it takes is in that one's.
+        oscillator_ppm: how far the drive's clock may be off, either way [1e-6]; None: not told.
+        end_s: shortest and longest time from the end of the profile by the drive's own clock to
+            the end of motion [s]; None if no bound is known.
+        unbounded: why, where one of these is None, in words.
     """
 
     level: SyncLevel
     group: Hashable
     latency_s: tuple[float, float] | None
     reason: str
+    fire_s: tuple[float, float] | None = None
+    oscillator_ppm: float | None = None
+    end_s: tuple[float, float] | None = None
+    unbounded: str = ""
 
 
 @final
 @dataclass(frozen=True, slots=True)
 class MotionTimes:
-    """When a motion began and ended, as the hardware told it [ns]; None: not (yet) told."""
+    """When a motion began and ended, as the hardware told it.
+
+    Attributes:
+        started_ns: when it began [ns]; None: not (yet) told.
+        ended_ns: when it ended [ns]; None: not (yet) told.
+        source: where it was measured ("set-point acknowledge and target reached in TPDO 1").
+        latched_ns: when the signal that started it was on the wire [ns]; None: not known.
+        straddles: how many signals came between what should have gone between two of them.
+    """
 
     started_ns: int | None
     ended_ns: int | None
     source: str
-    """Where it was measured ("set-point acknowledge and target reached in TPDO 1")."""
+    latched_ns: int | None = None
+    straddles: int = 0
+
+
+@final
+@dataclass(frozen=True, slots=True)
+class PathDeviation:
+    """How far one motor was from where the group's common path had it.
+
+    Attributes:
+        motor: its name.
+        deviation: the largest found, either way [rad or m]; None: nothing was measured.
+        source: where it was measured ("position in TPDO 1, 183h").
+        age_s: how old such a sample may have been when it was compared [s]; None: no bound known.
+    """
+
+    motor: str
+    deviation: float | None
+    source: str
+    age_s: float | None = None
 
 
 @final
@@ -67,21 +123,31 @@ class MotionTimes:
 class SyncCapability:
     """How well a group can begin and end together, before it moves.
 
+    A bound that is None is no bound at all; the text beside it says why.
+
     Attributes:
         level: what starts it; that of the weakest member.
-        start_skew_s: bound on the time between the first and the last motor's start [s]; None if
-            no bound is known.
-        end_skew_s: predicted time between the first and the last end [s] for the trajectories set
-            now: what rounding to the hardware's units does. None if none can be started now.
+        command_skew_s: bound on the time between the instants at which the first and the last
+            motor latch their commands [s]; 0 where one signal starts all.
+        start_skew_s: bound on the time between the first and the last motor's start of motion [s].
+        end_skew_s: bound on the time between the first and the last end [s], for what is set now:
+            start skew, error of the drives' clocks in that time, rounding and profile ticks.
         weakest: the member that keeps it from being better.
         reason: why, in words.
+        no_command_bound: why `command_skew_s` is None; else "".
+        no_start_bound: why `start_skew_s` is None; else "".
+        no_end_bound: why `end_skew_s` is None; else "".
     """
 
     level: SyncLevel
+    command_skew_s: float | None
     start_skew_s: float | None
     end_skew_s: float | None
     weakest: str
     reason: str
+    no_command_bound: str = ""
+    no_start_bound: str = ""
+    no_end_bound: str = ""
 
 
 @final
@@ -96,12 +162,19 @@ class SyncQuality:
         end_skew_s: likewise for the ends.
         times: for each motor its name, and when it began and ended and where that was measured
             (None: it does not tell).
+        command_skew_s: between the instants at which the signals that started them were on the
+            wire [s]; None until all of them told.
+        path: for each motor how far it was from the common path; empty: nothing watches that.
+        straddles: how many signals came between what should have gone between two of them.
     """
 
     predicted_end_skew_s: float
     start_skew_s: float | None
     end_skew_s: float | None
     times: tuple[tuple[str, MotionTimes | None], ...]
+    command_skew_s: float | None = None
+    path: tuple[PathDeviation, ...] = ()
+    straddles: int = 0
 
 
 def predicted_start_skew_s(offers: Sequence[SyncOffer]) -> float | None:

@@ -1,0 +1,105 @@
+"""What a group can do together, before it moves; and what it did."""
+
+# ruff: noqa: SLF001 -- it works the hooks of motors, as Motor does its own
+
+from collections.abc import Sequence
+from contextlib import ExitStack
+from typing import TYPE_CHECKING
+
+from motorapi import planning
+from motorapi.errors import UsageError
+from motorapi.execution import Started, plan
+from motorapi.synchronization import (
+    SyncCapability,
+    SyncLevel,
+    SyncOffer,
+    SyncQuality,
+    predicted_start_skew_s,
+    spread_s,
+)
+
+if TYPE_CHECKING:
+    from motorapi.motor import Motor
+
+
+def capability_of(motors: Sequence["Motor"]) -> SyncCapability:
+    """How well `motors` can begin and end together, with what is set now.
+
+    Raises:
+        MotorError: a motor does not answer.
+    """
+    with ExitStack() as passages:
+        for motor in motors:
+            passages.enter_context(motor._physical.passage(motor.name))
+        return _capability(motors)
+
+
+def _capability(motors: Sequence["Motor"]) -> SyncCapability:
+    offers: list[SyncOffer] = []
+    for motor in motors:
+        motor._call(motor._connect)
+        offers.append(motor._call(motor._sync_offer))
+    weakest = min(range(len(offers)), key=lambda place: offers[place].level)
+    level, reason = offers[weakest].level, offers[weakest].reason
+    for place, offer in enumerate(offers):
+        if offer.group != offers[0].group and level is not SyncLevel.SEQUENTIAL:
+            level, weakest = SyncLevel.SEQUENTIAL, place
+            reason = f"it has another trigger ({offer.group}) than {motors[0].name}"
+    together = all(offer.group == offers[0].group for offer in offers)
+    return SyncCapability(
+        level=level,
+        command_skew_s=0.0 if together else None,
+        start_skew_s=predicted_start_skew_s(offers),
+        end_skew_s=_predicted_end_skew_s(motors),
+        weakest=motors[weakest].name,
+        reason=reason,
+    )
+
+
+def quality_of(started: Sequence[Started]) -> SyncQuality:
+    """How well a start began and ended together; what has not happened yet is None.
+
+    Raises:
+        MotorError: a motor does not answer.
+    """
+    times = tuple((one.motor.name, one.motor._call(one.motor._motion_times)) for one in started)
+    known = [its for one, (_, its) in zip(started, times, strict=True) if not stays(one)]
+    return SyncQuality(
+        predicted_end_skew_s=end_skew_s(started),
+        start_skew_s=spread_s([None if its is None else its.started_ns for its in known]),
+        end_skew_s=spread_s([None if its is None else its.ended_ns for its in known]),
+        times=times,
+        command_skew_s=spread_s([None if its is None else its.latched_ns for its in known]),
+        straddles=max((0 if its is None else its.straddles for its in known), default=0),
+    )
+
+
+def stays(one: Started) -> bool:
+    """Whether the motor is where it is to go, to the hardware's resolution: nothing ends late."""
+    motion = one.motion
+    return (
+        motion.trajectory is not None and motion.function is None and one.quantised.distance == 0.0
+    )
+
+
+def end_skew_s(started: Sequence[Started]) -> float:
+    """Between the ends of the profiles as the hardware makes them; motors at rest do not count."""
+    durations_s = [
+        planning.duration_of(one.quantised)
+        for one in started
+        if one.motion.duration_s is not None and not stays(one)
+    ]
+    return max(durations_s) - min(durations_s) if durations_s else 0.0
+
+
+def _predicted_end_skew_s(motors: Sequence["Motor"]) -> float | None:
+    try:
+        motions = plan(motors)
+    except UsageError:
+        return None
+    return end_skew_s(
+        [
+            Started(motor, motion, motor._call(motor._quantise, motion))
+            for motor, motion in zip(motors, motions, strict=True)
+        ]
+    )
