@@ -57,6 +57,20 @@ class Level(IntEnum):
     FATAL = 5
 
 
+@final
+class LockAction(IntEnum):
+    """What happened to the ownership of a motor."""
+
+    UNKNOWN = 0
+    TAKEN = 1
+    RELEASED = 2
+    WAITING = 3
+    REFUSED = 4
+    BROKEN = 5  # taken from one who had died
+    TAKEN_OVER = 6  # taken from one who lives
+    LOST = 7  # its holder noticed that it was taken over
+
+
 def _enumeration(name: str, members: type[IntEnum]) -> Enumeration:
     return Enumeration(name, tuple((member.name, member.value) for member in members))
 
@@ -112,29 +126,22 @@ LOG: Final = Message(
     ),
 )
 
+# A motor is the owner's from TAKEN (BROKEN, TAKEN_OVER) to RELEASED, or to the next token. What was
+# looked at is older than its message: a TAKEN by `held_s`; what lay between two looks is not known.
 MOTOR_LOCK: Final = Message(
     "motorhil.MotorLock",
     (
-        Field(
-            1,
-            "action",
-            Kind.ENUM,
-            of=Enumeration(
-                "Action",
-                (
-                    ("UNKNOWN", 0),
-                    ("TAKEN", 1),
-                    ("RELEASED", 2),
-                    ("WAITING", 3),
-                    ("REFUSED", 4),
-                    ("BROKEN", 5),  # its holder had died
-                ),
-            ),
-        ),
+        Field(1, "action", Kind.ENUM, of=_enumeration("Action", LockAction)),
         Field(2, "owner", Kind.STRING),  # who takes, waits or gives back
-        Field(3, "holder", Kind.STRING),  # who has it, if not the owner
+        Field(3, "holder", Kind.STRING),  # who has it, or had it, if not the owner
         Field(4, "waited_s", Kind.DOUBLE),
         Field(5, "held_s", Kind.DOUBLE),
+        Field(6, "token", Kind.INT64),  # of the ownership; it grows from one to the next
+        Field(7, "pid", Kind.UINT32),  # of the owner's process; 0: not told
+        Field(8, "program", Kind.STRING),
+        Field(9, "purpose", Kind.STRING),
+        Field(10, "sender", Kind.STRING),  # what the frames of that process are recorded under
+        Field(11, "looked", Kind.BOOL),  # seen on the lock from outside, not told by the owner
     ),
 )
 

@@ -2,7 +2,17 @@ from google.protobuf.descriptor_pb2 import FileDescriptorSet
 
 from tests.traces.protobuf_classes import google_class
 from traces.protobuf import file_descriptor_set
-from traces.schema import CAN_FRAME, JOINT_STATE, LOG, Direction, Level, Schema, truth_message
+from traces.schema import (
+    CAN_FRAME,
+    JOINT_STATE,
+    LOG,
+    MOTOR_LOCK,
+    Direction,
+    Level,
+    LockAction,
+    Schema,
+    truth_message,
+)
 
 # Source: foxglove-schemas-protobuf 0.4.0 (PyPI), `DESCRIPTOR.serialized_pb` of each file.
 FOXGLOVE_JOINT_STATE = (
@@ -52,6 +62,32 @@ def test_field_numbers_of_a_can_frame_are_kept_forever():
     }
     values = google_class(CAN_FRAME).DESCRIPTOR.fields_by_name["direction"].enum_type.values
     assert {v.name: v.number for v in values} == {d.name: d.value for d in Direction}
+
+
+def test_numbers_of_lock_events_are_kept_forever():
+    assert {field.name: field.number for field in MOTOR_LOCK.fields} == {
+        "action": 1,
+        "owner": 2,
+        "holder": 3,
+        "waited_s": 4,
+        "held_s": 5,
+        "token": 6,
+        "pid": 7,
+        "program": 8,
+        "purpose": 9,
+        "sender": 10,
+        "looked": 11,
+    }
+    assert {action.name: action.value for action in LockAction} == {
+        "UNKNOWN": 0,
+        "TAKEN": 1,
+        "RELEASED": 2,
+        "WAITING": 3,
+        "REFUSED": 4,
+        "BROKEN": 5,
+        "TAKEN_OVER": 6,
+        "LOST": 7,
+    }
 
 
 def test_a_controllers_truth_has_one_field_a_quantity_in_the_order_of_the_keys():
