@@ -1,0 +1,1 @@
+"""Suites that judge how motors are shared."""

@@ -1,0 +1,272 @@
+"""The checker of histories: against histories that are known, and against trying every order."""
+
+from itertools import permutations
+
+import pytest
+from hypothesis import event, given, settings
+from hypothesis import strategies as st
+
+from harness.sharing.history import Action, Answer, SharingViolated, Use, ended_by_death
+from harness.sharing.linearizability import (
+    OwnedMotor,
+    events_of,
+    require_linearizable,
+    search,
+)
+
+TAKE, GIVE, COMMAND, READ, DIE = Action
+DONE, REFUSED, LOST, UNKNOWN = Answer
+LATE = 10**6
+
+
+def use(who, action, called_ns, returned_ns, answer=DONE, **facts):
+    return Use(who, "m", action, called_ns, returned_ns, answer, **facts)
+
+
+def take(who, called_ns, returned_ns, token, **facts):
+    return use(who, TAKE, called_ns, returned_ns, token=token, **facts)
+
+
+def command(who, called_ns, returned_ns, value, answer=DONE):
+    return use(who, COMMAND, called_ns, returned_ns, answer, value=value)
+
+
+def is_allowed(*uses):
+    try:
+        require_linearizable(uses)
+    except SharingViolated:
+        return False
+    return True
+
+
+# ---- known histories
+
+
+def test_nothing_happened_is_a_history():
+    assert require_linearizable(()) == 0
+
+
+def test_one_after_another_is_allowed():
+    assert is_allowed(
+        take("a", 0, 1, 5),
+        command("a", 2, 3, 7),
+        use("a", GIVE, 4, 5),
+        take("b", 6, 7, 6),
+        command("b", 8, 9, 8),
+        use("c", READ, 10, 11, value=8),
+    )
+
+
+def test_two_owners_at_once_are_not():
+    first = take("a", 0, 1, 1)
+    assert not is_allowed(first, take("b", 2, 3, 2), use("a", GIVE, 4, 5))
+    assert is_allowed(first, take("b", 2, 6, 2), use("a", GIVE, 4, 5))  # he may have had to wait
+
+
+def test_a_token_that_does_not_grow_is_not():
+    given_back = (take("a", 0, 1, 4), use("a", GIVE, 2, 3))
+    assert not is_allowed(*given_back, take("b", 4, 5, 4))
+    assert not is_allowed(*given_back, take("b", 4, 5, 3))
+    assert is_allowed(*given_back, take("b", 4, 5, 5))
+
+
+@pytest.mark.parametrize(
+    ("queued_ns", "allowed"),
+    [
+        (19, False),  # b waits before c asks at 20
+        (20, True),  # or at the very instant
+        (None, True),  # nobody saw when b began to wait
+    ],
+)
+def test_who_waits_is_served_before_whoever_asks_later(queued_ns, allowed):
+    assert (
+        is_allowed(
+            take("a", 0, 1, 1),
+            take("b", 2, 60, 3, queued_ns=queued_ns),
+            take("c", 20, 40, 2),
+            use("a", GIVE, 30, 31),
+            use("c", GIVE, 50, 51),
+        )
+        is allowed
+    )
+
+
+def test_who_is_refused_was_refused_for_somebody():
+    assert not is_allowed(use("b", TAKE, 0, 1, REFUSED))
+    assert is_allowed(take("a", 0, 5, 1), use("b", TAKE, 3, 4, REFUSED))
+    # somebody who waits is enough: it is his next
+    waits = take("b", 1, 9, 2, queued_ns=2)
+    assert is_allowed(
+        take("a", 0, 1, 1), waits, use("a", GIVE, 3, 4), use("c", TAKE, 5, 6, REFUSED)
+    )
+
+
+def test_a_command_of_one_who_does_not_own_it_is_not_allowed():
+    assert not is_allowed(command("a", 0, 1, 3))
+    assert is_allowed(command("a", 0, 1, 3, REFUSED))
+    assert not is_allowed(take("a", 0, 1, 1), command("a", 2, 3, 3, REFUSED))
+
+
+def test_after_a_takeover_the_loser_commands_no_more():
+    taken = (take("a", 0, 1, 1), take("b", 2, 3, 2, forced=True))
+    assert is_allowed(*taken, command("a", 4, 5, 1, LOST), use("a", GIVE, 6, 7, LOST))
+    assert not is_allowed(*taken, command("a", 4, 5, 1))
+    assert not is_allowed(*taken, use("a", GIVE, 6, 7))
+    assert not is_allowed(take("a", 0, 1, 1), take("b", 2, 3, 2))  # no takeover: two owners
+    # during the takeover it may be either
+    assert is_allowed(*taken[:1], take("b", 2, 6, 2, forced=True), command("a", 4, 5, 1))
+
+
+def test_a_lease_that_ended_goes_to_who_waits_longest():
+    first = take("a", 0, 1, 1)
+    waits = take("b", 2, 30, 2, queued_ns=3, forced=True)
+    assert is_allowed(first, waits)
+    assert not is_allowed(
+        first,
+        take("c", 5, 20, 2, queued_ns=6, forced=True),
+        take("b", 2, 30, 3, queued_ns=3, forced=True),
+    )
+
+
+def test_what_is_read_was_commanded_last():
+    commanded = (take("a", 0, 1, 1), command("a", 2, 3, 7), command("a", 4, 9, 8))
+    assert is_allowed(*commanded, use("r", READ, 5, 6, value=7))
+    assert is_allowed(*commanded, use("r", READ, 5, 6, value=8))
+    assert not is_allowed(*commanded, use("r", READ, 10, 11, value=7))
+    both = (use("r", READ, 5, 6, value=8), use("r", READ, 7, 8, value=7))
+    assert not is_allowed(*commanded, *both)  # not forth and back
+
+
+def test_what_the_dead_began_has_happened_by_his_end_or_never():
+    death = use("a", DIE, 10, 12)
+    begun = command("a", 5, LATE, 9, UNKNOWN)
+    told = ended_by_death((take("a", 0, 1, 1), begun, death))
+    read = use("r", READ, 20, 21, value=9)
+    assert is_allowed(*told, read)
+    assert is_allowed(*told, use("r", READ, 20, 21, value=0))
+    assert is_allowed(*told, use("r", READ, 20, 21, value=0), use("r", READ, 22, 23, value=0))
+    assert not is_allowed(*told, use("r", READ, 20, 21, value=0), use("r", READ, 22, 23, value=9))
+    assert is_allowed(*told, take("b", 6, 13, 2))  # freed by the death
+    assert not is_allowed(*told, take("b", 6, 9, 2))  # not before
+
+
+def test_one_who_died_waiting_is_no_longer_waited_for():
+    uses = (
+        take("a", 0, 1, 1),
+        use("b", TAKE, 2, LATE, UNKNOWN, queued_ns=3),
+        use("b", DIE, 10, 12),
+        take("c", 5, 30, 2, queued_ns=6),
+        use("a", GIVE, 20, 21),
+    )
+    assert is_allowed(*ended_by_death(uses))
+    alive = [one for one in uses if one.action is not DIE]
+    assert not is_allowed(*alive)
+
+
+def test_a_complaint_names_what_does_not_fit():
+    with pytest.raises(SharingViolated, match=r"(?s)m: no order of its 2 uses.*b take m: done"):
+        require_linearizable((take("a", 0, 1, 1), take("b", 2, 3, 2)))
+
+
+def test_motors_are_judged_one_by_one():
+    good = take("a", 0, 1, 1)
+    other = Use("b", "other", TAKE, 0, 1, DONE, token=1)
+    assert is_allowed(good, other)
+    with pytest.raises(SharingViolated, match=r"^other: "):
+        require_linearizable((good, other, Use("c", "other", TAKE, 2, 3, DONE, token=2)))
+
+
+def test_long_histories_take_steps_in_proportion():
+    uses = []
+    for turn in range(2000):
+        at = turn * 100
+        who = f"w{turn % 5}"
+        uses.append(take(who, max(0, at - 350), at + 10, turn + 1, queued_ns=max(0, at - 349)))
+        uses.append(command(who, at + 20, at + 30, turn))
+        uses.append(use(who, GIVE, at + 40, at + 50))
+    assert require_linearizable(uses) < 10 * 8000
+
+
+# ---- against trying every order
+
+
+def brute_force(events, specification):
+    """Whether any order of all events agrees with the times and the specification."""
+    for order in permutations(events):
+        if any(
+            later.returned_ns < earlier.called_ns
+            for place, earlier in enumerate(order)
+            for later in order[place + 1 :]
+        ):
+            continue
+        states = [specification.initial()]
+        for one in order:
+            states = [after for state in states for after in specification.step(state, one)]
+        if states:
+            return True
+    return False
+
+
+TIMES = st.integers(0, 12)
+
+
+@st.composite
+def anything(draw):
+    """A use of whatever kind: mostly nonsense."""
+    begin, end = sorted((draw(TIMES), draw(TIMES)))
+    action = draw(st.sampled_from(list(Action)))
+    answer = draw(st.sampled_from([DONE, DONE, DONE, REFUSED, LOST, UNKNOWN]))
+    return Use(
+        draw(st.sampled_from("abc")),
+        "m",
+        action,
+        begin,
+        end,
+        answer,
+        queued_ns=draw(st.sampled_from([None, begin, end])) if action is TAKE else None,
+        token=draw(st.integers(0, 3)) if action is TAKE else 0,
+        value=draw(st.integers(0, 1)) if action in (COMMAND, READ) else 0,
+        forced=action is TAKE and draw(st.booleans()),
+    )
+
+
+@st.composite
+def plausible(draw):
+    """Uses made one by one as they should be, in wider intervals; maybe one lie."""
+    uses, holder, token, value = [], None, 0, 0
+    for place in range(draw(st.integers(1, 4))):
+        who = draw(st.sampled_from("abc"))
+        at = 3 * place + 3
+        begin, end = at - draw(st.integers(0, 3)), at + draw(st.integers(0, 3))
+        kind = draw(st.sampled_from([TAKE, GIVE, COMMAND, READ]))
+        if holder is not None and kind in (GIVE, COMMAND):
+            who = draw(st.sampled_from([who, holder]))
+        done = DONE if holder == who else LOST
+        if kind is TAKE:
+            if holder is None:
+                holder, token = who, token + 1
+                uses.append(take(who, begin, end, token))
+            elif holder != who:
+                uses.append(use(who, TAKE, begin, end, REFUSED))
+        elif kind is READ:
+            uses.append(use(who, READ, begin, end, value=value))
+        else:
+            value = place if kind is COMMAND and done is DONE else value
+            uses.append(use(who, kind, begin, end, done, value=place if kind is COMMAND else 0))
+            holder = None if kind is GIVE and done is DONE else holder
+    if uses and draw(st.booleans()):
+        victim = draw(st.integers(0, len(uses) - 1))
+        uses[victim] = draw(anything())
+    return uses
+
+
+@settings(max_examples=300)
+@given(st.lists(anything(), max_size=4) | plausible())
+def test_the_search_finds_an_order_exactly_where_there_is_one(uses):
+    events, specification = events_of(uses), OwnedMotor()
+    found = search(events, specification)
+    expected = brute_force(events, specification)
+    event(f"allowed: {expected}, events: {len(events)}")
+    assert (found.order is not None) is expected
+    if found.order is not None:
+        assert sorted(map(repr, found.order)) == sorted(map(repr, events))
