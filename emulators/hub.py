@@ -10,18 +10,27 @@ from pathlib import Path
 from typing import Final, final
 
 from emulators.hub_protocol import (
+    FENCED,
+    FENCED_SIZE,
     GREETING,
     HEARD,
+    OWNS,
     RECORD_MAX,
     REFUSED,
     SENT,
     SUBMIT,
     WELCOME,
+    OwnershipNotice,
+    pack_stale,
     pack_told,
+    unpack_fenced,
+    unpack_owns,
 )
 from emulators.world import HostPort, World
 
 _BACKLOG_MAX: Final = 1_000_000
+_SUBMIT_SIZE: Final = 17
+_TAKING: Final = (1, 5, 6)  # actions of a notice by which somebody owns a motor from now on
 CLIENTS_MAX: Final = 256  # select() takes no descriptor above 1023
 
 
@@ -30,14 +39,34 @@ class HubError(Exception):
 
 
 @final
+class _Fences:
+    """The greatest token seen of every resource, and whose it is."""
+
+    def __init__(self) -> None:
+        self._seen: dict[tuple[str, int], tuple[int, str]] = {}
+
+    def newer(self, bus: str, resource: int, token: int, who: str) -> tuple[int, str] | None:
+        """(token, whose) of who owns the resource under a greater token; None: nobody does."""
+        known = self._seen.get((bus, resource))
+        if known is None or known[0] < token:
+            self._seen[bus, resource] = token, who
+        elif known[0] > token:
+            return known
+        return None
+
+
+@final
 class _Client:
     """One connected process: its port on a bus, and what it has not taken yet."""
 
-    def __init__(self, connection: socket.socket, world: World) -> None:
+    def __init__(self, connection: socket.socket, world: World, fences: _Fences) -> None:
         self.connection = connection
         self.lost = ""  # why it has to go, once it has
         self._world = world
+        self._fences = fences
         self._port: HostPort | None = None
+        self._bus = ""
+        self._told_stale: set[tuple[int, int]] = set()
         self._waiting: deque[bytes] = deque()
 
     def readable(self) -> bool:
@@ -54,12 +83,51 @@ class _Client:
             if self._port is None:
                 if not self._greet(record):
                     return False
-            elif record[0] == SUBMIT and len(record) == 17:
-                try:
-                    self._port.send(record[1:])
-                except ValueError as error:  # no frame that a bus could carry
-                    self.refuse(f"frame {record[1:].hex()}: {error}")
-                    return False
+            elif not self._take(self._port, record):
+                return False
+
+    def _take(self, port: HostPort, record: bytes) -> bool:
+        """What the record says is done; False if the client has to go for it."""
+        kind = record[0]
+        frame = b""
+        if kind == FENCED and len(record) == FENCED_SIZE:
+            resource, token, frame = unpack_fenced(record)
+            newer = self._fences.newer(self._bus, resource, token, port.name)
+            if newer is not None:
+                self._refuse_stale(port.name, resource, token, newer)
+                return True
+        elif kind == SUBMIT and len(record) == _SUBMIT_SIZE:
+            frame = record[1:]
+        elif kind == OWNS:
+            notice = unpack_owns(record)
+            if notice is not None:
+                self._note(port.name, notice)
+        if frame:
+            try:
+                port.send(frame)
+            except ValueError as error:  # no frame that a bus could carry
+                self.refuse(f"frame {frame.hex()}: {error}")
+                return False
+        return True
+
+    def _note(self, name: str, notice: OwnershipNotice) -> None:
+        if notice.action in _TAKING:
+            purpose = f" for {notice.purpose}" if notice.purpose else ""
+            self._fences.newer(self._bus, notice.resource, notice.token, name + purpose)
+        self._world.tell_ownership(self._bus, name, notice)
+
+    def _refuse_stale(self, name: str, resource: int, token: int, newer: tuple[int, str]) -> None:
+        if (resource, token) in self._told_stale:
+            return
+        self._told_stale.add((resource, token))
+        greater, who = newer
+        channel = f" channel {resource >> 8}" if resource >> 8 else ""
+        text = (
+            f"frames of {name} are refused: token {token}, and node {resource & 0xFF}{channel} is"
+            f" owned under token {greater} by {who}"
+        )
+        self._world.report(self._world.queue.now_ns, "warning", self._bus, text)
+        self._send(pack_stale(resource, greater, who))
 
     def refuse(self, reason: str) -> None:
         """It knows why it has to go."""
@@ -78,6 +146,7 @@ class _Client:
             return False
         bus = words[2] or names[0]
         self._send(WELCOME + bus.encode())
+        self._bus = bus
         self._port = self._world.add_host(bus, words[3], self._tell)
         return True
 
@@ -118,7 +187,8 @@ class HubServer:
     """A Gateway: processes connect to `path` and are on a bus of the world.
 
     Nothing is lost: what a client has not read waits for it, up to a million frames; a client that
-    lags further is disconnected, never served with gaps.
+    lags further is disconnected, never served with gaps. Frames of who has lost a motor are refused
+    (emulators.hub_protocol, fencing).
     """
 
     def __init__(self, path: str | Path, world: World) -> None:
@@ -129,6 +199,7 @@ class HubServer:
         """
         self.path = Path(path)
         self._world = world
+        self._fences = _Fences()
         self._clients: dict[socket.socket, _Client] = {}
         if "#" in str(self.path):
             raise HubError(
@@ -193,7 +264,7 @@ class HubServer:
         except OSError:  # it has left again, or this process may open no more: it waits
             return
         connection.setblocking(False)
-        client = _Client(connection, self._world)
+        client = _Client(connection, self._world, self._fences)
         if len(self._clients) < CLIENTS_MAX:
             self._clients[connection] = client
         else:

@@ -10,6 +10,7 @@ from typing import final
 
 from emulators.controller import Controller
 from emulators.event_queue import UNSET, Alarm, EventQueue
+from emulators.hub_protocol import OwnershipNotice
 from emulators.media.can_bus import DELIVERED, HEARD, KIND_MASK, LOST, CanBus, hears
 from emulators.media.faults import FaultRule
 
@@ -17,6 +18,7 @@ HostListener = Callable[[bytes, int, bool], None]
 FrameTap = Callable[[str, int, str, bytes], None]
 EventTap = Callable[[int, str, str, str], None]
 SampleTap = Callable[[int, str, Mapping[str, float]], None]
+OwnershipTap = Callable[[str, int, str, OwnershipNotice], None]
 
 
 class Endpoint:
@@ -256,6 +258,7 @@ class World:
         self._touched: list[ControllerSlot] = []
         self._event_taps: list[EventTap] = []
         self._sample_taps: list[SampleTap] = []
+        self._ownership_taps: list[OwnershipTap] = []
         self._sample_period_ns = 0
         self._sampler = queue.alarm(self._sample)
 
@@ -329,6 +332,15 @@ class World:
     def tap_events(self, on_event: EventTap) -> None:
         """`on_event(time_ns, level, controller, text)` hears what controllers report."""
         self._event_taps.append(on_event)
+
+    def tap_ownership(self, on_notice: OwnershipTap) -> None:
+        """`on_notice(bus, time_ns, sender, notice)` hears what hosts say of who owns what."""
+        self._ownership_taps.append(on_notice)
+
+    def tell_ownership(self, bus: str, sender: str, notice: OwnershipNotice) -> None:
+        """A host on the bus says who owns a motor."""
+        for tap in self._ownership_taps:
+            tap(bus, self.queue.now_ns, sender, notice)
 
     def tap_samples(self, period_ns: int, on_sample: SampleTap) -> None:
         """`on_sample(time_ns, controller, truth)` every `period_ns`, while the truth changes.

@@ -18,12 +18,14 @@ from can.broadcastmanager import (
     RestartableCyclicTaskABC,
 )
 
+from emulators.hub_protocol import OwnershipNotice
 from harness.bus_ears import Ears
 from harness.hub_client import HubLink
 
 if TYPE_CHECKING:
     from emulators.world import HostPort, World
     from harness.virtual_time import VirtualRuntime
+    from motorapi.errors import MotorBusyError
     from motorapi.runtime import FrameListener, Registration
 
 _FRAME: Final = struct.Struct("<IB3x8s")
@@ -55,6 +57,13 @@ def close_rig(world: "World") -> None:
     """Its buses can no longer be joined."""
     for name in [name for name, (owner, _) in _OPEN.items() if owner is world]:
         del _OPEN[name]
+
+
+def _overtaken(motor: str, token: int, newer: tuple[int, str]) -> "MotorBusyError":
+    from motorapi.errors import MotorBusyError  # only where there is motorapi to catch it
+
+    since = f"it took it over (token {newer[0]}; ours was {token})"
+    return MotorBusyError(motor=motor, holder=newer[1], since_ns=0, since=since)
 
 
 def to_frame(message: Message) -> bytes:
@@ -187,6 +196,27 @@ class EmulatedBus(can.BusABC):
             self._port.send(frame)
         elif self._hub is not None:
             self._hub.send(frame)
+
+    def transmit_fenced(self, frame: bytes, resource: int, token: int) -> None:
+        """As `transmit`, of a commanding frame; a hub looks at its token.
+
+        Raises:
+            MotorBusyError: the hub has refused that token already.
+        """
+        if self._hub is None:
+            self.transmit(frame)
+            return
+        if self._is_shutdown:
+            self._check_open()
+        newer = self._hub.stale.get(resource)
+        if newer is not None and token < newer[0]:
+            raise _overtaken(f"{self.channel} node {resource & 0xFF}", token, newer)
+        self._hub.send_fenced(frame, resource, token)
+
+    def announce_ownership(self, resource: int, action: int, token: int, **facts: Any) -> None:
+        """A hub knows who owns a motor; `facts` as in emulators.hub_protocol.OwnershipNotice."""
+        if self._hub is not None and not self._is_shutdown:
+            self._hub.announce(OwnershipNotice(resource, action, token, **facts))
 
     def _check_open(self) -> None:
         if self._is_shutdown:

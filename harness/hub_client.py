@@ -17,8 +17,13 @@ from emulators.hub_protocol import (
     RECORD_MAX,
     REFUSED,
     SENT,
+    STALE,
     WELCOME,
+    OwnershipNotice,
+    pack_fenced,
+    pack_owns,
     pack_submit,
+    unpack_stale,
     unpack_told,
 )
 
@@ -27,7 +32,11 @@ _GREETING_TIMEOUT_S: Final = 5.0
 
 @final
 class HubLink:
-    """One connection to one bus of a hub. May be read in one thread and written in another."""
+    """One connection to one bus of a hub. May be read in one thread and written in another.
+
+    Attributes:
+        stale: what the hub has refused: resource -> (the greater token, whose it is).
+    """
 
     def __init__(self, channel: str) -> None:
         """Connected. `channel` is "PATH" (the hub's first bus) or "PATH#BUS".
@@ -35,6 +44,7 @@ class HubLink:
         Raises:
             CanInitializationError: nobody serves there, or the hub refuses; says why.
         """
+        self.stale: dict[int, tuple[int, str]] = {}
         path, _, bus = channel.partition("#")
         self._socket = socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET)
         try:
@@ -69,8 +79,19 @@ class HubLink:
         Raises:
             CanOperationError: the hub has gone.
         """
+        self._send(pack_submit(frame))
+
+    def send_fenced(self, frame: bytes, resource: int, token: int) -> None:
+        """As `send`; the hub refuses it if somebody has a greater token of the resource."""
+        self._send(pack_fenced(frame, resource, token))
+
+    def announce(self, notice: OwnershipNotice) -> None:
+        """The hub knows who owns a motor, in the order of this and of frames. Raises as `send`."""
+        self._send(pack_owns(notice))
+
+    def _send(self, record: bytes) -> None:
         try:
-            self._socket.send(pack_submit(frame))
+            self._socket.send(record)
         except OSError as error:
             raise self._gone() from error
 
@@ -97,6 +118,9 @@ class HubLink:
             if record[0] in (HEARD, SENT):
                 kind, time_ns, frame = unpack_told(record)
                 return frame, time_ns, kind == SENT
+            if record[0] == STALE:
+                resource, token, who = unpack_stale(record)
+                self.stale[resource] = token, who
 
     def _read(self) -> bytes:
         """The next record; empty if the hub has gone and left none."""

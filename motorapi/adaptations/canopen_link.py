@@ -12,6 +12,7 @@ from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, Final, final
 
 from motorapi.errors import LinkError, UsageError
+from motorapi.fencing import joint_fence
 from motorapi.runtime import Registration, Runtime
 
 if TYPE_CHECKING:
@@ -19,12 +20,14 @@ if TYPE_CHECKING:
     import canopen
 
     from motorapi.adaptations.cia402_triggers import ArmedStream
+    from motorapi.fencing import Fence
 
 FrameHandler = Callable[[bytes, int], None]
 """(frame, time_ns) of a frame with the identifier that was asked for."""
 
 SYNC_ID: Final = 0x080
 NMT_ID: Final = 0x000
+NMT_START: Final = 0x01
 HEARTBEAT_ID: Final = 0x700
 STOPPED: Final = 0x04
 OPERATIONAL: Final = 0x05
@@ -71,6 +74,7 @@ class CanopenLink:
         latching: node-IDs of drives that may have something latched that a SYNC would start.
         armed_streams: set-points of several motors that are to begin at one SYNC.
         cycle: of the servos on the host that share this link (motorapi.adaptations.software_cycle).
+        fences: of the nodes that other processes may take over, by node-ID.
     """
 
     def __init__(self, bus: "can.BusABC", runtime: Runtime) -> None:
@@ -82,6 +86,7 @@ class CanopenLink:
         self.latching: set[int] = set()
         self.armed_streams: list[ArmedStream] = []
         self.cycle: object = None
+        self.fences: dict[int, Fence] = {}
         self.users = 0
         self._handlers: dict[bytes, FrameHandler] = {}
         self._awaited: dict[bytes, deque[Transmission]] = {}
@@ -113,14 +118,18 @@ class CanopenLink:
         """Frames with this identifier go to nobody."""
         self._handlers.pop(_ID.pack(can_id), None)
 
-    def send(self, frame: bytes) -> None:
-        """The frame waits its turn on the bus.
+    def send(self, frame: bytes, fence: "Fence | None" = None) -> None:
+        """The frame waits its turn on the bus; a commanding one only while its fence lets it out.
 
         Raises:
             LinkError: the bus does not take it.
+            MotorBusyError: the fence does not let it out: somebody has taken the motor over.
         """
         try:
-            self.runtime.send(self.bus, frame)
+            if fence is None:
+                self.runtime.send(self.bus, frame)
+            else:
+                fence.send(frame)
         except Exception as error:  # python-can's own, and the system's; others pass through
             from can import CanError
 
@@ -130,17 +139,18 @@ class CanopenLink:
                 raise lost from error
             raise
 
-    def send_tracked(self, frame: bytes) -> Transmission:
+    def send_tracked(self, frame: bytes, fence: "Fence | None" = None) -> Transmission:
         """As `send`; the answer tells when the frame was transmitted.
 
         Every frame of an identifier must be sent tracked, or none of them.
 
         Raises:
             LinkError: the bus does not take it, or has not transmitted anything for a long time.
+            MotorBusyError: the fence does not let it out.
         """
-        return self.send_as(Transmission(frame))
+        return self.send_as(Transmission(frame), fence)
 
-    def send_as(self, transmission: Transmission) -> Transmission:
+    def send_as(self, transmission: Transmission, fence: "Fence | None" = None) -> Transmission:
         """As `send_tracked`, for whoever must know the transmission before it can be answered.
 
         On the wall clock an answer may be heard, in another thread, before this has returned.
@@ -159,7 +169,7 @@ class CanopenLink:
             waiting.popleft()  # a bus that never tells of own frames
         waiting.append(transmission)
         try:
-            self.send(frame)
+            self.send(frame, fence)
         except BaseException:
             waiting.remove(transmission)
             raise
@@ -217,12 +227,24 @@ class CanopenLink:
     # --- NMT, SYNC, heartbeat -------------------------------------------------------------
 
     def nmt(self, command: int, node_id: int) -> None:
-        """An NMT command (CiA 301: 01h start, 02h stop, 80h pre-operational, 81h, 82h resets)."""
-        self.send(can_frame(NMT_ID, bytes((command, node_id))))
+        """An NMT command (CiA 301: 01h start, 02h stop, 80h pre-operational, 81h, 82h resets).
+
+        To start a node commands nothing: who only reads does so, too. All others are fenced.
+        """
+        fence = None if command == NMT_START else self.fences.get(node_id)
+        self.send(can_frame(NMT_ID, bytes((command, node_id))), fence)
 
     def sync(self) -> Transmission:
-        """One SYNC waits for the bus. Whoever armed something first awaits its confirmation."""
-        return self.send_tracked(can_frame(self.sync_id, b""))
+        """One SYNC waits for the bus. Whoever armed something first awaits its confirmation.
+
+        Raises:
+            MotorBusyError: a motor that it would start was taken over by somebody else.
+        """
+        fence = None
+        if self.fences and self.latching:
+            fences = self.fences
+            fence = joint_fence([fences[node] for node in sorted(self.latching) if node in fences])
+        return self.send_tracked(can_frame(self.sync_id, b""), fence)
 
     def at_next_sync(self, action: Callable[[int], None]) -> None:
         """`action` is told when the next SYNC was on the wire [ns], whoever sends it."""

@@ -32,7 +32,7 @@ def serving(path, *controllers):
     thread = threading.Thread(target=loop.run, args=(stop.is_set,))
     thread.start()
     try:
-        yield
+        yield world
     finally:
         stop.set()
         thread.join()
