@@ -36,7 +36,9 @@ from motorapi.group import MotorGroup
 from motorapi.model import MotionKind, MotorModel
 from motorapi.motor import Motor
 from motorapi.outcome import Ending, Outcome
+from motorapi.ownership_events import LockAction, OwnershipEvent
 from motorapi.progress import Progress
+from motorapi.reservation import Reservation
 from motorapi.runtime import Runtime, runtime_of
 from motorapi.state import Fault, Measurement, MotorState
 from motorapi.synchronization import (
@@ -70,6 +72,7 @@ __all__ = [
     "FileError",
     "LimitError",
     "LinkError",
+    "LockAction",
     "Measurement",
     "Motion",
     "MotionInterrupted",
@@ -83,11 +86,13 @@ __all__ = [
     "MotorPosition",
     "MotorState",
     "Outcome",
+    "OwnershipEvent",
     "PathDeviation",
     "PeerError",
     "PluginError",
     "Progress",
     "Range",
+    "Reservation",
     "Runtime",
     "Setpoint",
     "StateError",

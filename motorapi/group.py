@@ -22,6 +22,7 @@ from motorapi.execution import Started, start_together
 from motorapi.motion_waits import check_timeout, wait_for_all
 from motorapi.motor import Motor
 from motorapi.outcome import callback_failed
+from motorapi.reservation import Reservation
 from motorapi.synchronization import SyncCapability, SyncQuality
 from motorapi.trajectory import Trajectory
 
@@ -82,7 +83,14 @@ class MotorGroup(DeviceGroup[Motor]):
         self._started = start_together(self._members(), timeout_s)
 
     @contextmanager
-    def reserve(self, purpose: str = "", *, timeout_s: float | None = None) -> Iterator[None]:
+    def reserve(
+        self,
+        purpose: str = "",
+        *,
+        timeout_s: float | None = None,
+        lease_s: float | None = None,
+        take_over: bool = False,
+    ) -> Iterator[Reservation]:
         """`with group.reserve("survey"):` all motors are these over several motions, or none is.
 
         They are taken one after another in one order for all programs, so that groups that share
@@ -94,14 +102,21 @@ class MotorGroup(DeviceGroup[Motor]):
         check_timeout(timeout_s)
         members = sorted(self._members(), key=lambda motor: motor._physical.order)
         asked_ns = members[0].runtime.now_ns()
+        parts: list[Reservation] = []
         with ExitStack() as held:
             for motor in members:
                 left_s: float | None = None
                 if timeout_s is not None:
                     waited_s = (motor.runtime.now_ns() - asked_ns) / 1e9
                     left_s = max(0.0, as_number(timeout_s) - waited_s)
-                held.enter_context(motor.reserve(purpose, timeout_s=left_s))
-            yield
+                parts.append(
+                    held.enter_context(
+                        motor.reserve(
+                            purpose, timeout_s=left_s, lease_s=lease_s, take_over=take_over
+                        )
+                    )
+                )
+            yield Reservation.of_all(parts)
 
     def wait_until_done(self, timeout_s: float | None = None) -> None:
         """What was commanded last is over in every motor. If one fails, the others are stopped.

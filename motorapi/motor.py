@@ -43,6 +43,7 @@ from motorapi.errors import (
 from motorapi.execution import require_no_fault, require_rest, start_together
 from motorapi.low_level import low_level_access
 from motorapi.motion_waits import check_timeout, wait_for_all
+from motorapi.reservation import Reservation, check_lease
 from motorapi.shared_motor import SharedMotor
 from motorapi.sharing import Run, RunStatus
 from motorapi.state import MotorState
@@ -187,7 +188,14 @@ class Motor(SharedMotor):
 
     @final
     @contextmanager
-    def reserve(self, purpose: str = "", *, timeout_s: float | None = None) -> Iterator[None]:
+    def reserve(
+        self,
+        purpose: str = "",
+        *,
+        timeout_s: float | None = None,
+        lease_s: float | None = None,
+        take_over: bool = False,
+    ) -> Iterator[Reservation]:
         """`with motor.reserve("survey"):` the motor is this one's over several motions.
 
         Nobody else commands it inside the block, of whatever process; others read it, and may stop
@@ -196,20 +204,26 @@ class Motor(SharedMotor):
         Args:
             purpose: what for; those who are refused are told.
             timeout_s: how long to wait for the motor [s], as in `start`.
+            lease_s: whoever comes next may take it over once this motor was not used for so long
+                [s]: no operation, no wait, no `Reservation.renew`; None: nobody may.
+            take_over: take it from whoever has it, in front of all who wait, and bring it to rest.
 
         Raises:
-            MotorBusyError: somebody else holds it, or moves it.
+            MotorBusyError: somebody else holds it, or moves it; or it is in the middle of a write.
         """
         check_timeout(timeout_s)
+        check_lease(lease_s)
         if not isinstance(purpose, str):
             raise UsageError(f"{self.name}: purpose {purpose!r}: say it in words")
         patience = None if timeout_s is None else self._patience(as_number(timeout_s))
         who = f"reserve() of {self.name}"
-        with self._physical.ownership.owned(self, who, purpose, patience):
+        with self._physical.ownership.owned(
+            self, who, purpose, patience, lease_s=lease_s, take_over=take_over
+        ) as claim:
             with self._physical.transaction(self.runtime, who):
                 self._bury_failed_run()
                 self._physical.take(self, self.name, self._status())
-            yield
+            yield Reservation((self.name,), (claim,))
 
     @final
     def wait_until_done(self, timeout_s: float | None = None) -> None:

@@ -16,9 +16,11 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, Final, Protocol, final
 
+from motorapi.claim import Claim
 from motorapi.errors import MotorBusyError, MotorError
 from motorapi.outcome import LOOK_PERIOD_S
-from motorapi.process_lock import Hold, ProcessLock
+from motorapi.ownership_events import LockAction, OwnershipEvent, OwnershipListener
+from motorapi.process_lock import Hold, ProcessLock, this_process
 from motorapi.runtime import wait_until
 
 if TYPE_CHECKING:
@@ -39,28 +41,6 @@ class Owner(Protocol):
     @property
     def runtime(self) -> "Runtime":
         """Where it waits."""
-
-
-@final
-class _Held:
-    """The one who owns it in this process, and for how many reasons."""
-
-    __slots__ = ("hold", "owner", "purpose", "reasons", "since_ns", "who")
-
-    def __init__(
-        self, owner: object, who: str, purpose: str, since_ns: int, hold: Hold | None
-    ) -> None:
-        self.owner: Final = owner
-        self.who: Final = who
-        self.purpose: Final = purpose
-        self.since_ns: Final = since_ns
-        self.hold: Final = hold
-        self.reasons = 1
-
-    def busy(self, motor: str) -> MotorBusyError:
-        return MotorBusyError(
-            motor=motor, holder=self.who, since_ns=self.since_ns, purpose=self.purpose
-        )
 
 
 @final
@@ -118,13 +98,16 @@ class Ownership:
         absences: grows whenever another process had the motor since this one owned it last.
         is_orphan: whether who had it before died with it, so that it may be moving for nobody; the
             next one brings it to rest first, and says so here.
+        listeners: are told what happens to the ownership; see `motorapi.ownership_events`.
     """
 
     def __init__(self, lock: ProcessLock | None) -> None:
         self.lock: Final = lock
         self.absences = 0
         self.is_orphan = False
-        self._held: _Held | None = None
+        self.listeners: list[OwnershipListener] = []
+        self._held: Claim | None = None
+        self._token = 0  # where there is no lock
         self._queue: deque[_Place] = deque()  # of those who wait here, not in the lock
         self._mutex = threading.Lock()  # never held while waiting
         self._keeper: _Keeper | None = None
@@ -137,23 +120,45 @@ class Ownership:
 
     @contextmanager
     def owned(
-        self, owner: Owner, who: str, purpose: str = "", patience: Patience | None = None
-    ) -> Iterator[None]:
+        self,
+        owner: Owner,
+        who: str,
+        purpose: str = "",
+        patience: Patience | None = None,
+        *,
+        lease_s: float | None = None,
+        take_over: bool = False,
+    ) -> Iterator[Claim]:
         """The motor is the owner's inside the block, for one reason more.
+
+        Args:
+            owner: the logical motor.
+            who: what he does, in words.
+            purpose: what for, in words.
+            patience: how to wait for others; None: not at all.
+            lease_s: others may take it over once it was not renewed for so long [s].
+            take_over: take it from whoever has it.
 
         Raises:
             MotorBusyError: somebody else's it is, or was for as long as `patience` says.
         """
-        self.take(owner, who, purpose, patience)
+        claim = self.take(owner, who, purpose, patience, lease_s=lease_s, take_over=take_over)
         try:
-            yield
+            yield claim
         finally:
             self.give(owner)
 
     def take(
-        self, owner: Owner, who: str, purpose: str = "", patience: Patience | None = None
-    ) -> None:
-        """The motor is the owner's until `give`. Raises as `owned`."""
+        self,
+        owner: Owner,
+        who: str,
+        purpose: str = "",
+        patience: Patience | None = None,
+        *,
+        lease_s: float | None = None,
+        take_over: bool = False,
+    ) -> Claim:
+        """The motor is the owner's until `give`. As `owned`."""
         keeper = self._keeper
         if keeper is not None:
             keeper.look()  # what it was kept for may be over, and nobody has seen it yet
@@ -161,15 +166,58 @@ class Ownership:
             held = self._held
             if held is not None and held.owner is owner:
                 held.reasons += 1
-                return
+                return held
+        asked_ns = owner.runtime.now_ns()
         if self.lock is None:
-            self._take_here(owner, who, purpose, patience)
+            claim = self._take_here(owner, who, purpose, patience)
         else:
-            self._take_lock(self.lock, owner, who, purpose, patience)
+            claim = self._take_lock(self.lock, owner, who, purpose, patience)
+        broken = claim.hold is not None and claim.hold.was_abandoned
+        action = LockAction.BROKEN if broken else LockAction.TAKEN
+        self._tell(action, claim, waited_ns=claim.since_ns - asked_ns)
+        return claim
 
-    def _take_here(self, owner: Owner, who: str, purpose: str, patience: Patience | None) -> None:
+    def begin_write(self, asker: str = "") -> int:
+        """The token under which this process commands the motor; nobody takes it over meanwhile.
+
+        Until `end_write`. Without a lock nobody could.
+
+        Raises:
+            MotorBusyError: this process does not own it (any more); says who does, and why.
+        """
+        return self._token if self.lock is None else self.lock.begin_write(asker)
+
+    def end_write(self) -> None:
+        """What was begun by `begin_write` is over."""
+        if self.lock is not None:
+            self.lock.end_write()
+
+    def _tell(
+        self, action: LockAction, claim: Claim, *, waited_ns: int = 0, held_ns: int = 0
+    ) -> None:
+        if not self.listeners:
+            return
+        process = this_process()
+        runtime: Runtime = claim.owner.runtime  # type: ignore[attr-defined]
+        event = OwnershipEvent(
+            action,
+            claim.who,
+            "",
+            claim.purpose,
+            claim.token,
+            runtime.now_ns(),
+            waited_s=waited_ns / 1e9,
+            held_s=held_ns / 1e9,
+            pid=process.pid,
+            program=process.program,
+        )
+        for listener in tuple(self.listeners):
+            listener(event)
+
+    def _take_here(self, owner: Owner, who: str, purpose: str, patience: Patience | None) -> Claim:
         runtime = owner.runtime
         place = _Place(who, runtime.now_ns())
+        made: list[Claim] = []
 
         def is_taken() -> bool:
             if patience is not None and patience.in_the_way() is not None:
@@ -177,11 +225,13 @@ class Ownership:
             with self._mutex:
                 if self._held is not None or (self._queue and self._queue[0] is not place):
                     return False
-                self._held = _Held(owner, who, purpose, runtime.now_ns(), None)
+                self._token += 1
+                self._held = Claim(owner, who, purpose, runtime.now_ns(), None, self._token)
+                made.append(self._held)
                 return True
 
         if is_taken():
-            return
+            return made[0]
         if patience is None:
             raise self._busy(owner, None)
         self._queue.append(place)
@@ -190,6 +240,7 @@ class Ownership:
                 raise self._busy(owner, patience)
         finally:
             self._queue.remove(place)
+        return made[0]
 
     def _busy(self, owner: Owner, patience: Patience | None) -> MotorBusyError:
         held = self._held
@@ -204,7 +255,7 @@ class Ownership:
 
     def _take_lock(
         self, lock: ProcessLock, owner: Owner, who: str, purpose: str, patience: Patience | None
-    ) -> None:
+    ) -> Claim:
         runtime = owner.runtime
         held = self._held
         timeout_s = 0.0 if patience is None else patience.timeout_s
@@ -220,9 +271,10 @@ class Ownership:
             if held is not None and held.owner is owner:  # another thread of his was quicker
                 held.reasons += 1
                 hold.release()
-                return
+                return held
             self._note(hold)
-            self._held = _Held(owner, who, purpose, runtime.now_ns(), hold)
+            claim = self._held = Claim(owner, who, purpose, runtime.now_ns(), hold, hold.token)
+            return claim
 
     def _note(self, hold: Hold) -> None:
         if hold.changed_hands:
@@ -242,6 +294,8 @@ class Ownership:
             self._held = None
         if held.hold is not None:
             held.hold.release()
+        runtime: Runtime = held.owner.runtime  # type: ignore[attr-defined]
+        self._tell(LockAction.RELEASED, held, held_ns=runtime.now_ns() - held.since_ns)
 
     # ---- runs ----
 

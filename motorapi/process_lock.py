@@ -17,15 +17,17 @@ import threading
 import time
 import weakref
 from collections.abc import Callable
-from types import TracebackType
 from typing import Final, Protocol, final, runtime_checkable
 
 from motorapi.errors import MotorBusyError, UsageError
+from motorapi.hold import Hold
 from motorapi.lock_directory import LockDirectory
 from motorapi.lock_file import LockFile, pack_record, pack_words
 from motorapi.lock_view import LockView, Occupant, ThisProcess, look
 from motorapi.lock_watch import QueueWatcher
 from motorapi.runtime import Runtime
+
+__all__ = ["Hold", "ProcessLock", "can_share_time", "this_process"]
 
 _WORDS_MAX: Final = 64
 """So many purposes of a lock are kept packed."""
@@ -47,90 +49,6 @@ def can_share_time(runtime: Runtime) -> bool:
 
 def _plain_wait(runtime: Runtime, done: Callable[[], bool], timeout_s: float | None) -> bool:
     return runtime.wait_until(done, timeout_s)
-
-
-@final
-class Hold:
-    """A lock that was taken, until `release`; also a context manager.
-
-    Attributes: owner, token (greater than that of anybody before), changed_hands (whether another
-    lock object, of whatever process, had it in between, or this one has it for the first time),
-    was_abandoned (whether the one before died with it).
-    """
-
-    __slots__ = (
-        "_counting",
-        "_depth",
-        "_file",
-        "_lock",
-        "changed_hands",
-        "owner",
-        "token",
-        "was_abandoned",
-    )
-
-    def __init__(
-        self,
-        lock: "ProcessLock",
-        file: LockFile,
-        owner: object,
-        token: int,
-        *,
-        changed_hands: bool,
-        was_abandoned: bool,
-    ) -> None:
-        self._lock = lock
-        self._file = file
-        self._depth = 1
-        self._counting = threading.Lock()
-        self.owner: Final = owner
-        self.token: Final = token
-        self.changed_hands: Final = changed_hands
-        self.was_abandoned: Final = was_abandoned
-
-    def __enter__(self) -> "Hold":
-        return self
-
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
-        self.release()
-
-    @property
-    def is_held(self) -> bool:
-        """Whether it was not let go. Never in a forked child: it is the parent's."""
-        return self._depth > 0 and not self._file.is_closed
-
-    def again(self) -> None:
-        """It takes one more `release` to let go."""
-        with self._counting:
-            self._depth += 1
-
-    def keep_for(self, runtime: Runtime, time_s: float) -> None:
-        """It is kept for so long [s] after now, whoever releases it meanwhile."""
-        self.again()
-
-        def over() -> None:
-            timer.cancel()
-            self.release()
-
-        try:
-            timer = runtime.every(max(time_s, 1e-6), over)
-        except BaseException:
-            self.release()
-            raise
-
-    def release(self) -> None:
-        """It was taken once less; after the last time the next one has it. More do nothing."""
-        with self._counting:
-            self._depth -= 1
-            is_last = self._depth == 0
-        if is_last:
-            self._file.tell_release(self.token)
-            self._lock.give_back(self._file)
 
 
 @final
@@ -173,6 +91,8 @@ class ProcessLock:
         *,
         asker: str = "",
         wait: Wait | None = None,
+        lease_s: float | None = None,
+        take_over: bool = False,
     ) -> Hold:
         """The lock is ours, until the hold was released as often as it was acquired.
 
@@ -183,6 +103,9 @@ class ProcessLock:
             owner: who may take it again while it has it; None: the thread.
             asker: what the error calls the one who was refused; "": the label.
             wait: how to wait in the runtime; None: by its `wait_until`.
+            lease_s: others may take it over once it was not renewed for so long [s]; None: never,
+                but by `take_over`.
+            take_over: take it from whoever has it, in front of all who wait.
 
         Raises:
             MotorBusyError: somebody else has it; says who. Our place in the queue is given up.
@@ -214,6 +137,36 @@ class ProcessLock:
         """The hold that this process has now through this object, if any."""
         hold = self._hold
         return hold if hold is not None and hold.is_held else None
+
+    def begin_write(self, asker: str = "") -> int:
+        """The token of this process's hold, which cannot be taken over until `end_write`.
+
+        May be nested. What is written in between must be short, and must not wait.
+
+        Raises:
+            MotorBusyError: this process does not have it; says who, and why that is so.
+        """
+        hold = self.hold
+        if hold is None:
+            raise self._not_ours(asker or self.label)
+        return hold.token
+
+    def end_write(self) -> None:
+        """What was begun by `begin_write` is over."""
+
+    def _not_ours(self, asker: str) -> MotorBusyError:
+        holder = self.look().holder
+        who = "nobody of this process" if holder is None else holder.who
+        record = None if holder is None else holder.record
+        return MotorBusyError(
+            motor=asker,
+            holder=who,
+            since_ns=0,
+            since="" if holder is None else holder.since,
+            purpose="" if record is None else record.purpose,
+            pid=None if record is None else record.pid,
+            program="" if record is None else record.program,
+        )
 
     def give_back(self, file: LockFile) -> None:
         """Nothing is locked by way of this open file; it is kept for the next time."""
@@ -254,7 +207,7 @@ class ProcessLock:
         return hold
 
     def _record(self, number: int, purpose: str) -> bytes:
-        process = _this_process()
+        process = this_process()
         words = self._words.get(purpose)
         if words is None:
             if len(self._words) >= _WORDS_MAX:
@@ -316,7 +269,7 @@ class ProcessLock:
         ahead = [one for there, one in view.waiters if there < place]
         if view.holder is not None:
             ahead.append(view.holder)
-        pid = _this_process().pid
+        pid = this_process().pid
         return any(one.record is None or one.record.pid != pid for one in ahead)
 
     def _busy(self, runtime: Runtime, place: int, asker: str) -> MotorBusyError:
@@ -344,7 +297,8 @@ _all: Final["weakref.WeakSet[ProcessLock]"] = weakref.WeakSet()
 _process: list[ThisProcess] = []
 
 
-def _this_process() -> ThisProcess:
+def this_process() -> ThisProcess:
+    """Who we are, as others read it."""
     if not _process:
         _process.append(ThisProcess())
     return _process[0]
