@@ -6,6 +6,7 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import TYPE_CHECKING, final
 
+from harness.ownership_tap import OwnershipTap
 from harness.recorder import PERIOD_NS, Reading, Recorder, run_metadata
 from harness.rig_file import RigDescription
 from traces.errors import TraceError
@@ -58,6 +59,7 @@ def start_recording(
         recorder.connect(world.queue.alarm(recorder.poll).set)
         world.tap_frames(recorder.frame)
         world.tap_events(recorder.event)
+        world.tap_ownership(OwnershipTap(recorder, description, world).heard)
         world.tap_samples(PERIOD_NS, recorder.truth)
     except TraceError:
         writer.close()
