@@ -70,6 +70,10 @@ class ControllerContext:
     folder: Path
     seed: int
 
+    def stream(self) -> str:
+        """Where everything drawn for the controller starts from: the seed and its name."""
+        return f"{self.seed}:{self.name}"
+
 
 @final
 class SettingError(Exception):

@@ -5,6 +5,7 @@ whoever read the file adds file and line.
 """
 
 import difflib
+import hashlib
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields, replace
@@ -13,9 +14,13 @@ from typing import Final, final
 
 from emulators.controller import SettingError
 from emulators.plant.dc_motor import PI, RANGES, MotorPlant
+from emulators.plant.oscillator import Oscillator
 from emulators.plant.presets import PRESETS
 
 DEFAULT_PRESET: Final = "wheel_60w"
+OSCILLATOR_KEYS: Final = ("ppm", "ppm_max", "phase_s", "phase_max_s")
+PPM_MAX: Final = 100_000.0
+PHASE_MAX_S: Final = 1.0
 
 _NS_PER_S: Final = 1_000_000_000
 _OPTIONAL: Final[dict[str, float]] = {
@@ -90,6 +95,31 @@ def duration_ns(
     """The time of that key, given in seconds [ns]."""
     value = number(table.get(key, default_s), (*path, key), low_s, high_s)
     return round(value * _NS_PER_S)
+
+
+def oscillator_in(table: Mapping[str, object], stream: str) -> Oscillator:
+    """The controller's own clock; a `_max` draws from `stream`, the seed and the name of it."""
+    own = table_in(table, "oscillator")
+    path = ("oscillator",)
+    refuse_unknown(own, OSCILLATOR_KEYS, path)
+    for drawn, given in (("ppm_max", "ppm"), ("phase_max_s", "phase_s")):
+        if drawn in own and given in own:
+            message = f"{given} is given already, there is nothing to draw"
+            raise SettingError((*path, drawn), message, "take one of them out")
+    ppm = number(own.get("ppm", 0.0), (*path, "ppm"), -PPM_MAX, PPM_MAX)
+    ppm_max = number(own.get("ppm_max", 0.0), (*path, "ppm_max"), 0, PPM_MAX)
+    phase_s = number(own.get("phase_s", 0.0), (*path, "phase_s"), 0, PHASE_MAX_S)
+    phase_max_s = number(own.get("phase_max_s", 0.0), (*path, "phase_max_s"), 0, PHASE_MAX_S)
+    if ppm_max:
+        ppm = ppm_max * (2.0 * _drawn(f"{stream}:oscillator:ppm") - 1.0)
+    if phase_max_s:
+        phase_s = phase_max_s * _drawn(f"{stream}:oscillator:phase")
+    return Oscillator(round(ppm * 1e6), round(phase_s * _NS_PER_S))
+
+
+def _drawn(stream: str) -> float:
+    """The one number, 0.0 to below 1.0, of a stream by that name."""
+    return (int.from_bytes(hashlib.sha256(stream.encode()).digest()[:8], "big") >> 11) / 2.0**53
 
 
 def node_id_in(table: Mapping[str, object]) -> int:

@@ -31,7 +31,7 @@ class Channel:
         due_ns: when `settle` must be called at the latest.
     """
 
-    def __init__(self, settings: ChannelSettings) -> None:
+    def __init__(self, settings: ChannelSettings, clock_rate: float) -> None:
         plant = settings.plant
         radians = plant.gear_ratio * plant.increments_per_rad()
         self.axis = Axis(
@@ -40,6 +40,7 @@ class Channel:
             settings.tick_ns,
             settings.current_steps,
             int(settings.initial_position_rad * radians // 1.0),
+            clock_rate,
         )
         self.inputs: int = 0
         self.due_ns: int = NEVER

@@ -10,6 +10,7 @@ from emulators.cia401.io_objects import ANALOGUE_OUTPUT, POSITION, PRESET
 from emulators.cia401.node import IoNode
 from emulators.cia401.settings import CHANNELS_MAX, NodeSettings, read_settings
 from emulators.controller import Controller, ControllerContext, SettingError
+from emulators.firmware.own_time import on_own_time
 from emulators.setting_tables import ObjectValue
 
 _BY_CHANNEL: Final = (ANALOGUE_OUTPUT, 0x6443, 0x6444, PRESET, POSITION)
@@ -27,11 +28,12 @@ def build(settings: Mapping[str, object], context: ControllerContext) -> Control
     Raises:
         SettingError: a key or value is wrong, or the EDS cannot be read; names the keys.
     """
-    return build_node(read_settings(settings, context.folder))
+    read = read_settings(settings, context.folder, context.stream())
+    return on_own_time(build_node(read), read.oscillator)
 
 
 def build_node(settings: NodeSettings) -> IoNode:
-    """The node with these settings.
+    """The node with these settings; all it is told must be by its own clock.
 
     Raises:
         SettingError: the EDS cannot be read or lacks an object that the node is about, or an object
@@ -53,6 +55,8 @@ def build_node(settings: NodeSettings) -> IoNode:
     for wanted in settings.objects:
         _set(od, wanted, settings.eds.name)
     events = [("warning", f"{path}:{line}: {text}") for path, line, text in description.warnings]
+    if not settings.oscillator.is_ideal():
+        events.append(("info", settings.oscillator.told()))
     return IoNode(od, settings, events)
 
 

@@ -31,7 +31,8 @@ class IoNode:
     ) -> None:
         self.od = od
         self.settings = settings
-        self.channels: list[Channel] = [Channel(channel) for channel in settings.channels]
+        rate = settings.oscillator.rate()
+        self.channels: list[Channel] = [Channel(channel, rate) for channel in settings.channels]
         self._objects = IoObjects(od, self.channels)
         self._node = CanopenNode(
             od,

@@ -12,6 +12,7 @@ from typing import Final, final
 from emulators.controller import SettingError
 from emulators.firmware.gains import ServoGains
 from emulators.plant.dc_motor import MotorPlant
+from emulators.plant.oscillator import Oscillator
 from emulators.setting_tables import (
     KeyPath,
     ObjectValue,
@@ -21,6 +22,7 @@ from emulators.setting_tables import (
     node_id_in,
     number,
     objects_of,
+    oscillator_in,
     plant_of,
     refuse_unknown,
     table_in,
@@ -32,7 +34,7 @@ CHANNELS_MAX: Final = 4
 
 KEYS: Final = (
     *("node_id", "eds", "channels", "plant", "amplifier", "channel"),
-    *("timing", "objects", "initial_position_rad"),
+    *("oscillator", "timing", "objects", "initial_position_rad"),
 )
 TIMING_KEYS: Final = ("boot_up_s", "sdo_reply_s")
 CHANNEL_KEYS: Final = ("plant", "amplifier", "initial_position_rad")
@@ -73,6 +75,7 @@ class NodeSettings:
         node_id: 1..127.
         eds: where its object dictionary comes from.
         channels: 1 to 4 of them.
+        oscillator: what its own clock shows; all other times here, the amplifiers' too, are by it.
         boot_up_ns: power-on to boot-up message.
         sdo_reply_ns: SDO request to response.
         objects: power-on values that replace what the file says.
@@ -81,13 +84,14 @@ class NodeSettings:
     node_id: int
     eds: Path
     channels: tuple[ChannelSettings, ...]
+    oscillator: Oscillator
     boot_up_ns: int
     sdo_reply_ns: int
     objects: tuple[ObjectValue, ...]
 
 
-def read_settings(table: Mapping[str, object], folder: Path) -> NodeSettings:
-    """The settings in a rig's table; relative paths start at `folder`.
+def read_settings(table: Mapping[str, object], folder: Path, stream: str = "") -> NodeSettings:
+    """The settings in a rig's table; relative paths start at `folder`, draws from `stream`.
 
     Raises:
         SettingError: a key is unknown, or a value is missing or wrong.
@@ -104,6 +108,7 @@ def read_settings(table: Mapping[str, object], folder: Path) -> NodeSettings:
         node_id=node_id,
         eds=eds_in(table, folder, OWN_EDS),
         channels=tuple(_channel(table, several, name) for name in names),
+        oscillator=oscillator_in(table, stream),
         boot_up_ns=duration_ns(timing, "boot_up_s", 0.3, ("timing",)),
         sdo_reply_ns=duration_ns(timing, "sdo_reply_s", 0.001, ("timing",)),
         objects=objects_of(table_in(table, "objects")),

@@ -74,11 +74,13 @@ class ControlParameters:
         gains: ServoGains,
         tick_ns: int,
         current_steps: int,
+        clock_rate: float,
     ) -> None:
         self.places: list[Variable] = []
         self._plant = plant
         self._tick_ns = tick_ns
         self._current_steps = current_steps
+        self._clock_rate = clock_rate
         self._gains: list[Gain] = []
         exact = (
             gains.position_kp_1_s,
@@ -106,8 +108,9 @@ class ControlParameters:
 
     def check(self, place: int, raw: int) -> int:
         """Whether this may be written there: 0, or an abort code if the servo would be unstable."""
+        gains = self._with(place, raw)
         try:
-            tables_of(self._plant, self._with(place, raw), self._tick_ns, self._current_steps)
+            tables_of(self._plant, gains, self._tick_ns, self._current_steps, self._clock_rate)
         except ValueError:
             return AbortCode.INVALID_VALUE
         return OK

@@ -69,6 +69,7 @@ class Cia402Drive:
             settings.tick_ns,
             settings.current_steps,
             int(settings.initial_position_rad * radians // 1.0),
+            settings.oscillator.rate(),
         )
         self._objects = DriveObjects(od, settings)
         self._power_drive = PowerDrive(

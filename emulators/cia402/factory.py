@@ -16,6 +16,7 @@ from emulators.cia402.drive import Cia402Drive
 from emulators.cia402.objects import DriveObjects
 from emulators.cia402.settings import EMULATED_MODES, MODES, DriveSettings, read_settings
 from emulators.controller import Controller, ControllerContext, SettingError
+from emulators.firmware.own_time import on_own_time
 
 _ABSENT: Final = -(1 << 70)
 
@@ -39,11 +40,12 @@ def build(settings: Mapping[str, object], context: ControllerContext) -> Control
     Raises:
         SettingError: a key or value is wrong, or the EDS cannot be read; names the keys.
     """
-    return build_drive(read_settings(settings, context.folder))
+    read = read_settings(settings, context.folder, context.stream())
+    return on_own_time(build_drive(read), read.oscillator)
 
 
 def build_drive(settings: DriveSettings) -> Cia402Drive:
-    """The drive with these settings.
+    """The drive with these settings; all it is told must be by its own clock.
 
     Raises:
         SettingError: the EDS cannot be read, or an object of `settings.objects` cannot be set.
@@ -61,6 +63,8 @@ def build_drive(settings: DriveSettings) -> Cia402Drive:
             "take the drive's own EDS, or leave eds out for ours",
         )
     events = [("warning", f"{path}:{line}: {text}") for path, line, text in description.warnings]
+    if not settings.oscillator.is_ideal():
+        events.append(("info", settings.oscillator.told()))
     stated = od.integer(0x6502, 0, 0)
     _set_objects(od, settings)
     if settings.supported_modes is None:

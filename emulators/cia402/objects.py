@@ -159,7 +159,12 @@ class DriveObjects:
 
         self.torque: TorqueObjects = TorqueObjects(od, settings.plant, defaults)
         self.control: ControlParameters = ControlParameters(
-            od, settings.plant, settings.gains, settings.tick_ns, settings.current_steps
+            od,
+            settings.plant,
+            settings.gains,
+            settings.tick_ns,
+            settings.current_steps,
+            settings.oscillator.rate(),
         )
         self._limit_min = ensure(0x607D, 1, _D.INTEGER32, 0)
         self._limit_max = ensure(0x607D, 2, _D.INTEGER32, 0)

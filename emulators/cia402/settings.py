@@ -12,6 +12,7 @@ from typing import Final, final
 from emulators.controller import SettingError
 from emulators.firmware.gains import ServoGains
 from emulators.plant.dc_motor import MotorPlant
+from emulators.plant.oscillator import IDEAL, Oscillator
 from emulators.plant.presets import PRESETS
 from emulators.setting_tables import (
     DEFAULT_PRESET,
@@ -22,6 +23,7 @@ from emulators.setting_tables import (
     node_id_in,
     number,
     objects_of,
+    oscillator_in,
     plant_of,
     refuse_unknown,
     table_in,
@@ -44,6 +46,7 @@ _KEYS: Final = (
     "eds",
     "plant",
     "servo",
+    "oscillator",
     "timing",
     "units",
     "objects",
@@ -65,6 +68,7 @@ class DriveSettings:
         eds: where its object dictionary comes from.
         plant, gains: the motor, and the servo that drives it.
         tick_ns, current_steps: servo period, and current loop steps in each.
+        oscillator: what its own clock shows; all its other times are by that clock.
         boot_up_ns: power-on to boot-up message.
         sdo_reply_ns: SDO request to response.
         enable_ns: the power stage's way from switched on to operation enabled.
@@ -81,6 +85,7 @@ class DriveSettings:
     gains: ServoGains
     tick_ns: int = 1_000_000
     current_steps: int = 10
+    oscillator: Oscillator = IDEAL
     boot_up_ns: int = 300_000_000
     sdo_reply_ns: int = 1_000_000
     enable_ns: int = 20_000_000
@@ -92,8 +97,8 @@ class DriveSettings:
     initial_position_rad: float = 0.0
 
 
-def read_settings(table: Mapping[str, object], folder: Path) -> DriveSettings:
-    """The settings in a rig's table; relative paths start at `folder`.
+def read_settings(table: Mapping[str, object], folder: Path, stream: str = "") -> DriveSettings:
+    """The settings in a rig's table; relative paths start at `folder`, draws from `stream`.
 
     Raises:
         SettingError: a key is unknown, or a value is missing or wrong.
@@ -114,6 +119,7 @@ def read_settings(table: Mapping[str, object], folder: Path) -> DriveSettings:
         gains=gains,
         tick_ns=tick_ns,
         current_steps=current_steps,
+        oscillator=oscillator_in(table, stream),
         boot_up_ns=duration_ns(timing, "boot_up_s", 0.3, ("timing",)),
         sdo_reply_ns=duration_ns(timing, "sdo_reply_s", 0.001, ("timing",)),
         enable_ns=duration_ns(timing, "enable_s", 0.02, ("timing",)),

@@ -45,11 +45,13 @@ class Axis:
         tick_ns: int = 1_000_000,
         current_steps: int = 10,
         initial_position_inc: int = 0,
+        clock_rate: float = 1.0,
     ) -> None:
         if tick_ns < 1 or current_steps < 1 or tick_ns % current_steps:
             raise ValueError(f"tick_ns = {tick_ns} does not hold {current_steps} equal steps")
         self._plant: Final = plant
         self._current_steps: Final = current_steps
+        self._clock_rate: Final = clock_rate
         self._tick_ns: Final = tick_ns
         self._tick_s: Final = tick_ns / 1e9
         self._torque_n_m_a: Final = plant.torque_constant_n_m_a * plant.gear_ratio
@@ -69,7 +71,7 @@ class Axis:
             *(False, 0.0, 0.0, plant.current_max_a, plant.current_max_a),
         )
         self._time = Timeline(
-            tables_of(plant, gains, tick_ns, current_steps),
+            tables_of(plant, gains, tick_ns, current_steps, clock_rate),
             plant.load_torque_n_m,
             self._windows,
             self._orders,
@@ -331,7 +333,7 @@ class Axis:
         Raises:
             ValueError: the gains make the current loop unstable; the old ones stay.
         """
-        tables = tables_of(self._plant, gains, self._tick_ns, self._current_steps)
+        tables = tables_of(self._plant, gains, self._tick_ns, self._current_steps, self._clock_rate)
         self._time.set_tables(tables, self._load_torque_n_m)
 
     def set_current_limit(self, current_a: float, backward_a: float | None = None) -> None:

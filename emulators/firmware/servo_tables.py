@@ -48,15 +48,18 @@ _SLACK: Final = 1.0 + 1e-9  # guards must hold in rounded arithmetic too
 
 @lru_cache(maxsize=64)
 def tables_of(
-    plant: MotorPlant, gains: ServoGains, tick_ns: int, current_steps: int
+    plant: MotorPlant, gains: ServoGains, tick_ns: int, current_steps: int, clock_rate: float = 1.0
 ) -> "ServoTables":
     """The tables of such an axis, shared by all that are alike. Raises as `ServoTables`."""
-    return ServoTables(plant, gains, tick_ns, current_steps)
+    return ServoTables(plant, gains, tick_ns, current_steps, clock_rate)
 
 
 @final
 class ServoTables:
     """Everything constant about one axis' stepping; never changes.
+
+    The firmware's constants (integrators, gains per tick) are in ticks of its own clock, which
+    counts `clock_rate` seconds in a true one; the motor moves in true time.
 
     Raises:
         ValueError: the gains make the current loop unstable.
@@ -68,17 +71,22 @@ class ServoTables:
     """
 
     def __init__(
-        self, plant: MotorPlant, gains: ServoGains, tick_ns: int, current_steps: int
+        self,
+        plant: MotorPlant,
+        gains: ServoGains,
+        tick_ns: int,
+        current_steps: int,
+        clock_rate: float = 1.0,
     ) -> None:
         self.current_steps = current_steps
         self._plant = plant
         step_s = tick_ns / (1e9 * current_steps)
-        self._motor = sample(plant, step_s)
+        self._motor = sample(plant, step_s / clock_rate)
         self._kp = gains.current_kp_v_a
         self._ki = gains.current_ki_v_a_s * step_s
         self._powers = _powers(self._closed_step(), current_steps)
         self._blocked_powers = _powers(self._blocked_step(), current_steps)
-        self._coasting = sample(plant, tick_ns / 1e9).coasting
+        self._coasting = sample(plant, tick_ns / 1e9 / clock_rate).coasting
         self._voltage_guard, self._speed_guard = self._moving_guards()
         self.tick = self._tick_table(gains, tick_ns / 1e9)
         self.step = self._step_table()

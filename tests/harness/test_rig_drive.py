@@ -37,6 +37,9 @@ load_torque_n_m = -0.5
 [controller.left.servo]
 tick_s = 0.001
 current_steps = 10
+[controller.left.oscillator]
+ppm = 40.0
+phase_max_s = 0.001
 [controller.left.timing]
 boot_up_s = 0.1
 sdo_reply_s = 0.002
@@ -101,13 +104,16 @@ def test_the_rig_reaches_the_drive():
         ("node_id = 5", "", "3: controller.left.node_id: is missing"),
         ("gear_ratio = 33.0", "gear = 33.0", "11: controller.left.plant.gear: "),
         ("gear_ratio = 33.0", "gear_ratio = -1", "11: controller.left.plant.gear_ratio: "),
-        ("boot_up_s = 0.1", "boot_up_ms = 100", "17: controller.left.timing.boot_up_ms: "),
+        ("ppm = 40.0", "ppb = 40", "17: controller.left.oscillator.ppb: "),
+        ("ppm = 40.0", "ppm = 2e5", "17: controller.left.oscillator.ppm: "),
+        ("ppm = 40.0", "phase_s = 0.0", "18: controller.left.oscillator.phase_max_s: phase_s is "),
+        ("boot_up_s = 0.1", "boot_up_ms = 100", "20: controller.left.timing.boot_up_ms: "),
         ('"wheel_60w"', '"wheel_600w"', "10: controller.left.plant.preset: "),
-        ('"6065h" = 2000', '"6065x" = 2000', "23: controller.left.objects.6065x: "),
-        ("heartbeat_ms = 200", "heartbeat = 200", "28: motor.left.heartbeat: "),
-        ("heartbeat_ms = 200", "heartbeat_ms = -1", "28: motor.left.heartbeat_ms: "),
-        ("velocity_max_rad_s", "velocity_max", "32: motor.left.model.velocity_max: a motor model"),
-        ("velocity_max_rad_s = 6.0", "", "31: motor.left.model.velocity_max_rad_s: is missing"),
+        ('"6065h" = 2000', '"6065x" = 2000', "26: controller.left.objects.6065x: "),
+        ("heartbeat_ms = 200", "heartbeat = 200", "31: motor.left.heartbeat: "),
+        ("heartbeat_ms = 200", "heartbeat_ms = -1", "31: motor.left.heartbeat_ms: "),
+        ("velocity_max_rad_s", "velocity_max", "35: motor.left.model.velocity_max: a motor model"),
+        ("velocity_max_rad_s = 6.0", "", "34: motor.left.model.velocity_max_rad_s: is missing"),
         ("node_id = 5", 'node_id = 5\neds = "no.eds"', "7: controller.left.eds: "),
     ],
 )

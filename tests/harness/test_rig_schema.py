@@ -15,6 +15,7 @@ from emulators.cia402 import settings as drive_settings
 from emulators.media.faults import FaultKind
 from emulators.plant.dc_motor import RANGES, MotorPlant
 from emulators.plant.presets import PRESETS
+from emulators.setting_tables import OSCILLATOR_KEYS, PHASE_MAX_S, PPM_MAX
 from harness import rig_faults, rig_file
 from harness.plugins import ADAPTATIONS, installed
 from harness.rig import installed_plugins
@@ -84,6 +85,34 @@ def test_the_schema_knows_the_plants_own_keys():
     for name, limits in RANGES.items():
         assert (plant[name]["minimum"], plant[name]["maximum"]) == limits
     assert plant["preset"]["examples"] == list(PRESETS)
+
+
+def test_the_schema_knows_the_keys_of_a_controllers_own_clock():
+    clock = DEFS["oscillator"]["properties"]
+    assert tuple(clock) == OSCILLATOR_KEYS
+    assert (clock["ppm"]["minimum"], clock["ppm"]["maximum"]) == (-PPM_MAX, PPM_MAX)
+    assert (clock["ppm_max"]["minimum"], clock["ppm_max"]["maximum"]) == (0, PPM_MAX)
+    for key in ("phase_s", "phase_max_s"):
+        assert (clock[key]["minimum"], clock[key]["maximum"]) == (0, PHASE_MAX_S)
+    for kind in ("cia401", "cia402"):
+        assert DEFS[kind]["properties"]["oscillator"] == {"$ref": "#/$defs/oscillator"}
+
+
+@pytest.mark.parametrize(
+    ("keys", "accepted"),
+    [
+        ("", True),
+        ("ppm = -50", True),
+        ("ppm_max = 100\nphase_max_s = 0.001", True),
+        ("ppm_max = 100\nphase_s = 0.001", True),
+        ("ppm = 1\nppm_max = 1", False),
+        ("phase_s = 0\nphase_max_s = 0.001", False),
+        ("jitter_s = 0.001", False),
+    ],
+)
+def test_the_schema_accepts_the_clocks_that_a_drive_does(keys, accepted):
+    text = GOOD.replace("node_id = 1", f"node_id = 1\n[controller.left.oscillator]\n{keys}", 1)
+    assert is_accepted(text) is accepted
 
 
 def test_the_schema_knows_an_io_nodes_own_keys():

@@ -1,0 +1,278 @@
+"""A drive times by its own clock, and its motor moves in true time: measured on the truth.
+
+What is expected is reckoned here with fractions, from the error alone: a clock that runs e fast
+lets a span s of its own pass in s / (1 + e).
+"""
+
+import struct
+from fractions import Fraction
+from pathlib import Path
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from emulators.cia402.drive import Cia402Drive
+from emulators.cia402.factory import build
+from emulators.controller import ControllerContext, SettingError
+from emulators.firmware.own_time import OwnTime
+from tests.emulators.cia402.bench import BOOT_UP, ENABLE, MS, NODE, Bench
+
+S = 1000 * MS
+ERRORS_PPM = (-100_000, -2_000, -50, 0, 50, 2_000, 100_000)
+POSITION_GAIN = (0x60FB, 1)
+MILD = {"preset": "wheel_60w", "load_inertia_kg_m2": 0.0}
+
+
+def new(seed=1, name="drive", **settings):
+    table = {"node_id": NODE, "plant": MILD, **settings}
+    return build(table, ControllerContext(name=name, folder=Path(), seed=seed))
+
+
+def bench_with(ppm, phase_s=0.0, **settings):
+    oscillator = {"ppm": ppm, "phase_s": phase_s}
+    return Bench(drive=new(oscillator=oscillator, **settings))
+
+
+def true_ns(own_ns, ppm):
+    return own_ns / (1 + Fraction(ppm) / 1_000_000)
+
+
+def enabled(bench, mode):
+    """As `Bench.enable`, which counts on the true time."""
+    bench.run(2 * BOOT_UP)
+    bench.nmt(0x01)
+    bench.set(0x6060, 0, mode, 1)
+    for word in (0x06, 0x07, 0x0F):
+        bench.controlword(word)
+    bench.run(2 * ENABLE)
+    assert bench.truth("state") == 4
+    return bench
+
+
+# --- timers
+
+
+@pytest.mark.parametrize("ppm", ERRORS_PPM)
+def test_heartbeats_come_at_its_own_period(ppm):
+    bench = bench_with(ppm, objects={"1017h": 100})
+    bench.run(100 * S)
+    times = bench.times(0x700 + NODE)
+    assert len(times) > 850
+    for count, time_ns in enumerate(times):
+        exact_ns = true_ns(BOOT_UP + count * 100 * MS, ppm)
+        assert 0 <= time_ns - exact_ns < 1  # the first whole nanosecond that is late enough
+
+
+@pytest.mark.parametrize("ppm", ERRORS_PPM)
+def test_an_event_timer_runs_by_its_own_clock(ppm):
+    bench = bench_with(ppm, objects={"1800h:2": 255, "1800h:5": 10})
+    bench.run(2 * BOOT_UP)
+    bench.nmt(0x01)
+    bench.run(20 * S)
+    times = bench.times(0x180 + NODE)
+    count = len(times) - 1
+    assert count >= 1800
+    mean_ns = Fraction(times[-1] - times[0], count)
+    assert abs(mean_ns - true_ns(10 * MS, ppm)) <= 2  # each is read off a clock of whole ns
+
+
+def test_a_watched_heartbeat_is_missed_by_its_own_clock():
+    bench = bench_with(100_000)
+    bench.run(2 * BOOT_UP)
+    bench.set(0x1016, 1, 127 << 16 | 110, 4)
+    bench.send(0x77F, b"\x05")
+    heard = bench.now
+    bench.run(S)
+    (time_ns,) = bench.times(0x080 + NODE)
+    assert time_ns - heard in (100 * MS, 100 * MS + 1)
+
+
+def test_the_answer_to_an_sdo_takes_its_own_time():
+    bench = bench_with(-100_000, timing={"sdo_reply_s": 0.009})
+    bench.run(2 * BOOT_UP)
+    asked = bench.now
+    bench.read(0x6041)
+    assert bench.now - asked in (10 * MS, 10 * MS + 1)
+
+
+# --- motion
+
+
+@pytest.mark.parametrize("ppm", ERRORS_PPM)
+def test_a_profile_lasts_as_long_as_its_own_clock_says(ppm):
+    """Accelerate 0.5 s, cruise, brake 0.5 s: 20 s by its own clock; seen to a servo tick."""
+    bench = enabled(bench_with(ppm), 1)
+    speed, distance = 50_000, 50_000 * 39 // 2
+    for index, value in ((0x6081, speed), (0x6083, 2 * speed), (0x6084, 2 * speed)):
+        bench.set(index, 0, value, 4)
+    bench.set(0x607A, 0, distance, 4)
+    bench.controlword(0x3F)
+    began = bench.now
+    assert bench.truth("demand_inc") == 0
+    bench.run_until(began + int(true_ns(19_990 * MS, ppm)))
+    assert bench.truth("demand_inc") < distance
+    while bench.truth("demand_inc") < distance:
+        bench.run(MS // 10)
+    took_ns = bench.now - began
+    assert abs(took_ns - true_ns(20 * S, ppm)) < true_ns(3 * MS, ppm)  # rounded at the slow end
+
+
+@pytest.mark.parametrize("ppm", ERRORS_PPM)
+def test_at_a_speed_that_it_holds_the_motor_is_ahead_by_the_error_times_the_time(ppm):
+    bench = enabled(bench_with(ppm), 3)
+    speed = 50_000
+    bench.send(0x500 + NODE, struct.pack("<Hi", 0x0F, speed))
+    bench.run(2 * S)
+    start = bench.truth("position_inc")
+    bench.run(100 * S)
+    gone = bench.truth("position_inc") - start
+    exact = speed * 100 * (1 + ppm / 1e6)
+    tick = speed / 1000
+    assert gone == pytest.approx(exact, abs=2 * tick)  # a look is up to a tick old
+    assert bench.truth("velocity_rad_s") == pytest.approx(
+        exact / 100 * 6.283185307179586 / (66 * 2000),
+        rel=5e-3,  # it ripples
+    )
+
+
+@pytest.mark.parametrize("ppm", [-100_000, 100_000])
+def test_the_motor_itself_moves_in_true_time(ppm):
+    """Nobody drives it: a load turns it. 9, 10 and 11 ticks of the three clocks are 10 ms each."""
+    own, true = bench_with(ppm), bench_with(0)
+    for bench in (own, true):
+        bench.run(S // 2)
+        bench.set(*POSITION_GAIN, bench.read(*POSITION_GAIN[:2]) // 2, 4)  # another servo
+        bench.run_until(S)
+        bench.drive.stimulate("load_torque_n_m", 5.0, bench.now)
+        assert bench.truth("position_rad") == 0.0
+    for _ in range(20):
+        for bench in (own, true):
+            bench.run(10 * MS)
+        for key in ("position_rad", "velocity_rad_s"):
+            assert own.truth(key) == pytest.approx(true.truth(key), rel=1e-9)
+    assert abs(own.truth("position_rad")) > 0.1
+
+
+@pytest.mark.parametrize("ppm", [-100_000, 100_000])
+def test_a_torque_accelerates_in_true_time(ppm):
+    gained = []
+    for error in (ppm, 0):
+        bench = enabled(bench_with(error), 4)
+        bench.set(0x6087, 0, 0x7FFF_FFFF, 4)
+        bench.set(0x6071, 0, 100, 2)
+        bench.run_until((bench.now // (10 * MS) + 10) * 10 * MS)
+        before = bench.truth("velocity_rad_s")
+        bench.run(50 * MS)
+        gained.append(bench.truth("velocity_rad_s") - before)
+    assert gained[0] == pytest.approx(gained[1], rel=2e-2)  # the current loop is the firmware's
+
+
+def test_cyclic_targets_of_a_host_that_keeps_the_time_are_followed_without_falling_behind():
+    """1000 ppm in 5 s are five ticks: the drive's grid slides through the host's SYNCs."""
+    objects = {"1402h:2": 1, "6065h": 0xFFFF_FFFF, "60C2h:1": 10}
+    for ppm in (-1000, 1000):
+        bench = enabled(bench_with(ppm, objects=objects), 8)
+        for cycle in range(500):
+            bench.send(0x400 + NODE, struct.pack("<Hi", 0x0F, 200 * cycle))
+            bench.sync()
+            behind = 200 * (cycle - 1) - bench.truth("demand_inc")
+            assert cycle < 2 or -20 <= behind <= 40  # a tick is 20 increments
+            bench.run(10 * MS)
+
+
+# --- when
+
+
+@pytest.mark.parametrize("phase_s", [0.0, 0.000_25, 0.000_999])
+def test_its_servo_periods_begin_where_its_phase_says(phase_s):
+    bench = enabled(bench_with(0, phase_s), 3)
+    bench.send(0x500 + NODE, struct.pack("<Hi", 0x0F, 50_000))
+    bench.run(S)
+    changes = []
+    before = bench.truth("position_inc")
+    for _ in range(4000):
+        bench.run(1000)
+        seen = bench.truth("position_inc")
+        if seen != before:
+            changes.append((bench.now + round(phase_s * S)) % MS)
+        before = seen
+    assert changes == [0, 0, 0, 0]
+
+
+@pytest.mark.parametrize("ppm", [-50, 1234.567891])
+def test_looking_changes_nothing(ppm):
+    """Every look and every deadline falls where it falls: the frames are the same, to the ns."""
+    sent = []
+    for look_ns in (S, 370_001):
+        bench = enabled(bench_with(ppm, 0.000_4, objects={"1017h": 7}), 1)
+        bench.set(0x607A, 0, 30_000, 4)
+        bench.controlword(0x3F)
+        end = bench.now + 2 * S
+        while bench.now < end:
+            bench.run_until(min(end, bench.now + look_ns))
+            bench.truth("position_rad")
+        sent.append(bench.sent)
+    assert sent[0] == sent[1]
+
+
+# --- how a rig says so
+
+
+def test_a_clock_that_shows_the_true_time_costs_nothing():
+    for oscillator in ({}, {"ppm": 0, "phase_s": 0.0}, {"ppm_max": 0}):
+        assert isinstance(new(oscillator=oscillator), Cia402Drive)
+    assert isinstance(new(oscillator={"ppm": 1e-6}), OwnTime)
+
+
+def test_the_record_is_told_what_a_clock_is_like():
+    told = [("info", "its own clock runs 12.5 ppm slow and began at 0.3 ms")]
+    assert bench_with(-12.5, 0.0003).events == told
+    assert bench_with(0).events == []
+
+
+@given(st.integers(0, 2**32 - 1), st.sampled_from(["left", "right"]))
+def test_drawn_clocks_are_the_seeds_and_the_names_own(seed, name):
+    oscillator = {"ppm_max": 100, "phase_max_s": 0.001}
+    clock = new(seed, name, oscillator=oscillator).oscillator
+    assert -100e6 <= clock.error_1e12 <= 100e6
+    assert 0 <= clock.phase_ns < MS
+    assert clock == new(seed, name, oscillator=oscillator).oscillator
+    for other in ((seed + 1, name), (seed, "other")):
+        assert clock != new(*other, oscillator=oscillator).oscillator
+
+
+def test_drawn_clocks_lie_all_over_what_was_allowed():
+    clocks = [
+        new(7, f"drive-{k}", oscillator={"ppm_max": 100, "phase_max_s": 0.001}).oscillator
+        for k in range(200)
+    ]
+    errors = sorted(clock.error_1e12 / 1e6 for clock in clocks)
+    assert errors[0] < -90
+    assert errors[-1] > 90
+    assert abs(sum(errors) / 200) < 15
+    assert {clock.phase_ns * 10 // MS for clock in clocks} == set(range(10))
+
+
+@pytest.mark.parametrize(
+    ("oscillator", "told"),
+    [
+        ({"ppm": 100_001}, "oscillator.ppm: 100001 is outside -100000..100000"),
+        ({"ppm": "50"}, "oscillator.ppm: '50' is no number; -100000..100000"),
+        ({"ppm": float("nan")}, "oscillator.ppm: nan is outside"),
+        ({"ppm_max": -1}, "oscillator.ppm_max: -1 is outside 0..100000"),
+        ({"phase_s": -0.1}, "oscillator.phase_s: -0.1 is outside 0..1"),
+        ({"phase_max_s": 2}, "oscillator.phase_max_s: 2 is outside 0..1"),
+        ({"ppb": 50}, "oscillator.ppb: is not known; did you mean ppm? known: ppm, ppm_max"),
+        (
+            {"ppm": 1, "ppm_max": 1},
+            "oscillator.ppm_max: ppm is given already, there is nothing to draw; take one",
+        ),
+        ({"phase_s": 0, "phase_max_s": 0}, "oscillator.phase_max_s: phase_s is given already"),
+        (50, "oscillator: 50 is no table; write [controller.NAME.oscillator]"),
+    ],
+)
+def test_a_wrong_clock_is_refused_with_the_key(oscillator, told):
+    with pytest.raises(SettingError) as caught:
+        new(oscillator=oscillator)
+    assert str(caught.value).startswith(told)
