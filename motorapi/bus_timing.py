@@ -1,0 +1,295 @@
+"""Worst-case times on a CAN bus: how long a message waits and takes, at most.
+
+The analysis is that of Davis, Burns, Bril, Lukkien, "Controller Area Network (CAN) schedulability
+analysis: Refuted, revisited and revised" (Real-Time Systems 35, 2007). A frame of message m waits
+for the one lower frame that may be under way (blocking B), for all higher ones that come until it
+begins, and for earlier frames of its own. It is looked at in every instance of its busy period: the
+first one is not always the worst, which is what the older analysis had missed.
+
+    t     = B + sum over hp(m) and m of ceil((t + J) / T) C         the busy period
+    w(q)  = B + q C_m + sum over hp(m) of ceil((w(q) + J + tau) / T) C
+    R     = max over q of J_m + w(q) - q T_m + C_m                  tau: one bit
+
+That is for frames that come again and again. Starting motors sends frames *once*, one after another
+(`longest_s`), which has a bound of its own; see there.
+
+All times are whole nanoseconds inside, rounded up; a frame's length is that with the most stuff
+bits (and the 3 bits of intermission, in which nobody may begin).
+"""
+
+from collections.abc import Hashable, Sequence
+from dataclasses import dataclass
+from typing import Final, final
+
+from motorapi.traffic import CanTraffic, PeriodicMessage, rank_of, worst_of
+
+INTERMISSION_BITS: Final = 3
+_STUFFED_BITS: Final = (34, 54)  # SOF to CRC without data, of 11 and 29 bits: may be stuffed
+_PLAIN_BITS: Final = 10 + INTERMISSION_BITS  # CRC delimiter, ACK, ACK delimiter, EOF
+_FIRST_SDO_RANK: Final = rank_of(0x580)
+_ROUNDS_MAX: Final = 100_000
+_INSTANCES_MAX: Final = 10_000
+
+
+def worst_frame_bits(length: int, *, extended: bool = False) -> int:
+    """The bits of a frame with the most stuff bits there can be, intermission included."""
+    stuffed = _STUFFED_BITS[extended] + 8 * length
+    return stuffed + (stuffed - 1) // 4 + _PLAIN_BITS
+
+
+def least_frame_bits(length: int, *, extended: bool = False) -> int:
+    """The bits of a frame without any stuff bit, up to its end (intermission comes after that)."""
+    return _STUFFED_BITS[extended] + 8 * length + _PLAIN_BITS - INTERMISSION_BITS
+
+
+def bits_ns(bits: int, bitrate_bit_s: int) -> int:
+    """How long so many bits take [ns], rounded up."""
+    return -(-bits * 1_000_000_000 // bitrate_bit_s)
+
+
+@final
+@dataclass(frozen=True, slots=True)
+class ResponseTime:
+    """How long a message takes at most, from when it was due to be queued.
+
+    Attributes:
+        message: of the traffic.
+        response_s: to the end of its intermission, as the theory has it [s]; None: there is no
+            bound, what is at least as urgent fills the bus.
+        received_s: to its last bit, when receivers have it [s].
+        blocking_s: by one frame of lower priority [s].
+        busy_s: how long the bus may be busy with nothing less urgent, without a break [s].
+        instance: the one that is worst, from 0.
+    """
+
+    message: PeriodicMessage
+    response_s: float | None
+    received_s: float | None
+    blocking_s: float
+    busy_s: float | None
+    instance: int
+
+
+def response_times(traffic: CanTraffic) -> tuple[ResponseTime, ...]:
+    """Of every message, the most urgent first; each sender has its most urgent frame sent first."""
+    ordered = sorted(_Timed.all_of(traffic), key=lambda one: one.rank)
+    return tuple(
+        _response(one, ordered[:place], ordered[place + 1 :], traffic.bitrate_bit_s)
+        for place, one in enumerate(ordered)
+    )
+
+
+@final
+@dataclass(frozen=True, slots=True)
+class _Timed:
+    """A message in whole nanoseconds; its period rounded down, its jitter up."""
+
+    message: PeriodicMessage
+    rank: int
+    takes_ns: int
+    period_ns: int
+    jitter_ns: int
+
+    @classmethod
+    def all_of(cls, traffic: CanTraffic) -> "list[_Timed]":
+        return [
+            cls(
+                message,
+                message.rank,
+                bits_ns(
+                    worst_frame_bits(message.length, extended=message.extended),
+                    traffic.bitrate_bit_s,
+                ),
+                max(1, int(round(message.period_s * 1e12) // 1000)),
+                -(-round(message.jitter_s * 1e12) // 1000),
+            )
+            for message in traffic.messages
+        ]
+
+    def count(self, window_ns: int) -> int:
+        """How many may be queued in a window that begins at the worst time, as many as can be."""
+        return -(-(window_ns + self.jitter_ns) // self.period_ns)
+
+
+def _response(
+    one: _Timed, higher: Sequence[_Timed], lower: Sequence[_Timed], bitrate_bit_s: int
+) -> ResponseTime:
+    bit_ns = bits_ns(1, bitrate_bit_s)
+    blocking_ns = max((other.takes_ns for other in lower), default=0)
+    busy_ns = _busy_period_ns(blocking_ns, [*higher, one])
+    if busy_ns is None or one.count(busy_ns) > _INSTANCES_MAX:
+        return ResponseTime(one.message, None, None, blocking_ns / 1e9, None, 0)
+    worst_ns, instance = 0, 0
+    waited_ns = blocking_ns
+    for number in range(one.count(busy_ns)):
+        fixed_ns = blocking_ns + number * one.takes_ns
+        waited_ns = max(waited_ns, fixed_ns)
+        while True:
+            again_ns = fixed_ns + sum(
+                other.count(waited_ns + bit_ns) * other.takes_ns for other in higher
+            )
+            if again_ns <= waited_ns:
+                break
+            waited_ns = again_ns
+        response_ns = one.jitter_ns + waited_ns - number * one.period_ns + one.takes_ns
+        if response_ns > worst_ns:
+            worst_ns, instance = response_ns, number
+    gap_ns = INTERMISSION_BITS * 1_000_000_000 // bitrate_bit_s
+    return ResponseTime(
+        message=one.message,
+        response_s=worst_ns / 1e9,
+        received_s=(worst_ns - gap_ns) / 1e9,
+        blocking_s=blocking_ns / 1e9,
+        busy_s=busy_ns / 1e9,
+        instance=instance,
+    )
+
+
+def _busy_period_ns(blocking_ns: int, level: Sequence[_Timed]) -> int | None:
+    if sum(one.takes_ns / one.period_ns for one in level) >= 1.0:
+        return None
+    busy_ns = blocking_ns + sum(one.takes_ns for one in level)
+    for _ in range(_ROUNDS_MAX):
+        again_ns = blocking_ns + sum(one.count(busy_ns) * one.takes_ns for one in level)
+        if again_ns <= busy_ns:
+            return busy_ns
+        busy_ns = again_ns
+    return None
+
+
+def overload_of(traffic: CanTraffic) -> str:
+    """Which message may not be sent before its next one is due, in words; "" if there is none."""
+    for found in response_times(traffic):
+        period_s = found.message.period_s
+        if found.response_s is None:
+            return f"{found.message.name} and what is more urgent may fill the bus"
+        if found.response_s > period_s + found.message.jitter_s:
+            return (
+                f"{found.message.name} may take {found.response_s * 1e3:.3g} ms, and the next one"
+                f" comes after {period_s * 1e3:.3g} ms"
+            )
+    return ""
+
+
+# --- frames that are sent once -------------------------------------------------------------------
+
+
+@final
+@dataclass(frozen=True, slots=True)
+class OneFrame:
+    """A frame that is sent once.
+
+    Attributes:
+        can_id: its identifier, of 11 bits.
+        length: data bytes.
+        mates: identifiers that may wait in the queue of its sender before it, where that is not
+            this program's: TPDOs and heartbeat of a node that answers an SDO.
+    """
+
+    can_id: int
+    length: int
+    mates: tuple[int, ...] = ()
+
+
+@final
+@dataclass(frozen=True, slots=True)
+class Firing:
+    """What firing one trigger takes.
+
+    Attributes:
+        bus: where its frames go; None: there are none.
+        traffic: what else is sent there, with what this program and its nodes send.
+        frames: one after another, each queued when the one before it has been received.
+        idle_s: how long it waits for other things than the bus, at most [s].
+        latched_after: so many of the frames have been received when the first drive latches its
+            command; the last drive does with the last of the frames.
+    """
+
+    bus: Hashable | None = None
+    traffic: CanTraffic | None = None
+    frames: tuple[OneFrame, ...] = ()
+    idle_s: float = 0.0
+    latched_after: int = 0
+
+    def rest(self) -> "Firing":
+        """What is left of it when the first drive has latched its command."""
+        idle_s = self.idle_s if self.latched_after < len(self.frames) else 0.0
+        return Firing(self.bus, self.traffic, self.frames[self.latched_after :], idle_s)
+
+
+def longest_s(firings: Sequence[Firing]) -> float | None:
+    """How long all of these take at most, one after another [s]; None: there is no bound.
+
+    In the time from the first frame's being queued to the last one's end each bus carries, beside
+    the frames themselves: before each of them at most one that is less urgent, for it was under
+    way; and of each more urgent message as many as can come in that time. Those that came before
+    count as if the time had begun earlier: whatever was sent meanwhile makes up for it (the
+    argument of the critical instant), but for one frame of this program that armed a drive just
+    before. What is less urgent than one of the frames, or than an SDO, has no such argument: of
+    each such message one more may have been waiting.
+
+    This program's own periodic frames stand in the same queue: each may be before one of ours, and
+    holds it up until it has been sent itself, which is when all are through that are more urgent.
+    """
+    total_ns = sum(-(-round(one.idle_s * 1e12) // 1000) for one in firings)
+    buses = [_Bus.of(firings, bus) for bus in dict.fromkeys(one.bus for one in firings)]
+    present = [one for one in buses if one is not None]
+    now_ns = total_ns + sum(one.fixed_ns for one in present)
+    for _ in range(_ROUNDS_MAX):
+        again_ns = total_ns + sum(one.load_ns(now_ns) for one in present)
+        if again_ns <= now_ns:
+            return now_ns / 1e9
+        now_ns = again_ns
+    return None
+
+
+@final
+class _Bus:
+    """One bus of several firings."""
+
+    def __init__(self, traffic: CanTraffic, frames: Sequence[OneFrame]) -> None:
+        rate = traffic.bitrate_bit_s
+        messages = _Timed.all_of(traffic)
+        mates = {rank_of(can_id) for frame in frames for can_id in frame.mates}
+        queued = [one for one in messages if one.rank in traffic.queued or one.rank in mates]
+        last = max(rank_of(frame.can_id) for frame in frames)
+        level = max([last, *(one.rank for one in queued)])
+        self._before_ns = bits_ns(worst_frame_bits(8), rate) + bits_ns(1, rate)
+        self._counted: list[tuple[_Timed, int, int]] = []  # message, what may wait, cost of each
+        for one in messages:
+            if one in queued:
+                self._counted.append((one, 1, one.takes_ns + _lower_ns(messages, one.rank)))
+            elif one.rank < level:
+                waits = 0 if one.rank < last and one.rank < _FIRST_SDO_RANK else 1
+                self._counted.append((one, waits, one.takes_ns))
+        self.fixed_ns = sum(
+            bits_ns(worst_frame_bits(frame.length), rate)
+            + _lower_ns(messages, rank_of(frame.can_id))
+            for frame in frames
+        )
+
+    @classmethod
+    def of(cls, firings: Sequence[Firing], bus: Hashable | None) -> "_Bus | None":
+        """The bus of this name as all of its firings see it; None: nothing is sent."""
+        here = [one for one in firings if one.bus == bus and one.frames]
+        known = [one.traffic for one in here if one.traffic is not None]
+        if bus is None or not known:
+            return None
+        queued: frozenset[int] = frozenset()
+        for one in known:
+            queued |= one.queued
+        messages = worst_of([message for one in known for message in one.messages])
+        traffic = CanTraffic(known[0].bitrate_bit_s, messages, queued)
+        return cls(traffic, [frame for one in here for frame in one.frames])
+
+    def load_ns(self, window_ns: int) -> int:
+        """What the bus carries in a window of this length, at most [ns]."""
+        seen_ns = window_ns + self._before_ns
+        return self.fixed_ns + sum(
+            (one.count(seen_ns) + waits) * cost_ns for one, waits, cost_ns in self._counted
+        )
+
+
+def _lower_ns(messages: Sequence[_Timed], rank: int) -> int:
+    """The longest of what is less urgent [ns]."""
+    return max((one.takes_ns for one in messages if one.rank > rank), default=0)

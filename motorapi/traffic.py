@@ -1,0 +1,234 @@
+"""What is sent on a CAN bus, as far as it is known: the ground that bounds in time stand on.
+
+Nobody can hear what might be sent, so it is declared: the messages of others, each with how often
+it may come at most. What this program and its own drives send is known here and is added.
+
+    declare_traffic(bus, CanTraffic(1_000_000, (PeriodicMessage(0x123, 8, period_s=0.01),)))
+
+Without a declaration there is no bound. A declaration is a promise: whatever else is sent on the
+bus (by a further program, by an SDO transfer of another thread while motors are being fired) breaks
+it. Faults of the bus are not part of it either.
+"""
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, field, replace
+from math import isfinite
+from typing import TYPE_CHECKING, Final, final
+from weakref import WeakKeyDictionary
+
+from motorapi.errors import UsageError
+
+if TYPE_CHECKING:
+    import can
+
+_SFF_MAX: Final = 0x7FF
+_EFF_MAX: Final = 0x1FFF_FFFF
+_SHIFT_EFF: Final = 18
+_LENGTH_MAX: Final = 8
+_RATE_MAX_BIT_S: Final = 1_000_000
+_TIME_MAX_S: Final = 1e6
+_PERIOD_MIN_S: Final = 1e-6
+
+
+@final
+@dataclass(frozen=True, slots=True)
+class PeriodicMessage:
+    """Frames with one identifier, of one sender.
+
+    Attributes:
+        can_id: the identifier.
+        length: data bytes, at most.
+        period_s: at least so long between two of them, but for the jitter [s].
+        jitter_s: how much later than its due time one may be queued [s].
+        extended: the identifier has 29 bits.
+    """
+
+    can_id: int
+    length: int
+    period_s: float
+    jitter_s: float = 0.0
+    extended: bool = False
+
+    def __post_init__(self) -> None:
+        """Refuse what no bus carries.
+
+        Raises:
+            UsageError: a value is no number, or out of range.
+        """
+        id_max = _EFF_MAX if self.extended else _SFF_MAX
+        if not _is_whole(self.can_id) or not 0 <= self.can_id <= id_max:
+            raise UsageError(f"can_id = {self.can_id!r}: must be 0 to {id_max:X}h")
+        if not _is_whole(self.length) or not 0 <= self.length <= _LENGTH_MAX:
+            raise UsageError(f"length = {self.length!r}: a frame has 0 to 8 data bytes")
+        if not _is_number(self.period_s) or not _PERIOD_MIN_S <= self.period_s <= _TIME_MAX_S:
+            raise UsageError(f"period_s = {self.period_s!r}: must be 1e-6 to 1e6 s")
+        if not _is_number(self.jitter_s) or not 0.0 <= self.jitter_s <= _TIME_MAX_S:
+            raise UsageError(f"jitter_s = {self.jitter_s!r}: must be 0 to 1e6 s")
+
+    @property
+    def name(self) -> str:
+        """What messages call it."""
+        return f"{self.can_id:08X}h" if self.extended else f"{self.can_id:03X}h"
+
+    @property
+    def rank(self) -> int:
+        """Lower wins arbitration (ISO 11898-1: of equal base identifiers the 11-bit one)."""
+        return rank_of(self.can_id, extended=self.extended)
+
+
+def rank_of(can_id: int, *, extended: bool = False) -> int:
+    """Orders identifiers by priority: the lower wins arbitration."""
+    if extended:
+        base, rest = can_id >> _SHIFT_EFF, can_id & (1 << _SHIFT_EFF) - 1
+        return (base << 1 | 1) << _SHIFT_EFF | rest
+    return can_id << 1 << _SHIFT_EFF
+
+
+@final
+@dataclass(frozen=True, slots=True)
+class CanTraffic:
+    """All that may be sent on one bus.
+
+    Attributes:
+        bitrate_bit_s: the nominal bit rate [bit/s].
+        messages: no two of one identifier.
+        queued: ranks of messages that wait in the one queue of this program, first in, first out,
+            whatever their priority.
+    """
+
+    bitrate_bit_s: int
+    messages: tuple[PeriodicMessage, ...] = ()
+    queued: frozenset[int] = field(default_factory=frozenset)
+
+    def __post_init__(self) -> None:
+        """Refuse what cannot be.
+
+        Raises:
+            UsageError: the bit rate is out of range, or two messages have one identifier.
+        """
+        rate = self.bitrate_bit_s
+        if not _is_whole(rate) or not 1_000 <= rate <= _RATE_MAX_BIT_S:
+            raise UsageError(f"bitrate_bit_s = {rate!r}: must be 1000 to 1000000 bit/s")
+        ranks: set[int] = set()
+        for message in self.messages:
+            if not isinstance(message, PeriodicMessage):
+                raise UsageError(f"{message!r} is no message: give PeriodicMessage(...)")
+            if message.rank in ranks:
+                raise UsageError(
+                    f"{message.name} is there twice: an identifier has one sender; give the"
+                    " shorter period and the greater length"
+                )
+            ranks.add(message.rank)
+
+    def with_own(self, own: Iterable["NodeTraffic"], sync_period_s: float | None) -> "CanTraffic":
+        """With what this program and its nodes send, too; of one identifier the worse counts.
+
+        Args:
+            own: of each node.
+            sync_period_s: of a cyclic SYNC that runs or is about to; None: there is none.
+        """
+        theirs: list[PeriodicMessage] = []
+        ours: list[PeriodicMessage] = []
+        for node in own:
+            theirs += node.sent
+            ours += node.ours
+            if sync_period_s is not None:
+                theirs += [replace_period(one, sync_period_s) for one in node.sent_at_sync]
+                ours += [replace_period(one, sync_period_s) for one in node.ours_at_sync]
+        if sync_period_s is not None:
+            ours.append(PeriodicMessage(SYNC_ID, 0, sync_period_s))
+        return CanTraffic(
+            self.bitrate_bit_s,
+            worst_of([*self.messages, *theirs, *ours]),
+            self.queued | frozenset(one.rank for one in ours),
+        )
+
+
+SYNC_ID: Final = 0x080
+
+
+def replace_period(message: PeriodicMessage, period_s: float) -> PeriodicMessage:
+    """The message once a period, at any time in it."""
+    return replace(message, period_s=period_s, jitter_s=period_s)
+
+
+def worst_of(messages: Sequence[PeriodicMessage]) -> tuple[PeriodicMessage, ...]:
+    """One message of each identifier that is at least as bad as all of that identifier."""
+    found: dict[int, PeriodicMessage] = {}
+    for message in messages:
+        known = found.get(message.rank)
+        if known is not None:
+            message = replace(
+                message,
+                length=max(message.length, known.length),
+                period_s=min(message.period_s, known.period_s),
+                jitter_s=max(message.jitter_s, known.jitter_s),
+            )
+        found[message.rank] = message
+    return tuple(found[rank] for rank in sorted(found))
+
+
+@final
+@dataclass(frozen=True, slots=True)
+class NodeTraffic:
+    """What a node that was brought up sends, and what this program sends because of it.
+
+    Attributes:
+        sent: by the node.
+        ours: by this program.
+        sent_at_sync: by the node, once for each SYNC where a cyclic one runs; likewise
+            `ours_at_sync` by this program. Their period is SYNC's.
+        unknown: what it sends that nobody can bound, in words; "" where there is no such thing.
+    """
+
+    sent: tuple[PeriodicMessage, ...] = ()
+    ours: tuple[PeriodicMessage, ...] = ()
+    sent_at_sync: tuple[PeriodicMessage, ...] = ()
+    ours_at_sync: tuple[PeriodicMessage, ...] = ()
+    unknown: str = ""
+
+
+_declared: Final["WeakKeyDictionary[can.BusABC, CanTraffic]"] = WeakKeyDictionary()
+_own: Final["WeakKeyDictionary[can.BusABC, dict[int, NodeTraffic]]"] = WeakKeyDictionary()
+
+
+def declare_traffic(bus: "can.BusABC", traffic: CanTraffic | None) -> None:
+    """Nobody sends on `bus` but what is declared, this program, and the drives it has brought up.
+
+    Args:
+        bus: the bus object that motors were made with.
+        traffic: of others; None: nothing is declared any more.
+
+    Raises:
+        UsageError: it is no CanTraffic.
+    """
+    if traffic is None:
+        _declared.pop(bus, None)
+    elif isinstance(traffic, CanTraffic):
+        _declared[bus] = traffic
+    else:
+        raise UsageError(f"{traffic!r} is no CanTraffic")
+
+
+def declared_traffic(bus: "can.BusABC") -> CanTraffic | None:
+    """What was declared for this bus object; None: nothing."""
+    return _declared.get(bus)
+
+
+def note_node(bus: "can.BusABC", node_id: int, traffic: NodeTraffic) -> None:
+    """A node of this program was brought up: from now on it sends this."""
+    _own.setdefault(bus, {})[node_id] = traffic
+
+
+def own_traffic(bus: "can.BusABC") -> tuple[NodeTraffic, ...]:
+    """Of all nodes that this program has brought up on the bus, by node-ID."""
+    nodes = _own.get(bus, {})
+    return tuple(nodes[node_id] for node_id in sorted(nodes))
+
+
+def _is_whole(value: object) -> bool:
+    return isinstance(value, int) and not isinstance(value, bool)
+
+
+def _is_number(value: object) -> bool:
+    return isinstance(value, int | float) and not isinstance(value, bool) and isfinite(value)
