@@ -23,7 +23,8 @@ from harness.bus_ears import Ears
 from harness.hub_client import HubLink
 
 if TYPE_CHECKING:
-    from emulators.world import HostPort, World
+    from emulators.segment import HostPort
+    from emulators.world import World
     from harness.virtual_time import VirtualRuntime
     from motorapi.errors import MotorBusyError
     from motorapi.runtime import FrameListener, Registration
@@ -155,6 +156,7 @@ class EmulatedBus(can.BusABC):
         self._port: HostPort | None = None
         if self.channel in _OPEN:
             world, self.runtime = _OPEN[self.channel]
+            self._world = world
             self._port = world.add_host(self.channel, "host", self._ears.hear)
         elif "/" in self.channel:
             self._hub = HubLink(self.channel)
@@ -214,9 +216,17 @@ class EmulatedBus(can.BusABC):
         self._hub.send_fenced(frame, resource, token)
 
     def announce_ownership(self, resource: int, action: int, token: int, **facts: Any) -> None:
-        """A hub knows who owns a motor; `facts` as in emulators.hub_protocol.OwnershipNotice."""
-        if self._hub is not None and not self._is_shutdown:
-            self._hub.announce(OwnershipNotice(resource, action, token, **facts))
+        """Whoever listens at the bus's other end knows who owns a motor: a hub, or the open rig.
+
+        `facts` as in emulators.hub_protocol.OwnershipNotice.
+        """
+        if self._is_shutdown:
+            return
+        notice = OwnershipNotice(resource, action, token, **facts)
+        if self._hub is not None:
+            self._hub.announce(notice)
+        elif self._port is not None:
+            self._world.tell_ownership(self.channel, self._port.name, notice)
 
     def _check_open(self) -> None:
         if self._is_shutdown:

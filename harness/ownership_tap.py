@@ -21,6 +21,7 @@ from traces.schema import MOTOR_LOCK
 if TYPE_CHECKING:
     from emulators.hub_protocol import OwnershipNotice
     from emulators.world import World
+    from motorapi.ownership_events import OwnershipEvent
 
 
 @final
@@ -50,22 +51,45 @@ class MotorNames:
 
 
 @final
-class OwnershipTap:
-    """Writes what it hears to `/motor/<name>/lock`.
+class LockWriter:
+    """Writes lock events to `/motor/<name>/lock`.
 
     An error of the record is raised by the next event of the world's, not in the middle of a
     program's taking of its motor.
     """
 
-    def __init__(self, recorder: Recorder, description: RigDescription, world: "World") -> None:
+    def __init__(self, recorder: Recorder, world: "World") -> None:
         self._recorder: Final = recorder
-        self._names: Final = MotorNames(description)
         self._queue: Final = world.queue
+
+    def write(self, motor: str, values: dict[str, Value]) -> None:
+        """A lock event of this motor is recorded; what is "", 0 or False was not told."""
+        told = {key: value for key, value in values.items() if value}
+        now_ns = self._queue.now_ns
+        try:
+            self._recorder.message(now_ns, f"/motor/{motor}/lock", MOTOR_LOCK, told)
+        except TraceError as error:
+            self._queue.alarm(_raiser(error)).set(now_ns)
+
+
+def _raiser(error: TraceError) -> Callable[[int], None]:
+    def raise_it(now_ns: int) -> None:
+        raise error
+
+    return raise_it
+
+
+@final
+class OwnershipTap:
+    """Hears on all buses who owns what; see `World.tap_ownership`."""
+
+    def __init__(self, writer: LockWriter, names: MotorNames) -> None:
+        self._writer: Final = writer
+        self._names: Final = names
         self._own_pid: Final = os.getpid()
 
     def heard(self, bus: str, time_ns: int, sender: str, notice: "OwnershipNotice") -> None:
-        """A host on the bus said who owns what; see `World.tap_ownership`."""
-        motor = self._names.of(bus, notice.resource & 0xFF, notice.resource >> 8)
+        """A host on the bus said it, just now."""
         values: dict[str, Value] = {
             "action": notice.action,
             "owner": notice.owner,
@@ -79,19 +103,28 @@ class OwnershipTap:
         if notice.pid != self._own_pid:
             values["pid"] = notice.pid
             values["program"] = notice.program
-        self.write(motor, time_ns, values)
-
-    def write(self, motor: str, time_ns: int, values: dict[str, Value]) -> None:
-        """A lock event of this motor is recorded; what is "", 0 or False was not told."""
-        told = {key: value for key, value in values.items() if value}
-        try:
-            self._recorder.message(time_ns, f"/motor/{motor}/lock", MOTOR_LOCK, told)
-        except TraceError as error:
-            self._queue.alarm(_raiser(error)).set(time_ns)
+        self._writer.write(
+            self._names.of(bus, notice.resource & 0xFF, notice.resource >> 8), values
+        )
 
 
-def _raiser(error: TraceError) -> Callable[[int], None]:
-    def raise_it(now_ns: int) -> None:
-        raise error
+@final
+class MotorTap:
+    """Hears from a motor of this process itself who owns it: one that no bus tells of."""
 
-    return raise_it
+    def __init__(self, writer: LockWriter, motor: str) -> None:
+        self._writer: Final = writer
+        self._motor: Final = motor
+
+    def heard(self, event: "OwnershipEvent") -> None:
+        """It happened, just now; see `motorapi.ownership_events`."""
+        values: dict[str, Value] = {
+            "action": event.action.value,
+            "owner": event.owner,
+            "holder": event.holder,
+            "waited_s": event.waited_s,
+            "held_s": event.held_s,
+            "token": event.token,
+            "purpose": event.purpose,
+        }
+        self._writer.write(self._motor, values)

@@ -288,7 +288,7 @@ class Rig:
         if self.recording is not None:
             from harness.rig_recording import watch_motor
 
-            watch_motor(self.recording, built, name, motor.bus, motor.controller)
+            watch_motor(self.recording, built, motor, self.world)
         return built
 
     def _group(self, name: str) -> "MotorGroup":

@@ -6,9 +6,9 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import TYPE_CHECKING, final
 
-from harness.ownership_tap import OwnershipTap
+from harness.ownership_tap import LockWriter, MotorNames, MotorTap, OwnershipTap
 from harness.recorder import PERIOD_NS, Reading, Recorder, run_metadata
-from harness.rig_file import RigDescription
+from harness.rig_file import MotorDescription, RigDescription
 from traces.errors import TraceError
 from traces.protobuf import Value
 from traces.schema import GROUP_SYNC
@@ -59,7 +59,8 @@ def start_recording(
         recorder.connect(world.queue.alarm(recorder.poll).set)
         world.tap_frames(recorder.frame)
         world.tap_events(recorder.event)
-        world.tap_ownership(OwnershipTap(recorder, description, world).heard)
+        owners = OwnershipTap(LockWriter(recorder, world), MotorNames(description))
+        world.tap_ownership(owners.heard)
         world.tap_samples(PERIOD_NS, recorder.truth)
     except TraceError:
         writer.close()
@@ -68,11 +69,18 @@ def start_recording(
 
 
 def watch_motor(
-    recorder: Recorder, motor: "Motor", name: str, bus: str | None, controller: str | None
+    recorder: Recorder, motor: "Motor", description: MotorDescription, world: "World"
 ) -> None:
-    """The motor's state is recorded while it changes, under the name the rig gives it."""
+    """The motor's state is recorded while it changes, and its lock, under the rig's name of it.
+
+    Of most kinds of motors their bus tells whose they are; others tell it themselves.
+    """
+    bus, controller = description.bus, description.controller
     heard = () if bus is None or controller is None else ((bus, controller),)
-    recorder.watch_motor(name, _Reader(motor).read, heard)
+    recorder.watch_motor(description.name, _Reader(motor).read, heard)
+    if not motor.ownership.listeners:
+        writer = LockWriter(recorder, world)
+        motor.ownership.listeners.append(MotorTap(writer, description.name).heard)
 
 
 def watch_group(recorder: Recorder, group: "MotorGroup", name: str, world: "World") -> None:

@@ -10,6 +10,7 @@ from typing import ParamSpec, TypeVar, final
 
 from motorapi.errors import MotorError, PluginError
 from motorapi.hooks import MotorHooks
+from motorapi.ownership import Ownership
 from motorapi.state import Fault, Measurement, MotorState
 
 P = ParamSpec("P")
@@ -18,6 +19,12 @@ R = TypeVar("R")
 
 class ReadableMotor(MotorHooks):
     """The part of `motorapi.motor.Motor` that only looks."""
+
+    @property
+    @final
+    def ownership(self) -> Ownership:
+        """Who owns the physical motor; its `listeners` are told of what happens to that."""
+        return self._physical.ownership
 
     @final
     def state(self) -> MotorState:

@@ -4,6 +4,7 @@ import struct
 
 from emulators.controller import SettingError
 from motorapi.errors import UsageError
+from motorapi.ownership import Ownership
 from motorapi.state import Measurement, MotorState
 
 MS = 1_000_000
@@ -78,6 +79,7 @@ class BareMotor:
     def __init__(self, bus, settings, model, runtime):
         if "heartbeat" in settings:
             raise UsageError("heartbeat: unknown key; did you mean heartbeat_s?")
+        self.ownership = Ownership(None)
         self.name = settings["name"]
         self.bus, self.settings, self.model, self.runtime = bus, settings, model, runtime
         self.closed = False
