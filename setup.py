@@ -15,6 +15,8 @@ from setuptools import setup
 # files), that applications or third parties inherit from, or that inherit from others' libraries.
 HOT = (
     "emulators/event_queue.py",
+    "emulators/can_segment.py",
+    "emulators/segment.py",
     "emulators/world.py",
     "emulators/media/*.py",
     "emulators/plant/*.py",

@@ -26,7 +26,8 @@ from emulators.hub_protocol import (
     unpack_fenced,
     unpack_owns,
 )
-from emulators.world import HostPort, World
+from emulators.segment import HostPort
+from emulators.world import World
 
 _BACKLOG_MAX: Final = 1_000_000
 _SUBMIT_SIZE: Final = 17

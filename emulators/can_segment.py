@@ -1,0 +1,137 @@
+"""A CAN bus of a world: who hears which identifier, at the cost of one look-up a frame."""
+
+from collections.abc import Callable
+from typing import final
+
+from emulators.event_queue import Alarm
+from emulators.media.can_bus import DELIVERED, HEARD, KIND_MASK, LOST, CanBus, hears
+from emulators.media.faults import FaultRule
+from emulators.segment import ControllerSlot, Endpoint, Overseer, Segment, port_of
+
+FrameTap = Callable[[str, int, str, bytes], None]
+
+
+@final
+class BusSegment(Segment):
+    """One bus with everybody on it, and who listens to which identifier."""
+
+    def __init__(self, bus: CanBus, world: Overseer) -> None:
+        super().__init__(bus.name, world.queue)
+        self.bus = bus
+        self._world = world
+        self._alarm: Alarm = world.queue.alarm(self._expire)
+        self._has_rules = bool(bus.faults_fired())  # faults are asked for only where there are any
+        self._by_port: list[Endpoint] = []
+        self._slots: list[ControllerSlot] = []
+        self._listeners: list[Endpoint] = []  # hosts, and controllers that hear everything
+        self._routes: dict[bytes, list[Endpoint]] = {}  # by the bytes of the identifier
+        self._everything: list[Endpoint] = []  # who hears an identifier that is not in there
+        self._routes_valid = False
+        self.taps: list[FrameTap] = []
+        self._settle(world.queue.now_ns)
+
+    def join(self, endpoint: Endpoint) -> None:
+        """The endpoint, whose port was attached last, takes part."""
+        self._by_port.append(endpoint)
+        if isinstance(endpoint, ControllerSlot):
+            self._slots.append(endpoint)
+        else:
+            self._listeners.append(endpoint)
+        self._routes_valid = False
+
+    def free_name(self, wish: str) -> str:
+        """The name wished for, with a number behind it if it is taken."""
+        taken = [endpoint.name for endpoint in self._by_port]
+        name = wish
+        number = 1
+        while name in taken:
+            number += 1
+            name = f"{wish}-{number}"
+        return name
+
+    def remove_listener(self, endpoint: Endpoint) -> None:
+        """The endpoint hears nothing any more."""
+        if endpoint in self._listeners:
+            self._listeners.remove(endpoint)
+        self._routes_valid = False
+
+    def forget_routes(self) -> None:
+        """Somebody listens to other identifiers than before."""
+        self._routes_valid = False
+
+    def submit(self, port: int, frame: bytes, now_ns: int) -> None:
+        """The frame is queued, and the bus knows when it is next wanted."""
+        self.bus.submit(port, frame, now_ns)
+        due_ns = self.bus.deadline_ns()
+        if due_ns != self._alarm.time_ns:
+            self._alarm.move(due_ns)
+
+    def inject(self, rule: FaultRule) -> None:
+        """The rule holds from now on."""
+        self.bus.inject(rule, self.queue.now_ns)
+        self._has_rules = True
+        self._settle(self.queue.now_ns)
+
+    def lift(self, name: str) -> None:
+        """The rule holds no longer."""
+        self.bus.lift(name, self.queue.now_ns)
+        self._settle(self.queue.now_ns)
+
+    def _settle(self, now_ns: int) -> None:
+        """The bus is called when it wants to be, and what its faults did is told."""
+        if self._has_rules:
+            for time_ns, rule, what, frame in self.bus.take_fault_events():
+                can_id = f" {int.from_bytes(frame[:4], 'little') & 0x1FFF_FFFF:X}h" if frame else ""
+                self._world.report(time_ns, "warning", self.name, f"{rule}: {what}{can_id}")
+        self._alarm.move(self.bus.deadline_ns())
+
+    def _build_routes(self) -> None:
+        everything: list[Endpoint] = []
+        chosen: list[tuple[int, ControllerSlot]] = []
+        for slot in self._slots:
+            identifiers = slot.controller.identifiers()
+            if identifiers is None:
+                everything.append(slot)
+            else:
+                for can_id in identifiers:
+                    chosen.append((can_id, slot))
+        everything.extend(self._listeners)
+        everything.sort(key=port_of)
+        routes: dict[bytes, list[Endpoint]] = {}
+        for can_id, slot in chosen:
+            key = can_id.to_bytes(4, "little")
+            known = routes.get(key)
+            if known is None:
+                known = routes[key] = everything.copy()
+            if slot not in known:
+                known.append(slot)
+        for receivers in routes.values():
+            receivers.sort(key=port_of)
+        self._everything = everything
+        self._routes = routes
+        self._routes_valid = True
+
+    def _expire(self, now_ns: int) -> None:
+        by_port = self._by_port
+        bus = self.bus
+        for frame, sender_port, kind in bus.expire(now_ns):
+            sender = by_port[sender_port]
+            if kind & KIND_MASK != LOST:  # what nobody hears is an event, not a frame of the record
+                for tap in self.taps:
+                    tap(self.name, now_ns, sender.name, frame)
+                if not self._routes_valid:
+                    self._build_routes()
+                receivers = self._routes.get(frame[:4])
+                if receivers is None:
+                    receivers = self._everything
+                for endpoint in receivers:
+                    if endpoint is not sender and (kind == DELIVERED or hears(kind, endpoint.port)):
+                        endpoint.deliver(frame, now_ns)
+            if kind & KIND_MASK != HEARD:
+                sender.confirm(frame, now_ns)
+        if self._has_rules:
+            self._settle(now_ns)
+        else:
+            due_ns = bus.deadline_ns()
+            if due_ns != self._alarm.time_ns:
+                self._alarm.move(due_ns)
