@@ -1,5 +1,6 @@
 """The checker of histories: against histories that are known, and against trying every order."""
 
+from dataclasses import replace
 from itertools import permutations
 
 import pytest
@@ -150,6 +151,14 @@ def test_what_the_dead_began_has_happened_by_his_end_or_never():
     assert not is_allowed(*told, take("b", 6, 9, 2))  # not before
 
 
+def test_what_nobody_knows_the_outcome_of_has_happened_or_not():
+    unsure = (take("a", 0, 1, 1), command("a", 5, 6, 9, UNKNOWN))
+    seven, eight = (use("r", READ, at, at + 1, value=9) for at in (7, 9))
+    assert is_allowed(*unsure, seven, eight)
+    assert is_allowed(*unsure, replace(seven, value=0), replace(eight, value=0))
+    assert not is_allowed(*unsure, replace(seven, value=0), eight)
+
+
 def test_one_who_died_waiting_is_no_longer_waited_for():
     uses = (
         take("a", 0, 1, 1),
@@ -185,6 +194,16 @@ def test_long_histories_take_steps_in_proportion():
         uses.append(command(who, at + 20, at + 30, turn))
         uses.append(use(who, GIVE, at + 40, at + 50))
     assert require_linearizable(uses) < 10 * 8000
+
+
+def test_what_was_reached_once_is_not_searched_again():
+    readers = [use(f"r{number}", READ, 0, 10) for number in range(10)]
+    impossible = use("x", READ, 20, 21, value=1)
+    found = search(events_of([*readers, impossible]), OwnedMotor())
+    assert found.order is None
+    assert len(found.reached) == 10
+    assert found.stuck == tuple(events_of([impossible]))
+    assert found.steps <= 10 * 2**10 + 11  # of 10! orders
 
 
 # ---- against trying every order
@@ -237,7 +256,7 @@ def plausible(draw):
     for place in range(draw(st.integers(1, 4))):
         who = draw(st.sampled_from("abc"))
         at = 3 * place + 3
-        begin, end = at - draw(st.integers(0, 3)), at + draw(st.integers(0, 3))
+        begin, end = at - draw(st.integers(0, 7)), at + draw(st.integers(0, 7))
         kind = draw(st.sampled_from([TAKE, GIVE, COMMAND, READ]))
         if holder is not None and kind in (GIVE, COMMAND):
             who = draw(st.sampled_from([who, holder]))
@@ -254,13 +273,17 @@ def plausible(draw):
             value = place if kind is COMMAND and done is DONE else value
             uses.append(use(who, kind, begin, end, done, value=place if kind is COMMAND else 0))
             holder = None if kind is GIVE and done is DONE else holder
+    if draw(st.booleans()):  # begun, and never had any effect
+        begin, end = sorted((draw(TIMES), draw(TIMES)))  # and he died there
+        begun = use("d", draw(st.sampled_from([TAKE, COMMAND, GIVE])), begin, end, UNKNOWN)
+        uses.append(begun if draw(st.booleans()) else replace(begun, who="a"))
     if uses and draw(st.booleans()):
         victim = draw(st.integers(0, len(uses) - 1))
         uses[victim] = draw(anything())
     return uses
 
 
-@settings(max_examples=300)
+@settings(max_examples=600)
 @given(st.lists(anything(), max_size=4) | plausible())
 def test_the_search_finds_an_order_exactly_where_there_is_one(uses):
     events, specification = events_of(uses), OwnedMotor()
