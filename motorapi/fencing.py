@@ -9,17 +9,29 @@ new one begins. A hub refuses what is still on its way to it then, by the token 
 *Commanding* is what may start or change a motion or a setting: RPDOs, controlwords that enable or
 start, streamed set-points, each request of an SDO download, the SYNC that starts what is armed, NMT
 to the node, the outputs of a servo on the host. *Stops are not fenced*: stopping takes nobody's
-permission. Neither are questions.
+permission. Neither are questions. What goes on by itself (a stream of set-points, a servo, the
+repetition of a stop) is bound to the very ownership it began under: it does not go on under a later
+one of the same process.
+
+Who works a hardware object by itself, without a motor, owns the motor for each frame, and for as
+long as a stream goes on.
 """
 
-from collections.abc import Callable, Sequence
-from contextlib import ExitStack
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import AbstractContextManager, ExitStack, contextmanager
 from typing import TYPE_CHECKING, Final, Protocol, final, runtime_checkable
+
+from motorapi.errors import MotorBusyError
 
 if TYPE_CHECKING:
     import can
 
+    from motorapi.ownership import Ownership
+    from motorapi.ownership_events import OwnershipEvent
+    from motorapi.process_lock import Hold, ProcessLock
     from motorapi.runtime import Runtime
+
+_DIRECTLY: Final = "a command by its hardware object"
 
 
 class Fence(Protocol):
@@ -32,25 +44,16 @@ class Fence(Protocol):
             MotorBusyError: somebody else owns the motor; says who, and how that came.
         """
 
-    def begin(self) -> int:
-        """Nobody can take the motor over until `end`; the token. Raises as `send`."""
-
-    def end(self) -> None:
-        """What was begun is over."""
+    def passage(self) -> AbstractContextManager[None]:
+        """Nobody takes the motor over inside the block, which must be short. Raises as `send`."""
 
 
-class Fencing(Protocol):
-    """Who owns something that others may take over (an Ownership, a lock between processes)."""
+class Owned(Protocol):
+    """Something that one owner of this process may have for himself."""
 
-    def begin_write(self) -> int:
-        """The token; nobody can take it over until `end_write`.
-
-        Raises:
-            MotorBusyError: it is not owned here, or no more.
-        """
-
-    def end_write(self) -> None:
-        """What was begun is over."""
+    @property
+    def is_here(self) -> bool:
+        """Whether somebody of this process has it, as far as that one knows."""
 
 
 @runtime_checkable
@@ -61,82 +64,211 @@ class FencedBus(Protocol):
         """The frame is queued; refused there if somebody has a greater token of the resource."""
 
 
+@runtime_checkable
+class AnnouncingBus(Protocol):
+    """A bus that can be told who owns what (the same)."""
+
+    def announce_ownership(
+        self, resource: int, action: int, token: int, **facts: str | int
+    ) -> None:
+        """Said in the order of this and of frames; `facts` are those of an OwnershipEvent."""
+
+
 @final
 class NodeFence:
     """The Fence of one node, or of one motor on a node.
 
     Args:
-        owned: who owns it.
-        runtime: what the bus is sent on by, where it does not look at tokens.
+        lock: whose token it is.
+        owned: who has it in this process.
+        runtime: sends on the bus, where that does not look at tokens.
         bus: the bus.
         resource: node-ID, + 256 times the channel where motors share a node.
     """
 
     def __init__(
-        self, owned: Fencing, runtime: "Runtime", bus: "can.BusABC", resource: int
+        self,
+        lock: "ProcessLock",
+        owned: Owned,
+        runtime: "Runtime",
+        bus: "can.BusABC",
+        resource: int,
     ) -> None:
+        self.lock: Final = lock
+        self.runtime: Final = runtime
         self._owned: Final = owned
-        self._runtime: Final = runtime
         self._bus: Final = bus
         self._resource: Final = resource
         self._transmit: Final[Callable[[bytes, int, int], None] | None] = (
             bus.transmit_fenced if isinstance(bus, FencedBus) else None
         )
 
-    def begin(self) -> int:
+    def send(self, frame: bytes) -> None:
         """See `Fence`."""
-        return self._owned.begin_write()
+        own = self._own()
+        try:
+            token = self.lock.begin_write()
+            try:
+                self.let_out(frame, token)
+            finally:
+                self.lock.end_write()
+        finally:
+            if own is not None:
+                own.release()
 
-    def end(self) -> None:
+    @contextmanager
+    def passage(self) -> Iterator[None]:
         """See `Fence`."""
-        self._owned.end_write()
+        own = self._own()
+        try:
+            self.lock.begin_write()
+            try:
+                yield
+            finally:
+                self.lock.end_write()
+        finally:
+            if own is not None:
+                own.release()
+
+    def let_out(self, frame: bytes, token: int) -> None:
+        """The frame waits its turn on the bus; to be called between begin_write and end_write."""
+        if self._transmit is None:
+            self.runtime.send(self._bus, frame)
+        else:
+            self._transmit(frame, self._resource, token)
+
+    def bound(self, purpose: str) -> "BoundFence":
+        """For what goes on by itself: the Fence of this very ownership, or of an own one.
+
+        Args:
+            purpose: of an own one, where nobody of this process owns the motor.
+
+        Raises:
+            MotorBusyError: somebody else owns it.
+        """
+        own = self._own(purpose)
+        try:
+            token = self.lock.begin_write()
+        except BaseException:
+            if own is not None:
+                own.release()
+            raise
+        self.lock.end_write()
+        return BoundFence(self, token, own)
+
+    @property
+    def is_owned(self) -> bool:
+        """Whether this process owns it, as far as it knows."""
+        return self._owned.is_here or self.lock.hold is not None
+
+    def _own(self, purpose: str = _DIRECTLY) -> "Hold | None":
+        """Where nobody of this process owns it: it is owned by whoever works the hardware."""
+        if self.is_owned:
+            return None
+        return self.lock.acquire(self.runtime, purpose, owner=object())
+
+
+@final
+class BoundFence:
+    """The Fence of one ownership: it lets nothing out under a later one. `release` ends its use."""
+
+    def __init__(self, fence: NodeFence, token: int, own: "Hold | None") -> None:
+        self._fence: Final = fence
+        self._lock: Final = fence.lock
+        self._token: Final = token
+        self._own = own
 
     def send(self, frame: bytes) -> None:
         """See `Fence`."""
-        token = self._owned.begin_write()
+        lock = self._lock
+        token = lock.begin_write()
         try:
-            if self._transmit is None:
-                self._runtime.send(self._bus, frame)
-            else:
-                self._transmit(frame, self._resource, token)
+            if token != self._token:
+                raise self._later(token)
+            self._fence.let_out(frame, token)
         finally:
-            self._owned.end_write()
+            lock.end_write()
+
+    @contextmanager
+    def passage(self) -> Iterator[None]:
+        """See `Fence`."""
+        token = self._lock.begin_write()
+        try:
+            if token != self._token:
+                raise self._later(token)
+            yield
+        finally:
+            self._lock.end_write()
+
+    def _later(self, token: int) -> MotorBusyError:
+        since = f"it was taken over (token {token}; this began under token {self._token})"
+        return MotorBusyError(
+            motor=self._lock.label, holder="another owner", since_ns=0, since=since
+        )
+
+    def release(self) -> None:
+        """What was owned for it alone is owned no more; releasing again does nothing."""
+        own, self._own = self._own, None
+        if own is not None:
+            own.release()
 
 
 @final
 class JointFence:
     """Lets out frames that command several motors, while all of them are owned."""
 
-    def __init__(self, fences: "Sequence[Fence]") -> None:
+    def __init__(self, fences: Sequence[Fence]) -> None:
         self._fences: Final = tuple(fences)
-
-    def begin(self) -> int:
-        """See `Fence`; the last one's token."""
-        token = 0
-        with ExitStack() as begun:
-            for fence in self._fences:
-                token = fence.begin()
-                begun.callback(fence.end)
-            begun.pop_all()
-        return token
-
-    def end(self) -> None:
-        """See `Fence`."""
-        with ExitStack() as ending:
-            for fence in self._fences:
-                ending.callback(fence.end)
 
     def send(self, frame: bytes) -> None:
         """See `Fence`. The frame passes the last one's, inside of all others'."""
-        with ExitStack() as begun:
+        with ExitStack() as passing:
             for fence in self._fences[:-1]:
-                fence.begin()
-                begun.callback(fence.end)
+                passing.enter_context(fence.passage())
             self._fences[-1].send(frame)
 
+    @contextmanager
+    def passage(self) -> Iterator[None]:
+        """See `Fence`."""
+        with ExitStack() as passing:
+            for fence in self._fences:
+                passing.enter_context(fence.passage())
+            yield
 
-def joint_fence(fences: "Sequence[Fence]") -> Fence | None:
+
+def joint_fence(fences: Sequence[Fence]) -> Fence | None:
     """One Fence for all of these; None if there are none."""
     if len(fences) > 1:
         return JointFence(fences)
     return fences[0] if fences else None
+
+
+def announce(ownership: "Ownership", bus: "can.BusABC", resource: int) -> None:
+    """What happens to the ownership is told to the bus, if that is one that listens."""
+    if not isinstance(bus, AnnouncingBus):
+        return
+
+    def tell(event: "OwnershipEvent") -> None:
+        tell_bus(
+            *(bus, resource, event.action, event.token),
+            owner=event.owner,
+            holder=event.holder,
+            purpose=event.purpose,
+            program=event.program,
+            pid=event.pid,
+            waited_ns=round(event.waited_s * 1e9),
+            held_ns=round(event.held_s * 1e9),
+        )
+
+    ownership.listeners.append(tell)
+
+
+def tell_bus(bus: "can.BusABC", resource: int, action: int, token: int, **facts: str | int) -> None:
+    """The bus is told of an ownership; if it has gone, whoever commands the motor learns that."""
+    from can import CanError
+
+    if isinstance(bus, AnnouncingBus):
+        try:
+            bus.announce_ownership(resource, action, token, **facts)
+        except (CanError, OSError):
+            return

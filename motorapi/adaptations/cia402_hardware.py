@@ -70,6 +70,7 @@ class Cia402HwMotor:
 
     Attributes:
         stream: the set-points streamed last, by `stream_positions`; None: none were.
+        fence: lets out what commands the drive; None: no other process can take it over.
         quick_stopped: whether a quick stop was the last thing commanded to its power stage.
         users: how many motors were built on it by settings; the last one closes it.
 
@@ -117,11 +118,10 @@ class Cia402HwMotor:
             heartbeat_timeout_ms=self.options.heartbeat_timeout_ms,
         )
         self.physical.news = self.node.news
-        self.node.sdo.physical = self.physical
-        self.node.sdo.process_lock = sdo_lock
+        self.fence: Final = self._shared.attach(self.node, bus)
         self.objects: Final = DriveObjects(self.node, self.physical)
         self._setting_up = TurnLock(runtime)
-        self.control: Final = DriveControl(self.link, self.node, self.objects)
+        self.control: Final = DriveControl(self.link, self.node, self.objects, self.fence)
         self.users = 0
         self.quick_stopped = False
         self.stream: CspStream | None = None
@@ -258,7 +258,7 @@ class Cia402HwMotor:
         """
         frame = raw_frame(can_id, data, extended=extended)
         with self.physical.passage(self.label, of_holder=True):
-            return self.link.send_tracked(frame)
+            return self.link.send_tracked(frame, self.fence)
 
     def listen(self, *can_ids: int) -> FrameInbox:
         """Frames of others with these identifiers (none: all), as they are, from now on.
@@ -308,9 +308,9 @@ class Cia402HwMotor:
         self.control.enable()
 
     def disable(self) -> None:
-        """The power stage is off."""
+        """The power stage is off, whoever owns the motor."""
         self.connect()
-        self.control.disable()
+        self.control.disable(stops=True)
 
     def reset_fault(self) -> None:
         """The fault is acknowledged. See `DriveControl.reset_fault`."""

@@ -235,6 +235,7 @@ class DriveNode:
         first = (HEARTBEAT_ID, EMCY_ID, 0x580)
         for can_id in (*(base + self.node_id for base in first), *self._tpdo_ids):
             self.link.ignore(can_id)
+        self.link.fences.pop(self.node_id, None)
 
     # --- what it amounts to --------------------------------------------------------------
 

@@ -31,11 +31,14 @@ class DriveObjects:
         self._node.check_heard()
         return self._node.sdo.upload(index, subindex)
 
-    def download(self, index: int, subindex: int, data: bytes) -> None:
-        """The drive has `data` in an object. Raises as `upload`."""
+    def download(self, index: int, subindex: int, data: bytes, *, stops: bool = False) -> None:
+        """The drive has `data` in an object; what stops it, whoever owns it. Raises as `upload`.
+
+        Raises: also MotorBusyError, if somebody else owns the drive by now.
+        """
         self._node.check_heard()
         self._believed.pop((index, subindex), None)
-        self._node.sdo.download(index, subindex, data)
+        self._node.sdo.download(index, subindex, data, stops=stops)
 
     def read(self, what: int | str, subindex: int = 0, kind: str | None = None) -> Value:
         """The value of an object; see `Cia402HwMotor.read`."""

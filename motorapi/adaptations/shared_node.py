@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING, Final, final
 
 from motorapi.adaptations.cia402_objects import PdsState
 from motorapi.errors import MotorError
+from motorapi.fencing import NodeFence, announce
 from motorapi.lock_names import bus_name
 from motorapi.process_lock import ProcessLock, can_share_time
 from motorapi.sharing import PhysicalMotor
@@ -60,6 +61,18 @@ class SharedNode:
         self._physical = physical
         self._runtime = runtime
         self._absences = 0
+
+    def attach(self, node: "DriveNode", bus: "can.BusABC") -> NodeFence | None:
+        """The node's SDO channel is shared as it must be; the fence of what commands the drive."""
+        sdo, ownership = node.sdo, self._physical.ownership
+        sdo.physical = self._physical
+        sdo.process_lock = self.sdo_lock
+        if ownership.lock is None:
+            return None
+        fence = NodeFence(ownership.lock, ownership, self._runtime, bus, node.node_id)
+        sdo.fence = node.link.fences[node.node_id] = fence
+        announce(ownership, bus, node.node_id)
+        return fence
 
     @property
     def is_as_we_left_it(self) -> bool:

@@ -54,9 +54,9 @@ class Program:
         self.wrote = 0
         write = SdoChannel.download
 
-        def counted(channel, *args):
+        def counted(channel, *args, **kwargs):
             self.wrote += 1
-            write(channel, *args)
+            write(channel, *args, **kwargs)
 
         SdoChannel.download = counted
         self.velocity_when_armed = 0.0

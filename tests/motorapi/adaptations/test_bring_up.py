@@ -180,10 +180,10 @@ def test_a_drive_whose_pdos_cannot_be_mapped_is_asked_by_sdo(open_rig: OpenRig):
     hw = Cia402HwMotor(rig.bus("can0"), 1)
     refuse = hw.node.sdo.download
 
-    def refusing(index: int, subindex: int, data: bytes) -> None:
+    def refusing(index: int, subindex: int, data: bytes, *, stops: bool = False) -> None:
         if 0x1600 <= index < 0x1A04:  # a drive whose mapping, and TPDO parameters, are fixed
             raise SdoAborted(node_id=1, index=index, subindex=subindex, abort_code=0x0601_0002)
-        refuse(index, subindex, data)
+        refuse(index, subindex, data, stops=stops)
 
     hw.node.sdo.download = refusing  # type: ignore[method-assign]
     facts = hw.connect()

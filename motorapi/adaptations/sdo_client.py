@@ -1,0 +1,229 @@
+"""canopen's SDO client, blocking in a Runtime. Importing this loads canopen.
+
+What it makes of late answers, and of somebody else's: motorapi.adaptations.sdo_channel.
+"""
+
+from collections import deque
+from typing import TYPE_CHECKING, Final, final
+
+import canopen
+from canopen.sdo.client import SdoClient
+from canopen.sdo.exceptions import SdoAbortedError, SdoCommunicationError
+
+from motorapi.adaptations.canopen_errors import SdoAborted
+from motorapi.adaptations.canopen_link import CanopenLink, Transmission, can_frame
+from motorapi.errors import MotorBusyError
+
+if TYPE_CHECKING:
+    from motorapi.fencing import Fence
+    from motorapi.runtime import Runtime
+
+_RTR: Final = 0x4000_0000
+_EFF: Final = 0x8000_0000
+_ABORT: Final = 0x80
+_NOT_NOW: Final = 0x0800_0021  # "... because of local control"
+_TOGGLE: Final = 0x10
+_NO_PLACE: Final = b"\0\0\0"
+# client command specifiers
+_DOWNLOAD_SEGMENT: Final = 0
+_DOWNLOAD: Final = 1
+_UPLOAD: Final = 2
+_UPLOAD_SEGMENT: Final = 3
+_BLOCK_UPLOAD: Final = 5
+_BLOCK_DOWNLOAD: Final = 6
+_REQUEST_ID: Final = 0x600
+RESPONSE_ID: Final = 0x580
+
+
+@final
+class LinkNetwork(canopen.Network):
+    """canopen's network over a link: never connected, so it has no thread and no Notifier."""
+
+    def __init__(self, link: CanopenLink) -> None:
+        super().__init__()
+        self._link = link
+
+    def send_message(self, can_id: int, data: bytes, remote: bool = False) -> None:
+        """The frame waits its turn on the link's bus."""
+        if can_id > 0x7FF:
+            can_id |= _EFF
+        if remote:
+            can_id |= _RTR
+        self._link.send(can_frame(can_id, bytes(data)))
+
+
+@final
+class _NothingKnown(canopen.ObjectDictionary):
+    """A dictionary without entries: answers come as the bytes they are."""
+
+    def __init__(self) -> None:
+        super().__init__()  # type: ignore[no-untyped-call]  # canopen's
+
+    def get_variable(self, index: int | str, subindex: int = 0) -> None:
+        """None; the inherited one takes longer to say so than a frame takes to decode."""
+        return
+
+
+@final
+class NoAnswer(SdoCommunicationError):  # noqa: N818 -- never leaves the channel
+    """Nothing came in time."""
+
+
+@final
+class ChannelClient(SdoClient):
+    """canopen's SDO client, blocking in the runtime instead of on the wall clock."""
+
+    MAX_RETRIES = 1  # a request is sent once: who asks again is the caller, after quarantine
+
+    def __init__(self, link: CanopenLink, node_id: int, timeout_s: float) -> None:
+        super().__init__(  # type: ignore[no-untyped-call]  # canopen's
+            _REQUEST_ID + node_id, RESPONSE_ID + node_id, _NothingKnown()
+        )
+        self.network = link.network
+        self.timeout_s = timeout_s
+        self.strays = 0
+        self.booted = False
+        self._link = link
+        self._runtime: Runtime = link.runtime
+        self._request: Transmission | None = None
+        self.fence: Fence | None = None  # of the transfer, if it must own the node to write
+        self.is_under_way = False  # whether a request of the transfer has got out
+        self._opened = b""  # index and sub-index of the transfer
+        self._opened_service = _UPLOAD
+        self.odd: bytes | None = None  # a frame during the transfer that was no answer to it
+        self._answers: deque[bytes] = deque()
+        self._quarantine_ns: int | None = None
+
+    # --- canopen's hooks
+
+    def send_request(self, request: bytearray) -> None:
+        """The request is on its way; what came before it is no answer to it."""
+        data = bytes(request)
+        service = data[0] >> 5
+        if service in (_DOWNLOAD, _UPLOAD) or (
+            service in (_BLOCK_UPLOAD, _BLOCK_DOWNLOAD) and not data[0] & 0x03  # its beginning
+        ):
+            self._opened = data[1:4]
+            if self._opened_service != _BLOCK_DOWNLOAD:  # of which any further frame may be data
+                self._opened_service = service
+                self.is_under_way = False
+        self._answers.clear()
+        transmission = Transmission(can_frame(self.rx_cobid, data))
+        if data[0] == _ABORT:
+            self._request = None
+            self._link.send_as(transmission)
+            return
+        self._request = transmission
+        try:
+            self._link.send_as(transmission, self.fence if self._commands(service) else None)
+        except MotorBusyError:
+            self._request = None
+            if self.is_under_way:  # the server waits for the rest, which it will never get
+                self.is_under_way = False
+                self.abort(_NOT_NOW)
+            raise
+        self.is_under_way = True
+
+    def _commands(self, service: int) -> bool:
+        """Whether a request of the service writes to the device; those of a block are bare data."""
+        in_block = self._opened_service == _BLOCK_DOWNLOAD
+        return in_block or service in (_DOWNLOAD, _DOWNLOAD_SEGMENT, _BLOCK_DOWNLOAD)
+
+    def read_response(self) -> bytes:
+        """The answer, within the runtime's deadline."""
+        if not self._answers:
+            self._runtime.wait_until(self._is_over, self.timeout_s)
+        if not self._answers:
+            raise NoAnswer(f"nothing within {self.timeout_s:g} s")
+        answer = self._answers.popleft()
+        if answer[0] == _ABORT:
+            raise SdoAbortedError(int.from_bytes(answer[4:8], "little"))
+        return answer
+
+    def abort(self, abort_code: int = 0x0800_0000) -> None:
+        """The server is told that the transfer is over; what went wrong is raised, not logged."""
+        self.send_request(
+            bytearray(bytes((_ABORT,)) + self._opened + abort_code.to_bytes(4, "little"))
+        )
+
+    # --- the channel's side
+
+    def _is_over(self) -> bool:
+        return bool(self._answers) or self.booted
+
+    def heard(self, frame: bytes, time_ns: int) -> None:
+        """A frame of the server; kept if it can be the answer to the request that waits."""
+        request = self._request
+        if request is None or (request.time_ns is None and self._link.confirms):
+            self.strays += 1
+            self._quarantine_ns = None  # the late answer, most likely: nothing else can come
+            return
+        data = frame[8:16]
+        if not self._can_answer(data, request.frame[8]):
+            self.strays += 1
+            self.odd = data
+            return
+        self._answers.append(data)
+
+    def _can_answer(self, data: bytes, asked: int) -> bool:
+        """Whether this can be the answer to the command byte `asked` (CiA 301, SDO protocols)."""
+        command = data[0]
+        service = asked >> 5
+        if command == _ABORT:
+            # One that names no object says that a server has no transfer: not the one just begun.
+            just_begun = service in (_DOWNLOAD, _UPLOAD)
+            return data[1:4] == self._opened or (data[1:4] == _NO_PLACE and not just_begun)
+        if service == _DOWNLOAD:
+            return command >> 5 == 3 and data[1:4] == self._opened
+        if service == _UPLOAD:
+            return command >> 5 == 2 and data[1:4] == self._opened
+        if service == _DOWNLOAD_SEGMENT:
+            return command >> 5 == 1 and command & _TOGGLE == asked & _TOGGLE
+        if service == _UPLOAD_SEGMENT:
+            return command >> 5 == 0 and command & _TOGGLE == asked & _TOGGLE
+        return True  # block transfer: the client of canopen looks itself
+
+    def odd_text(self) -> str:
+        """The frame that was no answer, in hex."""
+        return "nothing" if self.odd is None else self.odd.hex(" ").upper()
+
+    def is_odd_about_this(self) -> bool:
+        """Whether it was about the very object of the transfer, so that the server meant it."""
+        return self.odd is not None and self.odd[1:4] == self._opened
+
+    def place(self) -> tuple[int, int]:
+        """(index, sub-index) of the transfer; 0 where none has begun."""
+        opened = self._opened.ljust(3, b"\0")
+        return int.from_bytes(opened[:2], "little"), opened[2]
+
+    def aborted(self, node_id: int, code: int) -> SdoAborted:
+        """The error of the interface for an abort of the transfer."""
+        index, subindex = self.place()
+        return SdoAborted(node_id=node_id, index=index, subindex=subindex, abort_code=code)
+
+    def begin(self, place: bytes, fence: "Fence | None") -> None:
+        """A transfer of this object begins; it waits while an old answer may still come."""
+        self._opened = place
+        self._opened_service = _UPLOAD
+        self.fence = fence
+        self.is_under_way = False
+        self.odd = None
+        self.booted = False
+        if self._quarantine_ns is not None:
+            left_ns = self._quarantine_ns - self._runtime.now_ns()
+            if left_ns > 0:
+                self._runtime.wait_until(self._is_clean, left_ns / 1e9)
+            self._quarantine_ns = None
+            self.booted = False
+
+    def end(self) -> None:
+        """The transfer is over: whatever comes now is stray."""
+        self._request = None
+
+    def _is_clean(self) -> bool:
+        return self._quarantine_ns is None or self.booted
+
+    def quarantine(self, until_ns: int) -> None:
+        """An answer may still come until then."""
+        self._request = None
+        self._quarantine_ns = until_ns
