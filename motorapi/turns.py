@@ -1,6 +1,9 @@
 """Turns: one party at a time, first come, first served. What transactions and triggers are made of.
 
 A turn is short; an *exclusive* one is kept as long as its holder likes (low-level access).
+
+Of some things other processes take turns as well (the SYNC of a bus): behind those who wait here
+stands a lock between processes, which is taken when it is our turn here.
 """
 
 import threading
@@ -11,6 +14,7 @@ from contextlib import contextmanager
 from typing import Final, final
 
 from motorapi.errors import MotorBusyError, UsageError
+from motorapi.process_lock import Hold, ProcessLock
 from motorapi.runtime import Runtime, wait_until
 
 TRANSACTION_TIMEOUT_S: Final = 10.0
@@ -39,10 +43,22 @@ class Ticket:
 
 @final
 class Turns:
-    """Who may use something that one party at a time may use: first come, first served."""
+    """Who may use something that one party at a time may use: first come, first served.
 
-    def __init__(self, label: str) -> None:
+    Args:
+        label: what it is, for people.
+        lock: between processes; None: no other process uses it.
+
+    Attributes:
+        number: of the turn there is, or was last; it grows with every turn, of whatever process.
+        died: whether a process that had its turn has died in it since anybody looked.
+    """
+
+    def __init__(self, label: str, lock: ProcessLock | None = None) -> None:
         self.label: Final = label
+        self.lock: Final = lock
+        self.number = 0
+        self.died = False
         self._queue: deque[Ticket] = deque()
         self._mutex = threading.Lock()  # of the queue; never held while anything is waited for
 
@@ -71,10 +87,56 @@ class Turns:
         try:
             if self._queue[0] is not ticket:
                 self._wait(runtime, ticket, timeout_s)
-            yield ticket
+            hold = self._take_lock(runtime, ticket, timeout_s)
+            try:
+                yield ticket
+            finally:
+                if hold is not None:
+                    hold.release()
         finally:
             with self._mutex:
                 self._queue.remove(ticket)
+
+    @property
+    def is_mine(self) -> bool:
+        """Whether this very thread has the turn; callbacks run in threads that others wait in."""
+        with self._mutex:
+            return bool(self._queue) and self._queue[0].thread == threading.get_ident()
+
+    @contextmanager
+    def at_once(self, runtime: Runtime, who: str) -> Iterator[bool]:
+        """The turn without waiting, as in a callback; the block is told whether it has it."""
+        ticket = Ticket(who, 0, runtime.now_ns())  # of no thread: whose wait it is in matters not
+        with self._mutex:
+            is_first = not self._queue
+            if is_first:
+                self._queue.append(ticket)
+        if not is_first:
+            yield False
+            return
+        hold: Hold | None = None
+        try:
+            try:
+                hold = self._take_lock(runtime, ticket, 0.0)
+            except MotorBusyError:
+                is_first = False
+            yield is_first
+        finally:
+            if hold is not None:
+                hold.release()
+            with self._mutex:
+                self._queue.remove(ticket)
+
+    def _take_lock(self, runtime: Runtime, ticket: Ticket, timeout_s: float | None) -> Hold | None:
+        if self.lock is None:
+            self.number += 1
+            return None
+        wait_s = TRANSACTION_TIMEOUT_S if timeout_s is None else timeout_s
+        hold = self.lock.acquire(runtime, ticket.who, wait_s, ticket, asker=self.label)
+        self.number = hold.token
+        self.died = self.died or hold.was_abandoned
+        ticket.since_ns = runtime.now_ns()
+        return hold
 
     def _wait(self, runtime: Runtime, ticket: Ticket, timeout_s: float | None) -> None:
         queue, patient = self._queue, timeout_s is not None
@@ -96,10 +158,17 @@ _triggers: Final["weakref.WeakValueDictionary[tuple[Runtime, Hashable], Turns]"]
 _triggers_lock: Final = threading.Lock()
 
 
+def share_trigger(runtime: Runtime, group: Hashable, turns: Turns) -> None:
+    """Arming and firing by the trigger `group` takes these turns, as long as somebody has them."""
+    with _triggers_lock:
+        _triggers[runtime, group] = turns
+
+
 def trigger_turns(runtime: Runtime, groups: Sequence[Hashable]) -> list[Turns]:
     """Turns for arming and firing by the triggers `groups`, in the order to take them.
 
-    A signal that starts whatever is armed would start another group's motors too early.
+    A signal that starts whatever is armed would start another group's motors too early. The order
+    is the same in all processes.
     """
     wanted: list[Turns] = []
     with _triggers_lock:
@@ -107,5 +176,10 @@ def trigger_turns(runtime: Runtime, groups: Sequence[Hashable]) -> list[Turns]:
             turns = _triggers.get((runtime, group))
             if turns is None:
                 turns = _triggers[runtime, group] = Turns(f"the trigger {group}")
-            wanted.append(turns)
-    return sorted(wanted, key=lambda turns: turns.label)
+            if turns not in wanted:
+                wanted.append(turns)
+    return sorted(wanted, key=_place_in_order)
+
+
+def _place_in_order(turns: Turns) -> tuple[str, str]:
+    return ("" if turns.lock is None else turns.lock.name, turns.label)

@@ -11,6 +11,7 @@ from collections import deque
 from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, Final, final
 
+from motorapi.adaptations.bus_sync import BusSync, Lost
 from motorapi.errors import LinkError, UsageError
 from motorapi.fencing import joint_fence
 from motorapi.runtime import Registration, Runtime
@@ -20,6 +21,8 @@ if TYPE_CHECKING:
     import canopen
 
     from motorapi.adaptations.cia402_triggers import ArmedStream
+    from motorapi.adaptations.sync_burst import ArmedSetPoint
+    from motorapi.adaptations.sync_producer import CyclicSync
     from motorapi.fencing import Fence
 
 FrameHandler = Callable[[bytes, int], None]
@@ -70,9 +73,11 @@ class CanopenLink:
     Attributes:
         name: what messages call it ("can0").
         confirms: whether an own frame has ever been reported as transmitted.
-        sync_id: the identifier of SYNC.
+        sync_id, sync_frame: the identifier of SYNC, and a SYNC.
         latching: node-IDs of drives that may have something latched that a SYNC would start.
         armed_streams: set-points of several motors that are to begin at one SYNC.
+        armed_set_points: likewise, single ones.
+        bus_sync: SYNC, which belongs to the bus.
         cycle: of the servos on the host that share this link (motorapi.adaptations.software_cycle).
         fences: of the nodes that other processes may take over, by node-ID.
     """
@@ -83,27 +88,27 @@ class CanopenLink:
         self.name = bus_label(bus)
         self.confirms = False
         self.sync_id = SYNC_ID
+        self.sync_frame = can_frame(SYNC_ID, b"")
         self.latching: set[int] = set()
         self.armed_streams: list[ArmedStream] = []
+        self.armed_set_points: list[ArmedSetPoint] = []
         self.cycle: object = None
         self.fences: dict[int, Fence] = {}
         self.users = 0
         self._handlers: dict[bytes, FrameHandler] = {}
         self._awaited: dict[bytes, deque[Transmission]] = {}
         self._heartbeats: dict[int, _HostHeartbeat] = {}
-        self._sync: tuple[int, Registration] | None = None
-        self._sync_listeners: list[Callable[[], None]] = []
-        self._at_sync: list[Callable[[int], None]] = []
         self._sync_key = _ID.pack(SYNC_ID)
         self._network: canopen.Network | None = None
-        self.handle(SYNC_ID, self._sync_passed)  # of another producer: it fires as well as ours
+        self.bus_sync = BusSync(self)
+        self.handle(SYNC_ID, self.bus_sync.hear)  # of another producer: it fires as well as ours
         self._registration = runtime.listen(bus, self._on_frame)
 
     @property
     def network(self) -> "canopen.Network":
         """A canopen.Network on this link, never connected: for SDO clients and extra nodes."""
         if self._network is None:
-            from motorapi.adaptations.sdo_client import LinkNetwork
+            from motorapi.adaptations.sdo_channel import LinkNetwork
 
             self._network = LinkNetwork(self)
         return self._network
@@ -201,11 +206,12 @@ class CanopenLink:
     def _on_frame(self, frame: bytes, time_ns: int, transmitted: bool) -> None:
         if transmitted:
             self.confirms = True
-            waiting = self._awaited.get(frame[:4])
+            key = frame[:4]
+            waiting = self._awaited.get(key)
             if waiting:
                 self._confirm(waiting, frame, time_ns)
-            if self._at_sync and frame[:4] == self._sync_key:
-                self._sync_passed(frame, time_ns)
+            if key == self._sync_key and self.bus_sync.is_awaited:
+                self.bus_sync.passed(time_ns)
             return
         handler = self._handlers.get(frame[:4])
         if handler is not None:
@@ -244,52 +250,38 @@ class CanopenLink:
         if self.fences and self.latching:
             fences = self.fences
             fence = joint_fence([fences[node] for node in sorted(self.latching) if node in fences])
-        return self.send_tracked(can_frame(self.sync_id, b""), fence)
+        return self.send_tracked(self.sync_frame, fence)
 
     def at_next_sync(self, action: Callable[[int], None]) -> None:
         """`action` is told when the next SYNC was on the wire [ns], whoever sends it."""
-        self._at_sync.append(action)
-
-    def _sync_passed(self, frame: bytes, time_ns: int) -> None:
-        actions, self._at_sync = self._at_sync, []
-        for action in actions:
-            action(time_ns)
+        self.bus_sync.at_next(action)
 
     @property
     def sync_period_ns(self) -> int | None:
-        """The period of the cyclic SYNC [ns]; None while none is produced here."""
-        return None if self._sync is None else self._sync[0]
+        """The period of the cyclic SYNC that somebody here goes by [ns]; None: nobody does."""
+        return self.bus_sync.period_ns
 
-    def on_sync(self, period_s: float, action: Callable[[], None]) -> Registration:
-        """A cyclic SYNC runs, and `action` just after each one was queued; it must not wait.
+    def cyclic_sync(self) -> "CyclicSync | None":
+        """The SYNC that runs on the bus, whoever produces it, as far as it is known; else None."""
+        return self.bus_sync.cyclic()
+
+    def on_sync(
+        self, period_s: float, action: Callable[[], None], lost: Lost | None = None
+    ) -> Registration:
+        """A cyclic SYNC runs, and `action` just after each was queued, or heard; it must not wait.
+
+        It is produced here, unless somebody else produces one of the same period on this bus.
+
+        Args:
+            period_s: of SYNC [s].
+            action: runs once for each.
+            lost: is told, once, that there is none any more; nothing has to be cancelled then.
 
         Raises:
-            UsageError: SYNC runs with another period on this bus.
+            UsageError: SYNC runs with another period on this bus; says who produces it.
         """
-        period_ns = round(period_s * 1e9)
-        if self._sync is None:
-            registration = self.runtime.every(period_s, self._produce_sync)
-            self._sync = (period_ns, registration)
-        elif self._sync[0] != period_ns:
-            raise UsageError(
-                f"{self.name}: SYNC runs every {self._sync[0] / 1e6:g} ms already, so not every "
-                f"{period_ns / 1e6:g} ms; all drives of a bus share one SYNC"
-            )
-        self._sync_listeners.append(action)
+        self.bus_sync.join(period_s, action, lost)
         return _SyncRegistration(self, action)
-
-    def leave_sync(self, action: Callable[[], None]) -> None:
-        """`action` runs no more; SYNC ends with its last user."""
-        if action in self._sync_listeners:
-            self._sync_listeners.remove(action)
-        if not self._sync_listeners and self._sync is not None:
-            self._sync[1].cancel()
-            self._sync = None
-
-    def _produce_sync(self) -> None:
-        self.send_tracked(can_frame(self.sync_id, b""))
-        for action in tuple(self._sync_listeners):
-            action()
 
     def produce_heartbeat(self, host_node_id: int, period_ms: int) -> None:
         """The host is heard as a node, at once and then every `period_ms` [ms].
@@ -334,10 +326,7 @@ class CanopenLink:
         for heartbeat in self._heartbeats.values():
             heartbeat.registration.cancel()
         self._heartbeats.clear()
-        self._sync_listeners.clear()
-        if self._sync is not None:
-            self._sync[1].cancel()
-            self._sync = None
+        self.bus_sync.close()
 
 
 @final
@@ -348,7 +337,7 @@ class _SyncRegistration:
 
     def cancel(self) -> None:
         """It has ended; cancelling again does nothing."""
-        self._link.leave_sync(self._action)
+        self._link.bus_sync.leave(self._action)
 
 
 def _all_sent(transmissions: Sequence[Transmission]) -> bool:

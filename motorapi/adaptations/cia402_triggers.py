@@ -9,9 +9,9 @@ from motorapi.adaptations.cia402_hardware import Cia402HwMotor
 from motorapi.adaptations.csp_stream import CspStream
 from motorapi.adaptations.motion_watch import SetpointWatch
 from motorapi.adaptations.streamed_motion import StreamedMotion
+from motorapi.adaptations.sync_burst import Burst, count_straddles
 from motorapi.errors import LinkError
 
-_LATCHED_S: Final = 0.2
 _FIRST_SYNC_S: Final = 0.5
 
 
@@ -36,14 +36,23 @@ class SyncTrigger:
         """
         link = self._link
         streams = [one for one in self._streams if not one.stream.ended]
-        alone = self._streams is not link.armed_streams
+        is_group = self._streams is link.armed_streams
         self._streams.clear()
-        if not streams:
+        points = link.armed_set_points[:] if is_group else []
+        waiting = [one for one in points if one.transmission is None]
+        burst = Burst(link, waiting) if waiting else None
+        if streams:
+            self._begin(streams)
+        if burst is not None:
+            burst.await_latched()
+        elif not streams:
             link.confirmed([link.sync()])
-            return
-        if alone and link.sync_period_ns is None:
-            # A set-point of somebody's group may wait for its own SYNC: that goes first.
-            link.runtime.wait_until(lambda: not link.latching, _LATCHED_S)
+        count_straddles(points)
+        if is_group:
+            link.armed_set_points.clear()
+
+    def _begin(self, streams: "list[ArmedStream]") -> None:
+        link = self._link
         # Who needs less time to where its trajectory begins waits there for who needs most.
         lead = max(one.motion.lead_in for one in streams)
         for one in streams:

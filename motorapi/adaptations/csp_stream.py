@@ -9,17 +9,10 @@ from motorapi.adaptations.canopen_errors import SdoAborted
 from motorapi.adaptations.canopen_link import Transmission
 from motorapi.adaptations.cia402_objects import ENABLE_OPERATION, HALT, Mode, PdsState
 from motorapi.commands import as_number
-from motorapi.errors import (
-    LinkError,
-    MotorBusyError,
-    MotorError,
-    UnsupportedError,
-    UsageError,
-)
+from motorapi.errors import LinkError, MotorError, UnsupportedError, UsageError
 
 if TYPE_CHECKING:
     from motorapi.adaptations.cia402_hardware import Cia402HwMotor
-    from motorapi.fencing import BoundFence, Fence
     from motorapi.runtime import Registration
 
 _SETPOINT: Final = struct.Struct("<IB3xHi2x")
@@ -39,15 +32,15 @@ class CspStream:
         period_s: of SYNC: whole milliseconds.
         next_target: (cycle, from 1) -> its target in increments; None: there are no more.
         began: is told when SYNC 1 was on the wire [ns].
+        lost: is told why there is no SYNC any more to go on with.
         at_once: False: nothing is sent before `begin`.
 
     Attributes:
         sent: set-points sent.
         late: set-points that were still waiting for the bus when their SYNC was sent.
-        missed: periods without a SYNC, for the host was late: the motion takes so much longer.
+        missed: periods without a SYNC, for its producer was late: the motion takes so much longer.
         ended: whether the last target has been latched.
-        error: what `next_target` raised, if it did; the drive is halted then, by its own ramp. Or
-            that somebody else has taken the drive over: then nothing more is sent to it.
+        error: what `next_target` raised, if it did; the drive is halted then, by its own ramp.
         started_ns: when SYNC 1 was on the wire, the first to bring a target of `next_target`.
         latched_ns: when the SYNC after the last target was on the wire.
     """
@@ -59,6 +52,7 @@ class CspStream:
         next_target: Callable[[int], int | None],
         *,
         began: Callable[[int], None] | None = None,
+        lost: Callable[[LinkError], None] | None = None,
         at_once: bool = True,
     ) -> None:
         facts = hardware.connect()
@@ -75,8 +69,10 @@ class CspStream:
             raise UsageError(f"period_s = {period_s}: whole milliseconds, 1 to 255 (60C2h)")
         self._hardware = hardware
         self._link = hardware.link
+        self._link.bus_sync.check(period_s)
         self._next_target = next_target
         self._tell_began = began
+        self._tell_lost = lost
         self._can_id = can_id
         self.period_s: Final = period_s
         self._cycle = 0
@@ -85,12 +81,12 @@ class CspStream:
         self._word = ENABLE_OPERATION
         self._words_left = _LAST_WORDS
         self._registration: Registration | None = None
-        self._fence: BoundFence | None = None
         self._last_sent: Transmission | None = None
         self.sent = 0
         self.late = 0
         self.missed = 0
         self._begun_ns = 0
+        self._before_ns = 0
         self.ended = False
         self.error: Exception | None = None
         self.started_ns: int | None = None
@@ -126,25 +122,15 @@ class CspStream:
         """Cycle 0 is on its way; SYNC runs. Several that begin together share every SYNC."""
         if self._registration is not None or self.ended:
             return
-        if self._hardware.fence is not None:
-            self._fence = self._hardware.fence.bound("set-points")
         self._last_sent = self._send()
-        self._registration = self._link.on_sync(self.period_s, self._after_sync)
+        self._registration = self._link.on_sync(self.period_s, self._after_sync, self._sync_lost)
 
     def _send(self) -> Transmission:
         frame = _SETPOINT.pack(self._can_id, 6, self._word, self._target)
-        fence: Fence | None = self._fence
-        if fence is not None and self._word != ENABLE_OPERATION:
-            fence = self._stop_fence()
-        return self._link.send_tracked(frame, fence)
-
-    def _stop_fence(self) -> "Fence | None":
-        """A stop takes nobody's permission; but who has lost the drive since stops nobody else."""
-        fence = self._hardware.fence
-        return fence if fence is not None and fence.is_owned else None
+        return self._link.send_tracked(frame)
 
     def _after_sync(self) -> None:
-        """SYNC k was queued: what follows it on the wire is the target of cycle k + 1."""
+        """SYNC k was queued, or heard: what follows it is the target of cycle k + 1."""
         last = self._last_sent
         if self._cycle and last is not None and last.time_ns is None:
             self.late += 1
@@ -153,8 +139,13 @@ class CspStream:
             self._begun_ns = now_ns
         elif self._cycle == 1:
             self._link.at_next_sync(self._began)
-        periods = round((now_ns - self._begun_ns) / (self.period_s * 1e9))
-        self.missed = max(self.missed, periods - self._cycle)
+        period_ns = self.period_s * 1e9
+        if self._link.bus_sync.is_producer:
+            periods = round((now_ns - self._begun_ns) / period_ns)
+            self.missed = max(self.missed, periods - self._cycle)
+        elif self._cycle:  # by another's clock, which is not ours
+            self.missed += max(0, round((now_ns - self._before_ns) / period_ns) - 1)
+        self._before_ns = now_ns
         self._cycle += 1
         try:
             if self._word != ENABLE_OPERATION:
@@ -178,8 +169,6 @@ class CspStream:
         except LinkError as error:
             self.error = error
             self.cancel()
-        except MotorBusyError as error:
-            self._lose(error)
         except Exception as error:  # the application's own: it is told by whoever waits
             self.error = error
             self._fail()
@@ -194,11 +183,19 @@ class CspStream:
         with suppress(MotorError):  # at once, where an RPDO can bring it; set-points do anyway
             self._hardware.control.send_halt()
 
-    def _lose(self, error: MotorBusyError) -> None:
-        """Somebody else has taken the drive over: nothing more is sent to it."""
+    def _sync_lost(self, error: LinkError) -> None:
+        """Nobody produces the SYNC it goes by any more, or two do: the drive brakes."""
+        if self.ended:
+            return
         self.error = error
+        if self._tell_lost is not None:
+            self._tell_lost(error)
+        with suppress(MotorError):  # what waits in the drive for a SYNC would take the halt back
+            self._word = ENABLE_OPERATION | HALT
+            self._send()
         self.cancel()
-        self._hardware.node.news.grow()
+        with suppress(MotorError):
+            self._hardware.control.send_halt()
 
     def stop(self, word: int) -> None:
         """The drive was given this controlword: it comes with what is sent from now on, too.
@@ -213,10 +210,7 @@ class CspStream:
             self.cancel()
             return
         self._word = word
-        try:
-            self._last_sent = self._send()
-        except MotorBusyError as error:  # the drive is somebody else's, and so is what it holds
-            self._lose(error)
+        self._last_sent = self._send()
 
     def _go_on_stopping(self) -> None:
         if self._words_left == 0:
@@ -248,7 +242,5 @@ class CspStream:
         """No more set-points; the drive holds the last one."""
         if not self.ended:
             self.ended = True
-            if self._fence is not None:
-                self._fence.release()
             if self._registration is not None:
                 self._registration.cancel()

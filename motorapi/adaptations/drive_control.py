@@ -2,7 +2,6 @@
 
 import struct
 from collections.abc import Callable
-from functools import partial
 from typing import TYPE_CHECKING, Final, final
 
 from motorapi.adaptations.canopen_link import CanopenLink, Transmission, can_frame
@@ -25,19 +24,20 @@ from motorapi.adaptations.cia402_objects import (
 )
 from motorapi.adaptations.drive_node import DriveNode
 from motorapi.adaptations.drive_objects import DriveObjects
-from motorapi.adaptations.stop_repetition import StopRepetition
-from motorapi.errors import DeadlineExceeded, MotorBusyError, UnsupportedError
+from motorapi.errors import DeadlineExceeded, LinkError, MotorBusyError, UnsupportedError
 
 if TYPE_CHECKING:
     from motorapi.adaptations.drive_setup import DriveFacts
     from motorapi.adaptations.motion_watch import MotionWatch
-    from motorapi.fencing import Fence, NodeFence
+    from motorapi.runtime import Registration
 
 _STATE_TIMEOUT_S: Final = 2.0
 _MODE_TIMEOUT_S: Final = 0.5
 _ACKNOWLEDGE_TIMEOUT_S: Final = 0.5
 _RESET_TIMEOUT_S: Final = 0.5
 _POLL_S: Final = 0.002
+_REPEAT_S: Final = 0.1
+_REPEATS: Final = 10
 _STEPS_MAX: Final = 8
 _CONTROL: Final = struct.Struct("<IB3xH6x")
 _NEXT_COMMAND: Final = {
@@ -53,22 +53,19 @@ class DriveControl:
     """Everything that is done through the controlword (6040h) and the mode of operation (6060h).
 
     It goes by SDO where there is time to wait for the confirmation, else by RPDO. `facts` is set
-    by whoever brings the drive up. What does not stop the drive goes through `fence`.
+    by whoever brings the drive up.
     """
 
-    def __init__(
-        self, link: CanopenLink, node: DriveNode, objects: DriveObjects, fence: "NodeFence | None"
-    ) -> None:
+    def __init__(self, link: CanopenLink, node: DriveNode, objects: DriveObjects) -> None:
         self.facts: DriveFacts | None = None
         self._physical = objects.physical
-        self._fence = fence
         self._link = link
         self._node = node
         self._objects = objects
         self._mode: Mode | None = None
         self._halted = False
         self._word: int | None = None  # the controlword commanded last
-        self._repetition: StopRepetition | None = None
+        self._repetition: Registration | None = None  # of a stop
         self._armed: int | None = None  # the index of the target that the next SYNC makes count
         self._latched: int | None = None  # the same, until the drive has shown that it counted
 
@@ -88,27 +85,26 @@ class DriveControl:
 
     # --- power ---------------------------------------------------------------------------
 
-    def write_controlword(self, word: int, *, stops: bool = False) -> None:
+    def write_controlword(self, word: int) -> None:
         """The drive has this controlword (6040h), by SDO: confirmed."""
         self._end_repetition()
         self._word = word
-        self._objects.download(0x6040, 0, word.to_bytes(2, "little"), stops=stops)
+        self._objects.download(0x6040, 0, word.to_bytes(2, "little"))
 
-    def send_controlword(self, word: int, *, stops: bool = False) -> Transmission | None:
+    def send_controlword(self, word: int) -> Transmission | None:
         """The controlword is on its way, by RPDO; does not wait (None: it was written by SDO)."""
         facts = self.facts
         if facts is None or facts.control_id is None:
-            self.write_controlword(word, stops=stops)
+            self.write_controlword(word)
             return None
         self._end_repetition()
         self._word = word
-        fence = None if stops else self._fence
-        return self._send(_CONTROL.pack(facts.control_id, 2, word), fence)
+        return self._send(_CONTROL.pack(facts.control_id, 2, word))
 
-    def _send(self, frame: bytes, fence: "Fence | None") -> Transmission:
+    def _send(self, frame: bytes) -> Transmission:
         """The frame waits for the bus. Raises MotorBusyError: see `PhysicalMotor.passage`."""
         with self._physical.passage(self._node.label, of_holder=True):
-            return self._link.send_tracked(frame, fence)
+            return self._link.send_tracked(frame)
 
     def enable(self) -> None:
         """Operation is enabled, step by step from whatever state the statusword shows.
@@ -141,9 +137,9 @@ class DriveControl:
             last_heard=node.describe_status(),
         )
 
-    def disable(self, *, stops: bool = False) -> None:
-        """The power stage is off, by disable voltage; to stop the drive, whoever owns it."""
-        self.write_controlword(DISABLE_VOLTAGE, stops=stops)
+    def disable(self) -> None:
+        """The power stage is off, by disable voltage."""
+        self.write_controlword(DISABLE_VOLTAGE)
         self._node.wait_for_status(_is_off, _STATE_TIMEOUT_S, "power stage off")
         self._halted = False
 
@@ -182,14 +178,30 @@ class DriveControl:
 
     def _send_stop(self, word: int, watch: "MotionWatch | None") -> None:
         self._armed = None
-        self.send_controlword(word, stops=True)
-        self._overwrite_latch(None)
+        self.send_controlword(word)
+        self._overwrite_latch()
         facts = self.facts
         if watch is not None and facts is not None and facts.control_id is not None:
             frame = _CONTROL.pack(facts.control_id, 2, word)
-            self._repetition = StopRepetition(
-                self._node, watch, self._fence, partial(self._send, frame)
-            )
+            self._repetition = self._link.runtime.every(_REPEAT_S, self._again(frame, watch))
+
+    def _again(self, frame: bytes, watch: "MotionWatch") -> Callable[[], None]:
+        """Sends a stop while `watch` sees no end of it; anything else that is commanded ends it."""
+        node = self._node
+        left = iter(range(_REPEATS))
+
+        def again() -> None:
+            enabled = node.state is PdsState.OPERATION_ENABLED
+            goes_on = node.watch is watch and watch.ended_ns is None and enabled
+            if not goes_on or next(left, None) is None:
+                self._end_repetition()
+                return
+            try:
+                self._send(frame)
+            except (LinkError, MotorBusyError):
+                self._end_repetition()
+
+        return again
 
     def _end_repetition(self) -> None:
         if self._repetition is not None:
@@ -282,14 +294,18 @@ class DriveControl:
         return ENABLE_OPERATION | (HALT if self._halted else 0)
 
     def arm(self, index: int, target: int, *, fired: Callable[[int], None] | None = None) -> None:
-        """The next SYNC makes `target` count (of a position with bits 4 and 5).
+        """The next SYNC makes `target` count; the drive has it. Arguments as in `send_armed`."""
+        self._link.confirmed([self.send_armed(index, target, fired=fired)])
 
-        Returns when the drive has it: its frame was on the wire.
+    def send_armed(
+        self, index: int, target: int, *, fired: Callable[[int], None] | None = None
+    ) -> Transmission:
+        """What the next SYNC makes count (a position with bits 4 and 5) is on its way.
 
         Args:
             index: of the object that holds the target: 607Ah, 60FFh.
             target: in the drive's units.
-            fired: is told when that SYNC was on the wire [ns].
+            fired: is told when the SYNC after it was on the wire [ns].
         """
         facts = self.facts
         if facts is None or index not in facts.latched_ids:
@@ -299,16 +315,26 @@ class DriveControl:
             word |= NEW_SET_POINT | CHANGE_IMMEDIATELY
         self._armed = self._latched = index
         self._link.latching.add(self._node.node_id)
+        frame = _control_target(facts.latched_ids[index], word, index, target)
+        transmission = self._send(frame)
 
         def on_sync(time_ns: int) -> None:
-            if self._armed is not None:
-                self._armed = None
-                if fired is not None:
-                    fired(time_ns)
+            if self._armed is None:
+                return
+            if transmission.time_ns is None:  # SYNC was before it: the next one
+                self._link.at_next_sync(on_sync)
+                return
+            self._armed = None
+            if fired is not None:
+                fired(time_ns)
 
-        frame = _control_target(facts.latched_ids[index], word, index, target)
-        self._link.confirmed([self._send(frame, self._fence)])
         self._link.at_next_sync(on_sync)
+        return transmission
+
+    @property
+    def is_armed(self) -> bool:
+        """Whether what was armed still waits for a SYNC."""
+        return self._armed is not None
 
     def has_started(self) -> None:
         """What was armed has begun, as the drive shows: it is latched no more."""
@@ -323,22 +349,15 @@ class DriveControl:
         on the bus that has something else latched.
         """
         self._armed = None
-        try:
-            transmissions = [
-                *self._overwrite_latch(self._fence),
-                *self._overwrite_latch(self._fence),
-            ]
-        except MotorBusyError:  # whoever has taken the drive over has seen to that
-            self.has_started()
-            return
+        transmissions = [*self._overwrite_latch(), *self._overwrite_latch()]
         if not transmissions:
             return
         self._link.confirmed(transmissions)
         self.has_started()
-        if not self._link.latching and self._link.sync_period_ns is None:
+        if not self._link.latching and self._link.cyclic_sync() is None:
             self._link.confirmed([self._link.sync()])
 
-    def _overwrite_latch(self, fence: "Fence | None") -> list[Transmission]:
+    def _overwrite_latch(self) -> list[Transmission]:
         """The controlword as it is, and no motion, wait for the next SYNC in place of a target."""
         index, facts = self._latched, self.facts
         if index is None or facts is None:
@@ -347,7 +366,7 @@ class DriveControl:
         word = self._holding_word() if self._word is None else self._word
         word &= ~(NEW_SET_POINT | CHANGE_IMMEDIATELY)
         frame = _control_target(facts.latched_ids[index], word, index, target)
-        return [self._send(frame, fence)]
+        return [self._send(frame)]
 
 
 def _control_target(can_id: int, word: int, index: int, target: int) -> bytes:

@@ -32,6 +32,7 @@ from motorapi.adaptations.drive_profile import (
     profile_of,
 )
 from motorapi.adaptations.drive_reader import DriveReader
+from motorapi.adaptations.drive_times import times_of_set_point, times_of_stream
 from motorapi.adaptations.drive_torque import (
     STEEPEST,
     as_torque_motion,
@@ -41,6 +42,7 @@ from motorapi.adaptations.drive_torque import (
 from motorapi.adaptations.motion_settings import settings_of, window_of
 from motorapi.adaptations.motion_watch import SETTLE_NS, MotionWatch, SetpointWatch, StreamWatch
 from motorapi.adaptations.streamed_motion import StreamedMotion
+from motorapi.adaptations.sync_burst import ArmedSetPoint
 from motorapi.commands import ControlVariable, Motion
 from motorapi.errors import DeadlineExceeded, StateError
 from motorapi.synchronization import MotionTimes, SyncLevel, SyncOffer, Trigger
@@ -79,6 +81,7 @@ class DriveMotions:
         self._watch: SetpointWatch | StreamWatch | None = None
         self._before: MotionWatch | None = None
         self._armed: CspStream | None = None  # the stream that begins, or began last
+        self._point: ArmedSetPoint | None = None  # of the group start that there was last
         self._together = False
 
     @property
@@ -127,6 +130,7 @@ class DriveMotions:
     def arm(self, motion: Motion, *, together: bool) -> Trigger:
         """See `MotorHooks._arm`."""
         self._together = together
+        self._point = None
         stream = self._hardware.stream
         if stream is not None and stream.is_stopping:
             self._runtime.wait_until(lambda: stream.ended, _STOPPING_PERIODS * stream.period_s)
@@ -168,8 +172,7 @@ class DriveMotions:
         self._follow(watch)
         self._reader.held = (profile.target, motion.target)
         if self._can_arm(0x607A):
-            self._control.arm(0x607A, profile.target, fired=watch.begin)
-            return SyncTrigger(self._node.link)
+            return self._arm_latched(0x607A, profile.target, watch)
         self._objects.push(0x607A, profile.target)
         return SetPointTrigger(self._hardware, watch)
 
@@ -184,8 +187,7 @@ class DriveMotions:
         watch = _live_watch(round(change / slowest * 1e9))
         self._follow(watch)
         if self._can_arm(0x60FF):
-            self._control.arm(0x60FF, profile.target, fired=watch.begin)
-            return SyncTrigger(self._node.link)
+            return self._arm_latched(0x60FF, profile.target, watch)
         return LiveTargetTrigger(self._hardware, watch, 0x60FF, profile.target)
 
     def _arm_torque(self, motion: Motion) -> Trigger:
@@ -235,7 +237,9 @@ class DriveMotions:
                 self._node.link.at_next_sync(partial(watch.arrive, last))
             return target
 
-        stream = CspStream(hardware, period_s, next_target, began=watch.begin, at_once=False)
+        stream = CspStream(
+            hardware, period_s, next_target, began=watch.begin, lost=watch.fail, at_once=False
+        )
         streamed = StreamedMotion(self._motor, motion, units, period_s, stream.target)
         self._armed = hardware.stream = stream
         self._follow(watch)
@@ -273,9 +277,20 @@ class DriveMotions:
             self._objects.push(0x6084, deceleration)
 
     def _can_arm(self, index: int) -> bool:
-        """SYNC can start it: it is latched, and no SYNC comes before the others are armed."""
-        runs = self._node.link.sync_period_ns is not None
-        return self._together and not runs and index in self._hardware.connect().latched_ids
+        """SYNC can start it, with others."""
+        return self._together and index in self._hardware.connect().latched_ids
+
+    def _arm_latched(self, index: int, target: int, watch: SetpointWatch) -> Trigger:
+        """The drive has its target, for the next SYNC; where one runs, it is all but sent."""
+        link = self._node.link
+        point = ArmedSetPoint(link, self._control, index, target, watch.begin)
+        self._point = point
+        link.armed_set_points.append(point)
+        if link.bus_sync.find_cyclic() is None:
+            point.send()
+            if point.transmission is not None:
+                link.confirmed([point.transmission])
+        return SyncTrigger(link)
 
     def _follow(self, watch: SetpointWatch | StreamWatch) -> None:
         self._before = self._node.watch
@@ -289,6 +304,9 @@ class DriveMotions:
             self._hardware.follow(self._before)  # a stop that came while it was being armed, say
         if stream is not None and stream.started_ns is None:
             stream.cancel()
+        armed_set_points = self._node.link.armed_set_points
+        if self._point in armed_set_points:
+            armed_set_points.remove(self._point)
         self._control.disarm()
 
     # --- confirming ----------------------------------------------------------------------------
@@ -361,19 +379,8 @@ class DriveMotions:
         if watch is None:
             return None
         if isinstance(watch, StreamWatch):
-            source = "SYNC of the first set-point on the wire; position within its window in a TPDO"
-            stream = self._armed
-            if stream is not None and stream.late:
-                source += f"; {stream.late} of {stream.sent} set-points were late"
-            if stream is not None and stream.missed:
-                source += f"; the host missed {stream.missed} periods"
-            return MotionTimes(watch.started_ns, watch.ended_ns, source)
-        if self._together:
-            return MotionTimes(
-                watch.commanded_ns, watch.ended_ns, "SYNC on the wire; target reached in a TPDO"
-            )
-        source = "set-point acknowledge and target reached in a TPDO"
-        return MotionTimes(watch.started_ns, watch.ended_ns, source)
+            return times_of_stream(watch, self._armed)
+        return times_of_set_point(watch, self._point, together=self._together)
 
 
 def _live_watch(expected_ns: int) -> SetpointWatch:

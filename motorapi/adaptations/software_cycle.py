@@ -177,7 +177,7 @@ class ChannelPair:
                 frame = _OUTPUTS[1].pack(self._output_id, 4, first, second)
             self._out = self._link.send_tracked(frame)
         except LinkError as error:
-            self._fail(error)
+            self.fail(error)
 
     def turn(self) -> None:
         """A SYNC was just queued: the cycle before it is over, and is judged."""
@@ -201,7 +201,7 @@ class ChannelPair:
             try:
                 node.check_link()
             except LinkError as error:
-                self._fail(error)
+                self.fail(error)
             return
         if self._awaited:
             self._missed += 1
@@ -218,13 +218,13 @@ class ChannelPair:
         what = f"{self._in_a_row} cycles of {period_s * 1e3:g} ms in a row"
         self._in_a_row = 0
         if self._awaited:
-            self._fail(
+            self.fail(
                 LinkError(
                     link=node.label, reason=f"no counts came in {what}", since_ns=self._heard_ns
                 )
             )
         else:
-            self._fail(
+            self.fail(
                 DeadlineExceeded(
                     awaited=f"{node.label}: outputs on the bus before SYNC",
                     timeout_s=period_s,
@@ -232,7 +232,8 @@ class ChannelPair:
                 )
             )
 
-    def _fail(self, error: MotorError) -> None:
+    def fail(self, error: MotorError) -> None:
+        """The cycle has failed its motors."""
         for axis in self._axes:
             if axis is not None and axis.is_active:
                 axis.fail(error)
@@ -268,7 +269,9 @@ class Cycle:
             UsageError: SYNC runs with another period on this bus.
         """
         if self._registration is None:
-            self._registration = self._link.on_sync(self.period_s, self._after_sync)
+            self._registration = self._link.on_sync(
+                self.period_s, self._after_sync, self._sync_lost
+            )
         self._pairs = (*self._pairs, pair)
 
     def leave(self, pair: ChannelPair) -> None:
@@ -277,6 +280,13 @@ class Cycle:
         if not self._pairs and self._registration is not None:
             self._registration.cancel()
             self._registration = None
+
+    def _sync_lost(self, error: LinkError) -> None:
+        """Another's SYNC, which the servos went by, comes no more: there is no control."""
+        pairs, self._pairs = self._pairs, ()
+        self._registration = None
+        for pair in pairs:
+            pair.fail(error)
 
     def start(self, axes: Sequence[Axis]) -> None:
         """All of these have begun what was armed, with one SYNC, which was on the wire.
