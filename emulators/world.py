@@ -12,8 +12,12 @@ from emulators.can_segment import BusSegment, FrameTap
 from emulators.controller import Controller
 from emulators.event_queue import EventQueue
 from emulators.hub_protocol import OwnershipNotice
+from emulators.line_segment import LineHost, LineSegment, LineTap, SerialSegment, TcpSegment
+from emulators.media.byte_pipe import BytePipe
 from emulators.media.can_bus import CanBus
 from emulators.media.faults import FaultRule
+from emulators.media.serial_faults import SerialFaultPlan
+from emulators.media.serial_line import SerialLine
 from emulators.segment import ControllerSlot, HostListener, HostPort, Overseer
 
 EventTap = Callable[[int, str, str, str], None]
@@ -28,6 +32,7 @@ class World(Overseer):
     def __init__(self, queue: EventQueue) -> None:
         super().__init__(queue)
         self._segments: dict[str, BusSegment] = {}
+        self._lines: dict[str, LineSegment] = {}
         self._slots: dict[str, ControllerSlot] = {}
         self._touched: list[ControllerSlot] = []
         self._event_taps: list[EventTap] = []
@@ -48,11 +53,36 @@ class World(Overseer):
         """In the order of adding."""
         return list(self._segments)
 
+    def add_serial_line(self, line: SerialLine, plan: SerialFaultPlan | None) -> None:
+        """The line exists, with nobody on it. `plan` is the one that the line has."""
+        self._lines[line.name] = SerialSegment(line, self, plan)
+
+    def add_tcp(self, pipe: BytePipe, plan: SerialFaultPlan | None) -> None:
+        """The gateway exists, with nobody behind it. `plan` is the one that the pipe has."""
+        self._lines[pipe.name] = TcpSegment(pipe, self, plan)
+
+    def line(self, name: str) -> LineSegment:
+        """A line, for its faults."""
+        return self._lines[name]
+
+    def line_names(self) -> list[str]:
+        """In the order of adding."""
+        return list(self._lines)
+
     def add_controller(self, name: str, controller: Controller, bus: str) -> None:
-        """The controller hangs on the bus and is powered on now."""
-        segment = self._segments[bus]
-        slot = ControllerSlot(name, segment.bus.attach(name), controller, segment, self)
-        segment.join(slot)
+        """The controller hangs on the bus, or line, and is powered on now.
+
+        Raises:
+            ValueError: on a line: it has no `unit`, or another one has the same.
+        """
+        line = self._lines.get(bus)
+        if line is not None:
+            slot = ControllerSlot(name, line.attach(name), controller, line, self)
+            line.join(slot, _unit_of(controller))
+        else:
+            segment = self._segments[bus]
+            slot = ControllerSlot(name, segment.bus.attach(name), controller, segment, self)
+            segment.join(slot)
         self._slots[name] = slot
         controller.start(self.queue.now_ns)
         slot.settle(self.queue.now_ns)
@@ -64,6 +94,14 @@ class World(Overseer):
         port = HostPort(name, segment.bus.attach(name), segment, on_frame)
         segment.join(port)
         return port
+
+    def add_line_host(self, line: str, name: str, on_data: HostListener) -> LineHost:
+        """An application's port on the line; on TCP a connection.
+
+        It is told (characters, now, False), and (b"", now, True) when its own last character is
+        out. On TCP the characters b"" are the end of the connection.
+        """
+        return self._lines[line].add_host(name, on_data)
 
     def controller(self, name: str) -> Controller:
         """The controller itself."""
@@ -102,6 +140,11 @@ class World(Overseer):
         """
         for segment in self._segments.values():
             segment.taps.append(on_frame)
+
+    def tap_lines(self, on_adu: LineTap) -> None:
+        """`on_adu` hears every ADU on a line when it is complete; see `LineTap`."""
+        for line in self._lines.values():
+            line.taps.append(on_adu)
 
     def tap_events(self, on_event: EventTap) -> None:
         """`on_event(time_ns, level, controller, text)` hears what controllers report."""
@@ -170,3 +213,10 @@ class World(Overseer):
 
 def _port_and_name(slot: ControllerSlot) -> tuple[int, str]:
     return (slot.port, slot.name)
+
+
+def _unit_of(controller: Controller) -> int:
+    unit: object = getattr(controller, "unit", None)
+    if not isinstance(unit, int):
+        raise ValueError("it has no unit: it is no Modbus controller")
+    return unit

@@ -1,51 +1,61 @@
-"""Modbus/TCP: a stream of bytes in, a stream of bytes out. Sans-I/O, one per connection.
+"""Modbus/TCP: a stream of bytes in, requests out, responses back into a stream. Sans-I/O.
 
-Bytes may be split and joined anywhere; any number of requests may be under way at once, each is
-answered in its turn, with its own transaction identifier. A stream that is not Modbus cannot be
-found the way back into: it is closed.
+Bytes may be split and joined anywhere; any number of requests may be under way at once, told apart
+by their transaction identifiers. A stream that is not Modbus cannot be found the way back into: its
+connection is closed.
 
-Units: several controllers behind one address are a gateway's, and are told apart by the unit
-identifier; a request to one that is not there is answered 0Bh (gateway target device failed to
-respond). A controller that is alone is meant by FFh and 0 too. There is no broadcast on TCP.
+Units: controllers behind one address are a gateway's, and are told apart by the unit identifier; a
+request to one that is not there, or does not answer, is answered 0Bh (gateway target device failed
+to respond). A controller that is alone is meant by FFh and 0 too. There is no broadcast on TCP.
 
 Source: MODBUS Messaging on TCP/IP Implementation Guide V1.0b, sections 3.1.3, 4.4.1 and 4.4.2.
 """
 
-from collections.abc import Mapping
+from collections import deque
+from collections.abc import Sequence
 from typing import Final, final
 
 from emulators.modbus.codes import ERROR, GATEWAY_TARGET_FAILED, PDU_MAX
-from emulators.modbus.server import ModbusServer
 
 _HEAD: Final = 7
 _NOT_SIGNIFICANT: Final = (0x00, 0xFF)
 
+# (transaction identifier, unit identifier, PDU)
+Request = tuple[int, int, bytes]
+
+
+def adu(transaction: int, unit: int, pdu: bytes) -> bytes:
+    """The PDU behind its MBAP header."""
+    return b"".join(
+        (
+            transaction.to_bytes(2, "big"),
+            b"\x00\x00",
+            (len(pdu) + 1).to_bytes(2, "big"),
+            bytes((unit,)),
+            pdu,
+        )
+    )
+
 
 @final
 class MbapStream:
-    """The server's end of one connection.
-
-    Args:
-        units: who answers, by unit identifier.
+    """One direction of one connection.
 
     Attributes:
         closed_because: why the connection is to be closed; None: it is well.
-        requests: answered or not, counted.
     """
 
-    def __init__(self, units: Mapping[int, ModbusServer]) -> None:
+    def __init__(self) -> None:
         self.closed_because: str | None = None
-        self.requests = 0
-        self._units: Final = units
         self._buffer = bytearray()
 
-    def feed(self, data: bytes) -> bytes:
-        """What goes back after these bytes; b"": nothing yet."""
+    def feed(self, data: bytes) -> list[Request]:
+        """What these bytes have completed, in order."""
         if self.closed_because is not None:
-            return b""
+            return []
         buffer = self._buffer
         buffer += data
-        out: list[bytes] = []
+        complete: list[Request] = []
         while len(buffer) >= _HEAD:
             protocol = int.from_bytes(buffer[2:4], "big")
             length = int.from_bytes(buffer[4:6], "big")
@@ -57,18 +67,132 @@ class MbapStream:
             end = 6 + length
             if len(buffer) < end:
                 break
-            response = self._answer(buffer[6], bytes(buffer[_HEAD:end]))
-            if response:
-                size = (len(response) + 1).to_bytes(2, "big")
-                out.append(bytes(buffer[:4]) + size + buffer[6:7] + response)
+            transaction = int.from_bytes(buffer[0:2], "big")
+            complete.append((transaction, buffer[6], bytes(buffer[_HEAD:end])))
             del buffer[:end]
-        return b"".join(out)
+        return complete
 
-    def _answer(self, unit: int, request: bytes) -> bytes:
+
+@final
+class _Pending:
+    """A request under way."""
+
+    def __init__(self, connection: int, request: Request, due_ns: int) -> None:
+        self.connection = connection
+        self.transaction = request[0]
+        self.asked_unit = request[1]
+        self.pdu = request[2]
+        self.due_ns = due_ns
+
+
+@final
+class TcpGateway:
+    """Between connections and the units behind them: one request at a time for each unit.
+
+    Args:
+        timeout_ns: how long a unit may take to answer [ns].
+
+    Attributes:
+        requests, timeouts: counted.
+    """
+
+    def __init__(self, timeout_ns: int = 1_000_000_000) -> None:
+        self.requests = 0
+        self.timeouts = 0
+        self._timeout_ns: Final = timeout_ns
+        self._queues: dict[int, deque[_Pending]] = {}
+        self._owed_until_ns: dict[int, int] = {}  # by unit that was given up, and may yet answer
+
+    def add_unit(self, unit: int) -> None:
+        """There is a controller of this address.
+
+        Raises:
+            ValueError: there is one already.
+        """
+        if unit in self._queues:
+            raise ValueError(f"two controllers are unit {unit}")
+        self._queues[unit] = deque()
+
+    def ask(self, connection: int, request: Request, now_ns: int) -> tuple[int, bytes] | None:
+        """A request came.
+
+        Returns:
+            (unit, PDU) to hand on now; None: it waits its turn, or `failed` tells what to answer.
+        """
         self.requests += 1
-        server = self._units.get(unit)
-        if server is None and unit in _NOT_SIGNIFICANT and len(self._units) == 1:
-            server = next(iter(self._units.values()))
-        if server is None:
-            return bytes((request[0] | ERROR, GATEWAY_TARGET_FAILED))
-        return server.respond(request)
+        unit = self._unit(request[1])
+        queue = self._queues[unit]
+        queue.append(_Pending(connection, request, now_ns + self._timeout_ns))
+        return (unit, request[2]) if len(queue) == 1 and unit not in self._owed_until_ns else None
+
+    def knows(self, asked_unit: int) -> bool:
+        """Whether there is a controller for this unit identifier."""
+        return self._unit(asked_unit) in self._queues
+
+    def refusal(self, request: Request) -> bytes:
+        """What a request to nobody is answered."""
+        transaction, unit, pdu = request
+        return adu(transaction, unit, bytes((pdu[0] | ERROR, GATEWAY_TARGET_FAILED)))
+
+    def answered(self, unit: int, pdu: bytes) -> tuple[int, bytes] | None:
+        """The unit has answered: (connection, ADU for it); None: nobody waits for that any more."""
+        if self._owed_until_ns.pop(unit, None) is not None:
+            return None  # on its line nothing tells a late answer from the next one
+        queue = self._queues[unit]
+        if not queue:
+            return None
+        pending = queue.popleft()
+        return pending.connection, adu(pending.transaction, pending.asked_unit, pdu)
+
+    def next_for(self, unit: int, now_ns: int) -> bytes | None:
+        """The PDU that the unit is to be asked next; its time runs from now."""
+        queue = self._queues[unit]
+        if not queue or unit in self._owed_until_ns:
+            return None
+        queue[0].due_ns = now_ns + self._timeout_ns
+        return queue[0].pdu
+
+    def next_deadline_ns(self) -> int | None:
+        """When the first unit has taken too long [ns]."""
+        due_ns = list(self._owed_until_ns.values())
+        for unit, queue in self._queues.items():
+            if queue and unit not in self._owed_until_ns:
+                due_ns.append(queue[0].due_ns)
+        return min(due_ns, default=None)
+
+    def expired(self, now_ns: int) -> list[tuple[int, int, bytes]]:
+        """(unit, connection, ADU) for each unit that has taken too long; ask it the next then."""
+        out: list[tuple[int, int, bytes]] = []
+        for unit, queue in self._queues.items():
+            owed_ns = self._owed_until_ns.get(unit)
+            if owed_ns is not None:
+                if owed_ns <= now_ns:
+                    del self._owed_until_ns[unit]
+                    out.append((unit, GONE, b""))
+            elif queue and queue[0].due_ns <= now_ns:
+                pending = queue.popleft()
+                self.timeouts += 1
+                self._owed_until_ns[unit] = now_ns + self._timeout_ns
+                request = (pending.transaction, pending.asked_unit, pending.pdu)
+                out.append((unit, pending.connection, self.refusal(request)))
+        return out
+
+    def forget(self, connection: int) -> None:
+        """Nobody waits there any more; what a unit is doing already it goes on doing."""
+        for queue in self._queues.values():
+            for pending in queue:
+                if pending.connection == connection:
+                    pending.connection = GONE
+
+    def units(self) -> Sequence[int]:
+        """The addresses there are."""
+        return tuple(self._queues)
+
+    def _unit(self, asked: int) -> int:
+        if asked not in self._queues and asked in _NOT_SIGNIFICANT and len(self._queues) == 1:
+            return next(iter(self._queues))
+        return asked
+
+
+GONE: Final = -1
+"""In place of a connection that was closed."""

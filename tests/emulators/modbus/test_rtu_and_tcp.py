@@ -14,14 +14,14 @@ from emulators.modbus.diagnostics import Diagnostics
 from emulators.modbus.registers import Register, RegisterBank
 from emulators.modbus.rtu import RtuUnit
 from emulators.modbus.server import ModbusServer
-from emulators.modbus.tcp import MbapStream
+from emulators.modbus.tcp import GONE, MbapStream, TcpGateway, adu
 
 MS = 1_000_000
 
 
-def server(serial: bool = True) -> ModbusServer:
+def server() -> ModbusServer:
     bank = RegisterBank([Register(n, f"r{n}", default=n) for n in range(0x100)])
-    return ModbusServer(holding=bank, diagnostics=Diagnostics() if serial else None)
+    return ModbusServer(holding=bank, diagnostics=Diagnostics())
 
 
 def test_check_sums_of_the_standard():
@@ -104,46 +104,111 @@ def mbap(transaction: int, unit: int, pdu: str, protocol: int = 0) -> bytes:
     return head + (len(data) + 1).to_bytes(2, "big") + bytes((unit,)) + data
 
 
-def test_requests_under_way_at_once_are_all_answered_each_with_its_own_transaction():
-    stream = MbapStream({1: server(serial=False)})
+def test_requests_under_way_at_once_are_told_apart_by_their_transactions():
     asked = b"".join(mbap(n, 1, f"03 {n:04X} 0001") for n in (7, 3, 9))
-    assert stream.feed(asked) == b"".join(mbap(n, 1, f"03 02 {n:04X}") for n in (7, 3, 9))
+    expected = [(n, 1, bytes.fromhex(f"03 {n:04X} 0001")) for n in (7, 3, 9)]
+    assert MbapStream().feed(asked) == expected
 
 
-@given(st.lists(st.integers(0, 200), min_size=1, max_size=5), st.data())
+@given(st.lists(st.integers(0, 0xFFFF), min_size=1, max_size=5), st.data())
 def test_a_stream_may_be_split_anywhere(numbers, data):
     asked = b"".join(mbap(n, 1, f"03 {n:04X} 0001") for n in numbers)
     cuts = sorted(data.draw(st.lists(st.integers(0, len(asked)), max_size=6)))
     event(f"{len(cuts)} cuts")
-    stream = MbapStream({1: server(serial=False)})
+    stream = MbapStream()
     pieces = zip([0, *cuts], [*cuts, len(asked)], strict=True)
-    answered = b"".join(stream.feed(asked[low:high]) for low, high in pieces)
-    assert answered == MbapStream({1: server(serial=False)}).feed(asked)
-    assert stream.requests == len(numbers)
-
-
-def test_units_are_told_apart_and_a_missing_one_is_the_gateways_answer():
-    two = MbapStream({1: server(serial=False), 2: server(serial=False)})
-    assert two.feed(mbap(1, 2, "03 0005 0001")) == mbap(1, 2, "03 02 0005")
-    assert two.feed(mbap(2, 3, "03 0005 0001")) == mbap(2, 3, "83 0B")
-    assert two.feed(mbap(3, 0xFF, "03 0005 0001")) == mbap(3, 0xFF, "83 0B")
-
-
-@pytest.mark.parametrize("unit", [0x00, 0x01, 0xFF])
-def test_a_controller_that_is_alone_is_meant_by_no_particular_unit_too(unit):
-    alone = MbapStream({1: server(serial=False)})
-    assert alone.feed(mbap(1, unit, "03 0005 0001")) == mbap(1, unit, "03 02 0005")
-    assert alone.feed(mbap(1, 0, "06 0005 0009")) == mbap(1, 0, "06 0005 0009")  # no broadcast here
+    found = [request for low, high in pieces for request in stream.feed(asked[low:high])]
+    assert [transaction for transaction, _, _ in found] == numbers
+    assert b"".join(adu(*request) for request in found) == asked
 
 
 @pytest.mark.parametrize(
     "head", ["0001 0001 0006 01", "0001 0000 0001 01", "0001 0000 00FF 01", "4745 5420 2F20 48"]
 )
 def test_a_stream_that_is_no_modbus_is_closed_with_the_reason(head):
-    stream = MbapStream({1: server(serial=False)})
-    assert stream.feed(bytes.fromhex(head)) == b""
+    stream = MbapStream()
+    assert stream.feed(bytes.fromhex(head)) == []
     assert stream.closed_because is not None
     assert "no Modbus" in stream.closed_because
-    assert stream.feed(mbap(1, 1, "03 0005 0001")) == b""
-    longest = MbapStream({1: server(serial=False)})
-    assert longest.feed(mbap(1, 1, "63" + "00" * 252)) == mbap(1, 1, "E3 01")
+    assert stream.feed(mbap(1, 1, "03 0005 0001")) == []
+    assert len(MbapStream().feed(mbap(1, 1, "63" + "00" * 252))) == 1  # as long as can be
+
+
+READ = (5, 1, bytes.fromhex("03 0005 0001"))
+
+
+def gateway(*units: int) -> TcpGateway:
+    one = TcpGateway(timeout_ns=100 * MS)
+    for unit in units:
+        one.add_unit(unit)
+    return one
+
+
+def test_a_unit_is_asked_one_thing_at_a_time_and_each_answer_goes_to_who_asked():
+    one = gateway(1, 2)
+    assert one.ask(10, (5, 1, b"\x03a"), 0) == (1, b"\x03a")
+    assert one.ask(11, (5, 1, b"\x03b"), 0) is None
+    assert one.ask(12, (9, 2, b"\x03c"), 0) == (2, b"\x03c")
+    assert one.answered(2, b"\x03C") == (12, mbap(9, 2, "03 43"))
+    assert one.answered(1, b"\x03A") == (10, mbap(5, 1, "03 41"))
+    assert one.next_for(1, 0) == b"\x03b"
+    assert one.answered(1, b"\x03B") == (11, mbap(5, 1, "03 42"))
+    assert one.next_for(1, 0) is None
+    assert one.answered(1, b"\x03D") is None
+
+
+def test_a_unit_that_does_not_answer_is_the_gateways_to_tell():
+    one = gateway(1)
+    one.ask(10, READ, 0)
+    assert one.next_deadline_ns() == 100 * MS
+    assert one.expired(100 * MS - 1) == []
+    assert one.expired(100 * MS) == [(1, 10, mbap(5, 1, "83 0B"))]
+    assert one.timeouts == 1
+
+
+def test_a_late_answer_is_not_taken_for_that_to_the_next_request():
+    one = gateway(1)
+    one.ask(10, READ, 0)
+    one.expired(100 * MS)
+    assert one.ask(10, (6, 1, b"\x03b"), 100 * MS) is None  # until the old one has come
+    assert one.answered(1, b"\x03 late") is None
+    assert one.next_for(1, 110 * MS) == b"\x03b"
+    assert one.answered(1, b"\x03B") == (10, mbap(6, 1, "03 42"))
+
+
+def test_a_unit_that_never_answers_is_asked_again_after_a_while():
+    one = gateway(1)
+    one.ask(10, READ, 0)
+    one.expired(100 * MS)
+    one.ask(10, (6, 1, b"\x03b"), 100 * MS)
+    assert one.next_deadline_ns() == 200 * MS
+    assert one.expired(200 * MS) == [(1, GONE, b"")]
+    assert one.next_for(1, 200 * MS) == b"\x03b"
+
+
+@pytest.mark.parametrize("unit", [0x00, 0x01, 0xFF])
+def test_a_controller_that_is_alone_is_meant_by_no_particular_unit_too(unit):
+    alone = gateway(1)
+    assert alone.knows(unit)
+    alone.ask(10, (5, unit, b"\x03a"), 0)
+    assert alone.answered(1, b"\x03A") == (10, mbap(5, unit, "03 41"))
+    assert not gateway(1, 2).knows(0xFF)
+    assert one_refuses(gateway(1, 2)) == mbap(5, 3, "83 0B")
+
+
+def one_refuses(one: TcpGateway) -> bytes:
+    return one.refusal((5, 3, bytes.fromhex("03 0005 0001")))
+
+
+def test_who_has_left_is_told_nothing():
+    one = gateway(1)
+    one.ask(10, READ, 0)
+    one.forget(10)
+    answer = one.answered(1, b"\x03A")
+    assert answer is not None
+    assert answer[0] == GONE
+
+
+def test_two_controllers_of_one_unit_are_refused():
+    with pytest.raises(ValueError, match="two controllers are unit 1"):
+        gateway(1, 1)

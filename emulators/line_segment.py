@@ -1,0 +1,249 @@
+"""Lines of a world: Modbus on a serial line, and on TCP through a gateway.
+
+Controllers are the same on both: they are told RTU frames, and give RTU frames. On a serial line
+those are what is on the wires; on TCP a gateway stands between, as in a real plant.
+"""
+
+from collections.abc import Callable
+from typing import Final, final
+
+from emulators.event_queue import UNSET
+from emulators.media.byte_pipe import BytePipe
+from emulators.media.serial_faults import SerialFaultPlan
+from emulators.media.serial_line import CHARACTERS, SENT, SPOILED, SerialLine
+from emulators.modbus.crc import with_crc
+from emulators.modbus.tcp import GONE, MbapStream, TcpGateway
+from emulators.modbus.tcp import adu as adu_of
+from emulators.segment import ControllerSlot, Endpoint, HostListener, Overseer, Segment
+
+LineTap = Callable[[str, int, int, str, bytes, bool], None]
+"""(line, when its first bit was there [ns], now [ns], who sent it, ADU, whether it was spoiled)."""
+
+
+class LineSegment(Segment):
+    """What serial lines and gateways have in common: who is there, faults, taps."""
+
+    def __init__(self, name: str, overseer: Overseer, plan: SerialFaultPlan | None) -> None:
+        super().__init__(name, overseer.queue)
+        self.taps: list[LineTap] = []
+        self.plan = plan
+        self.endpoints: list[Endpoint] = []
+        self._overseer = overseer
+        self._alarm = overseer.queue.alarm(self._expire)
+
+    def attach(self, name: str) -> int:
+        """The number of a new port of a controller."""
+        raise NotImplementedError
+
+    def join(self, slot: ControllerSlot, unit: int) -> None:
+        """The controller, whose port was attached last, takes part."""
+        self.endpoints.append(slot)
+
+    def add_host(self, name: str, listener: HostListener) -> "LineHost":
+        """An application's port on the line."""
+        raise NotImplementedError
+
+    def free_name(self, wish: str) -> str:
+        """The name wished for, with a number behind it if it is taken."""
+        taken = [endpoint.name for endpoint in self.endpoints]
+        name, number = wish, 1
+        while name in taken:
+            number += 1
+            name = f"{wish}-{number}"
+        return name
+
+    def remove_listener(self, endpoint: Endpoint) -> None:
+        """The endpoint hears nothing any more."""
+        if isinstance(endpoint, LineHost):
+            endpoint.is_closed = True
+
+    def _expire(self, now_ns: int) -> None:
+        raise NotImplementedError
+
+    def _settle(self, deadline_ns: int | None) -> None:
+        if self.plan is not None:
+            for time_ns, rule, what, data in self.plan.take_events():
+                text = f"{rule}: {what} {data.hex(' ').upper()}"
+                self._overseer.report(time_ns, "warning", self.name, text)
+        due_ns = UNSET if deadline_ns is None else deadline_ns
+        if due_ns != self._alarm.time_ns:
+            self._alarm.move(due_ns)
+
+    def _tap(self, start_ns: int, now_ns: int, sender: str, adu: bytes, spoiled: bool) -> None:
+        for tap in self.taps:
+            tap(self.name, start_ns, now_ns, sender, adu, spoiled)
+
+
+@final
+class LineHost(Endpoint):
+    """An application's port: bytes in, bytes out."""
+
+    def __init__(self, name: str, port: int, segment: LineSegment, listener: HostListener) -> None:
+        super().__init__(name, port)
+        self.is_closed = False
+        self._segment = segment
+        self._listener = listener
+
+    def deliver(self, frame: bytes, now_ns: int) -> None:
+        """The application has heard these characters."""
+        if not self.is_closed:
+            self._listener(frame, now_ns, False)
+
+    def confirm(self, frame: bytes, now_ns: int) -> None:
+        """The application's last character is out."""
+        if not self.is_closed:
+            self._listener(frame, now_ns, True)
+
+    def send(self, data: bytes) -> None:
+        """These characters go out."""
+        self._segment.submit(self.port, data, self._segment.queue.now_ns)
+
+    def close(self) -> None:
+        """Nothing is heard any more."""
+        self._segment.remove_listener(self)
+
+
+@final
+class SerialSegment(LineSegment):
+    """A serial line with everybody on it."""
+
+    def __init__(self, line: SerialLine, overseer: Overseer, plan: SerialFaultPlan | None) -> None:
+        super().__init__(line.name, overseer, plan)
+        self.line: Final = line
+
+    def attach(self, name: str) -> int:
+        """The number of a new port."""
+        return self.line.attach(name)
+
+    def add_host(self, name: str, listener: HostListener) -> LineHost:
+        """An application's port on the line."""
+        name = self.free_name(name)
+        host = LineHost(name, self.line.attach(name), self, listener)
+        self.endpoints.append(host)
+        return host
+
+    def submit(self, port: int, frame: bytes, now_ns: int) -> None:
+        """The port begins to send."""
+        self.line.submit(port, frame, now_ns)
+        self._settle(self.line.next_deadline_ns())
+
+    def _expire(self, now_ns: int) -> None:
+        for kind, data, port, start_ns in self.line.expire(now_ns):
+            if kind == SENT:
+                self.endpoints[port].confirm(data, now_ns)
+            elif kind == CHARACTERS:
+                for endpoint in self.endpoints:
+                    if isinstance(endpoint, LineHost) and endpoint.port != port:
+                        endpoint.deliver(data, now_ns)
+            else:
+                spoiled = kind == SPOILED
+                self._tap(start_ns, now_ns, self.endpoints[port].name, data, spoiled)
+                for endpoint in self.endpoints:
+                    if isinstance(endpoint, ControllerSlot) and endpoint.port != port:
+                        endpoint.deliver(b"" if spoiled else data, now_ns)
+        self._settle(self.line.next_deadline_ns())
+
+
+@final
+class TcpSegment(LineSegment):
+    """Controllers behind a gateway, and the connections to it. Ports count both."""
+
+    def __init__(self, pipe: BytePipe, overseer: Overseer, plan: SerialFaultPlan | None) -> None:
+        super().__init__(pipe.name, overseer, plan)
+        self.gateway: Final = TcpGateway()
+        self._pipe = pipe
+        self._slots: dict[int, ControllerSlot] = {}  # by unit
+        self._units: dict[int, int] = {}  # by port
+        self._connections: dict[int, int] = {}  # by port
+        self._hosts: list[LineHost] = []  # by connection
+        self._streams: list[MbapStream] = []
+
+    def attach(self, name: str) -> int:
+        """The number of a new port."""
+        return len(self.endpoints)
+
+    def join(self, slot: ControllerSlot, unit: int) -> None:
+        """The controller answers to this unit identifier.
+
+        Raises:
+            ValueError: another one does.
+        """
+        self.gateway.add_unit(unit)
+        super().join(slot, unit)
+        self._slots[unit] = slot
+        self._units[slot.port] = unit
+
+    def add_host(self, name: str, listener: HostListener) -> LineHost:
+        """A connection."""
+        name = self.free_name(name)
+        host = LineHost(name, len(self.endpoints), self, listener)
+        self.endpoints.append(host)
+        self._connections[host.port] = self._pipe.connect(name, self.name)
+        self._hosts.append(host)
+        self._streams.append(MbapStream())
+        return host
+
+    def remove_listener(self, endpoint: Endpoint) -> None:
+        """The connection is closed."""
+        super().remove_listener(endpoint)
+        connection = self._connections[endpoint.port]
+        self._pipe.close(connection)
+        self.gateway.forget(connection)
+
+    def submit(self, port: int, frame: bytes, now_ns: int) -> None:
+        """A client has sent bytes, or a controller its response."""
+        connection = self._connections.get(port)
+        if connection is not None:
+            self._pipe.submit(connection, True, frame, now_ns)
+        else:
+            self._respond(self._units[port], frame[1:-2], now_ns)
+        self._settle_all()
+
+    def _respond(self, unit: int, pdu: bytes, now_ns: int) -> None:
+        answer = self.gateway.answered(unit, pdu)
+        if answer is not None:
+            self._send_back(*answer, now_ns, self._slots[unit].name)
+        self._ask_next(unit, now_ns)
+
+    def _send_back(self, connection: int, adu: bytes, now_ns: int, sender: str) -> None:
+        if connection != GONE:
+            self._tap(now_ns, now_ns, sender, adu, False)
+            self._pipe.submit(connection, False, adu, now_ns)
+
+    def _ask_next(self, unit: int, now_ns: int) -> None:
+        pdu = self.gateway.next_for(unit, now_ns)
+        if pdu is not None:
+            self._slots[unit].deliver(with_crc(bytes((unit,)) + pdu), now_ns)
+
+    def _expire(self, now_ns: int) -> None:
+        for data, connection, to_server in self._pipe.expire(now_ns):
+            if to_server:
+                self._hear(connection, data, now_ns)
+            else:
+                self._hosts[connection].deliver(data, now_ns)
+        for unit, connection, adu in self.gateway.expired(now_ns):
+            self._send_back(connection, adu, now_ns, self.name)
+            self._ask_next(unit, now_ns)
+        self._settle_all()
+
+    def _hear(self, connection: int, data: bytes, now_ns: int) -> None:
+        stream, host = self._streams[connection], self._hosts[connection]
+        for request in stream.feed(data):
+            self._tap(now_ns, now_ns, host.name, adu_of(*request), False)
+            if not self.gateway.knows(request[1]):
+                self._send_back(connection, self.gateway.refusal(request), now_ns, self.name)
+                continue
+            handed_on = self.gateway.ask(connection, request, now_ns)
+            if handed_on is not None:
+                unit, pdu = handed_on
+                self._slots[unit].deliver(with_crc(bytes((unit,)) + pdu), now_ns)
+        if stream.closed_because is not None and not host.is_closed:
+            text = f"{host.name} is disconnected: {stream.closed_because}"
+            self._overseer.report(now_ns, "warning", self.name, text)
+            host.deliver(b"", now_ns)  # the end of the stream
+            host.close()
+
+    def _settle_all(self) -> None:
+        deadlines = [self._pipe.next_deadline_ns(), self.gateway.next_deadline_ns()]
+        known = [deadline_ns for deadline_ns in deadlines if deadline_ns is not None]
+        self._settle(min(known, default=None))

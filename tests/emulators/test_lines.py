@@ -1,0 +1,258 @@
+"""Modbus controllers in a world: on a serial line to the microsecond, and behind a gateway.
+
+The expected times are computed here from the standard's numbers (MODBUS over Serial Line V1.02).
+"""
+
+from collections.abc import Mapping
+from fractions import Fraction
+
+import pytest
+
+from emulators.controller import Controller
+from emulators.event_queue import EventQueue
+from emulators.media.byte_pipe import BytePipe
+from emulators.media.serial_faults import SerialFaultKind, SerialFaultPlan, SerialFaultRule
+from emulators.media.serial_line import SerialLine
+from emulators.modbus.crc import with_crc
+from emulators.modbus.diagnostics import Diagnostics
+from emulators.modbus.registers import Register, RegisterBank
+from emulators.modbus.rtu import RtuUnit
+from emulators.modbus.server import ModbusServer
+from emulators.modbus.tcp import adu
+from emulators.world import World
+
+MS = 1_000_000
+T35_NS = 1_750_000
+
+
+class Registers(Controller):
+    """A unit with a few registers and nothing behind them."""
+
+    def __init__(self, unit: int, reply_ns: int = 2 * MS) -> None:
+        bank = RegisterBank([Register(n, f"r{n}", default=100 * unit + n) for n in range(8)])
+        self.unit = unit
+        self.rtu = RtuUnit(unit, ModbusServer(bank, diagnostics=Diagnostics()), reply_ns)
+
+    def start(self, now_ns: int) -> None: ...
+
+    def receive(self, data: bytes, now_ns: int) -> None:
+        if data:
+            self.rtu.receive(data, now_ns)
+        else:
+            self.rtu.spoiled()
+
+    def sent(self, data: bytes, now_ns: int) -> bool | None: ...
+
+    def wants_sent(self) -> bool:
+        return False
+
+    def next_deadline_ns(self) -> int | None:
+        return self.rtu.next_deadline_ns()
+
+    def expire(self, now_ns: int) -> None:
+        self.rtu.expire(now_ns)
+
+    def take_output(self) -> list[bytes]:
+        return self.rtu.take_output()
+
+    def take_events(self) -> list[tuple[str, str]]:
+        return []
+
+    def stimulate(self, name: str, value: float, now_ns: int) -> None: ...
+
+    def snapshot(self, now_ns: int) -> Mapping[str, float]:
+        return {}
+
+    def identifiers(self) -> None:
+        return None
+
+    def identifiers_revision(self) -> int:
+        return 0
+
+
+Heard = list[tuple[int, bytes, bool]]
+
+
+def a_world(*rules: SerialFaultRule, tcp: bool = False) -> tuple[World, SerialFaultPlan]:
+    world = World(EventQueue())
+    plan = SerialFaultPlan(rules, lambda: 0.5)
+    if tcp:
+        world.add_tcp(BytePipe("line", 50_000, plan), plan)
+    else:
+        world.add_serial_line(SerialLine("line", 115_200, "N", 1, plan), plan)
+    for unit in (1, 2):
+        world.add_controller(f"unit{unit}", Registers(unit), "line")
+    return world, plan
+
+
+def listener(heard: Heard):
+    return lambda data, now_ns, transmitted: heard.append((now_ns, data, transmitted))
+
+
+def characters_ns(count: int) -> Fraction:
+    return Fraction(count * 10 * 10**9, 115_200)
+
+
+def test_a_cycle_on_a_line_takes_what_its_characters_and_silences_take():
+    world, _ = a_world()
+    heard: Heard = []
+    host = world.add_line_host("line", "host", listener(heard))
+    host.send(with_crc(bytes.fromhex("020300010002")))
+    world.queue.run_until(1000 * MS)
+    assert heard[0][1:] == (b"", True)
+    assert abs(heard[0][0] - characters_ns(8)) < 1
+    assert heard[1][1:] == (with_crc(bytes.fromhex("02030400C900CA")), False)
+    expected_ns = characters_ns(8) + T35_NS + 2 * MS + characters_ns(9)
+    assert abs(heard[1][0] - expected_ns) < 1000  # to the microsecond
+    assert len(heard) == 2
+
+
+def test_others_on_the_line_ignore_what_is_not_theirs_and_count_it():
+    world, _ = a_world()
+    host = world.add_line_host("line", "host", lambda *_: None)
+    host.send(with_crc(bytes.fromhex("020300010002")))
+    world.queue.run_until(1000 * MS)
+    other = world.controller("unit1")
+    assert isinstance(other, Registers)
+    assert other.rtu.server.diagnostics is not None
+    assert other.rtu.server.diagnostics.bus_messages == 2  # request and response
+    assert other.rtu.server.diagnostics.server_messages == 0
+
+
+def test_what_a_pause_or_a_collision_spoils_is_a_bus_error_for_all():
+    pause = SerialFaultRule("pause", SerialFaultKind.PAUSE, after=2, delay_ns=1 * MS)
+    world, _ = a_world(pause)
+    host = world.add_line_host("line", "host", lambda *_: None)
+    host.send(with_crc(bytes.fromhex("020300010002")))
+    world.queue.run_until(1000 * MS)
+    for name in ("unit1", "unit2"):
+        unit = world.controller(name)
+        assert isinstance(unit, Registers)
+        assert unit.rtu.server.diagnostics is not None
+        assert unit.rtu.server.diagnostics.bus_errors == 1
+
+
+def test_taps_hear_every_adu_with_its_first_and_last_bit_and_who_sent_it():
+    world, _ = a_world()
+    told: list[tuple[str, int, int, str, bytes, bool]] = []
+    world.tap_lines(lambda *facts: told.append(facts))
+    host = world.add_line_host("line", "host", lambda *_: None)
+    host.send(with_crc(bytes.fromhex("020300010001")))
+    world.queue.run_until(1000 * MS)
+    assert [(line, sender, spoiled) for line, _, _, sender, _, spoiled in told] == [
+        ("line", "host", False),
+        ("line", "unit2", False),
+    ]
+    assert told[0][1] == 0
+    assert abs(told[0][2] - characters_ns(8) - T35_NS) < 1
+
+
+def test_faults_are_reported_by_name():
+    lose = SerialFaultRule("lose", SerialFaultKind.LOSE, sender="unit1")
+    world, plan = a_world(lose)
+    events: list[tuple[int, str, str, str]] = []
+    world.tap_events(lambda *event: events.append(event))
+    heard: Heard = []
+    host = world.add_line_host("line", "host", listener(heard))
+    host.send(with_crc(bytes.fromhex("010300010001")))
+    world.queue.run_until(1000 * MS)
+    lost = with_crc(bytes.fromhex("0103020065"))
+    assert plan.fired() == {"lose": 1}
+    assert [(level, name, text) for _, level, name, text in events] == [
+        ("warning", "line", "lose: lose " + lost.hex(" ").upper())
+    ]
+    assert [transmitted for _, _, transmitted in heard] == [True]
+
+
+def test_behind_a_gateway_the_same_units_answer_and_pipelined_requests_all_do():
+    world, _ = a_world(tcp=True)
+    heard: Heard = []
+    host = world.add_line_host("line", "host", listener(heard))
+    asked = [(7, 1, "03 0001 0001"), (3, 2, "03 0002 0001"), (9, 1, "03 0000 0001")]
+    host.send(b"".join(adu(n, unit, bytes.fromhex(pdu)) for n, unit, pdu in asked))
+    world.queue.run_until(1000 * MS)
+    answers = {(7, 1): "03 02 0065", (3, 2): "03 02 00CA", (9, 1): "03 02 0064"}
+    expected = {adu(*key, bytes.fromhex(pdu)) for key, pdu in answers.items()}
+    assert {data for _, data, _ in heard} == expected
+    assert [now_ns for now_ns, _, _ in heard] == [2_100_000, 2_100_000, 4_100_000]
+
+
+def test_a_unit_that_is_not_there_is_told_by_the_gateway_at_once():
+    world, _ = a_world(tcp=True)
+    heard: Heard = []
+    host = world.add_line_host("line", "host", listener(heard))
+    host.send(adu(1, 5, bytes.fromhex("03 0000 0001")))
+    world.queue.run_until(1000 * MS)
+    assert heard == [(100_000, adu(1, 5, b"\x83\x0b"), False)]
+
+
+def test_two_connections_each_hear_their_own():
+    world, _ = a_world(tcp=True)
+    first: Heard = []
+    second: Heard = []
+    one = world.add_line_host("line", "host", listener(first))
+    two = world.add_line_host("line", "host", listener(second))
+    assert (one.name, two.name) == ("host", "host-2")
+    one.send(adu(1, 1, bytes.fromhex("03 0000 0001")))
+    two.send(adu(1, 1, bytes.fromhex("03 0001 0001")))
+    world.queue.run_until(1000 * MS)
+    assert [data for _, data, _ in first] == [adu(1, 1, bytes.fromhex("03020064"))]
+    assert [data for _, data, _ in second] == [adu(1, 1, bytes.fromhex("03020065"))]
+
+
+def test_who_talks_no_modbus_is_disconnected_and_the_record_says_why():
+    world, _ = a_world(tcp=True)
+    events: list[tuple[int, str, str, str]] = []
+    world.tap_events(lambda *event: events.append(event))
+    heard: Heard = []
+    host = world.add_line_host("line", "host", listener(heard))
+    host.send(b"GET / HTTP/1.1\r\n\r\n")
+    world.queue.run_until(1000 * MS)
+    assert heard == [(50_000, b"", False)]
+    assert "host is disconnected: no Modbus: protocol 21536" in events[0][3]
+
+
+@pytest.mark.parametrize("after", range(1, 12))
+def test_a_request_may_come_in_two_pieces_split_anywhere(after):
+    split = SerialFaultRule("split", SerialFaultKind.PAUSE, after=after, delay_ns=5 * MS)
+    world, plan = a_world(split, tcp=True)
+    heard: Heard = []
+    host = world.add_line_host("line", "host", listener(heard))
+    host.send(adu(1, 1, bytes.fromhex("03 0000 0001")))
+    world.queue.run_until(1000 * MS)
+    assert b"".join(data for _, data, _ in heard) == adu(1, 1, bytes.fromhex("03020064"))
+    assert plan.fired() == {"split": 2}
+
+
+@pytest.mark.parametrize("kind", ["lose", "truncate"])
+def test_what_breaks_a_connection_is_the_end_of_that_direction(kind):
+    rule = SerialFaultRule(
+        "broken",
+        SerialFaultKind(kind),
+        sender="host",
+        limit=1,
+        after=3 if kind == "truncate" else 0,
+    )
+    world, _ = a_world(rule, tcp=True)
+    heard: Heard = []
+    host = world.add_line_host("line", "host", listener(heard))
+    for _ in range(2):
+        host.send(adu(1, 1, bytes.fromhex("03 0000 0001")))
+    world.queue.run_until(1000 * MS)
+    assert heard == []
+    again = world.add_line_host("line", "host", listener(heard))
+    again.send(adu(2, 1, bytes.fromhex("03 0000 0001")))
+    world.queue.run_until(2000 * MS)
+    assert [data for _, data, _ in heard] == [adu(2, 1, bytes.fromhex("03020064"))]
+
+
+def test_a_controller_without_a_unit_has_no_place_on_a_line():
+    world, _ = a_world()
+
+    class Nobody(Registers):
+        def __init__(self) -> None:
+            super().__init__(3)
+            del self.unit
+
+    with pytest.raises(ValueError, match="no unit"):
+        world.add_controller("nobody", Nobody(), "line")
