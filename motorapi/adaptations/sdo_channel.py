@@ -8,7 +8,8 @@ with a deadline of the runtime's own time, and never believes a stale answer:
   on the wire. Buses repeat frames when their last bit is hit (ISO 11898-1), servers are slow.
 - After a request that was not answered in time the channel is in *quarantine*: the next request
   waits until the late answer has come (it is dropped), the node has booted, or a bound has passed.
-  Without that, asking the same object again would return the old value.
+  Without that, asking the same object again would return the old value. So it is after another
+  process has died in the middle of a transfer.
 """
 
 import struct
@@ -59,6 +60,7 @@ class SdoChannel:
         self._node_id = node_id
         self._quarantine_ns = round(quarantine_s * 1e9)
         self._client = ChannelClient(link, node_id, timeout_s)
+        self._abandoned = 0  # the token of the last hold whose holder before had died with it
         self._lock = TurnLock(link.runtime)
         self._what = f"the SDO channel of node {node_id}"
         link.handle(RESPONSE_ID + node_id, self._client.heard)
@@ -146,7 +148,12 @@ class SdoChannel:
             hold.keep_for(runtime, (until_ns - runtime.now_ns()) / 1e9)
 
     def _take(self, lock: ProcessLock) -> Hold:
-        return lock.acquire(self._link.runtime, "an SDO transfer", _TURN_TIMEOUT_S, self)
+        runtime = self._link.runtime
+        hold = lock.acquire(runtime, "an SDO transfer", _TURN_TIMEOUT_S, self)
+        if hold.was_abandoned and hold.token != self._abandoned:
+            self._abandoned = hold.token  # one hold may be taken again and again
+            self._client.quarantine(runtime.now_ns() + self._quarantine_ns)
+        return hold
 
     def _transfer(
         self, index: int, subindex: int, data: bytes | None, fence: "Fence | None" = None

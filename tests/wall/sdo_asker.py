@@ -1,0 +1,32 @@
+"""A program that asks node 1 of a hub for 1018h:01h, and waits for the answer; it is killed then.
+
+python -m tests.wall.sdo_asker CHANNEL
+"""
+
+import sys
+
+import can
+
+from motorapi.adaptations.canopen_link import open_link
+from motorapi.adaptations.sdo_channel import SdoChannel
+from motorapi.adaptations.shared_node import node_locks
+from motorapi.runtime import runtime_of
+
+
+def channel_of(bus, *, quarantine_s):
+    """The SDO channel of node 1, as hardware objects have it."""
+    runtime = runtime_of(bus)
+    channel = SdoChannel(open_link(bus, runtime), 1, timeout_s=30.0, quarantine_s=quarantine_s)
+    channel.process_lock = node_locks(bus, runtime, 1, "node 1")[1]
+    return channel
+
+
+def main():
+    with can.Bus(interface="emulated", channel=sys.argv[1]) as bus:
+        channel = channel_of(bus, quarantine_s=30.0)
+        print("ready", flush=True)
+        channel.upload(0x1018, 1)
+
+
+if __name__ == "__main__":
+    main()
