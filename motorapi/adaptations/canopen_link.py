@@ -108,7 +108,7 @@ class CanopenLink:
     def network(self) -> "canopen.Network":
         """A canopen.Network on this link, never connected: for SDO clients and extra nodes."""
         if self._network is None:
-            from motorapi.adaptations.sdo_channel import LinkNetwork
+            from motorapi.adaptations.sdo_client import LinkNetwork
 
             self._network = LinkNetwork(self)
         return self._network

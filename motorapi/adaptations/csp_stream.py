@@ -9,10 +9,17 @@ from motorapi.adaptations.canopen_errors import SdoAborted
 from motorapi.adaptations.canopen_link import Transmission
 from motorapi.adaptations.cia402_objects import ENABLE_OPERATION, HALT, Mode, PdsState
 from motorapi.commands import as_number
-from motorapi.errors import LinkError, MotorError, UnsupportedError, UsageError
+from motorapi.errors import (
+    LinkError,
+    MotorBusyError,
+    MotorError,
+    UnsupportedError,
+    UsageError,
+)
 
 if TYPE_CHECKING:
     from motorapi.adaptations.cia402_hardware import Cia402HwMotor
+    from motorapi.fencing import BoundFence, Fence
     from motorapi.runtime import Registration
 
 _SETPOINT: Final = struct.Struct("<IB3xHi2x")
@@ -40,7 +47,8 @@ class CspStream:
         late: set-points that were still waiting for the bus when their SYNC was sent.
         missed: periods without a SYNC, for its producer was late: the motion takes so much longer.
         ended: whether the last target has been latched.
-        error: what `next_target` raised, if it did; the drive is halted then, by its own ramp.
+        error: what `next_target` raised, if it did; the drive is halted then, by its own ramp. Or
+            that somebody else has taken the drive over: then nothing more is sent to it.
         started_ns: when SYNC 1 was on the wire, the first to bring a target of `next_target`.
         latched_ns: when the SYNC after the last target was on the wire.
     """
@@ -81,6 +89,7 @@ class CspStream:
         self._word = ENABLE_OPERATION
         self._words_left = _LAST_WORDS
         self._registration: Registration | None = None
+        self._fence: BoundFence | None = None
         self._last_sent: Transmission | None = None
         self.sent = 0
         self.late = 0
@@ -122,12 +131,22 @@ class CspStream:
         """Cycle 0 is on its way; SYNC runs. Several that begin together share every SYNC."""
         if self._registration is not None or self.ended:
             return
+        if self._hardware.fence is not None:
+            self._fence = self._hardware.fence.bound("set-points")
         self._last_sent = self._send()
         self._registration = self._link.on_sync(self.period_s, self._after_sync, self._sync_lost)
 
     def _send(self) -> Transmission:
         frame = _SETPOINT.pack(self._can_id, 6, self._word, self._target)
-        return self._link.send_tracked(frame)
+        fence: Fence | None = self._fence
+        if fence is not None and self._word != ENABLE_OPERATION:
+            fence = self._stop_fence()
+        return self._link.send_tracked(frame, fence)
+
+    def _stop_fence(self) -> "Fence | None":
+        """A stop takes nobody's permission; but who has lost the drive since stops nobody else."""
+        fence = self._hardware.fence
+        return fence if fence is not None and fence.is_owned else None
 
     def _after_sync(self) -> None:
         """SYNC k was queued, or heard: what follows it is the target of cycle k + 1."""
@@ -169,6 +188,8 @@ class CspStream:
         except LinkError as error:
             self.error = error
             self.cancel()
+        except MotorBusyError as error:
+            self._lose(error)
         except Exception as error:  # the application's own: it is told by whoever waits
             self.error = error
             self._fail()
@@ -197,6 +218,12 @@ class CspStream:
         with suppress(MotorError):
             self._hardware.control.send_halt()
 
+    def _lose(self, error: MotorBusyError) -> None:
+        """Somebody else has taken the drive over: nothing more is sent to it."""
+        self.error = error
+        self.cancel()
+        self._hardware.node.news.grow()
+
     def stop(self, word: int) -> None:
         """The drive was given this controlword: it comes with what is sent from now on, too.
 
@@ -210,7 +237,10 @@ class CspStream:
             self.cancel()
             return
         self._word = word
-        self._last_sent = self._send()
+        try:
+            self._last_sent = self._send()
+        except MotorBusyError as error:  # the drive is somebody else's, and so is what it holds
+            self._lose(error)
 
     def _go_on_stopping(self) -> None:
         if self._words_left == 0:
@@ -242,5 +272,7 @@ class CspStream:
         """No more set-points; the drive holds the last one."""
         if not self.ended:
             self.ended = True
+            if self._fence is not None:
+                self._fence.release()
             if self._registration is not None:
                 self._registration.cancel()

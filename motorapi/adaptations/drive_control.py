@@ -2,6 +2,7 @@
 
 import struct
 from collections.abc import Callable
+from functools import partial
 from typing import TYPE_CHECKING, Final, final
 
 from motorapi.adaptations.canopen_link import CanopenLink, Transmission, can_frame
@@ -24,20 +25,19 @@ from motorapi.adaptations.cia402_objects import (
 )
 from motorapi.adaptations.drive_node import DriveNode
 from motorapi.adaptations.drive_objects import DriveObjects
-from motorapi.errors import DeadlineExceeded, LinkError, MotorBusyError, UnsupportedError
+from motorapi.adaptations.stop_repetition import StopRepetition
+from motorapi.errors import DeadlineExceeded, MotorBusyError, UnsupportedError
 
 if TYPE_CHECKING:
     from motorapi.adaptations.drive_setup import DriveFacts
     from motorapi.adaptations.motion_watch import MotionWatch
-    from motorapi.runtime import Registration
+    from motorapi.fencing import Fence, NodeFence
 
 _STATE_TIMEOUT_S: Final = 2.0
 _MODE_TIMEOUT_S: Final = 0.5
 _ACKNOWLEDGE_TIMEOUT_S: Final = 0.5
 _RESET_TIMEOUT_S: Final = 0.5
 _POLL_S: Final = 0.002
-_REPEAT_S: Final = 0.1
-_REPEATS: Final = 10
 _STEPS_MAX: Final = 8
 _CONTROL: Final = struct.Struct("<IB3xH6x")
 _NEXT_COMMAND: Final = {
@@ -53,19 +53,22 @@ class DriveControl:
     """Everything that is done through the controlword (6040h) and the mode of operation (6060h).
 
     It goes by SDO where there is time to wait for the confirmation, else by RPDO. `facts` is set
-    by whoever brings the drive up.
+    by whoever brings the drive up. What does not stop the drive goes through `fence`.
     """
 
-    def __init__(self, link: CanopenLink, node: DriveNode, objects: DriveObjects) -> None:
+    def __init__(
+        self, link: CanopenLink, node: DriveNode, objects: DriveObjects, fence: "NodeFence | None"
+    ) -> None:
         self.facts: DriveFacts | None = None
         self._physical = objects.physical
+        self._fence = fence
         self._link = link
         self._node = node
         self._objects = objects
         self._mode: Mode | None = None
         self._halted = False
         self._word: int | None = None  # the controlword commanded last
-        self._repetition: Registration | None = None  # of a stop
+        self._repetition: StopRepetition | None = None
         self._armed: int | None = None  # the index of the target that the next SYNC makes count
         self._latched: int | None = None  # the same, until the drive has shown that it counted
 
@@ -85,26 +88,27 @@ class DriveControl:
 
     # --- power ---------------------------------------------------------------------------
 
-    def write_controlword(self, word: int) -> None:
+    def write_controlword(self, word: int, *, stops: bool = False) -> None:
         """The drive has this controlword (6040h), by SDO: confirmed."""
         self._end_repetition()
         self._word = word
-        self._objects.download(0x6040, 0, word.to_bytes(2, "little"))
+        self._objects.download(0x6040, 0, word.to_bytes(2, "little"), stops=stops)
 
-    def send_controlword(self, word: int) -> Transmission | None:
+    def send_controlword(self, word: int, *, stops: bool = False) -> Transmission | None:
         """The controlword is on its way, by RPDO; does not wait (None: it was written by SDO)."""
         facts = self.facts
         if facts is None or facts.control_id is None:
-            self.write_controlword(word)
+            self.write_controlword(word, stops=stops)
             return None
         self._end_repetition()
         self._word = word
-        return self._send(_CONTROL.pack(facts.control_id, 2, word))
+        fence = None if stops else self._fence
+        return self._send(_CONTROL.pack(facts.control_id, 2, word), fence)
 
-    def _send(self, frame: bytes) -> Transmission:
+    def _send(self, frame: bytes, fence: "Fence | None") -> Transmission:
         """The frame waits for the bus. Raises MotorBusyError: see `PhysicalMotor.passage`."""
         with self._physical.passage(self._node.label, of_holder=True):
-            return self._link.send_tracked(frame)
+            return self._link.send_tracked(frame, fence)
 
     def enable(self) -> None:
         """Operation is enabled, step by step from whatever state the statusword shows.
@@ -137,9 +141,9 @@ class DriveControl:
             last_heard=node.describe_status(),
         )
 
-    def disable(self) -> None:
-        """The power stage is off, by disable voltage."""
-        self.write_controlword(DISABLE_VOLTAGE)
+    def disable(self, *, stops: bool = False) -> None:
+        """The power stage is off, by disable voltage; to stop the drive, whoever owns it."""
+        self.write_controlword(DISABLE_VOLTAGE, stops=stops)
         self._node.wait_for_status(_is_off, _STATE_TIMEOUT_S, "power stage off")
         self._halted = False
 
@@ -178,30 +182,14 @@ class DriveControl:
 
     def _send_stop(self, word: int, watch: "MotionWatch | None") -> None:
         self._armed = None
-        self.send_controlword(word)
-        self._overwrite_latch()
+        self.send_controlword(word, stops=True)
+        self._overwrite_latch(None)
         facts = self.facts
         if watch is not None and facts is not None and facts.control_id is not None:
             frame = _CONTROL.pack(facts.control_id, 2, word)
-            self._repetition = self._link.runtime.every(_REPEAT_S, self._again(frame, watch))
-
-    def _again(self, frame: bytes, watch: "MotionWatch") -> Callable[[], None]:
-        """Sends a stop while `watch` sees no end of it; anything else that is commanded ends it."""
-        node = self._node
-        left = iter(range(_REPEATS))
-
-        def again() -> None:
-            enabled = node.state is PdsState.OPERATION_ENABLED
-            goes_on = node.watch is watch and watch.ended_ns is None and enabled
-            if not goes_on or next(left, None) is None:
-                self._end_repetition()
-                return
-            try:
-                self._send(frame)
-            except (LinkError, MotorBusyError):
-                self._end_repetition()
-
-        return again
+            self._repetition = StopRepetition(
+                self._node, watch, self._fence, partial(self._send, frame)
+            )
 
     def _end_repetition(self) -> None:
         if self._repetition is not None:
@@ -316,7 +304,7 @@ class DriveControl:
         self._armed = self._latched = index
         self._link.latching.add(self._node.node_id)
         frame = _control_target(facts.latched_ids[index], word, index, target)
-        transmission = self._send(frame)
+        transmission = self._send(frame, self._fence)
 
         def on_sync(time_ns: int) -> None:
             if self._armed is None:
@@ -349,7 +337,14 @@ class DriveControl:
         on the bus that has something else latched.
         """
         self._armed = None
-        transmissions = [*self._overwrite_latch(), *self._overwrite_latch()]
+        try:
+            transmissions = [
+                *self._overwrite_latch(self._fence),
+                *self._overwrite_latch(self._fence),
+            ]
+        except MotorBusyError:  # whoever has taken the drive over has seen to that
+            self.has_started()
+            return
         if not transmissions:
             return
         self._link.confirmed(transmissions)
@@ -357,7 +352,7 @@ class DriveControl:
         if not self._link.latching and self._link.cyclic_sync() is None:
             self._link.confirmed([self._link.sync()])
 
-    def _overwrite_latch(self) -> list[Transmission]:
+    def _overwrite_latch(self, fence: "Fence | None") -> list[Transmission]:
         """The controlword as it is, and no motion, wait for the next SYNC in place of a target."""
         index, facts = self._latched, self.facts
         if index is None or facts is None:
@@ -366,7 +361,7 @@ class DriveControl:
         word = self._holding_word() if self._word is None else self._word
         word &= ~(NEW_SET_POINT | CHANGE_IMMEDIATELY)
         frame = _control_target(facts.latched_ids[index], word, index, target)
-        return [self._send(frame)]
+        return [self._send(frame, fence)]
 
 
 def _control_target(can_id: int, word: int, index: int, target: int) -> bytes:
