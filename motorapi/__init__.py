@@ -28,6 +28,7 @@ from motorapi.errors import (
     PeerError,
     PluginError,
     StateError,
+    SynchronizationError,
     UnsupportedError,
     UsageError,
 )
@@ -101,6 +102,7 @@ __all__ = [
     "SyncOffer",
     "SyncQuality",
     "Synchronization",
+    "SynchronizationError",
     "Trajectory",
     "Trapezoid",
     "TrapezoidalTrajectory",

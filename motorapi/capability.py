@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 from motorapi import planning
 from motorapi.errors import UsageError
 from motorapi.execution import Started, plan
+from motorapi.group_planning import TIME, Common
 from motorapi.synchronization import (
     SyncCapability,
     SyncLevel,
@@ -22,8 +23,12 @@ if TYPE_CHECKING:
     from motorapi.motor import Motor
 
 
-def capability_of(motors: Sequence["Motor"]) -> SyncCapability:
+def capability_of(motors: Sequence["Motor"], common: Common = TIME) -> SyncCapability:
     """How well `motors` can begin and end together, with what is set now.
+
+    Args:
+        motors: all of one runtime.
+        common: what their motions are to have in common.
 
     Raises:
         MotorError: a motor does not answer.
@@ -31,10 +36,10 @@ def capability_of(motors: Sequence["Motor"]) -> SyncCapability:
     with ExitStack() as passages:
         for motor in motors:
             passages.enter_context(motor._physical.passage(motor.name))
-        return _capability(motors)
+        return _capability(motors, common)
 
 
-def _capability(motors: Sequence["Motor"]) -> SyncCapability:
+def _capability(motors: Sequence["Motor"], common: Common) -> SyncCapability:
     offers: list[SyncOffer] = []
     for motor in motors:
         motor._call(motor._connect)
@@ -50,7 +55,7 @@ def _capability(motors: Sequence["Motor"]) -> SyncCapability:
         level=level,
         command_skew_s=0.0 if together else None,
         start_skew_s=predicted_start_skew_s(offers),
-        end_skew_s=_predicted_end_skew_s(motors),
+        end_skew_s=_predicted_end_skew_s(motors, common),
         weakest=motors[weakest].name,
         reason=reason,
     )
@@ -92,9 +97,9 @@ def end_skew_s(started: Sequence[Started]) -> float:
     return max(durations_s) - min(durations_s) if durations_s else 0.0
 
 
-def _predicted_end_skew_s(motors: Sequence["Motor"]) -> float | None:
+def _predicted_end_skew_s(motors: Sequence["Motor"], common: Common) -> float | None:
     try:
-        motions = plan(motors)
+        motions = plan(motors, common)
     except UsageError:
         return None
     return end_skew_s(

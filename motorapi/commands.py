@@ -167,6 +167,8 @@ class Motion:
     """(initial, final) argument of the function."""
     argument: "Argument | None" = None
     """What the function is a function of; None: of time, `interval[0]` at the start [s]."""
+    stop_deceleration: float | None = None
+    """What a stop in the middle of it slows down with [U/s²]; None: `deceleration`."""
 
     def __repr__(self) -> str:
         text = f"<Motion {self.mode.value} of {self.variable.value}"

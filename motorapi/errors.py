@@ -6,6 +6,7 @@
     |   |-- DomainError       a function has no value at that argument
     |   |-- StateError        not now: what the motor is doing, or is, forbids it
     |   |-- UnsupportedError  this motor can never do it
+    |   |-- SynchronizationError  these motors cannot begin together as well as was asked
     |   `-- FileError         a file of yours says what it cannot mean: path, line, key, remedy
     |-- MotorBusyError        somebody else holds the motor: who, since when
     |-- MotionInterrupted     the motion waited for was stopped or replaced by somebody else
@@ -22,7 +23,10 @@ unit and motor. All of them pickle. Adaptations add leaves below `PeerError`, no
 # ruff: noqa: N818 -- the names are the design's, and say what happened, not that it is an error
 
 from collections.abc import Callable
-from typing import final
+from typing import TYPE_CHECKING, final
+
+if TYPE_CHECKING:
+    from motorapi.synchronization import SyncCapability
 
 
 class MotorError(Exception):
@@ -129,6 +133,19 @@ class UnsupportedError(UsageError):
 
 
 @final
+class SynchronizationError(UsageError):
+    """A group cannot begin as closely together as its start was asked to.
+
+    Attributes: capability (`SyncCapability`: what it can do, and why not more), asked (in words).
+    """
+
+    def __init__(self, *, capability: "SyncCapability", asked: str, found: str) -> None:
+        self.capability = capability
+        self.asked = asked
+        super().__init__(f"start refused: {asked} was asked for, {found}")
+
+
+@final
 class FileError(UsageError):
     """A file says what it cannot mean.
 
@@ -154,7 +171,8 @@ class MotorBusyError(MotorError):
 
     Attributes: motor (name), holder (who, in words), since_ns (of the runtime's time), purpose
     ("low-level access"; "" if the holder's name says it all). If the holder is a process, through a
-    lock between processes, also pid and program, and since (in words).
+    lock between processes, also pid and program, and since (in words). taken_over ("": it was not):
+    why the holder could take it over from who is told this, as "its lease of 0.5 s was over".
     """
 
     def __init__(
@@ -167,6 +185,7 @@ class MotorBusyError(MotorError):
         pid: int | None = None,
         program: str = "",
         since: str = "",
+        taken_over: str = "",
     ) -> None:
         self.motor = motor
         self.holder = holder
@@ -175,8 +194,10 @@ class MotorBusyError(MotorError):
         self.pid = pid
         self.program = program
         self.since = since or f"{since_ns / 1e9:.6f} s"
+        self.taken_over = taken_over
         whom = f"{holder} for {purpose}" if purpose else holder
-        super().__init__(f"{motor} is held by {whom} since {self.since}")
+        how = f"was taken over ({taken_over})" if taken_over else "is held"
+        super().__init__(f"{motor} {how} by {whom} since {self.since}")
 
 
 @final

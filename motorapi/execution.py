@@ -9,9 +9,9 @@ after: every motor of the start is stopped. A start of one motor is a start of a
 
 # ruff: noqa: SLF001 -- it works the hooks of motors, as Motor does its own
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from contextlib import ExitStack
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final, final
 
 from motorapi import planning
@@ -19,13 +19,12 @@ from motorapi.arguments import Argument, MotorPosition
 from motorapi.commands import ControlMode, ControlVariable, Motion, Setpoint, as_number
 from motorapi.errors import (
     DeviceFault,
-    LimitError,
     LinkError,
     MotionInterrupted,
     MotorBusyError,
     StateError,
-    UsageError,
 )
+from motorapi.group_planning import TIME, Common, synchronised
 from motorapi.motion_waits import check_timeout
 from motorapi.sharing import Run, RunStatus
 from motorapi.state import Fault, MotorState
@@ -52,18 +51,24 @@ class Started:
 
 
 def start_together(
-    motors: Sequence["Motor"], timeout_s: float | None = None
+    motors: Sequence["Motor"],
+    timeout_s: float | None = None,
+    common: Common = TIME,
+    check: Callable[[], None] | None = None,
 ) -> tuple[Started, ...]:
     """All motors have begun what was set for each; trajectories end together.
 
     Args:
         motors: all of one runtime.
         timeout_s: how long to wait until all are free [s]; None: not at all.
+        common: what their motions have in common.
+        check: looks at the motors once they are taken, before any is enabled; it may refuse.
 
     Raises:
         MotorError: as `Motor.start`; a note says whose it is, if there are several.
     """
     check_timeout(timeout_s)
+    common.check()
     for motor in motors:
         _require_command(motor)
     asked_ns = motors[0].runtime.now_ns()
@@ -75,12 +80,14 @@ def start_together(
             held.enter_context(motor._operation("start", left_s))
         seen = [motor._physical.interruptions for motor in motors]
         disabled = [motor for motor in motors if _require_movable(motor) is MotorState.DISABLED]
-        motions = plan(motors)
+        motions = plan(motors, common)
+        if check is not None:
+            check()
         if disabled:
             for motor in disabled:
                 motor._call(motor._enable)
             _check_not_interrupted(motors, seen)
-            motions = plan(motors)  # switching on may have moved what they hold
+            motions = plan(motors, common)  # switching on may have moved what they hold
         started = tuple(
             Started(motor, motion, motor._call(motor._quantise, motion))
             for motor, motion in zip(motors, motions, strict=True)
@@ -91,8 +98,8 @@ def start_together(
         return started
 
 
-def plan(motors: Sequence["Motor"]) -> list[Motion]:
-    """The motion of each motor from where it is now, stretched to a common duration.
+def plan(motors: Sequence["Motor"], common: Common = TIME) -> list[Motion]:
+    """The motion of each motor from where it is now, with what they have in common.
 
     Raises:
         UsageError: one cannot be made; nothing was sent but questions.
@@ -100,7 +107,7 @@ def plan(motors: Sequence["Motor"]) -> list[Motion]:
     _require_no_ring(motors)
     motions = [_plan_one(motor) for motor in motors]
     if len(motors) > 1:
-        motions = _common_duration(motors, motions)
+        motions = synchronised(motors, motions, common)
     return motions
 
 
@@ -237,54 +244,6 @@ def require_rest(motor: "Motor", operation: str) -> None:
         state=f"{run.name} goes on since {run.since_ns / 1e9:.6f} s",
         remedy="wait_until_done() or stop() first" if run.ends else "stop() first",
     )
-
-
-def _common_duration(motors: Sequence["Motor"], motions: Sequence[Motion]) -> list[Motion]:
-    """Every trajectory takes as long as the slowest motor's, after its hardware's rounding."""
-    timed = [place for place, motion in enumerate(motions) if motion.duration_s is not None]
-    result = list(motions)
-    if not timed:
-        return result
-    rounded = {
-        place: motors[place]._call(motors[place]._quantise, motions[place]) for place in timed
-    }
-    shortest_s = {place: planning.duration_of(rounded[place]) for place in timed}
-    asked: dict[float, str] = {}
-    for place in timed:
-        fixed_s = _fixed_duration_s(motions[place])
-        if fixed_s is not None:
-            asked.setdefault(fixed_s, motors[place].name)
-    if len(asked) > 1:
-        several = ", ".join(f"{duration:g} s for {name}" for duration, name in asked.items())
-        raise UsageError(f"motors of a group end together: durations differ ({several})")
-    duration_s = next(iter(asked)) if asked else max(shortest_s.values())
-    for place in timed:
-        motion = motions[place]
-        if _fixed_duration_s(motion) is not None:
-            continue  # planned for that very duration
-        if shortest_s[place] == duration_s:
-            continue
-        if shortest_s[place] > duration_s:
-            raise LimitError(
-                motor=motors[place].name,
-                quantity="duration",
-                value=duration_s,
-                low=shortest_s[place],
-                high=None,
-                unit="s",
-                reason=f"asked for by the trajectory of {asked[duration_s]}",
-            )
-        stretched = planning.stretch(rounded[place], duration_s)
-        result[place] = replace(stretched, start=motion.start, target=motion.target)
-    return result
-
-
-def _fixed_duration_s(motion: Motion) -> float | None:
-    """How long its trajectory says that it takes [s]; None: as fast as can be."""
-    trajectory = motion.trajectory
-    if isinstance(trajectory, ComplexTrajectory):
-        return motion.duration_s
-    return None if trajectory is None else trajectory.duration_s
 
 
 def _trigger_turns(motors: Sequence["Motor"]) -> list[Turns]:

@@ -13,17 +13,29 @@ Algorithm 2 of the paper runs nearly word for word::
 
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
+from dataclasses import replace
 
 from motorapi.capability import capability_of, quality_of
 from motorapi.commands import as_number
+from motorapi.common_motion import CommonMotion
 from motorapi.device import DeviceGroup
 from motorapi.errors import MotorError, UsageError
-from motorapi.execution import Started, start_together
-from motorapi.motion_waits import check_timeout, wait_for_all
+from motorapi.execution import Started, plan, start_together
+from motorapi.group_planning import TIME
+from motorapi.motion_waits import check_timeout, stop_others, wait_for_all
 from motorapi.motor import Motor
 from motorapi.outcome import callback_failed
+from motorapi.path import predicted_path
 from motorapi.reservation import Reservation
-from motorapi.synchronization import SyncCapability, SyncQuality
+from motorapi.sharing import Run
+from motorapi.start_conditions import check_asked, require_synchronised
+from motorapi.synchronization import (
+    FaultReaction,
+    SyncCapability,
+    Synchronization,
+    SyncLevel,
+    SyncQuality,
+)
 from motorapi.trajectory import Trajectory
 
 
@@ -32,6 +44,8 @@ class MotorGroup(DeviceGroup[Motor]):
 
     def __init__(self, *motors: Motor) -> None:
         self._started: tuple[Started, ...] = ()
+        self._common = TIME
+        self._motion: CommonMotion | None = None
         self._observer: Callable[[SyncQuality], None] | None = None
         super().__init__(*motors)
 
@@ -67,8 +81,48 @@ class MotorGroup(DeviceGroup[Motor]):
                 motor._command, motor._argument = command
             raise
 
-    def start(self, timeout_s: float | None = None) -> None:
-        """All motors have begun what was set for each: trajectories begin and end together.
+    @property
+    def synchronization(self) -> Synchronization:
+        """What the trajectories have in common, from the next start on; TIME unless set.
+
+        TIME: they begin and end together, each with its own ramps. PHASE: a straight line in the
+        space of the joints, with proportional velocities and equal times of acceleration. NONE:
+        they begin together, and each is as fast as it can be.
+        """
+        return self._common.synchronization
+
+    @synchronization.setter
+    def synchronization(self, synchronization: Synchronization) -> None:
+        if not isinstance(synchronization, Synchronization):
+            raise UsageError(f"synchronization = {synchronization!r}: give a Synchronization")
+        self._common = replace(self._common, synchronization=synchronization)
+
+    @property
+    def fault_reaction(self) -> FaultReaction:
+        """What the others do when one motor fails, from the next start on; EACH unless set.
+
+        TOGETHER: they slow down along the path, at the same instant and in proportion; it needs
+        PHASE. EACH: each slows down as its own limit allows. NONE: they go on. It happens whether
+        or not anybody waits. A motor fails when its motion ends short of its target, by a fault, a
+        lost link or a stop; not when another start replaces it. Who waits for one that was stopped
+        so is told `MotionInterrupted`, who waits for the group what the cause was.
+        """
+        return self._common.reaction
+
+    @fault_reaction.setter
+    def fault_reaction(self, reaction: FaultReaction) -> None:
+        if not isinstance(reaction, FaultReaction):
+            raise UsageError(f"fault_reaction = {reaction!r}: give a FaultReaction")
+        self._common = replace(self._common, reaction=reaction)
+
+    def start(
+        self,
+        timeout_s: float | None = None,
+        *,
+        require: SyncLevel | None = None,
+        max_skew_s: float | None = None,
+    ) -> None:
+        """All motors have begun what was set for each, in common what `synchronization` says.
 
         They are as fast as the slowest of them allows, or take the duration that one of their
         trajectories asks for. All are armed, and confirmed it, before the first is fired. If one
@@ -76,11 +130,27 @@ class MotorGroup(DeviceGroup[Motor]):
 
         Args:
             timeout_s: how long to wait until all are free [s], as in `Motor.start`.
+            require: what starts them must be of this level at least; None: any will do.
+            max_skew_s: between the first and the last start of motion there must not be more than
+                this [s], and that must be known beforehand; None: it need not.
 
         Raises:
+            SynchronizationError: `require` or `max_skew_s` cannot be met: says by whom, and why.
+                Nothing was armed.
             MotorError: as `Motor.start`; a note on the error says whose it is.
         """
-        self._started = start_together(self._members(), timeout_s)
+        check_asked(require, max_skew_s)
+        members, common = self._members(), self._common
+
+        def check() -> None:
+            if require is not None or max_skew_s is not None:
+                require_synchronised(capability_of(members, common), require, max_skew_s)
+
+        started = start_together(members, timeout_s, common, check)
+        self._end_motion()
+        self._started = started
+        self._motion = CommonMotion(started, common)
+        self._motion.begin()
 
     @contextmanager
     def reserve(
@@ -119,13 +189,13 @@ class MotorGroup(DeviceGroup[Motor]):
             yield Reservation.of_all(parts)
 
     def wait_until_done(self, timeout_s: float | None = None) -> None:
-        """What was commanded last is over in every motor. If one fails, the others are stopped.
+        """What was commanded last is over in every motor. What if one fails: `fault_reaction`.
 
         Raises:
             DeadlineExceeded: not within `timeout_s` [s]; names who is not done.
             MotorError: as `Motor.wait_until_done`.
         """
-        wait_for_all(self._members(), timeout_s)
+        wait_for_all(self._members(), timeout_s, self._answer)
         if self._observer is not None and self._started:
             quality = self.sync_quality()
             try:
@@ -142,19 +212,28 @@ class MotorGroup(DeviceGroup[Motor]):
 
     def is_done(self) -> bool:
         """Whether `wait_until_done` would return at once; raises as it does."""
-        done = [motor.is_done() for motor in self]  # every member is looked at, and may raise
+        done: list[bool] = []
+        for motor in self:  # every member is looked at, and may raise
+            try:
+                done.append(motor.is_done())
+            except MotorError as error:
+                told = self._answer(motor, motor._run, error)
+                raise told from told.__cause__
         return all(done)
 
     def stop(self) -> None:
         """Every motor is slowing down; all are tried, then the first error is raised."""
+        self._end_motion()
         self._every(Motor.stop)
 
     def quick_stop(self) -> None:
         """Every motor makes its quick stop; all are tried, then the first error is raised."""
+        self._end_motion()
         self._every(Motor.quick_stop)
 
     def halt(self) -> None:
         """Every motor halts; all are tried, then the first error is raised."""
+        self._end_motion()
         self._every(Motor.halt)
 
     def sync_capability(self) -> SyncCapability:
@@ -163,7 +242,14 @@ class MotorGroup(DeviceGroup[Motor]):
         Raises:
             MotorError: a motor does not answer.
         """
-        return capability_of(self._members())
+        members, common = self._members(), self._common
+        capability = capability_of(members, common)
+        if common.synchronization is not Synchronization.PHASE or capability.end_skew_s is None:
+            return capability
+        try:
+            return replace(capability, path=predicted_path(members, plan(members, common)))
+        except UsageError:
+            return capability  # nothing can be started now
 
     def sync_quality(self) -> SyncQuality:
         """How well the last start began and ended together; what has not happened yet is None.
@@ -173,7 +259,21 @@ class MotorGroup(DeviceGroup[Motor]):
         """
         if not self._started:
             raise UsageError("the group has not been started: there is no quality to tell")
-        return quality_of(self._started)
+        quality = quality_of(self._started)
+        return quality if self._motion is None else replace(quality, path=self._motion.path())
+
+    def _end_motion(self) -> None:
+        """What the motors do is looked after no more."""
+        if self._motion is not None:
+            self._motion.end()
+
+    def _answer(self, motor: Motor, run: Run | None, error: Exception) -> Exception:
+        """A member failed, of this run; the others do what was set. Returns what to raise."""
+        if self._motion is not None and self._motion.watches(run):
+            return self._motion.failed(motor, error)
+        if self.fault_reaction is not FaultReaction.NONE:
+            stop_others(self._members(), motor, error)
+        return error
 
     def _members(self) -> tuple[Motor, ...]:
         if not len(self):

@@ -133,6 +133,10 @@ class MotorHooks(Device, ABC):
         """What was heard last. Must neither wait nor send: recorders ask from callbacks."""
         return None
 
+    def _position_source(self) -> str:
+        """Where the position in `_latest` was measured, in words ("6064h in TPDO 1, 181h")."""
+        return "position as heard"
+
     def _refresh(self) -> float | None:
         """What `_is_done` looks at is fresh.
 
@@ -214,6 +218,17 @@ class MotorHooks(Device, ABC):
         This and the two below are called without a transaction, possibly from a callback and while
         another party is inside another hook of this motor: send, do not wait.
         """
+
+    def _stop_with_others(self) -> Trigger | None:
+        """As `_stop`, of several motors that are to slow down at the same instant.
+
+        As it: send, do not wait. So must `fire` of the trigger.
+
+        Returns:
+            What makes it slow down, equal for all that share one signal; None: it does already.
+        """
+        self._stop()
+        return None
 
     @abstractmethod
     def _quick_stop(self) -> None:

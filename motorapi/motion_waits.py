@@ -2,7 +2,7 @@
 
 # ruff: noqa: SLF001 -- it works the hooks of motors, as motorapi.execution does
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, final
 
 from motorapi.commands import as_number
@@ -12,6 +12,9 @@ from motorapi.waiting import Awaited, Waiting
 
 if TYPE_CHECKING:
     from motorapi.motor import Motor
+    from motorapi.sharing import Run
+
+    Answer = Callable[[Motor, Run | None, Exception], Exception]
 
 
 def check_timeout(timeout_s: float | None) -> None:
@@ -20,8 +23,15 @@ def check_timeout(timeout_s: float | None) -> None:
         raise UsageError(f"timeout_s = {timeout_s!r}: must be a number of seconds >= 0")
 
 
-def wait_for_all(motors: Sequence["Motor"], timeout_s: float | None) -> None:
-    """What was commanded last is over in all motors; the first to fail stops the others.
+def wait_for_all(
+    motors: Sequence["Motor"], timeout_s: float | None, answer: "Answer | None" = None
+) -> None:
+    """What was commanded last is over in all motors; the first to fail is answered.
+
+    Args:
+        motors: of one runtime.
+        timeout_s: [s]; None: as long as it takes.
+        answer: is told who failed, of which run, and how; returns what to raise. None: raise that.
 
     Raises:
         DeadlineExceeded: not within `timeout_s` [s]; names who was not done. Nothing is stopped.
@@ -50,8 +60,10 @@ def wait_for_all(motors: Sequence["Motor"], timeout_s: float | None) -> None:
                     motor._raise_callback_error()
                 return
         except _MemberFailed as failed:
-            _stop_others(motors, failed)
-            raise failed.error from failed.error.__cause__
+            error = failed.error
+            if answer is not None:
+                error = answer(failed.motor, failed.run, error)
+            raise error from error.__cause__
         if deadline_ns is not None and runtime.now_ns() >= deadline_ns:
             break
     raise DeadlineExceeded(
@@ -73,27 +85,29 @@ class _Member:
         try:
             return self.motor._look(self.run)
         except Exception as error:
-            raise _MemberFailed(self.motor, error) from error
+            raise _MemberFailed(self.motor, self.run, error) from error
 
 
 @final
 class _MemberFailed(MotorError):  # noqa: N818 -- never leaves this module
-    def __init__(self, motor: "Motor", error: Exception) -> None:
+    def __init__(self, motor: "Motor", run: "Run | None", error: Exception) -> None:
         super().__init__()
         self.motor = motor
+        self.run = run
         self.error = error
 
 
-def _stop_others(motors: Sequence["Motor"], failed: _MemberFailed) -> None:
+def stop_others(motors: Sequence["Motor"], failed: "Motor", error: Exception) -> None:
+    """All but the one that failed are slowing down; the error says so."""
     if len(motors) == 1:
         return
-    failed.error.add_note(f"from {failed.motor.name}; the others of its group were stopped")
+    error.add_note(f"from {failed.name}; the others of its group were stopped")
     for motor in motors:
-        if motor is not failed.motor:
+        if motor is not failed:
             try:
                 motor.stop()
             except Exception as further:
-                failed.error.add_note(f"but {motor.name} could not be stopped: {further}")
+                error.add_note(f"but {motor.name} could not be stopped: {further}")
 
 
 def _last_heard(motor: "Motor") -> str:

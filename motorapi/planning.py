@@ -329,6 +329,12 @@ def stretch(motion: Motion, duration_s: float) -> Motion:
     return replace(motion, slope=rate, duration_s=duration_s)
 
 
+def bounds_of(model: MotorModel, motion: Motion) -> Bounds:
+    """What model and command allow a trajectory of position, which may make less of it."""
+    limits = None if motion.trajectory is None else motion.trajectory.limits
+    return _bounds(model, limits, motion.distance)
+
+
 def _bounds(model: MotorModel, limits: DerivativeLimits | None, direction: float) -> Bounds:
     """What holds for a motion of position in this direction: the tighter of model and command."""
     velocity, up, down = model.velocity_max, model.acceleration_max, model.deceleration

@@ -109,13 +109,16 @@ class PathDeviation:
         motor: its name.
         deviation: the largest found, either way [rad or m]; None: nothing was measured.
         source: where it was measured ("position in TPDO 1, 183h").
-        age_s: how old such a sample may have been when it was compared [s]; None: no bound known.
+        age_s: how far from the instant of comparing such a sample was at most [s]: positions in
+            between are interpolated; None: nothing was measured.
+        predicted: what rounding to the hardware's units alone makes of it, at most [rad or m].
     """
 
     motor: str
     deviation: float | None
     source: str
     age_s: float | None = None
+    predicted: float | None = None
 
 
 @final
@@ -137,6 +140,8 @@ class SyncCapability:
         no_command_bound: why `command_skew_s` is None; else "".
         no_start_bound: why `start_skew_s` is None; else "".
         no_end_bound: why `end_skew_s` is None; else "".
+        path: of phase-synchronised motors with a way to go, how far rounding takes each from the
+            straight line; else empty.
     """
 
     level: SyncLevel
@@ -148,6 +153,7 @@ class SyncCapability:
     no_command_bound: str = ""
     no_start_bound: str = ""
     no_end_bound: str = ""
+    path: tuple[PathDeviation, ...] = ()
 
 
 @final
@@ -164,7 +170,8 @@ class SyncQuality:
             (None: it does not tell).
         command_skew_s: between the instants at which the signals that started them were on the
             wire [s]; None until all of them told.
-        path: for each motor how far it was from the common path; empty: nothing watches that.
+        path: for each motor how far it was from the common path; empty: only phase-synchronised
+            motors have one.
         straddles: how many signals came between what should have gone between two of them.
     """
 

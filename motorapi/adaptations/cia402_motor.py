@@ -175,6 +175,9 @@ class Cia402Motor(Motor):
     def _latest(self) -> Measurement | None:
         return self._reader.latest()
 
+    def _position_source(self) -> str:
+        return self._reader.position_source()
+
     def _refresh(self) -> float | None:
         if self._node.status_is_cyclic:
             return None

@@ -24,6 +24,7 @@ Place = tuple[int, int]
 
 _GAINS: Final = {"current_gains": 0x60F6, "velocity_gains": 0x60F9, "position_gains": 0x60FB}
 WINDOW_OFF: Final = 0xFFFF_FFFF  # 6065h, 6067h
+HALT_OPTION: Final = 0x605D  # of which a drive may know but one
 _TIME_MAX_S: Final = 65.535  # in ms, 16 bits
 
 
@@ -185,6 +186,8 @@ class ParameterStore:
         try:
             self._objects.push_bytes(*place, data)
         except SdoAborted as error:
+            if place == (HALT_OPTION, 0):
+                return  # it halts in its own way
             value = int.from_bytes(data, "little")
             raise UnsupportedError(
                 motor=motor, feature=f"{_name(place)} = {value} ({error})"

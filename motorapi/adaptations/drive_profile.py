@@ -67,8 +67,9 @@ def profile_of(
         up = down = min(up, down)
     acceleration = units.acceleration_raw(up)
     deceleration = units.acceleration_raw(down)
-    _check_step("acceleration", units.acceleration(acceleration), up, units)
-    _check_step("deceleration", units.acceleration(deceleration), down, units)
+    steepest = _ramp_limits(motion, model, up, down)
+    _check_step("acceleration", units.acceleration(acceleration), steepest[0], units)
+    _check_step("deceleration", units.acceleration(deceleration), steepest[1], units)
     if motion.variable is ControlVariable.VELOCITY:
         target = units.velocity_raw(motion.target)
         return DriveProfile(target, abs(target), acceleration, deceleration)
@@ -213,6 +214,14 @@ def expected_s(motion: Motion, profile: DriveProfile, units: DriveUnits) -> floa
     """How long the profile takes over the motion's distance [s]; of position."""
     start = units.position(units.position_inc(motion.start))
     return _duration_s(profile, units.position(profile.target) - start, units)
+
+
+def _ramp_limits(motion: Motion, model: MotorModel, up: float, down: float) -> tuple[float, float]:
+    """What model and command allow; a motor of a group may be asked for less than a step."""
+    if motion.trajectory is None or motion.variable is not ControlVariable.POSITION:
+        return up, down
+    bounds = planning.bounds_of(model, motion)
+    return max(up, bounds.acceleration), max(down, bounds.deceleration)
 
 
 def _speed_limit(motion: Motion, model: MotorModel) -> float:

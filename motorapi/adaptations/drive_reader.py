@@ -155,6 +155,15 @@ class DriveReader:
             return self.reference() - self.units.position(self._objects.read_int(0x6064))
         return self.units.position(error)
 
+    def position_source(self) -> str:
+        """Where the position in `latest` comes from."""
+        facts = self._hardware.control.facts
+        if facts is None or facts.status is None:
+            return "6064h, asked for by SDO"
+        found = facts.status
+        every = f" every {found.event_ms} ms" if found.event_ms else ""
+        return f"6064h in TPDO {found.cob_id & 0x7FF:03X}h{every}, when it was heard"
+
     def latest(self) -> Measurement | None:
         """What was heard last; neither waits nor sends."""
         node, units = self._node, self._units

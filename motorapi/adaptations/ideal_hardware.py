@@ -232,7 +232,7 @@ class IdealHwMotor:
         now_ns = self.runtime.now_ns()
         now = self.reading()
         if self._motion is not None and not quickly:
-            deceleration = self._motion.deceleration
+            deceleration = self._motion.stop_deceleration or self._motion.deceleration
         if quickly and self._power is MotorState.ENABLED:
             self._power = MotorState.STOPPED
         self._take(Ramped(now_ns, now, 0.0, deceleration, deceleration), self._motion)

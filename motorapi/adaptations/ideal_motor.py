@@ -123,6 +123,9 @@ class IdealMotor(Motor):
         now_ns = self.runtime.now_ns()
         return Measurement(now_ns, hardware.state, position, velocity, torque, 0.0)
 
+    def _position_source(self) -> str:
+        return "the law of its motion"
+
     def _refresh(self) -> float | None:
         return self._hardware.look_again_s()
 

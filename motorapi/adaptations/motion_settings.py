@@ -1,11 +1,16 @@
 """What a drive is to hold beside a motion's own mode, profile and target, when it begins.
 
 That is the logical motor's parameters; and what a motion needs for its time alone, which the drive
-has back afterwards: a slope of torque, a quick stop within the model's limit.
+has back afterwards: a slope of torque, a quick stop within the model's limit, the ramp of a halt.
 """
 
 from motorapi.adaptations.cia402_hardware import Cia402HwMotor
-from motorapi.adaptations.cia402_parameters import WINDOW_OFF, Cia402Parameters, Place
+from motorapi.adaptations.cia402_parameters import (
+    HALT_OPTION,
+    WINDOW_OFF,
+    Cia402Parameters,
+    Place,
+)
 from motorapi.adaptations.drive_reader import DriveReader
 from motorapi.adaptations.drive_torque import STEEPEST, torque_profile_of
 from motorapi.commands import ControlVariable, Motion
@@ -33,7 +38,25 @@ def settings_of(
         slope = torque_profile_of(motion, reader.torque_unit()).slope
         if slope is not None and slope != STEEPEST:
             wanted[0x6087, 0] = slope
-    return wanted
+    return wanted | _halt_settings(motion, hardware, reader)
+
+
+def _halt_settings(
+    motion: Motion, hardware: Cia402HwMotor, reader: DriveReader
+) -> dict[Place, int]:
+    """What makes a halt slow down as the motion says; nothing, if it says nothing of its own.
+
+    605Dh = 1 is the motion's own ramp, 6084h; 2 is that of a quick stop, 6085h, which then is as
+    steep as the motion says, for its time.
+    """
+    asked = motion.stop_deceleration
+    if asked is None or hardware.objects.read_optional(HALT_OPTION) is None:
+        return {}
+    units = reader.known()[0]
+    steepest = units.acceleration_raw(asked)
+    if steepest == units.acceleration_raw(motion.deceleration):
+        return {(HALT_OPTION, 0): 1}
+    return {(HALT_OPTION, 0): 2, (0x6085, 0): steepest}
 
 
 def window_of(

@@ -247,6 +247,9 @@ class SoftwareMotor(Motor):
             (servo.demand - servo.position) / scale,
         )
 
+    def _position_source(self) -> str:
+        return "counts that came with SYNC"
+
     def _measure_velocity(self) -> float:
         """Velocity where no cycle brings counts: of two that are asked for."""
         hardware = self._hardware
@@ -296,7 +299,9 @@ class SoftwareMotor(Motor):
         behind = own.following_error_window
         if behind is None:
             behind = 10.0 * model.start_tolerance
-        deceleration = model.deceleration if motion is None else motion.deceleration
+        deceleration = model.deceleration
+        if motion is not None:
+            deceleration = motion.stop_deceleration or motion.deceleration
         period_s = self._hardware.io.cycle.period_s
         return ServoLimits(
             current_max_a=current_a,

@@ -1,0 +1,261 @@
+"""The straight line on which phase-synchronised motors go, and how far from it they are.
+
+The line goes from where all began to where all shall end. At any instant the group is somewhere in
+the space of its joints, and the nearest point of the line is where it should be: what each motor is
+off from there is its deviation, whenever it got there. To be late together is none. "Nearest" needs
+a measure that turning and sliding motors share: the time that each needs at its own maximum
+velocity. With D_i the way, x_i the way made and v_i the maximum velocity of motor i
+
+    part of the line made   s = (sum D_i x_i / v_i²) / (sum D_i² / v_i²)
+    deviation of motor i    x_i - s D_i
+"""
+
+# ruff: noqa: SLF001 -- it works the hooks of motors, as motorapi.execution does
+
+from collections import deque
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import TYPE_CHECKING, Final, final
+
+from motorapi.errors import MotorError
+from motorapi.execution import Started
+from motorapi.generation import Trapezoid, shortest
+from motorapi.synchronization import PathDeviation
+
+if TYPE_CHECKING:
+    from motorapi.commands import Motion
+    from motorapi.motor import Motor
+    from motorapi.runtime import Registration
+
+LOOK_PERIOD_S: Final = 0.005
+"""How often it is looked whether something new was heard of the motors."""
+
+_KEPT: Final = 8
+
+
+@final
+@dataclass(frozen=True, slots=True)
+class Line:
+    """A straight line in the space of the joints, for motors that have a way to go.
+
+    Attributes:
+        starts: where each begins [U].
+        ways: how far each goes, signed, not 0 [U].
+        speeds: the maximum velocity of each [U/s]: the measure of what is near.
+    """
+
+    starts: tuple[float, ...]
+    ways: tuple[float, ...]
+    speeds: tuple[float, ...]
+
+    def deviations(self, positions: Sequence[float]) -> list[float]:
+        """How far each motor is from the nearest point of the line, signed [U]."""
+        scaled = [way / speed for way, speed in zip(self.ways, self.speeds, strict=True)]
+        longest = max(abs(way) for way in scaled)
+        weights = [way / longest for way in scaled]  # so that no square vanishes or overflows
+        made = [position - start for position, start in zip(positions, self.starts, strict=True)]
+        times = [way / speed / longest for way, speed in zip(made, self.speeds, strict=True)]
+        total = sum(weight * weight for weight in weights)
+        part = sum(weight * time for weight, time in zip(weights, times, strict=True)) / total
+        return [way - part * whole for way, whole in zip(made, self.ways, strict=True)]
+
+    def without(self, place: int) -> "Line":
+        """The line of the others."""
+        return Line(
+            self.starts[:place] + self.starts[place + 1 :],
+            self.ways[:place] + self.ways[place + 1 :],
+            self.speeds[:place] + self.speeds[place + 1 :],
+        )
+
+
+def line_of(started: "Sequence[Started]") -> Line:
+    """The line of motions, as the hardware rounds its ends; all of them have a way to go."""
+    return Line(
+        tuple(one.quantised.start for one in started),
+        tuple(one.quantised.distance for one in started),
+        tuple(one.motor.model.velocity_max for one in started),
+    )
+
+
+def moving(started: "Sequence[Started]") -> "list[Started]":
+    """Those that have a way to go, to the hardware's resolution."""
+    return [one for one in started if one.quantised.distance != 0.0]
+
+
+def predicted(started: "Sequence[Started]") -> list[float]:
+    """How far rounding to the hardware's units takes each motor from the line, at most [U].
+
+    Exact: between the corners of all profiles deviations are parabolas, and their highest points
+    are known. Of what servos, clocks and different instants of starting do, it tells nothing.
+
+    Args:
+        started: phase-synchronised, all with a way to go.
+    """
+    profiles = [_profile(one) for one in started]
+    line = line_of(started)
+
+    def at(time_s: float) -> list[float]:
+        made = [profile.position(time_s) for profile in profiles]
+        return line.deviations([start + way for start, way in zip(line.starts, made, strict=True)])
+
+    corners: set[float] = {0.0}
+    for profile in profiles:
+        corners |= {profile.ramp_up_s, profile.ramp_down_s, profile.duration_s}
+    ordered = sorted(corners)
+    worst = [0.0] * len(started)
+    for begin, end in pairwise(ordered):
+        first, half, last = at(begin), at(0.5 * (begin + end)), at(end)
+        for place, highest in enumerate(worst):
+            worst[place] = max(highest, _highest(first[place], half[place], last[place]))
+    return worst
+
+
+def predicted_path(
+    motors: "Sequence[Motor]", motions: "Sequence[Motion]"
+) -> tuple[PathDeviation, ...]:
+    """How far rounding will take each motor that has a way to go from the line."""
+    started = moving(
+        [
+            Started(motor, motion, motor._call(motor._quantise, motion))
+            for motor, motion in zip(motors, motions, strict=True)
+        ]
+    )
+    return tuple(
+        PathDeviation(one.motor.name, None, "not begun yet", predicted=most)
+        for one, most in zip(started, predicted(started), strict=True)
+    )
+
+
+def _profile(one: "Started") -> Trapezoid:
+    motion = one.quantised
+    return shortest(motion.distance, motion.velocity, motion.acceleration, motion.deceleration)
+
+
+def _highest(first: float, half: float, last: float) -> float:
+    """The largest size of the parabola through values at 0, 1/2 and 1, between 0 and 1."""
+    highest = max(abs(first), abs(last))
+    square = 2.0 * (first - 2.0 * half + last)
+    slope = last - first - square
+    if square != 0.0:
+        top = -0.5 * slope / square
+        if 0.0 < top < 1.0:
+            highest = max(highest, abs(first + (slope + square * top) * top))
+    return highest
+
+
+@final
+class PathWatch:
+    """Looks at what is heard of the motors of one start, and keeps the largest deviations.
+
+    Positions of different motors are compared at one instant: that of the sample of the motor that
+    was heard of least recently. The others are interpolated between two of their samples.
+
+    Args:
+        started: phase-synchronised.
+        looked: is called after each look.
+    """
+
+    def __init__(self, started: "Sequence[Started]", looked: Callable[[], None]) -> None:
+        self._started = started
+        self._looked = looked
+        self._members = moving(started)
+        self._line = line_of(self._members)
+        self._predicted = predicted(self._members)
+        self._kept: list[deque[tuple[int, float]]] = [deque(maxlen=_KEPT) for _ in self._members]
+        self._worst: dict[str, float] = {}
+        self._age_ns: dict[str, int] = {}
+        self._compared_ns = -1
+        self._timer: Registration | None = None
+
+    def begin(self) -> None:
+        """It looks from now on."""
+        if len(self._members) > 1:
+            self._timer = self._members[0].motor.runtime.every(LOOK_PERIOD_S, self._look_again)
+            self.look()
+
+    def end(self) -> None:
+        """It looks no more; ending again does nothing."""
+        if self._timer is not None:
+            self._timer.cancel()
+            self._timer = None
+
+    def leave(self, motor: "Motor") -> None:
+        """The motor is on the line no more; the others may be."""
+        for place, one in enumerate(self._members):
+            if one.motor is motor:
+                self._members = [*self._members[:place], *self._members[place + 1 :]]
+                del self._kept[place]
+                self._line = self._line.without(place)
+                break
+        if len(self._members) < 2:
+            self.end()
+
+    def _look_again(self) -> None:
+        self.look()
+        self._looked()
+
+    def look(self) -> None:
+        """What was heard of the motors meanwhile is compared with the line."""
+        for one, kept in zip(self._members, self._kept, strict=True):
+            try:
+                latest = one.motor.latest()
+            except MotorError:  # it is gone: what it failed of is told elsewhere
+                continue
+            if latest is None or latest.position is None:
+                continue
+            if not kept or latest.time_ns > kept[-1][0]:
+                kept.append((latest.time_ns, latest.position))
+        if not all(self._kept):
+            return
+        at_ns = min(kept[-1][0] for kept in self._kept)
+        if at_ns > self._compared_ns:
+            self._compare(at_ns)
+
+    def _compare(self, at_ns: int) -> None:
+        found = [_interpolated(kept, at_ns) for kept in self._kept]
+        positions = [sample[0] for sample in found if sample is not None]
+        if len(positions) < len(found):
+            return  # of one nothing was heard before that
+        self._compared_ns = at_ns
+        deviations = self._line.deviations(positions)
+        for one, off, sample in zip(self._members, deviations, found, strict=True):
+            name = one.motor.name
+            self._worst[name] = max(self._worst.get(name, 0.0), abs(off))
+            if sample is not None:
+                self._age_ns[name] = max(self._age_ns.get(name, 0), sample[1])
+
+    def told(self) -> tuple[PathDeviation, ...]:
+        """What was found of each motor, in the group's order."""
+        bound = {
+            one.motor.name: most
+            for one, most in zip(moving(self._started), self._predicted, strict=True)
+        }
+        return tuple(self._of(one.motor, bound.get(one.motor.name)) for one in self._started)
+
+    def _of(self, motor: "Motor", most: float | None) -> PathDeviation:
+        if most is None:
+            return PathDeviation(motor.name, None, "it has no way to go", predicted=0.0)
+        source = motor._call(motor._position_source)
+        age_ns = self._age_ns.get(motor.name)
+        return PathDeviation(
+            motor.name,
+            self._worst.get(motor.name),
+            source,
+            None if age_ns is None else age_ns / 1e9,
+            predicted=most,
+        )
+
+
+def _interpolated(kept: "deque[tuple[int, float]]", at_ns: int) -> tuple[float, int] | None:
+    """The position at an instant between two samples, and how far from it the nearer one is."""
+    later: tuple[int, float] | None = None
+    for sample in reversed(kept):
+        if sample[0] <= at_ns:
+            if later is None or sample[0] == at_ns:
+                return sample[1], at_ns - sample[0]
+            part = (at_ns - sample[0]) / (later[0] - sample[0])
+            away_ns = min(at_ns - sample[0], later[0] - at_ns)
+            return sample[1] + part * (later[1] - sample[1]), away_ns
+        later = sample
+    return None
