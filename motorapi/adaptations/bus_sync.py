@@ -43,6 +43,9 @@ _LOST_PERIODS: Final = 10
 _LOST_NS: Final = 250_000_000
 _STRAYS_MAX: Final = 2  # foreign SYNCs, within so many periods, beside our own
 _STRAY_PERIODS: Final = 8
+_REGULAR: Final = 5  # SYNCs
+_REGULAR_PART: Final = 0.3  # of the interval
+_STRANGER: Final = "somebody who is not of ours"
 _SYNCS_A_TURN: Final = 2  # one that fires, and one that takes out what was disarmed
 
 
@@ -90,13 +93,29 @@ class BusSync:
         return self._is_producer
 
     def cyclic(self) -> CyclicSync | None:
-        """The SYNC that runs on the bus, as far as it is known without waiting; None: none does."""
+        """The SYNC that runs on the bus, as far as can be told without waiting; None: none does.
+
+        Also what is only heard so regularly that it may be one.
+        """
+        known = self.known()
+        if known is not None or len(self._heard) < _REGULAR:
+            return known
+        steps = sorted(later - earlier for earlier, later in pairwise(self._heard))
+        middle_ns = steps[len(steps) // 2]
+        is_regular = steps[-1] - steps[0] <= _REGULAR_PART * middle_ns
+        since_ns = self._runtime.now_ns() - self._heard_ns
+        if is_regular and since_ns <= _GONE * middle_ns:
+            return CyclicSync(middle_ns, _STRANGER, False)
+        return None
+
+    def known(self) -> CyclicSync | None:
+        """The SYNC that is known to run on the bus; None: none is."""
         seated = self._bus.seat.look()
         if seated is not None:
             return seated
         since_ns = self._runtime.now_ns() - self._heard_ns
         if self._foreign_ns and since_ns <= _GONE * self._foreign_ns:
-            return CyclicSync(self._foreign_ns, "somebody who is not of ours", False)
+            return CyclicSync(self._foreign_ns, _STRANGER, False)
         self._foreign_ns = 0
         return None
 
@@ -108,7 +127,7 @@ class BusSync:
         seat = self._bus.seat
         if seat.is_of(self) and not self._is_producer:
             self._runtime.wait_until(lambda: not seat.is_of(self), _SLOWEST_NS / 1e9)
-        known = self.cyclic()
+        known = self.known()
         heard, turn = self._since_turn, self._turn
         self._since_turn, self._turn = 0, self.turns.number
         if known is not None:
@@ -128,7 +147,7 @@ class BusSync:
             pass  # one interval is not yet a period
         self._foreign_ns = _median(tuple(self._heard))
         self._since_turn = 0
-        return self.cyclic()
+        return self.known()
 
     def _hears_another(self, last_ns: int, within_ns: int) -> bool:
         return self._runtime.wait_until(lambda: self._heard_ns != last_ns, within_ns / 1e9)
@@ -155,7 +174,7 @@ class BusSync:
 
     def check(self, period_s: float) -> None:
         """Raises UsageError if a SYNC of another period is known to run on the bus."""
-        period_ns, known = round(period_s * 1e9), self.cyclic()
+        period_ns, known = round(period_s * 1e9), self.known()
         if known is not None and not known.has_period(period_ns):
             who = known.who if self._period_ns is None else ""
             raise self._other_period(known.period_ns, who, period_ns)
@@ -221,7 +240,7 @@ class BusSync:
         silent_ns = self._runtime.now_ns() - self._heard_ns
         if silent_ns > max(_LOST_PERIODS * period_ns, _LOST_NS):
             known = self._bus.seat.look()
-            who = "somebody who is not of ours" if known is None else known.who
+            who = _STRANGER if known is None else known.who
             self._lose(f"no SYNC came for {silent_ns / 1e6:.0f} ms; it was produced by {who}")
 
     def _lose(self, reason: str) -> None:
@@ -296,9 +315,7 @@ class BusSync:
         strays.append(time_ns)
         near = time_ns - strays[0] <= _STRAY_PERIODS * period_ns
         if len(strays) == _STRAYS_MAX and near:
-            self._lose(
-                "somebody who is not of ours produces SYNC as well; a bus has one SYNC producer"
-            )
+            self._lose(f"{_STRANGER} produces SYNC as well; a bus has one SYNC producer")
 
     def close(self) -> None:
         """Nothing is sent or told any more."""

@@ -349,7 +349,7 @@ class DriveControl:
             return
         self._link.confirmed(transmissions)
         self.has_started()
-        if not self._link.latching and self._link.cyclic_sync() is None:
+        if not self._link.latching and self._link.bus_sync.known() is None:
             self._link.confirmed([self._link.sync()])
 
     def _overwrite_latch(self, fence: "Fence | None") -> list[Transmission]:
