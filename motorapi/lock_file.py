@@ -2,19 +2,25 @@
 
 The locks are Linux's open file description locks (fcntl(2), F_OFD_SETLK): whatever an open file
 has locked the kernel unlocks when its last descriptor is gone, however the process died. Two open
-files exclude each other in one process too, so threads need no second lock.
+files exclude each other in one process too, so threads need no second lock. Which byte means what
+is in `motorapi.lock_layout`.
 
-    ... [ _HELD - token ... _HELD ] [ place 0 ] [ place 1 ] [ place 2 ] ...
-        whoever has the lock         who waits, in order
-
-- *Who has it* is whoever has locked the byte `_HELD`: one, by the kernel's word, whatever the file
-  says. How far the range reaches down is its token, so a reader has it from the kernel.
+- *Who has it* is whoever has locked the byte HELD of the present *epoch*: one, by the kernel's
+  word, whatever the file says. How far the range reaches down is its token, so a reader has it from
+  the kernel.
 - *Who waits* has locked one byte, its place, behind every place there was when it came. It is its
   turn when no place before it is locked. A waiter that dies leaves a gap, which nobody waits for.
-- Whoever finds the whole row free takes `_HELD` and place 0 in one step.
+- Whoever finds the whole row free takes HELD and MARK in one step. Whoever has waited keeps its
+  place while it has the lock. So there is always a byte that the next one can wait for.
 
 No step of this is guarded by another lock: a process that is paused in the middle of it stops
 nobody but those whom it has to precede.
+
+Nobody can unlock what a living process has locked. So it is not the byte that is taken over from
+it: the *epoch* moves on, and with it the byte that counts (`motorapi.lock_takeover`). Who has the
+byte of an epoch that is over has nothing. Whether the epoch is over, and what may be done only
+while it is not, are settled together: a commanding write is made with WRITING locked, shared; the
+epoch is moved with WRITING locked for oneself.
 
 Whoever lets go says so before, by its token: what was had and not let go was a dead process's.
 
@@ -27,90 +33,69 @@ import os
 import struct
 import threading
 import weakref
-import zlib
-from dataclasses import dataclass
 from typing import Final, final
 
 from motorapi.errors import UsageError
 from motorapi.lock_directory import LockDirectory
+from motorapi.lock_layout import (
+    BLOCK,
+    EPOCH,
+    EPOCH_AT,
+    HEADER,
+    LAST_SIZE,
+    LEASE,
+    LEASE_AT,
+    LINES,
+    MAGIC,
+    MAGIC_BEFORE,
+    NUMBER,
+    PLACES,
+    RELEASED_AT,
+    Line,
+    held_at,
+    last_of,
+    line_block,
+    waiter_block,
+)
 
 _FLOCK: Final = struct.Struct("@hhqqi0q")  # struct flock: type, whence, start, length, pid
-_HELD: Final = (1 << 62) - 1
-_PLACES: Final = _HELD + 1
 _UNLOCK_ALL: Final = _FLOCK.pack(fcntl.F_UNLCK, os.SEEK_SET, 0, 0, 0)
-_ANY: Final = _FLOCK.pack(fcntl.F_WRLCK, os.SEEK_SET, _HELD, 0, 0)
-_AT_ONCE: Final = _FLOCK.pack(fcntl.F_WRLCK, os.SEEK_SET, _HELD, 2, 0)
-_HOLD: Final = _FLOCK.pack(fcntl.F_WRLCK, os.SEEK_SET, _HELD, 1, 0)
-
-_MAGIC: Final = b"motorhil"
-_HEAD: Final = struct.Struct("<8sQ16sIIQQQ")
-_TAIL: Final = struct.Struct("<64s96s96s")
-_CHECK: Final = struct.Struct("<I")
-_RECORD_SIZE: Final = _HEAD.size + _TAIL.size + _CHECK.size
-_SLOT: Final = 512
-_RELEASED: Final = 504  # the token that was let go last, behind the record
-_TOKEN: Final = struct.Struct("<Q")
-_SLOTS: Final = 128
-"""So many waiters are told by name."""
-_READS_MAX: Final = 20
 
 
-@final
-@dataclass(frozen=True, slots=True)
-class Record:
-    """Who has a lock, or waits for it.
-
-    Attributes:
-        number: the token of a holder, the place of a waiter.
-        identity: 16 bytes that nobody else ever has.
-        pid, uid, born: the process; `born` tells it from a later one of the same pid.
-        since_ns, since_utc_ns: since when, of the monotonic clock and of the calendar's.
-        program, purpose, label: in words; the label is what is locked.
-    """
-
-    number: int
-    identity: bytes
-    pid: int
-    uid: int
-    born: int
-    since_ns: int
-    since_utc_ns: int
-    program: str
-    purpose: str
-    label: str
+def flock(kind: int, start: int, length: int) -> bytes:
+    """What the kernel is told of a range; of length 0: to the end."""
+    return _FLOCK.pack(kind, os.SEEK_SET, start, length, 0)
 
 
-def pack_words(program: str, purpose: str, label: str) -> bytes:
-    """The words of a record, cut to the room there is."""
-    return _TAIL.pack(_cut(program, 64), _cut(purpose, 96), _cut(label, 96))
-
-
-def _cut(text: str, size: int) -> bytes:
-    return text.encode("utf-8", "replace")[:size].decode("utf-8", "ignore").encode()
-
-
-def pack_record(
-    number: int,
-    identity: bytes,
-    process: tuple[int, int, int],
-    since: tuple[int, int],
-    words: bytes,
-) -> bytes:
-    """A record as it stands in the file; `process` is (pid, uid, born)."""
-    pid, uid, born = process
-    head = _HEAD.pack(_MAGIC, number, identity, pid, uid, born, since[0], since[1])
-    return b"".join((head, words, _CHECK.pack(zlib.crc32(words, zlib.crc32(head)))))
-
-
-def _unpack_record(data: bytes) -> Record | None:
-    """None: there is none, or it is just being written."""
-    if len(data) != _RECORD_SIZE or _CHECK.unpack(data[-4:])[0] != zlib.crc32(data[:-4]):
+def find(fd: int, kind: int, start: int, length: int) -> tuple[int, int] | None:
+    """(first, last) byte of a lock there that excludes one of `kind`; None: there is none."""
+    asked = flock(kind, start, length)
+    found, _, first, size, _ = _FLOCK.unpack(fcntl.fcntl(fd, fcntl.F_OFD_GETLK, asked))
+    if found == fcntl.F_UNLCK:
         return None
-    _, number, identity, pid, uid, born, since_ns, since_utc_ns = _HEAD.unpack_from(data)
-    words = _TAIL.unpack_from(data, _HEAD.size)
-    program, purpose, label = (word.rstrip(b"\0").decode("utf-8", "replace") for word in words)
-    return Record(number, identity, pid, uid, born, since_ns, since_utc_ns, program, purpose, label)
+    return first, (first + size if size else 1 << 63) - 1
 
+
+def first_places(fd: int, start: int, end: int) -> list[int]:
+    """All places locked in a range of bytes, in order; the kernel tells one at a time, in none."""
+    if start >= end:
+        return []
+    one = find(fd, fcntl.F_RDLCK, start, end - start)
+    if one is None:
+        return []
+    before, behind = first_places(fd, start, one[0]), first_places(fd, one[1] + 1, end)
+    return [*before, one[0] - PLACES, *behind]
+
+
+_AT_ONCE: Final = tuple(flock(fcntl.F_WRLCK, held_at(line), 2) for line in range(LINES))
+_HOLD: Final = tuple(flock(fcntl.F_WRLCK, held_at(line), 1) for line in range(LINES))
+_DROP: Final = tuple(flock(fcntl.F_UNLCK, held_at(line), 3) for line in range(LINES))
+_WRITE: Final = tuple(flock(fcntl.F_RDLCK, held_at(line) + 2, 1) for line in range(LINES))
+_WRITE_ALONE: Final = tuple(flock(fcntl.F_WRLCK, held_at(line) + 2, 1) for line in range(LINES))
+_WRITTEN: Final = tuple(flock(fcntl.F_UNLCK, held_at(line) + 2, 1) for line in range(LINES))
+_NO_LEASE: Final = LEASE.pack(0, 0)
+_NOTHING: Final = (0, 0, 0)
+_LAST_SIZE: Final = HEADER.size + LAST_SIZE
 
 _forking: Final = threading.Lock()
 """Nobody forks between the opening of a file and its being known here."""
@@ -119,24 +104,31 @@ _opened: Final["weakref.WeakSet[LockFile]"] = weakref.WeakSet()
 
 @final
 class LockFile:
-    """One open file of a lock: one who has it, or waits for it. Nothing here waits, but one.
+    """One open file of a lock: one who has it, or waits for it. Nothing here waits, but two.
 
     It is closed, which unlocks, when it is dropped; in a forked child at once, which does not.
+
+    Attributes:
+        epoch: as looked up last; once it is taken, the one in which it was.
+        base: the first place that counts in it: those before are of who lost the lock.
     """
 
-    __slots__ = ("__weakref__", "_fd", "name")
+    __slots__ = ("__weakref__", "_epoch_bytes", "_fd", "_last", "_row", "base", "epoch", "name")
 
     def __init__(self, directory: LockDirectory, name: str) -> None:
         self._fd = -1
+        self._last: tuple[int, bytes, bool] | None = None
         self.name: Final = str(directory.path / name)
         with _forking:
             fd = directory.open(name)
             assert fd is not None
             self._fd = fd
             _opened.add(self)
-        magic = os.pread(fd, len(_MAGIC), 0)
-        if magic.strip(b"\0") and magic != _MAGIC:
+        magic = os.pread(fd, len(MAGIC), 0)
+        if magic.strip(b"\0") and magic not in (MAGIC, MAGIC_BEFORE):
             raise UsageError(f"{self.name}: this is no lock file; remove it")
+        self._note_epoch(0, 0)
+        self.look_up()
 
     def __del__(self) -> None:
         self.close()
@@ -157,14 +149,38 @@ class LockFile:
         """Whether somebody has removed the file, so that others use another one."""
         return os.fstat(self._fd).st_nlink == 0
 
+    @property
+    def is_current(self) -> bool:
+        """Whether the epoch is still the one that was looked up."""
+        data = os.pread(self._fd, NUMBER.size, EPOCH_AT)
+        return data == self._epoch_bytes or not (data or self.epoch)
+
+    def look_up(self) -> bool:
+        """The epoch is known; whether it is another one than before."""
+        data = os.pread(self._fd, EPOCH.size, EPOCH_AT)
+        epoch, base = EPOCH.unpack(data) if len(data) == EPOCH.size else (0, 0)
+        if epoch == self.epoch and base == self.base:
+            return False
+        self._note_epoch(epoch, base)
+        return True
+
+    def _note_epoch(self, epoch: int, base: int) -> None:
+        self.epoch, self.base = epoch, base
+        self._epoch_bytes = NUMBER.pack(epoch)
+        self._row = flock(fcntl.F_WRLCK, PLACES + base, 0)
+
     # ---- taking it ----
 
     def take_at_once(self) -> bool:
         """Whether it was free, nobody waited, and it is taken."""
-        fd = self._fd
-        if _is_locked(fcntl.fcntl(fd, fcntl.F_OFD_GETLK, _ANY)):
-            return False
-        return self._try(_AT_ONCE)
+        while _is_locked(fcntl.fcntl(self._fd, fcntl.F_OFD_GETLK, self._row)):
+            if not self.look_up():
+                return False
+        return self._take(_AT_ONCE)
+
+    def take_in_front(self) -> bool:
+        """Whether it was free, whoever waited, and it is taken."""
+        return self._take(_AT_ONCE)
 
     def queue_up(self, at_least: int = 1) -> int:
         """The place taken in the queue: behind everybody who came before.
@@ -174,37 +190,79 @@ class LockFile:
         """
         place = at_least
         while True:
-            place = self._first_free(place)
-            if not self._try(_at(place)):
+            place = self._first_free(max(place, self.base))
+            if not self._try(flock(fcntl.F_WRLCK, PLACES + place, 1)):
                 continue
-            above = _find(self._fd, fcntl.F_RDLCK, _PLACES + place + 1, 0)
-            if above is None:
-                return place
+            if find(self._fd, fcntl.F_RDLCK, PLACES + place + 1, 0) is None:
+                self.look_up()
+                if place >= self.base:
+                    return place
             self.let_go()  # somebody came before us in the meantime
 
     def take(self, place: int) -> bool:
         """Whether it is the turn of this place, and it is taken."""
-        if _find(self._fd, fcntl.F_RDLCK, _PLACES, place) is not None:
-            return False
-        return self._try(_HOLD)
+        return self.is_first(place) and self._take(_HOLD)
+
+    def is_first(self, place: int) -> bool:
+        """Whether nobody waits before this place."""
+        while place > self.base:
+            if find(self._fd, fcntl.F_RDLCK, PLACES + self.base, place - self.base) is None:
+                break
+            if not self.look_up():
+                return False
+        return True
+
+    def _take(self, which: tuple[bytes, ...]) -> bool:
+        """Whether HELD of the present epoch is ours."""
+        while True:
+            epoch = self.epoch
+            number = epoch % LINES
+            if not self._try(which[number]):
+                if not self.look_up():
+                    return False
+                continue
+            data = os.pread(self._fd, _LAST_SIZE + BLOCK * number, EPOCH_AT)
+            now, _, intent = HEADER.unpack_from(data) if len(data) >= HEADER.size else _NOTHING
+            if now == epoch and (intent != epoch + 1 or not self._is_being_taken(number)):
+                self._last = last_of(data, HEADER.size + BLOCK * number)
+                return True
+            self._try(_DROP[number])  # it was moved on before we had it
+            if not self.look_up():
+                return False
+
+    def _is_being_taken(self, number: int) -> bool:
+        """Whether somebody takes it over now; one who died at it has not locked the byte."""
+        return find(self._fd, fcntl.F_RDLCK, held_at(number) + 2, 1) is not None
 
     def wait_before(self, place: int) -> None:
-        """Nobody is before the place any more. The one call that waits, without a limit."""
-        whole = _FLOCK.pack(fcntl.F_RDLCK, os.SEEK_SET, _PLACES, place, 0)
-        fcntl.fcntl(self._fd, fcntl.F_OFD_SETLKW, whole)
+        """Nobody is before the place any more. Waits without a limit, as `wait_for_mark` does."""
+        if place > self.base:
+            whole = flock(fcntl.F_RDLCK, PLACES + self.base, place - self.base)
+            fcntl.fcntl(self._fd, fcntl.F_OFD_SETLKW, whole)
+            self.let_go()
+
+    def wait_for_mark(self) -> None:
+        """Whoever took it at once, in the epoch looked up last, does not have it any more."""
+        mark = flock(fcntl.F_RDLCK, held_at(self.epoch) + 1, 1)
+        fcntl.fcntl(self._fd, fcntl.F_OFD_SETLKW, mark)
         self.let_go()
 
     def let_go(self) -> None:
         """Nothing is taken, no place is kept."""
+        self._last = None
         if self._fd >= 0:
             fcntl.fcntl(self._fd, fcntl.F_OFD_SETLK, _UNLOCK_ALL)
 
+    def let_go_of_places(self) -> None:
+        """What is taken is kept, and no place."""
+        fcntl.fcntl(self._fd, fcntl.F_OFD_SETLK, flock(fcntl.F_UNLCK, PLACES, 0))
+
     def _first_free(self, place: int) -> int:
         while True:
-            found = _find(self._fd, fcntl.F_WRLCK, _PLACES + place, 0)
+            found = find(self._fd, fcntl.F_WRLCK, PLACES + place, 0)
             if found is None:
                 return place
-            place = found[1] - _PLACES + 1
+            place = found[1] - PLACES + 1
 
     def _try(self, lock: bytes) -> bool:
         try:
@@ -215,119 +273,62 @@ class LockFile:
 
     # ---- saying who has it ----
 
-    def last(self) -> tuple[int, bytes, bool]:
-        """(token, identity) of who had it last, and whether it died with it."""
-        head = os.pread(self._fd, _SLOT, 0)
-        if len(head) < _HEAD.size:
-            return 0, b"", False
-        _, token, identity, *_ = _HEAD.unpack_from(head)
-        return token, identity, token != _released(head)
+    def last(self) -> tuple[int, bytes, bool] | None:
+        """(token, identity) of who had it before it was taken now, and whether it died with it.
 
-    def tell_holder(self, token: int, record: bytes) -> None:
+        None: nobody ever had it, as far as is known.
+        """
+        return self._last
+
+    def line(self) -> Line:
+        """What the block of the epoch looked up last says."""
+        return Line(os.pread(self._fd, BLOCK, line_block(self.epoch)))
+
+    def tell_holder(self, token: int, record: bytes, lease: bytes = _NO_LEASE) -> None:
         """Everybody can read that we have it, and who we are."""
-        held = _FLOCK.pack(fcntl.F_WRLCK, os.SEEK_SET, _HELD - token, token, 0)
-        fcntl.fcntl(self._fd, fcntl.F_OFD_SETLK, held)
-        os.pwrite(self._fd, record, 0)
+        fd, epoch = self._fd, self.epoch
+        held = flock(fcntl.F_WRLCK, held_at(epoch) - token, token)
+        fcntl.fcntl(fd, fcntl.F_OFD_SETLK, held)
+        os.pwrite(fd, lease + record, line_block(epoch) + LEASE_AT)
+        if self._last is None:
+            os.pwrite(fd, MAGIC, 0)
 
     def tell_release(self, token: int) -> None:
         """Everybody can read that it was let go."""
         if self._fd >= 0:
-            os.pwrite(self._fd, _TOKEN.pack(token), _RELEASED)
+            os.pwrite(self._fd, NUMBER.pack(token), line_block(self.epoch) + RELEASED_AT)
 
     def tell_waiter(self, place: int, record: bytes) -> None:
         """Everybody can read that we wait, and who we are."""
-        os.pwrite(self._fd, record, _slot(place))
+        os.pwrite(self._fd, record, waiter_block(place))
 
+    def tell_lease(self, lease_ns: int, end_ns: int) -> None:
+        """Everybody can read how long we have it, inside of a write section."""
+        os.pwrite(self._fd, LEASE.pack(lease_ns, end_ns), line_block(self.epoch) + LEASE_AT)
 
-@final
-class LockReader:
-    """Looks at a lock file without ever taking, or delaying, anything."""
+    # ---- writing while it cannot be taken over ----
 
-    def __init__(self, fd: int) -> None:
-        self._fd = fd
+    def try_write(self) -> bool:
+        """Whether nobody can take it over now, until `end_write`; False: somebody just does."""
+        return self._fd >= 0 and self._try(_WRITE[self.epoch % LINES])
 
-    def close(self) -> None:
-        """Closed; closing again does nothing."""
-        fd, self._fd = self._fd, -1
-        if fd >= 0:
-            os.close(fd)
+    def end_write(self) -> None:
+        """It can be taken over again."""
+        fcntl.fcntl(self._fd, fcntl.F_OFD_SETLK, _WRITTEN[self.epoch % LINES])
 
-    def label(self) -> str | None:
-        """What the lock is for; None if it was never taken."""
-        record = _unpack_record(os.pread(self._fd, _RECORD_SIZE, 0))
-        return None if record is None else record.label
+    def try_write_alone(self) -> bool:
+        """Whether nobody else writes in the epoch looked up last, nor begins to."""
+        return self._try(_WRITE_ALONE[self.epoch % LINES])
 
-    def abandoned(self) -> int:
-        """The token of who died with it, if nobody had it since; else 0."""
-        data = os.pread(self._fd, _SLOT, 0)
-        record = _unpack_record(data[:_RECORD_SIZE])
-        if record is None or record.number == _released(data) or self.is_held():
-            return 0
-        return record.number
-
-    def is_held(self) -> bool:
-        """Whether somebody has it."""
-        return _find(self._fd, fcntl.F_RDLCK, _HELD, 1) is not None
-
-    def holder(self) -> Record | None:
-        """Who has it; None: nobody, or one who has not yet said (see `is_held`)."""
-        for _ in range(_READS_MAX):
-            found = _find(self._fd, fcntl.F_RDLCK, _HELD, 1)
-            if found is None:
-                return None
-            record = _unpack_record(os.pread(self._fd, _RECORD_SIZE, 0))
-            if record is not None and record.number == _HELD - found[0]:
-                return record
-        return None
-
-    def waiters(self) -> list[tuple[int, Record | None]]:
-        """(place, who) of those who wait, in order; None: it has not yet said who."""
-        found = []
-        for place in self._places(_PLACES + 1, (1 << 63) - 1):
-            record = _unpack_record(os.pread(self._fd, _RECORD_SIZE, _slot(place)))
-            found.append((place, record if record and record.number == place else None))
-        if found and self.is_held() and _find(self._fd, fcntl.F_RDLCK, _PLACES, 1) is None:
-            found.pop(0)  # whoever waited for it and has it now keeps its place
-        return found
-
-    def _places(self, first: int, end: int) -> list[int]:
-        """All places locked in that range; the kernel tells one, in no order."""
-        if first >= end:
-            return []
-        one = _find(self._fd, fcntl.F_RDLCK, first, end - first)
-        if one is None:
-            return []
-        return [*self._places(first, one[0]), one[0] - _PLACES, *self._places(one[1] + 1, end)]
-
-
-def _released(data: bytes) -> int:
-    """The token that was let go last, in what the file begins with."""
-    if len(data) < _RELEASED + _TOKEN.size:
-        return 0
-    token: int = _TOKEN.unpack_from(data, _RELEASED)[0]
-    return token
-
-
-def _at(place: int) -> bytes:
-    return _FLOCK.pack(fcntl.F_WRLCK, os.SEEK_SET, _PLACES + place, 1, 0)
-
-
-def _slot(place: int) -> int:
-    return _SLOT * (1 + place % _SLOTS)
+    @property
+    def fd(self) -> int:
+        """The descriptor, for `motorapi.lock_takeover`."""
+        return self._fd
 
 
 def _is_locked(answer: bytes) -> bool:
     kind: int = _FLOCK.unpack(answer)[0]
     return kind != fcntl.F_UNLCK
-
-
-def _find(fd: int, kind: int, start: int, length: int) -> tuple[int, int] | None:
-    """(first, last) byte of a lock there that excludes one of `kind`; None: there is none."""
-    asked = _FLOCK.pack(kind, os.SEEK_SET, start, length, 0)
-    found, _, first, size, _ = _FLOCK.unpack(fcntl.fcntl(fd, fcntl.F_OFD_GETLK, asked))
-    if found == fcntl.F_UNLCK:
-        return None
-    return first, (first + size if size else 1 << 63) - 1
 
 
 def _in_child() -> None:

@@ -12,7 +12,8 @@ from pathlib import Path
 from typing import Final, final
 
 from motorapi.lock_directory import LockDirectory
-from motorapi.lock_file import LockReader, Record
+from motorapi.lock_layout import Record, Takeover
+from motorapi.lock_reader import LockReader
 
 
 def read_process(pid: int) -> tuple[str, int] | None:
@@ -84,7 +85,10 @@ class LockView:
     """A lock at one moment.
 
     Attributes: name (of its file), label (what it locks), holder (None: it is free), waiters (place
-    and who, in order), abandoned (the token of who died with it, if nobody had it since; else 0).
+    and who, in order), abandoned (the token of who died with it, if nobody had it since; else 0),
+    token (of who has it, or had it last), lease_s (of the holder; None: it has none), lease_left_s
+    (how long it lasts; negative: it is over since), is_writing (it cannot be taken over now),
+    taken_over (how the holder took it from one who lives; None: it did not).
     """
 
     name: str
@@ -92,6 +96,11 @@ class LockView:
     holder: Occupant | None
     waiters: tuple[tuple[int, Occupant], ...]
     abandoned: int = 0
+    token: int = 0
+    lease_s: float | None = None
+    lease_left_s: float = 0.0
+    is_writing: bool = False
+    taken_over: Takeover | None = None
 
 
 def look(directory: LockDirectory, name: str) -> LockView:
@@ -108,7 +117,33 @@ def look(directory: LockDirectory, name: str) -> LockView:
         record = reader.holder()
         holder = Occupant(record) if record is not None or reader.is_held() else None
         waiters = tuple((place, Occupant(one)) for place, one in reader.waiters())
-        return LockView(name, reader.label() or name, holder, waiters, reader.abandoned())
+        line, label = reader.line(), reader.label() or name
+        if holder is None or record is None:
+            return LockView(name, label, holder, waiters, reader.abandoned(), line.token)
+        has_lease = line.token == record.number and line.lease_ns > 0
+        return LockView(
+            name,
+            label,
+            holder,
+            waiters,
+            token=record.number,
+            lease_s=line.lease_ns / 1e9 if has_lease else None,
+            lease_left_s=(line.lease_end_ns - time.monotonic_ns()) / 1e9 if has_lease else 0.0,
+            is_writing=reader.is_writing(),
+            taken_over=reader.takeover_by(record.number),
+        )
+    finally:
+        reader.close()
+
+
+def find_takeover(directory: LockDirectory, name: str, lost: int) -> Takeover | None:
+    """How the token `lost` was lost; None: it was not, or that is long ago."""
+    fd = directory.open(name, to_read=True)
+    if fd is None:
+        return None
+    reader = LockReader(fd)
+    try:
+        return reader.takeover_of(lost)
     finally:
         reader.close()
 

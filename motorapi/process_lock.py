@@ -16,39 +16,29 @@ import os
 import threading
 import time
 import weakref
-from collections.abc import Callable
-from typing import Final, Protocol, final, runtime_checkable
+from typing import Final, final
 
 from motorapi.errors import MotorBusyError, UsageError
-from motorapi.hold import Hold
+from motorapi.hold import Hold, Loss
 from motorapi.lock_directory import LockDirectory
-from motorapi.lock_file import LockFile, pack_record, pack_words
-from motorapi.lock_view import LockView, Occupant, ThisProcess, look
+from motorapi.lock_file import LockFile
+from motorapi.lock_layout import LEASE, pack_record, pack_words
+from motorapi.lock_takeover import TakeoverAttempt
+from motorapi.lock_taking import Taking, Wait, Wakeable, Wish, busy_error, plain_wait
+from motorapi.lock_view import LockView, Occupant, ThisProcess, find_takeover, look
 from motorapi.lock_watch import QueueWatcher
 from motorapi.runtime import Runtime
 
-__all__ = ["Hold", "ProcessLock", "can_share_time", "this_process"]
+__all__ = ["Hold", "ProcessLock", "Wait", "can_share_time", "this_process"]
 
 _WORDS_MAX: Final = 64
 """So many purposes of a lock are kept packed."""
-
-
-Wait = Callable[[Runtime, Callable[[], bool], float | None], bool]
-"""As `Runtime.wait_until`, with the runtime in front."""
-
-
-@runtime_checkable
-class _Wakeable(Protocol):
-    def wake(self) -> None: ...
+_NO_LEASE: Final = LEASE.pack(0, 0)
 
 
 def can_share_time(runtime: Runtime) -> bool:
     """Whether another process can end a wait in this runtime: it is the wall's."""
-    return isinstance(runtime, _Wakeable)
-
-
-def _plain_wait(runtime: Runtime, done: Callable[[], bool], timeout_s: float | None) -> bool:
-    return runtime.wait_until(done, timeout_s)
+    return isinstance(runtime, Wakeable)
 
 
 @final
@@ -79,6 +69,7 @@ class ProcessLock:
         self._watcher = QueueWatcher(self._open)
         self._spare: LockFile | None = None
         self._hold: Hold | None = None
+        self._writing: dict[int, list[Hold]] = {}  # by thread
 
     # ---- taking ----
 
@@ -117,13 +108,27 @@ class ProcessLock:
         if hold is not None and hold.owner is owner:
             hold.again()
             return hold
+        lease_ns = 0 if lease_s is None else round(lease_s * 1e9)
         while True:
             file = self._take_file()
             try:
-                if not file.take_at_once():
-                    self._wait(file, runtime, purpose, timeout_s, asker, wait or _plain_wait)
+                takeover: TakeoverAttempt | None = None
+                if take_over or not file.take_at_once():
+                    wish = Wish(
+                        runtime,
+                        timeout_s,
+                        asker or self.label,
+                        wait or plain_wait,
+                        lease_ns,
+                        take_over,
+                        lambda number, reason: self._record(number, purpose, reason),
+                    )
+                    takeover = self._take(file, wish)
                 if not file.is_gone:
-                    return self._publish(file, purpose, owner)
+                    hold = self._publish(file, purpose, lease_ns, takeover, owner)
+                    if hold is not None:
+                        return hold
+                    continue
             except OSError as error:
                 file.close()
                 raise UsageError(f"{file.name}: {error.strerror}") from error
@@ -132,6 +137,13 @@ class ProcessLock:
                 raise
             file.close()  # somebody has tidied up: who comes now uses a new file
 
+    def _take(self, file: LockFile, wish: Wish) -> TakeoverAttempt | None:
+        """It is taken, not at once; how, if from one who lives. Raises MotorBusyError."""
+        pid = this_process().pid
+        taking = Taking(file, wish, self._watcher, self._mutex, self.look, pid)
+        taking.take()
+        return taking.takeover
+
     @property
     def hold(self) -> Hold | None:
         """The hold that this process has now through this object, if any."""
@@ -139,34 +151,51 @@ class ProcessLock:
         return hold if hold is not None and hold.is_held else None
 
     def begin_write(self, asker: str = "") -> int:
-        """The token of this process's hold, which cannot be taken over until `end_write`.
+        """The token of this process's hold, which nobody can take over until `end_write`.
 
-        May be nested. What is written in between must be short, and must not wait.
+        Any thread may, and may nest it. What is written in between must be short, and not wait.
 
         Raises:
-            MotorBusyError: this process does not have it; says who, and why that is so.
+            MotorBusyError: this process does not have it, or has lost it; says to whom, and why.
         """
-        hold = self.hold
+        thread = threading.get_ident()
+        stack = self._writing.get(thread)
+        if stack is None:
+            stack = self._writing[thread] = []
+        hold = stack[-1] if stack else self._hold
         if hold is None:
-            raise self._not_ours(asker or self.label)
+            raise self.not_ours(asker)
+        hold.begin_write(asker)
+        stack.append(hold)
         return hold.token
 
     def end_write(self) -> None:
-        """What was begun by `begin_write` is over."""
+        """What this thread has begun by `begin_write` is over."""
+        self._writing[threading.get_ident()].pop().end_write()
 
-    def _not_ours(self, asker: str) -> MotorBusyError:
+    def not_ours(self, asker: str) -> MotorBusyError:
+        """What somebody is told who would write and does not have it."""
         holder = self.look().holder
-        who = "nobody of this process" if holder is None else holder.who
-        record = None if holder is None else holder.record
+        if holder is not None:
+            return busy_error(None, asker or self.label, holder, "")
         return MotorBusyError(
-            motor=asker,
-            holder=who,
+            motor=asker or self.label,
+            holder="nobody, and must be taken before it is commanded,",
             since_ns=0,
-            since="" if holder is None else holder.since,
-            purpose="" if record is None else record.purpose,
-            pid=None if record is None else record.pid,
-            program="" if record is None else record.program,
+            since="it was given back",
         )
+
+    def loss_of(self, token: int) -> Loss:
+        """How the token was lost."""
+        takeover = find_takeover(self._directory, self.name, token)
+        if takeover is None:
+            return Loss("somebody", "", "how is not known any more")
+        return _loss(Occupant(takeover.by), takeover.reason)
+
+    def loss_by_removal(self) -> Loss | None:
+        """Who has it by a new file, after the one it was had by was removed; None: nobody."""
+        holder = self.look().holder
+        return None if holder is None else _loss(holder, "its lock file had been removed")
 
     def give_back(self, file: LockFile) -> None:
         """Nothing is locked by way of this open file; it is kept for the next time."""
@@ -192,10 +221,30 @@ class ProcessLock:
             file, self._spare = self._spare, None
         return self._open() if file is None else file
 
-    def _publish(self, file: LockFile, purpose: str, owner: object) -> Hold:
-        token, identity, was_abandoned = file.last()
-        token += 1
-        file.tell_holder(token, self._record(token, purpose))
+    def _publish(
+        self,
+        file: LockFile,
+        purpose: str,
+        lease_ns: int,
+        takeover: TakeoverAttempt | None,
+        owner: object,
+    ) -> Hold | None:
+        """What was taken, as everybody can read; None: it is lost again already."""
+        if takeover is not None:
+            token, identity, was_abandoned = takeover.token, takeover.from_identity, False
+        else:
+            last = file.last()
+            if last is None:  # greater than any there may have been in a file that was removed
+                last = time.time_ns() // 1000, b"", False
+            token, identity, was_abandoned = last
+            token += 1
+            lease = _NO_LEASE
+            if lease_ns:
+                lease = LEASE.pack(lease_ns, time.monotonic_ns() + lease_ns)
+            file.tell_holder(token, self._record(token, purpose, None), lease)
+            if not identity and not file.is_current:  # taken over, by a token that may be smaller
+                self.give_back(file)
+                return None
         hold = self._hold = Hold(
             self,
             file,
@@ -203,93 +252,39 @@ class ProcessLock:
             token,
             changed_hands=identity != self._identity,
             was_abandoned=was_abandoned,
+            was_taken_over=takeover is not None,
+            lease_ns=lease_ns,
         )
         return hold
 
-    def _record(self, number: int, purpose: str) -> bytes:
+    def _record(self, number: int, purpose: str, reason: str | None) -> bytes:
         process = this_process()
-        words = self._words.get(purpose)
-        if words is None:
+        if reason is not None:
+            words = pack_words(process.program, purpose, reason)
+        else:
+            words = self._words.get(purpose, b"")
+        if not words:
             if len(self._words) >= _WORDS_MAX:
                 self._words.clear()
             words = self._words[purpose] = pack_words(process.program, purpose, self.label)
         since = time.monotonic_ns(), time.time_ns()
         return pack_record(number, self._identity, process.facts, since, words)
 
-    # ---- waiting ----
-
-    def _wait(
-        self,
-        file: LockFile,
-        runtime: Runtime,
-        purpose: str,
-        timeout_s: float | None,
-        asker: str,
-        wait: Wait,
-    ) -> None:
-        """It is our turn, and it is taken; or MotorBusyError."""
-        with self._mutex:
-            place = file.queue_up(1 + self._watcher.busy_before)
-        if file.take(place):
-            return
-        if timeout_s is None or timeout_s > 0.0:
-            file.tell_waiter(place, self._record(place, purpose))
-            if isinstance(runtime, _Wakeable):
-                if self._wait_woken(file, place, runtime, timeout_s, wait):
-                    return
-            elif not self._has_strangers(place) and wait(
-                runtime, lambda: file.take(place), timeout_s
-            ):
-                return
-        raise self._busy(runtime, place, asker or self.label)
-
-    def _wait_woken(
-        self, file: LockFile, place: int, runtime: Runtime, timeout_s: float | None, wait: Wait
-    ) -> bool:
-        assert isinstance(runtime, _Wakeable)
-        wake = runtime.wake
-        watch = self._watcher.watch(place, wake)
-
-        def is_taken() -> bool:
-            nonlocal watch
-            if file.take(place):
-                return True
-            if watch.is_first:  # and yet it is not our turn: somebody was quicker, and before us
-                watch = self._watcher.watch(place, wake)
-            return False
-
-        try:
-            return wait(runtime, is_taken, timeout_s)
-        finally:
-            self._watcher.forget(watch)
-
-    def _has_strangers(self, place: int) -> bool:
-        """Whether anybody before us is of another process."""
-        view = self.look()
-        ahead = [one for there, one in view.waiters if there < place]
-        if view.holder is not None:
-            ahead.append(view.holder)
-        pid = this_process().pid
-        return any(one.record is None or one.record.pid != pid for one in ahead)
-
-    def _busy(self, runtime: Runtime, place: int, asker: str) -> MotorBusyError:
-        view = self.look()
-        ahead = [one for there, one in view.waiters if there < place]
-        who = view.holder or (ahead[0] if ahead else Occupant(None))
-        record = who.record
-        return MotorBusyError(
-            motor=asker,
-            holder=who.who,
-            since_ns=runtime.now_ns() - round(who.age_s * 1e9),
-            since=who.since,
-            purpose="" if record is None else record.purpose,
-            pid=None if record is None else record.pid,
-            program="" if record is None else record.program,
-        )
-
     def look(self) -> LockView:
         """Who has it and who waits for it now. Looking takes nothing and delays nobody."""
         return look(self._directory, self.name)
+
+
+def _loss(who: Occupant, reason: str) -> Loss:
+    record = who.record
+    return Loss(
+        who.who,
+        "" if record is None else record.purpose,
+        reason,
+        since=who.since,
+        pid=None if record is None else record.pid,
+        program="" if record is None else record.program,
+    )
 
 
 _all_lock: Final = threading.Lock()

@@ -1,9 +1,15 @@
 """A program of its own that takes a lock: it does what it reads line by line, and prints an answer.
 
-python -m tests.wall.lock_holder FOLDER NAME
+python -m tests.wall.lock_holder FOLDER NAME [BASE]
 
-    take PURPOSE [TIMEOUT_S]    "has TOKEN CHANGED_HANDS", or "busy WHY"
+    take PURPOSE [TIMEOUT_S]    "has TOKEN-BASE CHANGED_HANDS", or "busy WHY"
+    lease PURPOSE LEASE_S [TIMEOUT_S]    the same, with a lease
+    over PURPOSE                the same, taken over from whoever has it
     release                     "released"
+    write                       "wrote TOKEN-BASE", or "busy WHY"
+    begin                       "began", in the middle of a write until "end"
+    renew                       "renewed", or "busy WHY"
+    held                        "held True", or "held False, lost to WHOM"
     fork                        "forked PID": a child that lives until it is killed
     child                       "child PID": a program that inherits all it can, likewise
     fork_take PURPOSE           "forked PID ANSWER": what `take PURPOSE` answers the child
@@ -17,7 +23,7 @@ import sys
 
 from motorapi.errors import MotorBusyError
 from motorapi.lock_directory import LockDirectory
-from motorapi.process_lock import ProcessLock
+from motorapi.process_lock import Hold, ProcessLock
 from motorapi.wall_runtime import WallRuntime
 
 
@@ -28,24 +34,75 @@ def fork() -> int:
     return pid
 
 
+class Holder:
+    """What it is asked to do with the lock."""
+
+    def __init__(self, lock: ProcessLock, base: int) -> None:
+        self.runtime = WallRuntime()
+        self.hold: Hold | None = None
+        self._lock, self._base = lock, base
+
+    def told(self, hold: Hold) -> str:
+        return f"has {hold.token - self._base} {hold.changed_hands}"
+
+    def take(self, purpose: str, timeout_s: str = "0.0") -> str:
+        self.hold = self._lock.acquire(self.runtime, purpose, float(timeout_s))
+        return self.told(self.hold)
+
+    def lease(self, purpose: str, lease_s: str, timeout_s: str = "0.0") -> str:
+        self.hold = self._lock.acquire(
+            self.runtime, purpose, float(timeout_s), lease_s=float(lease_s)
+        )
+        return self.told(self.hold)
+
+    def over(self, purpose: str) -> str:
+        self.hold = self._lock.acquire(self.runtime, purpose, take_over=True)
+        return self.told(self.hold)
+
+    def write(self) -> str:
+        token = self._lock.begin_write()
+        self._lock.end_write()
+        return f"wrote {token - self._base}"
+
+    def begin(self) -> str:
+        self._lock.begin_write()
+        return "began"
+
+    def end(self) -> str:
+        self._lock.end_write()
+        return "ended"
+
+    def renew(self) -> str:
+        assert self.hold is not None
+        self.hold.renew()
+        return "renewed"
+
+    def held(self) -> str:
+        assert self.hold is not None
+        lost = "" if self.hold.lost_to is None else f", lost to {self.hold.lost_to}"
+        return f"held {self.hold.is_held}{lost}"
+
+    def release(self) -> str:
+        assert self.hold is not None
+        self.hold.release()
+        return "released"
+
+    def answer(self, word: str, *rest: str) -> str:
+        try:
+            text: str = getattr(self, word)(*rest)
+        except MotorBusyError as error:
+            return f"busy {error}"
+        return text
+
+
 def main() -> None:
-    folder, name = sys.argv[1:]
+    folder, name, *base = sys.argv[1:]
     lock = ProcessLock(name, f"the {name}", LockDirectory(folder))
-    hold = None
-    runtime = WallRuntime()
+    holder = Holder(lock, int(base[0]) if base else 0)
     for line in sys.stdin:
         word, *rest = line.split()
-        if word == "take":
-            timeout_s = float(rest[1]) if len(rest) > 1 else 0.0
-            try:
-                hold = lock.acquire(runtime, rest[0], timeout_s)
-            except MotorBusyError as error:
-                answer = f"busy {error}"
-            else:
-                answer = f"has {hold.token} {hold.changed_hands}"
-        elif word == "release" and hold is not None:
-            hold.release()
-            answer = "released"
+        if hasattr(Holder, word):
+            answer = holder.answer(word, *rest)
         elif word == "fork":
             answer = f"forked {fork()}"
         elif word == "fork_take":
@@ -53,8 +110,7 @@ def main() -> None:
             child = os.fork()
             if child == 0:
                 try:
-                    taken = lock.acquire(WallRuntime(), rest[0])
-                    told = f"has {taken.token} {taken.changed_hands}"
+                    told = holder.told(lock.acquire(WallRuntime(), rest[0]))
                 except MotorBusyError as error:
                     told = f"busy {error}"
                 os.write(theirs, told.encode())

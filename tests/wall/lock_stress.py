@@ -127,12 +127,12 @@ class Flock:
 def plant(fault, folder):
     """The lock is broken in the way that `fault` says."""
     if fault == "no order":  # whoever is quickest
-        LockFile.take = lambda file, place: file._try(lock_file._HOLD)
+        LockFile.take = lambda file, place: file._take(lock_file._HOLD)
     elif fault == "no token":
         LockFile.last = lambda file: (0, b"", False)
     elif fault == "no exclusion":
         LockFile.take = lambda file, place: True
-        LockFile.tell_holder = lambda file, token, record: os.pwrite(file._fd, record, 0)
+        LockFile.tell_holder = lambda file, token, record, *lease: None
     elif fault == "stays after death":  # a file that is there, or is not: what so many do
         flag, mine = f"{folder}/flag", set()
         let_go = LockFile.let_go
@@ -154,7 +154,7 @@ def plant(fault, folder):
         LockFile.take_at_once = take_flag
         LockFile.take = lambda file, place: take_flag(file)
         LockFile.let_go = drop_flag
-        LockFile.tell_holder = lambda file, token, record: os.pwrite(file._fd, record, 0)
+        LockFile.tell_holder = lambda file, token, record, *lease: None
     elif fault:
         raise ValueError(fault)
 

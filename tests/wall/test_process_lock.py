@@ -21,12 +21,20 @@ LONG_S = 20.0
 
 
 @pytest.fixture
-def programs(tmp_path):
+def base(tmp_path, wall):
+    """The token before the first; programs tell theirs from there."""
+    lock = ProcessLock("pan", "the pan", LockDirectory(tmp_path))
+    with lock.acquire(wall, "before everything") as hold:
+        return hold.token
+
+
+@pytest.fixture
+def programs(tmp_path, base):
     """Starts programs; none is left."""
     started = []
 
     def start(count=1):
-        new = [Program("lock_holder", tmp_path, "pan") for _ in range(count)]
+        new = [Program("lock_holder", tmp_path, "pan", base) for _ in range(count)]
         started.extend(new)
         return new if count > 1 else new[0]
 
@@ -62,7 +70,7 @@ def holder_pid(lock):
     return holder and holder.record and holder.record.pid
 
 
-def test_another_process_is_refused_and_told_who_has_it(programs, lock, wall):
+def test_another_process_is_refused_and_told_who_has_it(programs, lock, wall, base):
     drive = programs()
     assert drive.ask("take driving") == "has 1 True"
     with pytest.raises(MotorBusyError) as caught:
@@ -76,7 +84,7 @@ def test_another_process_is_refused_and_told_who_has_it(programs, lock, wall):
     )
     assert drive.ask("release") == "released"
     hold = lock.acquire(wall, "looking around")
-    assert (hold.token, hold.changed_hands) == (2, True)
+    assert (hold.token - base, hold.changed_hands) == (2, True)
     refused = drive.ask("take driving")
     assert refused.startswith(f"busy the pan is held by pid {os.getpid()} (")
     assert ") for looking around since 2" in refused
@@ -100,7 +108,7 @@ def test_those_who_wait_have_it_in_the_order_of_asking(programs, lock, wall):
 
 
 def test_the_next_has_it_when_its_holder_is_killed_and_those_killed_waiting_are_passed_over(
-    programs, lock, wall
+    programs, lock, wall, base
 ):
     holder, dies, lives, last = waiting = programs(4)
     assert holder.ask("take holding") == "has 1 True"
@@ -116,7 +124,7 @@ def test_the_next_has_it_when_its_holder_is_killed_and_those_killed_waiting_are_
     assert last.hear() == "has 3 True"
     last.kill()
     assert lock.look().holder is None  # at once: never stale
-    assert lock.acquire(wall, "mine").token == 4
+    assert lock.acquire(wall, "mine").token == base + 4
 
 
 def test_a_paused_holder_is_named_as_such_and_keeps_it(programs, lock, wall):

@@ -1,0 +1,114 @@
+"""Looking at a lock file without ever taking, or delaying, anything."""
+
+import fcntl
+import os
+from typing import Final, final
+
+from motorapi.lock_file import find, first_places
+from motorapi.lock_layout import (
+    BLOCK,
+    EPOCH,
+    EPOCH_AT,
+    PLACES,
+    RECORD_SIZE,
+    TAKEOVERS,
+    Line,
+    Record,
+    Takeover,
+    held_at,
+    line_block,
+    takeover_block,
+    unpack_record,
+    unpack_takeover,
+    waiter_block,
+)
+
+_READS_MAX: Final = 20
+
+
+@final
+class LockReader:
+    """A lock file, open for reading."""
+
+    def __init__(self, fd: int) -> None:
+        self._fd = fd
+
+    def close(self) -> None:
+        """Closed; closing again does nothing."""
+        fd, self._fd = self._fd, -1
+        if fd >= 0:
+            os.close(fd)
+
+    def _epoch(self) -> tuple[int, int]:
+        """(epoch, the first place that counts in it)."""
+        data = os.pread(self._fd, EPOCH.size, EPOCH_AT)
+        if len(data) < EPOCH.size:
+            return 0, 0
+        epoch, base = EPOCH.unpack(data)
+        return epoch, base
+
+    def line(self) -> Line:
+        """Who has it, or had it last, and until when."""
+        return Line(os.pread(self._fd, BLOCK, line_block(self._epoch()[0])))
+
+    def label(self) -> str | None:
+        """What the lock is for; None if it was never taken."""
+        record = self.line().record
+        return None if record is None else record.label
+
+    def abandoned(self) -> int:
+        """The token of who died with it, if nobody had it since; else 0."""
+        line = self.line()
+        if line.is_new or line.token == line.released or self.is_held():
+            return 0
+        return line.token
+
+    def is_held(self) -> bool:
+        """Whether somebody has it."""
+        return find(self._fd, fcntl.F_RDLCK, held_at(self._epoch()[0]), 1) is not None
+
+    def is_writing(self) -> bool:
+        """Whether it cannot be taken over now: in the middle of a write, or of a takeover."""
+        return find(self._fd, fcntl.F_WRLCK, held_at(self._epoch()[0]) + 2, 1) is not None
+
+    def holder(self) -> Record | None:
+        """Who has it; None: nobody, or one who has not yet said (see `is_held`)."""
+        for _ in range(_READS_MAX):
+            epoch, _ = self._epoch()
+            held = held_at(epoch)
+            found = find(self._fd, fcntl.F_RDLCK, held, 1)
+            if found is None:
+                if self._epoch()[0] == epoch:
+                    return None
+                continue
+            record = Line(os.pread(self._fd, BLOCK, line_block(epoch))).record
+            if record is not None and record.number == held - found[0]:
+                return record
+        return None
+
+    def waiters(self) -> list[tuple[int, Record | None]]:
+        """(place, who) of those who wait, in order; None: it has not yet said who."""
+        epoch, base = self._epoch()
+        found = []
+        for place in first_places(self._fd, PLACES + max(1, base), (1 << 63) - 1):
+            record = unpack_record(os.pread(self._fd, RECORD_SIZE, waiter_block(place)))
+            found.append((place, record if record and record.number == place else None))
+        marked = find(self._fd, fcntl.F_RDLCK, held_at(epoch) + 1, 1)
+        if found and marked is None and self.is_held():
+            found.pop(0)  # whoever waited for it and has it now keeps its place
+        return found
+
+    def takeover_of(self, lost: int) -> Takeover | None:
+        """How the token `lost` was lost; None: it was not, or that is long ago."""
+        takeover = unpack_takeover(os.pread(self._fd, BLOCK, takeover_block(lost)))
+        if takeover is None or takeover.lost != lost or self.line().token < takeover.token:
+            return None
+        return takeover
+
+    def takeover_by(self, token: int) -> Takeover | None:
+        """How the holder with this token took it over; None: it did not, or that is long ago."""
+        for slot in range(TAKEOVERS):
+            takeover = unpack_takeover(os.pread(self._fd, BLOCK, takeover_block(slot)))
+            if takeover is not None and takeover.token == token and self.line().token == token:
+                return takeover
+        return None

@@ -1,0 +1,183 @@
+"""Taking a lock from a living process: the epoch of its file moves on.
+
+    lock WRITING of this epoch, for oneself     else: its holder writes, or somebody else takes it
+    write the intent                            who takes it the ordinary way looks for that
+    look again: this epoch, this token, its lease still over
+    lock HELD and MARK of the next epoch that is nobody's
+    write who we are, and whom we take it from
+    write the epoch                             this moves it; everything before changed nothing
+    unlock WRITING
+
+Whoever dies on the way leaves it as it was; or, after the epoch was written, a lock that a dead
+process has not let go of, which the next one finds as usual.
+
+The holder is not in the middle of a write, and begins none, from the first step to the last; so
+the write sections of one epoch are over before the next one begins. A holder that lets go meanwhile
+does so, and finds nothing lost: nobody else gets it the ordinary way until the epoch has moved.
+"""
+
+import fcntl
+import os
+from collections.abc import Callable
+from enum import Enum
+from typing import Final, final
+
+from motorapi.lock_file import LockFile, find, first_places, flock
+from motorapi.lock_layout import (
+    BLOCK,
+    EPOCH,
+    EPOCH_AT,
+    INTENT_AT,
+    LEASE,
+    LINES,
+    MAGIC,
+    NUMBER,
+    PLACES,
+    Line,
+    Record,
+    held_at,
+    line_block,
+    pack_takeover,
+    takeover_block,
+)
+
+
+@final
+class Attempt(Enum):
+    """How it went."""
+
+    TAKEN = "taken"
+    FREE = "nobody has it"
+    NOT_DUE = "its lease is not over"
+    WRITING = "its holder is in the middle of a write"
+    TAKING = "somebody else takes it over"
+    FULL = "too many who lost it live on"
+
+
+@final
+class TakeoverAttempt:
+    """One attempt to take a lock over, by way of an open file.
+
+    Args:
+        file: that has nothing, or a place in the row, which is kept.
+        now_ns: CLOCK_MONOTONIC [ns], to tell whether a lease is over; None: take it in any case.
+        describe: makes the record of the new holder, by its token; and of the takeover, by the
+            token that is lost, with the reason.
+
+    Attributes: token (of the new holder, once it is taken), lost (that of whom it was taken
+    from), from_identity (his; b"": not known).
+    """
+
+    def __init__(
+        self,
+        file: LockFile,
+        now_ns: int | None,
+        describe: Callable[[int, str | None], bytes],
+        lease_ns: int = 0,
+        lease_end_ns: int = 0,
+    ) -> None:
+        self._file: Final = file
+        self._now_ns: Final = now_ns
+        self._describe: Final = describe
+        self._lease: Final = LEASE.pack(lease_ns, lease_end_ns)
+        self.token = 0
+        self.lost = 0
+        self.from_identity = b""
+
+    def make(self) -> Attempt:
+        """It is taken, or why not; then nothing has changed."""
+        file = self._file
+        file.look_up()
+        seen = self._find_due()
+        if seen is not None:
+            return seen
+        if not file.try_write_alone():
+            return self._who_writes()
+        old = file.epoch
+        try:
+            if not file.is_current:
+                return Attempt.TAKING  # somebody else has just done it
+            os.pwrite(file.fd, NUMBER.pack(old + 1), INTENT_AT)
+            seen = self._find_due()
+            if seen is None:
+                seen = self._move_on(old)
+            if seen is not Attempt.TAKEN:
+                os.pwrite(file.fd, NUMBER.pack(0), INTENT_AT)
+            return seen
+        finally:
+            fcntl.fcntl(file.fd, fcntl.F_OFD_SETLK, flock(fcntl.F_UNLCK, held_at(old) + 2, 1))
+
+    def _find_due(self) -> Attempt | None:
+        """None: somebody has it from whom it may be taken."""
+        file = self._file
+        held = held_at(file.epoch)
+        found = find(file.fd, fcntl.F_RDLCK, held, 1)
+        if found is None:
+            return Attempt.FREE
+        line = file.line()
+        told = held - found[0]
+        if self._now_ns is not None and (
+            line.is_new or told != line.token or not 0 < line.lease_end_ns <= self._now_ns
+        ):
+            return Attempt.NOT_DUE
+        self._line = line
+        self.lost = told or self._next(line)
+        return None
+
+    @staticmethod
+    def _next(line: Line) -> int:
+        """The token of one that has it, and has not yet said so: it is the only one that can."""
+        return line.token + 1
+
+    def _who_writes(self) -> Attempt:
+        at = held_at(self._file.epoch) + 2
+        alone = find(self._file.fd, fcntl.F_RDLCK, at, 1)
+        return Attempt.WRITING if alone is None else Attempt.TAKING
+
+    def _move_on(self, old: int) -> Attempt:
+        file = self._file
+        base = self._base_behind(old)
+        for new in range(old + 1, old + LINES):
+            if self._lock(held_at(new)):
+                break
+        else:
+            return Attempt.FULL
+        self.token = self.lost + 1
+        self._write(old, new)
+        os.pwrite(file.fd, EPOCH.pack(new, base), EPOCH_AT)
+        file.look_up()
+        return Attempt.TAKEN
+
+    def _base_behind(self, old: int) -> int:
+        """The first place behind that of the holder, which has none if it took it at once."""
+        file = self._file
+        if find(file.fd, fcntl.F_RDLCK, held_at(old) + 1, 1) is not None:
+            return file.base
+        places = first_places(file.fd, PLACES + file.base, 1 << 63)
+        return max([file.base, *(place + 1 for place in places[:1])])
+
+    def _lock(self, held: int) -> bool:
+        try:
+            fcntl.fcntl(self._file.fd, fcntl.F_OFD_SETLK, flock(fcntl.F_WRLCK, held, 2))
+        except (BlockingIOError, PermissionError):
+            return False
+        return True
+
+    def _write(self, old: int, new: int) -> None:
+        """Everything that the epoch, once it is moved, is to lead to."""
+        fd, token, held = self._file.fd, self.token, held_at(new)
+        fcntl.fcntl(fd, fcntl.F_OFD_SETLK, flock(fcntl.F_WRLCK, held - token, token))
+        victim: Record | None = Line(os.pread(fd, BLOCK, line_block(old))).record
+        if victim is not None and victim.number != self.lost:
+            victim = None
+        self.from_identity = b"" if victim is None else victim.identity
+        takeover = pack_takeover(self._describe(self.lost, self._reason()), token, victim)
+        os.pwrite(fd, takeover, takeover_block(self.lost))
+        told = NUMBER.pack(0) + self._lease + self._describe(token, None)
+        os.pwrite(fd, told.ljust(BLOCK, b"\0"), line_block(new))
+        os.pwrite(fd, MAGIC, 0)
+
+    def _reason(self) -> str:
+        if self._now_ns is None:
+            return "on demand"
+        return f"its lease of {self._line.lease_ns / 1e9:g} s was over"
