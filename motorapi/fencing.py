@@ -17,7 +17,7 @@ Who works a hardware object by itself, without a motor, owns the motor for each 
 long as a stream goes on.
 """
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, ExitStack, contextmanager
 from typing import TYPE_CHECKING, Final, Protocol, final, runtime_checkable
 
@@ -249,21 +249,23 @@ def announce(ownership: "Ownership", bus: "can.BusABC", resource: int) -> None:
         return
 
     def tell(event: "OwnershipEvent") -> None:
-        tell_bus(
-            *(bus, resource, event.action, event.token),
-            owner=event.owner,
-            holder=event.holder,
-            purpose=event.purpose,
-            program=event.program,
-            pid=event.pid,
-            waited_ns=round(event.waited_s * 1e9),
-            held_ns=round(event.held_s * 1e9),
-        )
+        facts: dict[str, str | int] = {
+            "owner": event.owner,
+            "holder": event.holder,
+            "purpose": event.purpose,
+            "program": event.program,
+            "pid": event.pid,
+            "waited_ns": round(event.waited_s * 1e9),
+            "held_ns": round(event.held_s * 1e9),
+        }
+        tell_bus(bus, resource, event.action, event.token, facts)
 
     ownership.listeners.append(tell)
 
 
-def tell_bus(bus: "can.BusABC", resource: int, action: int, token: int, **facts: str | int) -> None:
+def tell_bus(
+    bus: "can.BusABC", resource: int, action: int, token: int, facts: Mapping[str, str | int]
+) -> None:
     """The bus is told of an ownership; if it has gone, whoever commands the motor learns that."""
     from can import CanError
 

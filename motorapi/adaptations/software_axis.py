@@ -4,12 +4,13 @@ from typing import TYPE_CHECKING, Final, final
 
 from motorapi.adaptations.software_courses import POSITION, Course
 from motorapi.adaptations.software_servo import Servo, ServoLimits
-from motorapi.errors import LinkError, MotorError
+from motorapi.errors import LinkError, MotorBusyError, MotorError
 from motorapi.state import Fault, MotorState
 
 if TYPE_CHECKING:
     from motorapi.adaptations.software_gains import PidGains
     from motorapi.adaptations.software_node import AmplifierNode
+    from motorapi.process_lock import Hold
     from motorapi.sharing import PhysicalMotor
 
 READY: Final = 1
@@ -61,6 +62,7 @@ class ServoAxis:
         self._raw_per_ampere: Final = raw_per_ampere
         self._armed: tuple[Course, PidGains, ServoLimits] | None = None
         self._moves = False  # a motion, not a stop
+        self._hold: Hold | None = None  # of the node
 
     # --- what can be seen ------------------------------------------------------------------
 
@@ -97,7 +99,10 @@ class ServoAxis:
         Raises:
             MotorBusyError: another process's servo runs on the node.
         """
-        self._io.occupy()
+        hold, before = self._io.occupation.occupy(), self._hold
+        self._hold = hold
+        if before is not None:
+            before.release()
         self._io.be_heard()
         self.failure = None
         self.servo.forget()
@@ -160,9 +165,12 @@ class ServoAxis:
         try:
             if was_active and self._io.is_switched(self._channel):
                 self._io.switch(self._channel, False)
+        except MotorBusyError:
+            pass  # the node is another process's by now, and so is the amplifier
         finally:
-            if was_active:
-                self._io.vacate()
+            hold, self._hold = self._hold, None
+            if hold is not None:
+                hold.release()
             self._node.news.grow()
 
     # --- what the cycle, and the node, call ------------------------------------------------
@@ -211,7 +219,8 @@ class ServoAxis:
     def fail(self, error: MotorError) -> None:
         """The cycle has failed it: no more control."""
         self.failure = error
-        if self._node.lost_since_ns is None and self._node.is_up:
+        is_lost = isinstance(error, MotorBusyError)  # to another process: no fault of the motor
+        if self._node.lost_since_ns is None and self._node.is_up and not is_lost:
             now_ns = self._io.link.runtime.now_ns()
             self.fault = Fault(COMMUNICATION, str(error), now_ns)
         self._cut_anyhow()

@@ -16,11 +16,13 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final, Protocol, final
 
 from motorapi.adaptations.canopen_link import CanopenLink, Transmission
-from motorapi.errors import DeadlineExceeded, LinkError, MotorError
+from motorapi.errors import DeadlineExceeded, LinkError, MotorBusyError, MotorError
 from motorapi.sharing import PhysicalMotor
 
 if TYPE_CHECKING:
     from motorapi.adaptations.drive_node import DriveNode
+    from motorapi.adaptations.node_occupation import NodeOccupation
+    from motorapi.process_lock import Hold
     from motorapi.runtime import Registration
 
 _LINGER: Final = 2  # cycles in which 0 is sent, after the last motor was switched off
@@ -93,7 +95,12 @@ class ChannelPair:
     """Two channels of a node (or one), whose outputs share a frame, and whose counts do."""
 
     def __init__(
-        self, cycle: "Cycle", node: "DriveNode", identifiers: tuple[int, int], misses_max: int
+        self,
+        cycle: "Cycle",
+        node: "DriveNode",
+        identifiers: tuple[int, int],
+        misses_max: int,
+        occupation: "NodeOccupation",
     ) -> None:
         self.identifiers: Final = identifiers
         self._axes: tuple[Axis | None, Axis | None] = (None, None)
@@ -102,6 +109,8 @@ class ChannelPair:
         self._link = node.link
         self._output_id, self._count_id = identifiers
         self._misses_max = misses_max
+        self._occupation = occupation
+        self._hold: Hold | None = None  # of the node, while outputs are sent
         self._awaited = False  # counts, since the last SYNC
         self._out: Transmission | None = None
         self._linger = _LINGER
@@ -136,7 +145,15 @@ class ChannelPair:
         return self._cycle.has(self)
 
     def join(self) -> None:
-        """It takes part in the cycle as long as one of its axes is active."""
+        """It takes part in the cycle as long as one of its axes is active.
+
+        Raises:
+            MotorBusyError: another process's servo runs on the node.
+        """
+        hold, before = self._occupation.occupy(), self._hold
+        self._hold = hold
+        if before is not None:
+            before.release()
         self._linger = _LINGER
         if not self._cycle.has(self):
             self._awaited = False
@@ -146,8 +163,18 @@ class ChannelPair:
 
     def close(self) -> None:
         """It takes part no more, and hears nothing."""
-        self._cycle.leave(self)
+        self._leave()
         self._link.ignore(self._count_id)
+
+    def _leave(self) -> None:
+        self._cycle.leave(self)
+        self.vacate()
+
+    def vacate(self) -> None:
+        """Its frames are sent no more: the node is not occupied for them."""
+        hold, self._hold = self._hold, None
+        if hold is not None:
+            hold.release()
 
     def _on_counts(self, frame: bytes, time_ns: int) -> None:
         axes = self._axes
@@ -175,9 +202,12 @@ class ChannelPair:
                 if axes[1] is not None:
                     second = axes[1].step(counts[1], cycle, time_ns)
                 frame = _OUTPUTS[1].pack(self._output_id, 4, first, second)
-            self._out = self._link.send_tracked(frame)
+            self._out = self._link.send_tracked(frame, self._occupation.outputs)
         except LinkError as error:
             self.fail(error)
+        except MotorBusyError as error:  # the node is another process's by now
+            self.fail(error)
+            self._leave()
 
     def turn(self) -> None:
         """A SYNC was just queued: the cycle before it is over, and is judged."""
@@ -189,7 +219,7 @@ class ChannelPair:
             self._cycles += 1
             self._judge()
         elif self._linger == 0:
-            self._cycle.leave(self)
+            self._leave()
             return
         else:
             self._linger -= 1
@@ -287,6 +317,7 @@ class Cycle:
         self._registration = None
         for pair in pairs:
             pair.fail(error)
+            pair.vacate()
 
     def start(self, axes: Sequence[Axis]) -> None:
         """All of these have begun what was armed, with one SYNC, which was on the wire.

@@ -20,6 +20,8 @@ from motorapi.adaptations.software_node import CHANNELS_MAX, AmplifierNode, open
 from motorapi.adaptations.software_options import IoFacts, IoOptions
 from motorapi.commands import as_number
 from motorapi.errors import DeadlineExceeded, DeviceFault, LinkError, StateError, UsageError
+from motorapi.fencing import announce
+from motorapi.ownership_events import LockAction
 from motorapi.process_lock import ProcessLock
 from motorapi.runtime import runtime_of
 from motorapi.sharing import (
@@ -37,6 +39,7 @@ if TYPE_CHECKING:
     from motorapi.adaptations.software_courses import Course
     from motorapi.adaptations.software_gains import PidGains
     from motorapi.adaptations.software_servo import Servo, ServoLimits
+    from motorapi.ownership_events import OwnershipEvent
     from motorapi.runtime import Runtime
     from motorapi.synchronization import Trigger
 
@@ -97,7 +100,7 @@ class AmplifierHwMotor:
         self.label: Final = f"{bus_label(bus)} node {node_id} channel {channel}"
         self._key = (*bus_key(bus), node_id, "channel", channel)
         lock = node_locks(bus, self.runtime, node_id, self.label)[0]
-        if lock is not None:  # of this motor; the node's own is `io.lock`
+        if lock is not None:  # of this motor; the node's own is that of `io.occupation`
             lock = ProcessLock(f"{lock.name}-channel{channel}", self.label)
         self.physical: Final[PhysicalMotor] = register_physical_motor(
             self._key, self.label, self, lock
@@ -125,6 +128,9 @@ class AmplifierHwMotor:
         self._homed_at_boot = -1
         self.io.on_facts.append(self._take_place)
         self.io.on_inputs.append(self.axis.see_inputs)
+        self._took_over = False
+        announce(self.physical.ownership, bus, channel << 8 | node_id)
+        self.physical.ownership.listeners.append(self._see_ownership)
 
     def __repr__(self) -> str:
         return f"<AmplifierHwMotor {self.label}: {self.state().value}>"
@@ -154,6 +160,8 @@ class AmplifierHwMotor:
         Raises:
             UsageError: the node has no such channel.
         """
+        if self._took_over:
+            self._end_others()
         if self._pair is not None and self.io.is_up:
             return self.io.connect()
         if self.is_closed:
@@ -163,6 +171,15 @@ class AmplifierHwMotor:
             if self._pair is None:
                 self._take_place(facts)
             return facts
+
+    def _end_others(self) -> None:
+        """The servos of the process that this motor was taken from end; its amplifiers are off."""
+        facts = self.io.connect()
+        occupation = self.io.occupation
+        with occupation.occupied(take_over=True):
+            self._took_over = False
+            if facts.channels and not self.axis.is_active:
+                self.io.switch(self.channel, False)
 
     def _take_place(self, facts: IoFacts) -> None:
         """The node was brought up: this motor has its place in the frames, and its count."""
@@ -210,7 +227,7 @@ class AmplifierHwMotor:
         """A frame of your own is on its way; see `Cia402HwMotor.send_frame`."""
         frame = raw_frame(can_id, data, extended=extended)
         with self.physical.passage(self.label, of_holder=True):
-            return self.link.send_tracked(frame)
+            return self.link.send_tracked(frame, self.io.occupation.fence)
 
     def listen(self, *can_ids: int) -> FrameInbox:
         """Frames of others with these identifiers (none: all), as they are, from now on."""
@@ -309,6 +326,13 @@ class AmplifierHwMotor:
             raise
         axis.hold(gains, limits)
 
+    def _see_ownership(self, event: "OwnershipEvent") -> None:
+        """Who takes a motor over from a living process takes the node it is on."""
+        if event.action is LockAction.TAKEN_OVER:
+            self._took_over = True
+        elif event.action in (LockAction.RELEASED, LockAction.LOST):
+            self._took_over = False
+
     def _await(self, done: Callable[[], bool], awaited: str) -> None:
         axis = self.axis
         if not self.runtime.wait_until(
@@ -333,7 +357,7 @@ class AmplifierHwMotor:
         """The amplifier is off. Raises MotorBusyError as `enable`."""
         self.connect()
         channel = self.channel
-        with self.io.occupied():
+        with self.io.occupation.occupied():
             self.axis.cut()
             self.io.switch(channel, False)
             self.runtime.wait_until(lambda: not self.io.status(channel) & READY, _OFF_TIMEOUT_S)
@@ -347,7 +371,7 @@ class AmplifierHwMotor:
         """
         self.connect()
         axis = self.axis
-        with self.io.occupied():
+        with self.io.occupation.occupied():
             axis.cut()
             self.io.switch(self.channel, False)  # what resets an amplifier
             if not self.runtime.wait_until(lambda: axis.amplifier_fault_ns is None, _OFF_TIMEOUT_S):
