@@ -35,10 +35,13 @@ from harness.rig_file import (
     read_rig,
 )
 from harness.rig_parts import Named, RigController, RigFaults
+from harness.rig_traffic import traffic_of
 from harness.settings import RigError
+from harness.timing_from_controller import with_timing
 from harness.virtual_time import VirtualRuntime
 from motorapi.errors import FileError, UsageError
 from motorapi.model import MotorModel
+from motorapi.traffic import declare_traffic
 
 if TYPE_CHECKING:
     from harness.can_plugin import EmulatedBus
@@ -263,6 +266,7 @@ class Rig:
 
         bus = EmulatedBus(channel=name)
         self._in_use.callback(bus.shutdown)
+        declare_traffic(bus, traffic_of(self.description, name))
         return bus
 
     def _controller(self, name: str) -> RigController:
@@ -273,7 +277,11 @@ class Rig:
         place = ("motor", name)
         plugin = self._plugins[ADAPTATIONS][motor.adaptation]
         build = self._load(plugin, (*place, "adaptation"))
-        settings: dict[str, object] = {"name": name, **motor.settings}
+        controller = None if motor.controller is None else self.world.controller(motor.controller)
+        own, note = with_timing(self.description, motor, controller)
+        if note:
+            self.notes.append(note)
+        settings: dict[str, object] = {"name": name, **own}
         if motor.node_id is not None:
             settings["node_id"] = motor.node_id
         bus = None if motor.bus is None else self.bus(motor.bus)

@@ -6,6 +6,7 @@ and a motor's own settings are checked by whoever builds them, and told with the
 
     [rig]                       name, seed
     [bus.NAME]                  kind = "can", bitrate_bit_s
+    [[bus.NAME.message]]        what others send there: identifier, length, period_s, jitter_s
     [controller.NAME]           kind, bus, node_id, and the kind's own settings
     [motor.NAME]                adaptation, model, and its own; where it is: controller, or bus and
                                 node_id, or nothing, if its adaptation needs no bus
@@ -18,15 +19,19 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from types import MappingProxyType
-from typing import Final, final
+from typing import TYPE_CHECKING, Final, final
 
 from harness.rig_faults import HOST, FaultDescription, read_faults
+from harness.rig_traffic import read_messages
 from harness.settings import RigError, Source, Table, read_source
 from harness.toml_lines import KeyPath
 from harness.wording import listed, one_line
 
+if TYPE_CHECKING:
+    from motorapi.traffic import PeriodicMessage
+
 RIG_KEYS: Final = ("name", "seed")
-BUS_KEYS: Final = ("kind", "bitrate_bit_s")
+BUS_KEYS: Final = ("kind", "bitrate_bit_s", "message")
 BUS_KINDS: Final = ("can",)
 GROUP_KEYS: Final = ("motors",)
 TOP_KEYS: Final = ("rig", "bus", "controller", "motor", "group", "fault")
@@ -41,11 +46,17 @@ _NEW_REMEDY: Final = "check the path, or write a new rig: motorhil new DIR"
 @final
 @dataclass(frozen=True, slots=True)
 class BusDescription:
-    """A bus; `bitrate_bit_s` divides 1e9, so that a bit takes a whole number of nanoseconds."""
+    """A bus.
+
+    Attributes:
+        bitrate_bit_s: divides 1e9, so that a bit takes a whole number of nanoseconds.
+        messages: what others send; None: its traffic is not declared.
+    """
 
     name: str
     kind: str
     bitrate_bit_s: int
+    messages: "tuple[PeriodicMessage, ...] | None" = None
 
 
 @final
@@ -229,7 +240,7 @@ def _bus(name: str, table: Table) -> BusDescription:
             f"a bit of {rate} bit/s is not a whole number of nanoseconds",
             "usual: 1_000_000, 800_000, 500_000, 250_000, 125_000, 100_000, 50_000, 20_000, 10_000",
         )
-    return BusDescription(name, kind, rate)
+    return BusDescription(name, kind, rate, read_messages(table, rate))
 
 
 def _controller(

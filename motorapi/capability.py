@@ -10,12 +10,11 @@ from motorapi import planning
 from motorapi.errors import UsageError
 from motorapi.execution import Started, plan
 from motorapi.group_planning import TIME, Common
+from motorapi.skew import Bound, Member, command_bound, end_bound, start_bound
 from motorapi.synchronization import (
     SyncCapability,
     SyncLevel,
-    SyncOffer,
     SyncQuality,
-    predicted_start_skew_s,
     spread_s,
 )
 
@@ -40,24 +39,33 @@ def capability_of(motors: Sequence["Motor"], common: Common = TIME) -> SyncCapab
 
 
 def _capability(motors: Sequence["Motor"], common: Common) -> SyncCapability:
-    offers: list[SyncOffer] = []
     for motor in motors:
         motor._call(motor._connect)
-        offers.append(motor._call(motor._sync_offer))
+    offers = [motor._call(motor._sync_offer) for motor in motors]  # once all are known
     weakest = min(range(len(offers)), key=lambda place: offers[place].level)
     level, reason = offers[weakest].level, offers[weakest].reason
     for place, offer in enumerate(offers):
         if offer.group != offers[0].group and level is not SyncLevel.SEQUENTIAL:
             level, weakest = SyncLevel.SEQUENTIAL, place
             reason = f"it has another trigger ({offer.group}) than {motors[0].name}"
-    together = all(offer.group == offers[0].group for offer in offers)
+    durations, not_planned = _durations_s(motors, common)
+    members = [
+        Member(motor.name, offer, duration_s)
+        for motor, offer, duration_s in zip(motors, offers, durations, strict=True)
+    ]
+    command = command_bound(members)
+    start = start_bound(members, command)
+    end = Bound(None, not_planned) if not_planned else end_bound(members, start)
     return SyncCapability(
         level=level,
-        command_skew_s=0.0 if together else None,
-        start_skew_s=predicted_start_skew_s(offers),
-        end_skew_s=_predicted_end_skew_s(motors, common),
+        command_skew_s=command.value_s,
+        start_skew_s=start.value_s,
+        end_skew_s=end.value_s,
         weakest=motors[weakest].name,
         reason=reason,
+        no_command_bound=command.reason,
+        no_start_bound=start.reason,
+        no_end_bound=end.reason,
     )
 
 
@@ -97,14 +105,18 @@ def end_skew_s(started: Sequence[Started]) -> float:
     return max(durations_s) - min(durations_s) if durations_s else 0.0
 
 
-def _predicted_end_skew_s(motors: Sequence["Motor"], common: Common) -> float | None:
+def _durations_s(motors: Sequence["Motor"], common: Common) -> tuple[list[float | None], str]:
+    """How long each motor takes, as its hardware makes it (None: it does not end by itself).
+
+    And why nothing can be started now, "" if it can.
+    """
     try:
         motions = plan(motors, common)
-    except UsageError:
-        return None
-    return end_skew_s(
-        [
-            Started(motor, motion, motor._call(motor._quantise, motion))
-            for motor, motion in zip(motors, motions, strict=True)
-        ]
-    )
+    except UsageError as error:
+        return [None for _ in motors], f"nothing can be started now: {error}"
+    durations: list[float | None] = []
+    for motor, motion in zip(motors, motions, strict=True):
+        one = Started(motor, motion, motor._call(motor._quantise, motion))
+        ends = motion.duration_s is not None and not stays(one)
+        durations.append(planning.duration_of(one.quantised) if ends else None)
+    return durations, ""

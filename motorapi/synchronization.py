@@ -11,6 +11,8 @@ from dataclasses import dataclass
 from enum import Enum, IntEnum
 from typing import Protocol, final
 
+from motorapi.bus_timing import Firing, OneFrame
+
 
 @final
 class SyncLevel(IntEnum):
@@ -61,23 +63,35 @@ class SyncOffer:
         latency_s: shortest and longest time from the instant at which the drive has latched its
             command to the start of motion [s]; None if no bound is known.
         reason: why it is not better, in words ("RPDO 1 has transmission type 255").
-        fire_s: shortest and longest time from the call of `Trigger.fire` to the instant at which
-            the drive latches, and to the call's return, which is not earlier [s]; None if no
-            bound is known. What another trigger before it takes is in that one's.
+        firing: what `Trigger.fire` takes; None if no bound is known.
+        signals: how many signals after the trigger's first one the command is latched by: a
+            streamed set-point's first step by the second SYNC, 1.
+        signal_s: shortest and longest time from the trigger's first signal to that one [s]; None
+            if no bound is known. Of motors with one trigger and equal `signals` it is the same.
+        burst: the frame that goes out with those of the others just after a signal, where signals
+            come every `period_s` [s] and cannot be waited with; None: it was armed before.
         oscillator_ppm: how far the drive's clock may be off, either way [1e-6]; None: not told.
-        end_s: shortest and longest time from the end of the profile by the drive's own clock to
-            the end of motion [s]; None if no bound is known.
-        unbounded: why, where one of these is None, in words.
+        end_s: shortest and longest time from the end of the motion as planned, by the drive's own
+            clock, to its end [s]; None if no bound is known.
+        no_firing_bound: why there is no bound on `firing` or `signal_s`, in words; else "".
+        no_start_bound: likewise, of `latency_s`.
+        no_end_bound: likewise, of `oscillator_ppm` and `end_s`.
     """
 
     level: SyncLevel
     group: Hashable
     latency_s: tuple[float, float] | None
     reason: str
-    fire_s: tuple[float, float] | None = None
+    firing: Firing | None = None
+    signals: int = 0
+    signal_s: tuple[float, float] | None = (0.0, 0.0)
+    burst: OneFrame | None = None
+    period_s: float | None = None
     oscillator_ppm: float | None = None
     end_s: tuple[float, float] | None = None
-    unbounded: str = ""
+    no_firing_bound: str = ""
+    no_start_bound: str = ""
+    no_end_bound: str = ""
 
 
 @final
@@ -182,23 +196,6 @@ class SyncQuality:
     command_skew_s: float | None = None
     path: tuple[PathDeviation, ...] = ()
     straddles: int = 0
-
-
-def predicted_start_skew_s(offers: Sequence[SyncOffer]) -> float | None:
-    """The bound on start skew of motors fired by one trigger [s]; None if there is none.
-
-    With several triggers one is fired after another, and how long that takes nobody promises.
-    """
-    if any(offer.group != offers[0].group for offer in offers):
-        return None
-    earliest_s: list[float] = []
-    latest_s: list[float] = []
-    for offer in offers:
-        if offer.latency_s is None:
-            return None
-        earliest_s.append(offer.latency_s[0])
-        latest_s.append(offer.latency_s[1])
-    return max(latest_s) - min(earliest_s)
 
 
 def spread_s(times_ns: Sequence[int | None]) -> float | None:

@@ -23,6 +23,7 @@ from motorapi.adaptations.cia402_triggers import (
     SyncTrigger,
 )
 from motorapi.adaptations.csp_stream import CspStream
+from motorapi.adaptations.drive_offer import offer_of
 from motorapi.adaptations.drive_profile import (
     DriveProfile,
     as_motion,
@@ -45,7 +46,7 @@ from motorapi.adaptations.streamed_motion import StreamedMotion
 from motorapi.adaptations.sync_burst import ArmedSetPoint
 from motorapi.commands import ControlVariable, Motion
 from motorapi.errors import DeadlineExceeded, StateError
-from motorapi.synchronization import MotionTimes, SyncLevel, SyncOffer, Trigger
+from motorapi.synchronization import MotionTimes, SyncOffer, Trigger
 
 if TYPE_CHECKING:
     from motorapi.model import MotorModel
@@ -92,28 +93,7 @@ class DriveMotions:
 
     def offer(self, variable: ControlVariable, *, streamed: bool) -> SyncOffer:
         """How a motion of `variable` can begin together with others."""
-        facts = self._hardware.connect()
-        label, link = self._hardware.label, self._node.link
-        if variable is ControlVariable.TORQUE:
-            reason = "6071h, target torque, is in no RPDO that SYNC latches"
-            return SyncOffer(SyncLevel.SEQUENTIAL, label, None, reason)
-        armed = facts.latched_ids.get(0x607A if streamed else _LATCHED[variable])
-        if armed is None:
-            reason = "; ".join(facts.limitations) or "it has no RPDO latched by SYNC"
-            return SyncOffer(SyncLevel.SEQUENTIAL, label, None, reason)
-        if link.sync_period_ns is not None and not streamed:
-            reason = "SYNC runs already, for set-points of other motors: it cannot start several"
-            return SyncOffer(SyncLevel.SEQUENTIAL, label, None, reason)
-        reason = f"RPDO {armed:03X}h is latched by SYNC"
-        tick_ms = self._hardware.options.servo_period_ms
-        latency_s = None if tick_ms is None else (0.0, tick_ms / 1e3)
-        if tick_ms is None:
-            reason += "; servo_period_ms, from the latch to the profile, is not told"
-        if not streamed:
-            return SyncOffer(SyncLevel.TRIGGERED, link.name, latency_s, reason)
-        if latency_s is not None:  # the first SYNC brings where it is, the next one the first step
-            latency_s = (self._set_point_period_s, self._set_point_period_s + latency_s[1])
-        return SyncOffer(SyncLevel.CYCLIC, link.name, latency_s, reason)
+        return offer_of(self._hardware, variable, streamed=streamed)
 
     def quantise(self, motion: Motion) -> Motion:
         """See `MotorHooks._quantise`."""

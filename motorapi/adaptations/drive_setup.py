@@ -11,6 +11,7 @@ from motorapi.adaptations.canopen_errors import SdoAborted
 from motorapi.adaptations.canopen_link import STOPPED
 from motorapi.adaptations.cia402_objects import Mode
 from motorapi.adaptations.drive_node import DriveNode
+from motorapi.adaptations.drive_traffic import drive_traffic
 from motorapi.adaptations.pdo_setup import (
     CONTROLWORD,
     EVENT_DRIVEN,
@@ -27,6 +28,7 @@ from motorapi.adaptations.pdo_setup import (
     usable_as_it_is,
 )
 from motorapi.errors import DeadlineExceeded, UsageError
+from motorapi.traffic import note_node
 
 _PROFILE_402: Final = 0x0192
 _TPDOS: Final = 4
@@ -49,6 +51,8 @@ class HwOptions:
         connection_loss: what the drive does without the host (6007h): 1 fault, 2 disable voltage,
             3 quick stop (the next program need not reset a fault); None leaves it as it is.
         servo_period_ms: the drive's profile tick, for predicting skew; None: not known.
+        oscillator_ppm: how far the drive's clock may be off, either way [1e-6]; likewise.
+        sdo_reply_ms: how long it takes to answer an SDO, at most; likewise.
         set_point_period_ms: between two set-points (SYNCs) of what the host streams to the drive;
             the same for all drives of a bus.
         connect_timeout_s: how long a drive may take to boot.
@@ -64,6 +68,8 @@ class HwOptions:
     velocity_period_ms: int = 0
     connection_loss: int | None = 3
     servo_period_ms: float | None = None
+    oscillator_ppm: float | None = None
+    sdo_reply_ms: float | None = None
     set_point_period_ms: int = 5
     connect_timeout_s: float = 3.0
     sdo_timeout_s: float = 0.3
@@ -82,12 +88,12 @@ class HwOptions:
             if not isinstance(value, int) or not low <= value <= high:
                 limits = f"{low} to {high}{unit}"
                 raise UsageError(f"{name} = {value!r}: must be a whole number, {limits}")
-        for name, limit_ms in _DURATIONS_MS.items():
+        for name, (highest, of, optional) in _NUMBERS.items():
             value = getattr(self, name)
-            if value is None and name == "servo_period_ms":
+            if value is None and optional:
                 continue
-            if not isinstance(value, int | float) or not 0 <= value <= limit_ms:
-                raise UsageError(f"{name} = {value!r}: must be 0 to {limit_ms:g} ms")
+            if not isinstance(value, int | float) or not 0 <= value <= highest:
+                raise UsageError(f"{name} = {value!r}: must be 0 to {highest:g} {of}")
         for name in _TIMEOUTS:
             value = getattr(self, name)
             if not isinstance(value, int | float) or not 0 < value <= _TIMEOUT_MAX_S:
@@ -109,7 +115,12 @@ _WHOLE: Final = {  # lowest, highest, unit
     "set_point_period_ms": (1, 255, " ms"),  # 60C2h
     "connection_loss": (-32768, 3, ""),  # 6007h; below 0 are the vendor's
 }
-_DURATIONS_MS: Final = {"status_inhibit_ms": 6553.5, "servo_period_ms": 1000.0}  # 1800h:03h
+_NUMBERS: Final = {  # highest, unit, whether None will do
+    "status_inhibit_ms": (6553.5, "ms", False),  # 1800h:03h
+    "servo_period_ms": (1000.0, "ms", True),
+    "oscillator_ppm": (100_000.0, "ppm", True),
+    "sdo_reply_ms": (60_000.0, "ms", True),
+}
 _TIMEOUTS: Final = ("connect_timeout_s", "sdo_timeout_s", "sdo_quarantine_s")
 _TIMEOUT_MAX_S: Final = 3600
 
@@ -174,7 +185,7 @@ def bring_up(node: DriveNode, options: HwOptions) -> DriveFacts:
     limitations += pdos.refusals
     if status is not None:
         node.listen_to_tpdo(status[0], status[1].mapping)
-    _velocity_pdo(node, pdos, options)
+    velocity = _velocity_pdo(node, pdos, options)
     pdos.finish()
     facts = DriveFacts(
         identity=identity,
@@ -184,6 +195,8 @@ def bring_up(node: DriveNode, options: HwOptions) -> DriveFacts:
         status=None if status is None else status[1],
         limitations=tuple(limitations),
     )
+    tpdos = [made for made in (status, velocity) if made is not None]
+    note_node(node.link.bus, node.node_id, drive_traffic(node.node_id, facts, tpdos, options))
     _await_first_status(node, facts, options)
     return facts
 
@@ -296,10 +309,12 @@ def _status_pdo(node: DriveNode, pdos: PdoSetUp, options: HwOptions) -> tuple[in
     )
 
 
-def _velocity_pdo(node: DriveNode, pdos: PdoSetUp, options: HwOptions) -> None:
+def _velocity_pdo(
+    node: DriveNode, pdos: PdoSetUp, options: HwOptions
+) -> tuple[int, PdoFound] | None:
     period_ms = options.velocity_period_ms
     if not period_ms:
-        return
+        return None
     for mapping in ((VELOCITY, TORQUE), (VELOCITY,)):
         wish = PdoWish(
             True, 2, mapping, EVENT_DRIVEN, inhibit_100us=period_ms * 10, event_ms=period_ms
@@ -307,7 +322,8 @@ def _velocity_pdo(node: DriveNode, pdos: PdoSetUp, options: HwOptions) -> None:
         made = pdos.configure(wish)
         if made is not None:
             node.listen_to_tpdo(made[0], mapping)
-            return
+            return made
+    return None
 
 
 def _await_first_status(node: DriveNode, facts: DriveFacts, options: HwOptions) -> None:

@@ -18,6 +18,7 @@ from collections.abc import Callable
 from typing import TYPE_CHECKING, Final, final
 
 from motorapi.adaptations.ideal_hardware import IdealHwMotor
+from motorapi.bus_timing import Firing
 from motorapi.commands import ControlMode, ControlVariable, Motion, Setpoint
 from motorapi.errors import DeviceFault, LinkError, UnsupportedError
 from motorapi.motor import Motor
@@ -81,7 +82,12 @@ class IdealMotor(Motor):
     def _sync_offer(self) -> SyncOffer:
         reason = "ideal motors of one runtime begin at the same nanosecond"
         trigger = self._hardware.shared_trigger
-        return SyncOffer(SyncLevel.TRIGGERED, trigger, (0.0, 0.0), reason)
+        return SyncOffer(
+            *(SyncLevel.TRIGGERED, trigger, (0.0, 0.0), reason),
+            firing=Firing(),
+            oscillator_ppm=0.0,
+            end_s=(0.0, 0.0),
+        )
 
     def _quantise(self, motion: Motion) -> Motion:
         return motion

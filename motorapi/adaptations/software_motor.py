@@ -18,11 +18,14 @@ from dataclasses import dataclass, fields
 from math import inf, isfinite
 from typing import TYPE_CHECKING, Final, final
 
+from motorapi.adaptations.drive_offer import SYNC, period_on_wire_s
+from motorapi.adaptations.drive_traffic import traffic_on
 from motorapi.adaptations.software_courses import Scales, course_of
 from motorapi.adaptations.software_cycle import CycleReport
 from motorapi.adaptations.software_gains import PidGains
 from motorapi.adaptations.software_hardware import AmplifierHwMotor
 from motorapi.adaptations.software_servo import ServoLimits
+from motorapi.bus_timing import Firing
 from motorapi.commands import ControlMode, ControlVariable, Motion, Setpoint, as_number
 from motorapi.errors import DeviceFault, UnsupportedError, UsageError
 from motorapi.motor import Motor
@@ -187,8 +190,23 @@ class SoftwareMotor(Motor):
     def _sync_offer(self) -> SyncOffer:
         period_s = self._hardware.io.cycle.period_s
         reason = f"one SYNC every {period_s * 1e3:g} ms: counts of it, outputs latched by the next"
-        group = ("servo cycle", self._hardware.link.name, period_s)
-        return SyncOffer(SyncLevel.CYCLIC, group, (period_s, period_s), reason)
+        link = self._hardware.link
+        traffic, unbounded = traffic_on(link, period_s)
+        firing, signal_s = None, None
+        if traffic is not None:
+            firing = Firing(link.name, traffic, (SYNC, SYNC), 2.0 * period_s, 1)
+            signal_s = period_on_wire_s(link, traffic, period_s)
+        return SyncOffer(
+            level=SyncLevel.CYCLIC,
+            group=("servo cycle", link.name, period_s),
+            latency_s=(0.0, 0.0),
+            reason=reason,
+            firing=firing,
+            signals=1,
+            signal_s=signal_s,
+            no_firing_bound=unbounded,
+            no_end_bound="when it comes to rest is the servo's doing, and not predicted",
+        )
 
     def _quantise(self, motion: Motion) -> Motion:
         return motion

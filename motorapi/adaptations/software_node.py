@@ -17,20 +17,22 @@ from typing import TYPE_CHECKING, Final, final
 from motorapi.adaptations.canopen_link import can_frame, open_link, release_link
 from motorapi.adaptations.drive_node import DriveNode
 from motorapi.adaptations.drive_setup import first_answer, write_if_different
-from motorapi.adaptations.node_occupation import NodeOccupation
 from motorapi.adaptations.pdo_setup import EVENT_DRIVEN, SYNCHRONOUS, PdoSetUp, PdoWish
 from motorapi.adaptations.shared_node import node_locks
 from motorapi.adaptations.software_cycle import Axis, ChannelPair, Cycle, cycle_of
 from motorapi.adaptations.software_options import IoFacts, IoOptions
+from motorapi.adaptations.software_traffic import node_traffic
 from motorapi.adaptations.turn_lock import TurnLock
 from motorapi.errors import DeadlineExceeded, LinkError, UnsupportedError, UsageError
 from motorapi.sharing import bus_key
+from motorapi.traffic import note_node
 
 if TYPE_CHECKING:
     from collections.abc import Hashable
 
     import can
 
+    from motorapi.process_lock import Hold, ProcessLock
     from motorapi.runtime import Runtime
 
 INPUTS: Final = 0x6000
@@ -39,6 +41,7 @@ ANALOGUE_OUTPUT: Final = 0x6411
 CHANNELS_MAX: Final = 4
 
 _FIRST_INPUTS_S: Final = 0.5
+_INHIBIT_100US: Final = 10  # of the digital inputs: what is sent without one has no bound
 _TPDOS: Final = 4
 
 
@@ -53,7 +56,7 @@ class AmplifierNode:
         on_facts: is called when it was brought up, before it is OPERATIONAL.
         cycle: the clock of all servos on its bus.
         users: how many motors share it.
-        occupation: whose servos run on it: those of one process.
+        lock: kept while a servo of this process runs on the node; None: no other process is there.
     """
 
     def __init__(
@@ -77,10 +80,8 @@ class AmplifierNode:
             heartbeat_timeout_ms=options.heartbeat_timeout_ms,
         )
         locks = node_locks(bus, runtime, node_id, self.node.label)
-        self.occupation: Final = NodeOccupation(locks[0], bus, self.node)
+        self.lock: Final[ProcessLock | None] = locks[0]
         self.node.sdo.process_lock = self._sdo_lock = locks[1]
-        if self.occupation.fence is not None:
-            self.node.sdo.fence = self.link.fences[node_id] = self.occupation.fence
         self.inputs = 0
         self.inputs_ns = -1
         self.users = 0
@@ -90,6 +91,8 @@ class AmplifierNode:
         self.facts: IoFacts | None = None
         self.cycle: Final[Cycle] = cycle_of(self.link, options.cycle_ms / 1e3)
         self._pairs: tuple[ChannelPair, ...] = ()
+        self._occupied = 0
+        self._hold: Hold | None = None
         self._outputs = 0
         self._inputs_id: int | None = None
         self._setting_up = TurnLock(runtime)
@@ -124,14 +127,12 @@ class AmplifierNode:
 
         Raises:
             LinkError: the bus does not take the frame.
-            MotorBusyError: another process's servo runs on the node.
         """
         facts = self.facts
         bit = 1 << channel - 1
         self._outputs = self._outputs | bit if on else self._outputs & ~bit
         if facts is not None:
-            frame = can_frame(facts.enable_id, bytes((self._outputs,)))
-            self.link.send(frame, self.occupation.outputs)
+            self.link.send(can_frame(facts.enable_id, bytes((self._outputs,))))
 
     def is_switched(self, channel: int) -> bool:
         """Whether the amplifier's enable input is on, as far as the host knows."""
@@ -206,8 +207,8 @@ class AmplifierNode:
             held.enter_context(self._sdo_lock.acquire(runtime, what, timeout_s, sdo))
 
             def own() -> None:
-                if not self.occupation.is_here:
-                    held.enter_context(self.occupation.occupied())
+                if not self._occupied:
+                    held.enter_context(self.occupied())
 
             sdo.before_writing = own
             try:
@@ -215,11 +216,41 @@ class AmplifierNode:
             finally:
                 sdo.before_writing = None
 
+    # --- whose servo runs on it ------------------------------------------------------------
+
+    def occupy(self) -> None:
+        """The node is this process's, until `vacate` is called as often.
+
+        Raises:
+            MotorBusyError: another process's servo runs on it; says whose.
+        """
+        if not self._occupied and self.lock is not None:
+            label = self.node.label
+            what = f"the servo of {label}"
+            self._hold = self.lock.acquire(self.link.runtime, what, owner=self, asker=label)
+        self._occupied += 1
+
     def be_heard(self) -> None:
         """The node hears the host from now on, and misses it if it falls silent."""
         if self.options.heartbeat_ms and not self.node.uses_host_heartbeat:
             self.link.produce_heartbeat(self.options.host_node_id, self.options.heartbeat_ms)
             self.node.uses_host_heartbeat = True
+
+    def vacate(self) -> None:
+        """One reason less for which the node is this process's."""
+        self._occupied -= 1
+        if not self._occupied and self._hold is not None:
+            self._hold.release()
+            self._hold = None
+
+    @contextmanager
+    def occupied(self) -> Iterator[None]:
+        """The node is this process's inside the block. Raises as `occupy`."""
+        self.occupy()
+        try:
+            yield
+        finally:
+            self.vacate()
 
     def _bring_up(self) -> IoFacts:
         node, options = self.node, self.options
@@ -240,6 +271,7 @@ class AmplifierNode:
         inputs = pdos.configure(
             PdoWish(
                 *(True, 1, (INPUTS << 16 | 0x108,), EVENT_DRIVEN),
+                inhibit_100us=_INHIBIT_100US,
                 event_ms=options.status_period_ms,
             )
         )
@@ -267,6 +299,8 @@ class AmplifierNode:
         facts = IoFacts(channels, enable[0], tuple(pairs), boot, tuple(limitations))
         for action in tuple(self.on_facts):
             action(facts)
+        sent = node_traffic(node.node_id, facts, inputs, options)
+        note_node(self.link.bus, node.node_id, sent)
         pdos.finish()
         self._await_inputs()
         node.stays_operational()
@@ -278,7 +312,7 @@ class AmplifierNode:
         for pair in self._pairs:
             pair.close()
         self._pairs = tuple(
-            ChannelPair(self.cycle, self.node, both, self.options.misses_max, self.occupation)
+            ChannelPair(self.cycle, self.node, both, self.options.misses_max)
             for both in identifiers
         )
 

@@ -20,6 +20,7 @@ from harness import rig_faults, rig_file
 from harness.plugins import ADAPTATIONS, installed
 from harness.rig import installed_plugins
 from harness.scaffold import EXAMPLES
+from harness.timing_from_controller import ASKED
 from motorapi.adaptations import ideal, software
 from motorapi.adaptations.drive_setup import HwOptions
 from motorapi.adaptations.software_options import IoOptions
@@ -161,7 +162,7 @@ def test_the_schema_knows_central_servo_as_its_readers_do(old, new):
 
 def test_the_schema_knows_the_motors_own_keys():
     common = {"adaptation", "controller", "bus", "node_id", "model"}
-    own = {field.name for field in fields(HwOptions)}
+    own = {field.name for field in fields(HwOptions)} | {ASKED}  # which the rig takes out
     assert set(DEFS["cia402_motor"]["properties"]) == common | own
     for field in fields(HwOptions):
         assert DEFS["cia402_motor"]["properties"][field.name].get("default") == field.default

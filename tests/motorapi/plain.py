@@ -162,7 +162,11 @@ class PlainMotor(Motor):
 
     def _sync_offer(self):
         bound = (self.hw.latency_s, self.hw.latency_s)
-        return SyncOffer(SyncLevel.TRIGGERED, self.hw.bus.name, bound, "one signal of its bus")
+        return SyncOffer(
+            *(SyncLevel.TRIGGERED, self.hw.bus.name, bound, "one signal of its bus"),
+            oscillator_ppm=0.0,
+            end_s=(0.0, 0.0),
+        )
 
     def _quantise(self, motion):
         position_step, velocity_step, acceleration_step = self.hw.steps

@@ -275,15 +275,19 @@ def test_a_motor_that_streams_is_not_started_again_before_it_rests(rig: Rig):
     motor.wait_until_done(timeout_s=3)
 
 
-def test_a_group_in_pp_does_not_count_on_a_sync_that_runs_for_others(open_rig: OpenRig):
+def test_a_group_in_pp_begins_by_the_sync_that_runs_for_others_in_one_burst(open_rig: OpenRig):
     rig = open_rig(*(drive(name, n, motor=EVERY_MS) for n, name in enumerate("abc", 1)))
     set_function(motor_of(rig, "a"), quintic(2.0, 2.0)).start()
     group = MotorGroup(motor_of(rig, "b"), motor_of(rig, "c"))
     group.for_each(Cia402Motor.set_control_mode, ControlMode.TRAJECTORY)
     group.set_trajectory(TrapezoidalTrajectory(0.2), TrapezoidalTrajectory(0.2))
     capability = group.sync_capability()
-    assert capability.level is SyncLevel.SEQUENTIAL
-    assert "SYNC runs already" in capability.reason
+    assert capability.level is SyncLevel.TRIGGERED
+    assert "SYNC runs every 1 ms, produced by" in capability.reason
+    assert capability.command_skew_s is None
+    assert capability.no_command_bound == (
+        "b: what else is sent on can0 is not declared (declare_traffic)"
+    )
     group.start()
     group.wait_until_done(timeout_s=3)
     for name in "bc":

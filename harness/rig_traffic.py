@@ -1,0 +1,100 @@
+"""What a rig's file says of the traffic on its buses, and what its own controllers add to it.
+
+`[[bus.NAME.message]]` tells what others send there. It is a declaration: with it (or with
+`message = []`, if there are no others) the traffic on that bus is known, and motorapi can tell how
+long a start takes at most. Nobody sends these messages because they stand here.
+"""
+
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Final
+
+from harness.settings import Table
+from motorapi.bus_timing import bits_ns, worst_frame_bits
+from motorapi.traffic import CanTraffic, PeriodicMessage, worst_of
+
+if TYPE_CHECKING:
+    from harness.rig_file import ControllerDescription, RigDescription
+
+MESSAGE_KEYS: Final = ("identifier", "length", "period_s", "jitter_s", "extended")
+_SFF_MAX: Final = 0x7FF
+_EFF_MAX: Final = 0x1FFF_FFFF
+_PERIOD_MIN_S: Final = 1e-6
+_TIME_MAX_S: Final = 1e6
+_BOOT_UP_S: Final = 1.0  # between two boots of a node that sends no heartbeat
+_HEARTBEAT_ID: Final = 0x700
+_HEARTBEAT_OBJECTS: Final = ("1017h", "1017")
+
+
+def read_messages(bus: Table, bitrate_bit_s: int) -> tuple[PeriodicMessage, ...] | None:
+    """What others send on a bus; None: its traffic is not declared.
+
+    Raises:
+        RigError: the first thing wrong in it.
+    """
+    if not bus.has("message"):
+        return None
+    messages: list[PeriodicMessage] = []
+    busy = 0.0
+    for table in bus.listed_tables("message"):
+        message = _message(table)
+        for place, other in enumerate(messages):
+            if other.rank == message.rank:
+                line = bus.source.line((*bus.path, "message", place))
+                raise table.error(
+                    "identifier",
+                    f"{message.name} is declared already (line {line})",
+                    "one sender each: give the shorter period and the greater length once",
+                )
+        messages.append(message)
+        bits = worst_frame_bits(message.length, extended=message.extended)
+        busy += bits_ns(bits, bitrate_bit_s) / (message.period_s * 1e9)
+        if busy > 1.0:
+            raise table.error(
+                "period_s",
+                f"the messages up to this one take {busy:.0%} of the bus",
+                "a longer period, or a higher bit rate",
+            )
+    return tuple(messages)
+
+
+def _message(table: Table) -> PeriodicMessage:
+    table.refuse_unknown(MESSAGE_KEYS)
+    extended = table.flag("extended", False)
+    high = _EFF_MAX if extended else _SFF_MAX
+    return PeriodicMessage(
+        can_id=table.integer("identifier", low=0, high=high, example="0x181"),
+        length=table.integer("length", low=0, high=8, unit="bytes", example="8"),
+        period_s=table.number(
+            "period_s", low=_PERIOD_MIN_S, high=_TIME_MAX_S, unit="s", example="0.01"
+        ),
+        jitter_s=table.number("jitter_s", 0.0, low=0.0, high=_TIME_MAX_S, unit="s"),
+        extended=extended,
+    )
+
+
+def traffic_of(description: "RigDescription", bus: str) -> CanTraffic | None:
+    """What is sent on a bus beside what motors have their controllers send; None: not declared.
+
+    A controller that no motor has brought up says no more than that it has booted, and its
+    heartbeat where its table sets one.
+    """
+    described = description.buses[bus]
+    if described.messages is None:
+        return None
+    nodes = [one for one in description.controllers.values() if one.bus == bus]
+    own = [
+        PeriodicMessage(_HEARTBEAT_ID + node.node_id, 1, _heartbeat_s(node))
+        for node in nodes
+        if node.node_id
+    ]
+    return CanTraffic(described.bitrate_bit_s, worst_of([*described.messages, *own]))
+
+
+def _heartbeat_s(controller: "ControllerDescription") -> float:
+    objects = controller.settings.get("objects")
+    if isinstance(objects, Mapping):
+        for key in _HEARTBEAT_OBJECTS:
+            period_ms = objects.get(key)
+            if isinstance(period_ms, int) and period_ms > 0:
+                return min(_BOOT_UP_S, period_ms / 1e3)
+    return _BOOT_UP_S

@@ -1,0 +1,174 @@
+"""What a CiA 402 drive offers for starting together with others, and how long that takes."""
+
+from typing import TYPE_CHECKING, Final
+
+from motorapi.adaptations.drive_traffic import traffic_on
+from motorapi.bus_timing import Firing, OneFrame, longest_s
+from motorapi.commands import ControlVariable
+from motorapi.synchronization import SyncLevel, SyncOffer
+
+if TYPE_CHECKING:
+    from motorapi.adaptations.canopen_link import CanopenLink
+    from motorapi.adaptations.cia402_hardware import Cia402HwMotor
+    from motorapi.adaptations.drive_setup import DriveFacts
+    from motorapi.traffic import CanTraffic
+
+_LATCHED: Final = {ControlVariable.POSITION: 0x607A, ControlVariable.VELOCITY: 0x60FF}
+SYNC: Final = OneFrame(0x080, 0)
+_SET_POINT_BYTES: Final = 6
+_REQUEST_ID: Final = 0x600
+_REPLY_ID: Final = 0x580
+
+
+def offer_of(hardware: "Cia402HwMotor", variable: ControlVariable, *, streamed: bool) -> SyncOffer:
+    """How a motion of `variable` can begin together with others."""
+    facts, link = hardware.connect(), hardware.link
+    armed = facts.latched_ids.get(0x607A if streamed else _LATCHED.get(variable, 0))
+    if variable is ControlVariable.TORQUE:
+        reason = "6071h, target torque, is in no RPDO that SYNC latches"
+        return _alone(hardware, facts, variable, reason)
+    if armed is None:
+        reason = "; ".join(facts.limitations) or "it has no RPDO latched by SYNC"
+        return _alone(hardware, facts, variable, reason)
+    reason = f"RPDO {armed:03X}h is latched by SYNC"
+    if hardware.options.servo_period_ms is None:
+        reason += "; servo_period_ms, from the latch to the profile, is not told"
+    if streamed:
+        return _streamed(hardware, reason)
+    cyclic = link.cyclic_sync()
+    if cyclic is not None:
+        frame = OneFrame(armed, _SET_POINT_BYTES)
+        return _in_a_burst(hardware, frame, cyclic.period_ns / 1e9, f"{reason}; {cyclic}")
+    traffic, unbounded = traffic_on(link)
+    firing = None if traffic is None else Firing(link.name, traffic, (SYNC,), 0.0, 1)
+    return _offer(hardware, SyncLevel.TRIGGERED, link.name, reason, firing, unbounded)
+
+
+def _streamed(hardware: "Cia402HwMotor", reason: str) -> SyncOffer:
+    """The first SYNC brings where it is, the second one the first step."""
+    link, period_s = hardware.link, hardware.options.set_point_period_ms / 1e3
+    traffic, unbounded = traffic_on(link, period_s)
+    firing, signal_s = None, None
+    if traffic is not None:
+        firing = Firing(link.name, traffic, (SYNC, SYNC), 2.0 * period_s, 1)
+        signal_s = period_on_wire_s(link, traffic, period_s)
+    return _offer(
+        hardware,
+        SyncLevel.CYCLIC,
+        link.name,
+        reason,
+        firing,
+        unbounded,
+        signals=1,
+        signal_s=signal_s,
+        streamed=True,
+    )
+
+
+def _in_a_burst(
+    hardware: "Cia402HwMotor", frame: OneFrame, period_s: float, reason: str
+) -> SyncOffer:
+    """A SYNC that runs cannot be waited with: frames go out just after one, for the next."""
+    link = hardware.link
+    traffic, unbounded = traffic_on(link, period_s)
+    # One SYNC to wait for, one that latches; more for those that it straddles are in the skew.
+    firing, signal_s = None, None
+    if traffic is not None:
+        signal_s = period_on_wire_s(link, traffic, period_s)
+        firing = Firing(link.name, traffic, (SYNC, SYNC), 2.0 * period_s, 0)
+    return _offer(
+        hardware,
+        SyncLevel.TRIGGERED,
+        link.name,
+        reason,
+        firing,
+        unbounded,
+        signals=1,
+        signal_s=signal_s,
+        burst=frame,
+        period_s=period_s,
+    )
+
+
+def _alone(
+    hardware: "Cia402HwMotor", facts: "DriveFacts", variable: ControlVariable, reason: str
+) -> SyncOffer:
+    """By its own frames: the controlword, or a target that counts as it is written."""
+    link, node_id = hardware.link, hardware.node_id
+    cyclic = link.cyclic_sync()
+    traffic, unbounded = traffic_on(link, None if cyclic is None else cyclic.period_ns / 1e9)
+    mates = [0x700 + node_id]
+    if facts.status is not None:
+        mates.append(facts.status.cob_id & 0x7FF)
+    exchange = (
+        OneFrame(_REQUEST_ID + node_id, 8),
+        OneFrame(_REPLY_ID + node_id, 8, tuple(mates)),
+    )
+    frames: tuple[OneFrame, ...] = ()
+    exchanges = 0
+    if variable is not ControlVariable.POSITION:
+        frames, exchanges = exchange, 1
+    if facts.control_id is not None:
+        frames = (*frames, OneFrame(facts.control_id, 2))
+    else:
+        frames, exchanges = (*frames, *exchange), exchanges + 1
+    reply_ms = hardware.options.sdo_reply_ms
+    if exchanges and reply_ms is None and not unbounded:
+        unbounded = "how long the drive takes to answer an SDO is not told (sdo_reply_ms)"
+    firing = None
+    if traffic is not None and not (exchanges and reply_ms is None):
+        idle_s = exchanges * (reply_ms or 0.0) / 1e3
+        firing = Firing(link.name, traffic, frames, idle_s, 1)
+    return _offer(hardware, SyncLevel.SEQUENTIAL, hardware.label, reason, firing, unbounded)
+
+
+def period_on_wire_s(
+    link: "CanopenLink", traffic: "CanTraffic", period_s: float
+) -> tuple[float, float] | None:
+    """Between two SYNCs on the wire, shortest and longest; each may wait for the bus."""
+    waits_s = longest_s([Firing(link.name, traffic, (SYNC,))])
+    return None if waits_s is None else (period_s - waits_s, period_s + waits_s)
+
+
+def _offer(
+    hardware: "Cia402HwMotor",
+    level: SyncLevel,
+    group: str,
+    reason: str,
+    firing: Firing | None,
+    unbounded: str,
+    *,
+    signals: int = 0,
+    signal_s: tuple[float, float] | None = (0.0, 0.0),
+    burst: OneFrame | None = None,
+    period_s: float | None = None,
+    streamed: bool = False,
+) -> SyncOffer:
+    options = hardware.options
+    tick_ms, ppm = options.servo_period_ms, options.oscillator_ppm
+    latency_s = end_s = None
+    no_start = no_end = ""
+    if ppm is None:
+        no_end = "the accuracy of its clock is not told (oscillator_ppm)"
+    if tick_ms is None:
+        no_start = no_end = "its profile tick is not told (servo_period_ms)"
+    else:
+        latency_s = end_s = (0.0, tick_ms / 1e3 / (1.0 - (ppm or 0.0) * 1e-6))
+    if streamed:
+        end_s, no_end = None, "how long a stream of set-points takes is not predicted"
+    return SyncOffer(
+        level=level,
+        group=group,
+        latency_s=latency_s,
+        reason=reason,
+        firing=firing,
+        signals=signals,
+        signal_s=signal_s,
+        burst=burst,
+        period_s=period_s,
+        oscillator_ppm=ppm,
+        end_s=end_s,
+        no_firing_bound=unbounded,
+        no_start_bound=no_start,
+        no_end_bound=no_end,
+    )

@@ -1,0 +1,181 @@
+"""What a rig's file says of the traffic on its buses, and what becomes of it."""
+
+import json
+import tomllib
+from pathlib import Path
+
+import jsonschema
+import pytest
+
+import harness
+from harness import rig_traffic
+from harness.rig import Rig
+from harness.rig_file import Known, parse_rig
+from harness.settings import RigError, Source
+from motorapi.traffic import PeriodicMessage, declared_traffic
+from tests.motorapi.adaptations.conftest import HEAD, drive
+
+SCHEMA = json.loads((Path(harness.__file__).parent / "rig.schema.json").read_text())
+VALIDATOR = jsonschema.Draft202012Validator(SCHEMA)
+KNOWN = Known(("cia402",), ("cia402",))
+MESSAGE = "[[bus.can0.message]]\nidentifier = 0x181\nlength = 8\nperiod_s = 0.01\n"
+
+
+def text_of(messages: str) -> str:
+    return f"[bus.can0]\nbitrate_bit_s = 1_000_000\n{messages}"
+
+
+def parsed(messages: str):
+    return parse_rig(Source(Path("rig.toml"), text_of(messages)), KNOWN).buses["can0"]
+
+
+def test_messages_are_read_as_they_stand():
+    extended = "[[bus.can0.message]]\nidentifier = 0x12345678\nextended = true\nlength = 0\n"
+    extended += "period_s = 1\njitter_s = 0.5\n"
+    assert parsed(MESSAGE + extended).messages == (
+        PeriodicMessage(0x181, 8, 0.01),
+        PeriodicMessage(0x12345678, 0, 1.0, 0.5, extended=True),
+    )
+    assert VALIDATOR.is_valid(tomllib.loads(text_of(MESSAGE + extended)))
+
+
+def test_no_message_is_no_declaration_and_none_of_them_is_one():
+    assert parsed("").messages is None
+    assert parsed("message = []\n").messages == ()
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "told"),
+    [
+        (
+            "length = 8",
+            "length = 9",
+            "5: bus.can0.message[0].length: 9 bytes is out of range; allowed: 0 to 8 bytes",
+        ),
+        (
+            "0x181",
+            "0x800",
+            "4: bus.can0.message[0].identifier: 2048 is out of range; allowed: 0 to 2047",
+        ),
+        (
+            "period_s = 0.01",
+            "",
+            "3: bus.can0.message[0].period_s: is missing; write period_s = 0.01",
+        ),
+        (
+            "period_s = 0.01",
+            "period_s = 0",
+            "6: bus.can0.message[0].period_s: 0.0 s is out of range; allowed: 1e-06 to 1000000.0 s",
+        ),
+        (
+            "period_s",
+            "periode_s",
+            "6: bus.can0.message[0].periode_s: unknown key (known: identifier, length, period_s,"
+            " jitter_s, extended); did you mean period_s?",
+        ),
+        (
+            "length",
+            'jitter_s = "no"\nlength',
+            '5: bus.can0.message[0].jitter_s: must be a number [s], but is a string ("no")',
+        ),
+        (
+            "[[bus.can0.message]]",
+            "[bus.can0.message]",
+            "3: bus.can0.message: must be an array of tables, but is a table ({...});"
+            " write [[bus.can0.message]]",
+        ),
+    ],
+)
+def test_a_mistake_is_told_with_its_line_and_refused_by_the_schema(old: str, new: str, told: str):
+    text = MESSAGE.replace(old, new, 1)
+    with pytest.raises(RigError) as caught:
+        parsed(text)
+    assert str(caught.value) == f"rig.toml:{told}"
+    assert not VALIDATOR.is_valid(tomllib.loads(text_of(text)))
+
+
+@pytest.mark.parametrize(
+    ("second", "told"),
+    [
+        (
+            MESSAGE,
+            "8: bus.can0.message[1].identifier: 181h is declared already (line 3); one sender"
+            " each: give the shorter period and the greater length once",
+        ),
+        (
+            MESSAGE.replace("181", "182").replace("0.01", "0.0001"),
+            "10: bus.can0.message[1].period_s: the messages up to this one take 136% of the bus;"
+            " a longer period, or a higher bit rate",
+        ),
+    ],
+)
+def test_messages_that_cannot_be_together_are_told_at_the_later_one(second: str, told: str):
+    with pytest.raises(RigError) as caught:
+        parsed(MESSAGE + second)
+    assert str(caught.value) == f"rig.toml:{told}"
+
+
+def test_the_schema_knows_a_messages_keys():
+    assert tuple(SCHEMA["$defs"]["message"]["properties"]) == rig_traffic.MESSAGE_KEYS
+
+
+def opened(tmp_path: Path, text: str) -> Rig:
+    path = tmp_path / "rig.toml"
+    path.write_text(text)
+    return Rig.open(path)
+
+
+def test_an_open_rig_declares_what_stands_there_and_what_its_nodes_say_by_themselves(
+    tmp_path: Path,
+):
+    silent = drive("left", 1)
+    beating = drive("right", 2, controller='objects = { "1017h" = 50 }')
+    with opened(tmp_path, f"{HEAD}{MESSAGE}{silent}{beating}") as rig:
+        traffic = declared_traffic(rig.bus("can0"))
+        assert traffic is not None
+        assert traffic.bitrate_bit_s == 1_000_000
+        assert traffic.messages == (
+            PeriodicMessage(0x181, 8, 0.01),
+            PeriodicMessage(0x701, 1, 1.0),
+            PeriodicMessage(0x702, 1, 0.05),
+        )
+    with opened(tmp_path, f"{HEAD}{silent}") as rig:
+        assert declared_traffic(rig.bus("can0")) is None
+
+
+# --- a motor's timing from its controller ----------------------------------------------------
+
+
+def options_of(rig: Rig, name: str):
+    return rig.motors[name].hardware.options
+
+
+def test_a_motor_takes_its_drives_timing_where_the_rig_asks_for_it(tmp_path: Path):
+    controller = "servo = { tick_s = 0.0005 }\ntiming = { sdo_reply_s = 0.002 }\n"
+    given = drive("left", 1, f"{controller}oscillator = {{ ppm = -40 }}")
+    asking = "timing_from_controller = true"
+    asked = drive("right", 2, f"{controller}oscillator = {{ ppm_max = 100 }}", asking)
+    own = drive("own", 3, controller, f"{asking}\nservo_period_ms = 2")
+    with opened(tmp_path, f"{HEAD}{given}{asked}{own}") as rig:
+        left, right, mine = (options_of(rig, name) for name in ("left", "right", "own"))
+        assert (left.servo_period_ms, left.oscillator_ppm, left.sdo_reply_ms) == (None, None, None)
+        assert (right.servo_period_ms, right.oscillator_ppm) == (0.5, 100.0)
+        assert right.sdo_reply_ms == 2.0 / (1.0 - 1e-4)
+        assert (mine.servo_period_ms, mine.oscillator_ppm) == (2, 0.0)
+        told = [note for note in rig.notes if "a mistake in it is on both sides" in note]
+        assert len(told) == 2
+        assert "servo_period_ms = 0.5, oscillator_ppm = 100, sdo_reply_ms = 2.0002" in told[0]
+        assert "servo_period_ms" not in told[1]
+
+
+def test_asking_for_a_timing_that_is_not_there_is_told_with_its_line(tmp_path: Path):
+    text = f"{HEAD}{drive('left', 1, motor='timing_from_controller = 1')}"
+    line = text.splitlines().index("timing_from_controller = 1") + 1
+    with opened(tmp_path, text) as rig, pytest.raises(RigError) as caught:
+        rig.build_motors()
+    assert (caught.value.line, caught.value.message) == (line, "must be true or false, but is 1")
+    other = text.replace("= 1\n[motor.left.model]", "= true\n[motor.left.model]").replace(
+        'controller = "left"', 'bus = "can0"\nnode_id = 7'
+    )
+    with opened(tmp_path, other) as rig, pytest.raises(RigError, match="no emulated CiA 402 drive"):
+        rig.build_motors()
