@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING, Final, final
 from motorapi.adaptations.canopen_link import can_frame, open_link, release_link
 from motorapi.adaptations.drive_node import DriveNode
 from motorapi.adaptations.drive_setup import first_answer, write_if_different
+from motorapi.adaptations.node_occupation import NodeOccupation
 from motorapi.adaptations.pdo_setup import EVENT_DRIVEN, SYNCHRONOUS, PdoSetUp, PdoWish
 from motorapi.adaptations.shared_node import node_locks
 from motorapi.adaptations.software_cycle import Axis, ChannelPair, Cycle, cycle_of
@@ -32,7 +33,6 @@ if TYPE_CHECKING:
 
     import can
 
-    from motorapi.process_lock import Hold, ProcessLock
     from motorapi.runtime import Runtime
 
 INPUTS: Final = 0x6000
@@ -56,7 +56,7 @@ class AmplifierNode:
         on_facts: is called when it was brought up, before it is OPERATIONAL.
         cycle: the clock of all servos on its bus.
         users: how many motors share it.
-        lock: kept while a servo of this process runs on the node; None: no other process is there.
+        occupation: whose servos run on it: those of one process.
     """
 
     def __init__(
@@ -80,8 +80,10 @@ class AmplifierNode:
             heartbeat_timeout_ms=options.heartbeat_timeout_ms,
         )
         locks = node_locks(bus, runtime, node_id, self.node.label)
-        self.lock: Final[ProcessLock | None] = locks[0]
+        self.occupation: Final = NodeOccupation(locks[0], bus, self.node)
         self.node.sdo.process_lock = self._sdo_lock = locks[1]
+        if self.occupation.fence is not None:
+            self.node.sdo.fence = self.link.fences[node_id] = self.occupation.fence
         self.inputs = 0
         self.inputs_ns = -1
         self.users = 0
@@ -91,8 +93,6 @@ class AmplifierNode:
         self.facts: IoFacts | None = None
         self.cycle: Final[Cycle] = cycle_of(self.link, options.cycle_ms / 1e3)
         self._pairs: tuple[ChannelPair, ...] = ()
-        self._occupied = 0
-        self._hold: Hold | None = None
         self._outputs = 0
         self._inputs_id: int | None = None
         self._setting_up = TurnLock(runtime)
@@ -127,12 +127,14 @@ class AmplifierNode:
 
         Raises:
             LinkError: the bus does not take the frame.
+            MotorBusyError: another process's servo runs on the node.
         """
         facts = self.facts
         bit = 1 << channel - 1
         self._outputs = self._outputs | bit if on else self._outputs & ~bit
         if facts is not None:
-            self.link.send(can_frame(facts.enable_id, bytes((self._outputs,))))
+            frame = can_frame(facts.enable_id, bytes((self._outputs,)))
+            self.link.send(frame, self.occupation.outputs)
 
     def is_switched(self, channel: int) -> bool:
         """Whether the amplifier's enable input is on, as far as the host knows."""
@@ -207,8 +209,8 @@ class AmplifierNode:
             held.enter_context(self._sdo_lock.acquire(runtime, what, timeout_s, sdo))
 
             def own() -> None:
-                if not self._occupied:
-                    held.enter_context(self.occupied())
+                if not self.occupation.is_here:
+                    held.enter_context(self.occupation.occupied())
 
             sdo.before_writing = own
             try:
@@ -216,41 +218,11 @@ class AmplifierNode:
             finally:
                 sdo.before_writing = None
 
-    # --- whose servo runs on it ------------------------------------------------------------
-
-    def occupy(self) -> None:
-        """The node is this process's, until `vacate` is called as often.
-
-        Raises:
-            MotorBusyError: another process's servo runs on it; says whose.
-        """
-        if not self._occupied and self.lock is not None:
-            label = self.node.label
-            what = f"the servo of {label}"
-            self._hold = self.lock.acquire(self.link.runtime, what, owner=self, asker=label)
-        self._occupied += 1
-
     def be_heard(self) -> None:
         """The node hears the host from now on, and misses it if it falls silent."""
         if self.options.heartbeat_ms and not self.node.uses_host_heartbeat:
             self.link.produce_heartbeat(self.options.host_node_id, self.options.heartbeat_ms)
             self.node.uses_host_heartbeat = True
-
-    def vacate(self) -> None:
-        """One reason less for which the node is this process's."""
-        self._occupied -= 1
-        if not self._occupied and self._hold is not None:
-            self._hold.release()
-            self._hold = None
-
-    @contextmanager
-    def occupied(self) -> Iterator[None]:
-        """The node is this process's inside the block. Raises as `occupy`."""
-        self.occupy()
-        try:
-            yield
-        finally:
-            self.vacate()
 
     def _bring_up(self) -> IoFacts:
         node, options = self.node, self.options
@@ -312,7 +284,7 @@ class AmplifierNode:
         for pair in self._pairs:
             pair.close()
         self._pairs = tuple(
-            ChannelPair(self.cycle, self.node, both, self.options.misses_max)
+            ChannelPair(self.cycle, self.node, both, self.options.misses_max, self.occupation)
             for both in identifiers
         )
 
