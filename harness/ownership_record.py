@@ -75,7 +75,8 @@ class Tenure:
     Attributes: motor; token; owner, purpose, pid, program, sender (as in LockEvent); from_ns, to_ns
     (None: the record ends before); ended; waited_s (for its turn); noticed_ns (when one who lost it
     noticed, if it did); crossed_ns (how much later than `to_ns` it was told that it was given
-    back); looked (seen from outside: others may have had it unseen before and after).
+    back); skipped (tokens between the one before and this one: of owners who did not tell, or were
+    not seen); looked (seen from outside).
     """
 
     motor: str
@@ -91,6 +92,7 @@ class Tenure:
     waited_s: float
     noticed_ns: int | None = None
     crossed_ns: int = 0
+    skipped: int = 0
     looked: bool = False
 
     def has(self, time_ns: int) -> bool:
@@ -209,6 +211,7 @@ class _Book:
                 from_ns = max(from_ns, last.from_ns if last.to_ns is None else last.to_ns)
             if last.to_ns is None:  # over at the latest where the next one begins
                 self.tenures[-1] = replace(last, to_ns=from_ns, ended=_ending_by(event.action))
+        before = self.tenures[-1].token if self.tenures else 0
         self.tenures.append(
             Tenure(
                 *(event.motor, event.token, event.owner, event.purpose),
@@ -217,6 +220,7 @@ class _Book:
                 None,
                 Ended.NOT_YET,
                 event.waited_s,
+                skipped=max(0, event.token - before - 1) if before else 0,
                 looked=event.looked,
             )
         )

@@ -3,22 +3,23 @@
 import argparse
 import os
 import select
-import signal
 import subprocess
 import sys
 import tempfile
 from contextlib import ExitStack
 from pathlib import Path
-from types import FrameType
 from typing import Final, final
 
 from emulators.hub import HubError, HubServer
 from emulators.serve import WallLoop
 from emulators.socketcan import SocketCanError, SocketCanGateway
 from harness.exit_status import PASSED, WRONG_USAGE
+from harness.lock_looks import LockLooks
+from harness.ownership_tap import LockWriter
 from harness.rig import Rig
 from harness.seed_option import add_seed
 from harness.settings import RigError
+from harness.wall_programs import StopSignals
 
 _NOT_FOUND: Final = 127
 _GRACE_S: Final = 3.0
@@ -71,8 +72,8 @@ def run(options: argparse.Namespace) -> int:
         except (HubError, SocketCanError) as error:
             print(f"motorhil serve: {error}", file=sys.stderr)
             return WRONG_USAGE
-        service = _Service(loop)
-        cleanup.callback(service.restore)
+        _look_at_locks(rig, doors)
+        service = _Service(loop, cleanup.enter_context(StopSignals(loop)))
         if options.rest:
             return service.run_command(options.rest, doors)
         print(f"serving {rig.description.name}; Ctrl-C stops", file=sys.stderr)
@@ -113,37 +114,28 @@ def _open_doors(
     return doors
 
 
+def _look_at_locks(rig: Rig, doors: dict[str, tuple[str, str]]) -> None:
+    """Who owns motors on SocketCAN is in the record too, if there is one."""
+    interfaces = {bus: channel for bus, (kind, channel) in doors.items() if kind == "socketcan"}
+    if rig.recording is not None and interfaces:
+        LockLooks(LockWriter(rig.recording, rig.world), rig.world, rig.description, interfaces)
+
+
 @final
 class _Service:
     """The loop, until a signal or the command's end."""
 
-    def __init__(self, loop: WallLoop) -> None:
+    def __init__(self, loop: WallLoop, signals: StopSignals) -> None:
         self._loop = loop
-        self._stopped = False
-        reader, self._writer = os.pipe()
-        os.set_blocking(self._writer, False)
-        self._reader = reader
-        loop.wake_on(reader)
-        self._old_wakeup = signal.set_wakeup_fd(self._writer, warn_on_full_buffer=False)
-        self._old_handlers = {
-            number: signal.signal(number, self._stop) for number in (signal.SIGINT, signal.SIGTERM)
-        }
+        self._signals = signals
 
-    def _stop(self, number: int, frame: FrameType | None) -> None:
-        self._stopped = True
-
-    def restore(self) -> None:
-        """Signals mean what they meant before."""
-        for number, handler in self._old_handlers.items():
-            signal.signal(number, handler)
-        signal.set_wakeup_fd(self._old_wakeup)
-        os.close(self._writer)
-        os.close(self._reader)
+    def _is_stopped(self) -> bool:
+        return self._signals.number is not None
 
     def run_until_stopped(self) -> None:
         """SIGINT or SIGTERM has come."""
         self._loop.start()
-        self._loop.run(lambda: self._stopped)
+        self._loop.run(self._is_stopped)
 
     def run_command(self, command: list[str], doors: dict[str, tuple[str, str]]) -> int:
         """The command has run with the rig up; its exit status (128 + n if signal n ended it)."""
@@ -160,7 +152,7 @@ class _Service:
         try:
             self._loop.wake_on(watch)
             self._loop.start()
-            self._loop.run(lambda: self._stopped or bool(select.select([watch], [], [], 0)[0]))
+            self._loop.run(lambda: self._is_stopped() or bool(select.select([watch], [], [], 0)[0]))
             if process.poll() is None:  # we were told to stop: so is the command
                 process.terminate()
                 try:

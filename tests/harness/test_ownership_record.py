@@ -104,6 +104,12 @@ def test_one_who_never_told_that_he_gave_it_back_is_told_apart():
     assert spans(events)[0] == ("mast", 1.0, 2.0, Ended.UNTOLD)
 
 
+def test_tokens_of_owners_who_told_nothing_are_counted():
+    tokens = (5, 6, 9)
+    record = ownership_of([told(float(token), A.TAKEN, "mast", token) for token in tokens])
+    assert [one.skipped for one in record.tenures["pan"]] == [0, 0, 2]
+
+
 def test_waiting_and_being_refused_are_no_tenures_and_motors_are_kept_apart():
     events = [
         told(1.0, A.TAKEN, "mast", 5),

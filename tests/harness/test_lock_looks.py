@@ -1,0 +1,170 @@
+"""Who owns the motors of a bus on SocketCAN, as whoever serves it has it from their locks."""
+
+import os
+import subprocess
+import sys
+
+import pytest
+
+from emulators.event_queue import EventQueue
+from emulators.world import World
+from harness.lock_looks import PERIOD_NS, LockLooks
+from harness.ownership_record import Ended, LockEvent, ownership_of
+from harness.ownership_tap import LockWriter
+from harness.rig import installed_plugins
+from harness.rig_file import read_rig
+from harness.scaffold import EXAMPLES
+from motorapi.lock_directory import VARIABLE
+from motorapi.lock_names import socketcan_name
+from motorapi.process_lock import ProcessLock
+from motorapi.wall_runtime import WallRuntime
+from traces.schema import LockAction
+
+NODE_2 = f"{socketcan_name('lo')}-node2"  # a network interface that every host has
+
+
+class Recorder:
+    """Lock events as they would be recorded."""
+
+    def __init__(self):
+        self.events = []
+
+    def message(self, time_ns, topic, message, values):
+        action = LockAction(values["action"])
+        rest = {key: value for key, value in values.items() if key != "action"}
+        self.events.append(LockEvent(topic.split("/")[2], time_ns, action, **rest))
+
+
+@pytest.fixture
+def bench(tmp_path, monkeypatch):
+    """Looks at the locks of two wheels, in wall time that is told."""
+    folder = tmp_path / "locks"
+    folder.mkdir(mode=0o700)
+    monkeypatch.setenv(VARIABLE, str(folder))
+    return Bench(folder)
+
+
+class Bench:
+    def __init__(self, folder, rig="two_wheels"):
+        self.folder = folder
+        self.queue = EventQueue()
+        self.world = World(self.queue)
+        self.told = []
+        self.world.tap_events(lambda *event: self.told.append(event))
+        self.recorder = Recorder()
+        description = read_rig(EXAMPLES / f"{rig}.toml", installed_plugins())
+        writer = LockWriter(self.recorder, self.world)
+        LockLooks(writer, self.world, description, {"can0": "lo"})
+        self.look()
+
+    def look(self):
+        """The next look is done; what was recorded then."""
+        before = len(self.recorder.events)
+        self.queue.run_until(self.queue.now_ns + PERIOD_NS)
+        return self.recorder.events[before:]
+
+
+@pytest.fixture
+def runtime():
+    runtime = WallRuntime()
+    yield runtime
+    runtime.close()
+
+
+def test_taking_and_giving_back_are_recorded_with_who_and_since_when(bench, runtime):
+    lock = ProcessLock(NODE_2, "lo node 2")
+    hold = lock.acquire(runtime, "survey (reserve() of mast)")
+    (taken,) = bench.look()
+    assert (taken.motor, taken.action, taken.owner) == (
+        *("right", LockAction.TAKEN),
+        "survey (reserve() of mast)",
+    )
+    assert (taken.token, taken.pid, taken.looked) == (hold.token, os.getpid(), True)
+    assert 0.0 < taken.held_s < 60.0
+    assert bench.look() == []
+    hold.release()
+    (released,) = bench.look()
+    assert (released.action, released.token, released.pid) == (
+        *(LockAction.RELEASED, hold.token),
+        os.getpid(),
+    )
+    assert bench.look() == []
+    lock.close()
+
+
+def test_what_lies_between_two_looks_is_missing_and_the_token_shows_it(bench, runtime):
+    lock = ProcessLock(NODE_2, "lo node 2")
+    first = lock.acquire(runtime, "first")
+    bench.look()
+    first.release()
+    lock.acquire(runtime, "unseen").release()
+    third = lock.acquire(runtime, "third")
+    bench.look()
+    third.release()
+    bench.look()
+    lock.close()
+    tenures = ownership_of(bench.recorder.events).tenures["right"]
+    assert [(one.owner, one.ended) for one in tenures] == [
+        ("first", Ended.UNTOLD),
+        ("third", Ended.RELEASED),
+    ]
+    assert [one.skipped for one in tenures] == [0, 1]
+
+
+@pytest.mark.parametrize("seen_free", [True, False])
+def test_one_who_died_with_it_is_told_if_it_was_seen(bench, runtime, seen_free):
+    program = (
+        "import os, sys; from motorapi.process_lock import ProcessLock;"
+        "from motorapi.wall_runtime import WallRuntime;"
+        f"hold = ProcessLock({NODE_2!r}, 'x').acquire(WallRuntime(), 'panorama');"
+        "print('held', flush=True); sys.stdin.read()"
+    )
+    with subprocess.Popen(
+        [sys.executable, "-c", program], stdin=subprocess.PIPE, stdout=subprocess.PIPE
+    ) as dies:
+        assert dies.stdout.readline() == b"held\n"
+        bench.look()
+        dies.kill()
+        dies.wait()
+    if seen_free:
+        assert bench.look() == []
+        assert bench.told[-1][1:3] == ("warning", "can0")
+        assert bench.told[-1][3] == f"pid {dies.pid} (python -c) has died with right"
+    lock = ProcessLock(NODE_2, "lo node 2")
+    hold = lock.acquire(runtime, "rescue")
+    (taken,) = bench.look()
+    assert taken.action is (LockAction.BROKEN if seen_free else LockAction.TAKEN)
+    dead, _ = ownership_of(bench.recorder.events).tenures["right"]
+    assert dead.ended is (Ended.DIED if seen_free else Ended.UNTOLD)
+    hold.release()
+    lock.close()
+
+
+def test_a_channel_of_a_node_is_a_motor_of_its_own(bench, runtime):
+    fido = Bench(bench.folder, "fido")
+    lock = ProcessLock(f"{socketcan_name('lo')}-node1-channel2", "lo node 1 channel 2")
+    hold = lock.acquire(runtime, "survey")
+    (taken,) = fido.look()
+    motors = read_rig(EXAMPLES / "fido.toml", installed_plugins()).motors.values()
+    names = [m.name for m in motors if (m.bus, m.node_id) == ("can0", 1)]
+    assert taken.motor == names[1]
+    hold.release()
+    lock.close()
+
+
+def test_the_record_says_how_it_knows_and_what_it_does_not(bench):
+    _, level, bus, text = bench.told[0]
+    assert (level, bus) == ("info", "can0")
+    assert text == (
+        "who owns its motors nobody tells on lo: it is looked up every 100 ms in"
+        f" {bench.folder}; what lies between two looks, and who uses other lock files, is not seen"
+    )
+
+
+def test_a_directory_that_is_not_safe_is_told_once_and_looking_ends(bench):
+    bench.folder.chmod(0o777)
+    bench.look()
+    bench.look()
+    warnings = [text for _, level, _, text in bench.told if level == "warning"]
+    assert len(warnings) == 1
+    assert warnings[0].startswith("no more lock events: ")
