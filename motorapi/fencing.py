@@ -21,8 +21,6 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, ExitStack, contextmanager
 from typing import TYPE_CHECKING, Final, Protocol, final, runtime_checkable
 
-from motorapi.errors import MotorBusyError
-
 if TYPE_CHECKING:
     import can
 
@@ -147,14 +145,10 @@ class NodeFence:
             MotorBusyError: somebody else owns it.
         """
         own = self._own(purpose)
-        try:
-            token = self.lock.begin_write()
-        except BaseException:
-            if own is not None:
-                own.release()
-            raise
-        self.lock.end_write()
-        return BoundFence(self, token, own)
+        hold = self.lock.hold if own is None else own
+        if hold is None:
+            raise self.lock.not_ours("")
+        return BoundFence(self, hold, own)
 
     @property
     def is_owned(self) -> bool:
@@ -172,39 +166,28 @@ class NodeFence:
 class BoundFence:
     """The Fence of one ownership: it lets nothing out under a later one. `release` ends its use."""
 
-    def __init__(self, fence: NodeFence, token: int, own: "Hold | None") -> None:
+    def __init__(self, fence: NodeFence, hold: "Hold", own: "Hold | None" = None) -> None:
         self._fence: Final = fence
-        self._lock: Final = fence.lock
-        self._token: Final = token
+        self._hold: Final = hold
         self._own = own
 
     def send(self, frame: bytes) -> None:
         """See `Fence`."""
-        lock = self._lock
-        token = lock.begin_write()
+        hold = self._hold
+        hold.begin_write("")
         try:
-            if token != self._token:
-                raise self._later(token)
-            self._fence.let_out(frame, token)
+            self._fence.let_out(frame, hold.token)
         finally:
-            lock.end_write()
+            hold.end_write()
 
     @contextmanager
     def passage(self) -> Iterator[None]:
         """See `Fence`."""
-        token = self._lock.begin_write()
+        self._hold.begin_write("")
         try:
-            if token != self._token:
-                raise self._later(token)
             yield
         finally:
-            self._lock.end_write()
-
-    def _later(self, token: int) -> MotorBusyError:
-        since = f"it was taken over (token {token}; this began under token {self._token})"
-        return MotorBusyError(
-            motor=self._lock.label, holder="another owner", since_ns=0, since=since
-        )
+            self._hold.end_write()
 
     def release(self) -> None:
         """What was owned for it alone is owned no more; releasing again does nothing."""

@@ -62,7 +62,7 @@ class NodeOccupation:
         hold = lock.acquire(self._runtime, what, owner=self, asker=label, take_over=take_over)
         if hold.token != self._token:
             self._token = hold.token
-            self.outputs = BoundFence(self.fence, hold.token, None)
+            self.outputs = BoundFence(self.fence, hold)
             action = LockAction.TAKEN_OVER if take_over else LockAction.TAKEN
             process = this_process()
             facts: dict[str, str | int] = {
