@@ -81,7 +81,7 @@ def test_no_message_is_no_declaration_and_none_of_them_is_one():
         (
             "[[bus.can0.message]]",
             "[bus.can0.message]",
-            "3: bus.can0.message: must be an array of tables, but is a table ({...});"
+            "3: bus.can0.message: must be an array of tables, but is a table (3 entries);"
             " write [[bus.can0.message]]",
         ),
     ],
