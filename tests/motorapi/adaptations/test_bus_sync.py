@@ -1,0 +1,161 @@
+"""One SYNC producer a bus: others follow what they hear, take it over, or are refused by name."""
+
+from collections.abc import Callable
+
+import canopen
+import pytest
+
+from emulators.media.faults import FaultKind, FaultRule
+from harness.rig import Rig
+from motorapi.adaptations.cia402 import Cia402Motor
+from motorapi.adaptations.csp_stream import CspStream
+from motorapi.errors import LinkError, UsageError
+from tests.motorapi.adaptations.conftest import drive
+from tests.motorapi.adaptations.hosts import BusEvidence, foreign_sync, host_with
+from tests.motorapi.adaptations.streaming import MS, quintic, set_function
+
+OpenRig = Callable[..., Rig]
+PERIOD_NS = 5 * MS
+FRAME_NS = MS // 10  # longer than a SYNC takes
+INCREMENT_RAD = 1e-4  # a few: the drive's following error while it comes to rest
+
+
+@pytest.fixture
+def rig(open_rig: OpenRig) -> Rig:
+    return open_rig(*(drive(f"wheel{one}", one) for one in (1, 2, 3, 4)))
+
+
+def position(rig: Rig, node_id: int) -> float:
+    return rig.controllers[f"wheel{node_id}"].snapshot()["position_rad"]
+
+
+def stream_of(motor: Cia402Motor) -> CspStream:
+    stream = motor.hardware.stream
+    assert stream is not None
+    return stream
+
+
+def name_of(who: "Cia402Motor | canopen.Network") -> str:
+    """What the bus calls this host."""
+    bus = who.hardware.link.bus if isinstance(who, Cia402Motor) else who.bus
+    return str(bus._port.name)
+
+
+def test_who_streams_at_the_period_of_another_host_follows_its_sync(rig: Rig):
+    with host_with(rig, 1) as (first,), host_with(rig, 2) as (second,):
+        first.position(), second.position()
+        seen = BusEvidence(rig)
+        set_function(first, quintic(1.0, 1.0)).start()
+        set_function(second, quintic(0.4, 0.5)).start()
+        second.wait_until_done(5)
+        first.wait_until_done(5)
+        assert seen.producers() == {name_of(first)}
+        assert set(seen.gaps_ns()) == {PERIOD_NS}
+        for motor, count in ((first, 200), (second, 100)):
+            stream = stream_of(motor)
+            assert (stream.sent, stream.late, stream.missed) == (count, 0, 0)
+        assert abs(position(rig, 2) - 0.4) < INCREMENT_RAD
+        assert first.hardware.link.cyclic_sync() is None
+
+
+def test_another_period_is_refused_and_the_producer_named_before_anything_moves(rig: Rig):
+    with host_with(rig, 1) as (first,), host_with(rig, 2, period_ms=4) as (second,):
+        set_function(first, quintic(1.0, 1.0)).start()
+        set_function(second, quintic(0.4, 0.5))
+        with pytest.raises(
+            UsageError, match="every 5 ms already, produced by this program, so not every 4 ms"
+        ):
+            second.start()
+        assert position(rig, 2) == 0.0
+        first.wait_until_done(5)
+        second.start()  # now it is free
+        second.wait_until_done(5)
+
+
+def test_when_the_producer_ends_who_follows_goes_on_with_it(rig: Rig):
+    with host_with(rig, 1) as (first,), host_with(rig, 2) as (second,):
+        first.position(), second.position()
+        seen = BusEvidence(rig)
+        set_function(first, quintic(0.4, 0.5)).start()
+        set_function(second, quintic(1.0, 1.0)).start()
+        first.wait_until_done(5)
+        second.wait_until_done(5)
+        assert seen.producers() == {name_of(first), name_of(second)}
+        (late,) = [gap for gap in seen.gaps_ns() if gap != PERIOD_NS]  # one, from one to the other
+        assert 0 <= late - PERIOD_NS * 5 // 4 < FRAME_NS
+        assert abs(position(rig, 2) - 1.0) < INCREMENT_RAD
+        assert stream_of(second).late == 0
+
+
+def test_who_streams_at_the_period_of_a_producer_not_of_ours_follows_it(rig: Rig):
+    with host_with(rig, 1) as (motor,):
+        seen = BusEvidence(rig)
+        with foreign_sync(0.005) as network:
+            set_function(motor, quintic(1.0, 1.0)).start()
+            motor.wait_until_done(5)
+            assert seen.producers() == {name_of(network)}
+        stream = stream_of(motor)
+        assert (stream.sent, stream.late, stream.missed) == (200, 0, 0)
+        assert abs(position(rig, 1) - 1.0) < INCREMENT_RAD
+
+
+def test_a_producer_not_of_ours_with_another_period_is_refused(rig: Rig):
+    with host_with(rig, 1) as (motor,), foreign_sync(0.01):
+        motor.position()
+        set_function(motor, quintic(1.0, 1.0))
+        for _ in range(2):  # it must be heard at first, and is known then
+            with pytest.raises(
+                UsageError,
+                match="every 10 ms already, produced by somebody who is not of ours, so not",
+            ):
+                motor.start()
+        assert abs(position(rig, 1)) < INCREMENT_RAD
+
+
+def test_when_a_sync_not_of_ours_ends_the_drives_that_went_by_it_brake(rig: Rig):
+    with host_with(rig, 1) as (motor,), foreign_sync(0.005) as network:
+        set_function(motor, quintic(2.0, 2.0)).start()
+        rig.runtime.run_for(1.0)
+        network.sync.stop()
+        with pytest.raises(LinkError, match=r"no SYNC came for .* ms; it was produced by somebody"):
+            motor.wait_until_done(5)
+        before = position(rig, 1)
+        rig.runtime.run_for(0.5)
+        assert position(rig, 1) == before
+        assert 0.5 < before < 1.5
+
+
+def test_a_second_producer_beside_ours_is_found_out_and_the_drives_brake(rig: Rig):
+    with host_with(rig, 1) as (motor,):
+        set_function(motor, quintic(2.0, 2.0)).start()
+        rig.runtime.run_for(1.0)
+        with foreign_sync(0.0071):
+            with pytest.raises(LinkError, match="somebody who is not of ours produces SYNC as"):
+                motor.wait_until_done(5)
+            before = position(rig, 1)
+            rig.runtime.run_for(0.5)
+            assert abs(position(rig, 1) - before) < INCREMENT_RAD
+        assert motor.hardware.link.sync_period_ns is None
+
+
+def test_one_sync_that_somebody_sends_beside_ours_is_borne(rig: Rig):
+    with host_with(rig, 1) as (motor,), host_with(rig, 2) as (other,):
+        set_function(motor, quintic(1.0, 1.0)).start()
+        rig.runtime.run_for(0.5)
+        other.hardware.link.sync()
+        motor.wait_until_done(5)
+
+
+def test_a_follower_that_hears_nothing_for_a_while_goes_on_with_those_it_hears(rig: Rig):
+    with host_with(rig, 1) as (first,), host_with(rig, 2) as (second,):
+        set_function(first, quintic(1.0, 1.0)).start()
+        second.position()
+        ports = (name_of(second),)
+        lost = FaultRule("lost", FaultKind.DROP, identifier=0x080, ports=ports, skip=40, limit=3)
+        rig.faults.inject("can0", lost)
+        seen = BusEvidence(rig)
+        set_function(second, quintic(0.4, 0.5)).start()
+        second.wait_until_done(5)
+        assert seen.producers() == {name_of(first)}  # nobody took over what has a producer
+        assert stream_of(second).missed == 3
+        first.wait_until_done(5)
