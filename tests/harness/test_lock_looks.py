@@ -3,6 +3,7 @@
 import os
 import subprocess
 import sys
+from contextlib import contextmanager
 
 import pytest
 
@@ -111,8 +112,9 @@ def test_what_lies_between_two_looks_is_missing_and_the_token_shows_it(bench, ru
     assert [one.skipped for one in tenures] == [0, 1]
 
 
-@pytest.mark.parametrize("seen_free", [True, False])
-def test_one_who_died_with_it_is_told_if_it_was_seen(bench, runtime, seen_free):
+@contextmanager
+def kill_one_who_has_it(bench, is_looked_at=True):
+    """The pid of one who was seen with it, and then killed."""
     program = (
         "import os, sys; from motorapi.process_lock import ProcessLock;"
         "from motorapi.wall_runtime import WallRuntime;"
@@ -126,10 +128,17 @@ def test_one_who_died_with_it_is_told_if_it_was_seen(bench, runtime, seen_free):
         bench.look()
         dies.kill()
         dies.wait()
-    if seen_free:
-        assert bench.look() == []
-        assert bench.told[-1][1:3] == ("warning", "can0")
-        assert bench.told[-1][3] == f"pid {dies.pid} (python -c) has died with right"
+        if is_looked_at:
+            assert bench.look() == []
+        yield dies.pid
+
+
+@pytest.mark.parametrize("seen_free", [True, False])
+def test_one_who_died_with_it_is_told_if_it_was_seen(bench, runtime, seen_free):
+    with kill_one_who_has_it(bench, seen_free) as dead:
+        if seen_free:
+            assert bench.told[-1][1:3] == ("warning", "can0")
+            assert bench.told[-1][3] == f"pid {dead} (python -c) has died with right"
     lock = ProcessLock(NODE_2, "lo node 2")
     hold = lock.acquire(runtime, "rescue")
     (taken,) = bench.look()
@@ -137,6 +146,20 @@ def test_one_who_died_with_it_is_told_if_it_was_seen(bench, runtime, seen_free):
     dead, _ = ownership_of(bench.recorder.events).tenures["right"]
     assert dead.ended is (Ended.DIED if seen_free else Ended.UNTOLD)
     hold.release()
+    lock.close()
+
+
+def test_who_came_between_is_not_said_to_have_died(bench, runtime):
+    lock = ProcessLock(NODE_2, "lo node 2")
+    lock.acquire(runtime, "unseen").release()
+    bench.look()
+    with kill_one_who_has_it(bench) as dead:
+        assert f"pid {dead} (python -c) has died with right" in bench.told[-1][3]
+        lock.acquire(runtime, "unseen").release()  # it knew
+        hold = lock.acquire(runtime, "next")
+        (taken,) = bench.look()
+        assert taken.action is LockAction.TAKEN
+        hold.release()
     lock.close()
 
 

@@ -50,13 +50,15 @@ def test_whose_the_motor_is_at_a_handover_is_told_to_the_nanosecond():
             told(1.0, A.TAKEN, "mast", 5),
             told(2.0, A.RELEASED, "mast", 5),
             told(2.0, A.TAKEN, "drive", 6),
+            told(3.0, A.RELEASED, "drive", 6),
         ]
     )
     whose = [
-        getattr(record.owner_at("pan", time_ns), "owner", None)
-        for time_ns in (SECOND - 1, SECOND, 2 * SECOND - 1, 2 * SECOND)
+        getattr(record.owner_at("pan", second * SECOND + more_ns), "owner", None)
+        for second in (1, 2, 3)
+        for more_ns in (-1, 0)
     ]
-    assert whose == [None, "mast", "mast", "drive"]
+    assert whose == [None, "mast", "mast", "drive", "drive", None]
     assert record.owner_at("tilt", SECOND) is None
 
 
@@ -131,6 +133,11 @@ def test_two_owners_under_one_token_or_a_token_that_falls_contradict(token):
     assert line == (
         f"pan: at 2.000000 s drive has it under token {token}; mast had it under 5 already"
     )
+
+
+def test_nobody_gives_back_what_another_process_has():
+    events = [told(1.0, A.TAKEN, "mast", 5, pid=1), told(2.0, A.RELEASED, "mast", 5, pid=2)]
+    assert spans(events) == [("mast", 1.0, None, Ended.NOT_YET)]
 
 
 def test_one_program_of_two_processes_is_two_owners():

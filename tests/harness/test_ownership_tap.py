@@ -65,6 +65,13 @@ def test_what_the_rig_has_no_motor_on_is_told_apart(rig, tmp_path, resource, nam
     assert list(read_ownership(tmp_path / "run.mcap").tenures) == [name]
 
 
+def test_a_motor_is_called_by_its_own_name_not_its_controllers(rig, tmp_path):
+    rig.write_text(GOOD.replace("motor.right", "motor.pan"))
+    with Rig.open(rig, record=tmp_path / "run.mcap") as opened:
+        opened.world.tell_ownership("can0", "x", OwnershipNotice(2, TAKEN, 1))
+    assert list(read_ownership(tmp_path / "run.mcap").tenures) == ["pan"]
+
+
 def test_channels_of_one_node_are_motors_of_their_own(tmp_path):
     with Rig.open(EXAMPLES / "fido.toml", record=tmp_path / "run.mcap") as opened:
         motors = [
