@@ -2,19 +2,16 @@
 
 from typing import TYPE_CHECKING, Final
 
-from motorapi.adaptations.drive_traffic import traffic_on
-from motorapi.bus_timing import Firing, OneFrame, longest_s
+from motorapi.adaptations.bus_traffic import SYNC, period_on_wire_s, sync_period, traffic_on
+from motorapi.bus_timing import Firing, OneFrame
 from motorapi.commands import ControlVariable
 from motorapi.synchronization import SyncLevel, SyncOffer
 
 if TYPE_CHECKING:
-    from motorapi.adaptations.canopen_link import CanopenLink
     from motorapi.adaptations.cia402_hardware import Cia402HwMotor
     from motorapi.adaptations.drive_setup import DriveFacts
-    from motorapi.traffic import CanTraffic
 
 _LATCHED: Final = {ControlVariable.POSITION: 0x607A, ControlVariable.VELOCITY: 0x60FF}
-SYNC: Final = OneFrame(0x080, 0)
 _SET_POINT_BYTES: Final = 6
 _REQUEST_ID: Final = 0x600
 _REPLY_ID: Final = 0x580
@@ -35,10 +32,10 @@ def offer_of(hardware: "Cia402HwMotor", variable: ControlVariable, *, streamed: 
         reason += "; servo_period_ms, from the latch to the profile, is not told"
     if streamed:
         return _streamed(hardware, reason)
-    cyclic = link.cyclic_sync()
-    if cyclic is not None:
+    period_s, why = sync_period(link)
+    if period_s is not None:
         frame = OneFrame(armed, _SET_POINT_BYTES)
-        return _in_a_burst(hardware, frame, cyclic.period_ns / 1e9, f"{reason}; {cyclic}")
+        return _in_a_burst(hardware, frame, period_s, f"{reason}; {why}")
     traffic, unbounded = traffic_on(link)
     firing = None if traffic is None else Firing(link.name, traffic, (SYNC,), 0.0, 1)
     return _offer(hardware, SyncLevel.TRIGGERED, link.name, reason, firing, unbounded)
@@ -95,8 +92,7 @@ def _alone(
 ) -> SyncOffer:
     """By its own frames: the controlword, or a target that counts as it is written."""
     link, node_id = hardware.link, hardware.node_id
-    cyclic = link.cyclic_sync()
-    traffic, unbounded = traffic_on(link, None if cyclic is None else cyclic.period_ns / 1e9)
+    traffic, unbounded = traffic_on(link, sync_period(link)[0])
     mates = [0x700 + node_id]
     if facts.status is not None:
         mates.append(facts.status.cob_id & 0x7FF)
@@ -120,14 +116,6 @@ def _alone(
         idle_s = exchanges * (reply_ms or 0.0) / 1e3
         firing = Firing(link.name, traffic, frames, idle_s, 1)
     return _offer(hardware, SyncLevel.SEQUENTIAL, hardware.label, reason, firing, unbounded)
-
-
-def period_on_wire_s(
-    link: "CanopenLink", traffic: "CanTraffic", period_s: float
-) -> tuple[float, float] | None:
-    """Between two SYNCs on the wire, shortest and longest; each may wait for the bus."""
-    waits_s = longest_s([Firing(link.name, traffic, (SYNC,))])
-    return None if waits_s is None else (period_s - waits_s, period_s + waits_s)
 
 
 def _offer(

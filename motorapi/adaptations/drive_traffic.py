@@ -1,21 +1,12 @@
-"""What a drive sends once it was brought up, and this program for it; and what its bus carries."""
+"""What a drive sends once it was brought up, and this program for it."""
 
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Final
 
 from motorapi.adaptations.pdo_setup import PdoFound
-from motorapi.bus_timing import overload_of
-from motorapi.process_lock import can_share_time
-from motorapi.traffic import (
-    CanTraffic,
-    NodeTraffic,
-    PeriodicMessage,
-    declared_traffic,
-    own_traffic,
-)
+from motorapi.traffic import NodeTraffic, PeriodicMessage
 
 if TYPE_CHECKING:
-    from motorapi.adaptations.canopen_link import CanopenLink
     from motorapi.adaptations.drive_setup import DriveFacts, HwOptions
 
 _HEARTBEAT_ID: Final = 0x700
@@ -56,28 +47,3 @@ def drive_traffic(
         ours_at_sync=() if streamed is None else (PeriodicMessage(streamed, 6, 1.0),),
         unknown=unknown,
     )
-
-
-def traffic_on(
-    link: "CanopenLink", sync_period_s: float | None = None
-) -> tuple[CanTraffic | None, str]:
-    """All that may be sent on a bus; or None, and why nobody can tell.
-
-    Args:
-        link: of the bus.
-        sync_period_s: of a SYNC that runs or is about to; None: there is none.
-    """
-    if can_share_time(link.runtime):
-        return None, "on the wall clock nothing promises when this program goes on"
-    declared = declared_traffic(link.bus)
-    if declared is None:
-        return None, f"what else is sent on {link.name} is not declared (declare_traffic)"
-    own = own_traffic(link.bus)
-    unknown = next((one.unknown for one in own if one.unknown), "")
-    if unknown:
-        return None, f"what is sent on {link.name} has no bound: {unknown}"
-    traffic = declared.with_own(own, sync_period_s)
-    overload = overload_of(traffic)
-    if overload:
-        return None, f"{link.name} is too full: {overload}"
-    return traffic, ""

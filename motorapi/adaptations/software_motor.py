@@ -18,8 +18,7 @@ from dataclasses import dataclass, fields
 from math import inf, isfinite
 from typing import TYPE_CHECKING, Final, final
 
-from motorapi.adaptations.drive_offer import SYNC, period_on_wire_s
-from motorapi.adaptations.drive_traffic import traffic_on
+from motorapi.adaptations.bus_traffic import SYNC, period_on_wire_s, traffic_on
 from motorapi.adaptations.software_courses import Scales, course_of
 from motorapi.adaptations.software_cycle import CycleReport
 from motorapi.adaptations.software_gains import PidGains

@@ -65,7 +65,7 @@ def test_no_message_is_no_declaration_and_none_of_them_is_one():
         (
             "period_s = 0.01",
             "period_s = 0",
-            "6: bus.can0.message[0].period_s: 0.0 s is out of range; allowed: 1e-06 to 1000000.0 s",
+            "6: bus.can0.message[0].period_s: 0 s is out of range; allowed: 1e-06 to 1000000.0 s",
         ),
         (
             "period_s",

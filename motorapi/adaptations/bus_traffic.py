@@ -1,0 +1,59 @@
+"""What the bus of a link carries, as far as it is known, and how long its SYNC takes on it."""
+
+from typing import TYPE_CHECKING, Final
+
+from motorapi.bus_timing import Firing, OneFrame, longest_s, overload_of
+from motorapi.process_lock import can_share_time
+from motorapi.traffic import SYNC_ID, CanTraffic, declared_traffic, own_traffic
+
+if TYPE_CHECKING:
+    from motorapi.adaptations.canopen_link import CanopenLink
+
+SYNC: Final = OneFrame(SYNC_ID, 0)
+
+
+def traffic_on(
+    link: "CanopenLink", sync_period_s: float | None = None
+) -> tuple[CanTraffic | None, str]:
+    """All that may be sent on a bus; or None, and why nobody can tell.
+
+    Args:
+        link: of the bus.
+        sync_period_s: of a SYNC that runs or is about to; None: there is none.
+    """
+    if can_share_time(link.runtime):
+        return None, "on the wall clock nothing promises when this program goes on"
+    declared = declared_traffic(link.bus)
+    if declared is None:
+        return None, f"what else is sent on {link.name} is not declared (declare_traffic)"
+    own = own_traffic(link.bus)
+    unknown = next((one.unknown for one in own if one.unknown), "")
+    if unknown:
+        return None, f"what is sent on {link.name} has no bound: {unknown}"
+    traffic = declared.with_own(own, sync_period_s)
+    overload = overload_of(traffic)
+    if overload:
+        return None, f"{link.name} is too full: {overload}"
+    return traffic, ""
+
+
+def sync_period(link: "CanopenLink") -> tuple[float | None, str]:
+    """The period of a SYNC that runs, or will once a servo of this program is enabled [s].
+
+    And whose it is, in words.
+    """
+    cyclic = link.cyclic_sync()
+    if cyclic is not None:
+        return cyclic.period_ns / 1e9, str(cyclic)
+    period_s = getattr(link.cycle, "period_s", None)
+    if isinstance(period_s, float):
+        return period_s, f"SYNC every {period_s * 1e3:g} ms belongs to servos of this program"
+    return None, ""
+
+
+def period_on_wire_s(
+    link: "CanopenLink", traffic: CanTraffic, period_s: float
+) -> tuple[float, float] | None:
+    """Between two SYNCs on the wire, shortest and longest; each may wait for the bus."""
+    waits_s = longest_s([Firing(link.name, traffic, (SYNC,))])
+    return None if waits_s is None else (period_s - waits_s, period_s + waits_s)
