@@ -5,8 +5,9 @@ Whatever waits in a drive for the next SYNC is started by it, whoever sends it. 
 - from arming to the SYNC that fires it is one turn (`BusSync.turns`), of all groups, threads and
   processes on the bus;
 - a cyclic SYNC is begun in such a turn, and has one producer on a bus (`SharedBus.seat`). Who
-  wants one of the same period follows what he hears, and goes on with it when the producer ends, or
-  dies; another period is refused, and the producer named;
+  wants one of the same period follows what he hears, and goes on with it when the producer ends,
+  dies, or is paused; another period is refused, and the producer named. A producer that has lost
+  what goes by its SYNC to others sends none;
 - while one runs, nobody sends a single SYNC: a group is armed by one burst just after a SYNC
   (`motorapi.adaptations.sync_burst`).
 
@@ -17,21 +18,25 @@ than others, by the number of their turns, can have sent.
 """
 
 from collections import deque
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager, suppress
 from itertools import pairwise
 from typing import TYPE_CHECKING, Final, final
 
 from motorapi.adaptations.sync_producer import CyclicSync, shared_bus
-from motorapi.errors import LinkError, UsageError
+from motorapi.errors import LinkError, MotorBusyError, UsageError
 from motorapi.runtime import Registration
 from motorapi.turns import share_trigger
 
 if TYPE_CHECKING:
     from motorapi.adaptations.canopen_link import CanopenLink, Transmission
+    from motorapi.fencing import Fence
 
 Lost = Callable[[LinkError], None]
 """Told, once, that there is no SYNC any more to go on with; called in a callback."""
+FenceNow = Callable[[], "Fence | None"]
+"""The fence of what goes by SYNC, as it is now; None: nobody can take that over."""
+_User = tuple[Callable[[], None], Lost | None, FenceNow | None]
 
 _SLOWEST_NS: Final = 300_000_000  # 60C2h says 255 ms at most; a slower SYNC is not waited for
 _JITTER_NS: Final = 20_000_000  # of a host that listens
@@ -55,6 +60,7 @@ class BusSync:
 
     Attributes:
         turns: to arm and fire; to begin a cyclic SYNC.
+        marks: of what waits for a SYNC, for other processes.
         count: SYNCs that were on the wire, while anybody waited for one or others sent them.
     """
 
@@ -64,9 +70,10 @@ class BusSync:
         self._bus: Final = shared_bus(link)
         self._frame: Final = link.sync_frame
         self.turns: Final = self._bus.turns
+        self.marks: Final = self._bus.marks
         share_trigger(link.runtime, link.name, self.turns)
         self.count = 0
-        self._users: list[tuple[Callable[[], None], Lost | None]] = []
+        self._users: list[_User] = []
         self._period_ns: int | None = None
         self._timer: Registration | None = None  # of the producer, or of who watches it
         self._is_producer = False
@@ -127,7 +134,10 @@ class BusSync:
         seat = self._bus.seat
         if seat.is_of(self) and not self._is_producer:
             self._runtime.wait_until(lambda: not seat.is_of(self), _SLOWEST_NS / 1e9)
+        seat.evict_paused(self._runtime)
         known = self.known()
+        if self.turns.died:
+            self.clear()
         heard, turn = self._since_turn, self._turn
         self._since_turn, self._turn = 0, self.turns.number
         if known is not None:
@@ -149,13 +159,25 @@ class BusSync:
         self._since_turn = 0
         return self.known()
 
+    def clear(self, own: int | None = None) -> None:
+        """Nothing that a process has armed that died begins any more; `own`: our drive, too."""
+        with self.in_turn("what a process has armed that died"):
+            self.turns.died = False
+            self.marks.clear(self._link, own)
+
     def _hears_another(self, last_ns: int, within_ns: int) -> bool:
         return self._runtime.wait_until(lambda: self._heard_ns != last_ns, within_ns / 1e9)
 
     # --- going by it -----------------------------------------------------------------------
 
-    def join(self, period_s: float, action: Callable[[], None], lost: Lost | None) -> None:
-        """A cyclic SYNC runs, and `action` just after each was queued, or heard.
+    def join(
+        self,
+        period_s: float,
+        action: Callable[[], None],
+        lost: Lost | None,
+        fence: FenceNow | None = None,
+    ) -> None:
+        """A cyclic SYNC runs, and `action` just after each was queued, or heard; as in `on_sync`.
 
         Raises:
             UsageError: SYNC runs with another period on this bus; says who produces it.
@@ -163,14 +185,14 @@ class BusSync:
         """
         period_ns = round(period_s * 1e9)
         if self._period_ns is None:
-            with self._in_turn(f"SYNC every {period_ns / 1e6:g} ms"):
+            with self.in_turn(f"SYNC every {period_ns / 1e6:g} ms"):
                 if self._period_ns is None:  # no other thread was quicker
                     self._begin(period_ns)
-                    self._users.append((action, lost))
+                    self._users.append((action, lost, fence))
                     return
         if self._period_ns != period_ns:
             raise self._other_period(self._period_ns or 0, "", period_ns)
-        self._users.append((action, lost))
+        self._users.append((action, lost, fence))
 
     def check(self, period_s: float) -> None:
         """Raises UsageError if a SYNC of another period is known to run on the bus."""
@@ -180,7 +202,8 @@ class BusSync:
             raise self._other_period(known.period_ns, who, period_ns)
 
     @contextmanager
-    def _in_turn(self, who: str) -> Iterator[None]:
+    def in_turn(self, who: str) -> Iterator[None]:
+        """Nobody else arms and fires, or begins a cyclic SYNC, inside the block."""
         if self.turns.is_mine:
             yield
             return
@@ -211,9 +234,30 @@ class BusSync:
         self._timer = self._runtime.every(period_ns / 1e9, self._produce_one)
 
     def _produce_one(self) -> None:
-        self._sent = self._link.send_tracked(self._frame)
-        for action, _ in tuple(self._users):
+        seat, users = self._bus.seat, tuple(self._users)
+        if not seat.begin():  # this process was paused, and another one goes on with it
+            self._give_way()
+            return
+        try:
+            self._sent = self._send_one(users)
+        finally:
+            seat.end()
+        for action, _, _ in users:
             action()
+
+    def _send_one(self, users: Sequence["_User"]) -> "Transmission | None":
+        """A SYNC, as long as anything that goes by it is still ours; or nothing."""
+        fences = [None if fence is None else fence() for _, _, fence in users] or [None]
+        for fence in fences:
+            with suppress(MotorBusyError):  # taken over: who goes by it finds out at once
+                return self._link.send_tracked(self._frame, fence)
+        return None
+
+    def _give_way(self) -> None:
+        period_ns = self._period_ns or 0
+        self._is_producer = False
+        self._bus.seat.give(self)
+        self._follow(period_ns, True)
 
     def _follow(self, period_ns: int, is_ours: bool) -> None:
         self._follows_ours = is_ours
@@ -249,7 +293,7 @@ class BusSync:
         self._end()
         self._foreign_ns = 0
         error = LinkError(link=self._link.name, reason=reason)
-        for _, lost in users:
+        for _, lost, _ in users:
             if lost is not None:
                 lost(error)
 
@@ -305,7 +349,7 @@ class BusSync:
             self._stray(time_ns)
         elif period_ns is not None:
             self._watch(period_ns)
-            for action, _ in tuple(self._users):
+            for action, _, _ in tuple(self._users):
                 action()
         self.passed(time_ns)
 

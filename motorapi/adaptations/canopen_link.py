@@ -11,7 +11,7 @@ from collections import deque
 from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, Final, final
 
-from motorapi.adaptations.bus_sync import BusSync, Lost
+from motorapi.adaptations.bus_sync import BusSync, FenceNow, Lost
 from motorapi.errors import LinkError, UsageError
 from motorapi.fencing import joint_fence
 from motorapi.runtime import Registration, Runtime
@@ -266,7 +266,11 @@ class CanopenLink:
         return self.bus_sync.cyclic()
 
     def on_sync(
-        self, period_s: float, action: Callable[[], None], lost: Lost | None = None
+        self,
+        period_s: float,
+        action: Callable[[], None],
+        lost: Lost | None = None,
+        fence: FenceNow | None = None,
     ) -> Registration:
         """A cyclic SYNC runs, and `action` just after each was queued, or heard; it must not wait.
 
@@ -276,11 +280,12 @@ class CanopenLink:
             period_s: of SYNC [s].
             action: runs once for each.
             lost: is told, once, that there is none any more; nothing has to be cancelled then.
+            fence: asked for the fence of what goes by it: while no user owns that, none is sent.
 
         Raises:
             UsageError: SYNC runs with another period on this bus; says who produces it.
         """
-        self.bus_sync.join(period_s, action, lost)
+        self.bus_sync.join(period_s, action, lost, fence)
         return _SyncRegistration(self, action)
 
     def produce_heartbeat(self, host_node_id: int, period_ms: int) -> None:

@@ -134,7 +134,9 @@ class CspStream:
         if self._hardware.fence is not None:
             self._fence = self._hardware.fence.bound("set-points")
         self._last_sent = self._send()
-        self._registration = self._link.on_sync(self.period_s, self._after_sync, self._sync_lost)
+        self._registration = self._link.on_sync(
+            self.period_s, self._after_sync, self._sync_lost, lambda: self._fence
+        )
 
     def _send(self) -> Transmission:
         frame = _SETPOINT.pack(self._can_id, 6, self._word, self._target)

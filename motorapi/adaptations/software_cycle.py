@@ -22,6 +22,7 @@ from motorapi.sharing import PhysicalMotor
 if TYPE_CHECKING:
     from motorapi.adaptations.drive_node import DriveNode
     from motorapi.adaptations.node_occupation import NodeOccupation
+    from motorapi.fencing import Fence
     from motorapi.process_lock import Hold
     from motorapi.runtime import Registration
 
@@ -166,6 +167,10 @@ class ChannelPair:
         self._leave()
         self._link.ignore(self._count_id)
 
+    def fence(self) -> "Fence | None":
+        """Lets its outputs out while the node is this process's."""
+        return self._occupation.outputs
+
     def _leave(self) -> None:
         self._cycle.leave(self)
         self.vacate()
@@ -300,7 +305,7 @@ class Cycle:
         """
         if self._registration is None:
             self._registration = self._link.on_sync(
-                self.period_s, self._after_sync, self._sync_lost
+                self.period_s, self._after_sync, self._sync_lost, self._fence
             )
         self._pairs = (*self._pairs, pair)
 
@@ -310,6 +315,10 @@ class Cycle:
         if not self._pairs and self._registration is not None:
             self._registration.cancel()
             self._registration = None
+
+    def _fence(self) -> "Fence | None":
+        """Of the SYNC: one of the nodes that go by it."""
+        return self._pairs[0].fence() if self._pairs else None
 
     def _sync_lost(self, error: LinkError) -> None:
         """Another's SYNC, which the servos went by, comes no more: there is no control."""
@@ -369,31 +378,3 @@ def cycle_of(link: CanopenLink, period_s: float) -> Cycle:
     elif cycle.period_s != period_s:
         return Cycle(link, period_s)
     return cycle
-
-
-@final
-class ServoTrigger:
-    """Starts one motor, or all that are armed together on a bus, at the next SYNC."""
-
-    def __init__(self, cycle: Cycle, axis: Axis | None) -> None:
-        self._cycle = cycle
-        self._axis = axis
-
-    def fire(self) -> None:
-        """The SYNC with which they begin was on the wire."""
-        cycle = self._cycle
-        if self._axis is not None:
-            cycle.start((self._axis,))
-            return
-        armed, cycle.armed = cycle.armed, []
-        cycle.start(armed)
-
-    def __eq__(self, other: object, /) -> bool:
-        return (
-            isinstance(other, ServoTrigger)
-            and other._cycle is self._cycle
-            and other._axis is self._axis
-        )
-
-    def __hash__(self) -> int:
-        return hash((id(self._cycle), id(self._axis)))

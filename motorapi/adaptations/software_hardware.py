@@ -13,9 +13,10 @@ from motorapi.adaptations.canopen_link import Transmission, bus_label
 from motorapi.adaptations.cia402_objects import Value
 from motorapi.adaptations.drive_objects import DriveObjects
 from motorapi.adaptations.raw_frames import FrameInbox, raw_frame
+from motorapi.adaptations.servo_trigger import ServoTrigger
 from motorapi.adaptations.shared_node import node_locks
 from motorapi.adaptations.software_axis import AMPLIFIER_FAULT, COMMUNICATION, READY, ServoAxis
-from motorapi.adaptations.software_cycle import ChannelPair, CycleReport, ServoTrigger
+from motorapi.adaptations.software_cycle import ChannelPair, CycleReport
 from motorapi.adaptations.software_node import CHANNELS_MAX, AmplifierNode, open_node
 from motorapi.adaptations.software_options import IoFacts, IoOptions
 from motorapi.commands import as_number

@@ -6,6 +6,8 @@ from collections.abc import Hashable
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final, final
 
+from motorapi.adaptations.armed_marks import ArmedMarks
+from motorapi.errors import MotorBusyError
 from motorapi.lock_names import bus_name
 from motorapi.process_lock import Hold, ProcessLock, can_share_time
 from motorapi.runtime import Runtime
@@ -52,12 +54,17 @@ class ProducerSeat:
     def take(self, runtime: Runtime, who: object, period_ns: int) -> None:
         """It is the seat of `who`, who has the bus's turn; who has it may take it again.
 
+        It is taken over from a process that is paused, and so produces nothing.
+
         Raises:
             MotorBusyError: another process has it.
         """
-        if self._lock is not None and self._hold is None:
+        lock = self._lock
+        if lock is not None and self._hold is None:
             purpose = f"SYNC every {period_ns / 1e6:g} ms"
-            self._hold = self._lock.acquire(runtime, purpose, 0.0, self)
+            holder = lock.look().holder
+            paused = holder is not None and holder.is_paused
+            self._hold = lock.acquire(runtime, purpose, 0.0, self, take_over=paused)
         self._holder, self._period_ns = who, period_ns
 
     def give(self, who: object) -> None:
@@ -68,16 +75,41 @@ class ProducerSeat:
             if hold is not None:
                 hold.release()
 
+    def begin(self) -> bool:
+        """Whether it still is this process's, until `end`: nobody takes it over meanwhile."""
+        hold = self._hold
+        if hold is None:
+            return True
+        try:
+            hold.begin_write("")
+        except MotorBusyError:
+            return False
+        return True
+
+    def end(self) -> None:
+        """What was begun is over."""
+        if self._hold is not None:
+            self._hold.end_write()
+
+    def evict_paused(self, runtime: Runtime) -> None:
+        """A paused process has it no more: it would go on in the middle of what others arm."""
+        lock = self._lock
+        if lock is None or self._hold is not None:
+            return
+        holder = lock.look().holder
+        if holder is not None and holder.is_paused:
+            lock.acquire(runtime, "ended, for it was paused", 0.0, self, take_over=True).release()
+
     def is_of(self, who: object) -> bool:
         """Whether that one has it."""
         return self._holder is who
 
     def look(self) -> CyclicSync | None:
-        """Who has it now; None: nobody."""
+        """Who has it now; None: nobody, or a process that is paused."""
         if self._holder is not None:
             return CyclicSync(self._period_ns, "this program", True)
         holder = None if self._lock is None else self._lock.look().holder
-        if holder is None:
+        if holder is None or holder.is_paused:
             return None
         said = None if holder.record is None else _PURPOSE.match(holder.record.purpose)
         period_ns = 0 if said is None else round(float(said[1]) * 1e6)
@@ -96,6 +128,7 @@ class SharedBus:
             seat_lock = ProcessLock(f"{where}-sync-producer", f"the SYNC producer of {name}")
         self.turns: Final = Turns(f"SYNC of {name}", lock)
         self.seat: Final = ProducerSeat(seat_lock)
+        self.marks: Final = ArmedMarks(where, name)
 
 
 _buses: Final["weakref.WeakValueDictionary[Hashable, SharedBus]"] = weakref.WeakValueDictionary()

@@ -1,0 +1,33 @@
+"""What starts a motion of servos on the host: the next SYNC, for one motor or for several."""
+
+from typing import final
+
+from motorapi.adaptations.software_cycle import Axis, Cycle
+
+
+@final
+class ServoTrigger:
+    """Starts one motor, or all that are armed together on a bus, at the next SYNC."""
+
+    def __init__(self, cycle: Cycle, axis: Axis | None) -> None:
+        self._cycle = cycle
+        self._axis = axis
+
+    def fire(self) -> None:
+        """The SYNC with which they begin was on the wire."""
+        cycle = self._cycle
+        if self._axis is not None:
+            cycle.start((self._axis,))
+            return
+        armed, cycle.armed = cycle.armed, []
+        cycle.start(armed)
+
+    def __eq__(self, other: object, /) -> bool:
+        return (
+            isinstance(other, ServoTrigger)
+            and other._cycle is self._cycle
+            and other._axis is self._axis
+        )
+
+    def __hash__(self) -> int:
+        return hash((id(self._cycle), id(self._axis)))
