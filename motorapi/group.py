@@ -244,7 +244,7 @@ class MotorGroup(DeviceGroup[Motor]):
         """
         members, common = self._members(), self._common
         capability = capability_of(members, common)
-        if common.synchronization is not Synchronization.PHASE or capability.end_skew_s is None:
+        if common.synchronization is not Synchronization.PHASE:
             return capability
         try:
             return replace(capability, path=predicted_path(members, plan(members, common)))

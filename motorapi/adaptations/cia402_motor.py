@@ -29,6 +29,7 @@ from motorapi.adaptations.cia402_parameters import Cia402Parameters
 from motorapi.adaptations.cia402_units import DriveUnits
 from motorapi.adaptations.drive_motions import POLL_S, DriveMotions
 from motorapi.adaptations.drive_reader import DriveReader
+from motorapi.adaptations.joint_stop import joint_stop_of
 from motorapi.adaptations.motion_watch import HomingWatch, RestWatch, StreamWatch
 from motorapi.commands import ControlMode, ControlVariable, Motion, Setpoint
 from motorapi.errors import UnsupportedError, UsageError
@@ -142,6 +143,8 @@ class Cia402Motor(Motor):
 
     def _connect(self) -> None:
         self._hardware.connect()
+        if self._physical.ownership.is_orphan:
+            self._node.link.bus_sync.clear(own=self._node.node_id)
 
     @property
     def units(self) -> DriveUnits:
@@ -262,6 +265,13 @@ class Cia402Motor(Motor):
         if self._node.state is PdsState.OPERATION_ENABLED:
             self._control.send_halt(watch)
             self._hardware.end_stream(ENABLE_OPERATION | HALT)
+
+    def _stop_with_others(self) -> Trigger | None:
+        stop = joint_stop_of(self._node.link)
+        if stop is not None and stop.add(self._hardware):
+            return stop
+        self._stop()
+        return stop
 
     def _quick_stop(self) -> None:
         watch = RestWatch(commanded_ns=self.runtime.now_ns(), needs_bit=False)

@@ -315,3 +315,23 @@ def error_text(code: int) -> str:
         if code & mask == value:
             return text
     return "unknown"
+
+
+def is_off(word: int) -> bool:
+    """Whether a statusword shows that the power stage is off."""
+    return word & 0x4F in (0x40, 0x08) or word & 0x6F == 0x21
+
+
+def shows_no_reaction(word: int) -> bool:
+    """Whether a statusword shows no fault reaction that goes on."""
+    return word & 0x4F != 0x0F
+
+
+def shows_no_fault(word: int) -> bool:
+    """Whether a statusword shows no fault."""
+    return not word & FAULT_BIT
+
+
+def shows_no_acknowledge(word: int) -> bool:
+    """Pp: whether a statusword shows no set-point acknowledge."""
+    return not word & ACKNOWLEDGE

@@ -21,6 +21,10 @@ from motorapi.adaptations.cia402_objects import (
     Mode,
     PdsState,
     encode,
+    is_off,
+    shows_no_acknowledge,
+    shows_no_fault,
+    shows_no_reaction,
     type_of,
 )
 from motorapi.adaptations.drive_node import DriveNode
@@ -144,7 +148,7 @@ class DriveControl:
     def disable(self, *, stops: bool = False) -> None:
         """The power stage is off, by disable voltage; to stop the drive, whoever owns it."""
         self.write_controlword(DISABLE_VOLTAGE, stops=stops)
-        self._node.wait_for_status(_is_off, _STATE_TIMEOUT_S, "power stage off")
+        self._node.wait_for_status(is_off, _STATE_TIMEOUT_S, "power stage off")
         self._halted = False
 
     def reset_fault(self) -> None:
@@ -157,11 +161,11 @@ class DriveControl:
         node.refresh()
         if not node.statusword & FAULT_BIT:
             return
-        node.wait_for_status(_no_reaction, _STATE_TIMEOUT_S, "end of the fault reaction")
+        node.wait_for_status(shows_no_reaction, _STATE_TIMEOUT_S, "end of the fault reaction")
         self.write_controlword(0)  # the reset is a rising edge
         self.write_controlword(FAULT_RESET)
         try:
-            node.wait_for_status(_no_fault, _RESET_TIMEOUT_S, "fault reset")
+            node.wait_for_status(shows_no_fault, _RESET_TIMEOUT_S, "fault reset")
         except DeadlineExceeded:
             raise node.fault_error(self._node.label) from None
         finally:
@@ -246,7 +250,7 @@ class DriveControl:
         self.write_controlword(self._holding_word())
         if self._node.statusword & ACKNOWLEDGE or not self._node.status_is_cyclic:
             self._node.wait_for_status(
-                _not_acknowledged, _ACKNOWLEDGE_TIMEOUT_S, "set-point acknowledge to fall"
+                shows_no_acknowledge, _ACKNOWLEDGE_TIMEOUT_S, "set-point acknowledge to fall"
             )
         self._halted = False
 
@@ -303,6 +307,7 @@ class DriveControl:
             word |= NEW_SET_POINT | CHANGE_IMMEDIATELY
         self._armed = self._latched = index
         self._link.latching.add(self._node.node_id)
+        self._objects.doubt(index)
         frame = _control_target(facts.latched_ids[index], word, index, target)
         transmission = self._send(frame, self._fence)
 
@@ -318,6 +323,18 @@ class DriveControl:
 
         self._link.at_next_sync(on_sync)
         return transmission
+
+    def send_armed_halt(self) -> Transmission | None:
+        """A halt that the next SYNC makes count is on its way; None: no RPDO brings it so.
+
+        Nobody's permission is asked, as for any stop.
+        """
+        if self.facts is None or 0x607A not in self.facts.latched_ids:
+            return None
+        self._armed, self._latched, self._halted = None, 0x607A, True
+        self._word = self._holding_word()
+        self._link.latching.add(self._node.node_id)
+        return self._overwrite_latch(None)[0]
 
     @property
     def is_armed(self) -> bool:
@@ -360,6 +377,7 @@ class DriveControl:
         target = self._node.position_inc if index == 0x607A else 0
         word = self._holding_word() if self._word is None else self._word
         word &= ~(NEW_SET_POINT | CHANGE_IMMEDIATELY)
+        self._objects.doubt(index)
         frame = _control_target(facts.latched_ids[index], word, index, target)
         return [self._send(frame, fence)]
 
@@ -372,22 +390,6 @@ def _control_target(can_id: int, word: int, index: int, target: int) -> bytes:
 
 def _differs(node: DriveNode, state: PdsState | None) -> Callable[[int], bool]:
     return lambda word: node.state is not state
-
-
-def _is_off(word: int) -> bool:
-    return word & 0x4F in (0x40, 0x08) or word & 0x6F == 0x21
-
-
-def _no_reaction(word: int) -> bool:
-    return word & 0x4F != 0x0F
-
-
-def _no_fault(word: int) -> bool:
-    return not word & FAULT_BIT
-
-
-def _not_acknowledged(word: int) -> bool:
-    return not word & ACKNOWLEDGE
 
 
 def _never() -> bool:

@@ -255,3 +255,11 @@ def test_a_stop_together_needs_a_path():
     group.synchronization = Synchronization.PHASE
     group.start()
     group.wait_until_done()
+
+
+def test_a_limit_that_the_hardware_rounds_slows_the_whole_line():
+    motors = motors_of([(2.0, 4.0, 4.0)] * 2, [(0.0, 0.0, 0.0), (0.0, 0.75, 0.0)])
+    fine, coarse = planned(motors, [1.0, 3.0])
+    # By hand: coarse makes 1.5 of 2 rad/s, and fine a third of that, not of 2.
+    assert (fine.motion.velocity, coarse.motion.velocity) == (0.5, 1.5)
+    assert predicted([fine, coarse]) == pytest.approx([0.0, 0.0], abs=1e-12)  # floating point
