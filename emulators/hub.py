@@ -32,6 +32,7 @@ from emulators.world import World
 _BACKLOG_MAX: Final = 1_000_000
 _SUBMIT_SIZE: Final = 17
 _TAKING: Final = (1, 5, 6)  # actions of a notice by which somebody owns a motor from now on
+_ENDING: Final = (2, 7)  # and by which it does not
 CLIENTS_MAX: Final = 256  # select() takes no descriptor above 1023
 
 
@@ -56,6 +57,11 @@ class _Fences:
         return None
 
 
+def _words(resource: int) -> str:
+    channel = f" channel {resource >> 8}" if resource >> 8 else ""
+    return f"node {resource & 0xFF}{channel}"
+
+
 @final
 class _Client:
     """One connected process: its port on a bus, and what it has not taken yet."""
@@ -68,6 +74,7 @@ class _Client:
         self._port: HostPort | None = None
         self._bus = ""
         self._told_stale: set[tuple[int, int]] = set()
+        self._owned: dict[int, OwnershipNotice] = {}  # by resource: what it has said it owns
         self._waiting: deque[bytes] = deque()
 
     def readable(self) -> bool:
@@ -112,7 +119,10 @@ class _Client:
         return True
 
     def _note(self, name: str, notice: OwnershipNotice) -> None:
+        if notice.action in _ENDING:
+            self._owned.pop(notice.resource, None)
         if notice.action in _TAKING:
+            self._owned[notice.resource] = notice
             purpose = f" for {notice.purpose}" if notice.purpose else ""
             self._fences.newer(self._bus, notice.resource, notice.token, name + purpose)
         self._world.tell_ownership(self._bus, name, notice)
@@ -122,13 +132,24 @@ class _Client:
             return
         self._told_stale.add((resource, token))
         greater, who = newer
-        channel = f" channel {resource >> 8}" if resource >> 8 else ""
-        text = (
-            f"frames of {name} are refused: token {token}, and node {resource & 0xFF}{channel} is"
-            f" owned under token {greater} by {who}"
+        self._report(
+            f"frames of {name} are refused: token {token}, and {_words(resource)} is owned under"
+            f" token {greater} by {who}"
         )
-        self._world.report(self._world.queue.now_ns, "warning", self._bus, text)
         self._send(pack_stale(resource, greater, who))
+
+    def _report(self, text: str) -> None:
+        self._world.report(self._world.queue.now_ns, "warning", self._bus, text)
+
+    def leave(self) -> None:
+        """It has gone. If it owned motors then, as one that was killed does, that is told."""
+        if self._port is not None and self._owned:
+            owned = ", ".join(
+                f"{_words(notice.resource)} (token {notice.token})"
+                for notice in self._owned.values()
+            )
+            self._report(f"{self._port.name} has left, and has not given back {owned}")
+        self.close()
 
     def refuse(self, reason: str) -> None:
         """It knows why it has to go."""
@@ -277,12 +298,13 @@ class HubServer:
         return any(client.waits() for client in self._clients.values())
 
     def _drop(self, connection: socket.socket) -> None:
-        self._clients.pop(connection).close()
+        self._clients.pop(connection).leave()
 
     def close(self) -> None:
         """Everybody is disconnected and the path is free again."""
-        for connection in list(self._clients):
-            self._drop(connection)
+        for client in self._clients.values():
+            client.close()
+        self._clients.clear()
         self._listener.close()
         with contextlib.suppress(FileNotFoundError):
             if self.path.lstat().st_ino == self._inode:  # not another hub's by now

@@ -129,6 +129,31 @@ def test_the_world_hears_of_a_refusal_once_and_of_every_word_about_ownership(pat
     assert "refused: token 7, and node 3 is owned under token 8 by " in event[2]
 
 
+def test_one_that_leaves_with_motors_is_told_of_and_nobody_else(path):
+    events = []
+    with serving(path) as world, opened(path) as witness:
+        world.tap_events(lambda time_ns, *event: events.append(event))
+        with opened(path) as dies:
+            for resource in (NODE, NODE + 256, NODE + 512):
+                dies.announce_ownership(resource, TAKEN, 7)
+            dies.announce_ownership(NODE, WAITING, 0)  # another thread of it
+            dies.announce_ownership(NODE + 512, RELEASED, 7)
+            assert settled(dies, witness) == []
+        with opened(path) as gives_back:
+            gives_back.announce_ownership(NODE + 1, TAKEN, 1)
+            gives_back.announce_ownership(NODE + 1, LOST, 1)
+            assert settled(gives_back, witness) == []
+        stays = opened(path)
+        stays.announce_ownership(NODE + 2, TAKEN, 1)
+        assert settled(stays, witness) == []
+    stays.shutdown()  # the hub left before it did
+    (event,) = events
+    assert event[:2] == ("warning", "can0")
+    assert event[2].endswith(
+        " has left, and has not given back node 3 (token 7), node 3 channel 1 (token 7)"
+    ), event
+
+
 def test_each_bus_has_motors_of_its_own(path):
     with (
         serving(path),
