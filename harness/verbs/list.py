@@ -4,11 +4,13 @@ import argparse
 import json
 from importlib.util import find_spec
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
 from harness.exit_status import PASSED
 from harness.plugins import ADAPTATIONS, CONTROLLERS, installed
 from motorapi.lock_view import Occupant, list_locks
+
+_BRIEF: Final = ("-sdo", "-sync", "-sync-producer")  # of a drive's objects, of a bus's SYNC
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -41,7 +43,7 @@ def _motors() -> list[dict[str, Any]]:
     """The motors that processes of this host share, or have shared: who has each, who waits."""
     listing = []
     for view in list_locks():
-        if view.holder is None and view.name.endswith("-sdo"):
+        if view.holder is None and (view.name.endswith(_BRIEF) or "-armed-" in view.name):
             continue  # had for a moment only, unless somebody is paused in it
         if view.holder is None and not view.waiters and not _is_there(view.label):
             continue  # of a hub that is served no more

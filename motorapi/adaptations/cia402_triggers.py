@@ -48,6 +48,8 @@ class SyncTrigger:
         elif not streams:
             link.confirmed([link.sync()])
         count_straddles(points)
+        for one in points:
+            one.unmark()
         if is_group:
             link.armed_set_points.clear()
 

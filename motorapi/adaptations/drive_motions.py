@@ -267,6 +267,7 @@ class DriveMotions:
         self._point = point
         link.armed_set_points.append(point)
         if link.bus_sync.find_cyclic() is None:
+            point.mark(self._node.node_id, self._hardware.connect().latched_ids[index])
             point.send()
             if point.transmission is not None:
                 link.confirmed([point.transmission])
@@ -284,10 +285,15 @@ class DriveMotions:
             self._hardware.follow(self._before)  # a stop that came while it was being armed, say
         if stream is not None and stream.started_ns is None:
             stream.cancel()
+        point, self._point = self._point, None
         armed_set_points = self._node.link.armed_set_points
-        if self._point in armed_set_points:
-            armed_set_points.remove(self._point)
-        self._control.disarm()
+        if point in armed_set_points:
+            armed_set_points.remove(point)
+        try:
+            self._control.disarm()
+        finally:
+            if point is not None:
+                point.unmark()
 
     # --- confirming ----------------------------------------------------------------------------
 

@@ -16,6 +16,7 @@ from motorapi.errors import LinkError
 if TYPE_CHECKING:
     from motorapi.adaptations.canopen_link import CanopenLink, Transmission
     from motorapi.adaptations.drive_control import DriveControl
+    from motorapi.process_lock import Hold
 
 _FIRST_SYNC_S: Final = 0.5
 _PERIODS: Final = 4
@@ -53,9 +54,20 @@ class ArmedSetPoint:
         self._target = target
         self._fired = fired
         self.place = 0
+        self._mark: Hold | None = None
         self.transmission: Transmission | None = None
         self.latched_ns: int | None = None
         self.straddles = 0
+
+    def mark(self, node_id: int, can_id: int) -> None:
+        """Other processes see that it waits in this RPDO of the drive, until `unmark`."""
+        self._mark = self._link.bus_sync.marks.mark(self._link, node_id, can_id, self)
+
+    def unmark(self) -> None:
+        """It waits no more: a SYNC has latched it, or it was overwritten."""
+        mark, self._mark = self._mark, None
+        if mark is not None:
+            mark.release()
 
     def send(self) -> None:
         """Its frame is on its way, unless the drive was told to stop.
