@@ -18,8 +18,10 @@ long as a stream goes on.
 """
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import AbstractContextManager, ExitStack, contextmanager
+from contextlib import AbstractContextManager, ExitStack, contextmanager, suppress
 from typing import TYPE_CHECKING, Final, Protocol, final, runtime_checkable
+
+from motorapi.errors import MotorBusyError
 
 if TYPE_CHECKING:
     import can
@@ -47,11 +49,17 @@ class Fence(Protocol):
 
 
 class Owned(Protocol):
-    """Something that one owner of this process may have for himself."""
+    """Something that one owner of this process may have for himself (an Ownership)."""
 
     @property
     def is_here(self) -> bool:
         """Whether somebody of this process has it, as far as that one knows."""
+
+    def begin_write(self, asker: str = "") -> int:
+        """The token; nobody takes it over until `end_write`. Raises MotorBusyError: it was lost."""
+
+    def end_write(self) -> None:
+        """What was begun is over."""
 
 
 @runtime_checkable
@@ -105,11 +113,11 @@ class NodeFence:
         """See `Fence`."""
         own = self._own()
         try:
-            token = self.lock.begin_write()
+            token = self._owned.begin_write()
             try:
                 self.let_out(frame, token)
             finally:
-                self.lock.end_write()
+                self._owned.end_write()
         finally:
             if own is not None:
                 own.release()
@@ -119,11 +127,11 @@ class NodeFence:
         """See `Fence`."""
         own = self._own()
         try:
-            self.lock.begin_write()
+            self._owned.begin_write()
             try:
                 yield
             finally:
-                self.lock.end_write()
+                self._owned.end_write()
         finally:
             if own is not None:
                 own.release()
@@ -150,6 +158,13 @@ class NodeFence:
             raise self.lock.not_ours("")
         return BoundFence(self, hold, own)
 
+    def notice(self) -> None:
+        """Whoever owns it in this process learns that it was taken over, if it was."""
+        if self._owned.is_here:
+            with suppress(MotorBusyError):
+                self._owned.begin_write()
+                self._owned.end_write()
+
     @property
     def is_owned(self) -> bool:
         """Whether this process owns it, as far as it knows."""
@@ -174,7 +189,11 @@ class BoundFence:
     def send(self, frame: bytes) -> None:
         """See `Fence`."""
         hold = self._hold
-        hold.begin_write("")
+        try:
+            hold.begin_write("")
+        except MotorBusyError:
+            self._fence.notice()
+            raise
         try:
             self._fence.let_out(frame, hold.token)
         finally:
@@ -183,7 +202,11 @@ class BoundFence:
     @contextmanager
     def passage(self) -> Iterator[None]:
         """See `Fence`."""
-        self._hold.begin_write("")
+        try:
+            self._hold.begin_write("")
+        except MotorBusyError:
+            self._fence.notice()
+            raise
         try:
             yield
         finally:

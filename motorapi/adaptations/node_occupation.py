@@ -45,6 +45,16 @@ class NodeOccupation:
         hold = None if self._lock is None else self._lock.hold
         return hold is not None and hold.owner is self
 
+    def begin_write(self, asker: str = "") -> int:
+        """See `motorapi.fencing.Owned`; for the lock that there is."""
+        assert self._lock is not None
+        return self._lock.begin_write(asker)
+
+    def end_write(self) -> None:
+        """See `begin_write`."""
+        assert self._lock is not None
+        self._lock.end_write()
+
     def occupy(self, *, take_over: bool = False) -> "Hold | None":
         """The node is this process's, until what is returned is released.
 
