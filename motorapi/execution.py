@@ -292,6 +292,7 @@ def _fire(started: Sequence[Started], triggers: Sequence[Trigger], seen: Sequenc
 def _check_not_interrupted(motors: Sequence["Motor"], seen: Sequence[int]) -> None:
     for motor, count in zip(motors, seen, strict=True):
         physical = motor._physical
+        physical.ownership.require(motor)
         if physical.interruptions != count:
             by = "a stop" if physical.run is None else physical.run.name
             raise MotionInterrupted(motor=motor.name, by=by, at_ns=motor.runtime.now_ns())
@@ -306,10 +307,14 @@ def _disarm(armed: Sequence[Started], error: BaseException) -> None:
 
 
 def _abandon(started: Sequence[Started], runs: Sequence[Run], error: BaseException) -> None:
-    """A start that failed after firing: every motor is stopped, none may start any more."""
+    """A start that failed after firing: every motor is stopped, none may start any more.
+
+    But for those that somebody has taken over meanwhile: they are his.
+    """
     for one, run in zip(started, runs, strict=True):
         try:
-            one.motor._call(one.motor._stop)
+            if not one.motor._physical.ownership.is_lost_by(one.motor):
+                one.motor._call(one.motor._stop)
         except Exception as further:
             error.add_note(f"and {one.motor.name} could not be stopped: {further}")
         if one.motor._physical.run is run:

@@ -70,12 +70,13 @@ class Hold:
     Attributes: owner, token (greater than that of anybody before), changed_hands (whether another
     lock object, of whatever process, had it in between, or this one has it for the first time),
     was_abandoned (whether the one before died with it), was_taken_over (whether it was taken from
-    one who lives).
+    one who lives), taken_from (from whom, in words; "": not known).
     """
 
     __slots__ = (
         "_counting",
         "_depth",
+        "_end_ns",
         "_file",
         "_lease_ns",
         "_lock",
@@ -84,6 +85,7 @@ class Hold:
         "_writers",
         "changed_hands",
         "owner",
+        "taken_from",
         "token",
         "was_abandoned",
         "was_taken_over",
@@ -98,7 +100,7 @@ class Hold:
         *,
         changed_hands: bool,
         was_abandoned: bool,
-        was_taken_over: bool = False,
+        taken_from: str | None = None,
         lease_ns: int = 0,
     ) -> None:
         self._lock = lock
@@ -107,13 +109,15 @@ class Hold:
         self._counting = threading.Lock()
         self._writers = 0
         self._lease_ns = lease_ns
+        self._end_ns = time.monotonic_ns() + lease_ns  # of the lease
         self._renew_ns = 0  # when to renew it; the first use does
         self._loss: Loss | None = None
         self.owner: Final = owner
         self.token: Final = token
         self.changed_hands: Final = changed_hands
         self.was_abandoned: Final = was_abandoned
-        self.was_taken_over: Final = was_taken_over
+        self.was_taken_over: Final = taken_from is not None
+        self.taken_from: Final = taken_from or ""
 
     def __enter__(self) -> "Hold":
         return self
@@ -158,6 +162,13 @@ class Hold:
         """The lease [s]; None: there is none."""
         return self._lease_ns / 1e9 if self._lease_ns else None
 
+    @property
+    def left_s(self) -> float | None:
+        """How long the lease lasts [s]; 0: it is over; None: there is none."""
+        if not self._lease_ns:
+            return None
+        return max(0, self._end_ns - time.monotonic_ns()) / 1e9
+
     def renew(self) -> None:
         """The lease begins anew.
 
@@ -189,7 +200,8 @@ class Hold:
     def _tell_lease(self) -> None:
         now_ns, lease_ns = time.monotonic_ns(), self._lease_ns
         self._renew_ns = now_ns + lease_ns // _RENEWALS
-        self._file.tell_lease(lease_ns, now_ns + lease_ns if lease_ns else 0)
+        self._end_ns = now_ns + lease_ns
+        self._file.tell_lease(lease_ns, self._end_ns if lease_ns else 0)
 
     # ---- writing ----
 

@@ -65,7 +65,7 @@ class TakeoverAttempt:
             token that is lost, with the reason.
 
     Attributes: token (of the new holder, once it is taken), lost (that of whom it was taken
-    from), from_identity (his; b"": not known).
+    from), from_identity (his; b"": not known), taken_from (who that was, in words).
     """
 
     def __init__(
@@ -83,6 +83,7 @@ class TakeoverAttempt:
         self.token = 0
         self.lost = 0
         self.from_identity = b""
+        self.taken_from = ""
 
     def make(self) -> Attempt:
         """It is taken, or why not; then nothing has changed."""
@@ -170,7 +171,9 @@ class TakeoverAttempt:
         victim: Record | None = Line(os.pread(fd, BLOCK, line_block(old))).record
         if victim is not None and victim.number != self.lost:
             victim = None
-        self.from_identity = b"" if victim is None else victim.identity
+        if victim is not None:
+            self.from_identity = victim.identity
+            self.taken_from = f"pid {victim.pid} ({victim.program})"
         takeover = pack_takeover(self._describe(self.lost, self._reason()), token, victim)
         os.pwrite(fd, takeover, takeover_block(self.lost))
         told = NUMBER.pack(0) + self._lease + self._describe(token, None)

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, final
 
 from motorapi.commands import as_number
 from motorapi.errors import DeadlineExceeded, MotorError, UsageError
+from motorapi.leases import use_leases
 from motorapi.runtime import wait_until
 from motorapi.waiting import Awaited, Waiting
 
@@ -51,6 +52,8 @@ def wait_for_all(
         deadline_ns = runtime.now_ns() + round(min(timeout_s, 1e9) * 1e9)
     while True:
         again_s = [one.motor._refresh_freely() for one in going() if one.run is not None]
+        again_s += [one.motor._physical.ownership.use(one.motor) for one in going()]
+        again_s.append(use_leases())
         pauses_s = [pause_s for pause_s in again_s if pause_s is not None]
         if deadline_ns is not None:
             pauses_s.append(max(0, deadline_ns - runtime.now_ns()) / 1e9)
@@ -103,7 +106,7 @@ def stop_others(motors: Sequence["Motor"], failed: "Motor", error: Exception) ->
         return
     error.add_note(f"from {failed.name}; the others of its group were stopped")
     for motor in motors:
-        if motor is not failed:
+        if motor is not failed and not motor._physical.ownership.is_lost_by(motor):
             try:
                 motor.stop()
             except Exception as further:

@@ -217,12 +217,18 @@ class Motor(SharedMotor):
             raise UsageError(f"{self.name}: purpose {purpose!r}: say it in words")
         patience = None if timeout_s is None else self._patience(as_number(timeout_s))
         who = f"reserve() of {self.name}"
-        with self._physical.ownership.owned(
-            self, who, purpose, patience, lease_s=lease_s, take_over=take_over
+        physical = self._physical
+        if take_over:
+            physical.require_not_held_elsewhere()
+        with physical.ownership.owned(
+            self, who, purpose, patience, lease_s=lease_s, take_over=take_over, afresh=True
         ) as claim:
-            with self._physical.transaction(self.runtime, who):
+            with physical.transaction(self.runtime, who):
                 self._bury_failed_run()
-                self._physical.take(self, self.name, self._status())
+                physical.take(self, self.name, self._status())
+                if physical.ownership.is_orphan:
+                    self._call(self._connect)
+                    self._adopt()
             yield Reservation((self.name,), (claim,))
 
     @final
@@ -332,7 +338,8 @@ class Motor(SharedMotor):
         try:
             self.wait_until_done(timeout_s)
         except BaseException:
-            self.stop()
+            if not self._physical.ownership.is_lost_by(self):
+                self.stop()
             raise
 
     # ---- the hardware itself ----

@@ -8,83 +8,36 @@ Where the bus belongs to this process alone (a rig in virtual time), owners queu
 that other processes can open they queue in a `ProcessLock`, with those of other processes, in one
 order. Whether another process has had the motor in between is counted (`absences`): what this one
 believes of the drive may then be true no more.
+
+From an owner who lives it can be taken over: on demand, or by whoever comes next once its lease is
+over. A lease is renewed by what the owner does, and by nothing else: a timer would go on behind a
+debugger's prompt. Who has lost it finds out with his next step at the latest; as long as his
+reservation's block lasts he is refused, by the name of who took it, unless he reserves it again.
+Both are the same with a lock and without.
 """
 
 import threading
-from collections import deque
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
-from typing import TYPE_CHECKING, Final, Protocol, final
+from contextlib import contextmanager, suppress
+from typing import TYPE_CHECKING, Final, final
 
-from motorapi.claim import Claim
+from motorapi.claim import Asked, Claim, Owner
 from motorapi.errors import MotorBusyError, MotorError
-from motorapi.outcome import LOOK_PERIOD_S
-from motorapi.ownership_events import LockAction, OwnershipEvent, OwnershipListener
-from motorapi.process_lock import Hold, ProcessLock, this_process
-from motorapi.runtime import wait_until
+from motorapi.hold import Loss
+from motorapi.leases import RENEWALS, register
+from motorapi.owner_row import OwnerRow, Teller
+from motorapi.ownership_events import LockAction
+from motorapi.patience import Keeper, Patience
+from motorapi.process_lock import Hold, ProcessLock
 
 if TYPE_CHECKING:
-    from motorapi.runtime import Registration, Runtime
+    from motorapi.runtime import Runtime
     from motorapi.waiting import News
 
+_LOSS_LOOK_S: Final = 0.1
+"""How soon one who waits notices that another process took the motor over, if nothing tells."""
 SET_UP_TIMEOUT_S: Final = 10.0
 """How long an owner waits for a drive to be set up for somebody who reads it."""
-
-
-class Owner(Protocol):
-    """A logical motor, as an owner."""
-
-    @property
-    def name(self) -> str:
-        """What messages call it."""
-
-    @property
-    def runtime(self) -> "Runtime":
-        """Where it waits."""
-
-
-@final
-class _Place:
-    """One who waits."""
-
-    __slots__ = ("since_ns", "who")
-
-    def __init__(self, who: str, since_ns: int) -> None:
-        self.who: Final = who
-        self.since_ns: Final = since_ns
-
-
-@final
-class Patience:
-    """How a patient one waits for the motor.
-
-    Args:
-        timeout_s: how long [s].
-        in_the_way: what keeps a free motor from being taken, as an error; neither waits nor sends.
-        refresh: what `in_the_way` looks at is fresh; after how long to call it again [s], if at
-            all.
-    """
-
-    def __init__(
-        self,
-        timeout_s: float,
-        in_the_way: Callable[[], MotorBusyError | None],
-        refresh: Callable[[], float | None],
-    ) -> None:
-        self.timeout_s: Final = timeout_s
-        self.in_the_way: Final = in_the_way
-        self._refresh: Final = refresh
-
-    def until(self, runtime: "Runtime", done: Callable[[], bool], timeout_s: float | None) -> bool:
-        """As `runtime.wait_until`, with everything fresh."""
-        end_ns = runtime.now_ns() + round(min(timeout_s or 0.0, 1e9) * 1e9)
-        while True:
-            left_s = max(0, end_ns - runtime.now_ns()) / 1e9
-            pause_s = self._refresh()
-            if wait_until(runtime, done, left_s if pause_s is None else min(left_s, pause_s)):
-                return True
-            if runtime.now_ns() >= end_ns:
-                return False
 
 
 @final
@@ -93,30 +46,43 @@ class Ownership:
 
     Args:
         lock: shared with other processes; None: there are none on this bus.
+        interrupt: ends, in the name of who takes the motor over, what it does for others than the
+            new owner (None: for whom it was lost); whether it did anything.
 
     Attributes:
         absences: grows whenever another process had the motor since this one owned it last.
-        is_orphan: whether who had it before died with it, so that it may be moving for nobody; the
-            next one brings it to rest first, and says so here.
+        is_orphan: whether who had it before died with it, or lost it, so that it may be moving for
+            nobody; the next one brings it to rest first, and says so here.
         listeners: are told what happens to the ownership; see `motorapi.ownership_events`.
     """
 
-    def __init__(self, lock: ProcessLock | None) -> None:
+    def __init__(
+        self,
+        lock: ProcessLock | None,
+        interrupt: Callable[[str, int, object, object], bool] = lambda *_: False,
+    ) -> None:
         self.lock: Final = lock
         self.absences = 0
         self.is_orphan = False
-        self.listeners: list[OwnershipListener] = []
+        self._teller: Final = Teller()
+        self.listeners: Final = self._teller.listeners
+        self._interrupt: Final = interrupt
         self._held: Claim | None = None
-        self._token = 0  # where there is no lock
-        self._queue: deque[_Place] = deque()  # of those who wait here, not in the lock
+        self._lost: list[Claim] = []  # as long as their owners have not given them back
+        self._row: Final = OwnerRow(self, self._teller)
         self._mutex = threading.Lock()  # never held while waiting
-        self._keeper: _Keeper | None = None
+        self._keeper: Keeper | None = None
         self._set_up = object()  # the owner while a drive is set up for readers
 
     @property
     def is_here(self) -> bool:
-        """Whether somebody of this process owns it."""
+        """Whether somebody of this process owns it, as far as that one knows."""
         return self._held is not None
+
+    @property
+    def held(self) -> Claim | None:
+        """The claim of this process, held or lost; None: there is none."""
+        return self._held
 
     @contextmanager
     def owned(
@@ -128,6 +94,7 @@ class Ownership:
         *,
         lease_s: float | None = None,
         take_over: bool = False,
+        afresh: bool = False,
     ) -> Iterator[Claim]:
         """The motor is the owner's inside the block, for one reason more.
 
@@ -136,46 +103,218 @@ class Ownership:
             who: what he does, in words.
             purpose: what for, in words.
             patience: how to wait for others; None: not at all.
-            lease_s: others may take it over once it was not renewed for so long [s].
+            lease_s: others may take it over once it was not used for so long [s]; None: as before.
             take_over: take it from whoever has it.
+            afresh: though he has lost it, and has not given it back yet.
 
         Raises:
             MotorBusyError: somebody else's it is, or was for as long as `patience` says.
         """
-        claim = self.take(owner, who, purpose, patience, lease_s=lease_s, take_over=take_over)
+        before = self._held
+        asked = Asked(owner, who, purpose, patience, lease_s, take_over)
         try:
+            claim = self._take(asked, afresh)
+        except MotorBusyError as error:
+            self._teller.tell(LockAction.REFUSED, asked, error.holder, since_ns=asked.asked_ns)
+            raise
+        outer_s = claim.lease_s if claim is before else None
+        try:
+            if claim is before and lease_s is not None:
+                claim.set_lease(lease_s)
+            if lease_s is not None:
+                register(claim)
             yield claim
         finally:
-            self.give(owner)
+            if lease_s is not None and claim.reasons > 1:
+                with suppress(MotorBusyError):
+                    claim.set_lease(outer_s)
+            self.give(claim)
 
     def take(
-        self,
-        owner: Owner,
-        who: str,
-        purpose: str = "",
-        patience: Patience | None = None,
-        *,
-        lease_s: float | None = None,
-        take_over: bool = False,
+        self, owner: Owner, who: str, purpose: str = "", patience: Patience | None = None
     ) -> Claim:
         """The motor is the owner's until `give`. As `owned`."""
+        return self._take(Asked(owner, who, purpose, patience), False)
+
+    def _take(self, asked: Asked, afresh: bool) -> Claim:
         keeper = self._keeper
         if keeper is not None:
             keeper.look()  # what it was kept for may be over, and nobody has seen it yet
+        claim = self._again(asked.owner, afresh)
+        if claim is not None:
+            return claim
+        action: LockAction | None
+        if self.lock is None:
+            claim, action, before = self._row.take(asked)
+        else:
+            claim, action, before = self._take_lock(self.lock, asked)
+        if action is not None:
+            self._teller.tell(action, claim, before, since_ns=asked.asked_ns)
+        return claim
+
+    def _again(self, owner: Owner, afresh: bool) -> Claim | None:
+        """The claim that the owner has already, with a reason more."""
+        held = self._held
+        if held is not None and held.owner is owner and held.is_held:
+            held.use()
+            with self._mutex:
+                if held.reasons:
+                    held.reasons += 1
+                    return held
+        if not afresh:
+            self.require(owner)
+        return None
+
+    def replace(self, held: Claim | None, asked: Asked, token: int) -> Claim | None:
+        """The new claim, in place of the one there was; None: that is there no more."""
+        with self._mutex:
+            if self._held is not held:
+                return None
+            claim = self._held = Claim(asked, None, token, self._note_loss)
+        if asked.lease_s is not None:
+            claim.set_lease(asked.lease_s)
+        return claim
+
+    def end_run(self, asked: Asked) -> bool:
+        """What it does for others, who own it no more, is over, and it is to be brought to rest.
+
+        Whether it did anything.
+        """
+        by = f"{asked.who}, which took the motor over (on demand)"
+        if not self._interrupt(by, asked.owner.runtime.now_ns(), None, asked.owner):
+            return False
+        self.is_orphan = True
+        return True
+
+    # ---- with a lock ----
+
+    def _take_lock(self, lock: ProcessLock, asked: Asked) -> tuple[Claim, LockAction | None, str]:
+        owner, patience, runtime = asked.owner, asked.patience, asked.owner.runtime
+        held = self._held
+        timeout_s = 0.0 if patience is None else patience.timeout_s
+        may_take = asked.take_over or (held is not None and held.left_s == 0.0)
+        if patience is None and held is not None and held.is_held and not may_take:
+            raise held.busy(owner.name)
+        if patience is None and lock.hold is not None and lock.hold.owner is self._set_up:
+            timeout_s = SET_UP_TIMEOUT_S
+        words = f"{asked.purpose} ({asked.who})" if asked.purpose else asked.who
+        hold = lock.acquire(
+            runtime,
+            words,
+            timeout_s,
+            owner,
+            asker=owner.name,
+            wait=None if patience is None else self._waiting(patience, asked, lock),
+            lease_s=asked.lease_s,
+            take_over=asked.take_over,
+        )
         with self._mutex:
             held = self._held
-            if held is not None and held.owner is owner:
+            if held is not None and held.hold is hold:  # another thread of his was quicker
                 held.reasons += 1
-                return held
-        asked_ns = owner.runtime.now_ns()
+                hold.release()
+                return held, None, ""
+            self._note(hold)
+            claim = self._held = Claim(asked, hold, hold.token, self._note_loss)
+        if held is not None and hold.was_taken_over and not hold.changed_hands:
+            self.lose(held, asked)
+        elif held is not None:
+            held.notice()
+        action = LockAction.TAKEN_OVER if hold.was_taken_over else LockAction.TAKEN
+        return claim, LockAction.BROKEN if hold.was_abandoned else action, hold.taken_from
+
+    def _waiting(
+        self, patience: Patience, asked: Asked, lock: ProcessLock
+    ) -> "Callable[[Runtime, Callable[[], bool], float | None], bool]":
+        """How to wait for the lock: the listeners are told first."""
+
+        def wait(runtime: "Runtime", done: Callable[[], bool], timeout_s: float | None) -> bool:
+            if self.listeners:
+                holder = lock.look().holder
+                self._teller.tell(LockAction.WAITING, asked, "" if holder is None else holder.who)
+            return patience.until(runtime, done, timeout_s)
+
+        return wait
+
+    def _note(self, hold: Hold) -> None:
+        if hold.changed_hands:
+            self.absences += 1
+        if hold.was_abandoned or hold.was_taken_over:
+            self.is_orphan = True
+
+    # ---- losing it, and giving it back ----
+
+    def lose(self, claim: Claim, asked: Asked) -> None:
+        """It is taken over by somebody of this process."""
+        lease_s = None if asked.take_over else claim.lease_s
+        reason = "on demand" if lease_s is None else f"its lease of {lease_s:g} s was over"
+        self.is_orphan = True
+        claim.lose(Loss(asked.who, asked.purpose, reason, asked.owner.runtime.now_ns()))
+
+    def _note_loss(self, claim: Claim) -> None:
+        """It was lost just now, or that was noticed."""
+        loss = claim.loss
+        assert loss is not None
+        with self._mutex:
+            self._lost.append(claim)
+        self._interrupt(str(loss), claim.owner.runtime.now_ns(), claim.owner, None)
+        self._teller.tell(LockAction.LOST, claim, loss.who, since_ns=claim.since_ns)
+
+    def is_lost_by(self, owner: object) -> bool:
+        """Whether somebody took it over from this one, who has not given it back yet."""
+        return any(claim.owner is owner for claim in self._look_for_losses())
+
+    def require(self, owner: object) -> None:
+        """Raises MotorBusyError if it was taken over from this one, who has not given it back."""
+        for claim in self._look_for_losses():
+            if claim.owner is owner:
+                claim.require()
+
+    def _look_for_losses(self) -> tuple[Claim, ...]:
+        if self._held is not None:
+            self._held.notice()
+        return tuple(self._lost)
+
+    def notice(self, owner: object) -> None:
+        """If this one has lost it, what he did with it is over, and that is told."""
+        held = self._held
+        if held is not None and held.owner is owner:
+            held.notice()
+
+    def use(self, owner: object) -> float | None:
+        """The owner is alive: its lease begins anew, if it has one; when to say so again [s].
+
+        A loss is noticed, and ends what goes on; nothing is raised.
+        """
+        held = self._held
+        if held is None or held.owner is not owner:
+            return None
+        with suppress(MotorBusyError):
+            held.use()
+        pause_s = None if held.lease_s is None else held.lease_s / RENEWALS
         if self.lock is None:
-            claim = self._take_here(owner, who, purpose, patience)
-        else:
-            claim = self._take_lock(self.lock, owner, who, purpose, patience)
-        broken = claim.hold is not None and claim.hold.was_abandoned
-        action = LockAction.BROKEN if broken else LockAction.TAKEN
-        self._tell(action, claim, waited_ns=claim.since_ns - asked_ns)
-        return claim
+            return pause_s
+        return _LOSS_LOOK_S if pause_s is None else min(_LOSS_LOOK_S, pause_s)
+
+    def give(self, claim: Claim) -> None:
+        """One reason less for which its owner has it; after the last it is the next one's."""
+        claim.notice()
+        with self._mutex:
+            if claim.reasons == 0:
+                return
+            claim.reasons -= 1
+            if claim.reasons:
+                return
+            if self._held is claim:
+                self._held = None
+            if claim in self._lost:
+                self._lost.remove(claim)
+        if claim.hold is not None:
+            claim.hold.release()
+        if claim.lost_to is None:
+            self._teller.tell(LockAction.RELEASED, claim, since_ns=claim.since_ns)
+
+    # ---- writing ----
 
     def begin_write(self, asker: str = "") -> int:
         """The token under which this process commands the motor; nobody takes it over meanwhile.
@@ -185,117 +324,19 @@ class Ownership:
         Raises:
             MotorBusyError: this process does not own it (any more); says who does, and why.
         """
-        return self._token if self.lock is None else self.lock.begin_write(asker)
+        if self.lock is None:
+            return self._row.token
+        try:
+            return self.lock.begin_write(asker)
+        except MotorBusyError:
+            if self._held is not None:
+                self._held.notice()
+            raise
 
     def end_write(self) -> None:
         """What was begun by `begin_write` is over."""
         if self.lock is not None:
             self.lock.end_write()
-
-    def _tell(
-        self, action: LockAction, claim: Claim, *, waited_ns: int = 0, held_ns: int = 0
-    ) -> None:
-        if not self.listeners:
-            return
-        process = this_process()
-        runtime: Runtime = claim.owner.runtime  # type: ignore[attr-defined]
-        event = OwnershipEvent(
-            action,
-            claim.who,
-            "",
-            claim.purpose,
-            claim.token,
-            runtime.now_ns(),
-            waited_s=waited_ns / 1e9,
-            held_s=held_ns / 1e9,
-            pid=process.pid,
-            program=process.program,
-        )
-        for listener in tuple(self.listeners):
-            listener(event)
-
-    def _take_here(self, owner: Owner, who: str, purpose: str, patience: Patience | None) -> Claim:
-        runtime = owner.runtime
-        place = _Place(who, runtime.now_ns())
-        made: list[Claim] = []
-
-        def is_taken() -> bool:
-            if patience is not None and patience.in_the_way() is not None:
-                return False
-            with self._mutex:
-                if self._held is not None or (self._queue and self._queue[0] is not place):
-                    return False
-                self._token += 1
-                self._held = Claim(owner, who, purpose, runtime.now_ns(), None, self._token)
-                made.append(self._held)
-                return True
-
-        if is_taken():
-            return made[0]
-        if patience is None:
-            raise self._busy(owner, None)
-        self._queue.append(place)
-        try:
-            if not patience.until(runtime, is_taken, patience.timeout_s):
-                raise self._busy(owner, patience)
-        finally:
-            self._queue.remove(place)
-        return made[0]
-
-    def _busy(self, owner: Owner, patience: Patience | None) -> MotorBusyError:
-        held = self._held
-        if held is not None:
-            return held.busy(owner.name)
-        in_the_way = None if patience is None else patience.in_the_way()
-        if in_the_way is not None:
-            return in_the_way
-        first = self._queue[0]
-        holder = f"{first.who}, which waits for it,"
-        return MotorBusyError(motor=owner.name, holder=holder, since_ns=first.since_ns)
-
-    def _take_lock(
-        self, lock: ProcessLock, owner: Owner, who: str, purpose: str, patience: Patience | None
-    ) -> Claim:
-        runtime = owner.runtime
-        held = self._held
-        timeout_s = 0.0 if patience is None else patience.timeout_s
-        if patience is None and held is not None:
-            raise held.busy(owner.name)
-        if patience is None and lock.hold is not None and lock.hold.owner is self._set_up:
-            timeout_s = SET_UP_TIMEOUT_S
-        words = f"{purpose} ({who})" if purpose else who
-        wait = None if patience is None else patience.until
-        hold = lock.acquire(runtime, words, timeout_s, owner, asker=owner.name, wait=wait)
-        with self._mutex:
-            held = self._held
-            if held is not None and held.owner is owner:  # another thread of his was quicker
-                held.reasons += 1
-                hold.release()
-                return held
-            self._note(hold)
-            claim = self._held = Claim(owner, who, purpose, runtime.now_ns(), hold, hold.token)
-            return claim
-
-    def _note(self, hold: Hold) -> None:
-        if hold.changed_hands:
-            self.absences += 1
-        if hold.was_abandoned:
-            self.is_orphan = True
-
-    def give(self, owner: object) -> None:
-        """One reason less for which the owner has it; after the last it is the next one's."""
-        with self._mutex:
-            held = self._held
-            if held is None or held.owner is not owner:
-                return
-            held.reasons -= 1
-            if held.reasons:
-                return
-            self._held = None
-        if held.hold is not None:
-            held.hold.release()
-        runtime: Runtime = held.owner.runtime  # type: ignore[attr-defined]
-        self._tell(LockAction.RELEASED, held, held_ns=runtime.now_ns() - held.since_ns)
 
     # ---- runs ----
 
@@ -310,20 +351,20 @@ class Ownership:
         """
         if self.lock is None or not goes_on():
             return
-        if self._keeper is not None and self._keeper.owner is owner:
+        if self._keeper is not None and self._keeper.claim.owner is owner:
             return  # it looks at whatever goes on
         try:
-            self.take(owner, f"a motion of {owner.name}")
+            claim = self.take(owner, f"a motion of {owner.name}")
         except MotorError:  # it was stopped without being owned, and nothing must forbid that
             return
-        self._keeper = _Keeper(self, owner, goes_on, news)
-        self._keeper.begin(counts)
+        self._keeper = Keeper(claim, goes_on, news, self._end_keeping)
+        self._keeper.begin(owner.runtime, counts)
 
-    def end_keeping(self, keeper: "_Keeper") -> None:
+    def _end_keeping(self, keeper: Keeper) -> None:
         """What it was kept for is over."""
         if self._keeper is keeper:
             self._keeper = None
-        self.give(keeper.owner)
+        self.give(keeper.claim)
 
     # ---- set-up ----
 
@@ -348,36 +389,3 @@ class Ownership:
         finally:
             for hold in holds:
                 hold.release()
-
-
-@final
-class _Keeper:
-    """Owns the motor while a run goes on; looks at every news."""
-
-    def __init__(
-        self, ownership: Ownership, owner: Owner, goes_on: Callable[[], bool], news: "News"
-    ) -> None:
-        self.owner: Final = owner
-        self._ownership = ownership
-        self._goes_on = goes_on
-        self._listeners = news.listeners
-        self._timer: Registration | None = None
-
-    def begin(self, counts: bool) -> None:
-        """It looks from now on."""
-        self._listeners.append(self.look)
-        if not counts:
-            self._timer = self.owner.runtime.every(LOOK_PERIOD_S, self.look)
-        self.look()
-
-    def look(self) -> None:
-        """The motor is given away if nothing goes on any more."""
-        if self._goes_on():
-            return
-        try:
-            self._listeners.remove(self.look)
-        except ValueError:
-            return  # another thread was quicker
-        if self._timer is not None:
-            self._timer.cancel()
-        self._ownership.end_keeping(self)

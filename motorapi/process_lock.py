@@ -252,7 +252,7 @@ class ProcessLock:
             token,
             changed_hands=identity != self._identity,
             was_abandoned=was_abandoned,
-            was_taken_over=takeover is not None,
+            taken_from=None if takeover is None else takeover.taken_from,
             lease_ns=lease_ns,
         )
         return hold

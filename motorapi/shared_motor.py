@@ -19,7 +19,7 @@ from motorapi.errors import (
     UsageError,
 )
 from motorapi.outcome import LOOK_PERIOD_S, DoneNotice, Ending, Outcome, ending_of
-from motorapi.ownership import Patience
+from motorapi.patience import Patience
 from motorapi.progress import Progress, progress_of
 from motorapi.readable_motor import ReadableMotor
 from motorapi.sharing import Run, RunStatus
@@ -126,7 +126,7 @@ class SharedMotor(ReadableMotor):
 
     @final
     def _adopt(self) -> None:
-        """What another process left moving when it died is at rest.
+        """What was left moving by one who died with the motor, or has lost it, is at rest.
 
         Raises:
             DeadlineExceeded: it does not come to rest.
@@ -136,7 +136,7 @@ class SharedMotor(ReadableMotor):
             patience = Patience(_ADOPTION_S, lambda: None, lambda: self._call(self._refresh))
             if not patience.until(self.runtime, lambda: self._call(self._is_done), _ADOPTION_S):
                 raise DeadlineExceeded(
-                    awaited=f"rest of {self.name}, left moving by a process that died",
+                    awaited=f"rest of {self.name}, left moving by one who has it no more",
                     timeout_s=_ADOPTION_S,
                     last_heard=f"{self._call(self._read_velocity):g} {self.model.unit}/s",
                 )
@@ -249,17 +249,22 @@ class SharedMotor(ReadableMotor):
         """Whether the run is over; an error if it was ended short of its target."""
         if run is None or run.finished:
             return True
+        self._raise_interruption(run)
+        if not self._call(self._is_done):
+            return False
+        self._physical.ownership.notice(run.owner)
+        self._raise_interruption(run)  # what has come to rest may be the next one's doing
+        if run.ends:
+            run.finished = True
+        return True
+
+    def _raise_interruption(self, run: Run) -> None:
         if run.interrupted_by is not None:
             if run.error is not None:
                 raise copy(run.error) from run.error.__cause__
             raise MotionInterrupted(
                 motor=self.name, by=run.interrupted_by, at_ns=run.interrupted_at_ns
             )
-        if not self._call(self._is_done):
-            return False
-        if run.ends:
-            run.finished = True
-        return True
 
     @final
     def _outcome(self, run: Run) -> Outcome | None:

@@ -128,7 +128,7 @@ class PhysicalMotor:
 
     def __init__(self, label: str, serial: int, lock: ProcessLock | None = None) -> None:
         self.label: Final = label
-        self.ownership: Final = Ownership(lock)
+        self.ownership: Final = Ownership(lock, self._end_run_of)
         self.order: Final = (label if lock is None else lock.name, label, serial)
         """Transactions of several motors are taken in this order, so that none can deadlock."""
         self.token = 0
@@ -286,6 +286,26 @@ class PhysicalMotor:
             run.fail(error, now_ns)
             self.run = None
             self._count_news()
+
+    def _end_run_of(self, by: str, now_ns: int, loser: object, taker: object) -> bool:
+        """Who took the motor over has ended what it did; whether it did anything.
+
+        Args:
+            by: who, in words.
+            now_ns: when.
+            loser: whose run; None: anybody's but the taker's.
+            taker: who takes it over; None: another process.
+        """
+        with self._mutex:
+            self.interruptions += 1  # a start in progress notices
+        run = self.run
+        if run is None or run.is_over or run.owner is taker:
+            return False
+        if loser is not None and run.owner is not loser:
+            return False
+        run.interrupt(by, now_ns)
+        self._count_news()
+        return True
 
     def _settle(self, by: str, now_ns: int, status: RunStatus) -> bool:
         """How the run there is ended is known; whether there was one."""
