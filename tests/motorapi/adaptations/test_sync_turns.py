@@ -86,7 +86,7 @@ def test_a_sync_starts_whole_groups_whoever_sends_it(delays: list[int]):
 def test_without_turns_half_armed_groups_are_started(what: str, monkeypatch: pytest.MonkeyPatch):
     if what == "arming":
         monkeypatch.setattr(execution, "_trigger_turns", lambda motors: [])
-    monkeypatch.setattr(BusSync, "_in_turn", lambda sync, who: nullcontext())
+    monkeypatch.setattr(BusSync, "in_turn", lambda sync, who: nullcontext())
     assert not all(is_sound([delay, 0, 3000]) for delay in range(0, 6000, 500))
 
 
