@@ -4,6 +4,8 @@ from typing import TYPE_CHECKING, Final, final
 
 from motorapi.adaptations.software_courses import POSITION, Course
 from motorapi.adaptations.software_servo import Servo, ServoLimits
+from motorapi.adaptations.switch_off import READY as READY
+from motorapi.adaptations.switch_off import SwitchOff
 from motorapi.errors import LinkError, MotorBusyError, MotorError
 from motorapi.state import Fault, MotorState
 
@@ -13,7 +15,6 @@ if TYPE_CHECKING:
     from motorapi.process_lock import Hold
     from motorapi.sharing import PhysicalMotor
 
-READY: Final = 1
 FAULT: Final = 2
 AMPLIFIER_FAULT: Final = 0x5400  # device hardware, power section (CiA 402-2, error codes)
 COMMUNICATION: Final = 0x8100
@@ -63,6 +64,7 @@ class ServoAxis:
         self._armed: tuple[Course, PidGains, ServoLimits] | None = None
         self._moves = False  # a motion, not a stop
         self._hold: Hold | None = None  # of the node
+        self._switching_off: SwitchOff | None = None
 
     # --- what can be seen ------------------------------------------------------------------
 
@@ -103,6 +105,7 @@ class ServoAxis:
         self._hold = hold
         if before is not None:
             before.release()
+        self.end_switching_off()
         self._io.be_heard()
         self.failure = None
         self.servo.forget()
@@ -153,7 +156,7 @@ class ServoAxis:
         self._node.news.grow()
 
     def cut(self) -> None:
-        """No control, no current, and the amplifier is switched off.
+        """No control, no current, and the amplifier is switched off, until its node shows it.
 
         Raises:
             LinkError: the bus does not take the frame that says so.
@@ -162,16 +165,25 @@ class ServoAxis:
         self.is_active = self.is_stopped = False
         self.disarm()
         self.servo.release()
+        hold, self._hold = self._hold, None
         try:
             if was_active and self._io.is_switched(self._channel):
+                self.end_switching_off()
+                self._switching_off = SwitchOff(self._io, self._channel, hold)
+                hold = None
                 self._io.switch(self._channel, False)
-        except MotorBusyError:
-            pass  # the node is another process's by now, and so is the amplifier
+        except MotorBusyError:  # the node is another process's by now, and so is the amplifier
+            self.end_switching_off()
         finally:
-            hold, self._hold = self._hold, None
             if hold is not None:
                 hold.release()
             self._node.news.grow()
+
+    def end_switching_off(self) -> None:
+        """The amplifier is not switched off again, whatever its node shows."""
+        switching_off, self._switching_off = self._switching_off, None
+        if switching_off is not None:
+            switching_off.end()
 
     # --- what the cycle, and the node, call ------------------------------------------------
 
@@ -227,6 +239,8 @@ class ServoAxis:
 
     def see_inputs(self, time_ns: int) -> None:
         """The node told its digital inputs."""
+        if self._switching_off is not None:
+            self._switching_off.see(time_ns)
         status = self._io.status(self._channel)
         if not status & FAULT:
             self.amplifier_fault_ns = None

@@ -145,6 +145,7 @@ class AmplifierHwMotor:
         self.is_closed = True
         with suppress(LinkError):  # the bus is gone: the node's dead-man does it
             self.axis.cut()
+        self.axis.end_switching_off()
         self.io.on_facts.remove(self._take_place)
         self.io.on_inputs.remove(self.axis.see_inputs)
         if self._pair is not None:
