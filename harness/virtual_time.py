@@ -208,6 +208,12 @@ class VirtualRuntime:
         self._interrupted = True
         return True
 
+    def end(self, party: VirtualParty) -> None:
+        """The party ends in the wait that it is in, as all do when the run is over."""
+        for waiter in self._waiters:
+            if waiter.party is party:
+                waiter.done, waiter.error = _at_once, _Cancelled()
+
     def close(self) -> None:
         """Parties that still wait have ended; raises what a party raised and nobody joined."""
         self._closing = True

@@ -17,7 +17,14 @@ from collections.abc import Hashable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from typing import Final, Generic, Protocol, TypeVar, final
 
-from harness.sharing.history import Action, Answer, SharingViolated, Use, per_motor
+from harness.sharing.history import (
+    FOREVER_NS,
+    Action,
+    Answer,
+    SharingViolated,
+    Use,
+    per_motor,
+)
 
 S = TypeVar("S", bound=Hashable)
 E = TypeVar("E", bound="Interval")
@@ -217,7 +224,11 @@ class OwnedMotor:
         use = event.use
         allowed = _effect(state, event)
         if use.answer is Answer.UNKNOWN and (not event.queues or use.queued_ns is None):
-            return [state] if allowed is None or allowed == state else [allowed, state]
+            without = state
+            is_over = event.returned_ns < FOREVER_NS
+            if use.action is Action.TAKE and not event.queues and is_over:  # he waits no more
+                without = _left(state, use.who)
+            return [without] if allowed is None or allowed == without else [allowed, without]
         return [] if allowed is None else [allowed]
 
 
@@ -233,8 +244,7 @@ def _effect(state: Owned, event: Event) -> Owned | None:
         is_known = use.answer is Answer.DONE
         return None if is_known and use.value != state.value else state
     if use.action is Action.DIE:
-        rest = tuple(one for one in state.queue if one != who)
-        return replace(state, holder="" if is_his else state.holder, queue=rest)
+        return replace(_left(state, who), holder="" if is_his else state.holder)
     if use.answer in (Answer.LOST, Answer.REFUSED):
         return None if is_his else state
     if not is_his:
@@ -244,8 +254,15 @@ def _effect(state: Owned, event: Event) -> Owned | None:
     return replace(state, value=use.value)
 
 
+def _left(state: Owned, who: str) -> Owned:
+    """He waits no more."""
+    if who not in state.queue:
+        return state
+    return replace(state, queue=tuple(one for one in state.queue if one != who))
+
+
 def _taken(state: Owned, use: Use) -> Owned | None:
-    who, rest = use.who, tuple(one for one in state.queue if one != use.who)
+    who, rest = use.who, _left(state, use.who).queue
     waits = use.queued_ns is not None or not use.forced
     is_first = bool(state.queue) and state.queue[0] == who
     if use.answer is Answer.REFUSED:

@@ -7,7 +7,14 @@ import pytest
 from hypothesis import event, given, settings
 from hypothesis import strategies as st
 
-from harness.sharing.history import Action, Answer, SharingViolated, Use, ended_by_death
+from harness.sharing.history import (
+    FOREVER_NS,
+    Action,
+    Answer,
+    SharingViolated,
+    Use,
+    ended_by_death,
+)
 from harness.sharing.linearizability import (
     OwnedMotor,
     events_of,
@@ -17,7 +24,7 @@ from harness.sharing.linearizability import (
 
 TAKE, GIVE, COMMAND, READ, DIE = Action
 DONE, REFUSED, LOST, UNKNOWN = Answer
-LATE = 10**6
+LATE = FOREVER_NS
 
 
 def use(who, action, called_ns, returned_ns, answer=DONE, **facts):

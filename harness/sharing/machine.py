@@ -1,0 +1,294 @@
+"""Hypothesis state machines: several owners of shared motors in one deterministic run.
+
+    from harness.sharing.machine import group_machine, ownership_machine
+    from harness.sharing.owners import shared_rig
+
+    TestMyMotor = ownership_machine(shared_rig("rig.toml")).TestCase
+    TestMyGroups = group_machine(shared_rig("rig.toml")).TestCase
+
+Hypothesis chooses who does what, and how much virtual time passes in between: none, so that several
+ask at one instant; less than a frame takes, so that one asks while another's settings are being
+pushed; or long enough for a motion. The same choices make the same run, and a failure is shrunk.
+
+What must hold, of any adaptation:
+
+- the history of every motor is that of a motor with one owner at a time, first come, first served,
+  whose tokens grow (`harness.sharing.linearizability`);
+- nobody who lost the motor, or never had it, commands it; a lease that goes on is not taken over;
+- a motion that nobody cut short takes as long as its owner asked, and goes as far: it was made with
+  his settings and with nobody else's;
+- whoever is killed, wherever he is, leaves a motor that others can take;
+- of a group all are armed before one is fired; if one refuses, none has moved; groups that overlap
+  wait for each other, and never for ever.
+
+How often each of these was put to the test is counted: in `reach` of the machine's class, and as
+Hypothesis' events (`pytest --hypothesis-show-statistics`).
+"""
+
+# ruff: noqa: SLF001 -- the harness looks at who has a motor
+
+from collections import Counter
+from collections.abc import Callable
+from functools import partial
+from typing import ClassVar, Final
+
+try:
+    from hypothesis import event, settings
+    from hypothesis import strategies as st
+    from hypothesis.stateful import RuleBasedStateMachine, invariant, rule
+except ImportError as missing:  # pragma: no cover -- without it nothing here can be tested
+    raise ImportError(
+        "harness.sharing.machine needs Hypothesis: pip install 'motorhil[test]'"
+    ) from missing
+
+from harness.rig import Rig
+from harness.sharing.group_owners import GroupOwner, watched
+from harness.sharing.history import SharingViolated, tokens_that_did_not_grow
+from harness.sharing.linearizability import require_linearizable
+from harness.sharing.owners import Course, Owner, Party, Stage
+
+MakeRig = Callable[[], Rig]
+
+_STEPS: Final = 25
+_SETTLED_S: Final = 300.0
+_WHO: Final = st.integers(0, 5)
+_PATIENCE_S: Final = st.sampled_from([None, 0.0, 0.05, 1.0, 5.0])
+_LEASE_S: Final = st.sampled_from([None, None, 0.05, 0.3])
+_PAUSE_S: Final = st.sampled_from([None, 0.0, 1e-5, 2e-4, 1e-3, 0.02, 0.1, 0.5, 2.0])
+
+
+class SharingMachine(RuleBasedStateMachine):
+    """What both machines have in common; not to be used by itself."""
+
+    make_rig: ClassVar[MakeRig]
+    course: ClassVar[Course]
+    reach: ClassVar["Counter[str]"]
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.rig = type(self).make_rig()
+        self.stage = Stage(self.rig, type(self).course)
+        self.parties: list[Party] = []
+        self.deaths = 0
+        try:
+            self.set_up()
+        except BaseException:
+            self.rig.close()
+            raise
+
+    def set_up(self) -> None:
+        """The parties are there."""
+
+    def idle(self, who: int) -> Party | None:
+        """One of those who have nothing to do; None: all are busy."""
+        idle = [party for party in self.parties if party.is_idle]
+        return idle[who % len(idle)] if idle else None
+
+    def pass_time(self, time_s: float | None) -> None:
+        """Whoever can go on does; None: nobody has a turn yet."""
+        if time_s is not None:
+            self.stage.runtime.run_for(time_s)
+
+    @rule(time_s=_PAUSE_S)
+    def wait(self, time_s: float | None) -> None:
+        """Nobody is told anything."""
+        self.pass_time(time_s)
+
+    @invariant()
+    def nothing_went_wrong(self) -> None:
+        """What owners see to themselves."""
+        self.stage.check()
+
+    def teardown(self) -> None:
+        """Everybody comes to an end, and the history is judged."""
+        try:
+            self.settle()
+            self.stage.check()
+            uses = self.stage.history.uses()
+            require_linearizable(uses)
+            for earlier, later in tokens_that_did_not_grow(uses):
+                raise SharingViolated(
+                    f"the token did not grow from\n    {earlier}\nto\n    {later}"
+                )
+        finally:
+            counts = self.stage.counts
+            type(self).reach.update(counts)
+            type(self).reach["runs"] += 1
+            for name in sorted(counts):
+                event(name)
+            self.rig.close()
+
+    def settle(self) -> None:
+        """Everybody's errand is done."""
+        done = self.stage.runtime.wait_until(
+            lambda: all(party.is_idle for party in self.parties), _SETTLED_S
+        )
+        busy = ", ".join(party.name for party in self.parties if not party.is_idle)
+        self.stage.require(done, f"{busy} did not come to an end within {_SETTLED_S:g} s")
+
+
+class OwnershipMachine(SharingMachine):
+    """Several owners of one motor; see `ownership_machine`."""
+
+    def set_up(self) -> None:
+        """An owner for each logical motor."""
+        shared = [motors for motors in self.stage.physical_motors() if len(motors) > 1]
+        if not shared:
+            raise SharingViolated("no motor of the rig has two logical ones: see shared_rig()")
+        self.label = shared[0][0]._physical.label
+        self.owners: list[Owner] = []
+        for number, motor in enumerate(shared[0]):
+            self.owners.append(Owner(motor.name, motor, self.label, number, self.stage))
+        self.parties.extend(self.owners)
+        self.stage.owners.extend(self.owners)
+
+    def ask(self, who: int, errand: "Callable[[Owner], None]", pause_s: float | None) -> None:
+        """One who has nothing to do gets the errand, and time passes."""
+        party = self.idle(who)
+        if isinstance(party, Owner):
+            party.errand = partial(errand, party)
+        self.pass_time(pause_s)
+
+    @rule(who=_WHO, timeout_s=_PATIENCE_S, lease_s=_LEASE_S, pause_s=_PAUSE_S)
+    def reserve(
+        self, who: int, timeout_s: float | None, lease_s: float | None, pause_s: float | None
+    ) -> None:
+        """Somebody reserves it."""
+        self.ask(who, lambda owner: owner.reserve(timeout_s, lease_s, False), pause_s)
+
+    @rule(who=_WHO, lease_s=_LEASE_S, pause_s=_PAUSE_S)
+    def take_over(self, who: int, lease_s: float | None, pause_s: float | None) -> None:
+        """Somebody takes it from whoever has it."""
+        self.ask(who, lambda owner: owner.reserve(None, lease_s, True), pause_s)
+
+    @rule(who=_WHO, timeout_s=_PATIENCE_S, wait=st.booleans(), pause_s=_PAUSE_S)
+    def start(self, who: int, timeout_s: float | None, wait: bool, pause_s: float | None) -> None:
+        """Somebody starts a motion of his own."""
+        self.ask(who, lambda owner: owner.start(timeout_s, wait), pause_s)
+
+    @rule(who=_WHO, timeout_s=_PATIENCE_S, lease_s=_LEASE_S, pause_s=_PAUSE_S)
+    def trip(
+        self, who: int, timeout_s: float | None, lease_s: float | None, pause_s: float | None
+    ) -> None:
+        """Somebody reserves it, moves it, waits for that, and gives it back."""
+        self.ask(who, lambda owner: owner.trip(timeout_s, lease_s), pause_s)
+
+    @rule(who=_WHO, pause_s=_PAUSE_S)
+    def give(self, who: int, pause_s: float | None) -> None:
+        """Somebody's reservation ends."""
+        self.ask(who, Owner.give, pause_s)
+
+    @rule(who=_WHO, pause_s=_PAUSE_S)
+    def renew(self, who: int, pause_s: float | None) -> None:
+        """Somebody says that he is alive."""
+        self.ask(who, Owner.renew, pause_s)
+
+    @rule(who=_WHO, pause_s=_PAUSE_S)
+    def stop(self, who: int, pause_s: float | None) -> None:
+        """Somebody stops it, whosever it is."""
+        self.ask(who, Owner.stop, pause_s)
+
+    @rule(who=_WHO, really=st.integers(0, 2))
+    def kill(self, who: int, really: int) -> None:
+        """Somebody is killed, at work if anybody is; somebody new has his logical motor."""
+        if really:
+            return
+        owners = [owner for owner in self.owners if not owner.is_idle] or self.owners
+        dead = owners[who % len(owners)]
+        place = self.owners.index(dead)
+        self.stage.counts["kill: idle" if dead.is_idle else "kill: at work"] += 1
+        if dead.reservation is not None:
+            self.stage.counts["kill: while it was reserved"] += 1
+        dead.kill()
+        self.deaths += 1
+        name = f"{dead.motor.name}#{self.deaths}"
+        new = Owner(name, dead.motor, self.label, dead.number, self.stage)
+        self.owners[place] = self.stage.owners[place] = new
+        self.parties[place] = new
+
+    def settle(self) -> None:
+        """Everybody's errand is done and nobody has it; then anybody can have it at once."""
+        super().settle()
+        for errand in (Owner.give, Owner.wait):
+            for owner in self.owners:
+                owner.errand = partial(errand, owner)
+            super().settle()
+        for owner in self.owners:
+            owner.errand = partial(owner.reserve, None, None, False)
+            super().settle()
+            has = owner.reservation is not None
+            self.stage.require(has, f"nobody has it, and {owner.name} was refused")
+            owner.errand = owner.give
+            super().settle()
+
+
+class GroupMachine(SharingMachine):
+    """Several groups that overlap; see `group_machine`."""
+
+    def set_up(self) -> None:
+        """An owner for each set of logical motors."""
+        motors = self.stage.physical_motors()
+        number = min(len(shared) for shared in motors)
+        if len(motors) < 2 or number < 2:
+            raise SharingViolated("groups need two motors, each with two owners: see shared_rig()")
+        self.owners: list[GroupOwner] = []
+        for place in range(number):
+            name = motors[0][place].name.partition(".")[0]
+            mine = [watched(shared[place]) for shared in motors]
+            self.owners.append(GroupOwner(name, mine, place, self.stage))
+        self.parties.extend(self.owners)
+
+    @rule(
+        who=_WHO,
+        chosen=st.lists(st.integers(0, 5), min_size=1, max_size=4),
+        refuses=st.none() | st.none() | st.integers(0, 3),
+        reserves=st.booleans(),
+        patient=st.booleans(),
+        pause_s=_PAUSE_S,
+    )
+    def move(
+        self,
+        who: int,
+        chosen: list[int],
+        refuses: int | None,
+        reserves: bool,
+        patient: bool,
+        pause_s: float | None,
+    ) -> None:
+        """Somebody moves a group of motors of his choice, in which one may refuse to be armed."""
+        party = self.idle(who)
+        if isinstance(party, GroupOwner):
+            party.errand = partial(party.move, chosen, refuses, reserves, patient)
+        self.pass_time(pause_s)
+
+
+def ownership_machine(
+    make_rig: MakeRig, course: Course | None = None
+) -> type[RuleBasedStateMachine]:
+    """A state machine of several owners that share the first motor that has any; see above.
+
+    Args:
+        make_rig: opens a rig that has logical motors for one motor, as `shared_rig` makes it.
+        course: what the motor is told to do; None: 0.05 rad in 0.3 s, and more.
+    """
+    return _machine(OwnershipMachine, make_rig, course)
+
+
+def group_machine(make_rig: MakeRig, course: Course | None = None) -> type[RuleBasedStateMachine]:
+    """A state machine of several groups that share motors; arguments as of `ownership_machine`."""
+    return _machine(GroupMachine, make_rig, course)
+
+
+def _machine(
+    base: type[SharingMachine], make_rig: MakeRig, course: Course | None
+) -> type[RuleBasedStateMachine]:
+    name = base.__name__
+    facts = {
+        "make_rig": staticmethod(make_rig),
+        "course": course or Course(),
+        "reach": Counter[str](),
+        "__doc__": base.__doc__,
+    }
+    machine: type[SharingMachine] = type(name, (base,), facts)
+    machine.TestCase.settings = settings(deadline=None, stateful_step_count=_STEPS)
+    return machine

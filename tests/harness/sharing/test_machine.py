@@ -1,0 +1,95 @@
+"""The shipped state machines on every kind of hardware, and what each of them put to the test."""
+
+import os
+from pathlib import Path
+
+import pytest
+from hypothesis import Phase, settings
+
+from harness.rig import installed_plugins
+from harness.rig_file import parse_rig
+from harness.settings import Source
+from harness.sharing.history import SharingViolated
+from harness.sharing.machine import group_machine, ownership_machine
+from harness.sharing.owners import shared_rig
+from tests.motorapi.kinds import KINDS
+
+LONGER = int(os.environ.get("MOTORHIL_SHARING", "1"))
+"""So many times the examples."""
+
+EXAMPLES = {"ideal": 80, "cia402": 50, "software": 20}
+OWNED = (
+    "reserve: done",
+    "reserve: refused",
+    "start: done",
+    "start: refused",
+    "stop",
+    "kill: at work",
+    "motion: as long as asked for",
+)
+GROUPED = (
+    "2 motors: moved",
+    "2 motors: moved in a reservation",
+    "2 motors: refused",
+    "2 motors: one refused to be armed",
+    "positions compared",
+)
+
+
+def rig_of(kind, owners=("ann", "ben", "cem")):
+    source = Source(Path(f"{kind}.toml"), KINDS[kind].rig())
+    return shared_rig(parse_rig(source, installed_plugins()), owners)
+
+
+def run(machine, examples):
+    """How often what was reached; a failure as it was found, not shrunk."""
+    machine.TestCase.settings = settings(
+        machine.TestCase.settings,
+        max_examples=examples * LONGER,
+        phases=[Phase.generate],
+        report_multiple_bugs=False,
+    )
+    machine.TestCase().runTest()
+    return machine.reach
+
+
+def table(reach):
+    return "\n".join(f"{count:6d}  {name}" for name, count in sorted(reach.items()))
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_motor_has_one_owner_at_a_time_whatever_its_owners_do(kind):
+    reach = run(ownership_machine(rig_of(kind)), EXAMPLES[kind])
+    print(table(reach))
+    assert [name for name in OWNED if not reach[name]] == []
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_groups_that_overlap_move_together_or_not_at_all(kind):
+    reach = run(group_machine(rig_of(kind)), EXAMPLES[kind])
+    print(table(reach))
+    assert [name for name in GROUPED if not reach[name]] == []
+
+
+def test_the_same_choices_make_the_same_history():
+    def histories():
+        told = []
+        machine = ownership_machine(rig_of("cia402"))
+        teardown = machine.teardown
+
+        def noting(self):
+            teardown(self)
+            told.append([str(use) for use in self.stage.history])
+
+        machine.teardown = noting
+        run(machine, 4)
+        return told
+
+    first = histories()
+    assert sum(map(len, first)) > 20
+    assert histories() == first
+
+
+def test_a_rig_without_a_second_owner_is_told_so():
+    with pytest.raises(SharingViolated, match="no motor of the rig has two logical ones"):
+        run(ownership_machine(rig_of("ideal", ["ann"])), 1)
