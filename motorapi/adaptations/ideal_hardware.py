@@ -146,12 +146,13 @@ class IdealHwMotor:
         return over_ns is not None and self.runtime.now_ns() >= over_ns
 
     def look_again_s(self) -> float | None:
-        """After how long its goal may be reached [s]; None: it tells by itself."""
+        """After how long its goal may be reached [s]; None: it tells by itself, or it was."""
         over_ns = self._course.over_ns
         if over_ns is None or self._armed is not None:
             return None
         self._news.count += 1
-        return max(0, over_ns - self.runtime.now_ns()) / 1e9
+        left_ns = over_ns - self.runtime.now_ns()
+        return left_ns / 1e9 if left_ns > 0 else None
 
     def motion_times_ns(self) -> tuple[int | None, int | None]:
         """When the last motion began, and when it reached its goal; None: it has not (yet)."""
@@ -235,7 +236,9 @@ class IdealHwMotor:
             deceleration = self._motion.stop_deceleration or self._motion.deceleration
         if quickly and self._power is MotorState.ENABLED:
             self._power = MotorState.STOPPED
-        self._take(Ramped(now_ns, now, 0.0, deceleration, deceleration), self._motion)
+        # Quietly: who had it move is told that it was stopped, not that it is where it was to go.
+        ramp = Ramped(now_ns, now, 0.0, deceleration, deceleration)
+        self._take(ramp, self._motion, quietly=True)
 
     # --- inside ----------------------------------------------------------------------------
 
@@ -248,7 +251,12 @@ class IdealHwMotor:
         self._take(Held(self.runtime.now_ns(), self.reading().position), None)
 
     def _take(
-        self, course: Course, motion: "Motion | None", failure: MotorError | None = None
+        self,
+        course: Course,
+        motion: "Motion | None",
+        failure: MotorError | None = None,
+        *,
+        quietly: bool = False,
     ) -> None:
         """The motor does this from now on; while it moves, it is looked at at a fixed rate."""
         if self._course is self._last and not self.is_over:
@@ -257,7 +265,10 @@ class IdealHwMotor:
         self._course, self._motion, self.failure = course, motion, failure
         if not isinstance(course, Held):
             self._looking = self.runtime.every(LOOK_PERIOD_S, lambda: self._look(course))
-        self._news.grow()
+        if quietly:
+            self._news.count += 1
+        else:
+            self._news.grow()
 
     def _look(self, course: Course) -> None:
         if course is not self._course:

@@ -241,6 +241,27 @@ def test_motors_built_for_one_axis_share_it_until_the_last_is_closed(runtime):
     assert build.needs_bus is False
 
 
+def test_a_motion_that_another_stops_before_it_has_moved_was_stopped_and_is_not_done(runtime):
+    hardware = IdealHwMotor(runtime)
+    first, second = (IdealMotor(hardware, MODEL, name=name) for name in "ab")
+    follow(first, TrapezoidalTrajectory(1.0))
+    outcomes = []
+    first.on_done(outcomes.append)
+    second.stop()  # at the very nanosecond at which it began
+    assert [str(outcome.ending) for outcome in outcomes] == ["Ending.INTERRUPTED"]
+    with pytest.raises(MotionInterrupted, match=r"stop\(\) of b"):
+        first.wait_until_done(1.0)
+
+
+def test_who_waits_for_a_motor_at_rest_that_is_reserved_lets_time_pass(runtime):
+    hardware = IdealHwMotor(runtime)
+    first, second = (IdealMotor(hardware, MODEL, name=name) for name in "ab")
+    first.stop()  # there is a run, it is over, and nobody has looked yet
+    with first.reserve(), pytest.raises(MotorBusyError), second.reserve(timeout_s=0.05):
+        pass
+    assert runtime.now_ns() == 50_000_000
+
+
 @pytest.mark.parametrize(
     ("settings", "told"),
     [
