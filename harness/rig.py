@@ -19,32 +19,32 @@ from typing import TYPE_CHECKING, Any, Self, final
 
 from emulators.controller import Controller, ControllerContext, SettingError
 from emulators.event_queue import EventQueue
-from emulators.media.can_bus import CanBus
-from emulators.media.faults import FaultPlan
 from emulators.world import World
 from harness.interrupts import interrupts_between_events
 from harness.pace import WallPace
 from harness.plant_from_model import settings_with_model
 from harness.plugins import ADAPTATIONS, CONTROLLERS, Plugin, installed
+from harness.rig_buses import CAN, address_key
 from harness.rig_file import (
     SEED_MAX,
     ControllerDescription,
     Known,
-    MotorDescription,
     RigDescription,
     read_rig,
 )
+from harness.rig_media import add_bus
+from harness.rig_models import read_models
 from harness.rig_parts import Named, RigController, RigFaults
 from harness.rig_traffic import traffic_of
 from harness.settings import RigError
 from harness.timing_from_controller import with_timing
 from harness.virtual_time import VirtualRuntime
-from motorapi.errors import FileError, UsageError
-from motorapi.model import MotorModel
+from motorapi.errors import UsageError
 from motorapi.traffic import declare_traffic
 
 if TYPE_CHECKING:
     from harness.can_plugin import EmulatedBus
+    from harness.line_plugin import EmulatedLine
     from harness.recorder import Recorder
     from motorapi.group import MotorGroup
     from motorapi.motor import Motor
@@ -78,7 +78,7 @@ class Rig:
         self.seed = description.seed if seed is None else seed
         self.notes: list[str] = []
         self.recording: Recorder | None = None
-        self._models = _models(description)
+        self._models = read_models(description)
         self._plugins = {group: installed(group) for group in (CONTROLLERS, ADAPTATIONS)}
         with ExitStack() as cleanup:
             queue = EventQueue()
@@ -99,7 +99,9 @@ class Rig:
         self.controllers: Mapping[str, RigController] = Named(
             "controller", description.controllers, self._controller
         )
-        self._buses = Named("bus", description.buses, self._bus)
+        buses = description.buses.values()
+        self._buses = Named("bus", [bus.name for bus in buses if not bus.is_line], self._bus)
+        self._lines = Named("line", [bus.name for bus in buses if bus.is_line], self._line)
         self.motors: Mapping[str, Motor] = Named("motor", description.motors, self._motor)
         self.groups: Mapping[str, MotorGroup] = Named("group", description.groups, self._group)
 
@@ -140,6 +142,14 @@ class Rig:
         """
         return self._buses[name]
 
+    def line(self, name: str) -> "EmulatedLine":
+        """The application's own port on a line that speaks Modbus.
+
+        Raises:
+            KeyError: the rig has no such line.
+        """
+        return self._lines[name]
+
     def build_motors(self) -> None:
         """Every motor and group has been made: what is wrong in their settings is told now.
 
@@ -173,7 +183,7 @@ class Rig:
         for bus in self.description.buses.values():
             rules = [fault.rule for fault in self.description.faults if fault.bus == bus.name]
             stream = Random(f"{self.seed}:bus.{bus.name}.faults")
-            self.world.add_bus(CanBus(bus.name, bus.bitrate_bit_s, FaultPlan(rules, stream.random)))
+            add_bus(self.world, bus, rules, stream.random)
 
     def _add_controllers(self) -> None:
         built = [
@@ -192,6 +202,8 @@ class Rig:
         context = ControllerContext(controller.name, self.description.folder, self.seed)
         plugin = self._plugins[CONTROLLERS][controller.kind]
         build = self._load(plugin, (*place, "kind"))
+        kind = f'controller kind "{controller.kind}"'
+        self._require_kind(build, controller.bus, kind, (*place, "bus"))
         with self._blaming(plugin, (*place, "kind")):
             try:
                 core: Controller = build(settings, context)
@@ -205,6 +217,19 @@ class Rig:
             if not callable(getattr(core, "next_deadline_ns", None)):
                 raise TypeError(f"it built {core!r}, which is no controller")
             return core
+
+    def _require_kind(
+        self, build: Callable[..., Any], bus: str, what: str, path: tuple[str, ...]
+    ) -> None:
+        """What is built can be on a bus of that kind."""
+        kinds = getattr(build, "bus_kinds", (CAN,))
+        found = self.description.buses[bus].kind
+        if found not in kinds:
+            raise self.description.error(
+                path,
+                f'{what} is for buses of kind {", ".join(kinds)}, and "{bus}" is {found}',
+                "put it on another bus, or take another kind",
+            )
 
     def _load(self, plugin: Plugin, path: tuple[str, ...]) -> Callable[..., Any]:
         try:
@@ -269,6 +294,13 @@ class Rig:
         declare_traffic(bus, traffic_of(self.description, name))
         return bus
 
+    def _line(self, name: str) -> "EmulatedLine":
+        from harness.line_plugin import EmulatedLine
+
+        line = EmulatedLine(self.world, name, self.runtime)
+        self._in_use.callback(line.close)
+        return line
+
     def _controller(self, name: str) -> RigController:
         return RigController(name, self.world.controller(name), self.world)
 
@@ -282,9 +314,14 @@ class Rig:
         if note:
             self.notes.append(note)
         settings: dict[str, object] = {"name": name, **own}
-        if motor.node_id is not None:
-            settings["node_id"] = motor.node_id
-        bus = None if motor.bus is None else self.bus(motor.bus)
+        bus: EmulatedBus | EmulatedLine | None = None
+        if motor.bus is not None:
+            described = self.description.buses[motor.bus]
+            key = "bus" if motor.controller is None else "controller"
+            self._require_kind(build, motor.bus, f'adaptation "{motor.adaptation}"', (*place, key))
+            bus = self.line(motor.bus) if described.is_line else self.bus(motor.bus)
+            if motor.node_id is not None:
+                settings[address_key(described)] = motor.node_id
         with self._blaming(plugin, (*place, "adaptation")):
             try:
                 built: Motor = build(bus, settings, self._models[name], self.runtime)
@@ -328,40 +365,3 @@ def installed_plugins() -> Known:
         return getattr(build, "needs_bus", True) is not False
 
     return Known(tuple(installed(CONTROLLERS)), tuple(adaptations), needs_bus)
-
-
-def _models(description: RigDescription) -> dict[str, MotorModel]:
-    """The models of all motors, each file read once. Raises as `_model`."""
-    files: dict[Path, MotorModel] = {}
-    models: dict[str, MotorModel] = {}
-    for name, motor in description.motors.items():
-        model = files.get(motor.model) if isinstance(motor.model, Path) else None
-        models[name] = _model(description, name) if model is None else model
-        if isinstance(motor.model, Path):
-            files[motor.model] = models[name]
-    return models
-
-
-def _model(description: RigDescription, motor: str) -> MotorModel:
-    """The motor's model, from its own file or the rig's.
-
-    Raises:
-        RigError: with the file and line of the model, wherever it stands.
-    """
-    model: MotorDescription = description.motors[motor]
-    path = ("motor", motor, "model")
-    try:
-        if isinstance(model.model, Path):
-            return MotorModel.load(model.model)
-        return MotorModel.from_table(
-            model.model,
-            path=str(description.source.path),
-            line_of=lambda key: description.source.line((*path, key)),
-            default_name=motor,
-        )
-    except FileError as error:
-        key = error.key or ""
-        if not isinstance(model.model, Path):
-            at = (*path, key) if key else path
-            raise description.error(at, error.problem, error.remedy) from None
-        raise RigError(error.path, error.problem, error.remedy, line=error.line, key=key) from None

@@ -6,6 +6,9 @@ from typing import Final, final
 
 from emulators.media.can_frame import EFF_FLAG, EFF_MASK
 from emulators.media.faults import FaultKind, FaultRule
+from emulators.media.serial_faults import SerialFaultRule
+from harness.rig_buses import BusDescription
+from harness.rig_line_faults import LINE_KEYS, read_hex, read_line_fault, read_times
 from harness.settings import Table
 
 HOST: Final = "host"  # what the application's ports are called on every bus
@@ -15,39 +18,52 @@ FAULT_KEYS: Final = (
     *("from_s", "until_s", "probability", "skip", "limit", "delay_s", "flip"),
 )
 _SFF_MASK: Final = 0x7FF
-_TIME_MAX_S: Final = 1e9
+_DATA_MAX: Final = 8
 _COUNT_MAX: Final = 2**31
 
 
 @final
 @dataclass(frozen=True, slots=True)
 class FaultDescription:
-    """A rule for what goes wrong, and the bus it is for."""
+    """A rule for what goes wrong, and the bus, or line, it is for."""
 
     bus: str
-    rule: FaultRule
+    rule: FaultRule | SerialFaultRule
 
 
 def read_faults(
-    root: Table, controllers: Mapping[str, Sequence[str]]
+    root: Table,
+    controllers: Mapping[str, Sequence[str]],
+    buses: Mapping[str, BusDescription],
 ) -> tuple[FaultDescription, ...]:
-    """The faults of a rig, in the order of the file; `controllers` on each of its buses.
+    """The faults of a rig, in the order of the file; `controllers` on each of its `buses`.
 
     Raises:
         RigError: the first thing wrong in them.
     """
     faults: list[FaultDescription] = []
     for number, table in enumerate(root.listed_tables("fault"), 1):
-        fault = _fault(number, table, controllers)
+        fault = _fault(number, table, controllers, buses)
         if fault.rule.name in [other.rule.name for other in faults]:
             raise table.error("name", f'"{fault.rule.name}" is a fault already', "rename one")
         faults.append(fault)
     return tuple(faults)
 
 
-def _fault(number: int, table: Table, controllers: Mapping[str, Sequence[str]]) -> FaultDescription:
-    table.refuse_unknown(FAULT_KEYS)
+def _fault(
+    number: int,
+    table: Table,
+    controllers: Mapping[str, Sequence[str]],
+    buses: Mapping[str, BusDescription],
+) -> FaultDescription:
+    table.refuse_unknown((*FAULT_KEYS, *LINE_KEYS))
     bus = table.name_of("bus", list(controllers), "bus")
+    if buses[bus].is_line:
+        ports = (HOST, *controllers[bus])
+        return FaultDescription(bus, read_line_fault(f"fault {number}", table, ports, buses[bus]))
+    for key in LINE_KEYS:
+        if table.has(key):
+            raise table.error(key, f'bus "{bus}" is no line', "take it out: it is for Modbus")
     kind = FaultKind(table.one_of("kind", KINDS, "fault kind"))
     for key, owner in (("delay_s", FaultKind.DELAY), ("flip", FaultKind.CORRUPT)):
         if table.has(key) and kind is not owner:
@@ -61,7 +77,7 @@ def _fault(number: int, table: Table, controllers: Mapping[str, Sequence[str]]) 
         if node not in ports:
             path = (*table.path, "nodes", index)
             raise table.source.no_such(path, node, ports, "controller")
-    start_s, end_s = _times(table)
+    start_s, end_s = read_times(table)
     delay_s = 0.0
     if kind is FaultKind.DELAY:
         delay_s = table.number("delay_s", low=1e-9, high=1e6, unit="s", example="0.01")
@@ -79,7 +95,7 @@ def _fault(number: int, table: Table, controllers: Mapping[str, Sequence[str]]) 
             skip=table.integer("skip", 0, low=0, high=_COUNT_MAX),
             limit=_limit(table),
             delay_ns=round(delay_s * 1e9),
-            flip=_flip(table),
+            flip=read_hex(table, "flip", _DATA_MAX, must_change=True),
         )
     except ValueError as error:
         raise table.source.error(table.path, str(error), "see the keys of [[fault]]") from None
@@ -107,31 +123,5 @@ def _identifier(table: Table) -> tuple[int | None, int]:
     return identifier | (EFF_FLAG if extended else 0), mask
 
 
-def _times(table: Table) -> tuple[float, float | None]:
-    start_s = table.number("from_s", 0.0, low=0.0, high=_TIME_MAX_S, unit="s")
-    if not table.has("until_s"):
-        return start_s, None
-    end_s = table.number("until_s", low=0.0, high=_TIME_MAX_S, unit="s")
-    if not end_s > start_s:
-        raise table.error(
-            "until_s", f"{end_s} s is not after from_s = {start_s} s", "exchange them"
-        )
-    return start_s, end_s
-
-
 def _limit(table: Table) -> int | None:
     return table.integer("limit", low=1, high=_COUNT_MAX) if table.has("limit") else None
-
-
-def _flip(table: Table) -> bytes:
-    if not table.has("flip"):
-        return b""
-    text = table.text("flip")
-    example = 'write hex bytes, first byte first: flip = "00 FF"'
-    try:
-        flip = bytes.fromhex(text)
-    except ValueError:
-        raise table.error("flip", f'not hex bytes ("{text}")', example) from None
-    if not any(flip) or len(flip) > 8:
-        raise table.error("flip", "must be 1 to 8 bytes, and change a bit", example)
-    return flip

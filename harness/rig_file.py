@@ -5,7 +5,7 @@ and a motor's own settings are checked by whoever builds them, and told with the
 (`RigDescription.source`). `rig.schema.json` says the same to editors.
 
     [rig]                       name, seed
-    [bus.NAME]                  kind = "can", bitrate_bit_s
+    [bus.NAME]                  kind = "can", bitrate_bit_s; or a line (harness.rig_buses)
     [[bus.NAME.message]]        what others send there: identifier, length, period_s, jitter_s
     [controller.NAME]           kind, bus, node_id, and the kind's own settings
     [motor.NAME]                adaptation, model, and its own; where it is: controller, or bus and
@@ -19,44 +19,28 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Final, final
+from typing import Final, final
 
+from harness.rig_buses import (
+    NODE_MAX,
+    UNIT_MAX,
+    BusDescription,
+    address_key,
+    read_address,
+    read_bus,
+)
 from harness.rig_faults import HOST, FaultDescription, read_faults
-from harness.rig_traffic import read_messages
 from harness.settings import RigError, Source, Table, read_source
 from harness.toml_lines import KeyPath
 from harness.wording import listed, one_line
 
-if TYPE_CHECKING:
-    from motorapi.traffic import PeriodicMessage
-
 RIG_KEYS: Final = ("name", "seed")
-BUS_KEYS: Final = ("kind", "bitrate_bit_s", "message")
-BUS_KINDS: Final = ("can",)
 GROUP_KEYS: Final = ("motors",)
 TOP_KEYS: Final = ("rig", "bus", "controller", "motor", "group", "fault")
 
 NAME: Final = re.compile(r"[A-Za-z][A-Za-z0-9_-]*")
 SEED_MAX: Final = 2**32 - 1
-NODE_MAX: Final = 127
-_SECOND_NS: Final = 1_000_000_000
 _NEW_REMEDY: Final = "check the path, or write a new rig: motorhil new DIR"
-
-
-@final
-@dataclass(frozen=True, slots=True)
-class BusDescription:
-    """A bus.
-
-    Attributes:
-        bitrate_bit_s: divides 1e9, so that a bit takes a whole number of nanoseconds.
-        messages: what others send; None: its traffic is not declared.
-    """
-
-    name: str
-    kind: str
-    bitrate_bit_s: int
-    messages: "tuple[PeriodicMessage, ...] | None" = None
 
 
 @final
@@ -66,7 +50,7 @@ class ControllerDescription:
 
     Attributes:
         kind: the plugin that builds it.
-        node_id: where on the bus, if its kind has such numbers.
+        node_id: where on the bus, if its kind has such numbers; on a line, the unit.
         settings: its table without `kind`, `bus` and `plant.from_motor_model`.
         plants_from_model: the plant tables in it (`plant`, `channel.2.plant`) that take what they
             leave out from their motor's model.
@@ -87,7 +71,8 @@ class MotorDescription:
 
     Attributes:
         adaptation: the plugin that builds it.
-        bus, node_id: where its controller is; None if the adaptation needs no bus.
+        bus, node_id: where its controller is (on a line, the unit); None if the adaptation needs
+            no bus.
         controller: the emulated controller behind it; None if it names bus and node_id itself.
         model: a motor model file, or the model itself.
         settings: its table without the keys above.
@@ -173,13 +158,13 @@ def parse_rig(source: Source, known: Known) -> RigDescription:
     root.refuse_unknown(TOP_KEYS, "table")
     rig = root.table("rig")
     rig.refuse_unknown(RIG_KEYS)
-    buses = {name: _bus(name, table) for name, table in _named(root, "bus")}
+    buses = {name: read_bus(name, table) for name, table in _named(root, "bus")}
     if not buses and _needs_bus(root, known):
         raise source.error((), "the rig has no bus", "add [bus.can0]")
     controllers = {
         name: _controller(name, table, buses, known) for name, table in _named(root, "controller")
     }
-    _refuse_shared_nodes(source, controllers)
+    _refuse_shared_nodes(source, controllers, buses)
     motors = {
         name: _motor(name, table, buses, controllers, known)
         for name, table in _named(root, "motor")
@@ -192,7 +177,7 @@ def parse_rig(source: Source, known: Known) -> RigDescription:
         controllers=MappingProxyType(controllers),
         motors=MappingProxyType(motors),
         groups=MappingProxyType(groups),
-        faults=read_faults(root, _on_each(buses, controllers)),
+        faults=read_faults(root, _on_each(buses, controllers), buses),
         source=source,
     )
 
@@ -228,21 +213,6 @@ def _named(root: Table, key: str) -> "list[tuple[str, Table]]":
     return tables
 
 
-def _bus(name: str, table: Table) -> BusDescription:
-    table.refuse_unknown(BUS_KEYS)
-    kind = table.one_of("kind", BUS_KINDS, "bus kind", default="can")
-    rate = table.integer(
-        "bitrate_bit_s", low=1_000, high=1_000_000, unit="bit/s", example="1_000_000"
-    )
-    if _SECOND_NS % rate:
-        raise table.error(
-            "bitrate_bit_s",
-            f"a bit of {rate} bit/s is not a whole number of nanoseconds",
-            "usual: 1_000_000, 800_000, 500_000, 250_000, 125_000, 100_000, 50_000, 20_000, 10_000",
-        )
-    return BusDescription(name, kind, rate, read_messages(table, rate))
-
-
 def _controller(
     name: str, table: Table, buses: Mapping[str, BusDescription], known: Known
 ) -> ControllerDescription:
@@ -260,7 +230,8 @@ def _controller(
         raise table.source.error(
             table.path, "is what the application's ports are called on a bus", "rename it"
         )
-    return ControllerDescription(name, kind, bus, _node_id(table), settings, tuple(asking))
+    address = read_address(table, buses[bus])
+    return ControllerDescription(name, kind, bus, address, settings, tuple(asking))
 
 
 def _plants(table: Table) -> list[Table]:
@@ -297,7 +268,7 @@ def _motor(
         raise table.error("name", f'the motor is called "{name}", as its table', "take it out")
     adaptation = table.one_of("adaptation", known.adaptations, "adaptation")
     bus, node_id, controller = _place(table, adaptation, buses, controllers, known)
-    settings = _without(table, ("adaptation", "controller", "bus", "node_id", "model"))
+    settings = _without(table, ("adaptation", "controller", "bus", "node_id", "unit", "model"))
     return MotorDescription(name, adaptation, bus, node_id, controller, _model(table), settings)
 
 
@@ -311,20 +282,21 @@ def _place(
     """(bus, node_id, controller) of a motor."""
     needs_bus = known.needs_bus(adaptation)
     if needs_bus is False:
-        for key in ("controller", "bus", "node_id"):
+        for key in ("controller", "bus", "node_id", "unit"):
             if table.has(key):
                 problem = f'a motor of adaptation "{adaptation}" is on no bus'
                 raise table.error(key, problem, f"take out {key}")
         return None, None, None
     if table.has("controller"):
         controller = table.name_of("controller", list(controllers), "controller")
-        for key in ("bus", "node_id"):
+        for key in ("bus", "node_id", "unit"):
             if table.has(key):
                 raise table.error(key, "is the controller's to say", f"take out {key}")
         described = controllers[controller]
         return described.bus, described.node_id, controller
     if table.has("bus"):
-        return table.name_of("bus", list(buses), "bus"), _node_id(table), None
+        bus = table.name_of("bus", list(buses), "bus")
+        return bus, read_address(table, buses[bus]), None
     if needs_bus is None:
         return None, None, None
     known_names = listed(controllers)
@@ -361,21 +333,27 @@ def _group(name: str, table: Table, motors: Mapping[str, MotorDescription]) -> G
     return GroupDescription(name, members)
 
 
-def _refuse_shared_nodes(source: Source, controllers: Mapping[str, ControllerDescription]) -> None:
+def _refuse_shared_nodes(
+    source: Source,
+    controllers: Mapping[str, ControllerDescription],
+    buses: Mapping[str, BusDescription],
+) -> None:
     taken: dict[tuple[str, int], str] = {}
     for name, controller in controllers.items():
         if controller.node_id is None:
             continue
         place = (controller.bus, controller.node_id)
         if place in taken:
-            first = source.line(("controller", taken[place], "node_id"))
-            used = [node for bus, node in taken if bus == controller.bus]
-            free = next((node for node in range(1, NODE_MAX + 1) if node not in used), None)
+            bus = buses[controller.bus]
+            key, last = address_key(bus), UNIT_MAX if bus.is_line else NODE_MAX
+            first = source.line(("controller", taken[place], key))
+            used = [node for name_of_bus, node in taken if name_of_bus == controller.bus]
+            free = next((node for node in range(1, last + 1) if node not in used), None)
             raise source.error(
-                ("controller", name, "node_id"),
+                ("controller", name, key),
                 f'{place[1]} on bus "{place[0]}" is controller "{taken[place]}" already '
                 f"(line {first})",
-                f"the first free node_id is {free}" if free else "use another bus",
+                f"the first free {key} is {free}" if free else "use another bus",
             )
         taken[place] = name
 
@@ -387,12 +365,6 @@ def _on_each(
         bus: [name for name, controller in controllers.items() if controller.bus == bus]
         for bus in buses
     }
-
-
-def _node_id(table: Table) -> int | None:
-    if not table.has("node_id"):
-        return None
-    return table.integer("node_id", low=0, high=NODE_MAX, example="1")
 
 
 def _without(table: Table, keys: tuple[str, ...]) -> dict[str, object]:

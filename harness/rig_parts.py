@@ -5,6 +5,7 @@ from typing import Generic, TypeVar, final
 
 from emulators.controller import Controller
 from emulators.media.faults import FaultRule
+from emulators.media.serial_faults import SerialFaultPlan, SerialFaultRule
 from emulators.world import World
 
 T = TypeVar("T")
@@ -42,13 +43,24 @@ class RigFaults:
     def __init__(self, world: World) -> None:
         self._world = world
 
-    def inject(self, bus: str, rule: FaultRule) -> None:
-        """The rule holds on the bus from now on.
+    def inject(self, bus: str, rule: FaultRule | SerialFaultRule) -> None:
+        """The rule holds on the bus, or line, from now on.
 
         Raises:
-            ValueError: the bus has had a rule of that name.
+            ValueError: the bus has had a rule of that name, or the rule is for another kind of bus.
         """
-        self._world.inject(bus, rule)
+        plan = self._plan(bus)
+        if plan is None and isinstance(rule, FaultRule):
+            self._world.inject(bus, rule)
+        elif plan is not None and isinstance(rule, SerialFaultRule):
+            plan.add(rule)
+        else:
+            right = "FaultRule" if plan is None else "SerialFaultRule"
+            raise ValueError(f"bus {bus}: rule {rule.name}: its faults are of class {right}")
+
+    def _plan(self, bus: str) -> SerialFaultPlan | None:
+        """Of a line; None: it is a CAN bus."""
+        return self._world.line(bus).plan if bus in self._world.line_names() else None
 
     def lift(self, bus: str, name: str) -> None:
         """The rule of this name holds no longer; its count stays.
@@ -56,13 +68,21 @@ class RigFaults:
         Raises:
             ValueError: the bus has no such rule.
         """
-        self._world.lift(bus, name)
+        plan = self._plan(bus)
+        if plan is None:
+            self._world.lift(bus, name)
+        else:
+            plan.remove(name)
 
     def fired(self) -> dict[str, int]:
         """How often each rule has fired, over all buses, in the order of adding."""
         counts: dict[str, int] = {}
         for bus in self._world.bus_names():
             for name, count in self._world.bus(bus).faults_fired().items():
+                counts[name] = counts.get(name, 0) + count
+        for line in self._world.line_names():
+            plan = self._plan(line)
+            for name, count in ({} if plan is None else plan.fired()).items():
                 counts[name] = counts.get(name, 0) + count
         return counts
 

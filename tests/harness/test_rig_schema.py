@@ -16,7 +16,7 @@ from emulators.media.faults import FaultKind
 from emulators.plant.dc_motor import RANGES, MotorPlant
 from emulators.plant.presets import PRESETS
 from emulators.setting_tables import OSCILLATOR_KEYS, PHASE_MAX_S, PPM_MAX
-from harness import rig_faults, rig_file
+from harness import rig_buses, rig_faults, rig_file, rig_line_faults
 from harness.plugins import ADAPTATIONS, installed
 from harness.rig import installed_plugins
 from harness.scaffold import EXAMPLES
@@ -64,10 +64,16 @@ def test_the_schema_is_a_schema():
 def test_the_schema_knows_the_keys_that_the_readers_know():
     assert tuple(SCHEMA["properties"]) == rig_file.TOP_KEYS
     assert tuple(DEFS["rig"]["properties"]) == rig_file.RIG_KEYS
-    assert tuple(DEFS["bus"]["properties"]) == rig_file.BUS_KEYS
+    assert tuple(DEFS["bus"]["properties"]) == rig_buses.BUS_KEYS
     assert tuple(DEFS["group"]["properties"]) == rig_file.GROUP_KEYS
-    assert tuple(DEFS["fault"]["properties"]) == rig_faults.FAULT_KEYS
-    assert DEFS["fault"]["properties"]["kind"]["enum"] == [kind.value for kind in FaultKind]
+    fault = DEFS["fault"]["properties"]
+    assert tuple(fault) == (*rig_faults.FAULT_KEYS, *rig_line_faults.LINE_KEYS)
+    kinds = [kind.value for kind in FaultKind]
+    kinds += [kind for kind in rig_line_faults.KINDS if kind not in kinds]
+    assert fault["kind"]["enum"] == kinds
+    bus = DEFS["bus"]["properties"]
+    assert bus["kind"]["enum"] == list(rig_buses.BUS_KINDS)
+    assert bus["parity"]["enum"] == list(rig_buses.PARITIES)
 
 
 def test_the_schema_knows_the_drives_own_keys():

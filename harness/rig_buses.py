@@ -1,0 +1,124 @@
+"""The `[bus.NAME]` tables of a rig: CAN buses, and lines that speak Modbus.
+
+kind = "can"          bitrate_bit_s, [[bus.NAME.message]]
+kind = "modbus_rtu"   a serial line: baud_bit_s, parity, stop_bits
+kind = "modbus_tcp"   a gateway: latency_s
+"""
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Final, final
+
+from harness.rig_traffic import read_messages
+from harness.settings import Table
+
+if TYPE_CHECKING:
+    from motorapi.traffic import PeriodicMessage
+
+CAN: Final = "can"
+MODBUS_RTU: Final = "modbus_rtu"
+MODBUS_TCP: Final = "modbus_tcp"
+BUS_KINDS: Final = (CAN, MODBUS_RTU, MODBUS_TCP)
+LINES: Final = (MODBUS_RTU, MODBUS_TCP)
+PARITIES: Final = ("E", "O", "N")
+
+NODE_MAX: Final = 127
+UNIT_MAX: Final = 247
+
+_KEYS: Final = {
+    CAN: ("bitrate_bit_s", "message"),
+    MODBUS_RTU: ("baud_bit_s", "parity", "stop_bits"),
+    MODBUS_TCP: ("latency_s",),
+}
+BUS_KEYS: Final = ("kind", *(key for keys in _KEYS.values() for key in keys))
+_SECOND_NS: Final = 1_000_000_000
+_BAUD: Final = 19_200
+_LATENCY_S: Final = 50e-6
+
+
+@final
+@dataclass(frozen=True, slots=True)
+class BusDescription:
+    """A bus.
+
+    Attributes:
+        kind: one of BUS_KINDS.
+        bitrate_bit_s: of a CAN bus it divides 1e9, so that a bit takes a whole number of
+            nanoseconds; of a serial line it is the baud rate; 0: there is none.
+        messages: what others send there (CAN); None: its traffic is not declared.
+        parity, stop_bits: of a serial line.
+        latency_ns: of a gateway: from sending to arriving [ns].
+    """
+
+    name: str
+    kind: str
+    bitrate_bit_s: int
+    messages: "tuple[PeriodicMessage, ...] | None" = None
+    parity: str = "E"
+    stop_bits: int = 1
+    latency_ns: int = 0
+
+    @property
+    def is_line(self) -> bool:
+        """Whether it speaks Modbus: its controllers have units, not node-IDs."""
+        return self.kind in LINES
+
+
+def read_bus(name: str, table: Table) -> BusDescription:
+    """The bus of a table.
+
+    Raises:
+        RigError: the first thing wrong in it.
+    """
+    kind = table.one_of("kind", BUS_KINDS, "bus kind", default=CAN)
+    for key in table.values:
+        owner = next((one for one, keys in _KEYS.items() if key in keys), kind)
+        if owner != kind:
+            raise table.error(key, f'belongs to kind "{owner}"', f'this bus is of kind "{kind}"')
+    table.refuse_unknown(("kind", *_KEYS[kind]))
+    if kind == MODBUS_RTU:
+        return BusDescription(
+            name,
+            kind,
+            table.integer("baud_bit_s", _BAUD, low=300, high=10_000_000, unit="bit/s"),
+            parity=table.one_of("parity", PARITIES, "parity", default="E"),
+            stop_bits=table.integer("stop_bits", 1, low=1, high=2),
+        )
+    if kind == MODBUS_TCP:
+        latency_s = table.number("latency_s", _LATENCY_S, low=0.0, high=10.0, unit="s")
+        return BusDescription(name, kind, 0, latency_ns=round(latency_s * 1e9))
+    return _can(name, table)
+
+
+def _can(name: str, table: Table) -> BusDescription:
+    rate = table.integer(
+        "bitrate_bit_s", low=1_000, high=1_000_000, unit="bit/s", example="1_000_000"
+    )
+    if _SECOND_NS % rate:
+        raise table.error(
+            "bitrate_bit_s",
+            f"a bit of {rate} bit/s is not a whole number of nanoseconds",
+            "usual: 1_000_000, 800_000, 500_000, 250_000, 125_000, 100_000, 50_000, 20_000, 10_000",
+        )
+    return BusDescription(name, CAN, rate, read_messages(table, rate))
+
+
+def address_key(bus: BusDescription) -> str:
+    """What its controllers' numbers are called."""
+    return "unit" if bus.is_line else "node_id"
+
+
+def read_address(table: Table, bus: BusDescription) -> int | None:
+    """The number of a controller, or of a motor's controller, on the bus; None: it tells none.
+
+    Raises:
+        RigError: it is out of range, or called as on another kind of bus.
+    """
+    key = address_key(bus)
+    other = "node_id" if bus.is_line else "unit"
+    if table.has(other):
+        of = "Modbus controllers have a unit" if bus.is_line else "a CAN bus has node-IDs"
+        raise table.error(other, f'bus "{bus.name}" is of kind {bus.kind}: {of}', f"write {key}")
+    if not table.has(key):
+        return None
+    low, high = (1, UNIT_MAX) if bus.is_line else (0, NODE_MAX)
+    return table.integer(key, low=low, high=high, example="1")

@@ -1,0 +1,45 @@
+"""The motor models of a rig, each read once, from its own file or out of the rig's."""
+
+from pathlib import Path
+
+from harness.rig_file import MotorDescription, RigDescription
+from harness.settings import RigError
+from motorapi.errors import FileError
+from motorapi.model import MotorModel
+
+
+def read_models(description: RigDescription) -> dict[str, MotorModel]:
+    """The models of all motors, each file read once. Raises as `_model`."""
+    files: dict[Path, MotorModel] = {}
+    models: dict[str, MotorModel] = {}
+    for name, motor in description.motors.items():
+        model = files.get(motor.model) if isinstance(motor.model, Path) else None
+        models[name] = _model(description, name) if model is None else model
+        if isinstance(motor.model, Path):
+            files[motor.model] = models[name]
+    return models
+
+
+def _model(description: RigDescription, motor: str) -> MotorModel:
+    """The motor's model, from its own file or the rig's.
+
+    Raises:
+        RigError: with the file and line of the model, wherever it stands.
+    """
+    model: MotorDescription = description.motors[motor]
+    path = ("motor", motor, "model")
+    try:
+        if isinstance(model.model, Path):
+            return MotorModel.load(model.model)
+        return MotorModel.from_table(
+            model.model,
+            path=str(description.source.path),
+            line_of=lambda key: description.source.line((*path, key)),
+            default_name=motor,
+        )
+    except FileError as error:
+        key = error.key or ""
+        if not isinstance(model.model, Path):
+            at = (*path, key) if key else path
+            raise description.error(at, error.problem, error.remedy) from None
+        raise RigError(error.path, error.problem, error.remedy, line=error.line, key=key) from None
