@@ -21,6 +21,7 @@ from typing import TYPE_CHECKING, Final, final
 from motorapi.errors import MotorError
 from motorapi.execution import Started
 from motorapi.generation import Trapezoid, shortest
+from motorapi.state import MotorState
 from motorapi.synchronization import PathDeviation
 
 if TYPE_CHECKING:
@@ -204,6 +205,8 @@ class PathWatch:
                 continue
             if latest is None or latest.position is None:
                 continue
+            if latest.state is not MotorState.ENABLED:
+                continue  # it is on the line no more; that it has failed is told elsewhere
             if not kept or latest.time_ns > kept[-1][0]:
                 kept.append((latest.time_ns, latest.position))
         if not all(self._kept):
