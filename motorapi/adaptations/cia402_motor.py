@@ -45,6 +45,7 @@ _MODES: Final = {
     ControlVariable.VELOCITY: Mode.PROFILE_VELOCITY,
     ControlVariable.TORQUE: Mode.PROFILE_TORQUE,
 }
+_SHOWS_REST: Final = (*_MODES.values(), Mode.HOMING)
 _STREAMED: Final = (ControlVariable.POSITION, ControlVariable.VELOCITY)
 
 
@@ -258,8 +259,8 @@ class Cia402Motor(Motor):
         return watch.ended_ns is not None
 
     def _stop(self) -> None:
-        # In csp no bit says that a halted drive stands.
-        needs_bit = not self._control.is_in(Mode.CYCLIC_SYNC_POSITION)
+        # In csp no bit says that a halted drive stands; another process may have left it in that.
+        needs_bit = any(self._control.is_in(mode) for mode in _SHOWS_REST)
         watch = RestWatch(commanded_ns=self.runtime.now_ns(), needs_bit=needs_bit)
         self._hardware.follow(watch)
         if self._node.state is PdsState.OPERATION_ENABLED:

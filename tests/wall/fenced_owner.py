@@ -1,0 +1,103 @@
+"""A program that streams set-points to node 1 of a hub, and loses the drive while it is paused.
+
+python -m tests.wall.fenced_owner CHANNEL HOW
+
+HOW is "fenced"; or what the tests of this must find: "unfenced" (its frames go out whoever owns the
+drive), "careless" (they go out with the token it once had, which it does not look at).
+
+    stream LEASE_S  "streaming": a motion of a minute, in a reservation (LEASE_S 0: without a lease)
+    run             the same by the drive's own profile
+    write           "wrote" a setting, by SDO; or "busy WHY"
+    wait            "done", or "interrupted WHY"
+    renew           "renewed", or "busy WHY"
+    again           "started" a small move; or "busy WHY"
+    end             "ended" the reservation
+"""
+
+import sys
+from contextlib import ExitStack
+
+import can
+
+from motorapi import ControlMode, ControlVariable, MotionInterrupted, MotorBusyError, MotorModel
+from motorapi.adaptations.cia402 import Cia402HwMotor, Cia402Motor, HwOptions
+from motorapi.fencing import BoundFence, NodeFence
+from tests.motorapi.adaptations.streaming import quintic, set_function
+
+MODEL = MotorModel(name="wheel", velocity_max=3.0, acceleration_max=10.0)
+OPTIONS = HwOptions(
+    set_point_period_ms=10, heartbeat_timeout_ms=30_000, sdo_timeout_s=10.0, connect_timeout_s=30.0
+)
+
+
+def send_carelessly(fence, frame):
+    token = fence._hold.token if isinstance(fence, BoundFence) else fence.lock._hold.token
+    node = fence._fence if isinstance(fence, BoundFence) else fence
+    node.let_out(frame, token)
+
+
+class Program:
+    def __init__(self, bus, how):
+        if how != "fenced":
+            send = {
+                "unfenced": lambda fence, frame: bus.transmit(frame),
+                "careless": send_carelessly,
+            }[how]
+            BoundFence.send = NodeFence.send = send
+        self.hardware = Cia402HwMotor(bus, node_id=1, options=OPTIONS)
+        self.motor = Cia402Motor(self.hardware, model=MODEL, name="owner")
+        self.held = ExitStack()
+        self.reservation = None
+
+    def do(self, word, *rest):
+        motor = self.motor
+        match word:
+            case "stream" | "run":
+                lease_s = float(rest[0]) if rest else 0.0
+                self.reservation = self.held.enter_context(
+                    motor.reserve("survey", lease_s=lease_s or None)
+                )
+                if word == "stream":
+                    set_function(motor, quintic(60.0, 60.0))
+                else:
+                    motor.set_control_mode(ControlMode.SETPOINT, ControlVariable.VELOCITY)
+                    motor.set_setpoint(1.0)
+                motor.start()
+                return "streaming"
+            case "write":
+                self.hardware.write(0x6065, 2000)
+                return "wrote"
+            case "wait":
+                motor.wait_until_done(60.0)
+                return "done"
+            case "renew":
+                self.reservation.renew()
+                return "renewed"
+            case "again":
+                motor.set_control_mode(ControlMode.SETPOINT)
+                motor.set_setpoint(0.1, relative=True)
+                motor.start()
+                return "started"
+            case "end":
+                self.held.close()
+                return "ended"
+        return f"what is {word}?"
+
+
+def main():
+    channel, how = sys.argv[1:]
+    with can.Bus(interface="emulated", channel=channel) as bus:
+        program = Program(bus, how)
+        print("ready", flush=True)
+        for line in sys.stdin:
+            try:
+                answer = program.do(*line.split())
+            except MotorBusyError as error:
+                answer = f"busy {error}"
+            except MotionInterrupted as error:
+                answer = f"interrupted {error}"
+            print(answer, flush=True)
+
+
+if __name__ == "__main__":
+    main()

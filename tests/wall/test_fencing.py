@@ -1,0 +1,239 @@
+"""A process that lost its drive while it was paused commands it no more when it goes on.
+
+The evidence is the bus: what a further program on the hub heard after the takeover, but what the
+new owner and the drive have sent.
+"""
+
+import re
+import signal
+import threading
+from collections import Counter
+from contextlib import ExitStack
+from pathlib import Path
+
+import can
+import pytest
+
+from emulators.cia402.factory import build
+from emulators.controller import ControllerContext
+from motorapi import ControlMode, MotorBusyError, WallRuntime
+from motorapi.adaptations.cia402 import Cia402HwMotor, Cia402Motor
+from motorapi.lock_directory import VARIABLE
+from motorapi.lock_view import read_process
+from tests.wall.fenced_owner import MODEL, OPTIONS
+from tests.wall.programs import LONG_S, Program
+from tests.wall.test_hub import serving
+
+pytestmark = pytest.mark.wall
+
+SYNC, NMT, REQUEST = 0x080, 0x000, 0x601
+SET_POINTS = 0x301
+RPDOS = (0x201, 0x301, 0x401, 0x501)
+
+
+def is_commanding(can_id, data):
+    """Whether a frame may start or change a motion, or a setting: no upload, no abort."""
+    if can_id == REQUEST:
+        return data[0] >> 5 not in (2, 3, 4, 5)
+    return can_id in RPDOS or can_id in (SYNC, NMT)
+
+
+class Listener:
+    """Commanding frames on the bus, as a further program hears them."""
+
+    def __init__(self, path):
+        self.frames = []
+        self._bus = can.Bus(interface="emulated", channel=path)
+        self._ends = False
+        self._thread = threading.Thread(target=self._listen)
+        self._thread.start()
+
+    def _listen(self):
+        while not self._ends:
+            message = self._bus.recv(timeout=0.05)
+            if message is not None and is_commanding(message.arbitration_id, message.data):
+                self.frames.append((message.arbitration_id, bytes(message.data)))
+
+    def close(self):
+        self._ends = True
+        self._thread.join()
+        self._bus.shutdown()
+
+
+class Heir:
+    """Another owner of the same drive; it knows what it has sent itself."""
+
+    def __init__(self, path, runtime):
+        self.bus = can.Bus(interface="emulated", channel=path)
+        self.hardware = Cia402HwMotor(self.bus, 1, runtime=runtime, options=OPTIONS)
+        self.motor = Cia402Motor(self.hardware, MODEL, name="heir")
+        self.sent = []
+        runtime.listen(self.bus, self._on_frame)
+
+    def _on_frame(self, frame, time_ns, transmitted):
+        can_id, data = int.from_bytes(frame[:4], "little"), frame[8 : 8 + frame[4]]
+        if transmitted and is_commanding(can_id, data):
+            self.sent.append((can_id, data))
+
+    def move(self):
+        self.motor.set_control_mode(ControlMode.SETPOINT)
+        self.motor.set_setpoint(0.2, relative=True)
+        self.motor.start()
+        self.motor.wait_until_done(LONG_S)
+
+    def close(self):
+        self.hardware.close()
+        self.bus.shutdown()
+
+
+class Stage:
+    """A hub with one drive; an owner in a process of its own, an heir here, and a listener."""
+
+    def __init__(self, path, runtime, world):
+        self.path = path
+        self.runtime = runtime
+        self.events = []
+        self.notices = []
+        world.tap_events(lambda time_ns, level, name, text: self.events.append(text))
+        world.tap_ownership(lambda bus, time_ns, sender, notice: self.notices.append(notice))
+        self.heir = Heir(path, runtime)
+        self.heir.hardware.connect()
+        self.listener = Listener(path)
+        self.owner = None
+        self.reserved = ExitStack()  # by the heir
+
+    def begin(self, how, word="stream 0"):
+        self.owner = Program("fenced_owner", self.path, how)
+        assert self.owner.hear() == "ready"
+        assert self.owner.ask(word) == "streaming"
+
+    def wait_for(self, done):
+        assert self.runtime.wait_until(done, LONG_S)
+
+    def set_points(self):
+        return sum(1 for can_id, _ in self.listener.frames if can_id == SET_POINTS)
+
+    def pause(self):
+        self.owner.signal(signal.SIGSTOP)
+        self.wait_for(lambda: read_process(self.owner.pid)[0] in "Tt")
+
+    def settle(self):
+        """What was sent so far is on the bus, and heard."""
+        with can.Bus(interface="emulated", channel=self.path) as bus:
+            bus.send(can.Message(arbitration_id=NMT, data=b"\x01\x7f", is_extended_id=False))
+            mark = (NMT, b"\x01\x7f")
+            self.wait_for(lambda: mark in self.listener.frames)
+            self.listener.frames.remove(mark)
+
+    def take_over(self, **how):
+        """The heir has reserved it; the owner is paused, and not in the middle of a write."""
+        while True:
+            self.pause()
+            try:
+                self.reserved.enter_context(self.heir.motor.reserve("rescue", **how))
+            except MotorBusyError as error:
+                if "in the middle of a write" not in str(error):
+                    raise
+                self.owner.signal(signal.SIGCONT)
+            else:
+                return
+
+    def others(self, since, since_sent):
+        """Commanding frames on the bus that the heir has not sent, since then."""
+        self.settle()
+        return Counter(self.listener.frames[since:]) - Counter(self.heir.sent[since_sent:])
+
+    def close(self):
+        self.reserved.close()
+        if self.owner is not None:
+            self.owner.end()
+        self.listener.close()
+        self.heir.close()
+
+
+@pytest.fixture
+def stage(tmp_path, monkeypatch):
+    locks = tmp_path / "locks"
+    locks.mkdir(mode=0o700)
+    monkeypatch.setenv(VARIABLE, str(locks))
+    path = str(tmp_path / "hub")
+    core = build({"node_id": 1}, ControllerContext(name="drive", folder=Path(), seed=1))
+    runtime = WallRuntime()
+    with serving(path, core) as world:
+        stage = Stage(path, runtime, world)
+        try:
+            yield stage
+        finally:
+            stage.close()
+            runtime.close()
+
+
+def lose(stage, how, word="stream 0", **taking):
+    """The heir has the drive and has moved it; what was heard and sent before, for `others`."""
+    stage.begin(how, word)
+    stage.wait_for(lambda: stage.set_points() > 20 or word == "run")
+    stage.take_over(**taking)
+    stage.settle()
+    since, since_sent = len(stage.listener.frames), len(stage.heir.sent)
+    stage.heir.move()
+    stage.owner.signal(signal.SIGCONT)
+    return since, since_sent
+
+
+def test_not_one_frame_of_a_resumed_stream_reaches_the_bus(stage):
+    since, since_sent = lose(stage, "fenced", take_over=True)
+    answer = stage.owner.ask("wait")
+    assert re.match(
+        r"interrupted owner: the motion was ended by pid \d+ \(.*, which took it over", answer
+    )
+    stage.heir.move()
+    assert stage.others(since, since_sent) == Counter()
+    assert not any("refused" in event for event in stage.events)  # it did not even get so far
+    assert stage.owner.ask("again").startswith("busy owner was taken over (on demand) by pid ")
+    assert stage.owner.ask("write").startswith("busy ")
+    assert stage.owner.ask("renew").startswith("busy ")
+    assert stage.others(since, since_sent) == Counter()
+    assert stage.owner.ask("end") == "ended"
+    stage.reserved.close()
+    stage.wait_for(lambda: not stage.heir.hardware.physical.ownership.is_here)
+    assert stage.owner.ask("again") == "started"  # it has taken the motor anew
+    assert stage.owner.ask("wait") == "done"
+
+
+def test_a_lease_that_is_over_is_as_good_as_a_takeover(stage):
+    since, since_sent = lose(stage, "fenced", "stream 0.3", timeout_s=LONG_S)
+    assert stage.owner.ask("wait").startswith("interrupted ")
+    assert stage.others(since, since_sent) == Counter()
+
+
+def test_a_drive_that_moves_by_itself_is_brought_to_rest_and_then_left_alone(stage):
+    since, since_sent = lose(stage, "fenced", "run", take_over=True)
+    assert stage.owner.ask("write").startswith("busy ")
+    assert stage.owner.ask("wait").startswith("interrupted ")
+    assert stage.others(since, since_sent) == Counter()
+
+
+def test_the_hub_refuses_what_a_program_sends_that_does_not_look(stage):
+    since, since_sent = lose(stage, "careless", take_over=True)
+    stage.wait_for(lambda: any("are refused: token" in event for event in stage.events))
+    sent = stage.others(since, since_sent)
+    assert not [can_id for can_id, _ in sent if can_id in RPDOS or can_id == REQUEST]
+
+
+def test_without_a_fence_its_set_points_do_reach_the_bus(stage):
+    since, since_sent = lose(stage, "unfenced", take_over=True)
+    stage.owner.ask("wait")
+    sent = stage.others(since, since_sent)
+    assert any(can_id == SET_POINTS for can_id, _ in sent)
+
+
+def test_the_hub_hears_who_owns_the_drive(stage):
+    lose(stage, "fenced", take_over=True)
+    stage.owner.ask("wait")
+    stage.settle()
+    told = [(notice.action, notice.purpose) for notice in stage.notices]
+    assert (1, "survey") in told
+    assert (6, "rescue") in told
+    assert 7 in [action for action, _ in told]  # the owner has noticed
+    tokens = [notice.token for notice in stage.notices if notice.action in (1, 5, 6)]
+    assert tokens == sorted(set(tokens))
