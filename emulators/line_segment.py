@@ -16,8 +16,8 @@ from emulators.modbus.tcp import GONE, MbapStream, TcpGateway
 from emulators.modbus.tcp import adu as adu_of
 from emulators.segment import ControllerSlot, Endpoint, HostListener, Overseer, Segment
 
-LineTap = Callable[[str, int, int, str, bytes, bool], None]
-"""(line, when its first bit was there [ns], now [ns], who sent it, ADU, whether it was spoiled)."""
+LineTap = Callable[[str, int, int, int, str, bytes, bool], None]
+"""(line, now, when its first bit began and its last one ended [ns], who sent it, ADU, spoiled)."""
 
 
 class LineSegment(Segment):
@@ -68,10 +68,6 @@ class LineSegment(Segment):
         due_ns = UNSET if deadline_ns is None else deadline_ns
         if due_ns != self._alarm.time_ns:
             self._alarm.move(due_ns)
-
-    def _tap(self, start_ns: int, now_ns: int, sender: str, adu: bytes, spoiled: bool) -> None:
-        for tap in self.taps:
-            tap(self.name, start_ns, now_ns, sender, adu, spoiled)
 
 
 @final
@@ -137,7 +133,9 @@ class SerialSegment(LineSegment):
                         endpoint.deliver(data, now_ns)
             else:
                 spoiled = kind == SPOILED
-                self._tap(start_ns, now_ns, self.endpoints[port].name, data, spoiled)
+                end_ns, sender = self.line.silent_since_ns(), self.endpoints[port].name
+                for tap in self.taps:
+                    tap(self.name, now_ns, start_ns, end_ns, sender, data, spoiled)
                 for endpoint in self.endpoints:
                     if isinstance(endpoint, ControllerSlot) and endpoint.port != port:
                         endpoint.deliver(b"" if spoiled else data, now_ns)
@@ -207,7 +205,7 @@ class TcpSegment(LineSegment):
 
     def _send_back(self, connection: int, adu: bytes, now_ns: int, sender: str) -> None:
         if connection != GONE:
-            self._tap(now_ns, now_ns, sender, adu, False)
+            self._tap(now_ns, sender, adu)
             self._pipe.submit(connection, False, adu, now_ns)
 
     def _ask_next(self, unit: int, now_ns: int) -> None:
@@ -229,7 +227,7 @@ class TcpSegment(LineSegment):
     def _hear(self, connection: int, data: bytes, now_ns: int) -> None:
         stream, host = self._streams[connection], self._hosts[connection]
         for request in stream.feed(data):
-            self._tap(now_ns, now_ns, host.name, adu_of(*request), False)
+            self._tap(now_ns, host.name, adu_of(*request))
             if not self.gateway.knows(request[1]):
                 self._send_back(connection, self.gateway.refusal(request), now_ns, self.name)
                 continue
@@ -242,6 +240,10 @@ class TcpSegment(LineSegment):
             self._overseer.report(now_ns, "warning", self.name, text)
             host.deliver(b"", now_ns)  # the end of the stream
             host.close()
+
+    def _tap(self, now_ns: int, sender: str, adu: bytes) -> None:
+        for tap in self.taps:
+            tap(self.name, now_ns, now_ns, now_ns, sender, adu, False)
 
     def _settle_all(self) -> None:
         deadlines = [self._pipe.next_deadline_ns(), self.gateway.next_deadline_ns()]

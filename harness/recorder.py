@@ -24,6 +24,7 @@ from traces.schema import (
     CAN_FRAME,
     JOINT_STATE,
     LOG,
+    MODBUS_ADU,
     Direction,
     Level,
     Schema,
@@ -103,6 +104,7 @@ class Recorder:
         writer: TraceWriter,
         kinds: Mapping[str, str] | None = None,
         period_ns: int = PERIOD_NS,
+        lines: Collection[str] = (),
     ) -> None:
         """What is recorded goes to `writer`, which the recorder closes in the end.
 
@@ -111,11 +113,13 @@ class Recorder:
             kinds: controllers by name, and of which kind each is; other senders are applications.
             period_ns: how often motors are looked at while they change [ns]; the controllers'
                 truth is expected at the same period.
+            lines: names of those buses that are lines and speak Modbus.
         """
         self.error: TraceError | None = None
         self._writer = writer
         self._kinds: dict[str, str] = dict(kinds or {})
         self._period_ns = period_ns
+        self._lines = tuple(lines)
         self._pending: list[Entry] = []
         self._hand_over_ns = 0
         self._due_ns = 0
@@ -147,6 +151,35 @@ class Recorder:
         for motor in source.motors:
             if not motor.active and (tells_more or not motor.has_position):
                 self._wake(motor, time_ns)
+
+    def adu(
+        self,
+        line: str,
+        now_ns: int,
+        start_ns: int,
+        end_ns: int,
+        sender: str,
+        data: bytes,
+        spoiled: bool,
+    ) -> None:
+        """An ADU of `sender` was complete on a line that speaks Modbus."""
+        received = sender in self._kinds
+        values: dict[str, Value] = {
+            "direction": Direction.RECEIVED if received else Direction.TRANSMITTED,
+            "sender": sender,
+            "start_ns": start_ns,
+            "end_ns": end_ns,
+            "data": data,
+        }
+        if spoiled:
+            values["spoiled"] = True
+        if start_ns == end_ns:
+            values["tcp"] = True
+        self.message(now_ns, f"/modbus/{line}", MODBUS_ADU, values)
+        source = self._sources.get((line, sender))
+        for motor in () if source is None else source.motors:
+            if not motor.active:
+                self._wake(motor, now_ns)
 
     def truth(self, time_ns: int, controller: str, values: Mapping[str, float]) -> None:
         """A controller's snapshot; recorded if it is not the one before, bit for bit."""
@@ -329,6 +362,9 @@ class Recorder:
             raise
 
     def _add_source(self, bus: str, sender: str) -> _Source:
+        if bus in self._lines:
+            source = self._sources[bus, sender] = _Source(0)  # its ADUs are messages like others
+            return source
         direction = Direction.RECEIVED if sender in self._kinds else Direction.TRANSMITTED
         channel = self._channel(f"/can/{bus}", CAN_FRAME)
         number = self._writer.source(channel, sender, direction) if channel else 0

@@ -53,11 +53,12 @@ def start_recording(
         for name, media_type, data in files:
             writer.attach(name, data, media_type)
         kinds = {name: controller.kind for name, controller in description.controllers.items()}
-        recorder = Recorder(writer, kinds)
+        recorder = Recorder(writer, kinds, lines=world.line_names())
         for event in before:
             recorder.event(*event)
         recorder.connect(world.queue.alarm(recorder.poll).set)
         world.tap_frames(recorder.frame)
+        world.tap_lines(recorder.adu)
         world.tap_events(recorder.event)
         owners = OwnershipTap(LockWriter(recorder, world), MotorNames(description))
         world.tap_ownership(owners.heard)

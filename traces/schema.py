@@ -2,6 +2,7 @@
 
     topic                     message                  what
     /can/<bus>                motorhil.CanFrame        every frame, when its last bit was on the bus
+    /modbus/<line>            motorhil.ModbusAdu       every ADU, when the line knew it was complete
     /motor/<name>/state       foxglove.JointState      what the application can know of its motor
     /motor/<name>/lock        motorhil.MotorLock       who takes, waits for and gives back a motor
     /group/<name>/sync        motorhil.GroupSync       how far apart a group began and ended
@@ -9,7 +10,7 @@
     /events                   foxglove.Log             what happened
 
 `log_time` is the rig's time [ns from 0]. Field numbers are a promise: they are never given a new
-meaning. Modbus lines (`/modbus/<line>`) will follow the shape of CanFrame.
+meaning.
 """
 
 import re
@@ -96,6 +97,21 @@ CAN_FRAME: Final = Message(
         Field(8, "direction", Kind.ENUM, of=_enumeration("Direction", Direction)),
         Field(9, "sender", Kind.STRING),  # a controller's name, or the application's port
         Field(10, "remote_length", Kind.UINT32),  # the DLC of a remote frame
+        Field(15, "data", Kind.BYTES),
+    ),
+)
+
+# On a serial line it is complete t3.5 after its last bit; on TCP all three times are one. Bytes are
+# as they were on the wire: with CRC, or behind an MBAP header.
+MODBUS_ADU: Final = Message(
+    "motorhil.ModbusAdu",
+    (
+        Field(1, "direction", Kind.ENUM, of=_enumeration("Direction", Direction)),
+        Field(2, "sender", Kind.STRING),  # a controller's name, the gateway's, or the application's
+        Field(3, "start_ns", Kind.INT64),  # when its first bit began
+        Field(4, "end_ns", Kind.INT64),  # when its last bit ended
+        Field(5, "spoiled", Kind.BOOL),  # a pause in it, or a collision: it is no frame
+        Field(6, "tcp", Kind.BOOL),  # the framing is MBAP's, else RTU's
         Field(15, "data", Kind.BYTES),
     ),
 )

@@ -134,17 +134,19 @@ def test_what_a_pause_or_a_collision_spoils_is_a_bus_error_for_all():
 
 def test_taps_hear_every_adu_with_its_first_and_last_bit_and_who_sent_it():
     world, _ = a_world()
-    told: list[tuple[str, int, int, str, bytes, bool]] = []
+    told: list[tuple[str, int, int, int, str, bytes, bool]] = []
     world.tap_lines(lambda *facts: told.append(facts))
     host = world.add_line_host("line", "host", lambda *_: None)
     host.send(with_crc(bytes.fromhex("020300010001")))
     world.queue.run_until(1000 * MS)
-    assert [(line, sender, spoiled) for line, _, _, sender, _, spoiled in told] == [
+    assert [(line, sender, spoiled) for line, _, _, _, sender, _, spoiled in told] == [
         ("line", "host", False),
         ("line", "unit2", False),
     ]
-    assert told[0][1] == 0
-    assert abs(told[0][2] - characters_ns(8) - T35_NS) < 1
+    _, now_ns, start_ns, end_ns, _, _, _ = told[0]
+    assert start_ns == 0
+    assert abs(end_ns - characters_ns(8)) < 1
+    assert now_ns == end_ns + T35_NS
 
 
 def test_faults_are_reported_by_name():
