@@ -107,6 +107,10 @@ class _Entry(Generic[E]):
             self.after.before = self
 
 
+_Choice = tuple[_Entry[E], S, list[S], int, int]
+"""An event that was taken: the state before, others that it may lead to, who was taken before."""
+
+
 def _entries(events: Sequence[E]) -> _Entry[E]:
     """The head of the list of all calls and returns by time; calls first: they may overlap."""
     marks: list[tuple[int, int, int, _Entry[E]]] = []
@@ -125,13 +129,14 @@ def _entries(events: Sequence[E]) -> _Entry[E]:
 
 def search(events: Sequence[E], specification: Specification[S, E]) -> Search[E]:
     """An order that the specification allows, or how far there is one."""
+    events = sorted(events, key=lambda event: event.called_ns)
     if not events:
         return Search((), (), (), specification.initial(), 0)
     head = _entries(events)
     state = specification.initial()
-    taken: list[tuple[_Entry[E], S, list[S]]] = []
-    seen: set[tuple[int, S]] = set()
-    mask = steps = 0
+    taken: list[_Choice[E, S]] = []
+    seen: set[tuple[int, int, S]] = set()
+    passed = ahead = steps = 0  # all before number `passed` are taken, and those in `ahead`
     furthest: Search[E] | None = None
     entry = head.after
     while entry is not None:
@@ -143,27 +148,35 @@ def search(events: Sequence[E], specification: Specification[S, E]) -> Search[E]
                 furthest = Search(None, _events(taken), _first_calls(head), state, steps)
             if not taken:
                 return replace(furthest, steps=steps)
-            entry, state, choices = taken.pop()
+            entry, state, choices, passed, ahead = taken.pop()
             entry.put_back()
-            mask ^= 1 << entry.number
-        reached = mask | 1 << entry.number
-        while choices and (reached, choices[-1]) in seen:
+        reached = _with(passed, ahead, entry.number)
+        while choices and (*reached, choices[-1]) in seen:
             choices.pop()
         if not choices:
             entry = entry.after
             continue
         after = choices.pop()
-        taken.append((entry, state, choices))
-        seen.add((reached, after))
-        mask, state = reached, after
+        taken.append((entry, state, choices, passed, ahead))
+        seen.add((*reached, after))
+        (passed, ahead), state = reached, after
         entry.lift()
         entry = head.after
     order = _events(taken)
     return Search(order, order, (), state, steps)
 
 
-def _events(taken: "Sequence[tuple[_Entry[E], S, list[S]]]") -> tuple[E, ...]:
-    return tuple(entry.event for entry, _, _ in taken)
+def _with(passed: int, ahead: int, number: int) -> tuple[int, int]:
+    """A set of numbers with one more: all below the first, and bits from there on."""
+    ahead |= 1 << (number - passed)
+    while ahead & 1:
+        ahead >>= 1
+        passed += 1
+    return passed, ahead
+
+
+def _events(taken: "Sequence[_Choice[E, S]]") -> tuple[E, ...]:
+    return tuple(choice[0].event for choice in taken)
 
 
 def _first_calls(head: _Entry[E]) -> tuple[E, ...]:
