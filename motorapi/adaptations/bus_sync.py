@@ -144,6 +144,7 @@ class BusSync:
             return known
         others = self.turns.number - turn - 1
         if not heard or (turn >= 0 and heard <= others * _SYNCS_A_TURN):
+            self._heard.clear()  # they were those of others' turns
             return None
         times = tuple(self._heard)
         last_ns = times[-1]
