@@ -2,7 +2,7 @@
 
 The application is `harness/examples/rover.py`, the rig `harness/examples/rover.toml`, or with
 `--rig` another that holds the same motors on other hardware; this is the frame around them:
-progress, record, and a table of what came of it.
+progress, record, and a table of what came of it. `--two-processes` is in `harness.two_processes`.
 """
 
 import argparse
@@ -15,10 +15,11 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, final
 
-from harness.exit_status import FAILED, PASSED
+from harness.exit_status import FAILED, PASSED, WRONG_USAGE
 from harness.scaffold import EXAMPLES
 from harness.seed_option import add_seed
 from harness.settings import RigError
+from harness.text_table import print_table
 
 if TYPE_CHECKING:
     from harness.examples.rover import Move, Rover
@@ -62,6 +63,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="the record (default out/demo.mcap)",
     )
     parser.add_argument("--realtime", action="store_true", help="no faster than the wall clock")
+    parser.add_argument(
+        "--two-processes",
+        action="store_true",
+        help="instead: two programs, in wall time, share the pan motor, and one of them is killed",
+    )
 
 
 def run(options: argparse.Namespace) -> int:
@@ -76,6 +82,8 @@ def run(options: argparse.Namespace) -> int:
     from motorapi import MotorError
     from traces.digest import digest
 
+    if options.two_processes:
+        return _run_two(options)
     rig_file = EXAMPLES / f"{options.rig}.toml"
     description = _with_eds(read_rig(rig_file, installed_plugins()), options.eds)
     _make_folder(options.output.parent)
@@ -112,6 +120,17 @@ def run(options: argparse.Namespace) -> int:
         print(f"motorhil demo: a motor is off by more than {ERROR_MAX_RAD} rad", file=sys.stderr)
         print(f"again: {_again(options, rig.seed)}", file=sys.stderr)
     return PASSED if arrived else FAILED
+
+
+def _run_two(options: argparse.Namespace) -> int:
+    """As `run`, for two programs."""
+    from harness import two_processes
+
+    if options.rig != RIG.stem or options.eds or options.realtime:
+        print("motorhil demo: --two-processes takes --seed and -o alone", file=sys.stderr)
+        return WRONG_USAGE
+    _make_folder(options.output.parent)
+    return two_processes.run(options.output, options.seed)
 
 
 def _again(options: argparse.Namespace, seed: int) -> str:
@@ -227,13 +246,6 @@ def _reached_rad(rig: "Rig", motor: str) -> float:
     return rig.controllers[controller].snapshot()[_in_truth(rig, motor, "position_rad")]
 
 
-def _print_table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
-    widths = [max(len(row[column]) for row in [head, *rows]) for column in range(len(head))]
-    for row in [head, *rows]:
-        first, *others = (cell.rjust(width) for cell, width in zip(row, widths, strict=True))
-        print("  ".join([row[0].ljust(len(first)), *others]).rstrip())
-
-
 def _print_motors(rig: "Rig", rover: "Rover", peaks: _PeakFollowingError) -> bool:
     """One line a motor; whether all of them ended where they were told to."""
     last: dict[str, tuple[float, Move, int]] = {}
@@ -263,7 +275,7 @@ def _print_motors(rig: "Rig", rover: "Rover", peaks: _PeakFollowingError) -> boo
         )
     head = ("motor", "target rad", "reached rad", "error mrad", "last move s", "peak follow. inc")
     print()
-    _print_table(head, rows)
+    print_table(head, rows)
     return arrived
 
 
@@ -275,7 +287,7 @@ def _print_buses(rig: "Rig") -> None:
         peak = statistics.peak_load(PEAK_WINDOW_NS)
         rows.append((name, f"{statistics.frames}", f"{load:.1%}", f"{peak:.1%}"))
     print()
-    _print_table(("bus", "frames", "load", "peak load in 100 ms"), rows)
+    print_table(("bus", "frames", "load", "peak load in 100 ms"), rows)
 
 
 def _print_groups(rig: "Rig", rover: "Rover") -> None:
@@ -296,7 +308,7 @@ def _print_groups(rig: "Rig", rover: "Rover") -> None:
             )
         )
     print()
-    _print_table(
+    print_table(
         ("group", "moves", "start", "bound ms", "start skew ms", "rounding ms", "end skew ms"), rows
     )
 

@@ -70,6 +70,12 @@ class Leg:
             return steering_rad + pi, -rolling_rad
         return steering_rad, rolling_rad
 
+    def way_ahead_rad(self) -> float:
+        """Where a camera looks that is to see what the rover will meet in this leg: pan [rad]."""
+        if self.turn_rad:
+            return self.turn_rad / 2
+        return atan2(self.left_m, self.forward_m)
+
     def pose_after(self, start: Pose, part: float) -> Pose:
         """The pose when `part` (0..1) of the leg has been driven."""
         turn_rad = self.turn_rad * part

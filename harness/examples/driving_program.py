@@ -1,0 +1,50 @@
+"""The driving program: it looks where a leg leads, drives the leg, and so on to the end.
+
+It shares the pan motor with the mast's program (`mast_program.py`), and knows nothing of it: it
+waits for the motor until it has its turn, first come, first served. If whoever has the motor dies,
+it is this program's the next moment; what was left moving is brought to rest before it is commanded
+again, and the manoeuvre goes on.
+"""
+
+import sys
+
+from harness.examples.rover import MANOEUVRE, Rover
+from harness.examples.rover_hardware import rover_motors
+from harness.examples.rover_kinematics import WHEELS, Leg
+from motorapi import ControlMode, Motor, MotorError, MotorGroup
+
+PATIENCE_S = 60.0
+
+
+def look_ahead(rover: Rover, leg: Leg) -> None:
+    """The camera has looked along the leg."""
+    (pan,) = rover.mast
+    with pan.reserve(f"a look along the {leg.name}", timeout_s=PATIENCE_S):
+        print(f"looks along the {leg.name}", flush=True)
+        rover.turn_to(rover.mast, [leg.way_ahead_rad()])
+
+
+def main() -> int:
+    """Exit status: 0 the manoeuvre was driven, 1 a motor failed, or was not to be had."""
+    names = [*(f"drive_{name}" for name in WHEELS), *(f"steer_{name}" for name in WHEELS), "pan"]
+    try:
+        with rover_motors(*names) as motors:
+            wheels, steering = MotorGroup(*motors[:6]), MotorGroup(*motors[6:12])
+            rover = Rover(wheels, steering, MotorGroup(motors[12]))
+            for group in (rover.wheels, rover.steering, rover.mast):
+                group.for_each(Motor.set_control_mode, ControlMode.TRAJECTORY)
+            for leg in MANOEUVRE:
+                look_ahead(rover, leg)
+                print(f"drives the {leg.name}", flush=True)
+                rover.drive(leg)
+            for group in (rover.wheels, rover.steering):
+                group.for_each(Motor.disable)
+    except MotorError as error:
+        print(error, file=sys.stderr)
+        return 1
+    print("has driven the manoeuvre", flush=True)
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

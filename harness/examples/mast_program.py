@@ -1,0 +1,50 @@
+"""The mast's program: one panorama after the other, until somebody ends it.
+
+It shares the pan motor with the driving program (`driving_program.py`), and knows nothing of it. In
+a panorama the mast is reserved, so that nobody turns it between two pictures; after each panorama
+those who wait for one of its motors have their turn.
+"""
+
+import sys
+from itertools import count
+
+from harness.examples.rover_hardware import rover_motors
+from motorapi import ControlMode, Motor, MotorError, MotorGroup, TrapezoidalTrajectory
+
+PICTURES_RAD = (-1.2, -0.4, 0.4, 1.2)
+TILT_RAD = -0.15
+EXPOSURE_S = 0.1
+PATIENCE_S = 60.0
+
+
+def take_panorama(mast: MotorGroup) -> None:
+    """The mast has looked in every direction of it, and stood still for each picture."""
+    for pan_rad in PICTURES_RAD:
+        mast.set_trajectory(
+            *(
+                TrapezoidalTrajectory(target_rad, initial=motor.position())
+                for motor, target_rad in zip(mast, (pan_rad, TILT_RAD), strict=True)
+            )
+        )
+        mast.start()
+        mast.wait_until_done(PATIENCE_S)
+        mast[0].runtime.wait_until(lambda: False, EXPOSURE_S)
+
+
+def main() -> int:
+    """Exit status: 1 if a motor failed. By itself it does not end otherwise."""
+    try:
+        with rover_motors("pan", "tilt") as motors:
+            mast = MotorGroup(*motors)
+            mast.for_each(Motor.set_control_mode, ControlMode.TRAJECTORY)
+            for number in count(1):
+                with mast.reserve(f"panorama {number}", timeout_s=PATIENCE_S):
+                    print(f"panorama {number}", flush=True)
+                    take_panorama(mast)
+    except MotorError as error:
+        print(error, file=sys.stderr)
+    return 1
+
+
+if __name__ == "__main__":
+    sys.exit(main())

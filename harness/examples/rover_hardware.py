@@ -1,0 +1,45 @@
+"""The rover's drives, as a program of the robot finds them: bus, node-ID and model of each.
+
+Which wires the buses are is said by the environment, as `motorhil serve RIG -- PROGRAM` sets it:
+CAN_INTERFACE for python-can's interface, MOTORHIL_CHANNEL_CAN0 and so on for the channels.
+"""
+
+import os
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager
+from pathlib import Path
+
+import can
+
+from harness.examples.rover_kinematics import WHEELS
+from motorapi import Motor, MotorModel
+from motorapi.adaptations.cia402 import Cia402HwMotor, Cia402Motor, HwOptions
+
+PLACES = {
+    **{f"drive_{name}": ("can0", node_id, "wheel") for node_id, name in enumerate(WHEELS, 1)},
+    **{f"steer_{name}": ("can1", node_id, "steering") for node_id, name in enumerate(WHEELS, 1)},
+    "pan": ("can0", 11, "mast"),
+    "tilt": ("can0", 12, "mast"),
+}
+# Drives of a laboratory: what runs them may have other things to do for a second. Every program
+# that shares a drive treats it in the same way.
+OPTIONS = HwOptions(heartbeat_timeout_ms=10_000, sdo_timeout_s=10.0, connect_timeout_s=30.0)
+
+
+@contextmanager
+def rover_motors(*names: str) -> Iterator[list[Motor]]:
+    """The motors of these names, until the block ends."""
+    with ExitStack() as opened:
+        buses: dict[str, can.BusABC] = {}
+        motors: list[Motor] = []
+        for name in names:
+            bus, node_id, kind = PLACES[name]
+            if bus not in buses:
+                channel = os.environ[f"MOTORHIL_CHANNEL_{bus.upper()}"]
+                interface = os.environ["CAN_INTERFACE"]
+                buses[bus] = opened.enter_context(can.Bus(interface=interface, channel=channel))
+            drive = Cia402HwMotor(buses[bus], node_id=node_id, options=OPTIONS)
+            opened.callback(drive.close)
+            model = MotorModel.load(Path(__file__).parent / f"rover_{kind}.toml")
+            motors.append(Cia402Motor(drive, model=model, name=name))
+        yield motors
