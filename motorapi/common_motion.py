@@ -4,9 +4,11 @@ Whether or not anybody waits: it looks at every news of its motors, as `on_done`
 does in answer is sent from there and waited for by nobody. Of a motor that must be asked it hears
 while somebody waits for that motor.
 
-A motor fails when its motion ends short of its target: by a fault, a lost link, somebody's stop, a
-lost ownership; not when a new motion replaces it. Those that were stopped in answer are told as
-interrupted to whoever waits for one of them; who waits for the group is told the cause.
+A motor fails when its motion ends short of its target though no logical motor wanted that: by a
+fault, a lost link, another program. A stop of one motor is obeyed by that one; but who waits for
+the group finds it short of its target, and that is answered like a fault. Those that were stopped
+in answer are told as interrupted to whoever waits for one of them; who waits for the group is told
+the cause.
 """
 
 # ruff: noqa: SLF001 -- it works the hooks of motors, as motorapi.execution does
@@ -58,15 +60,14 @@ class _Watched:
         return self.is_over
 
     def failure(self) -> MotorError | None:
-        """How the run failed; None: it goes on, is done, or was replaced."""
+        """How the run failed; None: it goes on, is done, or a logical motor ended it."""
         run = self.run
         try:
             self.is_over = self.motor._look(run) and run.ends
         except MotorError as error:
             self.is_over = True
-            now = self.motor._physical.run
-            replaced = now is not None and now is not run and now.motion is not None
-            return None if replaced and run.error is None else error
+            wanted = run.interrupted_by is not None and run.error is None
+            return None if wanted else error
         return None
 
 

@@ -103,9 +103,9 @@ class MotorGroup(DeviceGroup[Motor]):
 
         TOGETHER: they slow down along the path, at the same instant and in proportion; it needs
         PHASE. EACH: each slows down as its own limit allows. NONE: they go on. It happens whether
-        or not anybody waits. A motor fails when its motion ends short of its target, by a fault, a
-        lost link or a stop; not when another start replaces it. Who waits for one that was stopped
-        so is told `MotionInterrupted`, who waits for the group what the cause was.
+        or not anybody waits. A motor fails by a fault, a lost link, another program; a stop of one
+        motor stops that one, and the others only if the group is waited for. Who waits for one
+        that was stopped so is told `MotionInterrupted`, who waits for the group what the cause was.
         """
         return self._common.reaction
 

@@ -18,6 +18,7 @@ from motorapi import (
     MotorGroup,
     PeerError,
     StateError,
+    Synchronization,
     SyncLevel,
     TrapezoidalTrajectory,
     UnsupportedError,
@@ -281,3 +282,85 @@ def test_rounding_ends_as_far_apart_as_predicted(ways, steps):
     # No motor is faster than it can be, and the group no slower than its slowest member rounded.
     if ends_s and all(step == (0.0, 0.0, 0.0) for step in steps[: len(ways)]):
         assert measured_s <= 1e-9
+
+
+def test_a_stop_of_one_motor_stops_that_one_and_the_others_once_the_group_is_waited_for(
+    runtime, pair
+):
+    group = group_of(pair, 1.0, 3.0)
+    group.start()
+    runtime.run_for(0.5)
+    pair[0].stop()
+    runtime.run_for(0.5)
+    assert hooks(pair[1])[-1] == "_confirm"  # it goes on
+    assert group.sync_quality().end_skew_s is None
+    runtime.run_for(2.0)
+    assert pair[1].position() == 3.0
+
+    group.start()  # again
+    alias = PlainMotor(pair[0].hw, name="alias")
+    runtime.spawn("stopper", lambda: (runtime.run_for(0.5), alias.stop()))
+    with pytest.raises(MotionInterrupted, match=r"m1.*ended by stop\(\) of alias") as caught:
+        group.wait_until_done()
+    assert "from m1; the others of its group were stopped" in caught.value.__notes__
+    assert hooks(pair[1])[-1] == "_stop"
+    with pytest.raises(MotionInterrupted, match=r"m2.*fault reaction of its group \(m1"):
+        pair[1].wait_until_done()
+
+
+def test_without_anybody_waiting_a_fault_in_one_stops_the_others_once(runtime, pair):
+    group = group_of(pair, 1.0, 3.0)
+    group.start()
+    runtime.run_for(0.5)
+    fault_now(pair[0].hw)
+    assert hooks(pair[1])[-1] == "_confirm"
+    runtime.run_for(0.02)  # it counts no news: it is looked at every 10 ms
+    assert hooks(pair[1])[-1] == "_stop"
+    for ask in (group.wait_until_done, group.is_done, group.is_done):
+        with pytest.raises(DeviceFault) as caught:
+            ask()
+        assert caught.value.__notes__ == ["from m1; the others of its group were stopped"]
+    assert hooks(pair[1]).count("_stop") == 1
+
+
+def test_who_cannot_be_stopped_is_told_to_whoever_asks(runtime, pair, caplog):
+    group = group_of(pair, 1.0, 3.0)
+    group.start()
+    pair[1].hw.fail["_stop"] = LinkError(link="bus0", reason="gone")
+    runtime.run_for(0.5)
+    fault_now(pair[0].hw)
+    runtime.run_for(0.02)
+    assert "m2 could not be stopped after m1: fault 7500h" in caplog.text
+    with pytest.raises(DeviceFault) as caught:
+        group.is_done()
+    assert "but m2 could not be stopped: bus0: gone" in caught.value.__notes__
+
+
+def test_after_a_new_start_or_a_stop_the_failures_of_before_are_over(runtime, pair):
+    group = group_of(pair, 1.0, 3.0)
+    group.start()
+    runtime.run_for(0.5)
+    group.stop()
+    fault_now(pair[0].hw)
+    runtime.run_for(0.1)
+    assert hooks(pair[1]).count("_stop") == 1  # the group's own
+    pair[0].reset_fault()
+    group.start()
+    group.wait_until_done()
+
+
+def test_without_synchronisation_each_is_as_fast_as_it_can_be(runtime, pair):
+    group = group_of(pair, 1.0, 3.0)
+    group.synchronization = Synchronization.NONE
+    group.start()
+    # By hand, at 2 and 4: 1 is a triangle of 1 s, 3 takes 2 s.
+    assert [motor.hw.profile().duration_s for motor in pair] == [1.0, 2.0]
+    group.wait_until_done()
+    group.set_trajectory(
+        TrapezoidalTrajectory(1.0, duration_s=4.0), TrapezoidalTrajectory(1.0, duration_s=5.0)
+    )
+    group.start()
+    assert [motor.hw.profile().duration_s for motor in pair] == pytest.approx([4.0, 5.0], rel=1e-12)
+    for name in ("synchronization", "fault_reaction"):
+        with pytest.raises(UsageError, match=name):
+            setattr(group, name, "phase")
