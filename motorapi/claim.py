@@ -23,6 +23,13 @@ class Owner(Protocol):
         """Where it waits."""
 
 
+class Losable(Protocol):
+    """The ownership of a motor, which hears when a claim is lost."""
+
+    def note_loss(self, claim: "Claim") -> None:
+        """It was lost just now, or that was noticed."""
+
+
 @final
 class Asked:
     """What somebody asks for; see `Ownership.owned`."""
@@ -52,16 +59,16 @@ class Claim:
     """One ownership of a logical motor. It is given back, or lost.
 
     Attributes: owner, who and purpose (in words), since_ns, hold (of the lock between processes;
-    None: there is none), token (greater than that of anybody before), reasons (how often it was
-    taken).
+    None: there is none), of (the ownership), token (greater than that of anybody before), reasons
+    (how often it was taken).
     """
 
     __slots__ = (
         "_end_ns",
         "_lease_ns",
         "_loss",
-        "_note_loss",
         "hold",
+        "of",
         "owner",
         "purpose",
         "reasons",
@@ -75,7 +82,7 @@ class Claim:
         asked: Asked,
         hold: Hold | None,
         token: int,
-        note_loss: "Callable[[Claim], None]",
+        of: Losable,
     ) -> None:
         self.owner: Final = asked.owner
         self.who: Final = asked.who
@@ -84,7 +91,7 @@ class Claim:
         self.hold: Final = hold
         self.token: Final = token
         self.reasons = 1
-        self._note_loss: Final = note_loss
+        self.of: Final = of
         self._loss: Loss | None = None
         self._lease_ns = 0  # where there is no lock between processes that knows of it
         self._end_ns = 0
@@ -119,7 +126,7 @@ class Claim:
         """It is somebody else's from now on; that is told once."""
         if self._loss is None:
             self._loss = loss
-            self._note_loss(self)
+            self.of.note_loss(self)
 
     def require(self) -> None:
         """Raises MotorBusyError if it was lost."""

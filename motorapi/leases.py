@@ -34,10 +34,11 @@ def register(claim: "Claim") -> None:
         _mine.claims.append(claim)
 
 
-def use_leases() -> float | None:
+def use_leases(waits_for: object = None) -> float | None:
     """All that this thread has reserved with a lease are renewed; when to do it again [s].
 
-    None: there are none. Nothing is raised: who has lost one finds out by its next use.
+    But for the ownership it waits for itself: who has that does nothing meanwhile. None: there are
+    none. Nothing is raised: who has lost one finds out by its next use.
     """
     if not _mine.claims:
         return None
@@ -45,7 +46,7 @@ def use_leases() -> float | None:
     pauses_s = []
     for claim in _mine.claims:
         lease_s = claim.lease_s
-        if lease_s is not None:
+        if lease_s is not None and claim.of is not waits_for:
             with suppress(MotorBusyError):
                 claim.use()
             pauses_s.append(lease_s / RENEWALS)

@@ -60,6 +60,7 @@ def wait_for_all(
         try:
             if wait_until(runtime, waiting.all_over, min(pauses_s) if pauses_s else None):
                 for motor in motors:
+                    motor._physical.ownership.look()
                     motor._raise_callback_error()
                 return
         except _MemberFailed as failed:

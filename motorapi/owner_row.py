@@ -101,7 +101,9 @@ class OwnerRow:
             try:
                 self._teller.tell(LockAction.WAITING, asked, self._in_front(patience))
                 timeout_s = patience.timeout_s
-                if not patience.until(asked.owner.runtime, is_taken, timeout_s, self._look_s):
+                if not patience.until(
+                    asked.owner.runtime, is_taken, timeout_s, self._look_s, self._owned
+                ):
                     raise self._busy(asked.owner, patience)
             finally:
                 self._places.remove(asked)

@@ -137,9 +137,7 @@ class Ownership:
         return self._take(Asked(owner, who, purpose, patience), False)
 
     def _take(self, asked: Asked, afresh: bool) -> Claim:
-        keeper = self._keeper
-        if keeper is not None:
-            keeper.look()  # what it was kept for may be over, and nobody has seen it yet
+        self.look()
         claim = self._again(asked.owner, afresh)
         if claim is not None:
             return claim
@@ -170,7 +168,7 @@ class Ownership:
         with self._mutex:
             if self._held is not held:
                 return None
-            claim = self._held = Claim(asked, None, token, self._note_loss)
+            claim = self._held = Claim(asked, None, token, self)
         if asked.lease_s is not None:
             claim.set_lease(asked.lease_s)
         return claim
@@ -215,7 +213,7 @@ class Ownership:
                 hold.release()
                 return held, None, ""
             self._note(hold)
-            claim = self._held = Claim(asked, hold, hold.token, self._note_loss)
+            claim = self._held = Claim(asked, hold, hold.token, self)
         if held is not None and hold.was_taken_over and not hold.changed_hands:
             self.lose(held, asked)
         elif held is not None:
@@ -232,7 +230,7 @@ class Ownership:
             if self.listeners:
                 holder = lock.look().holder
                 self._teller.tell(LockAction.WAITING, asked, "" if holder is None else holder.who)
-            return patience.until(runtime, done, timeout_s)
+            return patience.until(runtime, done, timeout_s, of=self)
 
         return wait
 
@@ -251,7 +249,7 @@ class Ownership:
         self.is_orphan = True
         claim.lose(Loss(asked.who, asked.purpose, reason, asked.owner.runtime.now_ns()))
 
-    def _note_loss(self, claim: Claim) -> None:
+    def note_loss(self, claim: Claim) -> None:
         """It was lost just now, or that was noticed."""
         loss = claim.loss
         assert loss is not None
@@ -261,19 +259,24 @@ class Ownership:
         self._teller.tell(LockAction.LOST, claim, loss.who, since_ns=claim.since_ns)
 
     def is_lost_by(self, owner: object) -> bool:
-        """Whether somebody took it over from this one, who has not given it back yet."""
-        return any(claim.owner is owner for claim in self._look_for_losses())
+        """Whether it was taken over from this one, who has neither given it back nor retaken it."""
+        return self._loser(owner) is not None
 
     def require(self, owner: object) -> None:
-        """Raises MotorBusyError if it was taken over from this one, who has not given it back."""
-        for claim in self._look_for_losses():
-            if claim.owner is owner:
-                claim.require()
+        """Raises MotorBusyError if `is_lost_by`."""
+        lost = self._loser(owner)
+        if lost is not None:
+            lost.require()
 
-    def _look_for_losses(self) -> tuple[Claim, ...]:
-        if self._held is not None:
-            self._held.notice()
-        return tuple(self._lost)
+    def _loser(self, owner: object) -> Claim | None:
+        held = self._held
+        if held is not None and held.owner is owner and held.is_held:
+            return None
+        self.notice(owner)
+        for claim in tuple(self._lost):
+            if claim.owner is owner:
+                return claim
+        return None
 
     def notice(self, owner: object) -> None:
         """If this one has lost it, what he did with it is over, and that is told."""
@@ -359,6 +362,12 @@ class Ownership:
             return
         self._keeper = Keeper(claim, goes_on, news, self._end_keeping)
         self._keeper.begin(owner.runtime, counts)
+
+    def look(self) -> None:
+        """If what it was kept for is over, and nobody has seen it yet, it is given back."""
+        keeper = self._keeper
+        if keeper is not None:
+            keeper.look()
 
     def _end_keeping(self, keeper: Keeper) -> None:
         """What it was kept for is over."""

@@ -41,6 +41,7 @@ class Patience:
         done: Callable[[], bool],
         timeout_s: float | None,
         soonest_s: Callable[[], float | None] = lambda: None,
+        of: object = None,
     ) -> bool:
         """As `runtime.wait_until`, with everything fresh.
 
@@ -49,11 +50,12 @@ class Patience:
             done: as there.
             timeout_s: as there.
             soonest_s: after how long to look again though nothing has happened [s], if at all.
+            of: the ownership that is waited for.
         """
         end_ns = runtime.now_ns() + round(min(timeout_s or 0.0, 1e9) * 1e9)
         while True:
             left_s = max(0, end_ns - runtime.now_ns()) / 1e9
-            for pause_s in (self._refresh(), soonest_s(), use_leases()):
+            for pause_s in (self._refresh(), soonest_s(), use_leases(of)):
                 left_s = left_s if pause_s is None else min(left_s, pause_s)
             if wait_until(runtime, done, left_s):
                 return True

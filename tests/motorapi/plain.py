@@ -46,6 +46,7 @@ class PlainHwMotor:
 
     position_step, velocity_step, acceleration_step: the units it rounds to (0: not at all).
     latency_s: from trigger to motion.  acts_s: how long an action on the wire takes.
+    lock: shared with other processes.
     """
 
     def __init__(
@@ -60,12 +61,14 @@ class PlainHwMotor:
         position_step=0.0,
         velocity_step=0.0,
         acceleration_step=0.0,
+        lock=None,
     ):
         self.runtime = runtime
         self.bus = bus if bus is not None else PlainBus()
         self.node = node
         self.key = ("plain", runtime, self.bus.name, node)
-        self.physical = register_physical_motor(self.key, f"{self.bus.name} node {node}", self)
+        label = f"{self.bus.name} node {node}"
+        self.physical = register_physical_motor(self.key, label, self, lock)
         self.bus.hardware.append(self)
         self.acts_s = acts_s
         self.latency_s = latency_s
