@@ -8,6 +8,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import pytest
+from hypothesis import event, given, settings
+from hypothesis import strategies as st
 
 from emulators.media.faults import FaultKind, FaultRule
 from harness.rig import Rig, installed_plugins
@@ -122,8 +124,9 @@ def true_position(rig, name):
 class Truth:
     """Where the motors really were, every millisecond since it was made."""
 
-    def __init__(self, rig):
+    def __init__(self, rig, ways=WAYS):
         self.rig = rig
+        self.ways = ways
         self.begun_ns = rig.runtime.now_ns()
         self.seen = []
         rig.runtime.every(0.001, self.look)
@@ -136,7 +139,7 @@ class Truth:
     def off_the_line(self):
         """How far the second and the third motor were from their common line, at most [rad]."""
         _, (_, two, three) = self.seen[0]
-        ways = WAYS[1:]
+        ways = self.ways[1:]
         square = sum(way * way for way in ways)
         worst = 0.0
         for _, (_, second, third) in self.seen:
@@ -164,18 +167,24 @@ class Truth:
         return None
 
 
+def under_way(rig, reaction, ways=WAYS):
+    """The group of the rig, on its line."""
+    group = rig.groups["all"]
+    group.for_each(Motor.enable)
+    group.for_each(Motor.set_control_mode, ControlMode.TRAJECTORY)
+    group.set_trajectory(*map(TrapezoidalTrajectory, ways))
+    group.synchronization = Synchronization.PHASE
+    group.fault_reaction = reaction
+    group.start()
+    return group
+
+
 @contextmanager
 def scene(kind, fault, reaction):
     """The group is under way, the fault happens, and time goes on; nobody waits for a motor."""
     description = parse_rig(Source(Path("reactions.toml"), kind.rig), installed_plugins())
     with Rig(description) as rig:
-        group = rig.groups["all"]
-        group.for_each(Motor.enable)
-        group.for_each(Motor.set_control_mode, ControlMode.TRAJECTORY)
-        group.set_trajectory(*map(TrapezoidalTrajectory, WAYS))
-        group.synchronization = Synchronization.PHASE
-        group.fault_reaction = reaction
-        group.start()
+        group = under_way(rig, reaction)
         truth = Truth(rig)
         rig.runtime.run_for(FAULT_S)
         plant(rig, fault)
@@ -232,3 +241,27 @@ def test_who_waits_for_one_is_told_why_and_who_waits_for_the_group_whose_fault_i
         other.set_trajectory(TrapezoidalTrajectory(0.25))
         other.start()
         other.wait_until_done(timeout_s=5)
+
+
+@settings(max_examples=12)
+@given(
+    st.floats(0.01, 1.45),
+    st.lists(st.floats(0.3, 2.0), min_size=3, max_size=3),
+    st.sampled_from([drives(0, 0, 0), drives(0, 1, 0), drives(0, 1, 1)]),
+    st.sampled_from(["stimulus", "load"]),
+)
+def test_whenever_it_happens_the_others_stay_on_their_line(fault_s, ways, rig_file, fault):
+    """At any instant, on ramps and plateaus, of any straight line; on one bus or two."""
+    description = parse_rig(Source(Path("any.toml"), rig_file), installed_plugins())
+    with Rig(description) as rig:
+        group = under_way(rig, FaultReaction.TOGETHER, ways)
+        truth = Truth(rig, ways)
+        rig.runtime.run_for(fault_s)
+        plant(rig, fault)
+        rig.runtime.run_for(3.0)
+        assert truth.off_the_line() <= 0.0002
+        made = abs(truth.seen[-1][1][1] - truth.seen[0][1][1]) / ways[1]
+        event("stopped short" if made < 0.99 else "at the target")
+        if made < 0.99:
+            with pytest.raises(DeviceFault):
+                group.wait_until_done()
