@@ -216,7 +216,7 @@ def _port_and_name(slot: ControllerSlot) -> tuple[int, str]:
 
 
 def _unit_of(controller: Controller) -> int:
-    unit: object = getattr(controller, "unit", None)
+    unit: object = getattr(getattr(controller, "inner", controller), "unit", None)
     if not isinstance(unit, int):
         raise ValueError("it has no unit: it is no Modbus controller")
     return unit

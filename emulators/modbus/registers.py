@@ -94,6 +94,7 @@ class _Cell:
         self.high = highest if row.high is None else row.high
         self.sign = 1 << (bits - 1) if signed else 0
         self.span = 1 << bits
+        self.default = row.default
         self.value = row.default
         self.reader: Reader | None = None
         self.writer: Writer | None = None
@@ -165,7 +166,38 @@ class RegisterBank:
     def set_defaults(self) -> None:
         """Every register holds what it does at power-on; nobody is told."""
         for cell in self._named.values():
-            cell.value = cell.row.default
+            cell.value = cell.default
+
+    def set_default(self, key: str, value: int) -> None:
+        """The register holds this at power-on, and now.
+
+        Args:
+            key: its name, or its address in hex ("6200h").
+            value: within its limits.
+
+        Raises:
+            KeyError: there is no such register.
+            ValueError: it cannot hold the value.
+        """
+        cell = self._named.get(key)
+        if cell is None and key[-1:] in "hH" and len(key) == 5:
+            cell = self._cells.get(int(key[:4], 16)) if _is_hex(key[:4]) else None
+        if cell is None:
+            raise KeyError(key)
+        if not cell.low <= value <= cell.high:
+            raise ValueError(f"{cell.row.name} is {cell.low} to {cell.high}, not {value}")
+        cell.default = cell.value = value
+
+    def forget_kept(self) -> None:
+        """At power-on every register holds what its row says."""
+        for cell in self._named.values():
+            cell.default = cell.row.default
+
+    def keep(self, names: Sequence[str]) -> None:
+        """What these hold now they hold at power-on, too."""
+        for name in names:
+            cell = self._named[name]
+            cell.default = cell.value
 
     # ---- the client's side ----
 
@@ -288,3 +320,7 @@ class BitBank:
 
 def _address_of(row: Register) -> int:
     return row.address
+
+
+def _is_hex(text: str) -> bool:
+    return all(letter in "0123456789ABCDEFabcdef" for letter in text)
