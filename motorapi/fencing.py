@@ -18,10 +18,8 @@ long as a stream goes on.
 """
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import AbstractContextManager, ExitStack, contextmanager, suppress
+from contextlib import AbstractContextManager, ExitStack, contextmanager
 from typing import TYPE_CHECKING, Final, Protocol, final, runtime_checkable
-
-from motorapi.errors import MotorBusyError
 
 if TYPE_CHECKING:
     import can
@@ -158,13 +156,6 @@ class NodeFence:
             raise self.lock.not_ours("")
         return BoundFence(self, hold, own)
 
-    def notice(self) -> None:
-        """Whoever owns it in this process learns that it was taken over, if it was."""
-        if self._owned.is_here:
-            with suppress(MotorBusyError):
-                self._owned.begin_write()
-                self._owned.end_write()
-
     @property
     def is_owned(self) -> bool:
         """Whether this process owns it, as far as it knows."""
@@ -189,11 +180,7 @@ class BoundFence:
     def send(self, frame: bytes) -> None:
         """See `Fence`."""
         hold = self._hold
-        try:
-            hold.begin_write("")
-        except MotorBusyError:
-            self._fence.notice()
-            raise
+        hold.begin_write("")
         try:
             self._fence.let_out(frame, hold.token)
         finally:
@@ -202,11 +189,7 @@ class BoundFence:
     @contextmanager
     def passage(self) -> Iterator[None]:
         """See `Fence`."""
-        try:
-            self._hold.begin_write("")
-        except MotorBusyError:
-            self._fence.notice()
-            raise
+        self._hold.begin_write("")
         try:
             yield
         finally:

@@ -6,7 +6,9 @@ HOW is "fenced"; or what the tests of this must find: "unfenced" (its frames go 
 drive), "careless" (they go out with the token it once had, which it does not look at).
 
     stream LEASE_S  "streaming": a motion of a minute, in a reservation (LEASE_S 0: without a lease)
-    run             the same by the drive's own profile
+    run             the same by the drive's own profile, with a low acceleration
+    stop            "stopped": it slows down, for seconds
+    told            what on_done was told without any wait for the motor, and the stream's error
     write           "wrote" a setting, by SDO; or "busy WHY"
     wait            "done", or "interrupted WHY"
     renew           "renewed", or "busy WHY"
@@ -19,7 +21,14 @@ from contextlib import ExitStack
 
 import can
 
-from motorapi import ControlMode, ControlVariable, MotionInterrupted, MotorBusyError, MotorModel
+from motorapi import (
+    ControlMode,
+    ControlVariable,
+    DerivativeLimits,
+    MotionInterrupted,
+    MotorBusyError,
+    MotorModel,
+)
 from motorapi.adaptations.cia402 import Cia402HwMotor, Cia402Motor, HwOptions
 from motorapi.fencing import BoundFence, NodeFence
 from tests.motorapi.adaptations.streaming import quintic, set_function
@@ -48,6 +57,7 @@ class Program:
         self.motor = Cia402Motor(self.hardware, model=MODEL, name="owner")
         self.held = ExitStack()
         self.reservation = None
+        self.outcomes = []
 
     def do(self, word, *rest):
         motor = self.motor
@@ -61,9 +71,16 @@ class Program:
                     set_function(motor, quintic(60.0, 60.0))
                 else:
                     motor.set_control_mode(ControlMode.SETPOINT, ControlVariable.VELOCITY)
-                    motor.set_setpoint(1.0)
+                    motor.set_setpoint(1.0, limits=DerivativeLimits(first=0.5))
                 motor.start()
+                motor.on_done(self.outcomes.append)
                 return "streaming"
+            case "stop":
+                motor.stop()
+                return "stopped"
+            case "told":
+                motor.runtime.wait_until(lambda: bool(self.outcomes), 60.0)
+                return f"{self.outcomes[0].error}; the stream: {self.hardware.stream.error}"
             case "write":
                 self.hardware.write(0x6065, 2000)
                 return "wrote"

@@ -182,10 +182,10 @@ def lose(stage, how, word="stream 0", **taking):
 
 def test_not_one_frame_of_a_resumed_stream_reaches_the_bus(stage):
     since, since_sent = lose(stage, "fenced", take_over=True)
-    answer = stage.owner.ask("wait")
-    assert re.match(
-        r"interrupted owner: the motion was ended by pid \d+ \(.*, which took it over", answer
-    )
+    ended = r"owner: the motion was ended by pid \d+ \(.*, which took it over \(on demand\)"
+    lost = r"hub node 1 was taken over \(on demand\) by pid \d+ .* for rescue"
+    assert re.match(f"{ended}.*; the stream: .*{lost}", stage.owner.ask("told"))
+    assert re.match(f"interrupted {ended}", stage.owner.ask("wait"))
     stage.heir.move()
     assert stage.others(since, since_sent) == Counter()
     assert not any("refused" in event for event in stage.events)  # it did not even get so far
@@ -211,6 +211,20 @@ def test_a_drive_that_moves_by_itself_is_brought_to_rest_and_then_left_alone(sta
     assert stage.owner.ask("write").startswith("busy ")
     assert stage.owner.ask("wait").startswith("interrupted ")
     assert stage.others(since, since_sent) == Counter()
+
+
+def test_a_stop_that_was_under_way_does_not_stop_the_next_owner(stage):
+    stage.begin("fenced", "run")
+    assert stage.owner.ask("wait") == "done"  # its velocity is reached
+    assert stage.owner.ask("stop") == "stopped"  # and said again every 0.1 s, until it stands
+    stage.take_over(take_over=True)
+    stage.settle()
+    since, since_sent = len(stage.listener.frames), len(stage.heir.sent)
+    stage.owner.signal(signal.SIGCONT)
+    for _ in range(5):
+        stage.heir.move()
+    assert stage.others(since, since_sent) == Counter()
+    assert stage.owner.ask("write").startswith("busy ")
 
 
 def test_the_hub_refuses_what_a_program_sends_that_does_not_look(stage):
