@@ -19,21 +19,25 @@ from motorapi import (
     TrapezoidalTrajectory,
 )
 from motorapi.adaptations.joint_stop import joint_stop_of
-from tests.motorapi.adaptations.wheels import frames_on
+from tests.motorapi.adaptations.wheels import INCREMENT_RAD, frames_on
 from tests.motorapi.kinds import MODEL
 from tests.motorapi.test_fault_reactions import DRIVE
 
 MS = 1_000_000
+UNIT = "velocity_unit_rad_s = 4.7599888690754445e-05"
 SYNC = 0x080
 HALT = 0x0100
 
 
 @contextmanager
-def opened(count, bitrate=1_000_000):
+def opened(count, bitrate=1_000_000, velocity_unit_inc=1):
     names = [f"m{number}" for number in range(1, count + 1)]
     text = f"[bus.can0]\nbitrate_bit_s = {bitrate}\n"
     for number, name in enumerate(names, 1):
         text += DRIVE.format(name=name, bus=0, number=number) + MODEL
+    units = f"units = {{ velocity_unit_inc_s = {velocity_unit_inc:.1f} }}"
+    text = text.replace('kind = "cia402"', f'kind = "cia402"\n{units}')
+    text = text.replace(UNIT, f"velocity_unit_rad_s = {velocity_unit_inc * INCREMENT_RAD}")
     text += f"[group.all]\nmotors = {names!r}\n".replace("'", '"')
     with Rig(parse_rig(Source(Path("stops.toml"), text), installed_plugins())) as rig:
         yield rig, rig.groups["all"]
