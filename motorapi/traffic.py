@@ -148,8 +148,9 @@ SYNC_ID: Final = 0x080
 
 
 def replace_period(message: PeriodicMessage, period_s: float) -> PeriodicMessage:
-    """The message once a period, at any time in it."""
-    return replace(message, period_s=period_s, jitter_s=period_s)
+    """The message once a period: its jitter stays the same part of it."""
+    share = message.jitter_s / message.period_s
+    return replace(message, period_s=period_s, jitter_s=share * period_s)
 
 
 def worst_of(messages: Sequence[PeriodicMessage]) -> tuple[PeriodicMessage, ...]:
@@ -177,7 +178,8 @@ class NodeTraffic:
         sent: by the node.
         ours: by this program.
         sent_at_sync: by the node, once for each SYNC where a cyclic one runs; likewise
-            `ours_at_sync` by this program. Their period is SYNC's.
+            `ours_at_sync` by this program. Their period is SYNC's, and their jitter the same part
+            of that as it is of theirs here.
         unknown: what it sends that nobody can bound, in words; "" where there is no such thing.
     """
 

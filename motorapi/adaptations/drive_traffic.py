@@ -29,7 +29,7 @@ def drive_traffic(
     for can_id, tpdo in tpdos:
         length = sum(entry & 0xFF for entry in tpdo.mapping) // 8
         if tpdo.transmission <= _SYNCHRONOUS_MAX:
-            at_sync.append(PeriodicMessage(can_id, length, 1.0))
+            at_sync.append(PeriodicMessage(can_id, length, 1.0, 1.0))
         elif tpdo.inhibit_100us:
             sent.append(PeriodicMessage(can_id, length, tpdo.inhibit_100us * 1e-4 * shorter))
         else:

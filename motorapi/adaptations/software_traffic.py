@@ -33,7 +33,9 @@ def node_traffic(
     return NodeTraffic(
         sent=tuple(sent),
         ours=ours,
-        sent_at_sync=tuple(PeriodicMessage(back, _COUNT_BYTES, 1.0) for _, back in facts.pairs),
-        ours_at_sync=tuple(PeriodicMessage(out, _OUTPUT_BYTES, 1.0) for out, _ in facts.pairs),
+        sent_at_sync=tuple(
+            PeriodicMessage(back, _COUNT_BYTES, 1.0, 1.0) for _, back in facts.pairs
+        ),
+        ours_at_sync=tuple(PeriodicMessage(out, _OUTPUT_BYTES, 1.0, 1.0) for out, _ in facts.pairs),
         unknown=unknown,
     )

@@ -102,7 +102,7 @@ def test_a_bus_that_is_full_has_no_bound_and_says_for_whom():
     urgent, starving = response_times(traffic)
     assert urgent.response_s is not None
     assert starving.response_s is None
-    assert overload_of(traffic) == "001h may take 2.16 ms, and the next one comes after 1.2 ms"
+    assert overload_of(traffic) == "002h and what is more urgent may fill the bus"
     assert overload_of(CanTraffic(1_000_000, traffic.messages)) == ""
 
 
