@@ -12,17 +12,23 @@ python -m tests.wall.lock_holder FOLDER NAME [BASE]
     held                        "held True", or "held False, lost to WHOM"
     fork                        "forked PID": a child that lives until it is killed
     child                       "child PID": a program that inherits all it can, likewise
+    dies N                      "died", or "survived": a child that takes it over from this process,
+                                and is killed just before the N-th thing it tells the kernel
     fork_take PURPOSE           "forked PID ANSWER": what `take PURPOSE` answers the child
 """
 
 import contextlib
+import fcntl
 import os
 import signal
 import subprocess
 import sys
+from types import SimpleNamespace
 
+from motorapi import lock_takeover
 from motorapi.errors import MotorBusyError
 from motorapi.lock_directory import LockDirectory
+from motorapi.lock_file import LockFile
 from motorapi.process_lock import Hold, ProcessLock
 from motorapi.wall_runtime import WallRuntime
 
@@ -95,6 +101,24 @@ class Holder:
         return text
 
 
+def die_before(number: int) -> None:
+    """This process is killed before the number-th step of its next takeover."""
+    left = [number]
+
+    def counted(action):
+        def step(*words):
+            left[0] -= 1
+            if left[0] == 0:
+                os.kill(os.getpid(), signal.SIGKILL)
+            return action(*words)
+
+        return step
+
+    lock_takeover.os = SimpleNamespace(pwrite=counted(os.pwrite), pread=os.pread, SEEK_SET=0)
+    lock_takeover.fcntl = SimpleNamespace(**vars(fcntl) | {"fcntl": counted(fcntl.fcntl)})
+    LockFile.try_write_alone = counted(LockFile.try_write_alone)
+
+
 def main() -> None:
     folder, name, *base = sys.argv[1:]
     lock = ProcessLock(name, f"the {name}", LockDirectory(folder))
@@ -103,6 +127,14 @@ def main() -> None:
         word, *rest = line.split()
         if hasattr(Holder, word):
             answer = holder.answer(word, *rest)
+        elif word == "dies":
+            child = os.fork()
+            if child == 0:
+                die_before(int(rest[0]))
+                lock.acquire(WallRuntime(), "dying", take_over=True)
+                os._exit(0)
+            killed = os.WIFSIGNALED(os.waitpid(child, 0)[1])
+            answer = "died" if killed else "survived"
         elif word == "fork":
             answer = f"forked {fork()}"
         elif word == "fork_take":

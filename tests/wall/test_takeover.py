@@ -1,0 +1,201 @@
+"""A lock is taken from processes that live: paused, stalled, or just in the way."""
+
+import os
+import signal
+from itertools import pairwise
+
+import pytest
+
+from motorapi.errors import MotorBusyError
+from tests.wall.test_process_lock import (
+    LONG_S,
+    base,
+    holder_pid,
+    lock,
+    programs,
+    until_waiting,
+    wall,
+)
+
+__all__ = ["base", "lock", "programs", "wall"]
+
+pytestmark = pytest.mark.wall
+
+LEASE_S = 1.0
+
+
+def pause(wall, lock, program):
+    program.signal(signal.SIGSTOP)
+    assert wall.wait_until(lambda: lock.look().holder.is_paused, LONG_S)
+
+
+def test_from_a_paused_process_it_is_taken_on_demand_and_that_one_cannot_write_any_more(
+    programs, lock, wall, base
+):
+    holder = programs()
+    assert holder.ask("take thinking") == "has 1 True"
+    assert holder.ask("write") == "wrote 1"
+    pause(wall, lock, holder)
+    with pytest.raises(MotorBusyError, match="paused"):
+        lock.acquire(wall, "mine", timeout_s=0.05)
+    hold = lock.acquire(wall, "rescue", take_over=True)
+    assert (hold.token - base, hold.was_taken_over, hold.was_abandoned) == (2, True, False)
+    assert hold.taken_from == f"pid {holder.pid} (lock_holder.py)"
+    assert holder_pid(lock) == os.getpid()
+    assert lock.begin_write() == hold.token
+    lock.end_write()
+    holder.signal(signal.SIGCONT)
+    told = holder.ask("write")
+    assert told.startswith(f"busy the pan was taken over (on demand) by pid {os.getpid()} (")
+    assert " for rescue since 2" in told
+    assert holder.ask("renew") == told.replace("write", "renew") or "taken over" in told
+    assert holder.ask("held").startswith(f"held False, lost to pid {os.getpid()} (")
+    assert holder.ask("release") == "released"
+    assert lock.look().holder.record.number == hold.token  # what the loser did touched nothing
+    assert lock.begin_write() == hold.token
+    lock.end_write()
+    assert holder.ask("take again").startswith(f"busy the pan is held by pid {os.getpid()} (")
+    hold.release()
+    assert holder.ask("take again") == "has 3 True"
+
+
+def test_while_he_uses_it_a_lease_lasts_and_when_he_is_paused_the_first_who_waits_has_it(
+    programs, lock, wall
+):
+    holder, first, second = programs(3)
+    for one in (first, second):
+        assert one.ask("write").startswith("busy")  # it is there
+    assert holder.ask(f"lease driving {LEASE_S}") == "has 1 True"
+    first.say(f"take first {LONG_S}")
+    until_waiting(wall, lock, [first.pid])
+    second.say(f"take second {LONG_S}")
+    until_waiting(wall, lock, [first.pid, second.pid])
+    for word in ("renew", "write") * 4:
+        wall.wait_until(lambda: False, LEASE_S / 5)
+        assert holder.ask(word).startswith(("renewed", "wrote 1"))
+    assert holder_pid(lock) == holder.pid
+    pause(wall, lock, holder)
+    assert first.hear() == "has 2 True"
+    assert holder_pid(lock) == first.pid
+    until_waiting(wall, lock, [second.pid])
+    holder.signal(signal.SIGCONT)
+    reason = f"its lease of {LEASE_S:g} s was over"
+    for word in ("write", "renew"):
+        told = holder.ask(word)
+        assert told.startswith(f"busy the pan was taken over ({reason}) by pid {first.pid} (")
+    assert first.ask("release") == "released"
+    assert second.hear() == "has 3 True"
+
+
+def test_one_who_is_paused_in_the_middle_of_a_write_is_named_and_keeps_it_so_long(
+    programs, lock, wall, base
+):
+    holder = programs()
+    holder.ask(f"lease driving {LEASE_S}")
+    assert holder.ask("begin") == "began"
+    pause(wall, lock, holder)
+    wall.wait_until(lambda: False, LEASE_S)
+    words = rf"held by pid {holder.pid} \(lock_holder.py, paused\), in the middle of a write"
+    for take_over in (False, True):
+        with pytest.raises(MotorBusyError, match=words):
+            lock.acquire(wall, "rescue", timeout_s=0.1, take_over=take_over)
+    assert lock.look().is_writing
+    holder.signal(signal.SIGCONT)
+    assert holder.ask("end") == "ended"
+    hold = lock.acquire(wall, "rescue", take_over=True)
+    assert hold.token == base + 2
+    assert holder.ask("begin").startswith("busy")
+
+
+def test_it_is_taken_from_one_after_the_other_and_each_loser_knows_to_whom(programs, lock, wall):
+    several = programs(5)
+    assert several[0].ask("take p0") == "has 1 True"
+    for number, one in enumerate(several[1:], 1):
+        assert one.ask(f"over p{number}") == f"has {number + 1} True"
+        assert holder_pid(lock) == one.pid
+    for one, taker in pairwise(several):
+        assert f"by pid {taker.pid} (" in one.ask("write")
+    assert several[-1].ask("write") == "wrote 5"
+    several[-1].kill()
+    hold = lock.acquire(wall, "mine")
+    assert hold.was_abandoned
+    assert not hold.was_taken_over
+
+
+def test_a_taker_that_is_killed_leaves_it_to_the_next(programs, lock, wall, base):
+    holder, taker = programs(2)
+    holder.ask("take a")
+    pause(wall, lock, holder)
+    assert taker.ask("over b") == "has 2 True"
+    taker.kill()
+    assert lock.look().abandoned == base + 2
+    with lock.acquire(wall, "c") as hold:
+        assert (hold.token, hold.was_abandoned) == (base + 3, True)
+    holder.signal(signal.SIGCONT)
+    assert f"by pid {taker.pid} (lock_holder.py) for b" in holder.ask("write")
+    assert holder.ask("take a").startswith("has 4 ")
+
+
+def test_those_who_wait_in_the_kernel_behind_a_paused_holder_are_prompt_after_a_takeover(
+    programs, lock, wall
+):
+    holder, waits = programs(2)
+    holder.ask("take a")
+    pause(wall, lock, holder)
+    waits.say(f"take w {LONG_S}")
+    until_waiting(wall, lock, [waits.pid])
+    hold = lock.acquire(wall, "rescue", take_over=True)
+    until_waiting(wall, lock, [waits.pid])
+    hold.release()
+    assert waits.hear() == "has 3 True"
+    assert waits.ask("release") == "released"
+    holder.signal(signal.SIGCONT)
+    assert holder.ask("held").startswith("held False")
+
+
+def test_one_who_holds_it_by_a_file_that_was_removed_cannot_write_once_somebody_has_the_new_one(
+    programs, lock, wall, base, tmp_path
+):
+    holder = programs()
+    holder.ask("take a")
+    (tmp_path / "pan").unlink()
+    assert holder.ask("write") == "wrote 1"  # nobody else has it
+    with lock.acquire(wall, "mine") as hold:
+        assert hold.token > base + 1
+        told = holder.ask("write")
+        assert told.startswith("busy the pan was taken over (its lock file had been removed) by")
+    assert holder.ask("release") == "released"
+
+
+def test_a_taker_that_dies_at_any_step_leaves_it_as_it_was_or_abandoned(programs, lock, wall):
+    holder = programs()
+    outcomes = []
+    for step in range(1, 40):
+        taken = holder.ask("take a").split()
+        assert taken[0] == "has"
+        died = holder.ask(f"dies {step}") == "died"
+        wrote = holder.ask("write")
+        view = lock.look()
+        if wrote == f"wrote {taken[1]}":
+            outcomes.append("as it was")
+            assert died
+            assert view.holder.record.pid == holder.pid
+            assert not view.abandoned
+            assert not view.is_writing
+        else:
+            outcomes.append("abandoned")
+            assert " for dying since " in wrote
+            assert view.holder is None
+            assert view.abandoned
+        assert holder.ask("release") == "released"
+        with lock.acquire(wall, "next") as hold:
+            assert hold.was_abandoned == (outcomes[-1] == "abandoned")
+            with lock.acquire(wall, "over it", owner=object(), take_over=True) as over:
+                assert over.token > hold.token
+        if not died:
+            break
+    assert not died
+    assert outcomes[0] == "as it was"
+    assert outcomes == sorted(outcomes, reverse=True)  # one step settles it
+    assert outcomes.count("as it was") >= 5
+    assert outcomes.count("abandoned") >= 2
