@@ -4,11 +4,11 @@ Whether or not anybody waits: it looks at every news of its motors, as `on_done`
 does in answer is sent from there and waited for by nobody. Of a motor that must be asked it hears
 while somebody waits for that motor.
 
-A motor fails when its motion ends short of its target though no logical motor wanted that: by a
-fault, a lost link, another program. A stop of one motor is obeyed by that one; but who waits for
-the group finds it short of its target, and that is answered like a fault. Those that were stopped
-in answer are told as interrupted to whoever waits for one of them; who waits for the group is told
-the cause.
+A motor fails when its motion ends short of its target though its owner did not want that: by a
+fault, a lost link, another program, by being taken over. A stop of one motor is obeyed by that one;
+but who waits for the group finds it short of its target, and that is answered like a fault. Those
+that were stopped in answer are told as interrupted to whoever waits for one of them; who waits for
+the group is told the cause.
 """
 
 # ruff: noqa: SLF001 -- it works the hooks of motors, as motorapi.execution does
@@ -66,7 +66,9 @@ class _Watched:
             self.is_over = self.motor._look(run) and run.ends
         except MotorError as error:
             self.is_over = True
-            wanted = run.interrupted_by is not None and run.error is None
+            # Who takes a motor over ends its run and has not begun one of his own yet.
+            taken_over = self.motor._physical.run is run
+            wanted = run.interrupted_by is not None and run.error is None and not taken_over
             return None if wanted else error
         return None
 
@@ -116,6 +118,11 @@ class CommonMotion:
         self._fall_silent()
         if self._path is not None:
             self._path.end()
+
+    @property
+    def stops_together(self) -> bool:
+        """Whether its motors slow down along their path."""
+        return self._common.reaction is FaultReaction.TOGETHER
 
     def path(self) -> tuple[PathDeviation, ...]:
         """How far each motor was from the common path; empty: there is none."""
@@ -177,33 +184,28 @@ class CommonMotion:
             if motor is failed or not motor._goes_on(one.run):
                 continue
             try:
-                trigger = self._stop(motor, by)
+                self._stop(motor, by, triggers)
             except Exception as further:
                 self._not_stopped(motor, cause, further)
-                continue
-            if trigger is not None and all(trigger != known for _, known in triggers):
-                triggers.append((motor, trigger))
         for motor, trigger in triggers:
             try:
                 motor._call(trigger.fire)
             except Exception as further:
                 self._not_stopped(motor, cause, further)
 
-    def _stop(self, motor: "Motor", by: str) -> Trigger | None:
-        """It slows down, or will by the trigger; its run is over, ended by the group."""
-        trigger: Trigger | None = None
+    def _stop(self, motor: "Motor", by: str, triggers: "list[tuple[Motor, Trigger]]") -> None:
+        """It slows down, or will by a trigger; its run is over, ended by the group."""
         physical = motor._physical
         with physical.interrupt(motor.name):
             status = motor._status()
             if self._common.reaction is FaultReaction.TOGETHER:
-                trigger = motor._call(motor._stop_with_others)
+                add_trigger(triggers, motor)
             else:
                 motor._call(motor._stop)
             run = Run(by, motor, self._runtime.now_ns(), None)
             physical.begin(run, status)
             motor._keep()
         self._answers.append((motor, run))
-        return trigger
 
     def _not_stopped(self, motor: "Motor", cause: MotorError, further: Exception) -> None:
         cause.add_note(f"but {motor.name} could not be stopped: {further}")
@@ -222,3 +224,10 @@ class CommonMotion:
         """Along the path they are watched until all of them are at rest."""
         if self._answers and not any(motor._goes_on(run) for motor, run in self._answers):
             self.end()
+
+
+def add_trigger(triggers: "list[tuple[Motor, Trigger]]", motor: "Motor") -> None:
+    """The motor slows down, or will by one of the triggers, each of which is in the list once."""
+    trigger = motor._call(motor._stop_with_others)
+    if trigger is not None and all(trigger != known for _, known in triggers):
+        triggers.append((motor, trigger))

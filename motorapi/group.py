@@ -17,7 +17,7 @@ from dataclasses import replace
 
 from motorapi.capability import capability_of, quality_of
 from motorapi.commands import as_number
-from motorapi.common_motion import CommonMotion
+from motorapi.common_motion import CommonMotion, add_trigger
 from motorapi.device import DeviceGroup
 from motorapi.errors import MotorError, UsageError
 from motorapi.execution import Started, plan, start_together
@@ -35,6 +35,7 @@ from motorapi.synchronization import (
     Synchronization,
     SyncLevel,
     SyncQuality,
+    Trigger,
 )
 from motorapi.trajectory import Trajectory
 
@@ -103,9 +104,10 @@ class MotorGroup(DeviceGroup[Motor]):
 
         TOGETHER: they slow down along the path, at the same instant and in proportion; it needs
         PHASE. EACH: each slows down as its own limit allows. NONE: they go on. It happens whether
-        or not anybody waits. A motor fails by a fault, a lost link, another program; a stop of one
-        motor stops that one, and the others only if the group is waited for. Who waits for one
-        that was stopped so is told `MotionInterrupted`, who waits for the group what the cause was.
+        or not anybody waits. A motor fails by a fault, a lost link, another program, by being taken
+        over; a stop of one motor stops that one, and the others if the group is waited for. Who
+        waits for one that was stopped so is told `MotionInterrupted`, who waits for the group what
+        the cause was. With TOGETHER `stop` of the group goes along the path, too.
         """
         return self._common.reaction
 
@@ -222,9 +224,23 @@ class MotorGroup(DeviceGroup[Motor]):
         return all(done)
 
     def stop(self) -> None:
-        """Every motor is slowing down; all are tried, then the first error is raised."""
+        """Every motor is slowing down; all are tried, then the first error is raised.
+
+        Those that are to stop together along their path (`fault_reaction`) do.
+        """
+        motion = self._motion
         self._end_motion()
-        self._every(Motor.stop)
+        if motion is None or not motion.stops_together:
+            self._every(Motor.stop)
+            return
+        triggers: list[tuple[Motor, Trigger]] = []
+
+        def stop(motor: Motor) -> None:
+            motor._bring_to_rest("stop", lambda: add_trigger(triggers, motor))
+
+        self._every(stop)
+        for motor, trigger in triggers:
+            motor._call(trigger.fire)
 
     def quick_stop(self) -> None:
         """Every motor makes its quick stop; all are tried, then the first error is raised."""

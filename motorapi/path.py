@@ -150,7 +150,9 @@ class PathWatch:
     """Looks at what is heard of the motors of one start, and keeps the largest deviations.
 
     Positions of different motors are compared at one instant: that of the sample of the motor that
-    was heard of least recently. The others are interpolated between two of their samples.
+    was heard of least recently. The others are interpolated between two of their samples. A sample
+    counts as of when it was heard: the time it was on its way, times the velocity, is in the
+    deviations as well (0.3 ms in the queue of a bus at 2 rad/s: 0.6 mrad between two motors).
 
     Args:
         started: phase-synchronised.

@@ -364,3 +364,15 @@ def test_without_synchronisation_each_is_as_fast_as_it_can_be(runtime, pair):
     for name in ("synchronization", "fault_reaction"):
         with pytest.raises(UsageError, match=name):
             setattr(group, name, "phase")
+
+
+def test_a_motor_that_is_taken_over_has_failed_its_group(runtime, pair):
+    group = group_of(pair, 1.0, 3.0)
+    group.start()
+    runtime.run_for(0.5)
+    rescue = PlainMotor(pair[0].hw, name="rescue")
+    with rescue.reserve("rescue", take_over=True):
+        assert hooks(pair[1])[-1] == "_stop"
+    with pytest.raises(MotionInterrupted, match="took the motor over") as caught:
+        group.wait_until_done()
+    assert caught.value.motor == "m1"

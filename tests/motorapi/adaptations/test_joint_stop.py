@@ -165,3 +165,30 @@ def test_a_target_that_was_set_by_a_latched_frame_is_not_believed_to_be_the_one_
         first.start()
         first.wait_until_done(timeout_s=5)
         assert first.position() == pytest.approx(1.0, abs=0.001)
+
+
+def test_a_group_that_stops_together_does_so_when_it_is_told_to_stop():
+    with opened(4) as (rig, group):
+        started(rig, group)
+        demands = Demands(rig, [motor.name for motor in group])
+        heard = frames_on(rig)
+        rig.runtime.run_for(0.01)
+        group.stop()
+        group.wait_until_done(timeout_s=2)
+        assert [can_id for _, _, can_id, _ in heard].count(SYNC) == 1
+        begun = {demands.slowing_ns(place) for place in range(4)}
+        assert max(begun) - min(begun) == 0
+
+
+def test_a_drive_whose_halt_cannot_be_set_starts_all_the_same():
+    with opened(2) as (rig, group):
+        for name in ("m1", "m2"):
+            rig.world.controller(name).od.get(0x605D, 0).access = "ro"
+        started(rig, group)
+        group.fault_reaction = FaultReaction.EACH
+        group.stop()
+        group.wait_until_done(timeout_s=2)
+        group.set_trajectory(TrapezoidalTrajectory(0.5), TrapezoidalTrajectory(-0.1))
+        group.start()
+        group.wait_until_done(timeout_s=2)
+        assert group[0].hardware.read("halt_option_code") == 1
