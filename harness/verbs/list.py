@@ -8,9 +8,13 @@ from typing import Any, Final
 
 from harness.exit_status import PASSED
 from harness.plugins import ADAPTATIONS, CONTROLLERS, installed
-from motorapi.lock_view import Occupant, list_locks
+from motorapi.lock_view import LockView, Occupant, list_locks
 
 _BRIEF: Final = ("-sdo", "-sync", "-sync-producer")  # of a drive's objects, of a bus's SYNC
+
+_NO_MOTORS: Final = ("-sdo", "-sync", "-sync-producer")
+_ARMED: Final = "-armed-"
+"""Locks of a drive's SDO channel, a bus's SYNC, an armed set-point: listed only if had."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -48,7 +52,7 @@ def _motors() -> list[dict[str, Any]]:
         if view.holder is None and not view.waiters and not _is_there(view.label):
             continue  # of a hub that is served no more
         entry: dict[str, Any] = {"name": view.label, "lock": view.name}
-        entry["holder"] = None if view.holder is None else _told(view.holder)
+        entry["holder"] = None if view.holder is None else _told_of_holder(view, view.holder)
         entry["waiters"] = [_told(one) for _, one in view.waiters]
         entry["abandoned"] = bool(view.abandoned)
         listing.append(entry)
@@ -73,6 +77,32 @@ def _told(one: Occupant) -> dict[str, Any]:
         "since_s": one.age_s,
         "paused": one.is_paused,
     }
+
+
+def _told_of_holder(view: LockView, holder: Occupant) -> dict[str, Any]:
+    """As of anybody, and how long it has it, and from whom, if it took it from one who lives."""
+    told = _told(holder)
+    facts: list[str] = []
+    if view.is_writing and holder.is_paused:
+        facts.append("in the middle of a write: nobody can take it over")
+    if view.lease_s is not None:
+        left_s = view.lease_left_s
+        when = f"{left_s:.1f} s left" if left_s > 0.0 else f"over since {-left_s:.1f} s"
+        facts.append(f"lease of {view.lease_s:g} s, {when}")
+        told |= {"lease_s": view.lease_s, "lease_left_s": left_s}
+    if view.taken_over is not None:
+        taken = view.taken_over
+        whom = f"pid {taken.from_pid} ({taken.from_program})" if taken.from_pid else "somebody"
+        facts.append(f"taken over from {whom}: {taken.reason}")
+        told["taken_over"] = {
+            "from_pid": taken.from_pid,
+            "from_program": taken.from_program,
+            "reason": taken.reason,
+        }
+    if view.token:
+        told["token"] = view.token
+    told["text"] = "; ".join([told["text"], *facts])
+    return told
 
 
 def _show_motors(listing: list[dict[str, Any]]) -> None:

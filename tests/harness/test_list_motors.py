@@ -1,5 +1,8 @@
 """`motorhil list motors` without other processes; tests/wall has those."""
 
+import json
+import os
+
 import pytest
 
 from harness.cli import main as motorhil
@@ -13,6 +16,45 @@ def runtime():
     wall = WallRuntime()
     yield wall
     wall.close()
+
+
+@pytest.fixture
+def locks(tmp_path, monkeypatch):
+    """Makes what programs would have; theirs alone are listed."""
+    folder = tmp_path / "locks"
+    folder.mkdir(mode=0o700)
+    monkeypatch.setenv(VARIABLE, str(folder))
+    return ProcessLock
+
+
+def test_whose_lease_lasts_how_long_and_who_took_it_over_from_whom_is_listed(
+    runtime, locks, capsys
+):
+    def listed():
+        assert motorhil(["list", "motors", "--json"]) == 0
+        (entry,) = json.loads(capsys.readouterr().out)
+        return entry["holder"]
+
+    first = locks("can0-node3", "can0 node 3").acquire(runtime, "survey", lease_s=0.01)
+    told = listed()
+    assert told["lease_s"] == 0.01
+    assert told["token"] == first.token
+    assert "; lease of 0.01 s, " in told["text"]
+    runtime.wait_until(lambda: False, 0.02)
+    told = listed()
+    assert told["lease_left_s"] < 0.0
+    assert "; lease of 0.01 s, over since " in told["text"]
+    assert "taken_over" not in told
+    second = locks("can0-node3", "can0 node 3").acquire(runtime, "rescue")
+    told = listed()
+    assert "lease_s" not in told
+    assert told["token"] == second.token
+    pid = os.getpid()
+    assert told["taken_over"]["from_pid"] == pid
+    assert told["taken_over"]["reason"] == "its lease of 0.01 s was over"
+    assert told["text"].endswith(
+        f"; taken over from pid {pid} ({told['program']}): its lease of 0.01 s was over"
+    )
 
 
 def test_motors_of_a_hub_that_is_gone_are_left_out_unless_somebody_has_one(
@@ -38,3 +80,13 @@ def test_motors_of_a_hub_that_is_gone_are_left_out_unless_somebody_has_one(
     assert [line.rpartition(" node ")[0] for line in listed()] == ["can0"]
     with shared.acquire(runtime, "survey"):
         assert any("for survey" in line for line in listed())
+
+
+def test_what_is_had_for_moments_only_is_listed_while_it_is_had(runtime, locks, capsys):
+    names = ["can0-node3-sdo", "can0-sync", "can0-sync-producer", "can0-armed-3-200"]
+    for name in names:
+        with locks(name, name).acquire(runtime, "x"):
+            assert motorhil(["list", "motors"]) == 0
+            assert capsys.readouterr().out.startswith(name)
+        assert motorhil(["list", "motors"]) == 0
+        assert capsys.readouterr().out == ""
