@@ -29,6 +29,7 @@ from motorapi.owner_row import OwnerRow, Teller
 from motorapi.ownership_events import LockAction
 from motorapi.patience import Keeper, Patience
 from motorapi.process_lock import Hold, ProcessLock
+from motorapi.set_up import SetUp, action_of
 
 if TYPE_CHECKING:
     from motorapi.runtime import Runtime
@@ -218,8 +219,7 @@ class Ownership:
             self.lose(held, asked)
         elif held is not None:
             held.notice()
-        action = LockAction.TAKEN_OVER if hold.was_taken_over else LockAction.TAKEN
-        return claim, LockAction.BROKEN if hold.was_abandoned else action, hold.taken_from
+        return claim, action_of(hold), hold.taken_from
 
     def _waiting(
         self, patience: Patience, asked: Asked, lock: ProcessLock
@@ -383,18 +383,15 @@ class Ownership:
 
         That raises MotorBusyError if another process owns the motor.
         """
-        holds: list[Hold] = []
+        set_up = SetUp(self, self._teller, runtime, label)
 
         def own() -> None:
-            if self.lock is not None and not holds and not self.is_here:
-                hold = self.lock.acquire(
-                    runtime, f"set-up of {label}", owner=self._set_up, asker=label
-                )
-                self._note(hold)
-                holds.append(hold)
+            if self.lock is not None and not self.is_here:
+                hold = set_up.take(self.lock, self._set_up)
+                if hold is not None:
+                    self._note(hold)
 
         try:
             yield own
         finally:
-            for hold in holds:
-                hold.release()
+            set_up.give()

@@ -8,6 +8,7 @@ python -m tests.wall.shared_drive CHANNEL MODEL NAME[:STATUS_PERIOD_MS]
     home                            "begun"
     stop                            "stopped"
     reserve PURPOSE [TIMEOUT_S]     "reserved", or "busy WHY"
+    seize PURPOSE                   the same, from whoever has it
     release                         "released"
     low_level                       "alone", or "busy WHY"
     gain P                          of the position loop, from the next motion on: "set"
@@ -93,6 +94,9 @@ class Program:
                 return "stopped"
             case "reserve":
                 self.held.enter_context(motor.reserve(rest[0], timeout_s=timeout_s))
+                return "reserved"
+            case "seize":
+                self.held.enter_context(motor.reserve(rest[0], take_over=True))
                 return "reserved"
             case "low_level":
                 self.held.enter_context(motor.low_level())
