@@ -49,7 +49,6 @@ _LOST_NS: Final = 250_000_000
 _STRAYS_MAX: Final = 2  # foreign SYNCs, within so many periods, beside our own
 _STRAY_PERIODS: Final = 8
 _REGULAR: Final = 5  # SYNCs
-_REGULAR_PART: Final = 0.3  # of the interval
 _STRANGER: Final = "somebody who is not of ours"
 _SYNCS_A_TURN: Final = 2  # one that fires, and one that takes out what was disarmed
 
@@ -109,7 +108,7 @@ class BusSync:
             return known
         steps = sorted(later - earlier for earlier, later in pairwise(self._heard))
         middle_ns = steps[len(steps) // 2]
-        is_regular = steps[-1] - steps[0] <= _REGULAR_PART * middle_ns
+        is_regular = steps[0] >= middle_ns // 2 and steps[-1] <= middle_ns * 3 // 2  # some waited
         since_ns = self._runtime.now_ns() - self._heard_ns
         if is_regular and since_ns <= _GONE * middle_ns:
             return CyclicSync(middle_ns, _STRANGER, False)
