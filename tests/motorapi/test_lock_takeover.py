@@ -164,6 +164,33 @@ def test_who_finds_a_lease_over_and_is_too_late_changes_nothing(locks, runtime, 
     assert taken[0].is_held
 
 
+def test_behind_one_who_has_waited_for_it_and_lost_it_nobody_waits(locks, runtime):
+    a, b, c, d = locks
+    first = a.acquire(runtime, "a")
+    holds = {}
+
+    def take(lock, name):
+        holds[name] = lock.acquire(runtime, name, LONG_S)
+
+    parties = []
+    for lock, name in ((b, "b"), (c, "c")):
+        parties.append(runtime.spawn(name, lambda lock=lock, name=name: take(lock, name)))
+        count = len(parties)
+        assert runtime.wait_until(lambda n=count: len(a.look().waiters) == n, LONG_S)
+    first.release()
+    assert parties[0].join(LONG_S)
+    assert [one.record.purpose for _, one in a.look().waiters] == ["c"]
+    over = d.acquire(runtime, "d", take_over=True)
+    assert not holds["b"].is_held
+    assert [one.record.purpose for _, one in a.look().waiters] == ["c"]
+    assert "c" not in holds
+    over.release()
+    assert parties[1].join(LONG_S)
+    assert holds["c"].is_held
+    holds["c"].release()
+    assert a.acquire(runtime, "a").token == over.token + 2  # as if b, who lives, were not there
+
+
 def test_who_has_not_yet_said_who_it_is_can_be_taken_over_and_its_token_is_the_smaller(
     locks, runtime, monkeypatch
 ):

@@ -234,6 +234,16 @@ def test_a_motion_that_nobody_reserved_is_taken_over_on_demand_as_well(world, lo
     a.stop()
 
 
+def test_what_has_come_to_rest_after_it_was_lost_is_not_taken_for_done(world, logical):
+    a, b, *_ = logical
+    follow(a)
+    a.start()
+    with b.reserve("rescue", take_over=True):
+        world.pass_s(0.5)
+    with pytest.raises(MotionInterrupted, match="took"):
+        a.is_done()
+
+
 def test_the_loser_may_reserve_it_again_inside_of_his_block(world, logical):
     a, b, *_ = logical
     follow(a)

@@ -1,7 +1,10 @@
 """A lock is taken from processes that live: paused, stalled, or just in the way."""
 
+import json
 import os
 import signal
+import subprocess
+import sys
 from itertools import pairwise
 
 import pytest
@@ -199,3 +202,26 @@ def test_a_taker_that_dies_at_any_step_leaves_it_as_it_was_or_abandoned(programs
     assert outcomes == sorted(outcomes, reverse=True)  # one step settles it
     assert outcomes.count("as it was") >= 5
     assert outcomes.count("abandoned") >= 2
+
+
+def stress(seconds, seed, fault=""):
+    words = [sys.executable, "-m", "tests.wall.takeover_stress", str(seconds), str(seed), fault]
+    done = subprocess.run(words, capture_output=True, text=True, timeout=60, check=False)
+    assert done.stderr == "", done.stderr
+    return json.loads(done.stdout)
+
+
+def test_of_many_who_take_it_from_each_other_paused_and_killed_anywhere_one_writes_at_a_time():
+    told = stress(2.0, 1)
+    assert (told["intruders"], told["stale"], told["repeated"]) == (0, 0, 0)
+    assert told["taken_over"] >= 10
+    assert told["writes"] >= 200
+    assert min(told["paused"], told["killed"]) >= 3
+
+
+def test_a_write_that_is_not_closed_against_takeovers_is_found_out():
+    assert any(stress(2.0, seed, "no fence")["intruders"] for seed in range(5))
+
+
+def test_a_write_without_a_look_whether_it_is_still_his_is_found_out():
+    assert stress(1.0, 3, "no look")["stale"] > 0

@@ -1,0 +1,155 @@
+"""Processes that take one lock from each other while they live, and what came of it: JSON.
+
+    python -m tests.wall.takeover_stress SECONDS SEED [FAULT]
+
+Each worker takes the lock, mostly with a short lease, sometimes on demand, and writes while it has
+it, and a little longer; some are paused anywhere, some killed. A write is made as a commanding one
+is: between begin_write and end_write it notes its token in a page of memory that all share.
+
+- *intruders*: writes during which somebody else wrote as well.
+- *stale*: writes under a token that is smaller than that of a write before.
+- *repeated*: tokens that two have had.
+
+FAULT breaks the lock on purpose: "no fence" (a write is not closed against takeovers), "no look"
+(nobody looks whether the epoch is still his).
+"""
+
+import json
+import mmap
+import os
+import random
+import select
+import signal
+import struct
+import sys
+import tempfile
+import time
+from pathlib import Path
+
+from motorapi.errors import MotorBusyError
+from motorapi.lock_directory import LockDirectory
+from motorapi.lock_file import LockFile
+from motorapi.process_lock import ProcessLock
+from motorapi.wall_runtime import WallRuntime
+
+PAGE = struct.Struct("<qqqqqq")  # over, last token, writing token, intruders, stale, writes
+NOTE = struct.Struct("<qq")  # token, 1 if taken over
+WORKERS = 4
+
+
+def put(page, place, value):
+    struct.pack_into("<q", page, 8 * place, value)
+
+
+def add(page, place):
+    put(page, place, PAGE.unpack_from(page)[place] + 1)
+
+
+def plant(fault):
+    if fault == "no fence":
+        LockFile.try_write = lambda file: True
+    elif fault == "no look":
+        LockFile.is_current = property(lambda file: True)
+    elif fault:
+        raise ValueError(fault)
+
+
+def write(lock, page):
+    token = lock.begin_write()
+    try:
+        _, last, _, _, _, _ = PAGE.unpack_from(page)
+        put(page, 2, token)
+        if token < last:
+            add(page, 4)
+        put(page, 1, max(token, last))
+        until_ns = time.monotonic_ns() + 50_000
+        while time.monotonic_ns() < until_ns:
+            pass
+        if PAGE.unpack_from(page)[2] != token:
+            add(page, 3)
+        add(page, 5)
+    finally:
+        lock.end_write()
+
+
+def work(folder, page, notes, chance, fault):
+    plant(fault)
+    lock = ProcessLock("lock", "the lock", LockDirectory(folder))
+    runtime = WallRuntime()
+    log = os.open(notes, os.O_WRONLY | os.O_APPEND)
+    while not PAGE.unpack_from(page)[0]:
+        on_demand = chance.random() < 0.3
+        lease_s = chance.choice([None, 0.001, 0.003, 0.01])
+        try:
+            hold = lock.acquire(runtime, "x", 5.0, lease_s=lease_s, take_over=on_demand)
+        except MotorBusyError:
+            continue
+        os.write(log, NOTE.pack(hold.token, hold.was_taken_over))
+        try:
+            for _ in range(chance.randrange(30)):
+                write(lock, page)
+                if chance.random() < 0.2:
+                    select.select([], [], [], chance.random() * 0.004)
+        except MotorBusyError:
+            pass
+        finally:
+            hold.release()
+
+
+def run(seconds, seed, fault):
+    page = mmap.mmap(-1, mmap.PAGESIZE)
+    chance = random.Random(seed)
+    counts = {"killed": 0, "paused": 0}
+    with tempfile.TemporaryDirectory() as folder:
+        notes = f"{folder}/notes"
+        Path(notes).touch()
+        born = 0
+
+        def spawn():
+            nonlocal born
+            born += 1
+            pid = os.fork()
+            if pid:
+                return pid
+            status = 1
+            try:
+                work(folder, page, notes, random.Random(f"{seed}:{born}"), fault)
+                status = 0
+            except BaseException as error:
+                print(f"worker {os.getpid()}: {error!r}", file=sys.stderr, flush=True)
+            finally:
+                os._exit(status)
+
+        pids = [spawn() for _ in range(WORKERS)]
+        end_s = time.monotonic() + seconds
+        while time.monotonic() < end_s:
+            select.select([], [], [], 0.01)
+            pid = chance.choice(pids)
+            if chance.random() < 0.15:
+                os.kill(pid, signal.SIGKILL)
+                os.waitpid(pid, 0)
+                pids[pids.index(pid)] = spawn()
+                counts["killed"] += 1
+            else:
+                os.kill(pid, signal.SIGSTOP)
+                select.select([], [], [], 0.02)
+                os.kill(pid, signal.SIGCONT)
+                counts["paused"] += 1
+        put(page, 0, 1)
+        for pid in pids:
+            os.waitpid(pid, 0)
+        data = Path(notes).read_bytes()
+    taken = [NOTE.unpack_from(data, at) for at in range(0, len(data), NOTE.size)]
+    _, _, _, intruders, stale, writes = PAGE.unpack_from(page)
+    return counts | {
+        "turns": len(taken),
+        "taken_over": sum(over for _, over in taken),
+        "writes": writes,
+        "intruders": intruders,
+        "stale": stale,
+        "repeated": len(taken) - len({token for token, _ in taken}),
+    }
+
+
+if __name__ == "__main__":
+    print(json.dumps(run(float(sys.argv[1]), int(sys.argv[2]), "".join(sys.argv[3:]))))
