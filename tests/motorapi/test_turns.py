@@ -75,11 +75,11 @@ def test_behind_a_lock_the_turn_is_that_of_one_process(wall, directory):
     ours = Turns("SYNC of can0", ProcessLock("can0-sync", "SYNC of can0", directory))
     theirs = ProcessLock("can0-sync", "SYNC of can0", directory)  # as another process has it
     with theirs.acquire(wall, "start() of theirs") as hold:
-        with pytest.raises(
-            MotorBusyError, match=r"SYNC of can0 is held by pid .* for start\(\) of"
+        with (
+            pytest.raises(MotorBusyError, match=r"SYNC of can0 is held by pid .* for start\(\) of"),
+            ours.turn(wall, "start() of ours", 0.0),
         ):
-            with ours.turn(wall, "start() of ours", 0.0):
-                pass
+            pass
         with ours.at_once(wall, "ours") as is_ours:
             assert not is_ours
     with ours.turn(wall, "start() of ours"):

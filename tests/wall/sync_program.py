@@ -6,6 +6,7 @@ python -m tests.wall.sync_program CHANNEL NODE_ID...
     hold TARGET         the same, but "armed" comes between arming and SYNC; it fires by any line
     stream TARGET       the first one goes there by set-points, in 0.5 s: "started"
     period MS           of set-points, before anything else: "set"
+    patience SECONDS    for others who arm: "set"
     wait                "done"
     positions           "AT AT"
     straddles           of the last start of the group: "COUNT SKEW_S"
@@ -25,6 +26,7 @@ from motorapi import (
     MotorError,
     MotorGroup,
     MotorModel,
+    turns,
 )
 from motorapi.adaptations.cia402 import Cia402HwMotor, Cia402Motor, HwOptions
 from motorapi.adaptations.cia402_triggers import SyncTrigger
@@ -80,6 +82,9 @@ class Program:
         match word:
             case "connect":
                 return "connected"
+            case "patience":
+                turns.TRANSACTION_TIMEOUT_S = float(rest[0])
+                return "set"
             case "group":
                 self.go(float(rest[0]))
                 return "started"

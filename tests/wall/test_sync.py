@@ -233,6 +233,43 @@ def test_who_takes_the_drives_that_a_killed_process_has_armed_starts_them_for_hi
     assert evidence.fired() == [{3, 4}]
 
 
+def test_a_process_that_is_paused_in_its_turn_is_named_and_starts_all_of_its_group_later(
+    programs, evidence
+):
+    first, second = programs(1, 2), programs(3, 4)
+    first.say("hold 0.01")
+    assert first.hear() == "armed"
+    first.signal(signal.SIGSTOP)
+    assert second.ask("patience 0.3") == "set"
+    refused = second.ask("group 0.01")
+    assert refused.startswith("failed MotorBusyError SYNC of "), refused
+    assert f"is held by pid {first.pid} (sync_program.py, paused) for start() of node1" in refused
+    assert evidence.syncs() == 0
+    first.signal(signal.SIGCONT)
+    first.say("fire")
+    assert first.hear() == "started"
+    assert second.ask("patience 10") == "set"
+    assert second.ask("group 0.01") == "started"
+    assert evidence.fired() == [{1, 2}, {3, 4}]
+
+
+def test_list_motors_shows_who_produces_sync_and_no_lock_that_is_had_for_a_moment(programs, folder):
+    def listed():
+        env = {**os.environ, VARIABLE: str(folder)}
+        command = [*SERVE, "list", "motors"]
+        done = subprocess.run(command, env=env, capture_output=True, text=True, check=True)
+        return done.stdout
+
+    first, second = programs(1), programs(2, 3)
+    assert second.ask("group 0.01") == "started"
+    assert second.ask("wait") == "done"
+    assert "SYNC" not in listed()
+    assert first.ask("stream 0.3 20") == "started"
+    (line,) = [line for line in listed().splitlines() if "SYNC" in line]
+    assert line.startswith("the SYNC producer of ")
+    assert f" pid {first.pid} (sync_program.py) for SYNC every 20 ms" in line
+
+
 ROUNDS_VARIABLE = "MOTORHIL_ROUNDS"
 """How many rounds each of two processes makes; issue 4 asks for 1000, which takes ten minutes."""
 
