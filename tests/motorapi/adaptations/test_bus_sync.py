@@ -9,9 +9,10 @@ from emulators.media.faults import FaultKind, FaultRule
 from harness.rig import Rig
 from motorapi.adaptations.cia402 import Cia402Motor
 from motorapi.adaptations.csp_stream import CspStream
-from motorapi.errors import LinkError, UsageError
+from motorapi.errors import LinkError, MotorError, UsageError
 from tests.motorapi.adaptations.conftest import drive
 from tests.motorapi.adaptations.hosts import BusEvidence, foreign_sync, host_with
+from tests.motorapi.adaptations.software_rigs import INC_PER_RAD, moving, one
 from tests.motorapi.adaptations.streaming import MS, quintic, set_function
 
 OpenRig = Callable[..., Rig]
@@ -159,3 +160,40 @@ def test_a_follower_that_hears_nothing_for_a_while_goes_on_with_those_it_hears(r
         assert seen.producers() == {name_of(first)}  # nobody took over what has a producer
         assert stream_of(second).missed == 3
         first.wait_until_done(5)
+
+
+# --- servos on the host ------------------------------------------------------------------------
+
+
+def test_servos_of_the_same_period_go_by_a_sync_not_of_ours(open_rig: OpenRig):
+    rig = open_rig(one())
+    left = rig.motors["left"]
+    seen = BusEvidence(rig)
+    with foreign_sync(0.001) as network:
+        rig.runtime.run_for(0.1)
+        assert moving(rig) is left
+        left.wait_until_done(5)
+        assert seen.producers() == {name_of(network)}
+    assert left.position() == pytest.approx(2.0, abs=10 / INC_PER_RAD)
+    assert left.cycles.missed == 0
+
+
+def test_servos_whose_sync_ends_have_no_control_any_more_and_switch_off(open_rig: OpenRig):
+    rig = open_rig(one())
+    with foreign_sync(0.001) as network:
+        rig.runtime.run_for(0.1)
+        left = moving(rig)
+        rig.runtime.run_for(0.3)
+        network.sync.stop()
+        with pytest.raises(MotorError, match="no SYNC came for"):
+            left.wait_until_done(5)
+        rig.runtime.run_for(1.0)
+        assert rig.controllers["io"].snapshot()["velocity_rad_s"] == 0.0
+
+
+def test_servos_of_another_period_are_refused(open_rig: OpenRig):
+    rig = open_rig(one())
+    with foreign_sync(0.004):
+        rig.runtime.run_for(0.1)
+        with pytest.raises(UsageError, match="SYNC runs every 4 ms already, produced by somebody"):
+            rig.motors["left"].enable()
