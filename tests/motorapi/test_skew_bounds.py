@@ -1,0 +1,233 @@
+"""Measured skew never exceeds what was predicted: for random groups, and near the bounds.
+
+What is predicted rests on declared traffic, which a test node really sends; what is measured comes
+from the bus record and from the plants' truth (tests/motorapi/skew_rigs.py).
+"""
+
+from dataclasses import replace
+from pathlib import Path
+
+import can
+import pytest
+from hypothesis import event, given, settings
+from hypothesis import strategies as st
+
+from harness.rig import Rig
+from motorapi.adaptations.bus_traffic import traffic_on
+from motorapi.adaptations.canopen_link import open_link, release_link
+from motorapi.commands import ControlMode, ControlVariable
+from motorapi.errors import UsageError
+from motorapi.group import MotorGroup
+from motorapi.motor import Motor
+from motorapi.synchronization import SyncLevel
+from motorapi.traffic import CanTraffic, declare_traffic
+from motorapi.trajectory import TrapezoidalTrajectory
+from motorapi.wall_runtime import WallRuntime
+from tests.motorapi.adaptations.conftest import HEAD, drive
+from tests.motorapi.skew_rigs import Outcome, run
+from tests.motorapi.skew_scenarios import Choices, Member, Message, Scenario, drawn
+
+ROUNDING_NS = 2  # two times, each rounded to a whole nanosecond
+
+
+def ratios(outcome: Outcome) -> dict[str, float | None]:
+    """Measured over predicted; None: no bound, or nothing that could be measured."""
+    told = outcome.predicted
+    pairs = {
+        "command": (told.command_skew_s, outcome.command_ns, told.no_command_bound),
+        "start": (told.start_skew_s, outcome.start_ns, told.no_start_bound),
+        "end": (told.end_skew_s, outcome.end_ns, told.no_end_bound),
+    }
+    found: dict[str, float | None] = {}
+    for name, (bound_s, measured_ns, reason) in pairs.items():
+        assert (bound_s is None) == bool(reason), f"{name}: a bound, or a reason why there is none"
+        if bound_s is None or measured_ns is None:
+            found[name] = None
+            continue
+        assert measured_ns <= bound_s * 1e9 + ROUNDING_NS, (
+            f"{name} skew {measured_ns} ns, and at most {bound_s * 1e9:.0f} ns were predicted"
+        )
+        found[name] = measured_ns / (bound_s * 1e9) if bound_s else 1.0
+    return found
+
+
+def _reached(ratio: float | None) -> str:
+    if ratio is None:
+        return "no bound"
+    return "all of the bound" if ratio >= 1.0 else f"{int(ratio * 4) * 25} % or more of the bound"
+
+
+@settings(max_examples=25, deadline=None)
+@given(st.data())
+def test_no_random_group_is_further_apart_than_predicted(
+    tmp_path_factory: pytest.TempPathFactory, data: st.DataObject
+):
+    scenario = drawn(Choices(lambda low, high: data.draw(st.integers(low, high))))
+    outcome = run(scenario, tmp_path_factory.getbasetemp() / "skew.toml")
+    for name, ratio in ratios(outcome).items():
+        event(f"{name} skew: {_reached(ratio)}")
+    if outcome.told_command_s is not None and outcome.predicted.command_skew_s is not None:
+        assert outcome.told_command_s <= outcome.predicted.command_skew_s + 2e-9
+
+
+# --- near the bounds: each term of a prediction is needed ----------------------------------------
+
+
+ALONE = Member("alone", 0, 0.1)
+LATCHED = Member("latched", 0, 0.1)
+
+
+def eager(*can_ids: int, period_us: int = 20_000) -> tuple[Message, ...]:
+    """Messages that come all at once when the first motor is started."""
+    return tuple(Message(0, can_id, False, 8, period_us, 0, 0, True) for can_id in can_ids)
+
+
+def ran(tmp_path: Path, *members: Member, messages=(), bitrates=(1_000_000,)) -> Outcome:
+    scenario = Scenario(members, tuple(messages), bitrates, inhibit_ms=20.0, heartbeat=False)
+    outcome = run(scenario, tmp_path / "skew.toml")
+    assert outcome.sent or not messages
+    return outcome
+
+
+def test_one_sync_latches_all_and_the_next_tick_starts_all(tmp_path: Path):
+    early, late = replace(LATCHED, phase_s=0.0), replace(LATCHED, phase_s=0.000_95)
+    outcome = ran(tmp_path, early, late)
+    found = ratios(outcome)
+    assert outcome.command_ns == 0
+    assert outcome.predicted.command_skew_s == 0.0
+    assert outcome.predicted.start_skew_s == 0.001  # a profile tick, and no more
+    assert found["start"] is not None
+    assert outcome.start_ns in (50_000, 950_000)
+
+
+def test_more_urgent_traffic_holds_the_second_start_up_as_long_as_predicted(tmp_path: Path):
+    found = ratios(ran(tmp_path, ALONE, ALONE, messages=eager(*range(0x100, 0x118))))
+    assert found["command"] is not None
+    assert found["command"] > 0.8
+
+
+def test_a_drive_that_answers_late_holds_up_the_next_as_long_as_predicted(tmp_path: Path):
+    live = Member("live", 0, 0.1, reply_s=0.02)
+    found = ratios(ran(tmp_path, *[live] * 4))
+    assert found["command"] is not None
+    assert found["command"] > 0.6  # three answers are waited for; the bound has the last one, too
+
+
+def test_the_second_bus_begins_a_sync_later(tmp_path: Path):
+    there = replace(LATCHED, bus=1)
+    messages = [replace(one, bus=1) for one in eager(*range(0x010, 0x016))]
+    outcome = ran(tmp_path, LATCHED, there, messages=messages, bitrates=(1_000_000, 125_000))
+    found = ratios(outcome)
+    assert outcome.predicted.level is SyncLevel.SEQUENTIAL
+    assert found["command"] is not None
+
+
+def test_clocks_that_differ_part_the_ends_as_predicted(tmp_path: Path):
+    fast, slow = replace(LATCHED, ppm=20_000.0), replace(LATCHED, ppm=-20_000.0)
+    found = ratios(ran(tmp_path, fast, slow))
+    assert found["end"] is not None
+    assert found["end"] > 0.7
+
+
+def test_a_stream_and_a_set_point_are_a_period_apart_as_predicted(tmp_path: Path):
+    outcome = ran(tmp_path, Member("streamed", 0, 0.1), LATCHED)
+    found = ratios(outcome)
+    assert outcome.command_ns == 5_000_000
+    assert found["command"] is not None
+    assert found["command"] > 0.7
+    assert "a stream of set-points" in outcome.predicted.no_end_bound
+
+
+# --- where there is no bound ---------------------------------------------------------------------
+
+
+def group_of(rig: Rig, variable: ControlVariable = ControlVariable.POSITION) -> MotorGroup:
+    group = MotorGroup(rig.motors["a"], rig.motors["b"])
+    group.for_each(Motor.set_control_mode, ControlMode.TRAJECTORY, variable)
+    group.set_trajectory(TrapezoidalTrajectory(0.1), TrapezoidalTrajectory(0.1))
+    return group
+
+
+def rig_of(tmp_path: Path, motor: str = "", controller: str = "", head: str = HEAD) -> Rig:
+    path = tmp_path / "rig.toml"
+    both = (drive(name, number, controller, motor) for number, name in enumerate("ab", 1))
+    path.write_text(head + "".join(both))
+    return Rig.open(path)
+
+
+ALL_TOLD = "servo_period_ms = 1\noscillator_ppm = 50\nsdo_reply_ms = 1.1"
+SEQUENTIAL = 'objects = { "1005h" = 0x81 }'
+
+
+def test_undeclared_traffic_is_told_as_no_bound_and_a_declaration_mends_it(tmp_path: Path):
+    with rig_of(tmp_path, ALL_TOLD, SEQUENTIAL) as rig:
+        group = group_of(rig)
+        told = group.sync_capability()
+        assert told.command_skew_s is told.start_skew_s is told.end_skew_s is None
+        reason = "a: what else is sent on can0 is not declared (declare_traffic)"
+        assert told.no_command_bound == told.no_start_bound == told.no_end_bound == reason
+        with pytest.raises(UsageError):
+            group.start(max_skew_s=1.0)
+        declare_traffic(rig.bus("can0"), CanTraffic(1_000_000))
+        told = group.sync_capability()
+        assert told.command_skew_s is not None
+        assert (told.no_command_bound, told.no_start_bound, told.no_end_bound) == ("", "", "")
+        declare_traffic(rig.bus("can0"), None)
+        assert group.sync_capability().command_skew_s is None
+
+
+@pytest.mark.parametrize(
+    ("motor", "start", "end"),
+    [
+        (
+            "oscillator_ppm = 50",
+            "a: its profile tick is not told (servo_period_ms)",
+            "a: its profile tick is not told (servo_period_ms)",
+        ),
+        ("servo_period_ms = 1", "", "a: the accuracy of its clock is not told (oscillator_ppm)"),
+    ],
+)
+def test_what_is_not_told_of_a_drive_leaves_no_bound(
+    tmp_path: Path, motor: str, start: str, end: str
+):
+    with rig_of(tmp_path, motor) as rig:
+        told = group_of(rig).sync_capability()
+        assert told.command_skew_s == 0.0  # one SYNC, whatever else there is
+        assert (told.no_start_bound, told.no_end_bound) == (start, end)
+
+
+def test_a_handshake_needs_the_time_in_which_the_drive_answers(tmp_path: Path):
+    motor = "servo_period_ms = 1\noscillator_ppm = 50"
+    head = f"{HEAD}message = []\n"
+    with rig_of(tmp_path, motor, SEQUENTIAL, head) as rig:
+        told = group_of(rig, ControlVariable.VELOCITY).sync_capability()
+        assert told.no_command_bound == (
+            "a: how long the drive takes to answer an SDO is not told (sdo_reply_ms)"
+        )
+
+
+def test_what_is_sent_on_change_without_an_inhibit_time_has_no_bound(tmp_path: Path):
+    motor = f"{ALL_TOLD}\nstatus_inhibit_ms = 0"
+    with rig_of(tmp_path, motor, SEQUENTIAL, f"{HEAD}message = []\n") as rig:
+        told = group_of(rig).sync_capability()
+        assert told.no_command_bound == (
+            "a: what is sent on can0 has no bound: TPDO 181h of node 1 has no inhibit time"
+        )
+
+
+def test_the_walls_time_has_no_bound_whatever_is_declared():
+    with can.Bus(interface="virtual", channel="skew", receive_own_messages=True) as bus:
+        declare_traffic(bus, CanTraffic(1_000_000))
+        link = open_link(bus, WallRuntime())
+        traffic, why = traffic_on(link)
+        release_link(link)
+    assert traffic is None
+    assert why == "on the wall clock nothing promises when this program goes on"
+
+
+def test_what_is_no_traffic_is_not_declared():
+    with (
+        can.Bus(interface="virtual", channel="skew") as bus,
+        pytest.raises(UsageError, match="is no CanTraffic"),
+    ):
+        declare_traffic(bus, "nothing")  # type: ignore[arg-type]
