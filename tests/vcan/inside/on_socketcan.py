@@ -7,6 +7,7 @@ from pathlib import Path
 import can
 import pytest
 
+from harness.ownership_record import Ended, read_ownership
 from harness.scaffold import EXAMPLES
 from motorapi import WallRuntime
 
@@ -28,9 +29,19 @@ def frame(can_id, data):
     return can_id.to_bytes(4, "little") + bytes([len(data), 0, 0, 0]) + data.ljust(8, b"\0")
 
 
-def test_the_script_that_runs_in_virtual_time_runs_on_vcan():
-    served = motorhil("serve", RIG, "--on", "vcan0", "--", sys.executable, *SCRIPT)
+def test_the_script_that_runs_in_virtual_time_runs_on_vcan(tmp_path):
+    """And who had the motors is seen on their locks, for on vcan nobody tells it."""
+    record = tmp_path / "run.mcap"
+    command = ("serve", RIG, "--on", "vcan0", "-o", str(record), "--", sys.executable, *SCRIPT)
+    served = motorhil(*command)
     assert (served.returncode, served.stderr, served.stdout) == (0, "", REACHED)
+    owned = read_ownership(record)
+    assert owned.contradictions == ()
+    assert list(owned.tenures) == ["left", "right"]
+    for tenures in owned.tenures.values():
+        assert {(one.program, one.looked) for one in tenures} == {("patient_wheels.py", True)}
+        assert any(one.owner.startswith("start() of ") for one in tenures)
+        assert any(one.ended is Ended.RELEASED for one in tenures)
 
 
 def test_own_frames_are_told_when_the_interface_has_carried_them():
