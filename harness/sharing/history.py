@@ -98,6 +98,7 @@ class Note:
     def queued(self) -> None:
         """He is in the queue now."""
         self._use = replace(self._use, queued_ns=self._history.now_ns())
+        self._history.replace(self._place, self._use)
 
     def returned(
         self, answer: Answer = Answer.DONE, *, token: int = 0, value: int = 0, forced: bool = False
@@ -121,10 +122,14 @@ class History:
 
     Args:
         now_ns: the clock that all share.
+        tell: is told every use as soon as it is called, and again when more is known of it.
     """
 
-    def __init__(self, now_ns: Callable[[], int]) -> None:
+    def __init__(
+        self, now_ns: Callable[[], int], tell: Callable[[Use], None] | None = None
+    ) -> None:
         self.now_ns: Final = now_ns
+        self._tell: Final = tell
         self._uses: list[Use] = []
 
     def __len__(self) -> int:
@@ -142,11 +147,15 @@ class History:
             who, motor, action, now_ns, FOREVER_NS, Answer.UNKNOWN, value=value, forced=forced
         )
         self._uses.append(use)
+        if self._tell is not None:
+            self._tell(use)
         return Note(self, len(self._uses) - 1, use)
 
     def replace(self, place: int, use: Use) -> None:
         """The use that was noted there is this one."""
         self._uses[place] = use
+        if self._tell is not None:
+            self._tell(use)
 
     def uses(self) -> tuple[Use, ...]:
         """All, those of the dead ended by their death."""
@@ -253,6 +262,15 @@ def to_line(use: Use) -> str:
             use.forced,
         ]
     )
+
+
+def from_lines(lines: Iterable[str]) -> list[Use]:
+    """What somebody told line by line: of every use what he said of it last."""
+    uses: dict[tuple[str, str, Action, int], Use] = {}
+    for line in lines:
+        use = from_line(line)
+        uses[use.who, use.motor, use.action, use.called_ns] = use
+    return list(uses.values())
 
 
 def from_line(line: str) -> Use:

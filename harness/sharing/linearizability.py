@@ -241,6 +241,8 @@ class OwnedMotor:
             is_over = event.returned_ns < FOREVER_NS
             if use.action is Action.TAKE and not event.queues and is_over:  # he waits no more
                 without = _left(state, use.who)
+                if allowed is None:  # or he took it from a living one, and could not say so
+                    allowed = _taken(state, replace(use, forced=True))
             return [without] if allowed is None or allowed == without else [allowed, without]
         return [] if allowed is None else [allowed]
 

@@ -33,6 +33,8 @@ if TYPE_CHECKING:
     from motorapi.reservation import Reservation
 
 _LONG_S: Final = 60.0
+_RENEWED: Final = 7 / 8
+"""So much of a lease is left at least when a use of the motor does not renew it."""
 _STOPS: Final = ("stop() of ", "halt() of ")
 
 
@@ -175,6 +177,8 @@ class Owner(Party):
         self.is_lost = False
         """Whether somebody is known to have taken it over."""
         self.used_ns = 0
+        """When the last use of his began that went well: his lease began anew then or later."""
+        self._called_ns = 0
         self._label: Final = label
         self._stack: Final = ExitStack()
         self._moves = False
@@ -201,12 +205,13 @@ class Owner(Party):
                 self.motor.reserve(kind, timeout_s=timeout_s, lease_s=lease_s, take_over=take_over)
             )
         except MotorBusyError as error:
-            note.returned(self._refusal(error, kind))
+            self._refused(note, self._refusal(error, kind))
         except MotorError as error:
             self._failed(kind, error)
-            note.returned(Answer.UNKNOWN)
+            self._refused(note, Answer.UNKNOWN)
         else:
             self.lease_s = lease_s
+            self.used_ns = self._called_ns
             self.is_lost = False
             self._note_taken(note, kind)
 
@@ -230,18 +235,18 @@ class Owner(Party):
             answer = self._refusal(error, "start")
             command.returned(answer)
             if take is not None:
-                take.returned(answer)
+                self._refused(take, answer)
             return
         except MotorError as error:
             self._failed("start", error)
             command.returned(Answer.UNKNOWN)
             if take is not None:
-                take.returned(Answer.UNKNOWN)
-                self._call(Action.GIVE).returned(Answer.UNKNOWN)
+                self._refused(take, Answer.UNKNOWN)
             return
         if take is not None:
             self._note_taken(take, "start")
         command.returned(value=self.number + 1)
+        self.used_ns = self._called_ns
         self._begun(gives=take is not None)
         if wait and self._await_rest():
             self._check_motion(before, distance, duration_s, reserved)
@@ -273,11 +278,13 @@ class Owner(Party):
         """The lease begins anew; who lost it is told so."""
         if self.reservation is None:
             return
-        self.used_ns = self.stage.runtime.now_ns()
+        self._called_ns = self.stage.runtime.now_ns()
         try:
             self.reservation.renew()
         except MotorBusyError:
             self._expect_lost("renew")
+        else:
+            self.used_ns = self._called_ns
 
     def stop(self) -> None:
         """It slows down, whosever it is."""
@@ -294,7 +301,7 @@ class Owner(Party):
     # ---- inside ----
 
     def _call(self, action: Action, *, value: int = 0, forced: bool = False) -> Note:
-        self.used_ns = self.stage.runtime.now_ns()
+        self._called_ns = self.stage.runtime.now_ns()
         self._taken = None
         return self.stage.history.call(self.name, self._label, action, value=value, forced=forced)
 
@@ -322,7 +329,8 @@ class Owner(Party):
                 continue
             if other.motor._physical is self.motor._physical:
                 other.is_lost = True
-                end_ns = other.used_ns + round((other.lease_s or _LONG_S) * 1e9)
+                lease_s = (other.lease_s or _LONG_S) * _RENEWED
+                end_ns = other.used_ns + round(lease_s * 1e9)
                 self.stage.require(
                     taken.time_ns >= end_ns or not by_lease,
                     f"{self.name} took the motor over from {other.name},"
@@ -330,7 +338,6 @@ class Owner(Party):
                 )
 
     def _refusal(self, error: MotorBusyError, kind: str) -> Answer:
-        self.used_ns = self.stage.runtime.now_ns()
         if any(word in error.holder for word in _STOPS):
             self.stage.counts[f"{kind}: refused while somebody stops it"] += 1
             return Answer.UNKNOWN
@@ -339,6 +346,12 @@ class Owner(Party):
             return Answer.LOST
         self.stage.counts[f"{kind}: refused"] += 1
         return Answer.REFUSED
+
+    def _refused(self, take: Note, answer: Answer) -> None:
+        """He does not have it; if it is not known why, he may have had it for a moment."""
+        take.returned(answer)
+        if answer is Answer.UNKNOWN:
+            self._call(Action.GIVE).returned(Answer.UNKNOWN)
 
     def _expect_lost(self, kind: str) -> None:
         reservation = self.reservation
@@ -368,14 +381,11 @@ class Owner(Party):
 
     def _await_rest(self) -> bool:
         """Whether what he commanded last is over, by itself."""
-        self.used_ns = self.stage.runtime.now_ns()
         try:
             self.motor.wait_until_done(_LONG_S)
         except MotorError as error:
             self._failed("wait", error)
             return False
-        finally:
-            self.used_ns = self.stage.runtime.now_ns()
         return True
 
     def _check_motion(

@@ -17,6 +17,7 @@ from harness.sharing.history import (
 )
 from harness.sharing.linearizability import (
     OwnedMotor,
+    _with,
     events_of,
     require_linearizable,
     search,
@@ -166,6 +167,17 @@ def test_what_nobody_knows_the_outcome_of_has_happened_or_not():
     assert not is_allowed(*unsure, replace(seven, value=0), eight)
 
 
+def test_one_who_died_may_have_taken_it_over():
+    uses = (
+        take("a", 0, 1, 1),
+        use("b", TAKE, 2, LATE, UNKNOWN),
+        use("b", DIE, 10, 12),
+        command("a", 20, 21, 3, LOST),
+    )
+    assert is_allowed(*ended_by_death(uses))
+    assert not is_allowed(*(one for one in uses if one.who == "a"))
+
+
 def test_one_who_died_waiting_is_no_longer_waited_for():
     uses = (
         take("a", 0, 1, 1),
@@ -211,6 +223,15 @@ def test_what_was_reached_once_is_not_searched_again():
     assert len(found.reached) == 10
     assert found.stuck == tuple(events_of([impossible]))
     assert found.steps <= 10 * 2**10 + 11  # of 10! orders
+
+
+@given(st.permutations(range(9)), st.integers(0, 9))
+def test_a_set_of_numbers_is_told_from_every_other(numbers, many):
+    passed = ahead = 0
+    for number in numbers[:many]:
+        passed, ahead = _with(passed, ahead, number)
+    found = {number for number in range(9) if number < passed or ahead >> number - passed & 1}
+    assert found == set(numbers[:many])
 
 
 # ---- against trying every order

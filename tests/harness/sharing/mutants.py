@@ -1,0 +1,158 @@
+"""Ways to get sharing wrong, planted in the motor interface: what the shipped suites must kill.
+
+Those for one process are context managers. Those for many are functions that a worker of
+`harness.sharing.processes` calls in its own process before it begins (`Plan.plant`).
+"""
+
+import os
+from collections import deque
+from contextlib import contextmanager
+from pathlib import Path
+from unittest.mock import patch
+
+from motorapi import execution
+from motorapi.adaptations.drive_motions import DriveMotions
+from motorapi.adaptations.drive_objects import DriveObjects
+from motorapi.hold import Hold
+from motorapi.lock_file import LockFile
+from motorapi.owner_row import OwnerRow
+from motorapi.ownership import Ownership
+
+RAMPS = (0x6081, 0x6083, 0x6084)
+
+
+# ---- in one process
+
+
+@contextmanager
+def a_lock_without_fifo():
+    """Who came last is served first."""
+
+    class Pile(deque):
+        append = deque.appendleft
+
+    make = OwnerRow.__init__
+
+    def made(row, *args):
+        make(row, *args)
+        row._places = Pile()
+
+    with patch.object(OwnerRow, "__init__", made):
+        yield
+
+
+@contextmanager
+def no_fencing():
+    """Who has lost the motor goes on as if he had it."""
+    again = Ownership._again
+
+    def as_if(ownership, owner, afresh):
+        for claim in ownership._lost:
+            if claim.owner is owner and not afresh:
+                claim.reasons += 1
+                return claim
+        return again(ownership, owner, afresh)
+
+    with (
+        patch.object(Ownership, "_again", as_if),
+        patch.object(Ownership, "require", lambda *_: None),
+    ):
+        yield
+
+
+@contextmanager
+def a_group_that_starts_before_all_are_armed():
+    """Each is fired as soon as it is armed."""
+
+    class Fired:
+        def fire(self):
+            pass
+
+    def hasty(started, seen):
+        for one in started:
+            one.motor._call(one.motor._arm, one.motion, together=False).fire()
+        return [Fired()]
+
+    with patch.object(execution, "_arm", hasty):
+        yield
+
+
+@contextmanager
+def a_start_that_pushes_settings_after_starting():
+    """Velocity and ramps of a motion get to the drive when it has begun, for the next one."""
+    late = []
+    arm, confirm, push = DriveMotions.arm, DriveMotions.confirm, DriveObjects.push
+
+    def pushing(objects, index, value, *args, **kwargs):
+        if late is not None and index in RAMPS and pushing.arming:
+            late.append((objects, index, value))
+        else:
+            push(objects, index, value, *args, **kwargs)
+
+    def arming(motions, motion, *, together):
+        pushing.arming = True
+        try:
+            return arm(motions, motion, together=together)
+        finally:
+            pushing.arming = False
+
+    def confirming(motions, motion):
+        confirm(motions, motion)
+        while late:
+            push(*late.pop(0))
+
+    pushing.arming = False
+    with (
+        patch.object(DriveMotions, "arm", arming),
+        patch.object(DriveMotions, "confirm", confirming),
+        patch.object(DriveObjects, "push", pushing),
+    ):
+        yield
+
+
+# ---- in many
+
+
+def whoever_is_quickest(folder):
+    """A lock without FIFO."""
+    LockFile.is_first = lambda file, place: True
+
+
+def no_fence(folder):
+    """Whoever lost it writes all the same."""
+    Hold._enter = lambda hold, asker: None
+
+
+def no_token(folder):
+    """The token does not grow."""
+    LockFile.last = lambda file: (0, b"", False)
+
+
+def no_exclusion(folder):
+    """A lock that is none."""
+    LockFile.take = lambda file, place: True
+    LockFile.tell_holder = lambda file, token, record, lease=b"": os.pwrite(file.fd, record, 400)
+
+
+def stays_after_death(folder):
+    """A lock that is a file that is there, or is not: what so many do."""
+    flag, mine = Path(folder) / "flag", set()
+    let_go = LockFile.let_go
+
+    def take_flag(file):
+        try:
+            os.close(os.open(flag, os.O_CREAT | os.O_EXCL))
+        except FileExistsError:
+            return False
+        mine.add(file.name)
+        return True
+
+    def drop_flag(file):
+        let_go(file)
+        if file.name in mine:
+            mine.remove(file.name)
+            flag.unlink()
+
+    LockFile.take_at_once = take_flag
+    LockFile.take = lambda file, place: take_flag(file)
+    LockFile.let_go = drop_flag
