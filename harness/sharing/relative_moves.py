@@ -1,0 +1,313 @@
+"""Relative moves under faults, judged by the truth: made once, or not, or in part; never twice.
+
+What must hold, and how it is run on an adaptation of one's own, is told in
+harness.sharing.at_most_once.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
+from enum import Enum
+from typing import TYPE_CHECKING, Final, final
+
+from emulators.media.can_frame import can_id_of
+from emulators.media.faults import FaultKind, FaultRule
+from harness.rig_faults import HOST
+from motorapi.commands import ControlMode
+from motorapi.errors import MotorError, PluginError
+
+if TYPE_CHECKING:
+    from harness.rig import Rig
+    from motorapi.motor import Motor
+
+DELAYS_NS: Final = (500_000, 5_000_000, 50_000_000, 150_000_000, 400_000_000)
+
+_LOOK_S: Final = 0.002
+_MOVE_TIMEOUT_S: Final = 10.0
+_REST_S: Final = 0.05
+_RPDOS: Final = range(0x200, 0x580)  # where hosts send what controllers are to do (CiA 301)
+
+
+class MadeMoreThanOnce(AssertionError):  # noqa: N818 -- it says what happened, as a verdict does
+    """A motor went further than it was told, or elsewhere; the message names the plan."""
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Mover:
+    """What is judged: how a motor of a rig makes a relative move, and what is true of it.
+
+    Attributes:
+        name: what messages call it.
+        make_rig: an open rig with this seed, and no faults of its own.
+        ready: the motor is connected and enabled; nothing is disturbed yet.
+        move: makes one relative move, and returns when the motor has said that it is done; raises
+            what the motor does. The distance may be of either sign.
+        truth: where the motor is [U], of the truth: a controller's snapshot.
+        distance_max: moves are up to so long [U].
+        tolerance: a move that is done ends so near to its target [U].
+        overshoot: so far a motor may be outside of the way while it moves [U].
+        coast: so much further it may be where a move failed, if nothing brakes it then [U]; what
+            is to be found are moves longer than that.
+        delays_ns: frames may be late by so much [ns]. A loop that is closed over the bus cannot be
+            held with samples that are late: for such a motor these are short.
+        settle_s: after a move, until the motor is at rest and nothing more can come [s].
+    """
+
+    name: str
+    make_rig: "Callable[[int], Rig]"
+    ready: "Callable[[Rig], None]"
+    move: "Callable[[Rig, float], None]"
+    truth: "Callable[[Rig], float]"
+    distance_max: float = 1.0
+    tolerance: float = 2e-3
+    overshoot: float = 2e-3
+    coast: float = 0.0
+    delays_ns: tuple[int, ...] = DELAYS_NS
+    settle_s: float = 1.5
+
+
+def mover_of(
+    motor: str,
+    make_rig: "Callable[[int], Rig]",
+    truth: "Callable[[Rig], float]",
+    *,
+    distance_max: float = 1.0,
+    tolerance: float = 2e-3,
+    overshoot: float = 2e-3,
+) -> Mover:
+    """A mover that gives one motor of the rig, by its name, relative set-points of position."""
+
+    def ready(rig: "Rig") -> None:
+        rig.motors[motor].enable()
+
+    def move(rig: "Rig", distance: float) -> None:
+        chosen: Motor = rig.motors[motor]
+        chosen.set_control_mode(ControlMode.SETPOINT)
+        chosen.set_setpoint(distance, relative=True)
+        chosen.start()
+        chosen.wait_until_done(_MOVE_TIMEOUT_S)
+
+    return Mover(
+        name=motor,
+        make_rig=make_rig,
+        ready=ready,
+        move=move,
+        truth=truth,
+        distance_max=distance_max,
+        tolerance=tolerance,
+        overshoot=overshoot,
+    )
+
+
+@final
+@dataclass(frozen=True, slots=True)
+class Step:
+    """One move, and what goes wrong from its start on.
+
+    Attributes:
+        distance: of the move [U].
+        rules: on every bus of the rig; their times count from the start of the move, and where one
+            has no end it holds during later moves, too.
+    """
+
+    distance: float
+    rules: tuple[FaultRule, ...] = ()
+
+
+@final
+@dataclass(frozen=True, slots=True)
+class Plan:
+    """Moves one after another, in a run with this seed."""
+
+    seed: int
+    steps: tuple[Step, ...]
+
+
+@final
+class Ending(Enum):
+    """What became of one move, by its report and by the truth."""
+
+    DONE = "done"
+    FAILED_NOT_MADE = "failed, and it had not moved"
+    FAILED_PARTLY_MADE = "failed, and it had moved in part"
+    FAILED_MADE = "failed, though it had moved all the way"
+
+
+@final
+@dataclass(slots=True)
+class Reach:
+    """How often what the property is about has happened: a property that nothing tests holds too.
+
+    Attributes:
+        endings: of moves.
+        hit: moves during which a fault fired, by how they ended.
+        errors: raised by moves, by their class.
+        fired: faults, by their kind.
+        repeated: frames of the host heard twice in a row with one RPDO's identifier.
+    """
+
+    endings: dict[Ending, int] = field(default_factory=dict)
+    hit: dict[Ending, int] = field(default_factory=dict)
+    errors: dict[str, int] = field(default_factory=dict)
+    fired: dict[FaultKind, int] = field(default_factory=dict)
+    repeated: int = 0
+
+    def add(self, other: "Reach") -> None:
+        """What the other has reached is reached."""
+        for mine, theirs in ((self.endings, other.endings), (self.hit, other.hit)):
+            for ending, count in theirs.items():
+                mine[ending] = mine.get(ending, 0) + count
+        for error, count in other.errors.items():
+            self.errors[error] = self.errors.get(error, 0) + count
+        for kind, count in other.fired.items():
+            self.fired[kind] = self.fired.get(kind, 0) + count
+        self.repeated += other.repeated
+
+    def __str__(self) -> str:
+        endings = "; ".join(
+            f"{count} {ending.value} ({self.hit.get(ending, 0)} of them hit)"
+            for ending, count in self.endings.items()
+        )
+        fired = ", ".join(f"{count} {kind.value}" for kind, count in self.fired.items())
+        errors = ", ".join(f"{count} {name}" for name, count in self.errors.items())
+        return (
+            f"moves: {endings or 'none'}. Faults: {fired or 'none'}. Errors: {errors or 'none'}."
+            f" Frames repeated by the host: {self.repeated}"
+        )
+
+
+def judge(mover: Mover, plan: Plan) -> Reach:
+    """The moves of the plan are made, and looked at all the way.
+
+    Raises:
+        MadeMoreThanOnce: the motor was where no single move could bring it, or is not where one
+            that was reported done ends.
+        PluginError: the adaptation failed by itself.
+    """
+    reach = Reach()
+    with mover.make_rig(plan.seed) as rig:
+        mover.ready(rig)
+        repeats = _Repeats(rig)
+        injected: list[FaultRule] = []
+        for place, step in enumerate(plan.steps):
+            injected += _inject(rig, step.rules, place)
+            _judge_move(mover, rig, step.distance, plan, reach)
+        reach.repeated = repeats.count
+        fired = rig.faults.fired()
+        for rule in injected:
+            if fired[rule.name]:
+                reach.fired[rule.kind] = reach.fired.get(rule.kind, 0) + fired[rule.name]
+    return reach
+
+
+def _inject(rig: "Rig", rules: Sequence[FaultRule], step: int) -> list[FaultRule]:
+    """The rules hold from now on, under names of their own."""
+    now_ns = rig.runtime.now_ns()
+    injected = [
+        replace(
+            rule,
+            name=f"{step}.{number} {rule.kind.value}",
+            from_ns=rule.from_ns + now_ns,
+            until_ns=None if rule.until_ns is None else rule.until_ns + now_ns,
+        )
+        for number, rule in enumerate(rules)
+    ]
+    for bus in rig.world.bus_names():
+        for rule in injected:
+            rig.faults.inject(bus, rule)
+    return injected
+
+
+@final
+class _Way:
+    """Where a motor has been since this was made."""
+
+    def __init__(self, mover: Mover, rig: "Rig") -> None:
+        self._mover = mover
+        self._rig = rig
+        self.begin = mover.truth(rig)
+        self.lowest = self.highest = self.now = self.begin
+        self._looking = rig.runtime.every(_LOOK_S, self.look)
+
+    def look(self) -> None:
+        """Where it is now counts."""
+        self.now = self._mover.truth(self._rig)
+        self.lowest = min(self.lowest, self.now)
+        self.highest = max(self.highest, self.now)
+
+    def end(self) -> None:
+        """Nobody looks any more."""
+        self.look()
+        self._looking.cancel()
+
+
+def _judge_move(mover: Mover, rig: "Rig", distance: float, plan: Plan, reach: Reach) -> None:
+    before = sum(rig.faults.fired().values())
+    way = _Way(mover, rig)
+    error: MotorError | None = None
+    try:
+        mover.move(rig, distance)
+    except PluginError:
+        raise
+    except MotorError as raised:
+        error = raised
+        reach.errors[type(error).__name__] = reach.errors.get(type(error).__name__, 0) + 1
+    was_hit = sum(rig.faults.fired().values()) > before
+    rig.runtime.run_for(mover.settle_s)
+    way.look()
+    at_rest = way.now
+    rig.runtime.run_for(_REST_S)
+    way.end()
+    what = "was reported done" if error is None else f"failed ({type(error).__name__}: {error})"
+    verdict = _verdict(mover, way, distance, is_done=error is None, at_rest=at_rest)
+    if verdict:
+        told = f"{mover.name}: a move by {distance:g} from {way.begin:g} {what}; {verdict}"
+        raise MadeMoreThanOnce(f"{told}\n  {plan}")
+    ending = _ending(mover, way, distance, is_done=error is None)
+    reach.endings[ending] = reach.endings.get(ending, 0) + 1
+    if was_hit:
+        reach.hit[ending] = reach.hit.get(ending, 0) + 1
+
+
+def _verdict(mover: Mover, way: _Way, distance: float, *, is_done: bool, at_rest: float) -> str:
+    """What is wrong, in words; empty if nothing is."""
+    low, high = sorted((way.begin, way.begin + distance))
+    outside = mover.overshoot if is_done else mover.overshoot + mover.coast
+    low, high = low - outside, high + outside
+    if way.highest > high:
+        return f"it was at {way.highest:g}, beyond {high:g}"
+    if way.lowest < low:
+        return f"it was at {way.lowest:g}, beyond {low:g}"
+    if abs(way.now - at_rest) > mover.tolerance:
+        return f"{mover.settle_s:g} s later it moves still, at {way.now:g}"
+    if is_done and abs(way.now - way.begin - distance) > mover.tolerance:
+        return f"it is at {way.now:g}"
+    return ""
+
+
+def _ending(mover: Mover, way: _Way, distance: float, *, is_done: bool) -> Ending:
+    if is_done:
+        return Ending.DONE
+    if abs(way.now - way.begin) <= mover.tolerance:
+        return Ending.FAILED_NOT_MADE
+    if abs(way.now - way.begin - distance) <= mover.tolerance:
+        return Ending.FAILED_MADE
+    return Ending.FAILED_PARTLY_MADE
+
+
+@final
+class _Repeats:
+    """Counts frames of the host that are heard twice in a row with one RPDO's identifier."""
+
+    def __init__(self, rig: "Rig") -> None:
+        self.count = 0
+        self._last: dict[tuple[str, int], bytes] = {}
+        rig.world.tap_frames(self._on_frame)
+
+    def _on_frame(self, bus: str, _time_ns: int, sender: str, frame: bytes) -> None:
+        can_id = can_id_of(frame)
+        if not sender.startswith(HOST) or can_id not in _RPDOS:
+            return
+        if self._last.get((bus, can_id)) == frame:
+            self.count += 1
+        self._last[bus, can_id] = frame
