@@ -269,7 +269,9 @@ class LeadshinePr(ModbusDrive):
 
     def wake_ns(self) -> int:
         """The end of a dwell or a jog; while switches matter, the next tick."""
-        due_ns = min(self._dwell_until_ns, self._jog_until_ns)
+        due_ns = self._jog_until_ns
+        if self.now_ns < self._dwell_until_ns < due_ns:  # after it, the target window is awaited
+            due_ns = self._dwell_until_ns
         has_limits = self.settings.limit_forward_rad is not None
         has_limits = has_limits or self.settings.limit_backward_rad is not None
         if self._homing.is_active() or (has_limits and self.is_running()):

@@ -202,7 +202,7 @@ def test_homing_finds_the_edge_of_its_switch_and_calls_it_as_told(mode, edge_rad
     assert bench.read(STATUS) == 0x0072
     truth = bench.truth()
     edge = 1234 + (truth["position_rad"] - edge_rad) / (2 * pi) * GEAR * 10_000
-    assert bench.read(FEEDBACK, 2) == pytest.approx(edge, abs=60)  # a tick at 50 rpm is 8 pulses
+    assert bench.read(FEEDBACK, 2) == pytest.approx(edge, abs=20)  # a tick at 50 rpm is 8 pulses
 
 
 def test_homing_may_begin_on_the_switch():
@@ -210,6 +210,8 @@ def test_homing_may_begin_on_the_switch():
     enable(bench)
     bench.write(0x600A, 0x0005)
     bench.write(TRIGGER, 0x20)
+    bench.run_ms(100)
+    assert bench.truth()["position_rad"] < 0.35  # it has left backwards at once
     bench.run_ms(4000)
     assert bench.read(STATUS) == 0x0072
     assert bench.truth()["position_rad"] < 0.3
@@ -330,3 +332,29 @@ def test_a_rig_may_set_registers_by_name_or_address():
     bench = ModbusBench(build, {"registers": {"force_enable": 1, "0001h": 5000}})
     assert bench.read(STATUS) == 0x0032
     assert bench.read(0x0001) == 5000
+
+
+@pytest.mark.parametrize("interrupts", [0x10, 0x00])
+def test_relative_is_to_what_was_commanded_not_to_where_it_is(bench, interrupts):
+    bench.write(0x0191, 8)  # 0.8 A hold this load, and cannot lift it
+    enable(bench)
+    bench.stimulate("load_torque_n_m", 1.5)
+    path(bench, ABSOLUTE, 500)
+    bench.write(TRIGGER, 0x10)
+    bench.run_ms(150)
+    assert bench.read(FEEDBACK, 2) < 250
+    assert bench.read(STATUS) == 0x0016  # commanded, and not there
+    path(bench, RELATIVE | interrupts, 500)
+    bench.write(TRIGGER, 0x10)
+    bench.run_ms(150)
+    assert bench.read(0x602C, 2) == (1000 if interrupts else 500)  # it waits for the one before
+
+
+def test_zero_is_not_set_in_motion(bench):
+    enable(bench)
+    path(bench, ABSOLUTE, 30_000)
+    bench.write(TRIGGER, 0x10)
+    bench.write(TRIGGER, 0x21)
+    bench.run_ms(1000)
+    assert bench.read(0x602C, 2) == 30_000
+    assert bench.read(STATUS) == 0x0032
