@@ -159,11 +159,34 @@ class BusSync:
         self._since_turn = 0
         return self.known()
 
-    def clear(self, own: int | None = None) -> None:
-        """Nothing that a process has armed that died begins any more; `own`: our drive, too."""
-        with self.in_turn("what a process has armed that died"):
-            self.turns.died = False
-            self.marks.clear(self._link, own)
+    def clear(self, own: int | None = None) -> bool:
+        """Nothing that a process has armed that died begins any more; `own`: our drive, too.
+
+        Whoever has a drive to bring to rest does not wait for a process that is paused in its turn:
+        the stop itself then overwrites what waits in that drive.
+
+        Returns:
+            Whether it was nobody else's turn.
+        """
+        if self.turns.is_mine:
+            self._clear(own)
+            return True
+        who = "what a process has armed that died"
+        with self.turns.at_once(self._runtime, who) as is_ours:
+            if is_ours:
+                self._clear(own)
+            return is_ours
+
+    def take_out(self) -> bool:
+        """Whether what overwrites waits in no drive any more, by a SYNC in a turn of its own."""
+        with self.turns.at_once(self._runtime, "what was overwritten") as is_ours:
+            if is_ours and self.known() is None:
+                self._link.confirmed([self._link.sync()])
+            return is_ours
+
+    def _clear(self, own: int | None) -> None:
+        self.turns.died = False
+        self.marks.clear(self._link, own)
 
     def _hears_another(self, last_ns: int, within_ns: int) -> bool:
         return self._runtime.wait_until(lambda: self._heard_ns != last_ns, within_ns / 1e9)

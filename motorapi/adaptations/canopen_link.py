@@ -80,6 +80,8 @@ class CanopenLink:
         bus_sync: SYNC, which belongs to the bus.
         cycle: of the servos on the host that share this link (motorapi.adaptations.software_cycle).
         fences: of the nodes that other processes may take over, by node-ID.
+        lost: whether a drive that was armed here was taken over: a halt of its new owner's waits in
+            it for a SYNC, and none is sent before anything is armed again.
     """
 
     def __init__(self, bus: "can.BusABC", runtime: Runtime) -> None:
@@ -94,6 +96,7 @@ class CanopenLink:
         self.armed_set_points: list[ArmedSetPoint] = []
         self.cycle: object = None
         self.fences: dict[int, Fence] = {}
+        self.lost = False
         self.users = 0
         self._handlers: dict[bytes, FrameHandler] = {}
         self._awaited: dict[bytes, deque[Transmission]] = {}
@@ -250,6 +253,7 @@ class CanopenLink:
         if self.fences and self.latching:
             fences = self.fences
             fence = joint_fence([fences[node] for node in sorted(self.latching) if node in fences])
+        self.lost = False
         return self.send_tracked(self.sync_frame, fence)
 
     def at_next_sync(self, action: Callable[[int], None]) -> None:

@@ -144,8 +144,11 @@ class Cia402Motor(Motor):
 
     def _connect(self) -> None:
         self._hardware.connect()
+        control, bus_sync = self._control, self._node.link.bus_sync
         if self._physical.ownership.is_orphan:
-            self._node.link.bus_sync.clear(own=self._node.node_id)
+            control.may_be_armed = not bus_sync.clear(own=self._node.node_id)
+        elif control.holds_halt and bus_sync.take_out():
+            control.holds_halt = False
 
     @property
     def units(self) -> DriveUnits:

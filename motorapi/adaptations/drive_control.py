@@ -75,6 +75,8 @@ class DriveControl:
         self._repetition: StopRepetition | None = None
         self._armed: int | None = None  # the index of the target that the next SYNC makes count
         self._latched: int | None = None  # the same, until the drive has shown that it counted
+        self.may_be_armed = False  # by who has lost the drive, and is in his turn at SYNC still
+        self.holds_halt = False  # a halt of ours waits in it for a SYNC, in place of that
 
     def forget(self) -> None:
         """The drive has booted, or is new: nothing is known of it."""
@@ -190,10 +192,8 @@ class DriveControl:
         self._overwrite_latch(None)
         facts = self.facts
         if watch is not None and facts is not None and facts.control_id is not None:
-            frame = _CONTROL.pack(facts.control_id, 2, word)
-            self._repetition = StopRepetition(
-                self._node, watch, self._fence, partial(self._send, frame)
-            )
+            send = partial(self._send, _CONTROL.pack(facts.control_id, 2, word))
+            self._repetition = StopRepetition(self._node, watch, self._fence, send)
 
     def _end_repetition(self) -> None:
         if self._repetition is not None:
@@ -355,31 +355,35 @@ class DriveControl:
         """
         self._armed = None
         try:
-            transmissions = [
-                *self._overwrite_latch(self._fence),
-                *self._overwrite_latch(self._fence),
-            ]
-        except MotorBusyError:  # whoever has taken the drive over has seen to that
+            transmissions = self._overwrite_latch(self._fence) + self._overwrite_latch(self._fence)
+        except MotorBusyError:  # whoever has taken it over has seen to that; no SYNC for the others
             self.has_started()
+            self._link.lost = True
             return
         if not transmissions:
             return
         self._link.confirmed(transmissions)
         self.has_started()
-        if not self._link.latching and self._link.bus_sync.known() is None:
+        if not self._link.latching and not self._link.lost and self._link.bus_sync.known() is None:
             self._link.confirmed([self._link.sync()])
 
     def _overwrite_latch(self, fence: "Fence | None") -> list[Transmission]:
         """The controlword as it is, and no motion, wait for the next SYNC in place of a target."""
-        index, facts = self._latched, self.facts
-        if index is None or facts is None:
+        facts, indices = self.facts, [] if self._latched is None else [self._latched]
+        if facts is None:
             return []
-        target = self._node.position_inc if index == 0x607A else 0
+        if not indices and self.may_be_armed:
+            self.may_be_armed, self.holds_halt = False, True
+            indices = [*facts.latched_ids] * 2
         word = self._holding_word() if self._word is None else self._word
         word &= ~(NEW_SET_POINT | CHANGE_IMMEDIATELY)
-        self._objects.doubt(index)
-        frame = _control_target(facts.latched_ids[index], word, index, target)
-        return [self._send(frame, fence)]
+        sent = []
+        for index in indices:
+            target = self._node.position_inc if index == 0x607A else 0
+            self._objects.doubt(index)
+            frame = _control_target(facts.latched_ids[index], word, index, target)
+            sent.append(self._send(frame, fence))
+        return sent
 
 
 def _control_target(can_id: int, word: int, index: int, target: int) -> bytes:

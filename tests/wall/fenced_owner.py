@@ -8,6 +8,8 @@ drive), "careless" (they go out with the token it once had, which it does not lo
     stream LEASE_S  "streaming": a motion of a minute, in a reservation (LEASE_S 0: without a lease)
     run             the same by the drive's own profile, with a low acceleration
     stop            "stopped": it slows down, for seconds
+    group           arms nodes 1 and 2, says "armed", and sends SYNC when it was paused and goes on;
+                    then "started", or "busy WHY"
     told            what on_done was told without any wait for the motor, and the stream's error
     write           "wrote" a setting, by SDO; or "busy WHY"
     wait            "done", or "interrupted WHY"
@@ -16,6 +18,7 @@ drive), "careless" (they go out with the token it once had, which it does not lo
     end             "ended" the reservation
 """
 
+import signal
 import sys
 from contextlib import ExitStack
 
@@ -27,9 +30,11 @@ from motorapi import (
     DerivativeLimits,
     MotionInterrupted,
     MotorBusyError,
+    MotorGroup,
     MotorModel,
 )
 from motorapi.adaptations.cia402 import Cia402HwMotor, Cia402Motor, HwOptions
+from motorapi.adaptations.cia402_triggers import SyncTrigger
 from motorapi.fencing import BoundFence, NodeFence
 from tests.motorapi.adaptations.streaming import quintic, set_function
 
@@ -75,6 +80,8 @@ class Program:
                 motor.start()
                 motor.on_done(self.outcomes.append)
                 return "streaming"
+            case "group":
+                return self.start_group()
             case "stop":
                 motor.stop()
                 return "stopped"
@@ -99,6 +106,26 @@ class Program:
                 self.held.close()
                 return "ended"
         return f"what is {word}?"
+
+    def start_group(self):
+        second = Cia402Motor(
+            Cia402HwMotor(self.hardware.link.bus, node_id=2, options=OPTIONS), MODEL, name="second"
+        )
+        fire = SyncTrigger.fire
+
+        def paused(trigger):
+            resumed = []
+            signal.signal(signal.SIGCONT, lambda *_: resumed.append(True))
+            print("armed", flush=True)
+            self.motor.runtime.wait_until(lambda: bool(resumed), 60.0)
+            fire(trigger)
+
+        SyncTrigger.fire = paused
+        for motor in (self.motor, second):
+            motor.set_control_mode(ControlMode.SETPOINT)
+            motor.set_setpoint(2.0, relative=True)
+        MotorGroup(self.motor, second).start()
+        return "started"
 
 
 def main():

@@ -28,7 +28,7 @@ pytestmark = pytest.mark.wall
 
 SYNC, NMT, REQUEST = 0x080, 0x000, 0x601
 SET_POINTS = 0x301
-RPDOS = (0x201, 0x301, 0x401, 0x501)
+RPDOS = tuple(base + node for base in (0x200, 0x300, 0x400, 0x500) for node in (1, 2))
 
 
 def is_commanding(can_id, data):
@@ -157,9 +157,12 @@ def stage(tmp_path, monkeypatch):
     locks.mkdir(mode=0o700)
     monkeypatch.setenv(VARIABLE, str(locks))
     path = str(tmp_path / "hub")
-    core = build({"node_id": 1}, ControllerContext(name="drive", folder=Path(), seed=1))
+    cores = [
+        build({"node_id": node}, ControllerContext(name=f"drive{node}", folder=Path(), seed=node))
+        for node in (1, 2)
+    ]
     runtime = WallRuntime()
-    with serving(path, core) as world:
+    with serving(path, *cores) as world:
         stage = Stage(path, runtime, world)
         try:
             yield stage
@@ -225,6 +228,27 @@ def test_a_stop_that_was_under_way_does_not_stop_the_next_owner(stage):
         stage.heir.move()
     assert stage.others(since, since_sent) == Counter()
     assert stage.owner.ask("write").startswith("busy ")
+
+
+def test_what_a_paused_process_has_armed_is_started_by_no_sync_after_a_takeover(stage):
+    stage.owner = Program("fenced_owner", stage.path, "fenced")
+    assert stage.owner.hear() == "ready"
+    stage.owner.say("group")
+    assert stage.owner.hear() == "armed"
+    stage.take_over(take_over=True)
+    begin = stage.heir.motor.position()
+    with can.Bus(interface="emulated", channel=stage.path) as stranger:
+        stranger.send(can.Message(arbitration_id=SYNC, is_extended_id=False))
+        stage.settle()
+    moved = stage.runtime.wait_until(lambda: abs(stage.heir.motor.position() - begin) > 0.01, 0.5)
+    assert not moved
+    stage.settle()
+    since, since_sent = len(stage.listener.frames), len(stage.heir.sent)
+    stage.owner.signal(signal.SIGCONT)
+    assert stage.owner.hear().startswith("busy ")
+    sent = stage.others(since, since_sent)
+    assert not [can_id for can_id, _ in sent if can_id & 0x7F == 1]  # nothing to node 1
+    assert stage.heir.motor.position() == pytest.approx(begin, abs=1e-3)
 
 
 def test_the_hub_refuses_what_a_program_sends_that_does_not_look(stage):
