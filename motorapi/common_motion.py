@@ -14,7 +14,6 @@ the group is told the cause.
 # ruff: noqa: SLF001 -- it works the hooks of motors, as motorapi.execution does
 
 import logging
-import threading
 from collections.abc import Sequence
 from copy import copy
 from typing import TYPE_CHECKING, Final, final
@@ -94,7 +93,7 @@ class CommonMotion:
             if one.motor._run is not None:
                 self._watched.append(_Watched(self, one.motor, one.motor._run))
         self._timers: list[Registration] = []
-        self._claim = threading.Lock()  # taken for good by who finds the first failure
+        self._claim: Final[list[None]] = [None]  # goes to who finds the first failure
         self._ended = False
         self._answers: list[tuple[Motor, Run]] = []
         self._path: PathWatch | None = None
@@ -160,7 +159,9 @@ class CommonMotion:
         return told
 
     def _fail(self, motor: "Motor", error: MotorError) -> None:
-        if not self._claim.acquire(blocking=False):
+        try:
+            self._claim.pop()  # two threads may come to that at once
+        except IndexError:
             return
         self._fall_silent()
         if len(self._watched) > 1:
