@@ -26,6 +26,7 @@ class StopSignals:
 
     def __init__(self, loop: WallLoop, numbers: Sequence[signal.Signals] = STOPPING) -> None:
         self.number: int | None = None
+        self._loop = loop
         self._reader, self._writer = os.pipe()
         os.set_blocking(self._writer, False)
         loop.wake_on(self._reader)
@@ -48,6 +49,7 @@ class StopSignals:
         for number, handler in self._old_handlers.items():
             signal.signal(number, handler)
         signal.set_wakeup_fd(self._old_wakeup)
+        self._loop.forget(self._reader)
         os.close(self._writer)
         os.close(self._reader)
 
