@@ -225,6 +225,7 @@ def longest_s(firings: Sequence[Firing]) -> float | None:
 
     This program's own periodic frames stand in the same queue: each may be before one of ours, and
     holds it up until it has been sent itself, which is when all are through that are more urgent.
+    Those that come once the last frame has been queued are behind it.
     """
     total_ns = sum(-(-round(one.idle_s * 1e12) // 1000) for one in firings)
     buses = [_Bus.of(firings, bus) for bus in dict.fromkeys(one.bus for one in firings)]
@@ -244,7 +245,7 @@ def longest_s(firings: Sequence[Firing]) -> float | None:
 class _Bus:
     """One bus of several firings."""
 
-    def __init__(self, traffic: CanTraffic, frames: Sequence[OneFrame]) -> None:
+    def __init__(self, traffic: CanTraffic, frames: Sequence[OneFrame], *, at_once: bool) -> None:
         rate = traffic.bitrate_bit_s
         messages = _Timed.all_of(traffic)
         mates = {rank_of(can_id) for frame in frames for can_id in frame.mates}
@@ -253,15 +254,19 @@ class _Bus:
         level = max([last, *(one.rank for one in queued)])
         self._before_ns = bits_ns(worst_frame_bits(8), rate) + bits_ns(1, rate)
         self._counted: list[tuple[_Timed, int, int]] = []  # message, what may wait, cost of each
+        ahead_ns = 0
         for one, waiting in zip(messages, _waiting(traffic), strict=True):
             if one in queued:
                 cost_ns = one.takes_ns + _lower_ns(messages, one.rank)
-                self._counted.append((one, waiting, cost_ns))
+                if at_once:  # what is queued later is behind it
+                    ahead_ns += waiting * cost_ns
+                else:
+                    self._counted.append((one, waiting, cost_ns))
             elif one.rank < level:
                 is_urgent = one.rank < last and one.rank < _FIRST_SDO_RANK
                 self._counted.append((one, 0 if is_urgent else waiting, one.takes_ns))
         self.share = sum(cost_ns / one.period_ns for one, _, cost_ns in self._counted)
-        self.fixed_ns = sum(
+        self.fixed_ns = ahead_ns + sum(
             bits_ns(worst_frame_bits(frame.length), rate)
             + _lower_ns(messages, rank_of(frame.can_id))
             for frame in frames
@@ -279,7 +284,9 @@ class _Bus:
             queued |= one.queued
         messages = worst_of([message for one in known for message in one.messages])
         traffic = CanTraffic(known[0].bitrate_bit_s, messages, queued)
-        return cls(traffic, [frame for one in here for frame in one.frames])
+        frames = [frame for one in here for frame in one.frames]
+        at_once = len(frames) == 1 and not any(one.idle_s for one in firings)
+        return cls(traffic, frames, at_once=at_once)
 
     def load_ns(self, window_ns: int) -> int:
         """What the bus carries in a window of this length, at most [ns]."""

@@ -22,6 +22,7 @@ from motorapi.bus_timing import Firing, longest_s
 from motorapi.synchronization import SyncOffer
 
 _PPM: Final = 1e-6
+_FULL: Final = "what is more urgent on the bus, or waits with it, may hold the start up for ever"
 
 
 @final
@@ -114,7 +115,9 @@ def _one_after_another(triggers: Sequence[Sequence[Member]]) -> Bound:
         firings.append(replace(firing, frames=(*frames, *firing.frames)))
     took_s = longest_s([firings[0].rest(), *firings[1:]])
     if took_s is None:
-        return Bound(None, "what is more urgent on the bus may hold the start up for ever")
+        return Bound(
+            None, "what is more urgent on the bus, or waits with it, may hold the start up for ever"
+        )
     return Bound(took_s)
 
 
@@ -130,12 +133,17 @@ def _straddling(triggers: Sequence[Sequence[Member]]) -> Bound:
             return _none(sharing, lambda one: one.firing is None, lambda one: one.no_firing_bound)
         frames = tuple(offer.burst for offer in burst if offer.burst is not None)
         takes_s = longest_s([Firing(firing.bus, firing.traffic, frames)])
-        if takes_s is None:
-            return Bound(None, "what is more urgent on the bus may hold the start up for ever")
-        worst_s = max(worst_s, (ceil(takes_s / period_s) - 1) * period_s)
-        if takes_s > period_s:
-            jitter_s = longest_s([Firing(firing.bus, firing.traffic, firing.frames[-1:])])
-            worst_s += 0.0 if jitter_s is None else jitter_s
+        # Of a node of its own: where this program sends the signal, its burst goes before it.
+        alone = None if firing.traffic is None else replace(firing.traffic, queued=frozenset())
+        jitter_s = longest_s([Firing(firing.bus, alone, firing.frames[-1:])])
+        if takes_s is None or jitter_s is None or jitter_s >= period_s:
+            return Bound(
+                None,
+                "what is more urgent on the bus, or waits with it, may hold the start up for ever",
+            )
+        straddles = ceil(takes_s / (period_s - jitter_s)) - 1  # after a late signal one in time
+        if straddles:
+            worst_s = max(worst_s, straddles * period_s + jitter_s)
     return Bound(worst_s)
 
 

@@ -120,15 +120,21 @@ class CanTraffic:
                 )
             ranks.add(message.rank)
 
-    def with_own(self, own: Iterable["NodeTraffic"], sync_period_s: float | None) -> "CanTraffic":
+    def with_own(
+        self,
+        own: Iterable["NodeTraffic"],
+        sync_period_s: float | None,
+        streamed: Iterable[PeriodicMessage] = (),
+    ) -> "CanTraffic":
         """With what this program and its nodes send, too; of one identifier the worse counts.
 
         Args:
             own: of each node.
             sync_period_s: of a cyclic SYNC that runs or is about to; None: there is none.
+            streamed: set-points that this program sends or is about to.
         """
         theirs: list[PeriodicMessage] = []
-        ours: list[PeriodicMessage] = []
+        ours: list[PeriodicMessage] = list(streamed)
         for node in own:
             theirs += node.sent
             ours += node.ours
@@ -192,6 +198,7 @@ class NodeTraffic:
 
 _declared: Final["WeakKeyDictionary[can.BusABC, CanTraffic]"] = WeakKeyDictionary()
 _own: Final["WeakKeyDictionary[can.BusABC, dict[int, NodeTraffic]]"] = WeakKeyDictionary()
+_streams: Final["WeakKeyDictionary[can.BusABC, dict[int, PeriodicMessage]]"] = WeakKeyDictionary()
 
 
 def declare_traffic(bus: "can.BusABC", traffic: CanTraffic | None) -> None:
@@ -226,6 +233,20 @@ def own_traffic(bus: "can.BusABC") -> tuple[NodeTraffic, ...]:
     """Of all nodes that this program has brought up on the bus, by node-ID."""
     nodes = _own.get(bus, {})
     return tuple(nodes[node_id] for node_id in sorted(nodes))
+
+
+def note_stream(bus: "can.BusABC", can_id: int, message: PeriodicMessage | None) -> None:
+    """This program sends these set-points from now on, with this identifier; None: no more."""
+    if message is None:
+        _streams.get(bus, {}).pop(can_id, None)
+    else:
+        _streams.setdefault(bus, {})[can_id] = message
+
+
+def streams(bus: "can.BusABC") -> tuple[PeriodicMessage, ...]:
+    """The set-points that this program sends on the bus."""
+    sent = _streams.get(bus, {})
+    return tuple(sent[can_id] for can_id in sorted(sent))
 
 
 def _is_whole(value: object) -> bool:

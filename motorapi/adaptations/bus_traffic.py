@@ -1,25 +1,37 @@
 """What the bus of a link carries, as far as it is known, and how long its SYNC takes on it."""
 
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, Final
 
 from motorapi.bus_timing import Firing, OneFrame, longest_s, overload_of
 from motorapi.process_lock import can_share_time
-from motorapi.traffic import SYNC_ID, CanTraffic, declared_traffic, own_traffic
+from motorapi.traffic import (
+    SYNC_ID,
+    CanTraffic,
+    PeriodicMessage,
+    declared_traffic,
+    own_traffic,
+    streams,
+)
 
 if TYPE_CHECKING:
     from motorapi.adaptations.canopen_link import CanopenLink
 
 SYNC: Final = OneFrame(SYNC_ID, 0)
+FULL: Final = "what is more urgent on the bus, or waits with it, may hold SYNC up for ever"
 
 
 def traffic_on(
-    link: "CanopenLink", sync_period_s: float | None = None
+    link: "CanopenLink",
+    sync_period_s: float | None = None,
+    streamed: Sequence[PeriodicMessage] = (),
 ) -> tuple[CanTraffic | None, str]:
     """All that may be sent on a bus; or None, and why nobody can tell.
 
     Args:
         link: of the bus.
         sync_period_s: of a SYNC that runs or is about to; None: there is none.
+        streamed: set-points that are about to be sent.
     """
     if can_share_time(link.runtime):
         return None, "on the wall clock nothing promises when this program goes on"
@@ -30,7 +42,7 @@ def traffic_on(
     unknown = next((one.unknown for one in own if one.unknown), "")
     if unknown:
         return None, f"what is sent on {link.name} has no bound: {unknown}"
-    traffic = declared.with_own(own, sync_period_s)
+    traffic = declared.with_own(own, sync_period_s, (*streams(link.bus), *streamed))
     overload = overload_of(traffic)
     if overload:
         return None, f"{link.name} is too full: {overload}"

@@ -16,6 +16,7 @@ from motorapi.errors import (
     UnsupportedError,
     UsageError,
 )
+from motorapi.traffic import PeriodicMessage, note_stream
 
 if TYPE_CHECKING:
     from motorapi.adaptations.cia402_hardware import Cia402HwMotor
@@ -134,6 +135,7 @@ class CspStream:
         if self._hardware.fence is not None:
             self._fence = self._hardware.fence.bound("set-points")
         self._last_sent = self._send()
+        note_stream(self._link.bus, self._can_id, PeriodicMessage(self._can_id, 6, self.period_s))
         self._registration = self._link.on_sync(
             self.period_s, self._after_sync, self._sync_lost, lambda: self._fence
         )
@@ -274,6 +276,7 @@ class CspStream:
         """No more set-points; the drive holds the last one."""
         if not self.ended:
             self.ended = True
+            note_stream(self._link.bus, self._can_id, None)
             if self._fence is not None:
                 self._fence.release()
             if self._registration is not None:

@@ -2,10 +2,11 @@
 
 from typing import TYPE_CHECKING, Final
 
-from motorapi.adaptations.bus_traffic import SYNC, period_on_wire_s, sync_period, traffic_on
+from motorapi.adaptations.bus_traffic import FULL, SYNC, period_on_wire_s, sync_period, traffic_on
 from motorapi.bus_timing import Firing, OneFrame
 from motorapi.commands import ControlVariable
 from motorapi.synchronization import SyncLevel, SyncOffer
+from motorapi.traffic import PeriodicMessage
 
 if TYPE_CHECKING:
     from motorapi.adaptations.cia402_hardware import Cia402HwMotor
@@ -31,7 +32,7 @@ def offer_of(hardware: "Cia402HwMotor", variable: ControlVariable, *, streamed: 
     if hardware.options.servo_period_ms is None:
         reason += "; servo_period_ms, from the latch to the profile, is not told"
     if streamed:
-        return _streamed(hardware, reason)
+        return _streamed(hardware, armed, reason)
     period_s, why = sync_period(link)
     if period_s is not None:
         frame = OneFrame(armed, _SET_POINT_BYTES)
@@ -41,10 +42,11 @@ def offer_of(hardware: "Cia402HwMotor", variable: ControlVariable, *, streamed: 
     return _offer(hardware, SyncLevel.TRIGGERED, link.name, reason, firing, unbounded)
 
 
-def _streamed(hardware: "Cia402HwMotor", reason: str) -> SyncOffer:
+def _streamed(hardware: "Cia402HwMotor", can_id: int, reason: str) -> SyncOffer:
     """The first SYNC brings where it is, the second one the first step."""
     link, period_s = hardware.link, hardware.options.set_point_period_ms / 1e3
-    traffic, unbounded = traffic_on(link, period_s)
+    set_points = PeriodicMessage(can_id, _SET_POINT_BYTES, period_s)
+    traffic, unbounded = traffic_on(link, period_s, (set_points,))
     firing, signal_s = None, None
     if traffic is not None:
         firing = Firing(link.name, traffic, (SYNC, SYNC), 2.0 * period_s, 1)
@@ -132,6 +134,8 @@ def _offer(
     period_s: float | None = None,
     streamed: bool = False,
 ) -> SyncOffer:
+    if firing is not None and signal_s is None:
+        unbounded = FULL
     options = hardware.options
     tick_ms, ppm = options.servo_period_ms, options.oscillator_ppm
     latency_s = end_s = None

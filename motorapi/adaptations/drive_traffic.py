@@ -39,11 +39,9 @@ def drive_traffic(
         period_s = options.heartbeat_ms / 1e3
         sent.append(PeriodicMessage(_HEARTBEAT_ID + node_id, 1, period_s * shorter))
         ours = (PeriodicMessage(_HEARTBEAT_ID + options.host_node_id, 1, period_s),)
-    streamed = facts.latched_ids.get(0x607A)
     return NodeTraffic(
         sent=tuple(sent),
         ours=ours,
         sent_at_sync=tuple(at_sync),
-        ours_at_sync=() if streamed is None else (PeriodicMessage(streamed, 6, 1.0),),
         unknown=unknown,
     )

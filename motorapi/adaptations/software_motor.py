@@ -18,7 +18,7 @@ from dataclasses import dataclass, fields
 from math import inf, isfinite
 from typing import TYPE_CHECKING, Final, final
 
-from motorapi.adaptations.bus_traffic import SYNC, period_on_wire_s, traffic_on
+from motorapi.adaptations.bus_traffic import FULL, SYNC, period_on_wire_s, traffic_on
 from motorapi.adaptations.software_courses import Scales, course_of
 from motorapi.adaptations.software_cycle import CycleReport
 from motorapi.adaptations.software_gains import PidGains
@@ -195,6 +195,7 @@ class SoftwareMotor(Motor):
         if traffic is not None:
             firing = Firing(link.name, traffic, (SYNC, SYNC), 2.0 * period_s, 1)
             signal_s = period_on_wire_s(link, traffic, period_s)
+            unbounded = FULL if signal_s is None else ""
         return SyncOffer(
             level=SyncLevel.CYCLIC,
             group=("servo cycle", link.name, period_s),

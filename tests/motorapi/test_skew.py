@@ -98,7 +98,7 @@ def test_a_bus_that_more_urgent_frames_may_fill_has_no_bound():
     full = CanTraffic(1_000_000, (PeriodicMessage(1, 8, 0.000_135),))
     stuck = offer("b", firing=Firing("can0", full, (OneFrame(0x201, 2),), 0.0, 1))
     found = command_bound(members(offer("a"), stuck))
-    assert found.reason == "what is more urgent on the bus may hold the start up for ever"
+    assert found.reason.endswith("may hold the start up for ever")
 
 
 def test_motion_begins_within_what_the_latencies_differ_later():
