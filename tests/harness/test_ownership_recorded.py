@@ -2,12 +2,14 @@
 
 from itertools import pairwise
 
+import pytest
+
 from harness.ownership_record import Ended, read_ownership
 from harness.rig import Rig, installed_plugins
 from harness.rig_file import parse_rig
 from harness.scaffold import EXAMPLES
 from harness.settings import Source
-from motorapi import ControlMode
+from motorapi import ControlMode, MotorBusyError
 from traces.digest import digest
 from traces.reader import read_trace
 from traces.schema import LockAction
@@ -83,6 +85,32 @@ def test_one_seed_is_one_record_and_no_process_is_in_it(tmp_path):
     assert digest(tmp_path / "1.mcap") == digest(tmp_path / "2.mcap")
     for event in read_ownership(tmp_path / "1.mcap").events:
         assert (event.pid, event.program) == (0, "")
+
+
+def test_a_lease_that_ends_is_a_takeover_and_the_loser_notices_later(tmp_path):
+    path = EXAMPLES / "two_wheels.toml"
+    rig_file = parse_rig(Source(path, path.read_text() + MAST), installed_plugins())
+    with Rig(rig_file, record=tmp_path / "run.mcap") as rig:
+        drive, mast = rig.motors["left"], rig.motors["mast"]
+
+        def rescue():
+            with mast.reserve("rescue", timeout_s=5.0):
+                rig.runtime.wait_until(lambda: False, 2.0)
+
+        with drive.reserve("slow", lease_s=0.5):
+            party = rig.runtime.spawn("mast", rescue)
+            rig.runtime.run_for(1.0)  # and does nothing with it
+            with pytest.raises(MotorBusyError):
+                drive.enable()
+        assert party.join(timeout_s=10.0)
+        assert party.error is None
+    record = read_ownership(tmp_path / "run.mcap")
+    slow, rescued = record.tenures["left"]
+    assert (slow.purpose, slow.ended) == ("slow", Ended.TAKEN_OVER)
+    assert slow.to_ns == rescued.from_ns == 500_000_000
+    assert slow.noticed_ns >= slow.to_ns
+    assert (rescued.purpose, rescued.ended) == ("rescue", Ended.RELEASED)
+    assert record.contradictions == ()
 
 
 def test_a_motor_on_no_bus_tells_it_too(tmp_path):
