@@ -251,7 +251,11 @@ class ServoAxis:
             self._trip(Fault(AMPLIFIER_FAULT, text, time_ns))
 
     def _trip(self, fault: Fault) -> None:
-        self.fault = fault
+        loss = None if self._hold is None else self._hold.loss
+        if loss is None:
+            self.fault = fault
+        else:  # it is another process's doing, which has taken the node over
+            self.failure = loss.busy(self.physical.label)
         self._cut_anyhow()
 
     def _cut_anyhow(self) -> None:

@@ -1,0 +1,121 @@
+"""A servo of a process that lost its motor while it was paused: no output of it gets on the bus."""
+
+import signal
+from collections import Counter
+from contextlib import suppress
+from pathlib import Path
+
+import can
+import pytest
+
+from emulators.cia401.factory import build
+from emulators.controller import ControllerContext
+from motorapi import (
+    ControlMode,
+    MotorBusyError,
+    MotorError,
+    TrapezoidalTrajectory,
+    WallRuntime,
+)
+from motorapi.lock_directory import VARIABLE
+from motorapi.lock_view import read_process
+from tests.wall.fenced_servo import servo_on
+from tests.wall.programs import LONG_S, Program
+from tests.wall.test_fencing import Listener, is_commanding
+from tests.wall.test_hub import serving
+
+pytestmark = pytest.mark.wall
+
+OUTPUTS, ENABLE = 0x301, 0x201
+
+
+class Servos:
+    """A hub with one I/O node; an owner in a process of its own, and an heir here."""
+
+    def __init__(self, path, how):
+        self.path = path
+        self.runtime = WallRuntime()
+        self.bus = can.Bus(interface="emulated", channel=path)
+        self.sent = []
+        self.heir = servo_on(self.bus, "heir", self.runtime)
+        self.runtime.listen(self.bus, self._on_frame)
+        self.listener = Listener(path)
+        self.owner = Program("fenced_servo", path, how)
+        assert self.owner.hear() == "holding"
+
+    def _on_frame(self, frame, time_ns, transmitted):
+        can_id, data = int.from_bytes(frame[:4], "little"), frame[8 : 8 + frame[4]]
+        if transmitted and is_commanding(can_id, data):
+            self.sent.append((can_id, data))
+
+    def pause(self):
+        self.owner.signal(signal.SIGSTOP)
+        stopped = self.runtime.wait_until(lambda: read_process(self.owner.pid)[0] in "Tt", LONG_S)
+        assert stopped
+
+    def move(self):
+        motor = self.heir
+        motor.set_control_mode(ControlMode.TRAJECTORY)
+        motor.set_trajectory(TrapezoidalTrajectory(0.2))
+        motor.enable()
+        motor.start()
+        motor.wait_until_done(LONG_S)
+
+    def others(self, since, since_sent):
+        """Outputs and enable bits on the bus that the heir has not sent, since then."""
+        difference = Counter(self.listener.frames[since:]) - Counter(self.sent[since_sent:])
+        return [can_id for can_id, _ in difference if can_id in (OUTPUTS, ENABLE)]
+
+    def close(self):
+        self.owner.end()
+        self.listener.close()
+        self.heir.hardware.close()
+        self.bus.shutdown()
+        self.runtime.close()
+
+
+@pytest.fixture
+def servos(tmp_path, monkeypatch):
+    locks = tmp_path / "locks"
+    locks.mkdir(mode=0o700)
+    monkeypatch.setenv(VARIABLE, str(locks))
+    path = str(tmp_path / "hub")
+    core = build({"node_id": 1}, ControllerContext(name="io", folder=Path(), seed=1))
+    made = []
+    with serving(path, core):
+        yield lambda how: made.append(Servos(path, how)) or made[-1]
+        for one in made:
+            one.close()
+
+
+@pytest.mark.parametrize("how", ["fenced", "unfenced"])
+def test_no_output_of_a_resumed_servo_reaches_the_bus(servos, how):
+    stage = servos(how)
+    assert stage.owner.ask("look") == "holds"
+    with pytest.raises(MotorBusyError, match="for survey"):
+        stage.heir.enable()
+    while True:
+        stage.pause()
+        try:
+            reservation = stage.heir.reserve("rescue", take_over=True)
+            reservation.__enter__()
+        except MotorBusyError as error:  # it was paused in the middle of a write
+            assert "in the middle of a write" in str(error)  # noqa: PT017
+            stage.owner.signal(signal.SIGCONT)
+        else:
+            break
+    try:
+        stage.move()
+        since, since_sent = len(stage.listener.frames), len(stage.sent)
+        stage.owner.signal(signal.SIGCONT)
+        if how == "fenced":
+            ended = stage.owner.ask("wait")
+            assert ended.startswith("ended: ")
+            assert "was taken over (on demand) by pid " in ended
+            stage.move()
+        else:
+            with suppress(MotorError):  # two servos on one node
+                stage.move()
+        assert bool(stage.others(since, since_sent)) is (how == "unfenced")
+    finally:
+        reservation.__exit__(None, None, None)
