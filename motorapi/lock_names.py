@@ -66,6 +66,16 @@ def hub_name(path: str, bus: str) -> str:
     return _quoted(f"hub-{found.st_dev}-{found.st_ino}-{bus}")
 
 
+def line_name(line: object) -> str | None:
+    """The name of the line that a byte line object is on; None: it lives in this process only."""
+    path, address = getattr(line, "path", None), getattr(line, "address", None)
+    if isinstance(path, str):
+        return serial_name(path)
+    if isinstance(address, tuple):
+        return tcp_name(*address)
+    return None
+
+
 def serial_name(path: str) -> str:
     """The name of the serial line of the character device at `path`."""
     found = _stat(path)

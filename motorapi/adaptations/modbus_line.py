@@ -1,0 +1,345 @@
+"""One host on one line that speaks Modbus: one exchange after another, in the order of asking.
+
+pymodbus encodes and decodes; time, silence and deadlines are the runtime's. Nothing is ever sent
+twice: a request whose answer was lost may have been obeyed. What a caller cannot wait for (a stop
+from inside a callback) is posted: it goes out as soon as the line is free, before all others.
+
+On a serial line nothing tells a late answer from the answer to the next request. So after a
+request that was not answered in time the line is in *quarantine*: the next one waits until the
+late answer has come (it is dropped), or a bound has passed. On TCP the transaction identifier
+tells.
+"""
+
+from collections import deque
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Final, Protocol, final
+
+from pymodbus.client.mixin import ModbusClientMixin
+from pymodbus.exceptions import ModbusException
+from pymodbus.framer import FramerRTU, FramerSocket
+from pymodbus.pdu import DecodePDU, ModbusPDU
+from pymodbus.pdu.exceptionresponse import ExceptionResponse
+
+from motorapi.adaptations.modbus_errors import ModbusExceptionResponse, ModbusProtocolViolation
+from motorapi.errors import DeadlineExceeded, LinkError, MotorError
+from motorapi.runtime import Registration, Runtime
+
+if TYPE_CHECKING:
+    from motorapi.fencing import Owned
+    from motorapi.process_lock import Hold, ProcessLock
+
+_HEAD: Final = 7  # of MBAP, with the unit
+_LOCKED_S: Final = 0.001
+_QUARANTINE_S: Final = 0.5
+
+
+class ByteLine(Protocol):
+    """A serial line, or a connection, as bytes.
+
+    Attributes: name; framing ("rtu" or "tcp"); silence_ns (t3.5; 0 on TCP); is_closed.
+    """
+
+    name: str
+    framing: str
+    silence_ns: int
+    is_closed: bool
+
+    def duration_ns(self, characters: int) -> int:
+        """How long so many characters are on the line [ns]; 0 on TCP."""
+
+    def send(self, data: bytes) -> None:
+        """These bytes go out now. Raises LinkError if the line does not take them."""
+
+    def listen(self, on_data: Callable[[bytes, int], None]) -> Registration:
+        """`on_data(bytes, time_ns)` hears what comes; b"": the connection has ended."""
+
+
+@final
+class Exchange:
+    """A request and, once it is over, its answer or what went wrong."""
+
+    __slots__ = (
+        "answer",
+        "error",
+        "is_over",
+        "owned",
+        "request",
+        "timeout_s",
+        "transaction",
+        "unit",
+    )
+
+    def __init__(
+        self, request: ModbusPDU, unit: int, timeout_s: float, owned: "Owned | None" = None
+    ) -> None:
+        self.request: Final = request
+        self.unit: Final = unit
+        self.timeout_s: Final = timeout_s
+        self.owned: Final = owned  # what must be ours when it goes out; None: nothing
+        self.transaction = 0
+        self.answer: ModbusPDU | None = None
+        self.error: MotorError | None = None
+        self.is_over = False
+
+
+@final
+class ModbusLine:
+    """The host's end of one line. Get one by `open_line`; it costs nothing to share.
+
+    Attributes:
+        strays: answers that came to nothing that was asked, counted.
+        users: how many hardware objects use it.
+    """
+
+    def __init__(self, line: ByteLine, runtime: Runtime, lock: "ProcessLock | None") -> None:
+        self.line: Final = line
+        self.runtime: Final = runtime
+        self.name: Final = line.name
+        self.strays = 0
+        self.users = 0
+        self._lock = lock
+        self._hold: Hold | None = None
+        self._is_tcp: Final = line.framing == "tcp"
+        decoder = DecodePDU(False)
+        self._framer: Final = FramerSocket(decoder) if self._is_tcp else FramerRTU(decoder)
+        self._queue: deque[Exchange] = deque()
+        self._active: Exchange | None = None
+        self._transaction = 0
+        self._buffer = b""
+        self._free_ns = 0  # when the line may be used again
+        self._owed = False  # a late answer may still come
+        self._timer: Registration | None = None
+        self._registration = line.listen(self._hear)
+
+    # ---- asking ----
+
+    def ask(
+        self, request: ModbusPDU, unit: int, timeout_s: float, owned: "Owned | None" = None
+    ) -> ModbusPDU:
+        """The answer to a request; it goes out only while what it commands is `owned`, if told.
+
+        Raises:
+            MotorBusyError: it is not; nothing was sent.
+            ModbusExceptionResponse: the server refused it.
+            DeadlineExceeded: nothing came in time; whether it was obeyed is not known.
+            ModbusProtocolViolation: something else came, likewise.
+            LinkError: the line is closed.
+        """
+        exchange = Exchange(request, unit, timeout_s, owned)
+        self._queue.append(exchange)
+        self._go_on()
+        try:
+            self.runtime.wait_until(lambda: exchange.is_over)
+        except BaseException:
+            if exchange in self._queue:
+                self._queue.remove(exchange)
+            raise
+        if exchange.error is not None:
+            raise exchange.error
+        assert exchange.answer is not None
+        return exchange.answer
+
+    def post(self, request: ModbusPDU, unit: int, timeout_s: float) -> Exchange:
+        """As `ask`, before all that wait, and without waiting: a callback may do it."""
+        exchange = Exchange(request, unit, timeout_s)
+        self._queue.appendleft(exchange)
+        self._go_on()
+        return exchange
+
+    def close(self) -> None:
+        """Nothing is sent or heard any more; who waits is told."""
+        self._registration.cancel()
+        self._end_timer()
+        closed = LinkError(link=self.name, reason="this line was closed")
+        for exchange in (self._active, *self._queue):
+            if exchange is not None:
+                exchange.error, exchange.is_over = closed, True
+        self._queue.clear()
+        self._active = None
+        self._unlock()
+
+    # ---- one after another ----
+
+    def _go_on(self) -> None:
+        """The next request goes out, as soon as it may."""
+        if self._active is not None or not self._queue:
+            return
+        if self.line.is_closed:
+            self._fail_all(LinkError(link=self.name, reason="the connection has ended"))
+            return
+        wait_ns = self._free_ns - self.runtime.now_ns()
+        if wait_ns > 0:
+            self._set_timer(wait_ns / 1e9, self._go_on)
+            return
+        if not self._take_lock():
+            self._set_timer(_LOCKED_S, self._go_on)
+            return
+        self._owed = False
+        self._buffer = b""
+        exchange = self._active = self._queue.popleft()
+        self._transaction = exchange.transaction = self._transaction % 0xFFFF + 1
+        exchange.request.dev_id = exchange.unit
+        exchange.request.transaction_id = exchange.transaction
+        adu = self._framer.buildFrame(exchange.request)
+        try:
+            if exchange.owned is None:
+                self.line.send(adu)
+            else:
+                exchange.owned.begin_write(f"{self.name} unit {exchange.unit}")
+                try:
+                    self.line.send(adu)
+                finally:
+                    exchange.owned.end_write()
+        except MotorError as error:
+            self._end(exchange, None, error)
+            return
+        on_line_s = self.line.duration_ns(len(adu)) / 1e9
+        self._set_timer(on_line_s + exchange.timeout_s, self._too_late)
+
+    def _take_lock(self) -> bool:
+        """No other process has an exchange on this line; False: one has."""
+        if self._lock is None or self._hold is not None:
+            return True
+        from motorapi.errors import MotorBusyError
+
+        try:
+            self._hold = self._lock.acquire(self.runtime, "a Modbus exchange", 0.0, self)
+        except MotorBusyError:
+            return False
+        return True
+
+    def _unlock(self) -> None:
+        hold, self._hold = self._hold, None
+        if hold is not None:
+            hold.release()
+
+    def _set_timer(self, time_s: float, action: Callable[[], None]) -> None:
+        self._end_timer()
+
+        def over() -> None:
+            self._end_timer()
+            action()
+
+        self._timer = self.runtime.every(max(time_s, 1e-9), over)
+
+    def _end_timer(self) -> None:
+        timer, self._timer = self._timer, None
+        if timer is not None:
+            timer.cancel()
+
+    # ---- answers ----
+
+    def _hear(self, data: bytes, time_ns: int) -> None:
+        if not data:
+            self._fail_all(LinkError(link=self.name, reason="the other end closed the connection"))
+            return
+        self._free_ns = time_ns + self.line.silence_ns
+        exchange = self._active
+        if exchange is None:
+            self.strays += 1
+            if self._owed:  # the late answer: nothing else can come
+                self._leave_quarantine()
+            return
+        self._buffer += data
+        answer = self._tcp_answer(exchange) if self._is_tcp else self._rtu_answer(exchange)
+        if answer is not None:
+            self._end(exchange, answer, None)
+
+    def _rtu_answer(self, exchange: Exchange) -> ModbusPDU | None:
+        buffer, function = self._buffer, exchange.request.function_code
+        if len(buffer) < 5 or buffer[0] != exchange.unit or buffer[1] & 0x7F != function:
+            return None
+        return self._decoded(buffer, exchange)
+
+    def _tcp_answer(self, exchange: Exchange) -> ModbusPDU | None:
+        while len(self._buffer) > _HEAD:
+            end = 6 + int.from_bytes(self._buffer[4:6], "big")
+            if len(self._buffer) < end:
+                return None
+            adu, rest = self._buffer[:end], self._buffer[end:]
+            transaction = int.from_bytes(adu[0:2], "big")
+            function = exchange.request.function_code
+            if transaction == exchange.transaction and adu[_HEAD] & 0x7F == function:
+                answer = self._decoded(adu, exchange)
+                if answer is not None:
+                    self._buffer = rest
+                    return answer
+            self.strays += 1
+            self._buffer = rest
+        return None
+
+    def _decoded(self, adu: bytes, exchange: Exchange) -> ModbusPDU | None:
+        try:
+            return self._framer.handleFrame(adu, exchange.unit, exchange.transaction)[1]
+        except (ModbusException, ValueError, IndexError):  # what is no frame pymodbus tells so
+            return None
+
+    def _too_late(self) -> None:
+        exchange = self._active
+        if exchange is None:
+            return
+        heard, unit = self._buffer, exchange.unit
+        error: MotorError
+        if heard:
+            problem = "what came is no answer to the request"
+            error = ModbusProtocolViolation(line=self.name, unit=unit, problem=problem, heard=heard)
+        else:
+            error = DeadlineExceeded(
+                awaited=f"{self.name} unit {unit}: answer to function"
+                f" {exchange.request.function_code:02X}h",
+                timeout_s=exchange.timeout_s,
+                last_heard="nothing",
+            )
+        if not self._is_tcp:
+            self._owed = True
+            self._free_ns = self.runtime.now_ns() + round(_QUARANTINE_S * 1e9)
+        self._end(exchange, None, error)
+
+    def _end(self, exchange: Exchange, answer: ModbusPDU | None, error: MotorError | None) -> None:
+        self._active = None
+        self._end_timer()
+        if isinstance(answer, ExceptionResponse):
+            address = getattr(exchange.request, "address", None)
+            error = ModbusExceptionResponse(
+                line=self.name,
+                unit=exchange.unit,
+                function=exchange.request.function_code,
+                address=address if isinstance(address, int) else None,
+                exception_code=answer.exception_code,
+            )
+        exchange.answer, exchange.error, exchange.is_over = answer, error, True
+        if not self._owed:
+            self._unlock()
+        elif not self._queue:
+            self._set_timer(_QUARANTINE_S, self._leave_quarantine)
+        self._go_on()
+
+    def _leave_quarantine(self) -> None:
+        self._owed = False
+        self._end_timer()
+        self._unlock()
+        self._go_on()
+
+    def _fail_all(self, error: MotorError) -> None:
+        waiting = [exchange for exchange in (self._active, *self._queue) if exchange is not None]
+        self._queue.clear()
+        self._active = None
+        self._end_timer()
+        self._unlock()
+        for exchange in waiting:
+            exchange.error, exchange.is_over = error, True
+
+
+@final
+class UnitClient(ModbusClientMixin[ModbusPDU]):
+    """pymodbus' client calls for one unit of a line, blocking in the runtime."""
+
+    def __init__(self, line: ModbusLine, unit: int, timeout_s: float) -> None:
+        super().__init__()  # type: ignore[no-untyped-call]  # pymodbus'
+        self.line: Final = line
+        self.unit: Final = unit
+        self.timeout_s: Final = timeout_s
+
+    def execute(self, no_response_expected: bool, request: ModbusPDU) -> ModbusPDU:
+        """The answer. Raises as `ModbusLine.ask`."""
+        return self.line.ask(request, self.unit, self.timeout_s)

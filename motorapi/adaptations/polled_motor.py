@@ -1,0 +1,350 @@
+"""A motor on a drive that must be asked: what adaptations to register drives have in common.
+
+Such a drive makes its profiles itself and says nothing by itself. Its hardware object tells what it
+is (`Poll`), and carries out what is asked of it in its own units; here that becomes a motor. All
+targets are absolute, so that a command whose answer was lost can be looked for, and is never made
+twice.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from enum import Enum
+from typing import TYPE_CHECKING, Final, Protocol, final
+
+from motorapi.commands import ControlMode, ControlVariable, Motion
+from motorapi.errors import DeviceFault, LinkError, UnsupportedError
+from motorapi.motor import Motor
+from motorapi.state import Fault, Measurement, MotorState
+from motorapi.synchronization import MotionTimes, SyncLevel, SyncOffer, Trigger
+
+if TYPE_CHECKING:
+    from motorapi.model import MotorModel
+    from motorapi.runtime import Runtime
+    from motorapi.sharing import PhysicalMotor
+
+POLL_S: Final = 0.01
+_SUPPORTED: Final = (ControlVariable.POSITION, ControlVariable.VELOCITY)
+
+
+@final
+@dataclass(frozen=True, slots=True)
+class Poll:
+    """What a drive said of itself at `time_ns`, in SI units of the motor's.
+
+    Attributes:
+        is_moving: whether an operation goes on.
+        has_arrived: whether the last one is over, and where it should be.
+        at_velocity: whether the velocity is the one that was commanded.
+    """
+
+    time_ns: int
+    state: MotorState
+    fault: Fault | None
+    position: float
+    demand: float
+    velocity: float
+    is_moving: bool
+    has_arrived: bool
+    at_velocity: bool
+
+
+@final
+class Wanted(Enum):
+    """What tells the end of what goes on."""
+
+    ARRIVAL = "arrival"
+    VELOCITY = "velocity"
+    REST = "rest"
+
+
+@final
+class PolledProgress:
+    """What is known of a physical motor, for all logical motors on it.
+
+    Attributes: poll (the last one since something was commanded), wanted (None: nothing goes on),
+    armed (what a trigger makes wanted), started_ns, ended_ns (of what was commanded last).
+    """
+
+    __slots__ = ("armed", "ended_ns", "poll", "started_ns", "wanted")
+
+    def __init__(self) -> None:
+        self.poll: Poll | None = None
+        self.wanted: Wanted | None = None
+        self.armed = Wanted.ARRIVAL
+        self.started_ns: int | None = None
+        self.ended_ns: int | None = None
+
+
+class PolledHardware(Protocol):
+    """What the motor asks of a drive's hardware object. Everything may wait, but the stops."""
+
+    @property
+    def progress(self) -> PolledProgress:
+        """What is known of its motor."""
+
+    @property
+    def runtime(self) -> "Runtime":
+        """Where it waits."""
+
+    @property
+    def physical(self) -> "PhysicalMotor":
+        """The record of its motor."""
+
+    @property
+    def label(self) -> str:
+        """Its name for people."""
+
+    @property
+    def is_closed(self) -> bool:
+        """Whether it can be used no more."""
+
+    @property
+    def is_referenced(self) -> bool:
+        """Whether it says that it knows where 0 is."""
+
+    def connect(self, model: "MotorModel") -> None:
+        """It answers, and what its units are is known; cheap when there is nothing to do."""
+
+    def poll(self, model: "MotorModel") -> Poll:
+        """What it says now."""
+
+    def enable(self) -> None:
+        """The motor holds its position."""
+
+    def disable(self) -> None:
+        """The motor has no current."""
+
+    def reset_fault(self) -> None:
+        """The fault is acknowledged."""
+
+    def home(self, method: int | None, motor: str) -> None:
+        """Homing has begun."""
+
+    def quantised(self, motion: Motion, model: "MotorModel") -> Motion:
+        """The motion as the drive will make it; `connect` was called before."""
+
+    def prepare(self, motion: Motion, model: "MotorModel") -> None:
+        """All but the trigger is in the drive."""
+
+    def trigger(self) -> None:
+        """What was prepared begins."""
+
+    def post_stop(self, quick: bool) -> None:
+        """The drive is told to stop; neither waits nor asks whose the motor is."""
+
+
+@final
+class _PolledTrigger:
+    """Starts one drive."""
+
+    def __init__(self, motor: "PolledMotor") -> None:
+        self._motor = motor
+
+    def fire(self) -> None:
+        """The drive has acknowledged its trigger."""
+        self._motor.fire()
+
+
+class PolledMotor(Motor):
+    """The logical motor of a polled drive; an adaptation derives from it, to have its own name.
+
+    Args:
+        hardware: speaks for the drive.
+        model: what is constant of the motor.
+        name: what messages and records call it; None: the model's name and where it is.
+        on_close: is called once, when the motor is closed.
+    """
+
+    def __init__(
+        self,
+        hardware: PolledHardware,
+        model: "MotorModel",
+        *,
+        name: str | None = None,
+        on_close: Callable[[], None] | None = None,
+    ) -> None:
+        super().__init__(
+            name=f"{model.name} at {hardware.label}" if name is None else name,
+            model=model,
+            runtime=hardware.runtime,
+            physical=hardware.physical,
+        )
+        self._polled = hardware
+        self._on_close = on_close
+
+    def close(self) -> None:
+        """It is no longer used; closing again does nothing."""
+        on_close, self._on_close = self._on_close, None
+        if on_close is not None:
+            on_close()
+
+    # --- what it can do --------------------------------------------------------------------
+
+    def _supports(self, mode: ControlMode, variable: ControlVariable) -> bool:
+        return variable in _SUPPORTED
+
+    def _sync_offer(self) -> SyncOffer:
+        reason = "its line carries one request at a time: it is started by one of its own"
+        return SyncOffer(
+            SyncLevel.SEQUENTIAL,
+            self._polled.label,
+            None,
+            reason,
+            no_firing_bound="how long a Modbus exchange takes is not bounded",
+            no_start_bound="the drive's own cycle is not told",
+            no_end_bound="the drive's own clock is not told",
+        )
+
+    def _quantise(self, motion: Motion) -> Motion:
+        return self._polled.quantised(motion, self.model)
+
+    # --- connecting, state and measurements -------------------------------------------------
+
+    def _connect(self) -> None:
+        if self._polled.is_closed:
+            label = self._polled.label
+            raise LinkError(link=label, reason="this hardware object is closed")
+        self._polled.connect(self.model)
+
+    def _poll(self) -> Poll:
+        """What the drive says now, for all logical motors on it."""
+        poll = self._polled.poll(self.model)
+        state = self._polled.progress
+        state.poll = poll
+        news = self._physical.news
+        if news is not None:
+            news.grow()
+        return poll
+
+    def _last(self) -> Poll:
+        return self._polled.progress.poll or self._poll()
+
+    def _read_state(self) -> MotorState:
+        return self._poll().state
+
+    def _read_fault(self) -> Fault | None:
+        return self._poll().fault
+
+    def _read_referenced(self) -> bool:
+        return self._polled.is_referenced
+
+    def _read_position(self) -> float:
+        return self._poll().position
+
+    def _read_velocity(self) -> float:
+        return self._poll().velocity
+
+    def _read_reference(self) -> float:
+        poll = self._poll()
+        return poll.demand if poll.state is MotorState.ENABLED else poll.position
+
+    def _read_following_error(self) -> float:
+        poll = self._poll()
+        return poll.demand - poll.position
+
+    def _latest(self) -> Measurement | None:
+        poll = self._polled.progress.poll
+        if poll is None:
+            return None
+        error = poll.demand - poll.position
+        return Measurement(poll.time_ns, poll.state, poll.position, poll.velocity, None, error)
+
+    def _refresh(self) -> float | None:
+        self._poll()
+        return POLL_S
+
+    # --- power, fault, reference ------------------------------------------------------------
+
+    def _enable(self) -> None:
+        self._polled.enable()
+
+    def _disable(self) -> None:
+        self._polled.disable()
+        self._polled.progress.wanted = None
+
+    def _reset_fault(self) -> None:
+        self._polled.reset_fault()
+        poll = self._poll()
+        if poll.fault is not None:
+            raise DeviceFault(
+                motor=self.name,
+                code=poll.fault.code,
+                text=poll.fault.text,
+                since_ns=poll.fault.since_ns,
+            )
+
+    def _home(self, method: int | None) -> None:
+        self._polled.home(method, self.name)
+        self._begun(Wanted.ARRIVAL)
+
+    # --- motion -----------------------------------------------------------------------------
+
+    def _arm(self, motion: Motion, *, together: bool) -> Trigger:
+        if motion.function is not None:
+            raise UnsupportedError(motor=self.name, feature="a trajectory that is a function")
+        self._polled.prepare(motion, self.model)
+        moves = motion.variable is ControlVariable.POSITION
+        self._polled.progress.armed = Wanted.ARRIVAL if moves else Wanted.VELOCITY
+        return _PolledTrigger(self)
+
+    @final
+    def fire(self) -> None:
+        """What was armed begins; for its trigger."""
+        self._polled.trigger()
+        self._begun(self._polled.progress.armed)
+
+    def _begun(self, wanted: Wanted) -> None:
+        state = self._polled.progress
+        state.wanted = wanted
+        state.started_ns = self.runtime.now_ns()
+        state.ended_ns = None
+        state.poll = None
+
+    def _disarm(self) -> None:
+        """Nothing starts without a trigger."""
+
+    def _confirm(self, motion: Motion) -> None:
+        self._poll()
+
+    def _is_done(self) -> bool:
+        state = self._polled.progress
+        poll = state.poll
+        if self._polled.is_closed:
+            raise LinkError(link=self._polled.label, reason="this hardware object is closed")
+        if poll is None:
+            return state.wanted is None
+        if poll.fault is not None:
+            fault = poll.fault
+            raise DeviceFault(
+                motor=self.name, code=fault.code, text=fault.text, since_ns=fault.since_ns
+            )
+        done = {
+            None: True,
+            Wanted.ARRIVAL: poll.has_arrived,
+            Wanted.VELOCITY: poll.at_velocity,
+            Wanted.REST: not poll.is_moving,
+        }[state.wanted]
+        if done and state.ended_ns is None:
+            state.ended_ns = poll.time_ns
+        return done
+
+    def _stop(self) -> None:
+        self._begun(Wanted.REST)
+        self._polled.post_stop(quick=False)
+
+    def _quick_stop(self) -> None:
+        self._begun(Wanted.REST)
+        self._polled.post_stop(quick=True)
+
+    def _open_low_level(self) -> object:
+        return self._polled
+
+    def _close_low_level(self) -> None:
+        self._polled.progress.poll = None
+
+    def _motion_times(self) -> MotionTimes | None:
+        state = self._polled.progress
+        if state.started_ns is None:
+            return None
+        source = f"its trigger acknowledged; its status as polled every {POLL_S * 1e3:g} ms"
+        return MotionTimes(state.started_ns, state.ended_ns, source)
