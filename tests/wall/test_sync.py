@@ -156,7 +156,7 @@ def test_one_process_produces_sync_and_another_of_the_same_period_follows_it(
     programs, evidence, folder
 ):
     first, second, third = programs(1), programs(2), programs(3, 4)
-    assert first.ask("stream 0.5 4") == "started"
+    assert first.ask("stream 0.5 3") == "started"
     assert second.ask("stream 0.2 0.5") == "started"
     holders = [
         view.holder.record.pid
@@ -190,7 +190,7 @@ def test_when_the_process_that_produces_sync_is_killed_another_goes_on_with_it(
 ):
     first, second = programs(1), programs(2)
     assert first.ask("stream 0.5 30") == "started"
-    assert second.ask("stream 0.2 2") == "started"
+    assert second.ask("stream 0.2 1.5") == "started"
     first.kill()
     assert second.ask("wait") == "done"
     assert [
