@@ -133,18 +133,21 @@ def _straddling(triggers: Sequence[Sequence[Member]]) -> Bound:
             return _none(sharing, lambda one: one.firing is None, lambda one: one.no_firing_bound)
         frames = tuple(offer.burst for offer in burst if offer.burst is not None)
         takes_s = longest_s([Firing(firing.bus, firing.traffic, frames)])
-        # Of a node of its own: where this program sends the signal, its burst goes before it.
-        alone = None if firing.traffic is None else replace(firing.traffic, queued=frozenset())
-        jitter_s = longest_s([Firing(firing.bus, alone, firing.frames[-1:])])
-        if takes_s is None or jitter_s is None or jitter_s >= period_s:
-            return Bound(
-                None,
-                "what is more urgent on the bus, or waits with it, may hold the start up for ever",
-            )
-        straddles = ceil(takes_s / (period_s - jitter_s)) - 1  # after a late signal one in time
-        if straddles:
-            worst_s = max(worst_s, straddles * period_s + jitter_s)
+        waits_s = longest_s([Firing(firing.bus, firing.traffic, firing.frames[-1:])])
+        if takes_s is None or waits_s is None:
+            return Bound(None, _FULL)
+        waits_s += _jitter_s(firing)  # the next signal comes so much sooner after a late one
+        straddling = ceil((takes_s + waits_s) / period_s) - 1
+        if straddling:
+            worst_s = max(worst_s, straddling * period_s + waits_s)
     return Bound(worst_s)
+
+
+def _jitter_s(firing: Firing) -> float:
+    """Of the signal's producer, where it is declared [s]."""
+    known = () if firing.traffic is None else firing.traffic.messages
+    signals = {frame.can_id for frame in firing.frames[-1:]}
+    return max((one.jitter_s for one in known if one.can_id in signals), default=0.0)
 
 
 def _signals(members: Sequence[Member]) -> Bound:

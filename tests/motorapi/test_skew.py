@@ -89,6 +89,14 @@ def test_a_burst_that_may_not_fit_counts_a_period_more_and_what_the_signal_may_b
     assert found.value_s == pytest.approx(0.002 + SYNC_S, abs=1e-12)
 
 
+def test_after_a_late_signal_the_next_one_comes_sooner():
+    late = CanTraffic(1_000_000, (PeriodicMessage(0x080, 0, 0.001, 0.000_1),))
+    found = command_bound(members(*[burst(late, 0.001)] * 7))  # 0.8 ms, and they need not fit
+    assert found.value_s is not None
+    assert found.value_s > 0.001
+    assert command_bound(members(*[burst(late, 0.001)] * 3)) == Bound(0.0)
+
+
 def test_a_burst_on_a_bus_nobody_knows_has_no_bound():
     unknown = offer("a", firing=None, burst=OneFrame(0x301, 6), no_firing_bound="undeclared")
     assert command_bound(members(unknown, unknown)) == Bound(None, "m0: undeclared")
