@@ -13,8 +13,17 @@ whatever is lost, delayed or repeated on the bus, in either direction, of one mo
 That is judged on the truth in the emulated controller, never on what the adaptation says. To run it
 on an adaptation of yours, write a rig with a motor of yours, and say how it moves:
 
-    MOVER = mover_of("wheel", lambda seed: Rig.open("wheel.toml", seed=seed), truth=position_of)
-    test_a_move_is_made_at_most_once = at_most_once(MOVER)
+    from harness.rig import Rig
+    from harness.sharing.at_most_once import at_most_once
+    from harness.sharing.relative_moves import mover_of
+
+    def opened(seed):
+        return Rig.open("wheel.toml", seed=seed)
+
+    def position(rig):  # of the truth
+        return rig.controllers["wheel"].snapshot()["position_rad"]
+
+    test_a_move_is_made_at_most_once = at_most_once(mover_of("wheel", opened, position))
 
 `at_most_once` is a Hypothesis test: a plan of moves and faults that breaks the property is shrunk
 to a small one, printed, and can be given to `judge` again. `single_faults` are the plans with
