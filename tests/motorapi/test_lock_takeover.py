@@ -4,6 +4,7 @@ import threading
 
 import pytest
 
+from motorapi import wall_runtime
 from motorapi.errors import MotorBusyError
 from motorapi.lock_directory import LockDirectory
 from motorapi.lock_file import LockFile
@@ -189,6 +190,23 @@ def test_behind_one_who_has_waited_for_it_and_lost_it_nobody_waits(locks, runtim
     assert holds["c"].is_held
     holds["c"].release()
     assert a.acquire(runtime, "a").token == over.token + 2  # as if b, who lives, were not there
+
+
+def test_one_who_has_waited_behind_the_loser_is_woken_when_the_taker_lets_go(
+    locks, runtime, monkeypatch
+):
+    a, b, c, _ = locks
+    hold = a.acquire(runtime, "a")
+    party = runtime.spawn("b", lambda: b.acquire(runtime, "b", LONG_S).release())
+    assert runtime.wait_until(lambda: b._watcher._current is not None, LONG_S)
+    over = c.acquire(runtime, "c", take_over=True)
+    assert runtime.wait_until(lambda: b._watcher._epoch == c._hold._file.epoch, LONG_S)
+    monkeypatch.setattr(wall_runtime, "_LOOK_AGAIN_S", LONG_S)  # it must be told
+    runtime.wake()
+    over.release()
+    party.thread.join(LONG_S / 2)
+    assert party.finished
+    assert not hold.is_held
 
 
 def test_who_has_not_yet_said_who_it_is_can_be_taken_over_and_its_token_is_the_smaller(

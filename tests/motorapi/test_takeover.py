@@ -201,9 +201,22 @@ def test_who_waits_for_a_motion_longer_than_his_lease_keeps_it(world, logical):
     assert len(refused) == 6
 
 
+def test_also_who_waits_for_it_in_another_thread_uses_it(world, logical):
+    a, b, *_ = logical
+    follow(a)
+    a.set_trajectory(TrapezoidalTrajectory(0.01, duration_s=2 * world.lease_s))
+    with a.reserve("survey", lease_s=world.lease_s) as first:
+        a.start()
+        elsewhere(world, lambda: a.wait_until_done(LONG_S))
+        with pytest.raises(MotorBusyError, match="survey"):
+            b.enable()
+        assert first.is_held
+
+
 def test_what_it_does_for_the_loser_is_interrupted_and_it_is_brought_to_rest(world, logical):
     a, b, *_ = logical
-    follow(a, 1.0)
+    follow(a)
+    a.set_trajectory(TrapezoidalTrajectory(0.01, duration_s=2 * LONG_S))
     endings = []
     with a.reserve("survey"):
         a.start()
@@ -234,14 +247,15 @@ def test_a_motion_that_nobody_reserved_is_taken_over_on_demand_as_well(world, lo
     a.stop()
 
 
-def test_what_has_come_to_rest_after_it_was_lost_is_not_taken_for_done(world, logical):
+def test_what_has_come_to_rest_after_it_was_lost_is_not_taken_for_done(world, logical, monkeypatch):
+    monkeypatch.setattr("motorapi.patience.LOOK_PERIOD_S", LONG_S)  # nobody looks before
     a, b, *_ = logical
-    follow(a)
+    follow(a, 1.0)
     a.start()
     with b.reserve("rescue", take_over=True):
-        world.pass_s(0.5)
-    with pytest.raises(MotionInterrupted, match="took"):
-        a.is_done()
+        a.hw.freeze()  # as a drive that was stopped for somebody else
+        with pytest.raises(MotionInterrupted, match="took"):
+            a.is_done()
 
 
 def test_the_loser_may_reserve_it_again_inside_of_his_block(world, logical):
@@ -388,6 +402,29 @@ def test_a_group_that_waits_for_one_motor_keeps_its_lease_of_the_others(world):
             with pytest.raises(MotorBusyError):
                 both.renew()
     assert done == [True]
+
+
+def test_who_waits_for_one_motor_keeps_the_lease_of_another(world):
+    a1, b1 = world.motors(["a1", "b1"], node=1)
+    (a2,) = world.motors(["a2"], node=2)
+    follow(a2)
+    a2.set_trajectory(TrapezoidalTrajectory(0.01, duration_s=2 * world.lease_s))
+    errors = []
+
+    def meddle():
+        world.pass_s(1.5 * world.lease_s)
+        try:
+            b1.enable()
+        except MotorBusyError as error:
+            errors.append(error)
+
+    with a1.reserve("survey", lease_s=world.lease_s) as first:
+        party = world.runtime.spawn("b", meddle)
+        a2.start()
+        a2.wait_until_done(LONG_S)
+        assert first.is_held
+        assert party.join(LONG_S)
+    assert len(errors) == 1
 
 
 def test_a_start_under_way_fails_when_it_is_taken_over_and_stops_nothing_of_the_takers(world):
