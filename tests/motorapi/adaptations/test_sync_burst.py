@@ -258,3 +258,22 @@ def test_a_producer_that_stands_still_is_named(rig: Rig):
         rig.faults.inject("can0", lose)
         with pytest.raises(LinkError, match="SYNC runs every 5 ms, produced by this program"):
             group.start()
+
+
+def test_a_stream_and_set_points_of_one_group_begin_within_what_is_predicted(rig: Rig):
+    with host_with(rig, 4) as (fourth,), host_with(rig, 1, 2, 3) as motors:
+        group = ready(*motors)
+        set_function(motors[0], quintic(0.5, 1.0))
+        streaming(fourth)
+        rig.runtime.run_for(0.1)
+        seen = BusEvidence(rig)
+        group.start()
+        quality = group.sync_quality()
+        assert seen.fired()[0] >= {0x302, 0x303}
+        assert quality.straddles == 0
+        assert quality.command_skew_s is not None
+        assert quality.command_skew_s <= PERIOD_S + 1e-3
+        group.wait_until_done(5)
+        assert abs(truth(rig, 1) - 0.5) < WINDOW_RAD
+        assert abs(truth(rig, 2) - 1.0) < WINDOW_RAD
+        fourth.wait_until_done(10)
