@@ -6,6 +6,7 @@ from the bus record and from the plants' truth (tests/motorapi/skew_rigs.py).
 
 from dataclasses import replace
 from pathlib import Path
+from random import Random
 
 import can
 import pytest
@@ -68,6 +69,17 @@ def test_no_random_group_is_further_apart_than_predicted(
         event(f"{name} skew: {_reached(ratio)}")
     if outcome.told_command_s is not None and outcome.predicted.command_skew_s is not None:
         assert outcome.told_command_s <= outcome.predicted.command_skew_s + 2e-9
+
+
+def test_the_random_groups_reach_half_of_their_bounds_and_some_have_none(tmp_path: Path):
+    """What the property above rests on: its scenarios are neither empty nor all far from it."""
+    found: list[dict[str, float | None]] = []
+    for seed in (0, 2, 4, 9, 11):
+        scenario = drawn(Choices(Random(seed).randint))
+        found.append(ratios(run(scenario, tmp_path / "skew.toml")))
+    command = [one["command"] for one in found]
+    assert command.count(None) == 2
+    assert max(one for one in command if one is not None) > 0.5
 
 
 # --- near the bounds: each term of a prediction is needed ----------------------------------------
