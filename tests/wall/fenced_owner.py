@@ -1,4 +1,4 @@
-"""A program that streams set-points to node 1 of a hub, and loses the drive while it is paused.
+"""A program that streams set-points to node 1 of a bus, and loses the drive while it is paused.
 
 python -m tests.wall.fenced_owner CHANNEL HOW
 
@@ -44,17 +44,26 @@ OPTIONS = HwOptions(
 )
 
 
+def open_bus(channel):
+    """A bus of a hub, by the path of its socket; or a SocketCAN interface."""
+    interface = "emulated" if "/" in channel else "socketcan"
+    return can.Bus(interface=interface, channel=channel)
+
+
+def fence_of(fence):
+    return fence._fence if isinstance(fence, BoundFence) else fence
+
+
 def send_carelessly(fence, frame):
     token = fence._hold.token if isinstance(fence, BoundFence) else fence.lock._hold.token
-    node = fence._fence if isinstance(fence, BoundFence) else fence
-    node.let_out(frame, token)
+    fence_of(fence).let_out(frame, token)
 
 
 class Program:
     def __init__(self, bus, how):
         if how != "fenced":
             send = {
-                "unfenced": lambda fence, frame: bus.transmit(frame),
+                "unfenced": lambda fence, frame: fence_of(fence).runtime.send(bus, frame),
                 "careless": send_carelessly,
             }[how]
             BoundFence.send = NodeFence.send = send
@@ -130,7 +139,7 @@ class Program:
 
 def main():
     channel, how = sys.argv[1:]
-    with can.Bus(interface="emulated", channel=channel) as bus:
+    with open_bus(channel) as bus:
         program = Program(bus, how)
         print("ready", flush=True)
         for line in sys.stdin:

@@ -20,7 +20,7 @@ from motorapi import ControlMode, MotorBusyError, WallRuntime
 from motorapi.adaptations.cia402 import Cia402HwMotor, Cia402Motor
 from motorapi.lock_directory import VARIABLE
 from motorapi.lock_view import read_process
-from tests.wall.fenced_owner import MODEL, OPTIONS
+from tests.wall.fenced_owner import MODEL, OPTIONS, open_bus
 from tests.wall.programs import LONG_S, Program
 from tests.wall.test_hub import serving
 
@@ -43,7 +43,7 @@ class Listener:
 
     def __init__(self, path):
         self.frames = []
-        self._bus = can.Bus(interface="emulated", channel=path)
+        self._bus = open_bus(path)
         self._ends = False
         self._thread = threading.Thread(target=self._listen)
         self._thread.start()
@@ -64,7 +64,7 @@ class Heir:
     """Another owner of the same drive; it knows what it has sent itself."""
 
     def __init__(self, path, runtime):
-        self.bus = can.Bus(interface="emulated", channel=path)
+        self.bus = open_bus(path)
         self.hardware = Cia402HwMotor(self.bus, 1, runtime=runtime, options=OPTIONS)
         self.motor = Cia402Motor(self.hardware, MODEL, name="heir")
         self.sent = []
@@ -119,7 +119,7 @@ class Stage:
 
     def settle(self):
         """What was sent so far is on the bus, and heard."""
-        with can.Bus(interface="emulated", channel=self.path) as bus:
+        with open_bus(self.path) as bus:
             bus.send(can.Message(arbitration_id=NMT, data=b"\x01\x7f", is_extended_id=False))
             mark = (NMT, b"\x01\x7f")
             self.wait_for(lambda: mark in self.listener.frames)
@@ -237,7 +237,7 @@ def test_what_a_paused_process_has_armed_is_started_by_no_sync_after_a_takeover(
     assert stage.owner.hear() == "armed"
     stage.take_over(take_over=True)
     begin = stage.heir.motor.position()
-    with can.Bus(interface="emulated", channel=stage.path) as stranger:
+    with open_bus(stage.path) as stranger:
         stranger.send(can.Message(arbitration_id=SYNC, is_extended_id=False))
         stage.settle()
     moved = stage.runtime.wait_until(lambda: abs(stage.heir.motor.position() - begin) > 0.01, 0.5)

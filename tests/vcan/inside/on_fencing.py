@@ -1,0 +1,69 @@
+"""Fencing where no hub looks at tokens: on SocketCAN, what the kernel was given is on the bus."""
+
+import contextlib
+import threading
+from collections import Counter
+from pathlib import Path
+
+import pytest
+
+from emulators.cia402.factory import build
+from emulators.controller import ControllerContext
+from emulators.event_queue import EventQueue
+from emulators.media.can_bus import CanBus
+from emulators.serve import WallLoop
+from emulators.socketcan import SocketCanGateway
+from emulators.world import World
+from motorapi import WallRuntime
+from motorapi.lock_directory import VARIABLE
+from tests.wall.test_fencing import SET_POINTS, Stage, lose
+
+
+@contextlib.contextmanager
+def serving_on(interface):
+    """One drive on the interface."""
+    queue = EventQueue()
+    world = World(queue)
+    world.add_bus(CanBus("can0", 1_000_000))
+    drive = build({"node_id": 1}, ControllerContext(name="drive", folder=Path(), seed=1))
+    world.add_controller("drive", drive, "can0")
+    loop = WallLoop(queue)
+    loop.add(SocketCanGateway(interface, world, "can0"))
+    stop = threading.Event()
+    loop.start()
+    thread = threading.Thread(target=loop.run, args=(stop.is_set,))
+    thread.start()
+    try:
+        yield world
+    finally:
+        stop.set()
+        thread.join()
+        loop.close()
+
+
+@pytest.fixture
+def stage(tmp_path, monkeypatch):
+    locks = tmp_path / "locks"
+    locks.mkdir(mode=0o700)
+    monkeypatch.setenv(VARIABLE, str(locks))
+    runtime = WallRuntime()
+    with serving_on("vcan0") as world:
+        stage = Stage("vcan0", runtime, world)
+        try:
+            yield stage
+        finally:
+            stage.close()
+            runtime.close()
+
+
+@pytest.mark.parametrize("how", ["fenced", "unfenced"])
+def test_no_frame_of_a_resumed_stream_reaches_the_bus(stage, how):
+    since, since_sent = lose(stage, how, take_over=True)
+    assert stage.owner.ask("wait").startswith("interrupted ")
+    sent = stage.others(since, since_sent)
+    if how == "fenced":
+        assert sent == Counter()
+        assert stage.owner.ask("write").startswith("busy ")
+        assert stage.others(since, since_sent) == Counter()
+    else:  # what the test would see
+        assert any(can_id == SET_POINTS for can_id, _ in sent)
