@@ -16,6 +16,7 @@ What must hold: the history is that of motors with one owner at a time, first co
 nobody who was overtaken, and no token that does not grow; and it goes on after every death.
 """
 
+import ctypes
 import importlib
 import json
 import mmap
@@ -60,6 +61,8 @@ _INSIDE_AT: Final = 8
 _VALUE_AT: Final = 16
 _PATIENCE_S: Final = 10.0
 _GRACE_S: Final = 2.0
+_LOOK_S: Final = 0.1
+_PR_SET_PDEATHSIG: Final = 1
 _ENDED_LATE_S: Final = 30.0
 
 
@@ -317,12 +320,14 @@ class _Arena:
         """One more worker."""
         number = self.spawned
         self.spawned += 1
+        arena = os.getpid()
         pid = os.fork()
         if pid:
             self.numbers[pid] = number
             return
         status = 1
         try:
+            _die_with(arena)
             if self.plant is not None:
                 self.plant(self.folder)
             self.work(Desk(self.folder, self.plan, number, self.page, self.log))
@@ -332,9 +337,19 @@ class _Arena:
         finally:
             os._exit(status)
 
+    def goes_on(self) -> bool:
+        """Whether anybody has not come to an end by himself."""
+        for pid in self.pids:
+            if os.waitpid(pid, os.WNOHANG)[0]:
+                del self.numbers[pid]
+                self.counts["ended by itself"] += 1
+        return bool(self.numbers)
+
     def kill_one(self) -> None:
         """Somebody is dead, and somebody new is there."""
         pid = self.stop_inside() if self.plan.kill_inside else self.random.choice(self.pids)
+        if pid is None:
+            return
         self.counts["killed inside"] += _PAGE.unpack_from(self.page, _INSIDE_AT)[0] == pid
         self.counts["killed"] += 1
         self._kill(pid)
@@ -357,26 +372,34 @@ class _Arena:
         """Of those who live."""
         return list(self.numbers)
 
-    def stop_inside(self) -> int:
-        """One that says he has the motor is stopped there."""
-        while True:
+    def _stop(self, pid: int) -> bool:
+        """Whether he stands still; if he had ended by himself, somebody new is there."""
+        os.kill(pid, signal.SIGSTOP)
+        if os.WIFSTOPPED(os.waitpid(pid, os.WUNTRACED)[1]):
+            return True
+        del self.numbers[pid]
+        self.counts["ended by itself"] += 1
+        self.spawn()
+        return False
+
+    def stop_inside(self) -> int | None:
+        """One that says he has the motor is stopped there; None: nobody says so for a while."""
+        until_s = time.monotonic() + _GRACE_S
+        while time.monotonic() < until_s:
             pid: int = _PAGE.unpack_from(self.page, _INSIDE_AT)[0]
-            if pid in self.numbers:
-                os.kill(pid, signal.SIGSTOP)
-                os.waitpid(pid, os.WUNTRACED)
+            if pid in self.numbers and self._stop(pid):
                 if _PAGE.unpack_from(self.page, _INSIDE_AT)[0] == pid:
                     return pid
                 os.kill(pid, signal.SIGCONT)
             _pass(0.001)
+        self.counts["nobody inside"] += 1
+        return None
 
     def pause_one(self) -> None:
         """Somebody was stopped for a while, and goes on."""
-        if self.plan.pause_inside:
-            pid = self.stop_inside()
-        else:
-            pid = self.random.choice(self.pids)
-            os.kill(pid, signal.SIGSTOP)
-            os.waitpid(pid, os.WUNTRACED)
+        pid = self.stop_inside() if self.plan.pause_inside else self.random.choice(self.pids)
+        if pid is None or not (self.plan.pause_inside or self._stop(pid)):
+            return
         self.counts["paused inside"] += _PAGE.unpack_from(self.page, _INSIDE_AT)[0] == pid
         self.counts["paused"] += 1
         _pass(self.plan.pause_s)
@@ -399,6 +422,13 @@ class _Arena:
             os.close(watch)
 
 
+def _die_with(parent: int) -> None:
+    """This process is killed when the arena dies, however it dies, and even if it is paused."""
+    ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGKILL)
+    if os.getppid() != parent:
+        os._exit(1)
+
+
 def _pass(seconds: float) -> None:
     select.select([], [], [], max(0.0, seconds))
 
@@ -414,12 +444,12 @@ def _act(arena: _Arena, plan: Plan) -> tuple[int, int]:
     acts = ((plan.kill_period_s, arena.kill_one), (plan.pause_period_s, arena.pause_one))
     due = [(begun_s + period_s, period_s, act) for period_s, act in acts if period_s]
     end_s = begun_s + plan.seconds
-    while (now_s := time.monotonic()) < end_s:
+    while (now_s := time.monotonic()) < end_s and (due or arena.goes_on()):
         for place, (due_s, period_s, act) in enumerate(due):
             if now_s >= due_s:
                 due[place] = (max(due_s + period_s, now_s), period_s, act)
                 act()
-        next_s = min([end_s, *(one[0] for one in due)])
+        next_s = min([end_s, now_s + _LOOK_S, *(one[0] for one in due)])
         _pass(next_s - time.monotonic())
     return round(begun_s * 1e9), time.monotonic_ns()
 

@@ -1,0 +1,82 @@
+"""Drives on a hub, shared by several programs: judged by their history, and by the bus alone."""
+
+import os
+import signal
+import subprocess
+
+import pytest
+
+from harness.scaffold import EXAMPLES
+from harness.sharing.evidence import read_evidence
+from harness.sharing.processes import Plan, run
+from tests.wall.programs import LONG_S
+from tests.wall.test_shared_drive import SERVE, await_boot
+
+pytestmark = pytest.mark.wall
+
+LONGER = int(os.environ.get("MOTORHIL_SHARING", "1"))
+NODES = {"left": ("can0", 1), "right": ("can0", 2)}
+
+
+@pytest.fixture
+def shared(tmp_path):
+    """Runs a plan on a hub of two wheels, and gives what came of it and what the bus proves."""
+
+    def on_hub(**plan):
+        path, record = tmp_path / "hub", tmp_path / "run.mcap"
+        command = [*SERVE, "serve", str(EXAMPLES / "two_wheels.toml"), "--socket", str(path)]
+        facts = {
+            "channel": str(path),
+            "model": str(EXAMPLES / "wheel_model.toml"),
+            "node_ids": [1, 2],
+        }
+        facts |= plan.pop("facts")
+        with subprocess.Popen(
+            [*command, "-o", str(record)], stdout=subprocess.PIPE, stderr=subprocess.DEVNULL
+        ) as server:
+            try:
+                assert server.stdout.readline().startswith(b"can0: ")
+                await_boot(path)
+                outcome = run(Plan(facts=facts, **plan))
+            finally:
+                server.send_signal(signal.SIGINT)
+                server.wait(LONG_S)
+        print(outcome.table())
+        outcome.require_sound()
+        evidence = read_evidence(record, NODES)
+        print(evidence.table())
+        evidence.require_sound()
+        return outcome, evidence
+
+    return on_hub
+
+
+def test_two_groups_with_motors_in_opposite_orders_never_wait_for_each_other_for_ever(shared):
+    rounds = 500 * LONGER
+    outcome, evidence = shared(
+        work="harness.sharing.drivers:work_groups",
+        workers=2,
+        seconds=60.0 * LONGER,
+        facts={"rounds": rounds, "move_every": 250},
+    )
+    assert outcome.reached()["read: done"] == 2 * rounds  # every round has ended
+    assert outcome.counts["ended by itself"] == 2
+    assert evidence.counts["left: own"] >= 4
+
+
+def test_with_kills_pauses_leases_and_takeovers_only_who_has_the_motor_commands_it(shared):
+    outcome, evidence = shared(
+        work="harness.sharing.drivers:work_motor",
+        workers=4,
+        seconds=8.0 * LONGER,
+        kill_period_s=2.3,
+        pause_period_s=1.1,
+        pause_s=0.5,
+        pause_inside=True,
+        facts={"lease_s": 0.2, "take_over": 0.1, "commands": 3},
+    )
+    reached = outcome.reached()
+    assert reached["killed"] >= 1
+    assert reached["paused inside"] >= 1
+    assert reached["take: done from a living owner"] >= 1
+    assert evidence.counts["left: own"] >= 20
