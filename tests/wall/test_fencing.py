@@ -197,8 +197,12 @@ def test_not_one_frame_of_a_resumed_stream_reaches_the_bus(stage):
     assert stage.owner.ask("renew").startswith("busy ")
     assert stage.others(since, since_sent) == Counter()
     assert stage.owner.ask("end") == "ended"
+    write = stage.owner.ask("write")  # by the hardware object alone, which owns it for the frame
+    assert " is held by pid " in write
+    assert "for rescue" in write
     stage.reserved.close()
     stage.wait_for(lambda: not stage.heir.hardware.physical.ownership.is_here)
+    assert stage.owner.ask("write") == "wrote"
     assert stage.owner.ask("again") == "started"  # it has taken the motor anew
     assert stage.owner.ask("wait") == "done"
 
