@@ -258,13 +258,16 @@ class BusSync:
 
     def _produce_one(self) -> None:
         seat, users = self._bus.seat, tuple(self._users)
-        if not seat.begin():  # this process was paused, and another one goes on with it
+        if seat.is_alone:
+            self._sent = self._link.send_tracked(self._frame)
+        elif seat.begin():
+            try:
+                self._sent = self._send_one(users)
+            finally:
+                seat.end()
+        else:  # this process was paused, and another one goes on with it
             self._give_way()
             return
-        try:
-            self._sent = self._send_one(users)
-        finally:
-            seat.end()
         for action, _, _ in users:
             action()
 

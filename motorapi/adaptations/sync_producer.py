@@ -47,6 +47,7 @@ class ProducerSeat:
 
     def __init__(self, lock: ProcessLock | None) -> None:
         self._lock = lock
+        self.is_alone: Final = lock is None  # no other process is on the bus
         self._holder: object = None
         self._period_ns = 0
         self._hold: Hold | None = None
