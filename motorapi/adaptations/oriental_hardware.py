@@ -1,0 +1,301 @@
+"""An AZ drive (Oriental Motor), as its registers show it: direct data operation.
+
+Position counts steps, 1000 times the electronic gear to a turn of the motor; the motor model says
+how many turns of the motor make one of the output. One request of sixteen registers tells and
+starts a motion; it is sent once, whatever becomes of its answer. A stop is an operation type of the
+same block.
+
+Source: an open-source master for these drives, and the maker's emulator's description.
+"""
+
+from dataclasses import replace
+from math import floor, pi
+from typing import TYPE_CHECKING, Final, final
+
+from motorapi.adaptations.leadshine_hardware import gear
+from motorapi.adaptations.modbus_line import ByteLine, Exchange
+from motorapi.adaptations.modbus_unit import ModbusUnit, words
+from motorapi.adaptations.polled_motor import Poll, PolledProgress
+from motorapi.commands import ControlVariable, Motion
+from motorapi.errors import DeadlineExceeded, LimitError, UnsupportedError
+from motorapi.model import MotionKind
+from motorapi.state import Fault, MotorState
+
+if TYPE_CHECKING:
+    from motorapi.model import MotorModel
+    from motorapi.runtime import Runtime
+    from motorapi.sharing import PhysicalMotor
+
+_BLOCK: Final = 0x0058
+_INPUTS: Final = 0x007C
+_PULSED_INPUTS: Final = 0x0078
+_OUTPUTS: Final = 0x007E
+_ALARM: Final = 0x0080
+_DEMAND: Final = 0x00C6
+_POSITION: Final = 0x00CC
+_SPEED: Final = 0x00D0
+_PRESET: Final = 0x018A
+_GEAR_A: Final = 0x0380
+_GEAR_B: Final = 0x0382
+
+_ABSOLUTE: Final = 1
+_CONTINUOUS: Final = 16
+_DECELERATE: Final = 0
+
+_FREE: Final = 0x0040
+_RESET: Final = 0x0080
+_ZHOME: Final = 0x0010
+_READY: Final = 0x0020
+_IS_ALARM: Final = 0x0080
+_MOVE: Final = 0x2000
+_IN_POSITION: Final = 0x4000
+
+_HERE: Final = (None, 35, 37)
+_FULL_CURRENT: Final = 1000
+_SPEED_MAX: Final = 4_000_000
+_RATE_MAX: Final = 1_000_000_000
+_INT32_MAX: Final = 0x7FFF_FFFF
+_BOOT_S: Final = 3.0
+_RELEASE_S: Final = 0.5
+_POLL_S: Final = 0.005
+_NEAR: Final = 0.02  # of the speed commanded
+_ALARMS: Final = {
+    0x10: "excessive position deviation",
+    0x20: "overcurrent",
+    0x21: "main circuit overheat",
+    0x22: "overvoltage",
+    0x23: "main power supply off",
+    0x25: "undervoltage",
+    0x26: "motor overheat",
+    0x28: "sensor error",
+}
+
+
+@final
+class OrientalAzHwMotor:
+    """One AZ drive. All logical motors and threads of a process share it.
+
+    Args:
+        line: the line that it is on.
+        unit: its server address.
+        runtime: where to wait.
+        timeout_s: how long to wait for an answer [s].
+
+    Raises:
+        UsageError: there is one for this drive already.
+    """
+
+    def __init__(
+        self, line: ByteLine, unit: int, *, runtime: "Runtime", timeout_s: float = 0.2
+    ) -> None:
+        self.registers: Final = ModbusUnit(line, unit, runtime, self, timeout_s)
+        self.progress: Final = PolledProgress()
+        self.users = 0
+        self._steps = 0.0  # in a turn of the motor; 0: not asked yet
+        self._fault_since_ns = 0
+        self._is_enabled = False  # by us: the drive excites its motor by itself at power-on
+        self._quick_stopped = False
+        self._prepared: tuple[int, ...] = ()
+        self._deceleration = 1_000_000
+        self._hz: int | None = None  # commanded; None: a motion of position
+        self._stop: Exchange | None = None
+
+    def __repr__(self) -> str:
+        return f"<OrientalAzHwMotor {self.label}>"
+
+    @property
+    def runtime(self) -> "Runtime":
+        """Where it waits."""
+        return self.registers.runtime
+
+    @property
+    def physical(self) -> "PhysicalMotor":
+        """The record of its motor."""
+        return self.registers.physical
+
+    @property
+    def label(self) -> str:
+        """Its name for people."""
+        return self.registers.label
+
+    @property
+    def is_closed(self) -> bool:
+        """Whether it can be used no more."""
+        return self.registers.is_closed
+
+    @property
+    def is_referenced(self) -> bool:
+        """Always: its encoder is absolute."""
+        return True
+
+    def close(self) -> None:
+        """It is used no more; closing again does nothing."""
+        self.registers.close()
+
+    # --- units ---------------------------------------------------------------------------------
+
+    def connect(self, model: "MotorModel") -> None:
+        """It answers, and how many steps make a turn is known."""
+        gear(model)
+        if not self._steps:
+            self.registers.first_read(_OUTPUTS, _BOOT_S)
+            a, b = self.registers.read_i32(_GEAR_A), self.registers.read_i32(_GEAR_B)
+            self._steps = 1000.0 * b / a
+
+    def _per_unit(self, model: "MotorModel") -> float:
+        """Steps per U."""
+        turns = 1.0 if model.kind is MotionKind.LINEAR else 1.0 / (2.0 * pi)
+        return gear(model) * turns * self._steps
+
+    # --- what it says ----------------------------------------------------------------------------
+
+    def poll(self, model: "MotorModel") -> Poll:
+        """Its state, position, speed and demand, each in a request of its own."""
+        self.connect(model)
+        registers, per_unit = self.registers, self._per_unit(model)
+        position = registers.read_i32(_POSITION)
+        demand = registers.read_i32(_DEMAND)
+        speed = registers.read_i32(_SPEED)
+        outputs = registers.read_i32(_OUTPUTS)
+        fault = self._fault(outputs)
+        is_moving = bool(outputs & _MOVE)
+        self._stop_again(is_moving)
+        is_free = not outputs & (_READY | _MOVE)
+        state = MotorState.STOPPED if self._quick_stopped else MotorState.ENABLED
+        if is_free or not self._is_enabled:
+            state = MotorState.DISABLED
+        hz = self._hz
+        return Poll(
+            time_ns=self.runtime.now_ns(),
+            state=MotorState.FAULT if fault is not None else state,
+            fault=fault,
+            position=position / per_unit,
+            demand=demand / per_unit,
+            velocity=speed / per_unit,
+            is_moving=is_moving,
+            has_arrived=not is_moving and bool(outputs & _IN_POSITION),
+            at_velocity=hz is not None and abs(speed - hz) <= max(2.0, _NEAR * abs(hz)),
+        )
+
+    def _fault(self, outputs: int) -> Fault | None:
+        if not outputs & _IS_ALARM:
+            self._fault_since_ns = 0
+            return None
+        code = self.registers.read_i32(_ALARM)
+        if not self._fault_since_ns:
+            self._fault_since_ns = self.runtime.now_ns()
+        return Fault(code, _ALARMS.get(code, "see the drive's manual"), self._fault_since_ns)
+
+    # --- power, fault, reference ------------------------------------------------------------------
+
+    def enable(self) -> None:
+        """The motor holds its position."""
+        self._quick_stopped = False
+        self.registers.write(_INPUTS, *words(0))
+        end_ns = self.runtime.now_ns() + round(_RELEASE_S * 1e9)
+        while not self.registers.read_i32(_OUTPUTS) & (_READY | _MOVE):
+            if self.runtime.now_ns() >= end_ns:
+                raise DeadlineExceeded(
+                    awaited=f"{self.label}: READY",
+                    timeout_s=_RELEASE_S,
+                    last_heard=f"alarm {self.registers.read_i32(_ALARM):02X}h",
+                )
+            self.runtime.wait_until(lambda: False, _POLL_S)
+        self._is_enabled = True
+
+    def disable(self) -> None:
+        """The motor has no current (FREE)."""
+        self._is_enabled = False
+        self.registers.write(_INPUTS, *words(_FREE))
+
+    def reset_fault(self) -> None:
+        """The alarm is reset, if its cause is gone; the motor has no current."""
+        self._is_enabled = False
+        self.registers.write(_INPUTS, *words(_FREE))
+        self.registers.write(_PULSED_INPUTS, *words(_RESET))
+        self.runtime.wait_until(lambda: False, _POLL_S)
+
+    def home(self, method: int | None, motor: str) -> None:
+        """The position here is 0 (35, 37). Its encoder is absolute: there is no search."""
+        if method not in _HERE:
+            feature = f"homing by method {method}"
+            raise UnsupportedError(motor=motor, feature=feature, supported="35 and 37")
+        self.registers.write(_PRESET, *words(1))
+
+    # --- motion -----------------------------------------------------------------------------------
+
+    def quantised(self, motion: Motion, model: "MotorModel") -> Motion:
+        """The motion as the drive will make it."""
+        per_unit = self._per_unit(model)
+        size = abs(per_unit)
+        changed = replace(
+            motion,
+            acceleration=_down(motion.acceleration * size) / size,
+            deceleration=_down(motion.deceleration * size) / size,
+        )
+        if motion.variable is ControlVariable.VELOCITY:
+            return replace(changed, target=_toward_zero(motion.target * size) / size)
+        target = round(motion.target * per_unit) / per_unit
+        return replace(changed, velocity=_down(motion.velocity * size) / size, target=target)
+
+    def prepare(self, motion: Motion, model: "MotorModel") -> None:
+        """The block as it will be sent; nothing is sent yet."""
+        per_unit = self._per_unit(model)
+        size = abs(per_unit)
+        faster, slower = _down(motion.acceleration * size), _down(motion.deceleration * size)
+        _check(self.label, "acceleration", max(faster, slower), _RATE_MAX, "Hz/s")
+        if motion.variable is ControlVariable.VELOCITY:
+            way = 1 if per_unit > 0 else -1
+            kind, target, speed = _CONTINUOUS, 0, way * _toward_zero(motion.target * size)
+            self._hz = speed
+        else:
+            kind, target = _ABSOLUTE, round(motion.target * per_unit)
+            speed, self._hz = _down(motion.velocity * size), None
+            _check(self.label, "position", abs(target), _INT32_MAX, "steps")
+        _check(self.label, "velocity", abs(speed), _SPEED_MAX, "Hz")
+        self._prepared = words(0, kind, target, speed, faster, slower, _FULL_CURRENT, 1)
+        self._deceleration = slower
+        self._stop = None
+
+    def trigger(self) -> None:
+        """What was prepared is told and started by one request."""
+        self.registers.write(_BLOCK, *self._prepared)
+
+    def post_stop(self, quick: bool) -> None:
+        """The drive is told to slow down; told again, if it did not answer and still moves."""
+        self._hz = None
+        self._quick_stopped |= quick
+        self._stop = self._post()
+
+    def _post(self) -> Exchange:
+        slower = self._deceleration
+        block = words(0, _DECELERATE, 0, 0, slower, slower, _FULL_CURRENT, 1)
+        return self.registers.post(_BLOCK, *block)
+
+    def _stop_again(self, is_moving: bool) -> None:
+        stop = self._stop
+        if stop is not None and stop.is_over:
+            lost = stop.error is not None and is_moving
+            self._stop = self._post() if lost else None
+
+
+def _down(value: float) -> int:
+    return max(1, floor(value * (1.0 + 4e-16) + 1e-9))
+
+
+def _toward_zero(hz: float) -> int:
+    size = floor(abs(hz) + 1e-9)
+    return size if hz > 0 else -size
+
+
+def _check(label: str, quantity: str, value: int, high: int, unit: str) -> None:
+    if value > high:
+        raise LimitError(
+            motor=label,
+            quantity=quantity,
+            value=value,
+            low=None,
+            high=high,
+            unit=unit,
+            reason="what the drive's register holds",
+        )
