@@ -20,6 +20,7 @@ from motorapi import ControlMode, MotorBusyError, WallRuntime
 from motorapi.adaptations.cia402 import Cia402HwMotor, Cia402Motor
 from motorapi.lock_directory import VARIABLE
 from motorapi.lock_view import read_process
+from tests.motorapi.adaptations.streaming import quintic, set_function
 from tests.wall.fenced_owner import MODEL, OPTIONS, open_bus
 from tests.wall.programs import LONG_S, Program
 from tests.wall.test_hub import serving
@@ -80,6 +81,10 @@ class Heir:
         self.motor.set_setpoint(0.2, relative=True)
         self.motor.start()
         self.motor.wait_until_done(LONG_S)
+
+    def stream(self, distance, duration_s):
+        set_function(self.motor, quintic(distance, duration_s))
+        self.motor.start()
 
     def close(self):
         self.hardware.close()
@@ -171,14 +176,17 @@ def stage(tmp_path, monkeypatch):
             runtime.close()
 
 
-def lose(stage, how, word="stream 0", **taking):
+def lose(stage, how, word="stream 0", *, streams=False, **taking):
     """The heir has the drive and has moved it; what was heard and sent before, for `others`."""
     stage.begin(how, word)
     stage.wait_for(lambda: stage.set_points() > 20 or word == "run")
     stage.take_over(**taking)
     stage.settle()
     since, since_sent = len(stage.listener.frames), len(stage.heir.sent)
-    stage.heir.move()
+    if streams:
+        stage.heir.stream(0.5, 2.0)
+    else:
+        stage.heir.move()
     stage.owner.signal(signal.SIGCONT)
     return since, since_sent
 
@@ -205,6 +213,15 @@ def test_not_one_frame_of_a_resumed_stream_reaches_the_bus(stage):
     assert stage.owner.ask("write") == "wrote"
     assert stage.owner.ask("again") == "started"  # it has taken the motor anew
     assert stage.owner.ask("wait") == "done"
+
+
+def test_the_next_owner_streams_with_a_sync_of_his_own_and_is_not_disturbed(stage):
+    since, since_sent = lose(stage, "fenced", take_over=True, streams=True)
+    assert stage.owner.ask("wait").startswith("interrupted ")
+    stage.heir.motor.wait_until_done(LONG_S)
+    assert stage.heir.hardware.stream.error is None
+    assert stage.others(since, since_sent) == Counter()
+    assert Counter(stage.heir.sent)[SYNC, b""] >= 200
 
 
 def test_a_lease_that_is_over_is_as_good_as_a_takeover(stage):
