@@ -199,7 +199,10 @@ class Motor(SharedMotor):
         """`with motor.reserve("survey"):` the motor is this one's over several motions.
 
         Nobody else commands it inside the block, of whatever process; others read it, and may stop
-        it. A motion that goes on at the end holds the motor until it is over.
+        it. A motion that goes on at the end holds the motor until it is over, and has no lease.
+
+        From whom it was taken over, his motion is interrupted, and until the end of his block he is
+        refused by the name of who did it, unless he reserves it again.
 
         Args:
             purpose: what for; those who are refused are told.

@@ -254,7 +254,10 @@ class Ownership:
         loss = claim.loss
         assert loss is not None
         with self._mutex:
-            self._lost.append(claim)
+            if claim in self._lost:
+                return  # two threads have noticed
+            if claim.reasons:
+                self._lost.append(claim)
         self._interrupt(str(loss), claim.owner.runtime.now_ns(), claim.owner, None)
         self._teller.tell(LockAction.LOST, claim, loss.who, since_ns=claim.since_ns)
 

@@ -51,6 +51,36 @@ def _uncontended_us() -> tuple[float, float]:
             runtime.close()
 
 
+def _held_us() -> tuple[float, float, float]:
+    """(a write section, renewing a lease, taking it over from one who lives), one of each."""
+    runtime = WallRuntime()
+    with tempfile.TemporaryDirectory() as folder:
+        locks = [ProcessLock("lock", "the lock", LockDirectory(folder)) for _ in range(2)]
+        holds = [lock.acquire(runtime, "bench", take_over=True) for lock in locks]
+
+        def write() -> None:
+            locks[1].begin_write()
+            locks[1].end_write()
+
+        def take_over() -> None:
+            for place in (0, 1):  # each from the other, who lives; then the loser gives it back
+                taken = locks[place].acquire(runtime, "bench", take_over=True)
+                holds[1 - place].release()
+                holds[place] = taken
+
+        try:
+            write_us = _best_us(write)
+            holds[1].set_lease(1.0)
+            renew_us = _best_us(holds[1].renew)
+            return write_us, renew_us, _best_us(take_over) / 2
+        finally:
+            for hold in holds:
+                hold.release()
+            for lock in locks:
+                lock.close()
+            runtime.close()
+
+
 def _stress(plan: Plan) -> Verdict:
     command = [sys.executable, "-m", "tests.wall.lock_stress", json.dumps(asdict(plan))]
     done = subprocess.run(command, capture_output=True, text=True, check=True)
@@ -60,6 +90,7 @@ def _stress(plan: Plan) -> Verdict:
 def run() -> list[tuple[str, float, str]]:
     """(name, figure, unit) of each figure."""
     ours_us, flock_us = _uncontended_us()
+    write_us, renew_us, over_us = _held_us()
     pairs = [  # in turn, so that both meet the same disturbances
         (_stress(Plan(3.0, 4)), _stress(Plan(3.0, 4, lock="flock"))) for _ in range(ROUNDS)
     ]
@@ -70,6 +101,9 @@ def run() -> list[tuple[str, float, str]]:
     return [
         ("taking it and letting it go, nobody else there", ours_us, "us"),
         ("the same with flock", flock_us, "us"),
+        ("begin_write and end_write", write_us, "us"),
+        ("renewing a lease", renew_us, "us"),
+        ("taking it over from one who lives, and his giving it back", over_us, "us"),
         ("4 processes, 50 us inside: worst wait (median of 5 runs of 3 s)", ours_s * 1e3, "ms"),
         ("the same with flock", peer_s * 1e3, "ms"),
         ("ours against that", ours_s / peer_s, "x"),

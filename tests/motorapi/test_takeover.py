@@ -353,6 +353,19 @@ def test_a_lease_inside_of_another_is_that_of_the_inner_block(world, logical):
             assert not inner.is_held
 
 
+def test_a_motion_that_goes_on_after_the_block_has_no_lease(world, logical):
+    a, b, *_ = logical
+    follow(a)
+    a.set_trajectory(TrapezoidalTrajectory(0.01, duration_s=3 * world.lease_s))
+    with a.reserve("survey", lease_s=world.lease_s):
+        a.start()
+    world.pass_s(1.5 * world.lease_s)
+    with pytest.raises(MotorBusyError):
+        b.enable()
+    a.wait_until_done(LONG_S)
+    b.enable()
+
+
 @pytest.mark.parametrize("lease_s", [0.0, 0.0099, -1.0, float("nan"), float("inf"), "soon", True])
 def test_a_lease_nobody_could_have_is_refused(world, logical, lease_s):
     a, *_ = logical
