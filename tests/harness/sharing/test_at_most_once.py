@@ -9,6 +9,8 @@ from emulators.media.faults import FaultKind, FaultRule
 from harness.sharing.at_most_once import KINDS, at_most_once, judge, single_faults, traffic_of
 from harness.sharing.relative_moves import Ending, MadeMoreThanOnce, Plan, Reach, Step
 from motorapi import DeadlineExceeded
+from motorapi.adaptations.drive_control import DriveControl
+from motorapi.adaptations.drive_objects import DriveObjects
 from motorapi.errors import MotorError
 from tests.harness.sharing import movers
 
@@ -135,6 +137,29 @@ def test_whoever_starts_again_after_a_timeout_is_caught(mover):
         pytest.skip("its moves are made on the host: no answer that is lost fails them")
     with pytest.raises(MadeMoreThanOnce, match="beyond"):
         reached(twice, [*hard_plans(mover)])
+
+
+def test_an_adaptation_that_has_the_drive_count_from_where_it_is_is_caught(monkeypatch):
+    """Relative on the wire (bit 6), a rising edge for every repetition: one lost answer is a move.
+
+    CiA 402-2, profile position mode: each edge of bit 4 is a set-point of its own.
+    """
+
+    def push(self, index, value, subindex=0, *, whole=DriveObjects.push):
+        if index == 0x607A:
+            value -= self.read_int(0x6062)
+        return whole(self, index, value, subindex)
+
+    def send_set_point(self):
+        self.send_holding_word()
+        return self.send_controlword(0x0F | 0x10 | 0x20 | 0x40)
+
+    monkeypatch.setattr(DriveObjects, "push", push)
+    monkeypatch.setattr(DriveControl, "send_set_point", send_set_point)
+    mover = movers.by_rpdo()
+    assert judge(mover, plan_of()).endings == {Ending.DONE: 2}
+    with pytest.raises(MadeMoreThanOnce, match="beyond"):
+        judge(mover, plan_of(lost(TPDO, count=14)))
 
 
 def hard_plans(mover):
