@@ -18,8 +18,8 @@ from contextlib import ExitStack
 from importlib import import_module
 from typing import TYPE_CHECKING, Final, cast
 
+from harness.sharing.desk import Desk
 from harness.sharing.history import Action, Answer, Note
-from harness.sharing.processes import Desk
 from motorapi import (
     ControlMode,
     Motor,

@@ -7,7 +7,7 @@ from contextlib import AbstractContextManager, ExitStack, contextmanager
 from typing import Final, final
 
 from harness.sharing.history import Action, Note
-from harness.sharing.owners import Party, Stage
+from harness.sharing.stage import Party, Stage
 from motorapi import (
     ControlMode,
     LinkError,

@@ -1,7 +1,7 @@
 """Hypothesis state machines: several owners of shared motors in one deterministic run.
 
     from harness.sharing.machine import group_machine, ownership_machine
-    from harness.sharing.owners import shared_rig
+    from harness.sharing.stage import shared_rig
 
     TestMyMotor = ownership_machine(shared_rig("rig.toml")).TestCase
     TestMyGroups = group_machine(shared_rig("rig.toml")).TestCase
@@ -45,7 +45,8 @@ from harness.rig import Rig
 from harness.sharing.group_owners import GroupOwner, watched
 from harness.sharing.history import SharingViolated, tokens_that_did_not_grow
 from harness.sharing.linearizability import require_linearizable
-from harness.sharing.owners import Course, Owner, Party, Stage
+from harness.sharing.owners import Owner
+from harness.sharing.stage import Course, Party, Stage
 
 MakeRig = Callable[[], Rig]
 

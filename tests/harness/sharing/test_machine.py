@@ -11,13 +11,13 @@ from harness.rig_file import parse_rig
 from harness.settings import Source
 from harness.sharing.history import SharingViolated
 from harness.sharing.machine import group_machine, ownership_machine
-from harness.sharing.owners import shared_rig
+from harness.sharing.stage import shared_rig
 from tests.motorapi.kinds import KINDS
 
 LONGER = int(os.environ.get("MOTORHIL_SHARING", "1"))
 """So many times the examples."""
 
-EXAMPLES = {"ideal": 80, "cia402": 50, "software": 20}
+EXAMPLES = {"ideal": 80, "cia402": 50, "software": 12}
 OWNED = (
     "reserve: done",
     "reserve: refused",
