@@ -189,7 +189,7 @@ class SoftwareMotor(Motor):
     def _sync_offer(self) -> SyncOffer:
         period_s = self._hardware.io.cycle.period_s
         reason = f"one SYNC every {period_s * 1e3:g} ms: counts of it, outputs latched by the next"
-        link = self._hardware.link
+        link, tick_ms = self._hardware.link, self._hardware.options.amplifier_tick_ms
         traffic, unbounded = traffic_on(link, period_s)
         firing, signal_s = None, None
         if traffic is not None:
@@ -199,12 +199,13 @@ class SoftwareMotor(Motor):
         return SyncOffer(
             level=SyncLevel.CYCLIC,
             group=("servo cycle", link.name, period_s),
-            latency_s=(0.0, 0.0),
+            latency_s=None if tick_ms is None else (0.0, tick_ms / 1e3),
             reason=reason,
             firing=firing,
             signals=1,
             signal_s=signal_s,
             no_firing_bound=unbounded,
+            no_start_bound="how often its amplifier looks is not told (amplifier_tick_ms)",
             no_end_bound="when it comes to rest is the servo's doing, and not predicted",
         )
 

@@ -22,6 +22,8 @@ class IoOptions:
         heartbeat_ms, heartbeat_timeout_ms, connect_timeout_s, sdo_timeout_s, sdo_quarantine_s: as
             in HwOptions.
         status_period_ms: the node repeats its digital inputs so often; 0: on change only.
+        amplifier_tick_ms: an amplifier looks at its input so often, for predicting skew; None: not
+            known.
     """
 
     cycle_ms: float = 1.0
@@ -34,6 +36,7 @@ class IoOptions:
     connect_timeout_s: float = 3.0
     sdo_timeout_s: float = 0.3
     sdo_quarantine_s: float = 1.0
+    amplifier_tick_ms: float | None = None
 
     def __post_init__(self) -> None:
         """Refuse what no node can be told.
@@ -47,6 +50,9 @@ class IoOptions:
             raise UsageError(f"misses_max = {self.misses_max!r}: must be a whole number >= 1")
         if not isinstance(self.counter, int) or not 0x2000 <= self.counter <= 0x9FFF:
             raise UsageError(f"counter = {self.counter!r}: must be an index, 2000h to 9FFFh")
+        tick_ms = self.amplifier_tick_ms
+        if tick_ms is not None and not (isinstance(tick_ms, int | float) and 0 <= tick_ms <= 1000):
+            raise UsageError(f"amplifier_tick_ms = {tick_ms!r}: must be 0 to 1000 ms")
         HwOptions(
             host_node_id=self.host_node_id,
             heartbeat_ms=self.heartbeat_ms,

@@ -5,7 +5,7 @@ the plants' truth says when its motor began to move, and its profile when that w
 """
 
 import struct
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from random import Random
@@ -24,6 +24,7 @@ from tests.motorapi.skew_scenarios import Member, Message, Scenario, rig_text
 
 _FRAME = struct.Struct("<IB3x8s")
 _EFF = 0x8000_0000
+AMPLIFIER_TICK_NS = 250_000  # of our own I/O nodes
 LOOK_S = 0.000_2  # shorter than any drive's servo tick
 _NEW_SET_POINT = 0x10
 _STUFFED = (bytes((0x3C,)) * 8, bytes(8), bytes((0xFF,)) * 8)  # 131, 127, 126 bits at 078h
@@ -174,33 +175,42 @@ class Truth:
 
     def __init__(self, rig: Rig, scenario: Scenario) -> None:
         self._rig = rig
+        self._names: dict[int, str] = {}
+        self._ticks_ns: dict[int, int] = {}
         self._drives: dict[int, Cia402Drive] = {}
         self._clocks = {}
         self._at: dict[int, float] = {}
         self.began_ns: dict[int, int] = {}
         self.ended_ns: dict[int, int] = {}
         for number, member in enumerate(scenario.members, 1):
-            if member.kind in ("ideal", "software"):
+            if member.kind == "ideal":
                 continue
-            core = rig.controllers[f"m{number}"].core
+            name = f"io{number}" if member.kind == "software" else f"m{number}"
+            core = rig.controllers[name].core
             self._clocks[number] = core.oscillator if isinstance(core, OwnTime) else IDEAL
-            self._drives[number] = core.inner if isinstance(core, OwnTime) else core
-            self._at[number] = rig.controllers[f"m{number}"].snapshot()["position_rad"]
+            inner = core.inner if isinstance(core, OwnTime) else core
+            self._ticks_ns[number] = AMPLIFIER_TICK_NS
+            if isinstance(inner, Cia402Drive):
+                self._drives[number] = inner
+                self._ticks_ns[number] = inner.settings.tick_ns
+            self._at[number] = rig.controllers[name].snapshot()["position_rad"]
+            self._names[number] = name
 
     def look(self) -> None:
         """One look between any two ticks; the tick itself is reckoned."""
         now_ns = self._rig.runtime.now_ns()
-        for number, drive in self._drives.items():
-            if number in self.ended_ns:
+        for number, name in self._names.items():
+            drive = self._drives.get(number)
+            if number in self.ended_ns or (drive is None and number in self.began_ns):
                 continue
-            where = self._rig.controllers[f"m{number}"].snapshot()["position_rad"]
-            clock, tick_ns = self._clocks[number], drive.settings.tick_ns
+            where = self._rig.controllers[name].snapshot()["position_rad"]
+            clock, tick_ns = self._clocks[number], self._ticks_ns[number]
             tick = clock.own_ns(now_ns) // tick_ns
             if number not in self.began_ns:
                 if where != self._at[number]:
                     # The loops act on a demand one tick, the plant on the current the next.
                     self.began_ns[number] = clock.true_ns((tick - 1) * tick_ns)
-            elif drive.axis.demand_velocity_inc_s() == 0.0:
+            elif drive is not None and drive.axis.demand_velocity_inc_s() == 0.0:
                 self.ended_ns[number] = clock.true_ns(tick * tick_ns)
 
 
@@ -209,10 +219,8 @@ def _spread(times: Sequence[int | None]) -> int | None:
     return max(known) - min(known) if known and len(known) == len(times) else None
 
 
-def run(
-    scenario: Scenario, path: Path, before_start: Callable[[Rig], None] | None = None
-) -> Outcome:
-    """The group is started once, and waited for."""
+def run(scenario: Scenario, path: Path) -> Outcome:
+    """The group is started once, and looked at until all is over."""
     path.write_text(rig_text(scenario))
     numbers = range(1, len(scenario.members) + 1)
     with Rig.open(path) as rig:
@@ -239,16 +247,12 @@ def run(
             its = times[f"m{number}"]
             told_ns = None if its is None else its.started_ns or its.latched_ns
             latched.append(record.latched_ns(number, member, told_ns))
-        drives = [
-            n
-            for n, one in zip(numbers, scenario.members, strict=True)
-            if one.kind in ("latched", "alone", "live", "streamed")
-        ]
-        ending = [n for n in drives if scenario.members[n - 1].kind in ("latched", "alone")]
+        moving = [n for n in numbers if scenario.members[n - 1].kind != "ideal"]
+        ending = [n for n in moving if scenario.members[n - 1].kind in ("latched", "alone")]
         return Outcome(
             predicted=predicted,
             command_ns=_spread(latched),
-            start_ns=_spread([truth.began_ns.get(n) for n in drives]),
+            start_ns=_spread([truth.began_ns.get(n) for n in moving]),
             end_ns=_spread([truth.ended_ns.get(n) for n in ending]),
             told_command_s=told_command_s,
             sent=sum(one.count for one in senders),

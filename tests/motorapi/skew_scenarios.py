@@ -204,8 +204,12 @@ def _motor_text(scenario: Scenario, number: int, member: Member) -> str:
     if member.kind == "ideal":
         return IDEAL_MOTOR.format(name=name) + MODEL.format(name=name)
     if member.kind == "software":
-        io = software_rigs.node(f"io{number}", number)
-        beat = "" if scenario.heartbeat else "heartbeat_ms = 0"
+        plant = f'[controller.io{number}.plant]\npreset = "wheel_60w"\ncoulomb_friction_n_m = 0.0\n'
+        clock = f"[controller.io{number}.oscillator]\nppm = {member.ppm}\n"
+        clock += f"phase_s = {member.phase_s / 10}\n"
+        io = software_rigs.node(f"io{number}", number, more=plant + clock)
+        beat = "amplifier_tick_ms = 0.251\n"
+        beat += "" if scenario.heartbeat else "heartbeat_ms = 0"
         text = io + software_rigs.motor(name, f"io{number}", motor=beat, friction=0.0)
         return text.replace('"can0"', f'"can{member.bus}"')
     text = DRIVE.format(

@@ -181,6 +181,15 @@ def test_there_is_no_bound_where_more_urgent_frames_fill_the_bus():
     assert longest_s([_firing(0x201, full)]) is None
 
 
+def test_buses_that_are_half_full_each_have_a_bound_in_turn():
+    """Together the two of them ask for more than all of the time."""
+    half = CanTraffic(1_000_000, (PeriodicMessage(1, 8, 0.000_2),))
+    one, other = _firing(0x201, half, "a"), _firing(0x201, half, "b")
+    alone_s = longest_s([one])
+    assert alone_s is not None
+    assert longest_s([one, other]) == pytest.approx(2 * alone_s, abs=1e-12)
+
+
 def test_idle_time_counts_in_full_and_lets_more_come():
     busy = CanTraffic(1_000_000, (PeriodicMessage(1, 8, 0.001),))
     waiting = replace(_firing(0x201, busy), idle_s=0.01)

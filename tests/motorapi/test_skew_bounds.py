@@ -71,14 +71,14 @@ def test_no_random_group_is_further_apart_than_predicted(
         assert outcome.told_command_s <= outcome.predicted.command_skew_s + 2e-9
 
 
-def test_the_random_groups_reach_half_of_their_bounds_and_some_have_none(tmp_path: Path):
-    """What the property above rests on: its scenarios are neither empty nor all far from it."""
+def test_the_random_groups_have_bounds_and_reach_half_of_them(tmp_path: Path):
+    """What the property above rests on: its scenarios are not all without bound, or far from it."""
     found: list[dict[str, float | None]] = []
     for seed in (0, 2, 4, 9, 11):
         scenario = drawn(Choices(Random(seed).randint))
         found.append(ratios(run(scenario, tmp_path / "skew.toml")))
     command = [one["command"] for one in found]
-    assert command.count(None) == 2
+    assert command.count(None) <= 1
     assert max(one for one in command if one is not None) > 0.5
 
 

@@ -193,8 +193,8 @@ def test_two_motors_of_a_group_begin_with_one_sync_and_end_together(open_rig: Op
     rig = open_rig(
         node("a", 1),
         node("b", 2),
-        motor("left", "a", friction=1.0),
-        motor("right", "b", friction=1.0),
+        motor("left", "a", friction=1.0, motor="amplifier_tick_ms = 0.25"),
+        motor("right", "b", friction=1.0, motor="amplifier_tick_ms = 0.25"),
     )
     left, right = enabled(rig, "left"), enabled(rig, "right")
     rig.runtime.run_for(0.1)
@@ -210,7 +210,8 @@ def test_two_motors_of_a_group_begin_with_one_sync_and_end_together(open_rig: Op
     group.for_each(Motor.set_control_mode, ControlMode.TRAJECTORY)
     group.set_trajectory(TrapezoidalTrajectory(0.5), TrapezoidalTrajectory(-1.0))
     capability = offers()
-    assert (capability.level, capability.start_skew_s) == (SyncLevel.CYCLIC, 0.0)
+    assert capability.level is SyncLevel.CYCLIC
+    assert (capability.command_skew_s, capability.start_skew_s) == (0.0, 0.000_25)
     rig.world.tap_frames(on_frame)
     group.start()
     group.wait_until_done(3)
