@@ -15,6 +15,8 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, final
 
+from emulators.line_segment import SerialSegment
+from harness.demo_mast import MASTS, with_modbus_mast
 from harness.exit_status import FAILED, PASSED, WRONG_USAGE
 from harness.scaffold import EXAMPLES
 from harness.seed_option import add_seed
@@ -53,6 +55,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="FILE",
         help="a vendor's EDS or DCF for the drives, instead of ours; several are dealt out in turn",
     )
+    parser.add_argument(
+        "--mast",
+        choices=MASTS,
+        default=MASTS[0],
+        help="pan and tilt as the other drives (can), or on a serial line (modbus)",
+    )
     add_seed(parser)
     parser.add_argument(
         "-o",
@@ -85,7 +93,10 @@ def run(options: argparse.Namespace) -> int:
     if options.two_processes:
         return _run_two(options)
     rig_file = EXAMPLES / f"{options.rig}.toml"
-    description = _with_eds(read_rig(rig_file, installed_plugins()), options.eds)
+    description = read_rig(rig_file, installed_plugins())
+    if options.mast == "modbus":
+        description = with_modbus_mast(description)
+    description = _with_eds(description, options.eds)
     _make_folder(options.output.parent)
     begun_s = time.perf_counter()
     with Rig(
@@ -126,7 +137,8 @@ def _run_two(options: argparse.Namespace) -> int:
     """As `run`, for two programs."""
     from harness import two_processes
 
-    if options.rig != RIG.stem or options.eds or options.realtime:
+    others = options.rig != RIG.stem or options.mast != MASTS[0]
+    if others or options.eds or options.realtime:
         print("motorhil demo: --two-processes takes --seed and -o alone", file=sys.stderr)
         return WRONG_USAGE
     _make_folder(options.output.parent)
@@ -138,6 +150,8 @@ def _again(options: argparse.Namespace, seed: int) -> str:
     words = ["motorhil", "demo", "--seed", str(seed), "-o", str(options.output)]
     if options.rig != RIG.stem:
         words += ["--rig", options.rig]
+    if options.mast != MASTS[0]:
+        words += ["--mast", options.mast]
     for file in options.eds:
         words += ["--eds", str(file)]
     return shlex.join([*words, "--realtime"] if options.realtime else words)
@@ -286,6 +300,11 @@ def _print_buses(rig: "Rig") -> None:
         load = statistics.load(0, rig.runtime.now_ns())
         peak = statistics.peak_load(PEAK_WINDOW_NS)
         rows.append((name, f"{statistics.frames}", f"{load:.1%}", f"{peak:.1%}"))
+    for name in rig.world.line_names():
+        line = rig.world.line(name)
+        if isinstance(line, SerialSegment):
+            load = line.line.busy_ns / max(1, rig.runtime.now_ns())
+            rows.append((name, f"{line.line.frames}", f"{load:.1%}", "-"))
     print()
     print_table(("bus", "frames", "load", "peak load in 100 ms"), rows)
 
