@@ -2,29 +2,43 @@
 
 import argparse
 import json
+import sys
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any, Final
 
-from harness.exit_status import PASSED
+from harness.exit_status import PASSED, WRONG_USAGE
 from harness.plugins import ADAPTATIONS, CONTROLLERS, installed
+from harness.verbs.list_registers import list_registers, with_registers
 from motorapi.lock_view import LockView, Occupant, list_locks
 
-_BRIEF: Final = ("-sdo", "-sync", "-sync-producer")  # of a drive's objects, of a bus's SYNC
-
-_NO_MOTORS: Final = ("-sdo", "-sync", "-sync-producer")
+_BRIEF: Final = ("-sdo", "-sync", "-sync-producer", "-exchange")
 _ARMED: Final = "-armed-"
-"""Locks of a drive's SDO channel, a bus's SYNC, an armed set-point: listed only if had."""
+"""Locks of a drive's objects, a bus's SYNC, a line, an armed set-point: listed only if had."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """What `list` can be told."""
-    parser.add_argument("what", choices=("controllers", "adaptations", "examples", "motors"))
+    parser.add_argument(
+        "what", choices=("controllers", "adaptations", "examples", "motors", "registers")
+    )
+    parser.add_argument(
+        "name", nargs="?", metavar="CONTROLLER", help="whose registers (list registers NAME)"
+    )
     parser.add_argument("--json", action="store_true", help="answer for a machine")
 
 
 def run(options: argparse.Namespace) -> int:
-    """The list has been printed, one line each."""
+    """Exit status: 0 the list has been printed, 2 wrong usage."""
+    if (options.what == "registers") is not (options.name is not None):
+        known = ", ".join(with_registers())
+        print(
+            f"motorhil list: registers, and only those, are of a controller: {known}",
+            file=sys.stderr,
+        )
+        return WRONG_USAGE
+    if options.what == "registers":
+        return list_registers(options.name, as_json=options.json)
     listing = {
         "controllers": lambda: _plugins(CONTROLLERS),
         "adaptations": lambda: _plugins(ADAPTATIONS),
@@ -47,7 +61,7 @@ def _motors() -> list[dict[str, Any]]:
     """The motors that processes of this host share, or have shared: who has each, who waits."""
     listing = []
     for view in list_locks():
-        if view.holder is None and (view.name.endswith(_BRIEF) or "-armed-" in view.name):
+        if view.holder is None and (view.name.endswith(_BRIEF) or _ARMED in view.name):
             continue  # had for a moment only, unless somebody is paused in it
         if view.holder is None and not view.waiters and not _is_there(view.label):
             continue  # of a hub that is served no more
