@@ -2,7 +2,7 @@
 
 import struct
 from collections.abc import Callable
-from contextlib import suppress
+from contextlib import nullcontext, suppress
 from typing import TYPE_CHECKING, Final, final
 
 from motorapi.adaptations.canopen_errors import SdoAborted
@@ -205,7 +205,12 @@ class CspStream:
             self.stop(ENABLE_OPERATION | HALT)
         except LinkError:
             self.cancel()
-        with suppress(MotorError):  # at once, where an RPDO can bring it; set-points do anyway
+        self._halt()
+
+    def _halt(self) -> None:
+        """At once, where an RPDO can bring it, unless the drive is somebody else's by now."""
+        fence = self._stop_fence()
+        with suppress(MotorError), nullcontext() if fence is None else fence.passage():
             self._hardware.control.send_halt()
 
     def _sync_lost(self, error: LinkError) -> None:
@@ -218,9 +223,8 @@ class CspStream:
         with suppress(MotorError):  # what waits in the drive for a SYNC would take the halt back
             self._word = ENABLE_OPERATION | HALT
             self._send()
+        self._halt()
         self.cancel()
-        with suppress(MotorError):
-            self._hardware.control.send_halt()
 
     def _lose(self, error: MotorBusyError) -> None:
         """Somebody else has taken the drive over: nothing more is sent to it."""

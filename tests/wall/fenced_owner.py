@@ -10,6 +10,7 @@ drive), "careless" (they go out with the token it once had, which it does not lo
     stop            "stopped": it slows down, for seconds
     group           arms nodes 1 and 2, says "armed", and sends SYNC when it was paused and goes on;
                     then "started", or "busy WHY"
+    spoil           "spoilt": the function of the stream fails once the program was paused
     told            what on_done was told without any wait for the motor, and the stream's error
     write           "wrote" a setting, by SDO; or "busy WHY"
     wait            "done", or "interrupted WHY"
@@ -91,6 +92,12 @@ class Program:
                 return "streaming"
             case "group":
                 return self.start_group()
+            case "spoil":
+                stream, resumed = self.hardware.stream, []
+                signal.signal(signal.SIGCONT, lambda *_: resumed.append(True))
+                target = stream._next_target
+                stream._next_target = lambda cycle: 1 / 0 if resumed else target(cycle)
+                return "spoilt"
             case "stop":
                 motor.stop()
                 return "stopped"

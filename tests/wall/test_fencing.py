@@ -237,6 +237,19 @@ def test_a_drive_that_moves_by_itself_is_brought_to_rest_and_then_left_alone(sta
     assert stage.others(since, since_sent) == Counter()
 
 
+def test_a_stream_that_fails_when_it_goes_on_does_not_halt_the_next_owner(stage):
+    stage.begin("fenced")
+    assert stage.owner.ask("spoil") == "spoilt"
+    stage.take_over(take_over=True)
+    stage.settle()
+    since, since_sent = len(stage.listener.frames), len(stage.heir.sent)
+    stage.owner.signal(signal.SIGCONT)
+    assert stage.owner.ask("wait").startswith("interrupted ")
+    for _ in range(3):
+        stage.heir.move()
+    assert stage.others(since, since_sent) == Counter()
+
+
 def test_a_stop_that_was_under_way_does_not_stop_the_next_owner(stage):
     stage.begin("fenced", "run")
     assert stage.owner.ask("wait") == "done"  # its velocity is reached
