@@ -10,6 +10,7 @@ import pytest
 from hypothesis import given
 
 import harness
+from emulators import modbus_drive
 from emulators.cia401 import settings as node_settings
 from emulators.cia402 import settings as drive_settings
 from emulators.media.faults import FaultKind
@@ -184,11 +185,25 @@ def test_the_schema_wants_a_bus_for_the_adaptations_that_need_one(adaptation):
     motor = {"adaptation": adaptation, "model": "wheel.toml"}
     needs_bus = installed_plugins().needs_bus(adaptation)
     assert VALIDATOR.is_valid({"motor": {"m": motor}}) is not needs_bus
-    bus = {"can0": {"bitrate_bit_s": 500_000}}
     servo = {"current_per_volt_a_v": 0.8, "gains": {"kp_a_rad": 1.0}}
     own = servo if adaptation == "software" else {}
-    placed = {"bus": bus, "motor": {"m": {**motor, **own, "bus": "can0", "node_id": 1}}}
+    kinds = getattr(installed(ADAPTATIONS)[adaptation].load(), "bus_kinds", ("can",))
+    if "can" in kinds:
+        bus, place = {"can0": {"bitrate_bit_s": 500_000}}, {"bus": "can0", "node_id": 1}
+    else:
+        bus, place = {"rs485": {"kind": "modbus_rtu"}}, {"bus": "rs485", "unit": 1}
+    placed = {"bus": bus, "motor": {"m": {**motor, **own, **place}}}
     assert VALIDATOR.is_valid(placed) is needs_bus
+
+
+@pytest.mark.parametrize("kind", ["leadshine_pr", "oriental_az"])
+def test_the_schema_knows_the_modbus_drives_own_keys(kind):
+    drive = DEFS[kind]["properties"]
+    own = {"trigger_auto_clear"} if kind == "oriental_az" else set()
+    assert set(drive) == {"kind", "bus", *modbus_drive.KEYS, *own}
+    assert tuple(drive["timing"]["properties"]) == modbus_drive.TIMING_KEYS
+    assert tuple(drive["switches"]["properties"]) == modbus_drive.SWITCH_KEYS
+    assert drive["plant"] == {"$ref": "#/$defs/plant"}
 
 
 def test_the_schema_accepts_and_refuses_rigs_without_a_bus_as_the_reader_does():
