@@ -97,7 +97,7 @@ class GroupOwner(Party):
 
     def __init__(self, name: str, motors: Sequence[Watch], number: int, stage: Stage) -> None:
         self.number: Final = number
-        self._motors: Final = list(motors)
+        self.motors: Final = list(motors)
         super().__init__(name, stage)
 
     def move(
@@ -105,8 +105,8 @@ class GroupOwner(Party):
     ) -> None:
         """The motors chosen were moved together; or none was, for one refused, or was not free."""
         stage = self.stage
-        places = list(dict.fromkeys(place % len(self._motors) for place in chosen))
-        watches = [self._motors[place] for place in places]
+        places = list(dict.fromkeys(place % len(self.motors) for place in chosen))
+        watches = [self.motors[place] for place in places]
         refusing = None if refuses is None else watches[refuses % len(watches)]
         group = MotorGroup(*(watch.motor for watch in watches))
         timeout_s = _PATIENT_S if patient else None

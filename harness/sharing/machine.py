@@ -262,6 +262,20 @@ class GroupMachine(SharingMachine):
             party.errand = partial(party.move, chosen, refuses, reserves, patient)
         self.pass_time(pause_s)
 
+    @rule(who=_WHO, really=st.integers(0, 3))
+    def kill(self, who: int, really: int) -> None:
+        """Somebody is killed while he moves a group; somebody new has his logical motors."""
+        owners = [owner for owner in self.owners if not owner.is_idle]
+        if really or not owners:
+            return
+        dead = owners[who % len(owners)]
+        self.stage.counts["kill: at work"] += 1
+        dead.kill()
+        self.deaths += 1
+        place = self.owners.index(dead)
+        new = GroupOwner(f"{dead.name}#{self.deaths}", dead.motors, dead.number, self.stage)
+        self.owners[place] = self.parties[place] = new
+
 
 def ownership_machine(
     make_rig: MakeRig, course: Course | None = None

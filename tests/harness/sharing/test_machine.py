@@ -36,6 +36,7 @@ GROUPED = (
     "2 motors: moved in a reservation",
     "2 motors: refused",
     "2 motors: one refused to be armed",
+    "kill: at work",
     "positions compared",
 )
 
