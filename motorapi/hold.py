@@ -236,8 +236,10 @@ class Hold:
         """Whoever is in the middle of taking it over is done with that; it is ours to write."""
         end_ns = time.monotonic_ns() + _TAKER_PATIENCE_NS
         while not self._file.try_write():
-            if not self._file.is_current or time.monotonic_ns() > end_ns:
+            if not self._file.is_current:
                 raise self._refused(asker)
+            if time.monotonic_ns() > end_ns:
+                raise self._lock.being_taken(self.token, asker)
             os.sched_yield()
 
     def _is_replaced(self) -> bool:

@@ -56,7 +56,7 @@ _LINE: Final = struct.Struct("<QQQ8sQ16s")
 LAST_SIZE: Final = _LINE.size
 
 _TAKEOVER_AT: Final = 328
-_TAKEOVER: Final = struct.Struct("<QI64s")
+_TAKEOVER: Final = struct.Struct("<QQI64s")
 
 
 def held_at(epoch: int) -> int:
@@ -109,11 +109,13 @@ class Record:
 class Takeover:
     """One takeover of a lock.
 
-    Attributes: by (who; its label says why), token (his), lost (the token that ended), from_pid and
-    from_program (whose that was; 0 and "": not known).
+    Attributes: by (who; its label says why), epoch (that it ended: it was done if that is over),
+    token (his), lost (the token that ended), from_pid and from_program (whose that was; 0 and "":
+    not known).
     """
 
     by: Record
+    epoch: int
     token: int
     lost: int
     from_pid: int
@@ -169,10 +171,10 @@ def unpack_record(data: bytes) -> Record | None:
     return Record(number, identity, pid, uid, born, since_ns, since_utc_ns, program, purpose, label)
 
 
-def pack_takeover(record: bytes, token: int, victim: Record | None) -> bytes:
+def pack_takeover(record: bytes, epoch: int, token: int, victim: Record | None) -> bytes:
     """A takeover as it stands in the file; `record` is of who took it, by the token lost."""
     pid, program = (0, "") if victim is None else (victim.pid, victim.program)
-    return record.ljust(_TAKEOVER_AT, b"\0") + _TAKEOVER.pack(token, pid, _cut(program, 64))
+    return record.ljust(_TAKEOVER_AT, b"\0") + _TAKEOVER.pack(epoch, token, pid, _cut(program, 64))
 
 
 def unpack_takeover(data: bytes) -> Takeover | None:
@@ -180,8 +182,8 @@ def unpack_takeover(data: bytes) -> Takeover | None:
     record = unpack_record(data)
     if record is None or len(data) < _TAKEOVER_AT + _TAKEOVER.size:
         return None
-    token, pid, program = _TAKEOVER.unpack_from(data, _TAKEOVER_AT)
-    return Takeover(record, token, record.number, pid, _text(program))
+    epoch, token, pid, program = _TAKEOVER.unpack_from(data, _TAKEOVER_AT)
+    return Takeover(record, epoch, token, record.number, pid, _text(program))
 
 
 def _text(word: bytes) -> str:

@@ -98,10 +98,17 @@ class LockReader:
             found.pop(0)  # whoever waited for it and has it now keeps its place
         return found
 
-    def takeover_of(self, lost: int) -> Takeover | None:
-        """How the token `lost` was lost; None: it was not, or that is long ago."""
+    def takeover_of(self, lost: int, *, is_done: bool = True) -> Takeover | None:
+        """How the token `lost` was lost; None: it was not, or that is long ago.
+
+        Args:
+            lost: the token.
+            is_done: False: how it is just being lost.
+        """
         takeover = unpack_takeover(os.pread(self._fd, BLOCK, takeover_block(lost)))
-        if takeover is None or takeover.lost != lost or self.line().token < takeover.token:
+        if takeover is None or takeover.lost != lost:
+            return None
+        if is_done and self._epoch()[0] <= takeover.epoch:
             return None
         return takeover
 
@@ -109,6 +116,8 @@ class LockReader:
         """How the holder with this token took it over; None: it did not, or that is long ago."""
         for slot in range(TAKEOVERS):
             takeover = unpack_takeover(os.pread(self._fd, BLOCK, takeover_block(slot)))
-            if takeover is not None and takeover.token == token and self.line().token == token:
+            if takeover is None or takeover.token != token:
+                continue
+            if self._epoch()[0] > takeover.epoch:
                 return takeover
         return None

@@ -1,6 +1,7 @@
 """Taking a lock from a living process: the epoch of its file moves on.
 
     lock WRITING of this epoch, for oneself     else: its holder writes, or somebody else takes it
+    write who we are, and whom we take it from  so that he can say for whom he waits
     write the intent                            who takes it the ordinary way looks for that
     look again: this epoch, this token, its lease still over
     lock HELD and MARK of the next epoch that is nobody's
@@ -98,6 +99,7 @@ class TakeoverAttempt:
         try:
             if not file.is_current:
                 return Attempt.TAKING  # somebody else has just done it
+            self._say_who(old)
             os.pwrite(file.fd, NUMBER.pack(old + 1), INTENT_AT)
             seen = self._find_due()
             if seen is None:
@@ -143,7 +145,6 @@ class TakeoverAttempt:
                 break
         else:
             return Attempt.FULL
-        self.token = self.lost + 1
         self._write(old, new)
         os.pwrite(file.fd, EPOCH.pack(new, base), EPOCH_AT)
         file.look_up()
@@ -166,19 +167,25 @@ class TakeoverAttempt:
 
     def _write(self, old: int, new: int) -> None:
         """Everything that the epoch, once it is moved, is to lead to."""
+        self._say_who(old)
         fd, token, held = self._file.fd, self.token, held_at(new)
         fcntl.fcntl(fd, fcntl.F_OFD_SETLK, flock(fcntl.F_WRLCK, held - token, token))
+        told = NUMBER.pack(0) + self._lease + self._describe(token, None)
+        os.pwrite(fd, told.ljust(BLOCK, b"\0"), line_block(new))
+        os.pwrite(fd, MAGIC, 0)
+
+    def _say_who(self, old: int) -> None:
+        """Who takes it over, and from whom. It counts once the epoch is moved."""
+        fd = self._file.fd
+        self.token = self.lost + 1
         victim: Record | None = Line(os.pread(fd, BLOCK, line_block(old))).record
         if victim is not None and victim.number != self.lost:
             victim = None
         if victim is not None:
             self.from_identity = victim.identity
             self.taken_from = f"pid {victim.pid} ({victim.program})"
-        takeover = pack_takeover(self._describe(self.lost, self._reason()), token, victim)
-        os.pwrite(fd, takeover, takeover_block(self.lost))
-        told = NUMBER.pack(0) + self._lease + self._describe(token, None)
-        os.pwrite(fd, told.ljust(BLOCK, b"\0"), line_block(new))
-        os.pwrite(fd, MAGIC, 0)
+        by = self._describe(self.lost, self._reason())
+        os.pwrite(fd, pack_takeover(by, old, self.token, victim), takeover_block(self.lost))
 
     def _reason(self) -> str:
         if self._now_ns is None:

@@ -136,14 +136,16 @@ def look(directory: LockDirectory, name: str) -> LockView:
         reader.close()
 
 
-def find_takeover(directory: LockDirectory, name: str, lost: int) -> Takeover | None:
-    """How the token `lost` was lost; None: it was not, or that is long ago."""
+def find_takeover(
+    directory: LockDirectory, name: str, lost: int, *, is_done: bool = True
+) -> Takeover | None:
+    """How the token `lost` was lost (not `is_done`: is just being); None: it was not."""
     fd = directory.open(name, to_read=True)
     if fd is None:
         return None
     reader = LockReader(fd)
     try:
-        return reader.takeover_of(lost)
+        return reader.takeover_of(lost, is_done=is_done)
     finally:
         reader.close()
 

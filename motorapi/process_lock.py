@@ -185,6 +185,12 @@ class ProcessLock:
             since="it was given back",
         )
 
+    def being_taken(self, token: int, asker: str) -> MotorBusyError:
+        """What somebody is told who would write while it is just being taken over from him."""
+        takeover = find_takeover(self._directory, self.name, token, is_done=False)
+        who = Occupant(None if takeover is None else takeover.by)
+        return busy_error(None, asker or self.label, who, ", in the middle of taking it over")
+
     def loss_of(self, token: int) -> Loss:
         """How the token was lost."""
         takeover = find_takeover(self._directory, self.name, token)

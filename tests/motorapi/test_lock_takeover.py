@@ -133,6 +133,45 @@ def test_who_is_in_the_middle_of_a_write_is_not_taken_over_until_it_is_done(lock
         a.begin_write()
 
 
+def test_one_who_would_write_while_a_taker_is_paused_in_the_middle_is_told_who_that_is(
+    locks, runtime, monkeypatch
+):
+    a, b, *_ = locks
+    hold = a.acquire(runtime, "a")
+    errors = []
+
+    def write():
+        with pytest.raises(MotorBusyError) as caught:
+            a.begin_write()
+        errors.append(str(caught.value))
+
+    in_the_middle(monkeypatch, TakeoverAttempt, "_move_on", write)
+    b.acquire(runtime, "b", take_over=True)
+    assert ", in the middle of taking it over for b since 2" in errors[0]
+    assert not hold.is_held
+
+
+def test_a_write_of_one_thread_is_closed_against_takeovers_whatever_others_do(locks, runtime):
+    a, b, *_ = locks
+    hold = a.acquire(runtime, "a")
+    a.begin_write()
+
+    def write_too():
+        assert a.begin_write() == hold.token
+        a.end_write()
+
+    party = runtime.spawn("writes too", write_too)
+    assert party.join(LONG_S)
+    assert party.error is None
+    with pytest.raises(MotorBusyError, match="in the middle of a write"):
+        b.acquire(runtime, "b", take_over=True)
+    a.end_write()
+    taken = b.acquire(runtime, "b", take_over=True)
+    again = a.acquire(runtime, "again", take_over=True)
+    assert a.begin_write() == again.token == taken.token + 1
+    a.end_write()
+
+
 def test_of_two_takeovers_at_once_one_waits_for_the_other(locks, runtime, monkeypatch):
     a, b, c, _ = locks
     a.acquire(runtime, "a")
@@ -288,6 +327,28 @@ def test_a_takeover_is_told_to_whoever_looks(locks, runtime):
     assert b.look().holder is None
     with b.acquire(runtime, "again"):
         assert b.look().taken_over is None
+
+
+def test_a_takeover_that_was_begun_and_not_done_is_told_to_nobody(locks, runtime, monkeypatch):
+    a, b, c, _ = locks
+    hold = a.acquire(runtime, "a")
+
+    def die():
+        raise KeyboardInterrupt
+
+    in_the_middle(monkeypatch, TakeoverAttempt, "_move_on", die)
+    with pytest.raises(KeyboardInterrupt):
+        b.acquire(runtime, "b", take_over=True)
+    assert (hold.is_held, hold.lost_to) == (True, None)
+    assert a.look().taken_over is None
+    hold.release()
+    with c.acquire(runtime, "c") as after:
+        assert after.token == hold.token + 1
+        assert c.look().taken_over is None
+        over = b.acquire(runtime, "b", take_over=True)
+        assert b.look().taken_over.lost == after.token
+        assert after.lost_to is not None
+        over.release()
 
 
 def test_of_a_takeover_long_ago_only_that_is_told(locks, runtime):
