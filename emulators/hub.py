@@ -6,9 +6,11 @@ import os
 import socket
 import stat
 from collections import deque
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Final, final
 
+from emulators.gateway import Source
 from emulators.hub_protocol import (
     FENCED,
     FENCED_SIZE,
@@ -265,7 +267,7 @@ class HubServer:
             f"{self.path}: in use by a hub that is running; stop that one or choose another path"
         )
 
-    def sockets(self) -> list[socket.socket]:
+    def sources(self) -> Sequence[Source]:
         """The listening one and every client's."""
         for connection, client in list(self._clients.items()):
             client.flush()
@@ -273,12 +275,14 @@ class HubServer:
                 self._drop(connection)
         return [self._listener, *self._clients]
 
-    def readable(self, source: socket.socket) -> None:
+    def readable(self, source: Source) -> None:
         """A client has come, spoken or gone."""
         if source is self._listener:
             self._accept()
-        elif source in self._clients and not self._clients[source].readable():
-            self._drop(source)
+            return
+        client = self._clients.get(source) if isinstance(source, socket.socket) else None
+        if client is not None and not client.readable():
+            self._drop(client.connection)
 
     def _accept(self) -> None:
         try:

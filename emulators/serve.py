@@ -5,31 +5,15 @@ whichever comes first; what came late is done in the order in which it was due.
 """
 
 import selectors
-import socket
 import time
 from collections.abc import Callable
-from typing import Protocol, final
+from typing import final
 
 from emulators.event_queue import EventQueue
+from emulators.gateway import Gateway, Source
 
 _IDLE_S = 0.5
 _BACKLOGGED_S = 0.002
-
-
-class Gateway(Protocol):
-    """Something outside (a socket) that talks to the world; called by the loop, in its thread."""
-
-    def sockets(self) -> list[socket.socket]:
-        """What to watch for input just now."""
-
-    def readable(self, source: socket.socket) -> None:
-        """There is input on this socket."""
-
-    def backlogged(self) -> bool:
-        """Whether output waits for somebody to take it."""
-
-    def close(self) -> None:
-        """Leave nothing open."""
 
 
 @final
@@ -45,7 +29,7 @@ class WallLoop:
         self._gateways: list[Gateway] = []
         # select() answers in ~0.1 ms where epoll has millisecond steps.
         self._selector = selectors.SelectSelector()
-        self._watched: dict[socket.socket, Gateway] = {}
+        self._watched: dict[Source, Gateway] = {}
         self._start_ns = time.monotonic_ns() - queue.now_ns
         self.late_ns_max = 0
 
@@ -88,13 +72,13 @@ class WallLoop:
             wait_s = min(wait_s, _BACKLOGGED_S)
         for key, _ in self._selector.select(wait_s):
             gateway: Gateway | None = key.data
-            if gateway is None or not isinstance(key.fileobj, socket.socket):
+            if gateway is None or isinstance(key.fileobj, int):
                 continue
             queue.run_until(time.monotonic_ns() - self._start_ns)
             gateway.readable(key.fileobj)
 
     def _watch(self) -> None:
-        wanted = {s: gateway for gateway in self._gateways for s in gateway.sockets()}
+        wanted = {s: gateway for gateway in self._gateways for s in gateway.sources()}
         for gone in [s for s in self._watched if s not in wanted]:
             self._selector.unregister(gone)
             del self._watched[gone]

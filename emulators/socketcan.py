@@ -4,8 +4,10 @@ import contextlib
 import errno
 import os
 import socket
+from collections.abc import Sequence
 from typing import Final, final
 
+from emulators.gateway import Source
 from emulators.world import World
 
 _FRAME_SIZE: Final = 16
@@ -65,15 +67,15 @@ class SocketCanGateway:
         except OSError:  # ENOBUFS: as on a real interface, the frame is gone; it is counted
             self.refused += 1
 
-    def sockets(self) -> list[socket.socket]:
+    def sources(self) -> Sequence[Source]:
         """The one CAN_RAW socket."""
         return [self._socket]
 
-    def readable(self, source: socket.socket) -> None:
+    def readable(self, source: Source) -> None:
         """Frames from outside queue for the emulated bus."""
         with contextlib.suppress(BlockingIOError):
             while True:
-                frame = source.recv(72)
+                frame = self._socket.recv(72)
                 if len(frame) == _FRAME_SIZE:
                     self._port.send(frame)
                 else:

@@ -1,4 +1,7 @@
-"""`motorhil serve`: a rig in real time, for other processes, on a socket or on SocketCAN."""
+"""`motorhil serve`: a rig in real time, for other processes.
+
+CAN buses on a socket or on SocketCAN, Modbus lines on TCP or on pseudo-terminals.
+"""
 
 import argparse
 import os
@@ -13,6 +16,7 @@ from typing import Final, final
 from emulators.hub import HubError, HubServer
 from emulators.serve import WallLoop
 from emulators.socketcan import SocketCanError, SocketCanGateway
+from harness import modbus_doors
 from harness.exit_status import PASSED, WRONG_USAGE
 from harness.lock_looks import LockLooks
 from harness.ownership_tap import LockWriter
@@ -42,13 +46,15 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="[BUS=]INTERFACE",
         help="join a bus (default: the first) with a SocketCAN interface; may be repeated",
     )
+    modbus_doors.add_arguments(parser)
     add_seed(parser)
     parser.add_argument(
         "-o", "--output", type=Path, metavar="FILE", help="record to this MCAP file"
     )
     parser.epilog = (
         "With -- COMMAND, the command runs with the rig up (CAN_INTERFACE and CAN_CHANNEL name its "
-        "first bus), and its exit status is ours. Without, Ctrl-C stops."
+        "first CAN bus, MOTORHIL_CHANNEL_NAME bus or line `name`), and its exit status is ours. "
+        "Without, Ctrl-C stops."
     )
 
 
@@ -59,31 +65,58 @@ def run(options: argparse.Namespace) -> int:
         return WRONG_USAGE
     with ExitStack() as cleanup:
         rig = cleanup.enter_context(Rig.open(options.rig, seed=options.seed, record=options.output))
-        if not rig.world.bus_names():
-            raise RigError(
-                options.rig,
-                "the rig has no bus, so there is nothing to serve",
-                "motorhil run opens a prompt with its motors",
-            )
+        _refuse_nothing(rig, options)
         loop = WallLoop(rig.world.queue)
         cleanup.callback(loop.close)
         try:
+            lines = modbus_doors.open_doors(rig, loop, options)
             doors = _open_doors(rig, loop, options, cleanup)
-        except (HubError, SocketCanError) as error:
+        except (HubError, SocketCanError, *modbus_doors.ModbusDoorError) as error:
             print(f"motorhil serve: {error}", file=sys.stderr)
             return WRONG_USAGE
         _look_at_locks(rig, doors)
         service = _Service(loop, cleanup.enter_context(StopSignals(loop)))
         if options.rest:
-            return service.run_command(options.rest, doors)
+            return service.run_command(options.rest, _environment(doors, lines))
         print(f"serving {rig.description.name}; Ctrl-C stops", file=sys.stderr)
         for bus, (interface, channel) in doors.items():
             print(f"{bus}: can.Bus(interface={interface!r}, channel={channel!r})", flush=True)
+        for text in modbus_doors.described(rig, lines):
+            print(text, flush=True)
         service.run_until_stopped()
         print(
             f"stopped; an event was at most {loop.late_ns_max / 1e6:.1f} ms late", file=sys.stderr
         )
     return PASSED
+
+
+def _refuse_nothing(rig: Rig, options: argparse.Namespace) -> None:
+    """Raises RigError: nothing would be served."""
+    if rig.world.bus_names() or options.modbus_tcp or options.modbus_rtu:
+        return
+    if rig.world.line_names():
+        raise RigError(
+            options.rig,
+            "the rig has lines and no CAN bus, and no place is named where to serve them",
+            "say --modbus-tcp 127.0.0.1:5020, or --modbus-rtu LINK",
+        )
+    raise RigError(
+        options.rig,
+        "the rig has no bus, so there is nothing to serve",
+        "motorhil run opens a prompt with its motors",
+    )
+
+
+def _environment(doors: dict[str, tuple[str, str]], lines: dict[str, list[str]]) -> dict[str, str]:
+    """What a command is told of where the buses and lines are."""
+    told: dict[str, str] = {}
+    if doors:
+        told["CAN_INTERFACE"], told["CAN_CHANNEL"] = next(iter(doors.values()))
+    places = {bus: channel for bus, (_, channel) in doors.items()}
+    places |= {line: where[0] for line, where in lines.items()}
+    for name, place in places.items():
+        told[f"MOTORHIL_CHANNEL_{name.upper().replace('-', '_')}"] = place
+    return told
 
 
 def _open_doors(
@@ -92,6 +125,12 @@ def _open_doors(
     """What python-can calls each bus: bus -> (interface, channel)."""
     names = rig.world.bus_names()
     doors: dict[str, tuple[str, str]] = {}
+    if not names and not options.on and options.socket is None:
+        return doors
+    if not names:
+        raise RigError(
+            options.rig, "the rig has no CAN bus for --on and --socket", "leave them out"
+        )
     for text in options.on:
         bus, _, interface = text.rpartition("=")
         bus = bus or names[0]
@@ -137,14 +176,10 @@ class _Service:
         self._loop.start()
         self._loop.run(self._is_stopped)
 
-    def run_command(self, command: list[str], doors: dict[str, tuple[str, str]]) -> int:
+    def run_command(self, command: list[str], environment: dict[str, str]) -> int:
         """The command has run with the rig up; its exit status (128 + n if signal n ended it)."""
-        interface, channel = next(iter(doors.values()))
-        environment = {**os.environ, "CAN_INTERFACE": interface, "CAN_CHANNEL": channel}
-        for bus, (_, bus_channel) in doors.items():
-            environment[f"MOTORHIL_CHANNEL_{bus.upper().replace('-', '_')}"] = bus_channel
         try:
-            process = subprocess.Popen(command, env=environment)
+            process = subprocess.Popen(command, env={**os.environ, **environment})
         except OSError as error:
             print(f"motorhil serve: {command[0]}: {error.strerror}", file=sys.stderr)
             return _NOT_FOUND

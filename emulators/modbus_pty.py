@@ -1,0 +1,148 @@
+"""A Gateway between a serial line of a world and whoever opens a pseudo-terminal.
+
+A pseudo-terminal has no bit times: what a client writes arrives at once, and silences of
+milliseconds are lost on the way. So frames are told apart by what they say (RtuRequests), and
+otherwise by a silence that no scheduler makes; each then goes on the emulated line as one, t3.5
+after what was there before, and takes its time there. What the line carries the client is handed
+when its last character is complete. Answering too late, or two clients at once, still collide.
+"""
+
+import os
+import tty
+from collections import deque
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Final, final
+
+from emulators.gateway import Source
+from emulators.line_segment import SerialSegment
+from emulators.modbus.rtu_stream import RtuRequests
+from emulators.world import World
+
+_PIECE: Final = 4096
+_SILENCE_NS: Final = 20_000_000  # a writer that was interrupted in the middle goes on before
+
+
+class ModbusPtyError(Exception):
+    """The link cannot be made; the message says which, why and what to do."""
+
+
+@final
+class ModbusPty:
+    """A Gateway: who opens `link` is on a serial line of the world.
+
+    Any baud rate may be set: the line keeps its own. `link` may be opened, closed and opened again;
+    it lasts until this closes. One left behind by a server that was killed is replaced.
+
+    Args:
+        link: where the terminal is to be found.
+        world: that has the line.
+        line: a serial one.
+
+    Attributes:
+        link: as given.
+        terminal: what it is linked to.
+        lost: characters that nobody took.
+
+    Raises:
+        ModbusPtyError: `link` is taken, or cannot be made.
+    """
+
+    def __init__(self, link: Path, world: World, line: str) -> None:
+        segment = world.line(line)
+        assert isinstance(segment, SerialSegment)
+        self.link: Final = link
+        self.lost = 0
+        self._line = segment.line
+        self._queue = world.queue
+        self._silence_ns = max(_SILENCE_NS, self._line.t35_ns)
+        self._requests = RtuRequests()
+        self._frames: deque[bytes] = deque()
+        self._free_ns = 0  # when the last one is out
+        self._pause = self._queue.alarm(self._fall_silent)
+        self._turn = self._queue.alarm(self._send)
+        # The slave stays open: else a client that leaves would end the terminal for all.
+        self._master, self._slave = os.openpty()
+        try:
+            tty.setraw(self._slave)
+            os.set_blocking(self._master, False)
+            self.terminal: Final = os.ttyname(self._slave)
+            self._make_link()
+        except BaseException:
+            os.close(self._master)
+            os.close(self._slave)
+            raise
+        self._host = world.add_line_host(line, link.name, self._tell)
+
+    def _make_link(self) -> None:
+        if self.link.is_symlink() and not self.link.exists():
+            self.link.unlink()  # what it led to has gone
+        try:
+            self.link.symlink_to(self.terminal)
+        except OSError as error:
+            raise ModbusPtyError(
+                f"{self.link}: the link to the terminal cannot be made: {error.strerror or error}; "
+                "choose another path, in a folder you may write"
+            ) from None
+
+    def fileno(self) -> int:
+        """Our end of the terminal."""
+        return self._master
+
+    def sources(self) -> Sequence[Source]:
+        """The one terminal."""
+        return (self,)
+
+    def readable(self, source: Source) -> None:
+        """Somebody has written."""
+        self._read()
+
+    def _read(self) -> bool:
+        try:
+            data = os.read(self._master, _PIECE)
+        except OSError:  # nothing there
+            return False
+        self._frames.extend(self._requests.feed(data))
+        now_ns = self._queue.now_ns
+        self._pause.set(now_ns + self._silence_ns if self._requests.waits else None)
+        self._send(now_ns)
+        return True
+
+    def _fall_silent(self, now_ns: int) -> None:
+        if not self._read():  # nothing waits there that came in time, and was not read in time
+            self._frames.append(self._requests.silence())
+            self._send(now_ns)
+
+    def _send(self, now_ns: int) -> None:
+        """The next frame goes on the line once it has been silent for t3.5."""
+        line = self._line
+        while self._frames:
+            quiet_ns = max(line.silent_since_ns(), self._free_ns)
+            if quiet_ns and now_ns < quiet_ns + line.t35_ns:
+                self._turn.set(quiet_ns + line.t35_ns)
+                return
+            frame = self._frames.popleft()
+            self._free_ns = now_ns + line.duration_ns(len(frame))
+            self._host.send(frame)
+
+    def _tell(self, data: bytes, time_ns: int, transmitted: bool) -> None:
+        if transmitted:
+            return
+        try:
+            self.lost += len(data) - os.write(self._master, data)
+        except OSError:  # nobody has read for a long time
+            self.lost += len(data)
+
+    def backlogged(self) -> bool:
+        """Never: what nobody takes is gone, as on a line."""
+        return False
+
+    def close(self) -> None:
+        """The terminal is gone, and the link to it."""
+        self._host.close()
+        self._pause.set(None)
+        self._turn.set(None)
+        if self.link.is_symlink() and os.readlink(self.link) == self.terminal:
+            self.link.unlink()
+        os.close(self._master)
+        os.close(self._slave)

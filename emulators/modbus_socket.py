@@ -1,0 +1,194 @@
+"""A Gateway between a Modbus/TCP line of a world and clients on the network, loopback by default.
+
+Each connection is one to the emulated gateway: what it sends arrives there the line's latency
+later, and what comes back goes out at once.
+"""
+
+import ipaddress
+import socket
+from collections.abc import Sequence
+from contextlib import suppress
+from typing import Final, final
+
+from emulators.gateway import Source
+from emulators.world import World
+
+CLIENTS_MAX: Final = 256  # select() takes no descriptor above 1023
+_PIECE: Final = 65_536
+_UNREAD_MAX: Final = 65_536  # a client that leaves so much unread is not listened to meanwhile
+
+
+class ModbusSocketError(Exception):
+    """The address cannot be had; the message says which, why and what to do."""
+
+
+@final
+class _Connection:
+    """One client."""
+
+    def __init__(self, connection: socket.socket, world: World, line: str, name: str) -> None:
+        self.connection = connection
+        self.is_over = False
+        self._waiting = bytearray()
+        self._ends = False  # once what waits is out
+        self._host = world.add_line_host(line, name, self._tell)
+
+    def _tell(self, data: bytes, time_ns: int, transmitted: bool) -> None:
+        if transmitted or self.is_over:
+            return
+        if not data:
+            self._ends = True
+        self._waiting += data
+        self.flush()
+
+    def flush(self) -> None:
+        """As much as the client takes has been handed over."""
+        try:
+            while self._waiting:
+                del self._waiting[: self.connection.send(self._waiting)]
+        except BlockingIOError:
+            return
+        except OSError:
+            self.is_over = True
+        self.is_over = self.is_over or self._ends
+
+    def readable(self) -> None:
+        """What it sent is on its way."""
+        try:
+            data = self.connection.recv(_PIECE)
+        except BlockingIOError:
+            return
+        except OSError:
+            data = b""
+        if data:
+            self._host.send(data)
+        else:
+            self.is_over = True
+
+    def waits(self) -> bool:
+        """Whether there are bytes for it to take."""
+        return bool(self._waiting)
+
+    def may_send(self) -> bool:
+        """Whether it is listened to."""
+        return len(self._waiting) < _UNREAD_MAX
+
+    def close(self) -> None:
+        """It is disconnected."""
+        self._host.close()
+        self.connection.close()
+
+
+@final
+class ModbusSocket:
+    """A Gateway: clients connect to `host`, `port`, and are connected to a line of the world.
+
+    Args:
+        host: a name or an address.
+        port: 0: any that is free.
+        world: that has the line.
+        line: of Modbus/TCP.
+        any_address: whether others than this machine may be let in.
+
+    Attributes:
+        address: (host, port) as it is now.
+
+    Raises:
+        ModbusSocketError: the address is open to others, unknown, or taken.
+    """
+
+    def __init__(
+        self, host: str, port: int, world: World, line: str, *, any_address: bool = False
+    ) -> None:
+        self._world = world
+        self._line = line
+        self._connections: dict[socket.socket, _Connection] = {}
+        family, address = _resolved(host, port, any_address)
+        self._listener = socket.socket(family, socket.SOCK_STREAM)
+        try:
+            self._listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+            self._listener.bind(address)
+            self._listener.listen(CLIENTS_MAX)
+            self._listener.setblocking(False)
+        except OSError as error:
+            self._listener.close()
+            raise ModbusSocketError(
+                f"{_written(host, port)}: {error.strerror or error}; choose another port, or 0 "
+                "for any that is free"
+            ) from None
+        bound: tuple[str, int] = self._listener.getsockname()[:2]
+        self.address: Final = bound
+
+    def __str__(self) -> str:
+        """The address as people write it."""
+        return _written(*self.address)
+
+    def sources(self) -> Sequence[Source]:
+        """The listening socket, and those of clients that read what they are told."""
+        watched: list[Source] = [self._listener]
+        for connection, client in list(self._connections.items()):
+            if client.waits():
+                client.flush()
+            if client.is_over:
+                client.close()
+                del self._connections[connection]
+            elif client.may_send():
+                watched.append(connection)
+        return watched
+
+    def readable(self, source: Source) -> None:
+        """A client has come, spoken or gone."""
+        if source is self._listener:
+            self._accept()
+        elif isinstance(source, socket.socket) and source in self._connections:
+            self._connections[source].readable()
+
+    def _accept(self) -> None:
+        try:
+            connection, peer = self._listener.accept()
+        except OSError:  # it has left again, or this process may open no more: it waits
+            return
+        if len(self._connections) >= CLIENTS_MAX:
+            connection.close()
+            return
+        connection.setblocking(False)
+        with suppress(OSError):  # it may have gone already
+            connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+        name = _written(*peer[:2])
+        self._connections[connection] = _Connection(connection, self._world, self._line, name)
+
+    def backlogged(self) -> bool:
+        """Whether a client has bytes to take."""
+        return any(client.waits() for client in self._connections.values())
+
+    def close(self) -> None:
+        """Everybody is disconnected and the address is free again."""
+        for client in self._connections.values():
+            client.close()
+        self._connections.clear()
+        self._listener.close()
+
+
+def _written(host: str, port: int) -> str:
+    return f"[{host}]:{port}" if ":" in host else f"{host}:{port}"
+
+
+def _resolved(
+    host: str, port: int, any_address: bool
+) -> tuple[socket.AddressFamily, tuple[str, int] | tuple[str, int, int, int]]:
+    try:
+        found = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM, flags=socket.AI_PASSIVE)
+    except OSError as error:
+        raise ModbusSocketError(
+            f"{_written(host, port)}: {error.strerror or error}; usual: 127.0.0.1"
+        ) from None
+    for _, _, _, _, address in found:
+        if not any_address and not ipaddress.ip_address(str(address[0])).is_loopback:
+            raise ModbusSocketError(
+                f"{_written(host, port)} can be reached from other machines, and Modbus asks nobody"
+                " who he is; serve on 127.0.0.1, or say --any-address"
+            )
+    family, _, _, _, first = found[0]
+    if isinstance(first[0], int):
+        raise ModbusSocketError(f"{_written(host, port)}: this Python has no such addresses")
+    return family, (first[0], *first[1:])
