@@ -98,8 +98,11 @@ def work_motor(desk: Desk) -> None:
                 give = _move_in_turn(desk, motor, reservation, turn)
             desk.note_inside(False)
             give.returned(_given(desk, reservation))
-        except MotorBusyError:
-            take.returned(Answer.REFUSED)
+        except MotorBusyError:  # in reserve(): inside of the block they are seen to
+            was_taken = any(event.action in _TAKEN for event in told)
+            take.returned(Answer.UNKNOWN if was_taken else Answer.REFUSED)
+            if was_taken:  # and lost again, or given back because somebody was stopping it
+                desk.history.call(desk.name, _label(motor), Action.GIVE).returned(Answer.UNKNOWN)
 
 
 def _move_in_turn(desk: Desk, motor: Motor, reservation: "Reservation", turn: int) -> Note:

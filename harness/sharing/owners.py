@@ -218,6 +218,9 @@ class Owner(Party):
         if self.reservation is not None:
             self._expect_lost(kind)
             return Answer.LOST
+        if self._taken is not None:  # he had it, and lost it before he could say so
+            self.stage.counts[f"{kind}: refused after it was taken"] += 1
+            return Answer.UNKNOWN
         self.stage.counts[f"{kind}: refused"] += 1
         return Answer.REFUSED
 
