@@ -55,11 +55,21 @@ controller = "node"
 channel = {number}
 current_per_volt_a_v = 0.8
 torque_constant_n_m_a = 1.7094
+amplifier_tick_ms = 0.1
 [motor.{name}.gains]
 bandwidth_rad_s = 60.0
 acceleration_feedforward_a_s2_rad = 0.038
 friction_feedforward_a = 0.154
 """
+_LINE = '[bus.line]\nkind = "modbus_rtu"\nbaud_bit_s = 115_200\nparity = "N"\n'
+_MODBUS_DRIVE = """\
+[controller.{name}]
+kind = "{kind}"
+bus = "line"
+unit = {number}
+plant = {{ preset = "wheel_60w" }}
+"""
+_MODBUS = 'adaptation = "{kind}"\ncontroller = "{{place}}"\n'
 _PLACES = (("left", 1), ("right", 2))
 
 
@@ -105,6 +115,26 @@ class Kind:
 
 ALL = (POSITION, VELOCITY, TORQUE, CURRENT)
 DRIVES = "".join(_CIA402_DRIVE.format(name=name, number=number) for name, number in _PLACES)
+
+
+def modbus_kind(adaptation, controller):
+    """Register drives: profiles in whole rpm or steps, asked every 10 ms, one after another."""
+    drives = (
+        _MODBUS_DRIVE.format(name=name, number=number, kind=controller) for name, number in _PLACES
+    )
+    return Kind(
+        adaptation,
+        _LINE + "".join(drives),
+        _MODBUS.format(kind=adaptation),
+        0.06,  # it began up to an exchange before or after that was told
+        0.003,
+        (-0.02, 0.02),
+        0.1,
+        (POSITION, VELOCITY),
+        (),
+    )
+
+
 KINDS = {
     kind.name: kind
     for kind in (
@@ -133,6 +163,17 @@ KINDS = {
         ),
     )
 }
+
+
+ASKED = {
+    name: modbus_kind(name, controller)
+    for name, controller in (
+        ("leadshine", "leadshine_pr"),
+        ("oriental_az", "oriental_az"),
+    )
+}
+"""Kinds that must be asked, and follow no function: they keep what all keep, each in its time."""
+EVERY = {**KINDS, **ASKED}
 
 
 @contextmanager

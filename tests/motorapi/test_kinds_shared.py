@@ -17,14 +17,14 @@ from motorapi import (
     WallRuntime,
 )
 from motorapi.adaptations.ideal import IdealHwMotor, IdealMotor
-from tests.motorapi.kinds import ACCELERATION_MAX, KINDS, VELOCITY_MAX, opened, true_position
+from tests.motorapi.kinds import ACCELERATION_MAX, EVERY, VELOCITY_MAX, opened, true_position
 
 SETPOINT, TRAJECTORY = ControlMode.SETPOINT, ControlMode.TRAJECTORY
 
 
-@pytest.fixture(params=KINDS)
+@pytest.fixture(params=EVERY)
 def kind(request):
-    return KINDS[request.param]
+    return EVERY[request.param]
 
 
 USERS = ("ann", "ben", "cem", "dot")
