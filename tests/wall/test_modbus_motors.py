@@ -1,0 +1,58 @@
+"""Motors on Modbus, on the wall: over TCP and over a serial line, served and recorded."""
+
+import socket
+import sys
+from pathlib import Path
+
+import pytest
+
+from motorapi.byte_lines import SerialLine, TcpLine
+from motorapi.errors import LinkError, UsageError
+from tests.wall.test_serve import motorhil
+from traces.reader import read_trace
+
+pytestmark = pytest.mark.wall
+
+PROGRAM = str(Path(__file__).parent / "modbus_mast.py")
+RIG = """
+[rig]
+[bus.line]
+kind = "modbus_{kind}"
+{settings}
+[controller.mast]
+kind = "leadshine_pr"
+bus = "line"
+unit = 1
+plant = {{ preset = "mast_20w" }}
+"""
+SETTINGS = {"tcp": "", "rtu": 'baud_bit_s = 115_200\nparity = "N"'}
+
+
+def free_port():
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        return server.getsockname()[1]
+
+
+@pytest.mark.parametrize("kind", ["tcp", "rtu"])
+def test_a_program_moves_a_served_drive_and_the_record_has_every_adu(tmp_path, kind):
+    rig, record = tmp_path / "rig.toml", tmp_path / "out.mcap"
+    rig.write_text(RIG.format(kind=kind, settings=SETTINGS[kind]))
+    where = f"127.0.0.1:{free_port()}" if kind == "tcp" else str(tmp_path / "tty")
+    words = ["serve", str(rig), f"--modbus-{kind}", f"line={where}", "-o", str(record)]
+    done = motorhil(*words, "--", sys.executable, PROGRAM, kind, where)
+    assert (done.stderr, done.returncode) == ("", 0)
+    assert done.stdout.split() == ["0.30", "0.20"]
+    with read_trace(record) as trace:
+        adus = sum(channel.topic == "/modbus/line" for channel, _, _ in trace.messages())
+    assert adus > 20
+    assert not Path(where).exists()
+
+
+def test_what_is_not_there_is_told_with_its_name(tmp_path):
+    port = free_port()
+    with pytest.raises(LinkError, match=f"127.0.0.1:{port}: no connection"):
+        TcpLine("127.0.0.1", port)
+    with pytest.raises(LinkError, match="cannot be opened"):
+        SerialLine(str(tmp_path / "tty"))
+    with pytest.raises(UsageError, match="no such line"):
+        SerialLine("/dev/null", parity="X")
