@@ -1,0 +1,216 @@
+"""What the specification wants of a server and others do not do, as bytes on TCP and on a terminal.
+
+Each check is a function of something to ask, so that it is also put to pymodbus's own server, which
+fails it: that is the fault planted for it. Expected bytes: MODBUS Application Protocol V1.1b3,
+section 6 and its state diagrams; Messaging on TCP/IP V1.0b, section 4.4; Serial Line V1.02, 2.
+"""
+
+import os
+import socket
+import subprocess
+import sys
+from collections.abc import Callable, Iterator
+from select import select
+
+import pytest
+
+from emulators.modbus.crc import with_crc
+from emulators.modbus.tcp import adu
+from tests.crosscheck.modbus_served import Served
+
+pytestmark = pytest.mark.wall
+
+Ask = Callable[[int, bytes], bytes]
+READ_5 = bytes.fromhex("03 0005 0001")
+
+
+@pytest.fixture
+def served(tmp_path) -> Iterator[Served]:
+    there = Served(tmp_path / "line")
+    try:
+        yield there
+    finally:
+        there.close()
+
+
+@pytest.fixture(params=["tcp", "rtu"])
+def ask(request, served) -> Ask:
+    return served.ask_tcp if request.param == "tcp" else served.ask_rtu
+
+
+def pdu(text: str) -> bytes:
+    return bytes.fromhex(text)
+
+
+# ---- checks, put to any server ----
+
+
+def quantity_0_and_one_too_many_are_illegal_values(ask: Ask) -> None:
+    for function, most in ((1, 2000), (2, 2000), (3, 125), (4, 125)):
+        for count in (0, most + 1):
+            request = bytes((function, 0, 5)) + count.to_bytes(2, "big")
+            assert ask(1, request) == bytes((function | 0x80, 3)), (function, count)
+    assert ask(1, pdu("10 0005 0000 00")) == pdu("90 03")
+    assert ask(1, pdu("0F 0005 0000 00")) == pdu("8F 03")
+    assert ask(1, pdu("17 0005 0000 0005 0001 02 0001")) == pdu("97 03")
+    assert ask(1, pdu("17 0005 007E 0005 0001 02 0001")) == pdu("97 03")
+
+
+def the_greatest_quantity_is_right(ask: Ask) -> None:
+    assert ask(1, pdu("03 0005 007D"))[:2] == pdu("03 FA")
+
+
+def a_coil_is_on_or_off_and_1234h_is_neither(ask: Ask) -> None:
+    assert ask(1, pdu("05 0007 1234")) == pdu("85 03")
+    assert ask(1, pdu("01 0007 0001")) == pdu("01 01 00")
+    assert ask(1, pdu("05 0007 FF00")) == pdu("05 0007 FF00")
+    assert ask(1, pdu("05 0007 0001")) == pdu("85 03")
+    assert ask(1, pdu("01 0007 0001")) == pdu("01 01 01")
+
+
+def function_17h_writes_nothing_if_its_read_range_is_illegal(ask: Ask) -> None:
+    before = ask(1, READ_5)
+    assert ask(1, pdu("17 FF00 0001 0005 0001 02 BEEF")) == pdu("97 02")
+    assert ask(1, READ_5) == before
+    assert ask(1, pdu("17 0005 0001 0005 0001 02 BEEF")) == pdu("17 02 BEEF")
+
+
+def a_foreign_unit_is_not_answered_as_if_it_were_there(ask: Ask) -> None:
+    before = ask(1, READ_5)
+    assert ask(9, pdu("06 0005 BEEF")) == pdu("86 0B")
+    assert ask(1, READ_5) == before
+
+
+def nobody_answers_as_all_units(ask: Ask) -> None:
+    before = ask(1, READ_5)
+    assert ask(0, pdu("06 0005 BEEF")) == pdu("86 0B")  # there is no broadcast on TCP
+    assert ask(1, READ_5) == before
+
+
+CHECKS = [
+    quantity_0_and_one_too_many_are_illegal_values,
+    a_coil_is_on_or_off_and_1234h_is_neither,
+    function_17h_writes_nothing_if_its_read_range_is_illegal,
+]
+UNITS_ON_TCP = [a_foreign_unit_is_not_answered_as_if_it_were_there, nobody_answers_as_all_units]
+
+
+@pytest.mark.parametrize("check", [*CHECKS, the_greatest_quantity_is_right])
+def test_the_served_units_do_as_specified(ask, check):
+    check(ask)
+
+
+@pytest.mark.parametrize("check", UNITS_ON_TCP)
+def test_a_gateway_answers_for_units_that_are_not_there(served, check):
+    check(served.ask_tcp)
+
+
+# ---- what needs more than one answer ----
+
+
+def pipelined(unit: int, count: int) -> tuple[bytes, list[int]]:
+    """So many requests in one piece, and their transaction identifiers."""
+    transactions = [0x7000 + 3 * number for number in range(count)]
+    return b"".join(adu(one, unit, READ_5) for one in transactions), transactions
+
+
+def test_each_of_fifty_pipelined_requests_is_answered_in_order(served):
+    data, transactions = pipelined(2, 50)
+    os.write(served.tcp.fileno(), data)
+    for one in transactions:
+        assert served.answer_tcp(one, 2) == pdu("03 02 07D5")
+
+
+def test_requests_may_be_cut_at_any_byte(served):
+    data, transactions = pipelined(1, 3)
+    for cut in range(1, len(data)):
+        os.write(served.tcp.fileno(), data[:cut])
+        served.loop.step(0)
+        served.loop.step(0)
+        os.write(served.tcp.fileno(), data[cut:])
+        for one in transactions:
+            assert served.answer_tcp(one, 1) == pdu("03 02 03ED")
+
+
+def test_what_is_no_modbus_ends_its_connection_and_no_other(served):
+    with socket.create_connection(served.socket.address) as other:
+        other.sendall(b"GET / HTTP/1.1\r\n\r\n")
+        served.until(lambda: bool(select([other], [], [], 0)[0]))
+        assert other.recv(1) == b""
+    assert served.ask_tcp(1, READ_5) == pdu("03 02 03ED")
+
+
+def test_on_a_line_a_foreign_unit_is_silence(served):
+    served.write(with_crc(bytes((9,)) + pdu("06 0005 BEEF")))
+    assert served.ask_rtu(1, READ_5) == pdu("03 02 03ED")
+    assert served.ask_rtu(2, READ_5) == pdu("03 02 07D5")
+
+
+def test_on_a_line_a_broadcast_is_done_by_all_and_answered_by_none(served):
+    served.write(with_crc(pdu("00 06 0005 BEEF")))
+    assert served.ask_rtu(1, READ_5) == pdu("03 02 BEEF")
+    assert served.ask_rtu(2, READ_5) == pdu("03 02 BEEF")
+
+
+def test_a_broadcast_read_is_nothing(served):
+    served.write(with_crc(b"\x00" + READ_5))
+    assert served.ask_rtu(2, READ_5) == pdu("03 02 07D5")
+
+
+def test_units_on_a_line_are_not_confused_by_the_responses_of_others(served):
+    for _ in range(10):
+        assert served.ask_rtu(1, READ_5) == pdu("03 02 03ED")
+        assert served.ask_rtu(2, READ_5) == pdu("03 02 07D5")
+
+
+@pytest.mark.parametrize(
+    "noise",
+    ["00", "FF FF FF", "01 03 00 05 00 01 00 00", "01 03 00", "01 41 22", "01 10 0005 0001 02 BE"],
+)
+def test_what_is_no_frame_is_silence_and_the_next_request_is_answered(served, noise):
+    served.write(pdu(noise))
+    served.until(lambda: served.world.line("rs485").line.frames == 1)
+    assert served.ask_rtu(1, READ_5) == pdu("03 02 03ED")
+
+
+def test_a_function_that_is_not_there_is_told_apart_by_silence(served):
+    assert served.ask_rtu(1, pdu("41 1234 5678")) == pdu("C1 01")
+
+
+def test_frames_written_in_one_go_keep_the_lines_silence_between_them(served):
+    served.write(with_crc(pdu("00 06 0005 BEEF")) + with_crc(pdu("00 06 0006 CAFE")))
+    assert served.ask_rtu(1, pdu("03 0005 0002")) == pdu("03 04 BEEF CAFE")
+    assert served.world.line("rs485").line.frames == 3  # the answer's t3.5 is not over yet
+
+
+# ---- the planted fault: pymodbus's own server ----
+
+
+@pytest.fixture(scope="module")
+def peer() -> Iterator[Ask]:
+    command = [sys.executable, "-m", "tests.benchmarks.pymodbus_peer", str(300)]
+    with subprocess.Popen(
+        command, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True
+    ) as server:
+        try:
+            assert server.stdout is not None
+            port = int(server.stdout.readline())
+            with socket.create_connection(("127.0.0.1", port), timeout=20) as connection:
+
+                def ask(unit: int, request: bytes) -> bytes:
+                    connection.sendall(adu(1, unit, request))
+                    return connection.recv(300)[7:]
+
+                yield ask
+        finally:
+            server.kill()
+
+
+@pytest.mark.parametrize("check", [*CHECKS, *UNITS_ON_TCP])
+def test_each_check_finds_what_another_server_does(peer, check):
+    with pytest.raises(AssertionError):
+        check(peer)
+
+
+def test_the_other_server_does_answer(peer):
+    the_greatest_quantity_is_right(peer)
