@@ -150,5 +150,6 @@ def run(plan: Plan) -> Outcome:
             raise SharingViolated(f"the arena failed ({done.returncode}): {done.stderr}")
         told = json.loads(done.stdout)
         uses = from_lines(Path(folder, "notes").read_text().splitlines())
-    complaints = tuple(line for line in done.stderr.splitlines() if line)
+    # What else is told there is told to people: "it moves for a process that died: it is halted".
+    complaints = tuple(line for line in done.stderr.splitlines() if line.startswith("worker "))
     return Outcome(ended_by_death(uses), complaints=complaints, **told)
