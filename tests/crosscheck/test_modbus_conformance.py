@@ -177,6 +177,12 @@ def test_a_function_that_is_not_there_is_told_apart_by_silence(served):
     assert served.ask_rtu(1, pdu("41 1234 5678")) == pdu("C1 01")
 
 
+def test_a_frame_longer_than_its_function_usually_is_is_one_frame(served):
+    echo = with_crc(pdu("01 08 0000 A537 1234 5678"))
+    served.write(echo)
+    assert served.heard(served.terminal, len(echo)) == echo
+
+
 def test_frames_written_in_one_go_keep_the_lines_silence_between_them(served):
     served.write(with_crc(pdu("00 06 0005 BEEF")) + with_crc(pdu("00 06 0006 CAFE")))
     assert served.ask_rtu(1, pdu("03 0005 0002")) == pdu("03 04 BEEF CAFE")

@@ -1,0 +1,406 @@
+"""Clients that are not ours work with served units, on TCP and on a pseudo-terminal.
+
+pymodbus (for RTU it needs pyserial), mbpoll (Debian package), libmodbus (Debian libmodbus-dev and a
+C compiler); what they exchanged is then shown to Wireshark (Debian tshark). Each is skipped aloud
+where it is missing.
+"""
+
+import asyncio
+import os
+import shutil
+import socket
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+from mcap.reader import make_reader
+from mcap_protobuf.decoder import DecoderFactory
+from pymodbus import FramerType
+from pymodbus.client import (
+    AsyncModbusSerialClient,
+    AsyncModbusTcpClient,
+    ModbusSerialClient,
+    ModbusTcpClient,
+)
+from pymodbus.client.mixin import ModbusClientMixin
+
+from tests.crosscheck.modbus_capture import SERVER_PORT, to_pcap
+from tests.wall.test_serve import MOTORHIL, motorhil, one_line
+
+pytestmark = pytest.mark.wall
+
+LONG_S = 20.0
+RIG = """\
+bus.plant = {kind = "modbus_tcp", latency_s = 0}
+bus.rs485 = {kind = "modbus_rtu", baud_bit_s = 115_200, parity = "N"}
+[controller.mast]
+kind = "leadshine_pr"
+bus = "plant"
+unit = 1
+timing.boot_up_s = 0
+[controller.head]
+kind = "oriental_az"
+bus = "plant"
+unit = 2
+timing.boot_up_s = 0
+[controller.arm]
+kind = "leadshine_pr"
+bus = "rs485"
+unit = 1
+timing.boot_up_s = 0
+[controller.hand]
+kind = "oriental_az"
+bus = "rs485"
+unit = 2
+timing.boot_up_s = 0
+"""
+
+
+class Server:
+    """`motorhil serve` in a process of its own."""
+
+    def __init__(self, folder: Path) -> None:
+        self.rig = folder / "rig.toml"
+        self.rig.write_text(RIG)
+        self.link = folder / "line"
+        self.record = folder / "run.mcap"
+        doors = ("--modbus-tcp", "127.0.0.1:0", "--modbus-rtu", str(self.link))
+        self.process = subprocess.Popen(
+            [*MOTORHIL, "serve", str(self.rig), *doors, "-o", str(self.record)],
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            text=True,
+        )
+        assert self.process.stdout is not None
+        self.said = [self.process.stdout.readline() for _ in range(2)]
+        self.port = int(self.said[0].split(":")[2].split(",")[0])
+
+    def stop(self) -> str:
+        """What it said in the end."""
+        if self.process.poll() is None:
+            self.process.terminate()
+        return self.process.communicate(timeout=LONG_S)[1]
+
+
+@pytest.fixture(scope="module")
+def server(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Server]:
+    there = Server(tmp_path_factory.mktemp("served"))
+    try:
+        yield there
+    finally:
+        there.stop()
+
+
+def signed(words: list[int]) -> int:
+    return int.from_bytes(b"".join(word.to_bytes(2, "big") for word in words), "big", signed=True)
+
+
+def registers(response) -> list[int]:
+    assert not response.isError(), response
+    return response.registers
+
+
+# ---- pymodbus ----
+
+
+def moves_a_motor(client: ModbusClientMixin, target: int) -> None:
+    """A PR drive is told a path, started, and watched until it is there."""
+    path = [1, target >> 16 & 0xFFFF, target & 0xFFFF, 600, 50, 50, 0]
+    assert not client.write_register(0x000F, 1, device_id=1).isError()
+    assert not client.write_registers(0x6200, path, device_id=1).isError()
+    assert registers(client.read_holding_registers(0x6200, count=7, device_id=1)) == path
+    assert not client.write_register(0x6002, 0x10, device_id=1).isError()
+    positions = []
+    end_s = time.monotonic() + LONG_S
+    while not registers(client.read_holding_registers(0x1003, device_id=1))[0] & 0x20:
+        assert time.monotonic() < end_s
+        positions.append(
+            signed(registers(client.read_holding_registers(0x1014, count=2, device_id=1)))
+        )
+    assert len(set(positions)) > 5  # live registers
+    there = signed(registers(client.read_holding_registers(0x1014, count=2, device_id=1)))
+    assert abs(there - target) <= 5
+
+
+def says_what_it_has_not(client: ModbusClientMixin) -> None:
+    assert client.read_holding_registers(0xF000, device_id=1).exception_code == 2
+    assert client.read_coils(0, device_id=1).exception_code == 1
+    assert client.write_register(0x1003, 0, device_id=1).exception_code == 2  # to be read
+    assert client.diag_query_data(b"\x12\x34", device_id=1).message == b"\x12\x34"
+    said = client.read_device_information(read_code=1, object_id=0, device_id=1)
+    assert len(said.information) == 3
+    read = client.readwrite_registers(
+        read_address=0x5C, read_count=2, address=0x5C, values=[0xFFFF, 0xFFF0], device_id=2
+    )
+    assert signed(registers(read)) == -16
+
+
+def serial_client(server: Server) -> ModbusSerialClient:
+    pytest.importorskip("serial", reason="pyserial is not installed")
+    return ModbusSerialClient(
+        str(server.link), framer=FramerType.RTU, baudrate=115_200, timeout=LONG_S, retries=0
+    )
+
+
+def test_pymodbus_sync_over_tcp(server):
+    with ModbusTcpClient("127.0.0.1", port=server.port, timeout=LONG_S, retries=0) as client:
+        moves_a_motor(client, 12_345)
+        says_what_it_has_not(client)
+
+
+def test_pymodbus_sync_over_the_pseudo_terminal(server):
+    with serial_client(server) as client:
+        moves_a_motor(client, -12_345)
+        says_what_it_has_not(client)
+
+
+def test_the_terminal_may_be_closed_and_opened_again(server):
+    for _ in range(3):
+        with serial_client(server) as client:
+            assert registers(client.read_holding_registers(0x1003, device_id=1))
+
+
+async def asks_two_at_once(client) -> None:
+    """Both units, at the same time as far as the client can."""
+    assert await client.connect()
+    try:
+        for _ in range(20):
+            mast, head = await asyncio.gather(
+                client.read_holding_registers(0x620B, count=1, device_id=1),
+                client.read_holding_registers(0x5E, count=2, device_id=2),
+            )
+            assert (registers(mast), signed(registers(head))) == ([60], 1000)
+    finally:
+        client.close()
+
+
+def test_pymodbus_async_over_tcp(server):
+    async def run() -> None:
+        client = AsyncModbusTcpClient("127.0.0.1", port=server.port, timeout=LONG_S, retries=0)
+        await asks_two_at_once(client)
+
+    asyncio.run(run())
+
+
+def test_pymodbus_async_over_the_pseudo_terminal(server):
+    pytest.importorskip("serial", reason="pyserial is not installed")
+
+    async def run() -> None:
+        client = AsyncModbusSerialClient(
+            str(server.link), framer=FramerType.RTU, baudrate=115_200, timeout=LONG_S, retries=0
+        )
+        await asks_two_at_once(client)
+
+    asyncio.run(run())
+
+
+# ---- mbpoll ----
+
+
+@pytest.fixture(scope="module")
+def mbpoll() -> str:
+    found = shutil.which("mbpoll")
+    if found is None:
+        pytest.skip("mbpoll is not installed: apt-get install mbpoll")
+    return found
+
+
+@pytest.fixture(params=["tcp", "rtu"])
+def place(request, server) -> tuple[str, list[str]]:
+    if request.param == "tcp":
+        return "127.0.0.1", ["-m", "tcp", "-p", str(server.port)]
+    return str(server.link), ["-m", "rtu", "-b", "115200", "-P", "none"]
+
+
+def test_mbpoll_reads_and_writes(mbpoll, place):
+    where, how = place
+    common = [mbpoll, *how, "-0", "-a", "1", "-o", "10", "-1", "-t", "4"]
+    wrote = subprocess.run(
+        [*common, "-r", "25124", where, "2", "77"],  # 6224h: path 4, mode and position
+        capture_output=True,
+        text=True,
+        timeout=LONG_S,
+        check=False,
+    )
+    assert wrote.returncode == 0, wrote.stdout + wrote.stderr
+    assert "Written 2 references." in wrote.stdout
+    read = subprocess.run(
+        [*common, "-r", "25124", "-c", "2", where],
+        capture_output=True,
+        text=True,
+        timeout=LONG_S,
+        check=False,
+    )
+    assert read.returncode == 0, read.stdout + read.stderr
+    assert [line.split() for line in read.stdout.splitlines() if line.startswith("[")] == [
+        ["[25124]:", "2"],
+        ["[25125]:", "77"],
+    ]
+
+
+# ---- libmodbus ----
+
+
+@pytest.fixture(scope="module")
+def libmodbus(tmp_path_factory: pytest.TempPathFactory) -> str:
+    compiler = shutil.which("cc")
+    if compiler is None:
+        pytest.skip("there is no C compiler (cc)")
+    program = tmp_path_factory.mktemp("libmodbus") / "client"
+    source = Path(__file__).parent / "libmodbus_client.c"
+    built = subprocess.run(
+        [compiler, "-I/usr/include/modbus", str(source), "-o", str(program), "-lmodbus"],
+        capture_output=True,
+        text=True,
+        timeout=60,
+        check=False,
+    )
+    if built.returncode and ("modbus.h" in built.stderr or "-lmodbus" in built.stderr):
+        pytest.skip("libmodbus is not installed: apt-get install libmodbus-dev")
+    assert built.returncode == 0, built.stderr
+    return str(program)
+
+
+@pytest.mark.parametrize("kind", ["tcp", "rtu"])
+def test_libmodbus_reads_and_writes(libmodbus, server, kind):
+    words = ["127.0.0.1", str(server.port)] if kind == "tcp" else [str(server.link), "115200"]
+    done = subprocess.run(
+        [libmodbus, kind, *words], capture_output=True, text=True, timeout=60, check=False
+    )
+    assert done.stdout.split() == ["0", "123", "1", "1", "1", "-10"], done.stderr
+    assert done.returncode == 0
+
+
+# ---- Wireshark ----
+
+
+@pytest.fixture(scope="module")
+def tshark() -> str:
+    found = shutil.which("tshark")
+    if found is None:
+        pytest.skip("tshark is not installed: apt-get install tshark")
+    return found
+
+
+def exchanged(record: Path, topic: str) -> list[tuple[int, str, bool, bytes]]:
+    """(ns, sender, whether to the server, ADU), read by mcap's own reader."""
+    with record.open("rb") as file:
+        reader = make_reader(file, decoder_factories=[DecoderFactory()])
+        return [
+            (message.log_time, adu.sender, adu.direction == 2, adu.data)
+            for _, _, message, adu in reader.iter_decoded_messages(topics=[topic])
+        ]
+
+
+def dissected(tshark: str, path: Path, protocol: str) -> list[list[str]]:
+    fields = ("frame.protocols", "_ws.malformed", "_ws.expert.message", "modbus.func_code")
+    command = [tshark, "-n", "-r", str(path), "-d", f"tcp.port=={SERVER_PORT},{protocol}"]
+    command += ["-o", "mbrtu.crc_verification:TRUE", "-T", "fields"]
+    for field in fields:
+        command += ["-e", field]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=60, check=True)
+    return [line.split("\t") for line in done.stdout.splitlines()]
+
+
+def test_wireshark_reads_every_exchange_without_an_error(tshark, server, tmp_path):
+    with ModbusTcpClient("127.0.0.1", port=server.port, timeout=LONG_S, retries=0) as client:
+        says_what_it_has_not(client)  # so that there is one, if this test runs alone
+    server.stop()
+    for topic, protocol in (("/modbus/plant", "mbtcp"), ("/modbus/rs485", "mbrtu")):
+        adus = exchanged(server.record, topic)
+        to_pcap(adus, tmp_path / f"{protocol}.pcap")
+        rows = dissected(tshark, tmp_path / f"{protocol}.pcap", protocol)
+        assert len(rows) == len(adus)
+        wrong = [
+            (row, adu[3].hex())
+            for row, adu in zip(rows, adus, strict=True)
+            if protocol not in row[0] or "modbus" not in row[0] or row[1] or not row[3]
+        ]
+        assert wrong == []
+        assert {row[2] for row in rows} <= {"", "Exception returned"}
+    assert len(exchanged(server.record, "/modbus/plant")) > 10
+
+
+def test_the_planted_fault_a_wrong_check_sum_is_seen_by_wireshark(tshark, tmp_path):
+    to_pcap([(0, "host", True, bytes.fromhex("010300000001840B"))], tmp_path / "crc.pcap")
+    ((_, malformed, message, _),) = dissected(tshark, tmp_path / "crc.pcap", "mbrtu")
+    assert malformed or "CRC" in message
+
+
+# ---- the command ----
+
+
+def test_it_says_where_and_leaves_nothing_behind(tmp_path):
+    there = Server(tmp_path)
+    assert there.said == [
+        f"plant: Modbus/TCP at 127.0.0.1:{there.port}, units 1, 2\n",
+        f"rs485: Modbus RTU (as at 115200 bit/s 8N1) at {there.link}, units 1, 2\n",
+    ]
+    assert there.link.is_symlink()
+    errors = there.stop()
+    assert "Traceback" not in errors
+    assert there.process.returncode == 0
+    assert not there.link.is_symlink()
+    with pytest.raises(ConnectionRefusedError):
+        socket.create_connection(("127.0.0.1", there.port))
+
+
+def test_a_link_left_by_a_killed_server_is_replaced_and_a_file_is_not(tmp_path):
+    link = tmp_path / "line"
+    link.symlink_to("/dev/pts/no-such-terminal")
+    (tmp_path / "rig.toml").write_text(RIG)
+    words = ["serve", str(tmp_path / "rig.toml"), "--modbus-rtu", str(link), "--"]
+    show = [sys.executable, "-c", "import os; print(os.readlink(os.environ[NAME]))"]
+    show[2] = show[2].replace("NAME", "'MOTORHIL_CHANNEL_RS485'")
+    done = motorhil(*words, *show)
+    assert (done.returncode, done.stderr) == (0, "")
+    assert done.stdout.startswith("/dev/pts/")
+    link.write_text("mine")
+    done = motorhil(*words, *show)
+    assert done.returncode == 2
+    assert f"{link}: the link to the terminal cannot be made" in one_line(done.stderr)
+    assert link.read_text() == "mine"
+
+
+@pytest.mark.parametrize(
+    ("words", "reason"),
+    [
+        (["--modbus-tcp", "0.0.0.0:0"], "0.0.0.0:0 can be reached from other machines"),
+        (["--modbus-tcp", "[::]:0"], "[::]:0 can be reached from other machines"),
+        (["--modbus-tcp", "rs485=127.0.0.1:0"], "bus 'rs485': it is of kind modbus_rtu"),
+        (["--modbus-tcp", "no=127.0.0.1:0"], "bus 'no': the rig has none of it"),
+        (["--modbus-rtu", "plant=/tmp/x"], "bus 'plant': it is of kind modbus_tcp"),
+        (["--modbus-rtu", "rs485="], "names no place"),
+        (["--modbus-tcp", "5020"], "no HOST:PORT"),
+        (["--modbus-tcp", "127.0.0.1:65536"], "no HOST:PORT"),
+        ([], "no place is named where to serve them"),
+        (["--socket", "/tmp/x", "--modbus-tcp", "127.0.0.1:0"], "no CAN bus for --on and --socket"),
+    ],
+)
+def test_what_cannot_be_served_is_one_line(tmp_path, words, reason):
+    (tmp_path / "rig.toml").write_text(RIG)
+    done = motorhil("serve", str(tmp_path / "rig.toml"), *words, "--", "true")
+    assert done.returncode == 2
+    assert reason in one_line(done.stderr)
+
+
+def test_other_machines_are_let_in_if_that_is_said(tmp_path):
+    (tmp_path / "rig.toml").write_text(RIG)
+    done = motorhil(
+        *("serve", str(tmp_path / "rig.toml"), "--modbus-tcp", "0.0.0.0:0", "--any-address"),
+        *("--", "sh", "-c", "echo $MOTORHIL_CHANNEL_PLANT"),
+    )
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.startswith("0.0.0.0:")
+
+
+def test_a_port_in_use_is_one_line(tmp_path):
+    (tmp_path / "rig.toml").write_text(RIG)
+    with socket.create_server(("127.0.0.1", 0)) as taken:
+        place = f"127.0.0.1:{taken.getsockname()[1]}"
+        done = motorhil("serve", str(tmp_path / "rig.toml"), "--modbus-tcp", place, "--", "true")
+    assert done.returncode == 2
+    assert f"{place}: {os.strerror(98)}" in one_line(done.stderr)
