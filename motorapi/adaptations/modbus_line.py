@@ -12,6 +12,7 @@ tells.
 
 from collections import deque
 from collections.abc import Callable
+from contextlib import suppress
 from typing import TYPE_CHECKING, Final, Protocol, final
 
 from pymodbus.client.mixin import ModbusClientMixin
@@ -30,6 +31,7 @@ if TYPE_CHECKING:
 
 _HEAD: Final = 7  # of MBAP, with the unit
 _LOCKED_S: Final = 0.001
+_AT_ONCE_S: Final = 1e-9
 _QUARANTINE_S: Final = 0.5
 
 
@@ -126,12 +128,20 @@ class ModbusLine:
             LinkError: the line is closed.
         """
         exchange = Exchange(request, unit, timeout_s, owned)
-        self._queue.append(exchange)
-        self._go_on()
+        is_asked = False
+
+        def is_over() -> bool:  # of whoever waits one looks at a time, and no callback runs then
+            nonlocal is_asked
+            if not is_asked:
+                is_asked = True
+                self._queue.append(exchange)
+                self._go_on()
+            return exchange.is_over
+
         try:
-            self.runtime.wait_until(lambda: exchange.is_over)
+            self.runtime.wait_until(is_over)
         except BaseException:
-            if exchange in self._queue:
+            with suppress(ValueError):  # it is out already
                 self._queue.remove(exchange)
             raise
         if exchange.error is not None:
@@ -143,7 +153,7 @@ class ModbusLine:
         """As `ask`, before all that wait, and without waiting: a callback may do it."""
         exchange = Exchange(request, unit, timeout_s)
         self._queue.appendleft(exchange)
-        self._go_on()
+        self._once(_AT_ONCE_S, self._go_on)
         return exchange
 
     def close(self) -> None:
@@ -217,10 +227,25 @@ class ModbusLine:
         self._end_timer()
 
         def over() -> None:
-            self._end_timer()
+            self._timer = None
             action()
 
-        self._timer = self.runtime.every(max(time_s, 1e-9), over)
+        self._timer = self._once(time_s, over)
+
+    def _once(self, time_s: float, action: Callable[[], None]) -> Registration:
+        """`action` runs once, as a callback: while no other does, and nobody asks."""
+        is_over, timers = False, list[Registration]()  # empty yet, if it is over that soon
+
+        def over() -> None:
+            nonlocal is_over
+            for timer in timers:
+                timer.cancel()
+            if not is_over:
+                is_over = True
+                action()
+
+        timers.append(self.runtime.every(max(time_s, _AT_ONCE_S), over))
+        return timers[0]
 
     def _end_timer(self) -> None:
         timer, self._timer = self._timer, None

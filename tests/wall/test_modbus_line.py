@@ -1,0 +1,77 @@
+"""Threads of one process that share a Modbus line, on the wall: one exchange at a time."""
+
+import socket
+import threading
+
+import pytest
+
+from motorapi.adaptations.modbus_line import ModbusLine, UnitClient
+from motorapi.byte_lines import TcpLine
+from motorapi.lock_directory import LockDirectory
+from motorapi.process_lock import ProcessLock
+from motorapi.wall_runtime import WallRuntime
+
+pytestmark = pytest.mark.wall
+
+THREADS, EXCHANGES = 3, 5
+
+
+def serve(server):
+    """Each request for one register is answered by its address (MODBUS TCP, MBAP header)."""
+    client = server.accept()[0]
+    with client:
+        heard = b""
+        while data := client.recv(4096):
+            heard += data
+            while len(heard) >= 12:
+                request, heard = heard[:12], heard[12:]
+                answer = request[6:7] + b"\x03\x02" + request[8:10]
+                client.sendall(request[:4] + len(answer).to_bytes(2, "big") + answer)
+
+
+class SlowLock:
+    """A lock between processes that takes its time, as one with system calls in it may."""
+
+    def __init__(self, lock):
+        self.lock = lock
+        self.met = threading.Event()
+        self.inside = 0
+
+    def acquire(self, *args):
+        self.inside += 1
+        if self.inside > 1:
+            self.met.set()
+        self.met.wait(0.01)  # for another thread that would come in as well
+        self.inside -= 1
+        return self.lock.acquire(*args)
+
+
+def test_threads_that_share_a_line_ask_one_after_another(tmp_path):
+    runtime = WallRuntime()
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        threading.Thread(target=serve, args=(server,), daemon=True).start()
+        connection = TcpLine("127.0.0.1", server.getsockname()[1], runtime=runtime)
+        lock = SlowLock(ProcessLock("line-exchange", "the line", LockDirectory(tmp_path)))
+        line = ModbusLine(connection, runtime, lock)
+        heard = [[] for _ in range(THREADS)]
+
+        def ask(number):
+            client = UnitClient(line, number + 1, 2.0)
+            for count in range(EXCHANGES):
+                address = 1000 * number + count
+                heard[number] += client.read_holding_registers(address, count=1).registers
+
+        parties = [
+            runtime.spawn(f"asks {number}", lambda number=number: ask(number))
+            for number in range(THREADS)
+        ]
+        try:
+            assert all(party.join(10.0) for party in parties)
+            assert [party.error for party in parties] == [None] * THREADS
+            expected = [list(range(1000 * n, 1000 * n + EXCHANGES)) for n in range(THREADS)]
+            assert heard == expected
+            assert not lock.met.is_set()
+        finally:
+            line.close()
+            connection.close()
+            runtime.close()
