@@ -163,7 +163,7 @@ class Recorder:
         spoiled: bool,
     ) -> None:
         """An ADU of `sender` was complete on a line that speaks Modbus."""
-        received = sender in self._kinds
+        received = sender in self._kinds or sender == line  # the line's own gateway
         values: dict[str, Value] = {
             "direction": Direction.RECEIVED if received else Direction.TRANSMITTED,
             "sender": sender,

@@ -44,10 +44,13 @@ class Adu:
 @final
 @dataclass(frozen=True, slots=True)
 class Malformed:
-    """Bytes that are no ADU. Attributes: time_ns, way, packet, data, problem (in words)."""
+    """Bytes that are no ADU.
+
+    Attributes: time_ns, way (None: on a line of our recordings), packet, data, problem (in words).
+    """
 
     time_ns: int
-    way: Way
+    way: Way | None
     packet: int
     data: bytes
     problem: str

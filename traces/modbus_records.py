@@ -1,0 +1,64 @@
+"""The ADUs on the Modbus lines of a recording of ours, to be paired like those of captures.
+
+Source: MODBUS over Serial Line V1.02, section 2.5.1.2 for the check sum; the Messaging on TCP/IP
+guide V1.0b, section 3.1.3 for the header.
+"""
+
+from collections.abc import Iterator
+from typing import Final
+
+from traces.modbus import Adu, Malformed
+from traces.protobuf import decode
+from traces.reader import Trace
+from traces.schema import MODBUS_ADU, Direction
+
+_TOPIC: Final = "/modbus/"
+_SHORTEST: Final = 4
+_HEAD: Final = 7
+_POLYNOMIAL: Final = 0xA001
+
+
+def lines_of(trace: Trace) -> list[str]:
+    """The names of the lines there are in it, sorted."""
+    topics = {channel.topic for channel in trace.channels.values()}
+    return sorted(topic.removeprefix(_TOPIC) for topic in topics if topic.startswith(_TOPIC))
+
+
+def recorded_adus(trace: Trace, line: str) -> Iterator[Adu | Malformed]:
+    """What was on a line, in order; times are of last bits [ns of the rig]."""
+    for _, _, payload in trace.messages(topics=[_TOPIC + line]):
+        values = decode(MODBUS_ADU, payload)
+        data, end_ns = values.get("data", b""), values.get("end_ns", 0)
+        assert isinstance(data, bytes)
+        assert isinstance(end_ns, int)
+        to_server = values.get("direction") == Direction.TRANSMITTED
+        is_tcp = bool(values.get("tcp"))
+        problem = _problem(data, spoiled=bool(values.get("spoiled")), tcp=is_tcp)
+        if problem:
+            yield Malformed(end_ns, None, 0, data, problem)
+        elif is_tcp:
+            transaction = int.from_bytes(data[:2], "big")
+            yield Adu(end_ns, None, to_server, transaction, data[6], data[_HEAD:])
+        else:
+            yield Adu(end_ns, None, to_server, 0, data[0], data[1:-2])
+
+
+def _problem(data: bytes, *, spoiled: bool, tcp: bool) -> str:
+    """Why it is no ADU; "": it is one."""
+    if spoiled:
+        return "a pause in it, or a collision"
+    if tcp:
+        return "" if len(data) > _HEAD else "shorter than a header"
+    if len(data) < _SHORTEST:
+        return "shorter than any frame"
+    return "" if _checked(data) else "a wrong check sum"
+
+
+def _checked(data: bytes) -> bool:
+    """Whether the check sum is right: then that of all of it is 0."""
+    crc = 0xFFFF
+    for byte in data:
+        crc ^= byte
+        for _ in range(8):
+            crc = crc >> 1 ^ (_POLYNOMIAL if crc & 1 else 0)
+    return crc == 0
