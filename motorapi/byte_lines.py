@@ -2,7 +2,7 @@
 
     line = TcpLine("192.168.1.20")                    # port 502
     line = SerialLine("/dev/ttyUSB0", baud_bit_s=115_200, parity="N")
-    motor = LeadshineMotor(LeadshineHwMotor(line, unit=1, runtime=line.runtime), model)
+    motor = LeadshineMotor(LeadshineHwMotor(line, unit=1, runtime=line.wall), model)
 
 What comes is read by a thread of the wall's runtime, as it reads CAN buses. A serial line needs
 pyserial (`pip install motorhil[serial]`).
@@ -40,7 +40,7 @@ class TcpLine:
         runtime: where applications on it wait; None: the process's own.
         timeout_s: how long to wait for the connection [s].
 
-    Attributes: name, framing ("tcp"), silence_ns (0), is_closed, runtime, address.
+    Attributes: name, framing ("tcp"), silence_ns (0), is_closed, address.
 
     Raises:
         LinkError: nobody answers there.

@@ -6,6 +6,9 @@ from typing import Final, final
 
 from motorapi.errors import PeerError
 
+GATEWAY_TARGET_FAILED: Final = 0x0B
+"""The exception code of a gateway, for a unit that does not answer."""
+
 # MODBUS Application Protocol Specification V1.1b3, section 7
 _TEXT: Final = {
     0x01: "illegal function",
@@ -16,7 +19,7 @@ _TEXT: Final = {
     0x06: "server device busy",
     0x08: "memory parity error",
     0x0A: "gateway path unavailable",
-    0x0B: "gateway target device failed to respond",
+    GATEWAY_TARGET_FAILED: "gateway target device failed to respond",
 }
 
 

@@ -13,9 +13,13 @@ from pymodbus.pdu.register_message import (
     WriteSingleRegisterRequest,
 )
 
-from motorapi.adaptations.modbus_errors import ModbusProtocolViolation
+from motorapi.adaptations.modbus_errors import (
+    GATEWAY_TARGET_FAILED,
+    ModbusExceptionResponse,
+    ModbusProtocolViolation,
+)
 from motorapi.adaptations.modbus_line import ByteLine, Exchange, ModbusLine
-from motorapi.errors import DeadlineExceeded, LinkError, UsageError
+from motorapi.errors import DeadlineExceeded, LinkError, MotorError, UsageError
 from motorapi.lock_names import line_name
 from motorapi.process_lock import ProcessLock, can_share_time
 from motorapi.sharing import register_physical_motor, release_physical_motor
@@ -114,9 +118,14 @@ class ModbusUnit:
         while True:
             try:
                 return self.read(address)[0]
-            except (DeadlineExceeded, ModbusProtocolViolation):
-                if self.runtime.now_ns() >= end_ns:
+            except (DeadlineExceeded, ModbusProtocolViolation) as error:
+                last: MotorError = error
+            except ModbusExceptionResponse as error:  # a gateway says so of one that is silent
+                if error.exception_code != GATEWAY_TARGET_FAILED:
                     raise
+                last = error
+            if self.runtime.now_ns() >= end_ns:
+                raise last
 
     def read_i32(self, address: int) -> int:
         """A signed 32-bit value, upper register first."""
