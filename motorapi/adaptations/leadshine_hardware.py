@@ -17,8 +17,9 @@ from typing import TYPE_CHECKING, Final, final
 from motorapi.adaptations.modbus_line import ByteLine, Exchange
 from motorapi.adaptations.modbus_unit import ModbusUnit, as_i32
 from motorapi.adaptations.polled_motor import Poll, PolledProgress
+from motorapi.adaptations.polled_units import check_register, gear, toward_zero
 from motorapi.commands import ControlVariable, Motion
-from motorapi.errors import LimitError, StateError, UnsupportedError, UsageError
+from motorapi.errors import StateError, UnsupportedError
 from motorapi.model import MotionKind
 from motorapi.state import Fault, MotorState
 
@@ -230,7 +231,7 @@ class LeadshineHwMotor:
             deceleration=_acceleration(slower, rpm_unit),
         )
         if motion.variable is ControlVariable.VELOCITY:
-            return replace(changed, target=_toward_zero(motion.target * rpm_unit) / rpm_unit)
+            return replace(changed, target=toward_zero(motion.target * rpm_unit) / rpm_unit)
         speed = max(1, floor(motion.velocity * rpm_unit + 1e-9))
         target = round(motion.target * per_unit) / per_unit
         return replace(changed, velocity=speed / rpm_unit, target=target)
@@ -241,14 +242,14 @@ class LeadshineHwMotor:
         faster, slower = self._ramps(motion, rpm_unit)
         if motion.variable is ControlVariable.VELOCITY:
             way = 1 if per_unit > 0 else -1
-            speed = way * _toward_zero(motion.target * rpm_unit)
-            _check(self.label, "velocity", abs(speed), _RPM_MAX, "rpm")
+            speed = way * toward_zero(motion.target * rpm_unit)
+            check_register(self.label, "velocity", abs(speed), _RPM_MAX, "rpm")
             path = (_VELOCITY, 0, 0, speed, faster, slower, 0, _RUN)
         else:
             target = round(motion.target * per_unit)
-            _check(self.label, "position", abs(target), _INT32_MAX, "pulses")
+            check_register(self.label, "position", abs(target), _INT32_MAX, "pulses")
             speed = max(1, floor(motion.velocity * rpm_unit + 1e-9))
-            _check(self.label, "velocity", speed, _RPM_MAX, "rpm")
+            check_register(self.label, "velocity", speed, _RPM_MAX, "rpm")
             path = (_ABSOLUTE, target >> 16, target, speed, faster, slower, 0, _RUN)
         if self._ramp_ms != slower:
             self.registers.write(_QUICK_RAMP, slower)  # a stop slows down as the motion does
@@ -278,42 +279,9 @@ class LeadshineHwMotor:
             self._stop = self.registers.post(_TRIGGER, _STOP) if lost else None
 
 
-def gear(model: "MotorModel") -> float:
-    """Motor turns per turn of the output, or per metre.
-
-    Raises:
-        UsageError: the model does not say.
-    """
-    if model.gear_ratio is None:
-        key = "motor_turns_per_m" if model.kind is MotionKind.LINEAR else "gear_ratio"
-        raise UsageError(
-            f"motor model {model.name}: {key} is not given; the drive counts pulses of the motor,"
-            f" so add it ({key} = 1.0, if there is no gear)"
-        )
-    return model.gear_ratio
-
-
 def _ramp_ms(rpm_s: float) -> int:
     return max(1, min(_RAMP_MAX, ceil(1e6 / rpm_s - 1e-9)))
 
 
 def _acceleration(ramp_ms: int, rpm_unit: float) -> float:
     return 1e6 / ramp_ms / rpm_unit
-
-
-def _toward_zero(rpm: float) -> int:
-    size = floor(abs(rpm) + 1e-9)
-    return size if rpm > 0 else -size
-
-
-def _check(label: str, quantity: str, value: int, high: int, unit: str) -> None:
-    if value > high:
-        raise LimitError(
-            motor=label,
-            quantity=quantity,
-            value=value,
-            low=None,
-            high=high,
-            unit=unit,
-            reason="what the drive's register holds",
-        )

@@ -11,10 +11,10 @@
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Final, final
 
-from motorapi.adaptations.building import Shared, as_name, number, refuse_unknown
+from motorapi.adaptations.building import Shared, as_name
 from motorapi.adaptations.oriental_hardware import OrientalAzHwMotor
+from motorapi.adaptations.polled_building import BUS_KINDS, shared_hardware
 from motorapi.adaptations.polled_motor import PolledMotor
-from motorapi.errors import UsageError
 
 if TYPE_CHECKING:
     from motorapi.adaptations.modbus_line import ByteLine
@@ -23,8 +23,6 @@ if TYPE_CHECKING:
 
 __all__ = ["OrientalAzHwMotor", "OrientalAzMotor", "build"]
 
-_KEYS: Final = ("name", "unit", "timeout_s")
-_TIMEOUT_S: Final = 0.2
 _SHARED: Final[Shared[OrientalAzHwMotor]] = Shared("drive")
 
 
@@ -53,17 +51,12 @@ def build(
     Raises:
         UsageError: a setting is unknown, missing, or wrong.
     """
-    refuse_unknown(settings, _KEYS, "setting of an oriental_az motor")
-    unit = settings.get("unit")
-    if not isinstance(unit, int) or isinstance(unit, bool):
-        raise UsageError(f"unit = {unit!r}: must be a server address, 1 to 247")
-    timeout_s = number("timeout_s", settings.get("timeout_s", _TIMEOUT_S))
-    if not 0.001 <= timeout_s <= 60.0:
-        raise UsageError(f"timeout_s = {timeout_s:g}: must be 0.001 to 60 s")
-    hardware = _SHARED.get(
-        (id(bus), unit),
-        lambda: OrientalAzHwMotor(bus, unit, runtime=runtime, timeout_s=timeout_s),
-        lambda built: built.registers.timeout_s == timeout_s,
+    hardware = shared_hardware(
+        _SHARED,
+        bus,
+        settings,
+        "an oriental_az motor",
+        lambda unit, timeout_s: OrientalAzHwMotor(bus, unit, runtime=runtime, timeout_s=timeout_s),
     )
     return OrientalAzMotor(
         hardware,
@@ -73,4 +66,4 @@ def build(
     )
 
 
-build.bus_kinds = ("modbus_rtu", "modbus_tcp")  # type: ignore[attr-defined]  # a plugin's mark
+build.bus_kinds = BUS_KINDS  # type: ignore[attr-defined]  # a plugin's mark

@@ -12,12 +12,12 @@ from dataclasses import replace
 from math import floor, pi
 from typing import TYPE_CHECKING, Final, final
 
-from motorapi.adaptations.leadshine_hardware import gear
 from motorapi.adaptations.modbus_line import ByteLine, Exchange
 from motorapi.adaptations.modbus_unit import ModbusUnit, words
 from motorapi.adaptations.polled_motor import Poll, PolledProgress
+from motorapi.adaptations.polled_units import check_register, gear, toward_zero
 from motorapi.commands import ControlVariable, Motion
-from motorapi.errors import DeadlineExceeded, LimitError, UnsupportedError
+from motorapi.errors import DeadlineExceeded, UnsupportedError
 from motorapi.model import MotionKind
 from motorapi.state import Fault, MotorState
 
@@ -234,7 +234,7 @@ class OrientalAzHwMotor:
             deceleration=_down(motion.deceleration * size) / size,
         )
         if motion.variable is ControlVariable.VELOCITY:
-            return replace(changed, target=_toward_zero(motion.target * size) / size)
+            return replace(changed, target=toward_zero(motion.target * size) / size)
         target = round(motion.target * per_unit) / per_unit
         return replace(changed, velocity=_down(motion.velocity * size) / size, target=target)
 
@@ -243,16 +243,16 @@ class OrientalAzHwMotor:
         per_unit = self._per_unit(model)
         size = abs(per_unit)
         faster, slower = _down(motion.acceleration * size), _down(motion.deceleration * size)
-        _check(self.label, "acceleration", max(faster, slower), _RATE_MAX, "Hz/s")
+        check_register(self.label, "acceleration", max(faster, slower), _RATE_MAX, "Hz/s")
         if motion.variable is ControlVariable.VELOCITY:
             way = 1 if per_unit > 0 else -1
-            kind, target, speed = _CONTINUOUS, 0, way * _toward_zero(motion.target * size)
+            kind, target, speed = _CONTINUOUS, 0, way * toward_zero(motion.target * size)
             self._hz = speed
         else:
             kind, target = _ABSOLUTE, round(motion.target * per_unit)
             speed, self._hz = _down(motion.velocity * size), None
-            _check(self.label, "position", abs(target), _INT32_MAX, "steps")
-        _check(self.label, "velocity", abs(speed), _SPEED_MAX, "Hz")
+            check_register(self.label, "position", abs(target), _INT32_MAX, "steps")
+        check_register(self.label, "velocity", abs(speed), _SPEED_MAX, "Hz")
         self._prepared = words(0, kind, target, speed, faster, slower, _FULL_CURRENT, 1)
         self._deceleration = slower
         self._stop = None
@@ -281,21 +281,3 @@ class OrientalAzHwMotor:
 
 def _down(value: float) -> int:
     return max(1, floor(value * (1.0 + 4e-16) + 1e-9))
-
-
-def _toward_zero(hz: float) -> int:
-    size = floor(abs(hz) + 1e-9)
-    return size if hz > 0 else -size
-
-
-def _check(label: str, quantity: str, value: int, high: int, unit: str) -> None:
-    if value > high:
-        raise LimitError(
-            motor=label,
-            quantity=quantity,
-            value=value,
-            low=None,
-            high=high,
-            unit=unit,
-            reason="what the drive's register holds",
-        )
