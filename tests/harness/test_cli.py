@@ -336,9 +336,10 @@ def test_a_group_of_two_motors_on_one_drive_is_told_with_the_line(bench, say):
     say("new", ".")
     text = (bench / "rig.toml").read_text().replace('controller = "right"', 'controller = "left"')
     (bench / "rig.toml").write_text(text)
+    line = text[: text.index("motors = [")].count("\n") + 1
     status, out, err = say("check", "rig.toml")
     assert (status, out) == (2, "")
     assert err == (
-        "rig.toml:49: group.both.motors[1]: right and left are the same physical motor, "
+        f"rig.toml:{line}: group.both.motors[1]: right and left are the same physical motor, "
         "can0 node 1: a group can move it only once; take one out\n"
     )
