@@ -6,9 +6,10 @@
     tenure = ownership.owner_at("pan", time_ns)
 
 A *tenure* is one owner's time with one motor, from the message that it was taken to the one that it
-was given back, or to the next owner's. Tokens put tenures in order: where two programs told of the
-same handover in another order than it happened, the first owner's time ends where the second's
-begins, and `crossed_ns` tells how far the messages had crossed.
+was given back, or to the next owner's. Tokens put tenures in order, whatever was heard first: what
+programs tell at the same time may cross, by several handovers too. Nobody had it later than it was
+heard that he, or anybody after him, had it: his time begins there, and the one's before ends there
+at the latest. `crossed_ns` tells how much later than that it was heard that it was given back.
 
 What a recording can prove is what was told to its recorder. Programs built on motorapi tell it on a
 rig of their own process and on a hub; others do not, and their frames have no tenure. Times are
@@ -18,7 +19,7 @@ bus that other processes can join also as long as the motion that was begun goes
 """
 
 import os
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from enum import Enum
 from typing import Any, Final, final
@@ -29,6 +30,7 @@ from traces.schema import MOTOR_LOCK, LockAction
 
 _ACTIONS: Final[dict[object, LockAction]] = {action.value: action for action in LockAction}
 _BEGINS: Final = (LockAction.TAKEN, LockAction.BROKEN, LockAction.TAKEN_OVER)
+_TENURE: Final = (*_BEGINS, LockAction.RELEASED, LockAction.LOST)
 
 
 @final
@@ -117,8 +119,8 @@ class OwnershipRecord:
     Attributes:
         events: all of them, in the order of the record.
         tenures: by motor, in order of tokens; motors of which nothing was told are not in it.
-        contradictions: what cannot have been so, in words: one token taken by two, or a token that
-            is no greater than the one before. Empty in any recording of a lock that works.
+        contradictions: what cannot have been so, in words: one token taken by two, or a process
+            whose tokens fall. Empty in any recording of a lock that works.
     """
 
     events: tuple[LockEvent, ...]
@@ -171,9 +173,10 @@ def _event(motor: str, time_ns: int, data: bytes) -> LockEvent:
 def ownership_of(events: Iterable[LockEvent]) -> OwnershipRecord:
     """The same of events that were heard otherwise, in their order."""
     seen = tuple(events)
-    books: dict[str, _Book] = {}
+    told: dict[str, list[LockEvent]] = {}
     for event in seen:
-        books.setdefault(event.motor, _Book()).enter(event)
+        told.setdefault(event.motor, []).append(event)
+    books = {motor: _Book(events) for motor, events in told.items()}
     return OwnershipRecord(
         seen,
         {motor: tuple(book.tenures) for motor, book in books.items()},
@@ -181,15 +184,64 @@ def ownership_of(events: Iterable[LockEvent]) -> OwnershipRecord:
     )
 
 
+def _as_they_happened(told: Sequence[LockEvent]) -> list[LockEvent]:
+    """What was told of one motor's handovers, by tokens; what began is told no later than it did.
+
+    Who took it is heard after he took it, and so is everybody after him: the first that is heard of
+    any of them is the latest that he can have begun.
+    """
+    ranks: list[tuple[int, int, LockEvent]] = []  # token, place
+    last = 0  # where there are no tokens, the order is that of the messages
+    for place, event in enumerate(told):
+        if event.action in _TENURE:
+            last = event.token or last
+            ranks.append((last, place, event))
+    ranks.sort(key=lambda rank: rank[:2])
+    happened: list[tuple[int, int, int, LockEvent]] = []
+    bound_ns: int | None = None
+    for token, place, event in reversed(ranks):
+        time_ns = event.time_ns
+        if event.action in _BEGINS:
+            time_ns = bound_ns = time_ns if bound_ns is None else min(time_ns, bound_ns)
+        happened.append((time_ns, token, place, event))
+    happened.sort(key=lambda one: one[:3])
+    return [
+        event if event.time_ns == time_ns else replace(event, time_ns=time_ns)
+        for time_ns, _, _, event in happened
+    ]
+
+
+def _falls(told: Iterable[LockEvent]) -> Iterator[str]:
+    """What one process tells is heard in the order in which it told it: its tokens never fall."""
+    last: dict[tuple[str, int], LockEvent] = {}
+    for event in told:
+        if event.action not in _BEGINS or not event.token:
+            continue
+        before = last.get((event.sender, event.pid))
+        if before is not None and event.token < before.token:
+            yield _contradiction(event, before.owner, before.token)
+        else:
+            last[event.sender, event.pid] = event
+
+
+def _contradiction(event: LockEvent, owner: str, token: int) -> str:
+    return (
+        f"{event.motor}: at {event.time_ns / 1e9:.6f} s {event.owner} has it under token"
+        f" {event.token}; {owner} had it under {token} already"
+    )
+
+
 @final
 class _Book:
     """The tenures of one motor; the last one may be open."""
 
-    def __init__(self) -> None:
+    def __init__(self, told: Sequence[LockEvent]) -> None:
         self.tenures: list[Tenure] = []
-        self.contradictions: list[str] = []
+        self.contradictions: list[str] = [*_falls(told)]
+        for event in _as_they_happened(told):
+            self._enter(event)
 
-    def enter(self, event: LockEvent) -> None:
+    def _enter(self, event: LockEvent) -> None:
         """One event more."""
         if event.action in _BEGINS:
             self._begin(event)
@@ -229,10 +281,7 @@ class _Book:
         """A token that is not new: one owner's taking told in two messages, or a contradiction."""
         before = self.tenures[-2] if len(self.tenures) > 1 else None
         if (event.token, event.pid, event.owner) != (last.token, last.pid, last.owner):
-            self.contradictions.append(
-                f"{event.motor}: at {event.time_ns / 1e9:.6f} s {event.owner} has it under token"
-                f" {event.token}; {last.owner} had it under {last.token} already"
-            )
+            self.contradictions.append(_contradiction(event, last.owner, last.token))
         elif before is not None and before.ended is Ended.UNTOLD:
             self.tenures[-2] = replace(before, ended=_ending_by(event.action))
 

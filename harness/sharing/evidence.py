@@ -14,36 +14,34 @@ heartbeats, and NMT start, by which whoever joins makes a node speak. A frame th
 bus by its owner just before he lost the motor may come after it, by as long as it waited for its
 turn: that is what `late_s` allows, and it is counted.
 So are settings of the next owner (no RPDOs) in what looks like the end of the time of one who died
-or lost it: nobody tells when one dies, and a program that joins sets the drive up under the lock
-before it has the motor for an operation of its own, which alone is told.
+or lost it, or was heard to give it back too late: nobody tells when one dies, and a program that
+joins sets the drive up under the lock before it has the motor for an operation of its own, which
+alone is told.
 """
 
 import os
 import struct
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Final, final
 
 from harness.ownership_record import (
     Ended,
-    LockEvent,
     OwnershipRecord,
     Tenure,
-    lock_events,
-    ownership_of,
+    read_ownership,
 )
 from harness.sharing.history import SharingViolated
 from traces.protobuf import decode
 from traces.reader import read_trace
-from traces.schema import CAN_FRAME, LockAction
+from traces.schema import CAN_FRAME
 
 _NODE: Final = 0x7F
 _RPDO: Final = (0x200, 0x300, 0x400, 0x500)  # CiA 301, predefined connection set
 _SDO_REQUEST: Final = 0x600
 _NMT_START: Final = 0x01
 _CONTROLWORD: Final = struct.Struct("<H")
-_BEGINS: Final = (LockAction.TAKEN, LockAction.BROKEN, LockAction.TAKEN_OVER)
 _SHOWN: Final = 5
 
 
@@ -126,38 +124,6 @@ def _only_stops(data: bytes) -> bool:
     return not word & 0x08 or bool(word & 0x100)  # shutdown, switch on = disable operation; halt
 
 
-def by_tokens(events: Iterable[LockEvent]) -> list[LockEvent]:
-    """What was told of handovers, in the order in which they happened, which tokens tell.
-
-    What two programs say at the same time may be heard in another order: then one had it no earlier
-    than the one before, whatever was heard first.
-    """
-    motors: dict[str, list[LockEvent]] = {}
-    for event in events:
-        if event.token:
-            motors.setdefault(event.motor, []).append(event)
-    return [event for told in motors.values() for event in _of_one_motor(told)]
-
-
-def _of_one_motor(told: Sequence[LockEvent]) -> list[LockEvent]:
-    """Who had it by tokens, each followed by his giving it back; what was told late is last."""
-    begun = sorted((event for event in told if event.action in _BEGINS), key=_token_of)
-    given = {event.token: event for event in told if event.action is LockAction.RELEASED}
-    result: list[LockEvent] = []
-    for place, event in enumerate(begun):
-        last_ns = result[-1].time_ns if result else 0
-        result.append(replace(event, time_ns=max(event.time_ns, last_ns)))
-        back = given.get(event.token)
-        is_last = place + 1 == len(begun)
-        if back is not None and (is_last or back.time_ns <= begun[place + 1].time_ns):
-            result.append(replace(back, time_ns=max(back.time_ns, result[-1].time_ns)))
-    return result + [event for event in told if event.action is LockAction.LOST]
-
-
-def _token_of(event: LockEvent) -> int:
-    return event.token
-
-
 def judge_frames(
     frames: Iterable[BusFrame],
     ownership: OwnershipRecord,
@@ -203,7 +169,8 @@ def _whose(tenures: Sequence[Tenure], frame: BusFrame, late_ns: int) -> tuple[st
         return "own", owner
     after = tenures.index(owner) + 1
     is_next = after < len(tenures) and tenures[after].sender == frame.sender
-    if is_next and owner.ended is not Ended.RELEASED and frame.can_id & ~_NODE not in _RPDO:
+    gave_back = owner.ended is Ended.RELEASED and not owner.crossed_ns
+    if is_next and not gave_back and frame.can_id & ~_NODE not in _RPDO:
         return "next", owner
     for tenure in tenures:
         if tenure.sender != frame.sender or tenure.to_ns is None:
@@ -226,7 +193,7 @@ def read_evidence(
     """
     frames: list[BusFrame] = []
     with read_trace(recording) as trace:
-        ownership = ownership_of(by_tokens(lock_events(trace)))
+        ownership = read_ownership(trace)
         for channel, time_ns, data in trace.messages():
             if not channel.topic.startswith("/can/"):
                 continue

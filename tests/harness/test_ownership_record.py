@@ -101,6 +101,26 @@ def test_messages_that_crossed_are_put_in_order_by_their_tokens():
     assert ownership_of(events).tenures["pan"][0].crossed_ns == 1_000_000
 
 
+def test_messages_that_crossed_by_several_handovers_are_no_contradiction():
+    """As heard on a hub with five busy programs: each of them tells in its own order."""
+    events = [
+        told(1.0, A.TAKEN, "mast", 5, pid=1),
+        told(2.0, A.TAKEN, "arm", 7, pid=3),
+        told(2.001, A.TAKEN, "drive", 6, pid=2),
+        told(2.002, A.RELEASED, "drive", 6, pid=2),
+        told(2.003, A.RELEASED, "mast", 5, pid=1),
+        told(3.0, A.RELEASED, "arm", 7, pid=3),
+    ]
+    assert spans(events) == [
+        ("mast", 1.0, 2.0, Ended.RELEASED),
+        ("drive", 2.0, 2.0, Ended.RELEASED),
+        ("arm", 2.0, 3.0, Ended.RELEASED),
+    ]
+    record = ownership_of(events)
+    assert [one.crossed_ns for one in record.tenures["pan"]] == [3_000_000, 2_000_000, 0]
+    assert record.events == tuple(events)
+
+
 def test_one_who_never_told_that_he_gave_it_back_is_told_apart():
     events = [told(1.0, A.TAKEN, "mast", 5), told(2.0, A.TAKEN, "drive", 6)]
     assert spans(events)[0] == ("mast", 1.0, 2.0, Ended.UNTOLD)

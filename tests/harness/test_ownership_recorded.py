@@ -14,7 +14,13 @@ from traces.digest import digest
 from traces.reader import read_trace
 from traces.schema import LockAction
 
-MAST = '[motor.mast]\nadaptation = "cia402"\ncontroller = "left"\nmodel = "wheel_model.toml"\n'
+MAST = """[motor.mast]
+adaptation = "cia402"
+controller = "left"
+model = "wheel_model.toml"
+servo_period_ms = 1.0
+oscillator_ppm = 100.0
+"""
 TURNS = ["drive 1", "mast 1", "drive 2", "mast 2"]
 
 

@@ -3,7 +3,7 @@
 import pytest
 
 from harness.ownership_record import LockEvent, ownership_of
-from harness.sharing.evidence import BusFrame, by_tokens, commanded_node, judge_frames
+from harness.sharing.evidence import BusFrame, commanded_node, judge_frames
 from harness.sharing.history import SharingViolated
 from traces.schema import LockAction
 
@@ -62,7 +62,7 @@ TOLD = [
 
 
 def judged(*frames, events=TOLD):
-    return judge_frames(frames, ownership_of(by_tokens(events)), NODES)
+    return judge_frames(frames, ownership_of(events), NODES)
 
 
 def test_frames_of_the_owner_and_of_nobodys_time_are_sound():
