@@ -2,12 +2,16 @@
 
 pymodbus encodes and decodes; time, silence and deadlines are the runtime's. Nothing is ever sent
 twice: a request whose answer was lost may have been obeyed. What a caller cannot wait for (a stop
-from inside a callback) is posted: it goes out as soon as the line is free, before all others.
+from inside a callback) is posted: it goes out as soon as the line is silent, before all others.
 
 On a serial line nothing tells a late answer from the answer to the next request. So after a
 request that was not answered in time the line is in *quarantine*: the next one waits until the
-late answer has come (it is dropped), or a bound has passed. On TCP the transaction identifier
-tells.
+late answer has come whole (it is dropped), or a bound has passed. What is posted does not wait for
+that. On TCP the transaction identifier tells, and a stream is read from one header to the next,
+whatever was asked meanwhile.
+
+A line that is never silent, or that another process keeps, is not waited for without end: who asks
+is told, and what is posted goes out all the same.
 """
 
 from collections import deque
@@ -16,11 +20,10 @@ from contextlib import suppress
 from typing import TYPE_CHECKING, Final, Protocol, final
 
 from pymodbus.client.mixin import ModbusClientMixin
-from pymodbus.exceptions import ModbusException
-from pymodbus.framer import FramerRTU, FramerSocket
-from pymodbus.pdu import DecodePDU, ModbusPDU
+from pymodbus.pdu import ModbusPDU
 from pymodbus.pdu.exceptionresponse import ExceptionResponse
 
+from motorapi.adaptations.modbus_answers import Exchange, FrameReader, StreamReader, answers
 from motorapi.adaptations.modbus_errors import ModbusExceptionResponse, ModbusProtocolViolation
 from motorapi.errors import DeadlineExceeded, LinkError, MotorError
 from motorapi.runtime import Registration, Runtime
@@ -29,10 +32,11 @@ if TYPE_CHECKING:
     from motorapi.fencing import Owned
     from motorapi.process_lock import Hold, ProcessLock
 
-_HEAD: Final = 7  # of MBAP, with the unit
-_LOCKED_S: Final = 0.001
+_LOCKED_NS: Final = 1_000_000
 _AT_ONCE_S: Final = 1e-9
-_QUARANTINE_S: Final = 0.5
+_QUARANTINE_NS: Final = 500_000_000
+_PATIENCE_NS: Final = 2_000_000_000  # for the line, of who asks
+_URGENT_NS: Final = 100_000_000  # for silence, of what is posted
 
 
 class ByteLine(Protocol):
@@ -57,34 +61,6 @@ class ByteLine(Protocol):
 
 
 @final
-class Exchange:
-    """A request and, once it is over, its answer or what went wrong."""
-
-    __slots__ = (
-        "answer",
-        "error",
-        "is_over",
-        "owned",
-        "request",
-        "timeout_s",
-        "transaction",
-        "unit",
-    )
-
-    def __init__(
-        self, request: ModbusPDU, unit: int, timeout_s: float, owned: "Owned | None" = None
-    ) -> None:
-        self.request: Final = request
-        self.unit: Final = unit
-        self.timeout_s: Final = timeout_s
-        self.owned: Final = owned  # what must be ours when it goes out; None: nothing
-        self.transaction = 0
-        self.answer: ModbusPDU | None = None
-        self.error: MotorError | None = None
-        self.is_over = False
-
-
-@final
 class ModbusLine:
     """The host's end of one line. Get one by `open_line`; it costs nothing to share.
 
@@ -102,14 +78,14 @@ class ModbusLine:
         self._lock = lock
         self._hold: Hold | None = None
         self._is_tcp: Final = line.framing == "tcp"
-        decoder = DecodePDU(False)
-        self._framer: Final = FramerSocket(decoder) if self._is_tcp else FramerRTU(decoder)
+        self._reader: Final = StreamReader() if self._is_tcp else FrameReader()
         self._queue: deque[Exchange] = deque()
         self._active: Exchange | None = None
         self._transaction = 0
-        self._buffer = b""
-        self._free_ns = 0  # when the line may be used again
-        self._owed = False  # a late answer may still come
+        self._idle_ns = 0  # when the last exchange was over, with its quarantine
+        self._silent_ns = 0  # when the line was silent for long enough
+        self._owed: Exchange | None = None  # whose late answer may still come ...
+        self._owed_until_ns = 0  # ... until then
         self._timer: Registration | None = None
         self._registration = line.listen(self._hear)
 
@@ -128,6 +104,7 @@ class ModbusLine:
             LinkError: the line is closed.
         """
         exchange = Exchange(request, unit, timeout_s, owned)
+        exchange.asked_ns = self.runtime.now_ns()
         is_asked = False
 
         def is_over() -> bool:  # of whoever waits one looks at a time, and no callback runs then
@@ -152,6 +129,7 @@ class ModbusLine:
     def post(self, request: ModbusPDU, unit: int, timeout_s: float) -> Exchange:
         """As `ask`, before all that wait, and without waiting: a callback may do it."""
         exchange = Exchange(request, unit, timeout_s)
+        exchange.asked_ns, exchange.is_posted = self.runtime.now_ns(), True
         self._queue.appendleft(exchange)
         self._once(_AT_ONCE_S, self._go_on)
         return exchange
@@ -177,34 +155,60 @@ class ModbusLine:
         if self.line.is_closed:
             self._fail_all(LinkError(link=self.name, reason="the connection has ended"))
             return
-        wait_ns = self._free_ns - self.runtime.now_ns()
+        wait_ns = self._wait_ns(self._queue[0])
         if wait_ns > 0:
             self._set_timer(wait_ns / 1e9, self._go_on)
             return
-        if not self._take_lock():
-            self._set_timer(_LOCKED_S, self._go_on)
-            return
-        self._owed = False
-        self._buffer = b""
         exchange = self._active = self._queue.popleft()
+        self._owed = None
+        self._reader.begin()
         self._transaction = exchange.transaction = self._transaction % 0xFFFF + 1
         exchange.request.dev_id = exchange.unit
         exchange.request.transaction_id = exchange.transaction
-        adu = self._framer.buildFrame(exchange.request)
+        adu = self._reader.framer.buildFrame(exchange.request)
         try:
-            if exchange.owned is None:
-                self.line.send(adu)
-            else:
-                exchange.owned.begin_write(f"{self.name} unit {exchange.unit}")
-                try:
-                    self.line.send(adu)
-                finally:
-                    exchange.owned.end_write()
+            self._send(exchange, adu)
         except MotorError as error:
             self._end(exchange, None, error)
             return
+        except Exception as error:  # a line that breaks otherwise is no reason to wait for ever
+            self._end(exchange, None, LinkError(link=self.name, reason=f"cannot send: {error}"))
+            return
         on_line_s = self.line.duration_ns(len(adu)) / 1e9
         self._set_timer(on_line_s + exchange.timeout_s, self._too_late)
+
+    def _send(self, exchange: Exchange, adu: bytes) -> None:
+        if exchange.owned is None:
+            self.line.send(adu)
+            return
+        exchange.owned.begin_write(f"{self.name} unit {exchange.unit}")
+        try:
+            self.line.send(adu)
+        finally:
+            exchange.owned.end_write()
+
+    def _wait_ns(self, exchange: Exchange) -> int:
+        """How long it has to wait, at least [ns]; it was ended if it has waited for too long."""
+        now_ns = self.runtime.now_ns()
+        since_ns = max(exchange.asked_ns, self._idle_ns)
+        silent_ns = self._silent_ns
+        if exchange.is_posted:
+            silent_ns = min(silent_ns, since_ns + _URGENT_NS)
+        elif self._owed is not None:
+            silent_ns = max(silent_ns, self._owed_until_ns)
+        if silent_ns <= now_ns and self._take_lock():
+            return 0
+        if now_ns - since_ns < _PATIENCE_NS:
+            return silent_ns - now_ns if silent_ns > now_ns else _LOCKED_NS
+        if exchange.is_posted:
+            return 0
+        self._queue.remove(exchange)
+        why = "it is never silent" if silent_ns > now_ns else "another process keeps it"
+        exchange.error = DeadlineExceeded(
+            awaited=f"{self.name}: its turn", timeout_s=_PATIENCE_NS / 1e9, last_heard=why
+        )
+        exchange.is_over = True
+        return 1
 
     def _take_lock(self) -> bool:
         """No other process has an exchange on this line; False: one has."""
@@ -258,52 +262,21 @@ class ModbusLine:
         if not data:
             self._fail_all(LinkError(link=self.name, reason="the other end closed the connection"))
             return
-        self._free_ns = time_ns + self.line.silence_ns
-        exchange = self._active
+        self._silent_ns = time_ns + self.line.silence_ns
+        exchange, owed = self._active, None if self._is_tcp else self._owed
+        answer = self._reader.feed(data, exchange or owed)
         if exchange is None:
             self.strays += 1
-            if self._owed:  # the late answer: nothing else can come
+            if answer is not None:  # the late one: nothing else can come
                 self._leave_quarantine()
-            return
-        self._buffer += data
-        answer = self._tcp_answer(exchange) if self._is_tcp else self._rtu_answer(exchange)
-        if answer is not None:
+        elif answer is not None and answers(answer, exchange.request):
             self._end(exchange, answer, None)
-
-    def _rtu_answer(self, exchange: Exchange) -> ModbusPDU | None:
-        buffer, function = self._buffer, exchange.request.function_code
-        if len(buffer) < 5 or buffer[0] != exchange.unit or buffer[1] & 0x7F != function:
-            return None
-        return self._decoded(buffer, exchange)
-
-    def _tcp_answer(self, exchange: Exchange) -> ModbusPDU | None:
-        while len(self._buffer) > _HEAD:
-            end = 6 + int.from_bytes(self._buffer[4:6], "big")
-            if len(self._buffer) < end:
-                return None
-            adu, rest = self._buffer[:end], self._buffer[end:]
-            transaction = int.from_bytes(adu[0:2], "big")
-            function = exchange.request.function_code
-            if transaction == exchange.transaction and adu[_HEAD] & 0x7F == function:
-                answer = self._decoded(adu, exchange)
-                if answer is not None:
-                    self._buffer = rest
-                    return answer
-            self.strays += 1
-            self._buffer = rest
-        return None
-
-    def _decoded(self, adu: bytes, exchange: Exchange) -> ModbusPDU | None:
-        try:
-            return self._framer.handleFrame(adu, exchange.unit, exchange.transaction)[1]
-        except (ModbusException, ValueError, IndexError):  # what is no frame pymodbus tells so
-            return None
 
     def _too_late(self) -> None:
         exchange = self._active
         if exchange is None:
             return
-        heard, unit = self._buffer, exchange.unit
+        heard, unit = self._reader.heard, exchange.unit
         error: MotorError
         if heard:
             problem = "what came is no answer to the request"
@@ -316,12 +289,13 @@ class ModbusLine:
                 last_heard="nothing",
             )
         if not self._is_tcp:
-            self._owed = True
-            self._free_ns = self.runtime.now_ns() + round(_QUARANTINE_S * 1e9)
+            self._owed = exchange
+            self._owed_until_ns = self.runtime.now_ns() + _QUARANTINE_NS
         self._end(exchange, None, error)
 
     def _end(self, exchange: Exchange, answer: ModbusPDU | None, error: MotorError | None) -> None:
         self._active = None
+        self._idle_ns = self.runtime.now_ns() if self._owed is None else self._owed_until_ns
         self._end_timer()
         if isinstance(answer, ExceptionResponse):
             address = getattr(exchange.request, "address", None)
@@ -333,14 +307,14 @@ class ModbusLine:
                 exception_code=answer.exception_code,
             )
         exchange.answer, exchange.error, exchange.is_over = answer, error, True
-        if not self._owed:
+        if self._owed is None:
             self._unlock()
         elif not self._queue:
-            self._set_timer(_QUARANTINE_S, self._leave_quarantine)
+            self._set_timer(_QUARANTINE_NS / 1e9, self._leave_quarantine)
         self._go_on()
 
     def _leave_quarantine(self) -> None:
-        self._owed = False
+        self._owed = None
         self._end_timer()
         self._unlock()
         self._go_on()
