@@ -1,0 +1,212 @@
+"""Frames and their words; the bytes are those of CiA 301 and 402-2, or of a recording."""
+
+import struct
+
+import pytest
+
+from traces.decode_canopen import CanopenDecoder
+from traces.object_names import ObjectNames
+from traces.said import Kind
+
+
+def frame(identifier, data="", flags=0):
+    content = bytes.fromhex(data)
+    return struct.pack("<IB3x8s", identifier | flags, len(content), content)
+
+
+def told(*frames, decoder=None):
+    decoder = decoder or CanopenDecoder({5: "pan"})
+    return [decoder.decode(frame(*one)).text for one in frames]
+
+
+@pytest.mark.parametrize(
+    ("one", "text"),
+    [
+        ((0x000, "0105"), "NMT to pan (5): start"),
+        ((0x000, "8100"), "NMT to all nodes: reset node"),
+        ((0x705, "00"), "pan (5) has booted"),
+        ((0x706, "05"), "node 6 is operational"),
+        ((0x705, "7F"), "pan (5) is pre-operational"),
+        ((0x080,), "SYNC"),
+        ((0x080, "07"), "SYNC 7"),
+        (
+            (0x085, "1186210000000000"),
+            "pan (5) emergency 8611h following error, error register 21h",
+        ),
+        ((0x605, "4041600000000000"), "SDO to pan (5): read 6041h statusword"),
+        (
+            (0x585, "4B41600037160000"),
+            "SDO pan (5): 6041h statusword = 1637h operation enabled, target reached, bit 12",
+        ),
+        (
+            (0x585, "8000100000000206"),
+            "SDO pan (5): abort of 1000h device type: "
+            "object does not exist in the object dictionary (06020000h)",
+        ),
+        ((0x605, "2B40600006000000"), "SDO to pan (5): write 6040h controlword = 0006h shutdown"),
+        ((0x605, "237A60009CFFFFFF"), "SDO to pan (5): write 607Ah target position = -100"),
+        ((0x605, "23022001E8030000"), "SDO to pan (5): write 2002h:1 = 000003E8h"),
+        ((0x185, "3702"), "pan (5) TPDO 1: 37 02 (its mapping is not in the recording)"),
+        ((0x7EA, "0102"), "id 7EAh: 01 02"),
+        ((0x040, "", 0x2000_0000), "error frame: bus-off"),
+        ((0x1ABCDEF0, "01 02", 0x8000_0000), "id 1ABCDEF0h: 01 02"),
+    ],
+)
+def test_a_frame_is_a_sentence(one, text):
+    assert told(one) == [text]
+
+
+def test_a_segmented_upload_is_told_whole_when_it_is_complete():
+    frames = [  # CiA 301, SDO upload of 1008h "motorhil!" in two segments
+        (0x605, "4008100000000000"),
+        (0x585, "4108100009000000"),
+        (0x605, "6000000000000000"),
+        (0x585, "006D6F746F726869"),
+        (0x605, "7000000000000000"),
+        (0x585, "1B6C210000000000"),
+    ]
+    assert told(*frames) == [
+        "SDO to pan (5): read 1008h manufacturer device name",
+        "SDO pan (5): begins to tell 1008h manufacturer device name, 9 bytes",
+        "SDO to pan (5): asks for the next segment of 1008h manufacturer device name",
+        "SDO pan (5): tells a segment of 1008h manufacturer device name: 6D 6F 74 6F 72 68 69",
+        "SDO to pan (5): asks for the next segment of 1008h manufacturer device name",
+        "SDO pan (5): tells a segment of 1008h manufacturer device name: 6C 21; "
+        'whole = "motorhil!"',
+    ]
+
+
+def test_a_segmented_download_is_a_fact_when_its_last_segment_was_taken():
+    decoder = CanopenDecoder()
+    facts = [
+        decoder.decode(frame(*one)).facts
+        for one in [
+            (0x605, "2101200009000000"),
+            (0x585, "6001200000000000"),
+            (0x605, "0031323334353637"),
+            (0x585, "2000000000000000"),
+            (0x605, "1B38390000000000"),
+            (0x585, "3000000000000000"),
+        ]
+    ]
+    assert [len(one) for one in facts] == [0, 0, 0, 0, 0, 1]
+    assert (facts[5][0].value, facts[5][0].told_to) == (b"123456789", True)
+
+
+def test_segments_of_a_block_are_not_taken_for_commands():
+    frames = [  # CiA 301, SDO block download of 2001h, one block of two segments
+        (0x605, "C20120000C000000"),
+        (0x585, "A001200007000000"),
+        (0x605, "0140404040404040"),  # 40h would be the beginning of an upload
+        (0x605, "8240404040400000"),
+        (0x585, "A202070000000000"),
+        (0x605, "C900000000000000"),
+        (0x585, "A100000000000000"),
+    ]
+    for text in told(*frames):
+        assert "block transfer of 2001h" in text
+
+
+MAPPING = [  # as the demo's host reads and writes it: TPDO 1 of node 5 is 6041h, 6064h
+    (0x605, "2F001A0000000000"),
+    (0x585, "60001A0000000000"),
+    (0x605, "23001A0110004160"),
+    (0x585, "60001A0100000000"),
+    (0x605, "23001A0220006460"),
+    (0x585, "60001A0200000000"),
+    (0x605, "2F001A0002000000"),
+    (0x585, "60001A0000000000"),
+]
+
+
+def test_a_pdo_is_read_by_the_mapping_that_the_recording_has_shown():
+    decoder = CanopenDecoder({5: "pan"})
+    told(*MAPPING, decoder=decoder)
+    assert told((0x185, "3706FFFFFFFF"), decoder=decoder) == [
+        "pan (5) TPDO 1: 6041h statusword = 0637h operation enabled, target reached, "
+        "6064h position actual value = -1"
+    ]
+    assert told((0x185, "3706"), decoder=decoder)[0].endswith("6064h = missing, the PDO is short")
+
+
+def test_a_pdo_put_elsewhere_is_found_there_and_only_there():
+    decoder = CanopenDecoder({5: "pan"})
+    told(*MAPPING, (0x605, "23001801BB010000"), (0x585, "6000180100000000"), decoder=decoder)
+    assert told((0x1BB, "31020A000000"), decoder=decoder) == [
+        "pan (5) TPDO 1: 6041h statusword = 0231h ready to switch on, "
+        "6064h position actual value = 10"
+    ]
+    assert decoder.decode(frame(0x185, "3102")).kind is Kind.OTHER
+
+
+def test_a_write_that_was_refused_changes_no_mapping():
+    decoder = CanopenDecoder({5: "pan"})
+    told(*MAPPING, (0x605, "2F001A0001000000"), (0x585, "80001A0022000008"), decoder=decoder)
+    assert "6064h" in told((0x185, "3706FFFFFFFF"), decoder=decoder)[0]
+
+
+def test_an_eds_names_objects_of_the_manufacturer_and_pdos_never_configured():
+    names = ObjectNames(
+        "[1A00]\nParameterName=x\n[1A00sub0]\nDefaultValue=1\nDataType=0x5\n"
+        "[1A00sub1]\nDefaultValue=0x20200020\nDataType=0x7\n"
+        "[1800sub1]\nDefaultValue=$NODEID+0x1A0\nDataType=0x7\n"
+        "[2020]\nParameterName=Winding temperature\nDataType=0x4\n"
+    )
+    decoder = CanopenDecoder(objects={5: names})
+    assert told((0x1A5, "FEFFFFFF"), decoder=decoder) == [
+        "node 5 TPDO 1: 2020h Winding temperature = -2"
+    ]
+
+
+@pytest.mark.parametrize(
+    ("word", "mode", "text"),
+    [  # CiA 402-2, command coding of the controlword
+        (0x0006, 0, "shutdown"),
+        (0x0007, 0, "switch on"),
+        (0x000F, 0, "enable operation"),
+        (0x0000, 0, "disable voltage"),
+        (0x0002, 0, "quick stop"),
+        (0x0080, 0, "fault reset"),
+        (0x001F, 1, "enable operation, new set-point"),
+        (0x007F, 1, "enable operation, new set-point, change immediately, relative"),
+        (0x010F, 3, "enable operation, halt"),
+        (0x001F, 6, "enable operation, start homing"),
+        (0x001F, 0, "enable operation, bit 4"),
+    ],
+)
+def test_a_controlword_is_told_in_words(word, mode, text):
+    from traces.decode_cia402 import controlword_text
+
+    assert controlword_text(word, mode) == text
+
+
+@pytest.mark.parametrize(
+    ("word", "mode", "text"),
+    [  # CiA 402-2, state coding of the statusword
+        (0x0000, 0, "not ready to switch on"),
+        (0x0250, 0, "switch on disabled"),
+        (0x0231, 0, "ready to switch on"),
+        (0x0233, 0, "switched on"),
+        (0x0237, 0, "operation enabled"),
+        (0x0217, 0, "quick stop active"),
+        (0x021F, 0, "fault reaction active"),
+        (0x0218, 0, "fault"),
+        (0x0238, 0, "fault"),
+        (0x1637, 1, "operation enabled, target reached, set-point acknowledge"),
+        (0x1637, 6, "operation enabled, target reached, homing attained"),
+        (0x0A37, 8, "operation enabled, internal limit active"),
+        (0x0027, 0, "operation enabled, no voltage, not remote"),
+    ],
+)
+def test_a_statusword_is_told_in_words(word, mode, text):
+    from traces.decode_cia402 import statusword_text
+
+    assert statusword_text(word, mode) == text
+
+
+def test_a_fault_reset_is_an_edge():
+    decoder = CanopenDecoder({5: "pan"})
+    write = [(0x605, "2B40600080000000"), (0x585, "6040600000000000")]
+    texts = told(*write, *write, decoder=decoder)
+    assert texts[0].endswith("0080h fault reset")
+    assert texts[2].endswith("0080h fault reset, still set: no command")

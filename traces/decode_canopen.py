@@ -1,0 +1,307 @@
+"""CANopen as it goes by on one bus, in sentences and facts: a third reading that only looks.
+
+It knows the objects of CiA 301 and 402, and an EDS where a recording has one attached. What PDOs
+carry it learns from the SDO traffic it has seen; whoever begins in the middle of a recording should
+show it the beginning first.
+
+Source: CiA 301 (pre-defined connection set, NMT, error control, SYNC, TIME, EMCY, SDO, PDO).
+"""
+
+import struct
+from collections.abc import Mapping
+from typing import Final, final
+
+from traces.canopen_codes import NMT_COMMANDS, NMT_STATES, abort_text, emergency_text
+from traces.decode_cia402 import controlword_text, mode_text, statusword_text
+from traces.decode_sdo import SdoReader, SdoStep, Step
+from traces.object_names import ObjectNames, value_of, value_text
+from traces.pdo_maps import PdoKey, PdoMaps
+from traces.said import Fact, Kind, Said
+
+_EFF: Final = 0x8000_0000
+_RTR: Final = 0x4000_0000
+_ERR: Final = 0x2000_0000
+_HEAD: Final = struct.Struct("<IB")
+_CONTROLWORD: Final = 0x6040
+_STATUSWORD: Final = 0x6041
+_MODE: Final = (0x6060, 0x6061)
+_MOTION: Final = frozenset(
+    (
+        *(0x6042, 0x6043, 0x6044, 0x6062, 0x6063, 0x6064, 0x6069, 0x606B, 0x606C, 0x6071),
+        *(0x6074, 0x6077, 0x6078, 0x6079, 0x607A, 0x60C1, 0x60F4, 0x60FA, 0x60FC, 0x60FF),
+    )
+)
+"""Measured and demanded quantities of CiA 402."""
+_SETPOINTS: Final = frozenset((0x607A, 0x60FF, 0x6071, 0x6042, 0x60C1))
+
+# SocketCAN's error classes, linux/can/error.h.
+_BUS_ERRORS: Final = (
+    (0x001, "transmission timed out"),
+    (0x002, "arbitration lost"),
+    (0x004, "controller problem"),
+    (0x008, "protocol violation"),
+    (0x010, "transceiver problem"),
+    (0x020, "nobody acknowledged"),
+    (0x040, "bus-off"),
+    (0x080, "bus error"),
+    (0x100, "controller restarted"),
+)
+
+
+@final
+class _Node:
+    """What is known of a node."""
+
+    def __init__(self, name: str, names: ObjectNames) -> None:
+        self.name = name
+        self.names = names
+        self.sdo = SdoReader()
+        self.mode = 0
+        self.controlword: int | None = None
+
+
+@final
+class CanopenDecoder:
+    """One bus. Frames are to be shown to it in the order they were recorded."""
+
+    def __init__(
+        self,
+        node_names: Mapping[int, str] | None = None,
+        objects: Mapping[int, ObjectNames] | None = None,
+    ) -> None:
+        """With what its nodes are called, and the objects of those with an EDS."""
+        self.maps = PdoMaps()
+        self._node_names = dict(node_names or {})
+        self._objects = dict(objects or {})
+        self._standard = ObjectNames()
+        self._nodes: dict[int, _Node] = {}
+        for node, names in self._objects.items():
+            self._learn_defaults(node, names)
+
+    def decode(self, frame: bytes) -> Said:
+        """What a can_frame or canfd_frame says."""
+        can_id, length = _HEAD.unpack_from(frame)
+        data = frame[8 : 8 + length]
+        if can_id & _ERR:
+            return _bus_error(can_id, data)
+        identifier = can_id & 0x1FFF_FFFF
+        if can_id & (_EFF | _RTR) or len(frame) != 16:
+            return _other(identifier, data, can_id)
+        node, function = identifier & 0x7F, identifier >> 7
+        if identifier == 0:
+            return self._nmt(data)
+        for key in self.maps.of(identifier):  # a PDO's identifier is its own wherever it was put
+            return self._pdo(identifier, key, data)
+        if identifier == 0x080:
+            counter = f" {data[0]}" if data else ""
+            return Said(Kind.SYNC, None, f"SYNC{counter}")
+        if identifier == 0x100:
+            return Said(Kind.TIME, None, _time_text(data))
+        if function == 1 and len(data) == 8:
+            return self._emergency(node, data)
+        if function in (11, 12) and node:
+            return self._sdo(node, data, function == 11)
+        if function == 14 and node and len(data) == 1:
+            return self._heartbeat(node, data[0])
+        return _other(identifier, data, can_id)
+
+    def name_of(self, node: int) -> str:
+        """What a node is called."""
+        return self._node(node).name
+
+    def _node(self, number: int) -> _Node:
+        found = self._nodes.get(number)
+        if found is None:
+            name = self._node_names.get(number)
+            found = self._nodes[number] = _Node(
+                f"node {number}" if name is None else f"{name} ({number})",
+                self._objects.get(number, self._standard),
+            )
+        return found
+
+    def _learn_defaults(self, node: int, names: ObjectNames) -> None:
+        """The PDOs as an EDS has them."""
+        for (index, subindex), text in names.defaults.items():
+            if not 0x1400 <= index < 0x1C00:
+                continue
+            plain = text.upper().replace(" ", "").replace("$NODEID", str(node))
+            try:
+                value = sum(int(part, 0) for part in plain.split("+"))
+            except ValueError:
+                continue
+            self.maps.learn(node, index, subindex, value)
+
+    # ---------------------------------------------------------------------------- services
+
+    def _nmt(self, data: bytes) -> Said:
+        if len(data) < 2:
+            return Said(Kind.NMT, None, f"NMT command of {len(data)} bytes, should be 2")
+        command = NMT_COMMANDS.get(data[0], f"command {data[0]:02X}h, unknown")
+        node = data[1] or None
+        whom = "all nodes" if node is None else self._node(node).name
+        fact = Fact("NMT command", data[0], command, told_to=True)
+        return Said(Kind.NMT, node, f"NMT to {whom}: {command}", (fact,))
+
+    def _heartbeat(self, node: int, state: int) -> Said:
+        name = self._node(node).name
+        if state == 0:
+            fact = Fact("NMT state", 0, "boot-up")
+            return Said(Kind.BOOT, node, f"{name} has booted", (fact,))
+        text = NMT_STATES.get(state & 0x7F, f"state {state & 0x7F:02X}h, unknown")
+        fact = Fact("NMT state", state & 0x7F, text)
+        return Said(Kind.HEARTBEAT, node, f"{name} is {text}", (fact,))
+
+    def _emergency(self, node: int, data: bytes) -> Said:
+        code = int.from_bytes(data[0:2], "little")
+        name = self._node(node).name
+        text = f"{code:04X}h {emergency_text(code)}, error register {data[2]:02X}h"
+        rest = f", manufacturer's {data[3:].hex(' ').upper()}" if any(data[3:]) else ""
+        fact = Fact("emergency", data, text)
+        return Said(Kind.EMERGENCY, node, f"{name} emergency {text}{rest}", (fact,))
+
+    # --------------------------------------------------------------------------------- SDO
+
+    def _sdo(self, number: int, data: bytes, from_server: bool) -> Said:
+        node = self._node(number)
+        step = node.sdo.read(data, from_server)
+        kind = Kind.SDO_RESPONSE if from_server else Kind.SDO_REQUEST
+        if step.step is Step.NONE:
+            return Said(kind, number, f"{node.name} SDO, not understood: {data.hex(' ').upper()}")
+        facts: tuple[Fact, ...] = ()
+        if step.whole is not None and step.index is not None and step.subindex is not None:
+            facts = self._object(number, step.index, step.subindex, step.whole, not step.upload)
+        elif step.step is Step.ABORT:
+            what = "read" if step.upload else "write"
+            subject = f"{what} of {place_text(step.index or 0, step.subindex or 0)} aborted"
+            facts = (Fact(subject, step.abort_code, abort_text(step.abort_code)),)
+        text = self._sdo_text(node, step, from_server)
+        return Said(kind, number, text, facts, step.index, step.subindex)
+
+    def _sdo_text(self, node: _Node, step: SdoStep, from_server: bool) -> str:
+        if step.index is None or step.subindex is None:
+            what, kind = "an object (the beginning was not recorded)", ""
+        else:
+            name = node.names.of(step.index, step.subindex)
+            what = f"{place_text(step.index, step.subindex)} {name.text}".strip()
+            kind = name.kind
+        who = f"SDO {node.name}" if from_server else f"SDO to {node.name}"
+        if step.step is Step.ABORT:
+            return f"{who}: abort of {what}: {abort_text(step.abort_code)} ({step.abort_code:08X}h)"
+        value = ""
+        if step.step in (Step.UPLOADED, Step.DOWNLOAD) and step.index is not None:
+            value = " = " + self._value_text(node, step.index, kind, step.data)
+        elif step.data:
+            value = f": {step.data.hex(' ').upper()}"
+        if step.step is Step.SEGMENT_UPLOADED and step.whole is not None and step.index:
+            value += "; whole = " + self._value_text(node, step.index, kind, step.whole)
+        size = "" if step.size is None else f", {step.size} bytes"
+        word = {Step.ASK_UPLOAD: "read", Step.DOWNLOAD: "write", Step.UPLOADED: ""}.get(
+            step.step, step.step.value
+        )
+        return f"{who}: {f'{word} {what}'.strip()}{value}{size}"
+
+    def _object(
+        self, number: int, index: int, subindex: int, data: bytes, told_to: bool
+    ) -> tuple[Fact, ...]:
+        """An object of a node has this value; what follows from it is learned."""
+        node = self._node(number)
+        name = node.names.of(index, subindex)
+        value = value_of(name.kind, data)
+        if isinstance(value, int):
+            self.maps.learn(number, index, subindex, value)
+            if index in _MODE and value:
+                node.mode = value
+        text = self._value_text(node, index, name.kind, data)
+        if index == _CONTROLWORD and told_to and isinstance(value, int):
+            node.controlword = value
+        subject = f"{place_text(index, subindex)} {name.text}".strip()
+        # A set-point told by SDO is a command like any other; as a stream it is motion.
+        return (Fact(subject, value, text, told_to, index in _MOTION and not told_to),)
+
+    @staticmethod
+    def _value_text(node: _Node, index: int, kind: str, data: bytes) -> str:
+        value = value_of(kind, data)
+        if isinstance(value, int):
+            if index == _CONTROLWORD:
+                words = controlword_text(value, node.mode, node.controlword)
+                return f"{value:04X}h {words}"
+            if index == _STATUSWORD:
+                return f"{value:04X}h {statusword_text(value, node.mode)}"
+            if index in _MODE:
+                return f"{value} {mode_text(value)}"
+            if index == 0x603F:
+                return f"{value:04X}h {emergency_text(value)}"
+        return value_text(kind, data)
+
+    # --------------------------------------------------------------------------------- PDO
+
+    def _pdo(self, identifier: int, key: PdoKey, data: bytes) -> Said:
+        number, transmitted, which = key
+        kind = Kind.TPDO if transmitted else Kind.RPDO
+        keys = [key] if transmitted else self.maps.of(identifier)
+        parts: list[str] = []
+        facts: list[Fact] = []
+        for one in keys:
+            node, _, which = one
+            objects = self.maps.objects(one)
+            name = self._node(node).name
+            what = f"{name} TPDO {which}" if transmitted else f"RPDO {which} to {name}"
+            if objects is None:
+                told = data.hex(" ").upper() or "no data"
+                unknown = Fact(f"{'T' if transmitted else 'R'}PDO {which}", data, told)
+                facts.append(unknown)
+                parts.append(f"{what}: {told} (its mapping is not in the recording)")
+                continue
+            values = self._mapped(node, objects, data, not transmitted)
+            parts.append(f"{what}: " + ", ".join(f"{f.subject} = {f.text}" for f in values))
+            facts += values
+        return Said(kind, number if len(keys) == 1 else None, "; ".join(parts), tuple(facts))
+
+    def _mapped(
+        self, number: int, objects: list[tuple[int, int, int]], data: bytes, told_to: bool
+    ) -> list[Fact]:
+        facts: list[Fact] = []
+        raw = int.from_bytes(data, "little")
+        at = 0
+        for index, subindex, bits in objects:
+            if at + bits > 8 * len(data):
+                facts.append(Fact(place_text(index, subindex), b"", "missing, the PDO is short"))
+                break
+            value = raw >> at & (1 << bits) - 1
+            at += bits
+            if index < 0x20:
+                continue  # a dummy object
+            part = value.to_bytes((bits + 7) // 8, "little")
+            (fact,) = self._object(number, index, subindex, part, told_to)
+            motion = fact.motion or index in _SETPOINTS
+            facts.append(Fact(fact.subject, fact.value, fact.text, told_to, motion))
+        return facts
+
+
+def place_text(index: int, subindex: int) -> str:
+    """How an object is written: 6041h, or 1018h:1."""
+    return f"{index:04X}h:{subindex}" if subindex else f"{index:04X}h"
+
+
+def _time_text(data: bytes) -> str:
+    if len(data) != 6:
+        return f"TIME of {len(data)} bytes, should be 6"
+    milliseconds, days = struct.unpack("<IH", data)
+    return f"TIME {(milliseconds & 0xFFF_FFFF) / 1000:.3f} s after midnight, day {days} from 1984"
+
+
+def _bus_error(can_id: int, data: bytes) -> Said:
+    told = [name for bit, name in _BUS_ERRORS if can_id & bit] or [
+        f"class {can_id & 0x1FFFFFFF:X}h"
+    ]
+    text = f"error frame: {', '.join(told)}"
+    return Said(Kind.BUS_ERROR, None, text, (Fact("bus", text, text),))
+
+
+def _other(identifier: int, data: bytes, can_id: int) -> Said:
+    width = 8 if can_id & _EFF else 3
+    what = f"id {identifier:0{width}X}h"
+    if can_id & _RTR:
+        return Said(Kind.OTHER, None, f"{what} remote frame")
+    told = data.hex(" ").upper() or "no data"
+    return Said(Kind.OTHER, None, f"{what}: {told}", (Fact(what, data, told),))

@@ -1,0 +1,77 @@
+"""Which objects a PDO carries: learned from the SDO traffic of a recording, or told by an EDS.
+
+Where neither tells it, the COB-ID is that of the pre-defined connection set and the objects are
+not known: nothing is guessed.
+
+Source: CiA 301, PDO communication parameter and mapping parameter, pre-defined connection set.
+"""
+
+from typing import Final, final
+
+PdoKey = tuple[int, bool, int]
+"""Node, whether the node transmits it, number from 1."""
+
+Entry = tuple[int, int, int]
+"""Index, sub-index, bits."""
+
+_INVALID: Final = 0x8000_0000
+_ID_MASK: Final = 0x1FFF_FFFF
+
+
+@final
+class PdoMaps:
+    """The PDOs of all nodes of a bus."""
+
+    def __init__(self) -> None:
+        self._identifiers: dict[PdoKey, int | None] = {}  # None: switched off
+        self._entries: dict[PdoKey, dict[int, int]] = {}
+        self._counts: dict[PdoKey, int] = {}
+        self._by_identifier: dict[int, list[PdoKey]] = {}
+
+    def learn(self, node: int, index: int, subindex: int, value: int) -> None:
+        """An object of the PDO parameters has this value; any other object tells nothing."""
+        if not 0x1400 <= index < 0x1C00:
+            return
+        key = (node, index >= 0x1800, (index & 0x1FF) + 1)
+        if index & 0x200:
+            if subindex == 0:
+                self._counts[key] = value
+            else:
+                self._entries.setdefault(key, {})[subindex] = value
+        elif subindex == 1:
+            self._identifiers[key] = None if value & _INVALID else value & _ID_MASK
+            self._by_identifier.clear()
+
+    def of(self, identifier: int) -> list[PdoKey]:
+        """The PDOs with this identifier: one that a node transmits, or those of all who receive."""
+        found = self._by_identifier.get(identifier)
+        if found is None:
+            found = [key for key, own in self._identifiers.items() if own == identifier]
+            usual = predefined(identifier)
+            if usual is not None and not found and usual not in self._identifiers:
+                found = [usual]
+            if len(self._by_identifier) > 4096:
+                self._by_identifier.clear()
+            self._by_identifier[identifier] = found
+        return found
+
+    def objects(self, key: PdoKey) -> list[Entry] | None:
+        """What is in it, in order; None: not known."""
+        entries = self._entries.get(key)
+        count = self._counts.get(key)
+        if count is None and entries:
+            count = len(entries)
+        if not count:
+            return None
+        told = [(entries or {}).get(number) for number in range(1, count + 1)]
+        if None in told:
+            return None
+        return [(value >> 16, value >> 8 & 0xFF, value & 0xFF) for value in told if value]
+
+
+def predefined(identifier: int) -> PdoKey | None:
+    """Whose PDO an identifier is by the pre-defined connection set; None: no PDO's."""
+    node, function = identifier & 0x7F, identifier >> 7
+    if not node or not 3 <= function <= 10:
+        return None
+    return node, function % 2 == 1, (function - 1) // 2
