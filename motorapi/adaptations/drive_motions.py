@@ -265,8 +265,11 @@ class DriveMotions:
         link = self._node.link
         point = ArmedSetPoint(link, self._control, index, target, watch.begin)
         self._point = point
+        # Where a SYNC not of ours has begun some of them, the others do not wait to hear another.
+        has_begun = any(one.latched_ns is not None for one in link.armed_set_points)
         link.armed_set_points.append(point)
-        if link.bus_sync.find_cyclic() is None:
+        cyclic = link.bus_sync.known() if has_begun else link.bus_sync.find_cyclic()
+        if cyclic is None:
             point.mark(self._node.node_id, self._hardware.connect().latched_ids[index])
             point.send()
             if point.transmission is not None:

@@ -277,3 +277,26 @@ def test_a_stream_and_set_points_of_one_group_begin_within_what_is_predicted(rig
         assert abs(truth(rig, 1) - 0.5) < WINDOW_RAD
         assert abs(truth(rig, 2) - 1.0) < WINDOW_RAD
         fourth.wait_until_done(10)
+
+
+def test_a_single_foreign_sync_in_the_middle_of_arming_is_not_made_worse_by_listening(rig: Rig):
+    with (
+        host_with(rig, 1, 2) as motors,
+        can.Bus(interface="emulated", channel="can0") as evil,
+    ):
+        group = ready(*motors)
+        sent: list[int] = []
+
+        def on_frame(frame: bytes, time_ns: int, transmitted: bool) -> None:
+            if int.from_bytes(frame[:4], "little") == 0x301 and not sent:
+                sent.append(time_ns)
+                evil.send(can.Message(arbitration_id=0x080, is_extended_id=False))
+
+        rig.runtime.listen(evil, on_frame)
+        seen = BusEvidence(rig)
+        group.start()
+        group.wait_until_done(5)
+        assert seen.fired() == [{0x301}, {0x302}]
+        quality = group.sync_quality()
+        assert quality.straddles == 1
+        assert quality.command_skew_s == pytest.approx(0.0, abs=0.03)  # SDOs, not 0.3 s of waiting
