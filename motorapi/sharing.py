@@ -307,6 +307,10 @@ class PhysicalMotor:
         self._count_news()
         return True
 
+    def stopped_elsewhere(self, by: str, now_ns: int) -> bool:
+        """Another program has told the motor to stop; whether anything went on here."""
+        return self._end_run_of(by, now_ns, None, None)
+
     def _settle(self, by: str, now_ns: int, status: RunStatus) -> bool:
         """How the run there is ended is known; whether there was one."""
         run = self.run

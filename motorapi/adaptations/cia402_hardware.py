@@ -128,7 +128,7 @@ class Cia402HwMotor:
         self.parameters: Final = ParameterStore(self.node, self.objects)
         self._homed_at_boot: int | None = None
         self._is_doubted = False
-        guard = guarding(runtime, self.physical, self.node, self.control)
+        guard = guarding(runtime, self.physical, self.node, self.control, self.end_stream)
         self._close = weakref.finalize(self, _let_go, self.link, self.node, self.options, guard)
         self._close.atexit = False
 

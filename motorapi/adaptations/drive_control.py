@@ -2,7 +2,6 @@
 
 import struct
 from collections.abc import Callable
-from functools import partial
 from typing import TYPE_CHECKING, Final, final
 
 from motorapi.adaptations.canopen_link import CanopenLink, Transmission, can_frame
@@ -29,7 +28,7 @@ from motorapi.adaptations.cia402_objects import (
 )
 from motorapi.adaptations.drive_node import DriveNode
 from motorapi.adaptations.drive_objects import DriveObjects
-from motorapi.adaptations.stop_repetition import StopRepetition
+from motorapi.adaptations.stop_repetition import StopRepetition, stop_sender
 from motorapi.errors import DeadlineExceeded, MotorBusyError, UnsupportedError
 
 if TYPE_CHECKING:
@@ -70,7 +69,7 @@ class DriveControl:
         self._node = node
         self._objects = objects
         self._mode: Mode | None = None
-        self._halted = False
+        self.is_halted = False  # it was told to stop since `take_set_points`, by whomever
         self._word: int | None = None  # the controlword commanded last
         self._repetition: StopRepetition | None = None
         self._armed: int | None = None  # the index of the target that the next SYNC makes count
@@ -83,7 +82,7 @@ class DriveControl:
         self._end_repetition()
         self._word = None
         self._mode = None
-        self._halted = False
+        self.is_halted = False
         self._armed = None
         self.has_started()
 
@@ -100,16 +99,15 @@ class DriveControl:
         self._word = word
         self._objects.download(0x6040, 0, word.to_bytes(2, "little"), stops=stops)
 
-    def send_controlword(self, word: int, *, stops: bool = False) -> Transmission | None:
+    def send_controlword(self, word: int) -> Transmission | None:
         """The controlword is on its way, by RPDO; does not wait (None: it was written by SDO)."""
         facts = self.facts
         if facts is None or facts.control_id is None:
-            self.write_controlword(word, stops=stops)
+            self.write_controlword(word)
             return None
         self._end_repetition()
         self._word = word
-        fence = None if stops else self._fence
-        return self._send(_CONTROL.pack(facts.control_id, 2, word), fence)
+        return self._send(_CONTROL.pack(facts.control_id, 2, word), self._fence)
 
     def _send(self, frame: bytes, fence: "Fence | None") -> Transmission:
         """The frame waits for the bus. Raises MotorBusyError: see `PhysicalMotor.passage`."""
@@ -128,7 +126,7 @@ class DriveControl:
         for _ in range(_STEPS_MAX):
             state = node.state
             if state is PdsState.OPERATION_ENABLED:
-                self._halted = False
+                self.is_halted = False
                 return
             if state in (PdsState.FAULT, PdsState.FAULT_REACTION_ACTIVE):
                 raise node.fault_error(self._node.label)
@@ -151,7 +149,7 @@ class DriveControl:
         """The power stage is off, by disable voltage; to stop the drive, whoever owns it."""
         self.write_controlword(DISABLE_VOLTAGE, stops=stops)
         self._node.wait_for_status(is_off, _STATE_TIMEOUT_S, "power stage off")
-        self._halted = False
+        self.is_halted = False
 
     def reset_fault(self) -> None:
         """The fault is acknowledged; the state is switch on disabled.
@@ -178,21 +176,23 @@ class DriveControl:
 
         With `watch`, which follows how it comes to rest, the command is repeated: it may be lost.
         """
-        self._halted = True
+        self.is_halted = True
         self._send_stop(ENABLE_OPERATION | HALT, watch)
 
     def send_quick_stop(self, watch: "MotionWatch | None" = None) -> None:
         """The drive stops as 605Ah says. `watch`: as for a halt."""
-        self._halted = True
+        self.is_halted = True
         self._send_stop(QUICK_STOP, watch)
 
     def _send_stop(self, word: int, watch: "MotionWatch | None") -> None:
         self._armed = None
-        self.send_controlword(word, stops=True)
+        self._end_repetition()
+        self._word = word
+        control_id = None if self.facts is None else self.facts.control_id
+        send = stop_sender(self._node, self._physical, control_id, word)
+        send(None)
         self._overwrite_latch(None)
-        facts = self.facts
-        if watch is not None and facts is not None and facts.control_id is not None:
-            send = partial(self._send, _CONTROL.pack(facts.control_id, 2, word))
+        if watch is not None:
             self._repetition = StopRepetition(self._node, watch, self._fence, send)
 
     def _end_repetition(self) -> None:
@@ -237,11 +237,6 @@ class DriveControl:
         """Whether 6061h confirmed this mode, and nobody can have changed it since."""
         return self._mode is mode and self._objects.is_believed(0x6060, mode)
 
-    @property
-    def is_halted(self) -> bool:
-        """Whether it was told to stop since `take_set_points`."""
-        return self._halted
-
     def take_set_points(self) -> None:
         """Pp: bit 4 is low, and the acknowledge with it. A halt goes on until the next set-point.
 
@@ -252,20 +247,20 @@ class DriveControl:
             self._node.wait_for_status(
                 shows_no_acknowledge, _ACKNOWLEDGE_TIMEOUT_S, "set-point acknowledge to fall"
             )
-        self._halted = False
+        self.is_halted = False
 
     def keep_halt(self) -> None:
         """A halt goes on until the next set-point; `is_halted` tells of stops from now on."""
-        self._halted = False
+        self.is_halted = False
 
     def hold(self) -> None:
         """The drive is halted, so that no mode it changes to moves it, until its next set-point."""
         self.write_controlword(ENABLE_OPERATION | HALT)
-        self._halted = False
+        self.is_halted = False
 
     def release(self) -> None:
         """The controlword is plain operation enabled: no halt, no bit of a mode."""
-        self._halted = False
+        self.is_halted = False
         self.write_controlword(ENABLE_OPERATION)
 
     def send_set_point(self) -> Transmission | None:
@@ -274,7 +269,7 @@ class DriveControl:
         Nothing of it if the drive was told to stop after `take_set_points`.
         """
         word = self._holding_word()
-        if not self._halted:
+        if not self.is_halted:
             word |= NEW_SET_POINT | CHANGE_IMMEDIATELY
         return self.send_controlword(word)
 
@@ -283,7 +278,7 @@ class DriveControl:
         return self.send_controlword(self._holding_word())
 
     def _holding_word(self) -> int:
-        return ENABLE_OPERATION | (HALT if self._halted else 0)
+        return ENABLE_OPERATION | (HALT if self.is_halted else 0)
 
     def arm(self, index: int, target: int, *, fired: Callable[[int], None] | None = None) -> None:
         """The next SYNC makes `target` count; the drive has it. Arguments as in `send_armed`."""
@@ -331,7 +326,7 @@ class DriveControl:
         """
         if self.facts is None or 0x607A not in self.facts.latched_ids:
             return None
-        self._armed, self._latched, self._halted = None, 0x607A, True
+        self._armed, self._latched, self.is_halted = None, 0x607A, True
         self._word = self._holding_word()
         self._link.latching.add(self._node.node_id)
         return self._overwrite_latch(None)[0]

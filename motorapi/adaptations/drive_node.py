@@ -109,7 +109,8 @@ class DriveNode:
         self._heartbeat_timeout_ms = heartbeat_timeout_ms
         self._heartbeat_ns = 0  # when the last one came
         self._silence: Registration | None = None
-        self._tpdo_ids: list[int] = []
+        self._heard_ids: list[int] = []
+        self.on_control: Callable[[bytes, int], None] | None = None  # hears others' controlwords
         link.handle(HEARTBEAT_ID + node_id, self._on_heartbeat)
         link.handle(EMCY_ID + node_id, self._on_emergency)
 
@@ -121,7 +122,13 @@ class DriveNode:
             self.link.handle(can_id, self._on_status_position)
         else:
             self.link.handle(can_id, TpdoDecoder(self, mapping).decode)
-        self._tpdo_ids.append(can_id)
+        self._heard_ids.append(can_id)
+
+    def listen_to_control(self, can_id: int) -> None:
+        """The RPDO `can_id` brings controlwords; what others than us send goes to `on_control`."""
+        if self.on_control is not None:
+            self.link.handle(can_id, self.on_control)
+            self._heard_ids.append(can_id)
 
     def _on_status_position(self, frame: bytes, time_ns: int) -> None:
         if frame[4] != 6:
@@ -232,8 +239,8 @@ class DriveNode:
         if self._silence is not None:
             self._silence.cancel()
             self._silence = None
-        first = (HEARTBEAT_ID, EMCY_ID, 0x580)
-        for can_id in (*(base + self.node_id for base in first), *self._tpdo_ids):
+        first = (HEARTBEAT_ID, EMCY_ID, 0x580, 0x600)
+        for can_id in (*(base + self.node_id for base in first), *self._heard_ids):
             self.link.ignore(can_id)
         self.link.fences.pop(self.node_id, None)
 

@@ -178,6 +178,8 @@ def bring_up(node: DriveNode, options: HwOptions) -> DriveFacts:
         limitations.append(f"its SYNC is {sync_id or 0:03X}h, ours {node.link.sync_id:03X}h")
     pdos = PdoSetUp(node)
     control = pdos.configure(PdoWish(False, 1, (CONTROLWORD,), EVENT_DRIVEN))
+    if control is not None:
+        node.listen_to_control(control[0])
     latched_ids = _latched_pdos(pdos) if latched else {}
     status = _status_pdo(node, pdos, options)
     for number in range(3 if options.velocity_period_ms else 2, _TPDOS + 1):

@@ -11,11 +11,12 @@ it: when its owner has died, and it moves, they halt it (`Guard`).
 """
 
 import logging
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager, suppress
 from typing import TYPE_CHECKING, Final, final
 
 from motorapi.adaptations.cia402_objects import PdsState
+from motorapi.adaptations.foreign_stops import heed_stops
 from motorapi.errors import MotorError
 from motorapi.fencing import NodeFence, announce
 from motorapi.lock_names import bus_name
@@ -141,9 +142,14 @@ class Guard:
 
 
 def guarding(
-    runtime: "Runtime", physical: PhysicalMotor, node: "DriveNode", control: "DriveControl"
+    runtime: "Runtime",
+    physical: PhysicalMotor,
+    node: "DriveNode",
+    control: "DriveControl",
+    end_stream: Callable[[int], None],
 ) -> "Registration | None":
-    """A guard looks after the drive, where other processes may have it."""
+    """A guard looks after the drive, where other processes may have it; their stops are heeded."""
     if physical.ownership.lock is None:
         return None
+    heed_stops(physical, node, control, end_stream)
     return runtime.every(LOOK_PERIOD_S, Guard(physical, node, control).look)

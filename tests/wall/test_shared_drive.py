@@ -204,6 +204,30 @@ def test_a_velocity_is_kept_until_it_is_stopped_and_anybody_may_stop_it(programs
     assert drive.ask("wait") == "done"
 
 
+@pytest.mark.parametrize("motion", ["move 20", "run 3"])
+def test_whose_motion_another_program_stops_is_told_and_can_go_on(programs, views, motion):
+    mast, drive = programs("mast", "drive")
+    assert drive.ask("position").startswith("at ")
+    assert mast.ask(motion) == "started"
+    assert drive.ask("stop") == "stopped"
+    told = "failed mast: the motion was ended by another program, which told the drive to stop"
+    assert mast.ask("wait").startswith(f"{told} (controlword 010Fh) at ")
+    assert drive.ask("wait") == "done"
+    wait_for(lambda: views()[0].holder is None)  # nobody moves it
+    assert mast.ask("move 0.1") == "started"
+    assert mast.ask("wait") == "done"
+
+
+def test_who_stops_it_while_another_program_does_hears_of_no_interruption(programs):
+    mast, drive = programs("mast", "drive")
+    assert drive.ask("position").startswith("at ")
+    assert mast.ask("run 3") == "started"
+    mast.say("stop")
+    drive.say("stop")
+    assert (mast.hear(), drive.hear()) == ("stopped", "stopped")
+    assert (mast.ask("wait"), drive.ask("wait")) == ("done", "done")
+
+
 def test_a_drive_that_moves_for_a_process_that_was_killed_is_halted_by_those_who_are_left(
     programs, views
 ):
