@@ -20,10 +20,10 @@ from typing import TYPE_CHECKING, Final, final
 
 from motorapi.errors import MotorError
 from motorapi.group_planning import Common
-from motorapi.outcome import LOOK_PERIOD_S
 from motorapi.path import PathWatch
 from motorapi.sharing import Run
 from motorapi.synchronization import FaultReaction, PathDeviation, Synchronization, Trigger
+from motorapi.waiting import LOOK_PERIOD_S
 
 if TYPE_CHECKING:
     from motorapi.execution import Started

@@ -13,14 +13,11 @@ from enum import Enum
 from typing import TYPE_CHECKING, Final, final
 
 from motorapi.errors import MotionInterrupted, MotorError, PluginError
+from motorapi.waiting import LOOK_PERIOD_S
 
 if TYPE_CHECKING:
     from motorapi.runtime import Registration, Runtime
     from motorapi.sharing import PhysicalMotor
-
-LOOK_PERIOD_S: Final = 0.01
-"""How often is looked at what nobody tells of: a motor whose hardware counts no news, for a
-callback's sake; whether low-level access is over."""
 
 _LOG: Final = logging.getLogger("motorapi")
 

@@ -5,8 +5,8 @@ from typing import TYPE_CHECKING, Final, final
 
 from motorapi.errors import MotorBusyError
 from motorapi.leases import use_leases
-from motorapi.outcome import LOOK_PERIOD_S
 from motorapi.runtime import wait_until
+from motorapi.waiting import LOOK_PERIOD_S
 
 if TYPE_CHECKING:
     from motorapi.claim import Claim

@@ -18,12 +18,13 @@ from motorapi.errors import (
     StateError,
     UsageError,
 )
-from motorapi.outcome import LOOK_PERIOD_S, DoneNotice, Ending, Outcome, ending_of
+from motorapi.outcome import DoneNotice, Ending, Outcome, ending_of
 from motorapi.patience import Patience
 from motorapi.progress import Progress, progress_of
 from motorapi.readable_motor import ReadableMotor
 from motorapi.sharing import Run, RunStatus
 from motorapi.state import MotorState
+from motorapi.waiting import LOOK_PERIOD_S
 
 if TYPE_CHECKING:
     from motorapi.commands import Motion

@@ -4,7 +4,11 @@ A motor is looked at when there is news of it, and only then, if somebody counts
 """
 
 from collections.abc import Callable
-from typing import final
+from typing import Final, final
+
+LOOK_PERIOD_S: Final = 0.01
+"""How often is looked at what nobody tells of: a motor whose hardware counts no news, for a
+callback's sake; whether low-level access is over."""
 
 
 @final

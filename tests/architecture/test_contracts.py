@@ -28,6 +28,13 @@ PLANTS = [
         "emulators.media.can_bus -> emulators.serve",
     ),
     ("emulators-layers", "emulators/novelty.py", "", "novelty"),
+    (
+        "modbus",
+        "emulators/modbus/server.py",
+        "import emulators.modbus.tcp",
+        "emulators.modbus.server -> emulators.modbus.tcp",
+    ),
+    ("modbus", "emulators/modbus/novelty.py", "", "novelty"),
     ("cores", "emulators/event_queue.py", "import time", "emulators.event_queue -> time"),
     ("cores", "emulators/cia402/drive.py", "from os import environ", "cia402.drive -> os"),
     ("cores", "emulators/firmware/servo.py", "import random", "emulators.firmware.servo -> random"),
@@ -59,6 +66,25 @@ PLANTS = [
         "motorapi.motor -> motorapi.adaptations.cia402",
     ),
     (
+        "locks",
+        "motorapi/lock_reader.py",
+        "import motorapi.process_lock",
+        "motorapi.lock_reader -> motorapi.process_lock",
+    ),
+    (
+        "locks",
+        "motorapi/process_lock.py",
+        "import motorapi.ownership",
+        "motorapi.process_lock -> motorapi.ownership",
+    ),
+    (
+        "bounds",
+        "motorapi/bus_timing.py",
+        "import motorapi.runtime",
+        "motorapi.bus_timing -> motorapi.runtime",
+    ),
+    ("bounds", "motorapi/skew.py", "import motorapi.capability", "skew -> motorapi.capability"),
+    (
         "functions",
         "motorapi/functions/exact.py",
         "import motorapi.functions.sampled",
@@ -89,6 +115,18 @@ PLANTS = [
         "import motorapi.adaptations.streamed_motion",
         "ideal_motor -> motorapi.adaptations.streamed_motion",
     ),
+    (
+        "modbus-kinds",
+        "motorapi/adaptations/oriental_hardware.py",
+        "from motorapi.adaptations.leadshine_hardware import LeadshineHwMotor",
+        "oriental_hardware -> motorapi.adaptations.leadshine_hardware",
+    ),
+    (
+        "modbus-without-can",
+        "motorapi/adaptations/modbus_line.py",
+        "import motorapi.adaptations.canopen_link",
+        "modbus_line -> motorapi.adaptations.canopen_link",
+    ),
     ("host-libraries", "motorapi/group.py", "import canopen", "motorapi.group -> canopen"),
     (
         "host-libraries",
@@ -98,6 +136,18 @@ PLANTS = [
     ),
     ("harness-edges", "harness/recorder.py", "import time", "harness.recorder -> time"),
     ("harness-edges", "harness/virtual_time.py", "import random", "harness.virtual_time -> random"),
+    (
+        "judges",
+        "harness/sharing/linearizability.py",
+        "import hypothesis",
+        "harness.sharing.linearizability -> hypothesis",
+    ),
+    (
+        "judges",
+        "harness/sharing/history.py",
+        "import motorapi.errors",
+        "history -> motorapi.errors",
+    ),
 ]
 
 
