@@ -1,6 +1,6 @@
 """Workers of `harness.sharing.processes` that share real motors: on a hub, or on SocketCAN.
 
-    facts = {"channel": "/tmp/hub", "model": "wheel_model.toml", "node_ids": [1, 2]}
+    facts = {"channel": "/tmp/hub", "model": "wheel_model.toml", "node_ids": [1]}
     outcome = run(Plan(work="harness.sharing.drivers:work_motor", workers=4, facts=facts))
 
 Their motors are drives by CiA 402, unless facts["make"] names a function "module:function" of your

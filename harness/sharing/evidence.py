@@ -70,18 +70,23 @@ class Evidence:
             shortly before), "next" (see above), "free" (nobody's), "foreign".
         foreign: the last kind, with whose the motor was.
         contradictions: of what was told of ownership.
+        unseen: motors of which nothing is proven: no frame commanded them, if there are any at all.
     """
 
     counts: Mapping[str, int]
     foreign: tuple[tuple[BusFrame, Tenure], ...]
     contradictions: tuple[str, ...]
+    unseen: tuple[str, ...]
 
     def table(self) -> str:
         """The counts, for people."""
         return "\n".join(f"{count:8d}  {name}" for name, count in sorted(self.counts.items()))
 
     def require_sound(self) -> None:
-        """Raises SharingViolated if somebody commanded a motor that was another's."""
+        """Raises SharingViolated if somebody commanded a motor that was another's, or nobody did.
+
+        A recording without a commanding frame of a motor (a wrong bus, or node-ID) proves nothing.
+        """
         if self.contradictions:
             raise SharingViolated("\n".join(self.contradictions))
         if self.foreign:
@@ -89,6 +94,11 @@ class Evidence:
             raise SharingViolated(
                 f"{len(self.foreign)} commanding frames of one who did not have the motor:\n"
                 + "\n".join(lines)
+            )
+        if self.unseen:
+            raise SharingViolated(
+                f"nothing is proven of {', '.join(self.unseen)}: no frame there commands it;"
+                " give the bus and the node-ID of each motor that was moved"
             )
 
 
@@ -157,7 +167,17 @@ def judge_frames(
                 counts[f"{motor}: {whose}"] += 1
                 if whose == "foreign" and tenure is not None:
                     foreign.append((frame, tenure))
-    return Evidence(dict(counts), tuple(foreign), ownership.contradictions)
+    seen = {name.rpartition(": ")[0] for name in counts}
+    unseen = (
+        [
+            f"{motor} ({bus} node {node})"
+            for motor, (bus, node) in nodes.items()
+            if motor not in seen
+        ]
+        if nodes
+        else ["any motor (none is named)"]
+    )
+    return Evidence(dict(counts), tuple(foreign), ownership.contradictions, tuple(unseen))
 
 
 def _whose(tenures: Sequence[Tenure], frame: BusFrame, late_ns: int) -> tuple[str, Tenure | None]:

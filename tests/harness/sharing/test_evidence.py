@@ -100,6 +100,20 @@ def test_other_nodes_buses_and_stops_are_no_matter():
     assert judged(*others).counts == {}
 
 
+@pytest.mark.parametrize(
+    ("nodes", "named"),
+    [
+        ({"pan": ("can9", 3)}, r"pan \(can9 node 3\)"),
+        ({"pan": ("can0", 3), "tilt": ("can0", 4)}, r"tilt \(can0 node 4\): no frame"),
+        ({}, "any motor"),
+    ],
+)
+def test_a_motor_that_nothing_commands_is_not_proven_sound(nodes, named):
+    evidence = judge_frames([frame(15, "a")], ownership_of(TOLD), nodes)
+    with pytest.raises(SharingViolated, match=f"nothing is proven of {named}"):
+        evidence.require_sound()
+
+
 def test_nmt_to_all_nodes_commands_each():
     assert judged(frame(15, "c", 0x000, "81 00")).counts == {"pan: foreign": 1}
 
