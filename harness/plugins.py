@@ -5,8 +5,15 @@ Their names come from package metadata; a module is loaded only when one of its 
     motorhil.controllers    build(settings, context) -> emulators.controller.Controller
     motorhil.adaptations    build(bus, settings, model, runtime) -> motorapi.Motor
 
+What either builds is for CAN buses, unless an attribute says for which kinds of buses it is:
+`build.bus_kinds = ("modbus_rtu", "modbus_tcp")`. An adaptation then gets the line in place of a bus
+(`motorapi.adaptations.modbus_line.ByteLine`), and `unit` in its settings in place of `node_id`.
+
 An adaptation whose motors are on no bus says so by an attribute, `build.needs_bus = False`; it is
 given None, and a rig's motor of its kind names neither controller nor bus.
+
+A controller with a register map can show it to people, by `motorhil list registers NAME`:
+`build.registers`, called without arguments, gives the rows (`emulators.modbus.registers.Register`).
 """
 
 import sys

@@ -5,8 +5,28 @@ All are in SI units and signed as the motor model says; increments stay inside t
 Unless a hook says otherwise it may wait, through `self.runtime` only, and raises the errors of
 `motorapi.errors`; anything else it raises reaches the caller as a `PluginError`. The public methods
 have checked modes, limits and state before they call a hook, and see to it that no two hooks that
-act run at once on one physical motor (`_stop`, `_quick_stop` and `_halt` excepted).
-U stands for the motor's unit of position: rad, or m for a linear motor.
+act run at once on one physical motor (`_stop`, `_stop_with_others`, `_quick_stop` and `_halt`
+excepted). U stands for the motor's unit of position: rad, or m for a linear motor.
+
+The hardware object is the adaptation's own. What is expected of it:
+
+- There is one for a physical motor and process. `motorapi.sharing.register_physical_motor` gives it
+  the record that the motor is built with (`physical`); `release_physical_motor` ends that.
+- Where other programs can open the same bus (`motorapi.process_lock.can_share_time`, and a name by
+  `motorapi.lock_names`), it registers with a `ProcessLock` of that name and its node. Then whatever
+  may start or change a motion or a setting goes out between `begin_write` and `end_write` of
+  `physical.ownership`, as `motorapi.fencing` says, and never after they raised; on CAN `NodeFence`
+  does it, and `announce` tells a hub. Stops go out without. A question that takes several frames
+  needs a lock of its own, so that no other program's answer is taken for its own.
+- What it does by itself (a stream, a servo) goes on under the ownership it began under, and no
+  other: `NodeFence.bound`.
+- If it hears of every change of what `_is_done` looks at, `physical.news` counts them. If it must
+  ask, `_refresh` says how often.
+- On CAN it tells what it sends and its drive sends, by `motorapi.traffic.note_node` and
+  `note_stream`, or bounds on the skew of others on that bus are wrong.
+
+A motor that was left moving, by a process that died or by one it was taken over from, is brought to
+rest by `_stop`, `_refresh` and `_is_done` before its next owner commands it.
 """
 
 from abc import ABC, abstractmethod
@@ -89,13 +109,18 @@ class MotorHooks(Device, ABC):
     def _connect(self) -> None:
         """The hardware answers and is configured: booted, PDOs mapped, dead-man set up.
 
-        Called at the beginning of every public operation that needs the wire, so it is cheap when
-        there is nothing to do. Two parties may call it at once: the second waits for the first.
+        Called at the beginning of every public operation that needs the wire (but of `state` and
+        `fault`), so it is cheap when there is nothing to do. Two parties may call it at once: the
+        second waits for the first. Also called for who only reads: what it writes it may write
+        inside `physical.ownership.owned_to_set_up` only, if other programs can be on the bus.
         """
 
     @abstractmethod
     def _read_state(self) -> MotorState:
-        """The state; does not wait if the hardware reports it by itself. A fault is no error."""
+        """The state; does not wait if the hardware reports it by itself. A fault is no error.
+
+        OFFLINE if it is not heard. This and `_read_fault` may be called before any `_connect`.
+        """
 
     @abstractmethod
     def _read_fault(self) -> Fault | None:
@@ -209,6 +234,8 @@ class MotorHooks(Device, ABC):
             LinkError: the drive is no longer heard, or the bus is gone.
             MotionInterrupted: the hardware ended the motion (power off, another master).
             PeerError: homing failed.
+
+        Also asked of a motor that nobody of this process has commanded, after a `_stop`.
         """
 
     @abstractmethod
