@@ -1,0 +1,81 @@
+"""`motorhil convert`: what was read, what was not, what was lost; never a traceback, no silence."""
+
+import json
+
+import pytest
+
+from traces.schema import Direction
+from traces.traffic import Frame, classic
+from traces.traffic_mcap import record_frames
+
+TEXT = """\
+candump can0
+  can0  701   [1]  7F   # alive
+  can0  181   [8]  01 02 03 04
+  can0  081   [2]  01 52
+"""
+
+
+@pytest.fixture
+def folder(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "in.txt").write_text(TEXT)
+    return tmp_path
+
+
+def test_what_could_not_be_read_is_told_with_its_line(folder, say):
+    status, out, err = say("convert", "in.txt", "-o", "out.mcap")
+    assert status == 0
+    assert out == "out.mcap: 2 frames of can0, from candump to mcap, 2 not readable\n"
+    assert err.splitlines() == [
+        "in.txt:1: no frame: 'candump can0'",
+        "in.txt:3: 4 of 8 bytes: 'can0  181   [8]  01 02 03 04'",
+        "in.txt: 2 frames have no time stamp: their time is 0",
+    ]
+
+
+def test_strict_fails_where_anything_was_not_read_or_is_lost(folder, say):
+    assert say("convert", "in.txt", "-o", "out.mcap", "--strict")[0] == 1
+    assert say("convert", "out.mcap", "-o", "out.log", "--strict")[0] == 0
+    record_frames("sent.mcap", [Frame(0, "can0", classic(1, b""), Direction.RECEIVED, "left")], {})
+    status, _, err = say("convert", "sent.mcap", "-o", "sent.log", "--strict")
+    assert status == 1
+    assert "lost, candump cannot hold it: sender of 1 frames" in err
+
+
+def test_a_machine_is_told_all(folder, say):
+    (folder / "in.txt").write_text(TEXT + "nonsense\n" * 30)
+    facts = json.loads(say("convert", "in.txt", "-o", "x", "--to", "candump", "--json")[1])
+    assert (facts["frames"], facts["buses"], facts["unstamped"]) == (2, ["can0"], 2)
+    assert [problem["line"] for problem in facts["problems"]] == [1, 3, *range(5, 35)]
+
+
+def test_people_are_told_twenty_problems_and_how_many_more(folder, say):
+    (folder / "in.txt").write_text(TEXT + "nonsense\n" * 30)
+    err = say("convert", "in.txt", "-o", "x", "--to", "mcap")[2]
+    assert "in.txt: 12 more problems: --all" in err
+    err = say("convert", "in.txt", "-o", "x", "--to", "mcap", "--force", "--all")[2]
+    assert "in.txt:34: no frame: 'nonsense'" in err
+
+
+@pytest.mark.parametrize(
+    ("words", "why"),
+    [
+        (("no-such.txt", "-o", "x.mcap"), "cannot be read: no such file"),
+        (("in.txt", "-o", "x.doc"), "say --to FORMAT"),
+        (("in.txt", "-o", "in.txt", "--to", "candump"), "is the source itself"),
+        (("in.txt", "-o", "there.log"), "exists; name another file, or say --force"),
+        (("in.txt", "-o", "no/such/x.log"), "cannot be written: no such file"),
+        (("in.txt", "-o", "there.log", "--to", "mcap", "--force"), "is no recording"),
+        (("cut.txt", "-o", "x.mcap"), "no frame can be read as candump"),
+        ((".", "-o", "x.mcap"), "is a directory"),
+    ],
+)
+def test_wrong_usage_is_refused_in_a_sentence(folder, say, words, why):
+    (folder / "there.log").write_text("mine\n")
+    (folder / "cut.txt").write_text("  can0  181   [8]  01 02 03")
+    status, out, err = say("convert", *words)
+    assert (status, out) == (2, "")
+    assert why in err
+    assert (folder / "there.log").read_text() == "mine\n"
+    assert not list(folder.glob("**/*.part"))

@@ -1,0 +1,175 @@
+"""Rows of candump are read as people keep them. Forms: can-utils, candump.c and lib.c."""
+
+from calendar import timegm
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from traces import traffic
+from traces.candump import CandumpReader, log_row
+from traces.schema import Direction
+from traces.traffic import Findings, Frame, classic, flexible, read_lines, remote
+
+
+def read(*lines):
+    findings = Findings()
+    return list(findings.watched(read_lines(lines, CandumpReader(), findings))), findings
+
+
+def one(line):
+    frames, findings = read(line)
+    assert findings.problems == []
+    assert len(frames) == 1
+    return frames[0]
+
+
+EXT = 0x12345678 | traffic.EFF
+
+
+@pytest.mark.parametrize(
+    ("line", "time_ns", "frame"),
+    [
+        ("(1345212884.318850) can0 123#0102", 1345212884318850000, classic(0x123, b"\1\2")),
+        ("(1345212884.318850123) can0 123#", 1345212884318850123, classic(0x123, b"")),
+        ("(1.5) can0 12345678#11.22", 1_500_000_000, classic(EXT, b"\x11\x22")),
+        ("(0.0) can0 00000123#11", 0, classic(0x123 | traffic.EFF, b"\x11")),
+        ("(0.0) can0 123#R", 0, remote(0x123, 0)),
+        ("(0.0) can0 123#R5", 0, remote(0x123, 5)),
+        ("(0.0) can0 123##3AABB", 0, flexible(0x123, 3, b"\xaa\xbb")),
+        ("(0.0) can0 20000004#0001000000000000", 0, classic(0x20000004, b"\0\1" + bytes(6))),
+        ("  can0  123   [2]  01 02", 0, classic(0x123, b"\1\2")),
+        ("  can0  12345678   [1]  01   '.'", 0, classic(EXT, b"\1")),
+        ("  can0       123  [02]  01 02", 0, flexible(0x123, 0, b"\1\2")),
+        ("  can0  123   [3]  remote request", 0, remote(0x123, 3)),
+        ("  can0  080   [0] ", 0, classic(0x80, b"")),
+        ("0128 [2] 0b 61 ", 0, classic(0x128, b"\x0b\x61")),
+        (" (000.000123)  can0  123   [1]  01", 123_000, classic(0x123, b"\1")),
+        (
+            " (2012-08-17 14:14:44.318850)  can0  123   [1]  01",
+            1345212884318850000,
+            classic(0x123, b"\1"),
+        ),
+        ("  can0  20000004   [8]  00 01 00 00 00 00 00 00   ERRORFRAME", 0,
+         classic(0x20000004, b"\0\1" + bytes(6))),
+        ("  can0  TX B E  123  [01]  FF", 0, flexible(0x123, 3, b"\xff")),
+    ],
+)  # fmt: skip
+def test_a_row_is_read(line, time_ns, frame):
+    found = one(line)
+    assert (found.time_ns, found.bus, found.frame) == (time_ns, "can0", frame)
+
+
+@pytest.mark.parametrize(
+    ("line", "direction"),
+    [
+        ("(0.0) can0 123#01 R", Direction.RECEIVED),
+        ("(0.0) can0 123#01 T", Direction.TRANSMITTED),
+        ("(0.0) can0 123#01", Direction.UNKNOWN),
+        ("  can0  RX - -  123   [1]  01", Direction.RECEIVED),
+        ("  can0  TX - -  123   [1]  01", Direction.TRANSMITTED),
+    ],
+)
+def test_the_direction_is_read_where_it_is_told(line, direction):
+    assert one(line).direction is direction
+
+
+@pytest.mark.parametrize(
+    ("line", "why"),
+    [
+        ("candump can0", "no frame"),
+        ("  can0  123   [8]  01 02 03", "3 of 8 bytes"),
+        ("  can0  123   [1]  01 02", "more than 1 bytes"),
+        ("  can0  123   [8]  01 02 0", "2 of 8 bytes"),
+        ("(0.0) can0 123#012", "no whole bytes"),
+        ("(0.0) can0 123#010203040506070809", "9 bytes in a classic frame"),
+        ("(0.0) can0 1234#01", "4 digits"),
+        ("(0.0) can0 FFF#01", "29 bits|FFF"),
+        ("(0.0) can0 123##", "without flags"),
+        ("(0.0) can0 123#45:00:00#11", "CAN XL"),
+        ("(99999999999999.0) can0 123#01", "2554"),
+        ("\x00\x00\x00", "no frame"),
+    ],
+)
+def test_what_cannot_be_read_is_told_with_its_line_and_the_rest_is_read(line, why):
+    frames, findings = read("(0.0) can0 001#01", line, "(0.1) can0 002#02")
+    if line.startswith("(0.0) can0 FFF"):  # three digits beyond 11 bits: it can only be 29 bit
+        assert len(frames) == 3
+        return
+    assert [frame.time_ns for frame in frames] == [0, 100_000_000]
+    ((number, text),) = findings.problems
+    assert number == 2
+    assert why in text
+
+
+def test_two_rows_in_one_line_are_two_frames():
+    frames, findings = read("  can0  080   [0]   can0  481   [2]  52 1A  # why")
+    assert [frame.frame for frame in frames] == [classic(0x80, b""), classic(0x481, b"\x52\x1a")]
+    assert (findings.problems, findings.comments) == ([], 1)
+    assert "more than one row" in findings.notes[0]
+
+
+def test_a_second_row_that_is_cut_is_a_problem_of_its_line():
+    frames, findings = read("(0.0) can0 080#01(0.1) can0 481#5", "(0.2) can0 081# (0.3) can0 48")
+    assert [frame.time_ns for frame in frames] == [0, 200_000_000]
+    assert [problem.line for problem in findings.problems] == [1, 2]
+
+
+def test_comments_are_counted_and_are_no_problem():
+    frames, findings = read(
+        "# boot",
+        "// said",
+        "",
+        "  can0  701   [1]  7F    # Heartbeat",
+        "  can0  701   [1]  7F <--- x",
+    )
+    assert (len(frames), findings.comments, findings.problems) == (2, 4, [])
+
+
+def test_what_an_error_frame_means_is_told_behind_it_and_is_no_row():
+    _, findings = read(
+        "  can0  20000004   [8]  00 01 00 00 00 00 00 00   ERRORFRAME",
+        "\tcontroller-problem{rx-overflow}",
+        "  can0  701   [1]  7F",
+        "\tcontroller-problem{rx-overflow}",
+    )
+    assert [problem.line for problem in findings.problems] == [4]
+
+
+def test_stamps_that_are_missing_or_go_back_are_counted_and_kept():
+    frames, findings = read("(5.0) a 1FF#", "(4.5) a 1FF#", "(7.0) a 1FF#", "  a  1FF   [0] ")
+    assert [frame.time_ns for frame in frames] == [5 * 10**9, 45 * 10**8, 7 * 10**9, 0]
+    assert (findings.unstamped, findings.backward) == (1, 2)
+    assert findings.largest_step_back_ns == 7 * 10**9
+
+
+IDENTIFIERS = st.integers(0, 0x7FF) | st.integers(0, 0x1FFFFFFF).map(lambda n: n | traffic.EFF)
+FRAMES = (
+    st.builds(classic, IDENTIFIERS, st.binary(max_size=8))
+    | st.builds(remote, IDENTIFIERS, st.integers(0, 8))
+    | st.builds(flexible, IDENTIFIERS, st.integers(0, 3), st.binary(max_size=64))
+    | st.builds(
+        classic,
+        st.integers(0, 0x1FFFFFFF).map(lambda n: n | traffic.ERR),
+        st.binary(min_size=8, max_size=8),
+    )
+)
+
+
+@given(st.integers(0, traffic.TIME_MAX), FRAMES, st.sampled_from(Direction))
+def test_what_is_written_is_read_again(time_ns, frame, direction):
+    told = Frame(time_ns, "vcan-7", frame, direction)
+    assert one(log_row(told, places=9)) == told
+
+
+@given(st.text(alphabet=" ()#[]0189AFRT.:_can'-\t", max_size=60))
+def test_no_line_is_passed_over_in_silence_and_none_ends_the_reading(line):
+    frames, findings = read(line)
+    assert frames or findings.problems or findings.comments or not line.strip()
+
+
+@given(st.integers(0, traffic.TIME_MAX))
+def test_dates_are_those_of_the_standard_library(time_ns):
+    day_s = time_ns // 10**9 // 86400 * 86400
+    assert timegm((*traffic.date_of(time_ns), 0, 0, 0)) == day_s
+    assert traffic.date_ns(*traffic.date_of(time_ns)) == day_s * 10**9

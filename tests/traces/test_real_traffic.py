@@ -1,0 +1,49 @@
+"""Files as users have them: as many frames as ../shared/data/traffic/INDEX.md says, or refused."""
+
+import re
+
+import pytest
+
+from harness.conversion import convert
+from traces.digest import digest
+from traces.errors import TraceError
+from traces.formats import open_source
+from traces.traffic import Findings
+
+pytestmark = pytest.mark.data
+
+# name: (format, frames, lines that cannot be read, stamped backward)
+FILES = {
+    "roboteq_mbl1660_node12_candump.txt": ("candump", 596, 1, 0),  # the command line
+    "ros2canopen_issue298_fault_recovery.candump.txt": ("candump", 64, 0, 0),
+    "ros2canopen_issue356_nanotec_n5_boot.candump.txt": ("candump", 17, 0, 0),
+    "ather_scooter_candump.txt": ("candump", 22379, 0, 0),
+    "moteus_dynamometer_canfd_candump.txt": ("candump", 1251, 0, 0),
+    "savvycan_example_candump.log": ("candump", 12974, 0, 0),
+    "canopenlens_sample_amr_2wheel.log": ("candump", 14714, 0, 0),
+}
+REFUSED = ("tmotor_ak80_current_chirp.csv", "vfd_omron_cimr_v7az_modbus.ini")
+
+
+@pytest.mark.parametrize("name", FILES)
+def test_a_real_file_is_read_as_its_index_says(shared, tmp_path, name):
+    path = shared / "data/traffic" / name
+    form, frames, problems, backward = FILES[name]
+    index = (shared / "data/traffic/INDEX.md").read_text()
+    row = next(line for line in index.splitlines() if line.startswith(f"| {name} |"))
+    assert int(row.split("|")[5]) == frames
+    told = re.search(r"(\d+) backward", row)
+    done = convert(path, tmp_path / "a.mcap", "mcap")
+    found = done.findings
+    assert (done.source.format, found.frames) == (form, frames)
+    assert (len(found.problems), found.backward) == (problems, backward)
+    assert told is None or int(told[1]) == backward
+    convert(tmp_path / "a.mcap", tmp_path / "b.log", "candump")
+    convert(tmp_path / "b.log", tmp_path / "c.mcap", "mcap")
+    assert digest(tmp_path / "a.mcap") == digest(tmp_path / "c.mcap")
+
+
+@pytest.mark.parametrize("name", REFUSED)
+def test_what_holds_no_frames_is_refused(shared, name):
+    with pytest.raises(TraceError, match="holds no CAN traffic"):
+        list(open_source(shared / "data/traffic" / name).frames(Findings()))

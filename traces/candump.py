@@ -1,0 +1,189 @@
+"""Reads what `candump` of can-utils printed, with `-L` or without, as people keep it; writes `-L`.
+
+What people keep has no time stamps, or dates; no interface; comments behind the rows; the command
+line in front of them; two rows in one line; an end in the middle of a row.
+
+Source: can-utils, candump.c and lib.c (`sprint_canframe`, `sprint_long_canframe`).
+"""
+
+import re
+from collections.abc import Sequence
+from typing import Final, final
+
+from traces import traffic
+from traces.schema import Direction
+from traces.traffic import Findings, Frame, shown
+
+_BUS: Final = "can0"  # where no interface is told
+_LOG: Final = re.compile(
+    r"\s*\((\d+(?:\.\d*)?)\)\s+(\S+)\s+([0-9A-Fa-f]+)#([^\s(]*)(?:\s+([RT])(?=\s|$))?\s*(.*)"
+)
+_PLAIN: Final = re.compile(
+    r"\s*(?:\(([^()]*)\)\s+)?(?:(?!\[)(\S+)\s+)?(?:(RX|TX)\s+([-B])\s+([-E])\s+)?"
+    r"([0-9A-Fa-f]{1,8})\s+\[(\d+)\](?:\s+(.*)|\s*)$"
+)
+_DATE: Final = re.compile(r"(\d{4})-(\d\d)-(\d\d) (\d\d):(\d\d):(\d\d)(\.\d+)?")
+_BYTE: Final = re.compile(r"([0-9A-Fa-f]{2})(?:\s+|$)")
+_ROW_BEHIND: Final = re.compile(r"(?:\(|\S+\s+[0-9A-Fa-f]{3,8}\s+\[\d)")
+_REMOTE: Final = re.compile(r"([0-8])?(?:_([9A-Fa-f]))?$")
+_COMMENT: Final = ("#", "//", ";")
+_WAYS: Final = {"R": Direction.RECEIVED, "T": Direction.TRANSMITTED}
+
+
+def looks_like_log(line: str) -> bool:
+    """Whether it is a row of `candump -L`."""
+    return _LOG.match(line) is not None
+
+
+def looks_plain(line: str) -> bool:
+    """Whether it is a row of `candump`."""
+    return _PLAIN.match(line) is not None
+
+
+@final
+class CandumpReader:
+    """Rows of both kinds, also mixed. Source of the forms: can-utils."""
+
+    name = "candump"
+
+    def __init__(self) -> None:
+        self._after_error = False
+
+    def take(self, line: str, findings: Findings) -> Sequence[Frame]:
+        """The frames of a line. Raises ValueError: why it cannot be read."""
+        stripped = line.strip()
+        if not stripped or stripped.startswith(_COMMENT):
+            findings.comments += bool(stripped)
+            return ()
+        if self._after_error and line.startswith("\t"):
+            return ()  # candump -e: the error frame's meaning, in words
+        match = _LOG.match(line)
+        if match is not None:
+            frame, rest = self._log_row(match), match[6]
+            return self._with_rest([frame], rest, findings)
+        match = _PLAIN.match(line)
+        if match is None:
+            raise ValueError("no frame")
+        return self._plain_row(match, findings)
+
+    def _with_rest(self, found: list[Frame], rest: str, findings: Findings) -> list[Frame]:
+        """What stands behind a row: nothing, a comment, or another row."""
+        self._after_error = bool(traffic.fields(found[-1].frame).can_id & traffic.ERR)
+        if not rest or rest in ("ERRORFRAME",) or rest.startswith("'"):
+            return found
+        if _ROW_BEHIND.match(rest):
+            try:
+                behind = self.take(rest, findings)
+            except ValueError as error:
+                findings.problem(findings.line, f"{error}, in a row behind another: {shown(rest)}")
+            else:
+                findings.note("some lines hold more than one row")
+                found.extend(behind)
+            return found
+        findings.comments += 1
+        return found
+
+    def _log_row(self, match: re.Match[str]) -> Frame:
+        stamp, bus, digits, body, way, _ = match.groups()
+        if len(digits) not in (3, 8):
+            raise ValueError(f"an identifier of {len(digits)} digits, not 3 or 8")
+        can_id = traffic.identifier(digits)
+        time_ns = traffic.decimal_ns(stamp)
+        return Frame(time_ns, bus, _log_frame(can_id, body), _WAYS.get(way, Direction.UNKNOWN))
+
+    def _plain_row(self, match: re.Match[str], findings: Findings) -> list[Frame]:
+        stamp, bus, way, brs, esi, digits, count, rest = match.groups()
+        can_id, length, rest = traffic.identifier(digits), int(count), rest or ""
+        fd = len(count) > 1
+        if rest.startswith("remote request"):
+            frame, rest = traffic.remote(can_id, length), rest[len("remote request") :].strip()
+        else:
+            data, rest = _bytes(rest, length)
+            flags = (traffic.BRS if brs == "B" else 0) | (traffic.ESI if esi == "E" else 0)
+            frame = traffic.flexible(can_id, flags, data) if fd else traffic.classic(can_id, data)
+            if fd and brs is None:
+                findings.note("whether CAN FD frames had BRS or ESI is not told: taken for not set")
+        time_ns = _stamp_ns(stamp) if stamp else 0
+        if not stamp:
+            findings.unstamped += 1
+        direction = _WAYS[way[0]] if way else Direction.UNKNOWN
+        return self._with_rest([Frame(time_ns, bus or _BUS, frame, direction)], rest, findings)
+
+
+def _bytes(text: str, length: int) -> tuple[bytes, str]:
+    """So many bytes, and what stands behind them."""
+    if length > 64:
+        raise ValueError(f"{length} bytes in a frame")
+    if len(text.rstrip()) == 3 * length - 1:  # as most rows are
+        try:
+            data = bytes.fromhex(text)
+        except ValueError:
+            data = b""
+        if len(data) == length:
+            return data, ""
+    out, at = bytearray(), 0
+    while len(out) < length:
+        match = _BYTE.match(text, at)
+        if match is None:
+            raise ValueError(f"{len(out)} of {length} bytes")
+        out.append(int(match[1], 16))
+        at = match.end()
+    rest = text[at:].strip()
+    if _BYTE.match(rest):
+        raise ValueError(f"more than {length} bytes")
+    return bytes(out), rest
+
+
+def _stamp_ns(text: str) -> int:
+    match = _DATE.fullmatch(text.strip())
+    if match is None:
+        return traffic.decimal_ns(text.strip())
+    year, month, day, hours, minutes, seconds = (int(match[n]) for n in range(1, 7))
+    whole = (hours * 60 + minutes) * 60 + seconds
+    day_ns = traffic.date_ns(year, month, day)
+    if day_ns < 0:
+        raise ValueError("a time before 1970")
+    return day_ns + traffic.decimal_ns(f"{whole}{match[7] or ''}")
+
+
+def _log_frame(can_id: int, body: str) -> bytes:
+    """The frame behind "#"."""
+    if body.startswith("#"):
+        if len(body) < 2:
+            raise ValueError("a CAN FD frame without flags")
+        return traffic.flexible(can_id, int(body[1], 16), _packed(body[2:]))
+    if body[:1] in ("R", "r"):
+        match = _REMOTE.match(body[1:])
+        if match is None:
+            raise ValueError("a remote frame without a length that can be")
+        return traffic.remote(can_id, int(match[1] or 0))
+    if ":" in body:
+        raise ValueError("a CAN XL frame")
+    return traffic.classic(can_id, _packed(body.partition("_")[0]))
+
+
+def _packed(digits: str) -> bytes:
+    try:
+        return bytes.fromhex(digits.replace(".", ""))
+    except ValueError:
+        raise ValueError("no whole bytes") from None
+
+
+def log_row(frame: Frame, places: int = 6) -> str:
+    """A row of `candump -L`; microseconds as it writes them, or with -N nanoseconds."""
+    told = traffic.fields(frame.frame)
+    can_id = told.can_id
+    digits = f"{told.identifier:03X}"
+    if can_id & traffic.ERR:
+        digits = f"{told.identifier | traffic.ERR:08X}"
+    elif can_id & traffic.EFF:
+        digits = f"{told.identifier:08X}"
+    if can_id & traffic.RTR:
+        body = f"R{told.length}" if told.length else "R"
+    elif told.fd:
+        body = f"#{told.flags & 3:X}{told.data.hex().upper()}"
+    else:
+        body = told.data.hex().upper()
+    whole, _, fraction = traffic.decimal(frame.time_ns, places).partition(".")
+    way = {Direction.RECEIVED: " R", Direction.TRANSMITTED: " T"}.get(frame.direction, "")
+    return f"({whole:0>10}.{fraction}) {frame.bus} {digits}#{body}{way}\n"

@@ -1,0 +1,169 @@
+"""Which format a recording of CAN traffic has, by what is in it; its frames; what formats hold.
+
+A name ending decides nothing about reading: people keep candump's rows in .txt and .log alike.
+"""
+
+import os
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from enum import Flag, auto
+from io import TextIOBase
+from pathlib import Path
+from typing import Final, final
+
+from traces import candump
+from traces.errors import TraceError
+from traces.reader import read_trace
+from traces.records import MAGIC
+from traces.schema import Direction
+from traces.traffic import ERR, RTR, Findings, Frame, LineReader, bus_number, read_lines
+from traces.traffic_mcap import recorded_frames
+
+_HEAD_BYTES: Final = 1 << 16
+_HEAD_LINES: Final = 200
+
+
+@final
+class Feature(Flag):
+    """What a recording may have and a format may be unable to hold."""
+
+    NANOSECONDS = auto()  # finer than a microsecond
+    BUS_NAMES = auto()  # other than can0, can1, ...
+    DIRECTION = auto()  # which were sent
+    UNDIRECTED = auto()  # that neither is known
+    SENDER = auto()
+    REMOTE = auto()  # and how much was asked for
+    FD = auto()  # with BRS and ESI
+    ERROR_FRAMES = auto()  # and what they tell
+
+
+_ALL: Final = ~Feature(0)
+
+
+@final
+@dataclass(frozen=True, slots=True)
+class Format:
+    """A format to write. Attributes: name, ending (of file names), holds, write."""
+
+    name: str
+    ending: str
+    holds: Feature
+    write: "Callable[[TextIOBase, Survey, Iterator[Frame]], None]"
+
+
+@final
+class Survey:
+    """What frames have, seen in one pass: which features, which buses, since when."""
+
+    def __init__(self) -> None:
+        self.buses: list[str] = []
+        self.first_ns = 0
+        self.lowest_ns = 0
+        self.frames = 0
+        self.counts: dict[Feature, int] = {}
+
+    @property
+    def places(self) -> int:
+        """Digits behind the point of a second: 6, or 9 where they are needed."""
+        return 9 if Feature.NANOSECONDS in self.counts else 6
+
+    def add(self, frame: Frame) -> None:
+        """This frame is one of them."""
+        time_ns, bus, data, direction, sender = frame
+        if not self.frames:
+            self.first_ns = self.lowest_ns = time_ns
+        self.frames += 1
+        self.lowest_ns = min(self.lowest_ns, time_ns)
+        if bus not in self.buses:
+            self.buses.append(bus)
+        can_id = int.from_bytes(data[:4], "little")
+        if time_ns % 1000:
+            self._count(Feature.NANOSECONDS)
+        if bus_number(bus) is None:
+            self._count(Feature.BUS_NAMES)
+        if direction != Direction.RECEIVED:
+            self._count(Feature.DIRECTION if direction else Feature.UNDIRECTED)
+        if sender:
+            self._count(Feature.SENDER)
+        if can_id & RTR:
+            self._count(Feature.REMOTE)
+        if len(data) > 16:
+            self._count(Feature.FD)
+        if can_id & ERR:
+            self._count(Feature.ERROR_FRAMES)
+
+    def _count(self, feature: Feature) -> None:
+        self.counts[feature] = self.counts.get(feature, 0) + 1
+
+
+def _write_candump(file: TextIOBase, survey: Survey, frames: Iterator[Frame]) -> None:
+    places = survey.places
+    file.writelines(candump.log_row(frame, places) for frame in frames)
+
+
+WRITABLE: Final = (Format("candump", ".log", _ALL & ~Feature.SENDER, _write_candump),)
+
+
+@final
+@dataclass(frozen=True, slots=True)
+class Source:
+    """A file of CAN traffic. Attributes: path, format (its name)."""
+
+    path: str
+    format: str
+
+    def frames(self, findings: Findings) -> Iterator[Frame]:
+        """Its frames, in its order; what cannot be read is in `findings`.
+
+        Raises:
+            TraceError: it cannot be read at all, or no further.
+        """
+        return findings.watched(self._frames(findings))
+
+    def _frames(self, findings: Findings) -> Iterator[Frame]:
+        if self.format == "mcap":
+            with read_trace(self.path) as trace:
+                yield from recorded_frames(trace, findings)
+            return
+        try:
+            with open(self.path, encoding="utf-8", errors="replace", newline="\n") as file:
+                yield from read_lines(file, _LINE_READERS[self.format](), findings)
+        except OSError as error:
+            raise _unreadable(self.path, error) from error
+
+
+_LINE_READERS: Final[dict[str, Callable[[], LineReader]]] = {
+    "candump": candump.CandumpReader,
+}
+_LOOKS: Final[tuple[tuple[str, Callable[[str], bool]], ...]] = (
+    ("candump", candump.looks_like_log),
+    ("candump", candump.looks_plain),
+)
+
+
+def open_source(path: str | os.PathLike[str]) -> Source:
+    """The file, its format found by its content.
+
+    Raises:
+        TraceError: it cannot be read, or is of no format known here.
+    """
+    name = os.fspath(path)
+    try:
+        with Path(path).open("rb") as file:
+            head = file.read(_HEAD_BYTES)
+    except OSError as error:
+        raise _unreadable(name, error) from error
+    if head.startswith(MAGIC[:5]):
+        return Source(name, "mcap")
+    lines = head.decode("utf-8", errors="replace").splitlines()[:_HEAD_LINES]
+    for line in lines:
+        for format_name, looks in _LOOKS:
+            if looks(line):
+                return Source(name, format_name)
+    known = ", ".join(["mcap", *_LINE_READERS])
+    what = "is empty" if not head else "holds no CAN traffic in a format known here"
+    raise TraceError(name, what, remedy=f"formats are {known}")
+
+
+def _unreadable(name: str, error: OSError) -> TraceError:
+    return TraceError(name, f"cannot be read: {(error.strerror or str(error)).lower()}")

@@ -1,0 +1,264 @@
+"""What every format of recorded CAN traffic holds, and what was found out while reading one.
+
+A frame is Linux's `struct can_frame` or `struct canfd_frame`, as everywhere in a recording. Time
+stamps stay integers, from the digits of the source to the digits of the target.
+"""
+
+import re
+import struct
+from collections.abc import Iterable, Iterator, Sequence
+from functools import cache
+from typing import Final, NamedTuple, Protocol, final
+
+from traces.schema import Direction
+
+NS: Final = 1_000_000_000
+EFF: Final = 0x8000_0000
+RTR: Final = 0x4000_0000
+ERR: Final = 0x2000_0000
+EFF_MASK: Final = 0x1FFF_FFFF
+SFF_MASK: Final = 0x7FF
+BRS: Final = 1
+ESI: Final = 2
+FDF: Final = 4
+TIME_MAX: Final = (1 << 64) - 1  # an MCAP log time has 64 bits
+_CLASSIC: Final = struct.Struct("<IB3x8s")
+_FD: Final = struct.Struct("<IBB2x64s")
+_HEAD: Final = struct.Struct("<IBB")
+_BUS_NUMBER: Final = re.compile(r"can(0|[1-9]\d{0,4})")
+
+
+class Frame(NamedTuple):
+    """A recorded frame: log time [ns], bus, can_frame or canfd_frame, direction, who sent it."""
+
+    time_ns: int
+    bus: str
+    frame: bytes
+    direction: Direction = Direction.UNKNOWN
+    sender: str = ""
+
+
+class Fields(NamedTuple):
+    """A frame taken apart. `length` is that of its data, or the DLC of a remote frame."""
+
+    can_id: int
+    length: int
+    flags: int
+    data: bytes
+    fd: bool
+
+    @property
+    def identifier(self) -> int:
+        """The identifier without its flags; of an error frame, the class of the error."""
+        return self.can_id & (EFF_MASK if self.can_id & (EFF | ERR) else SFF_MASK)
+
+
+class Problem(NamedTuple):
+    """What could not be read, or written: its line (or number of its packet or frame), in words."""
+
+    line: int
+    text: str
+
+
+@final
+class Findings:
+    """What was found out about a source while it was read.
+
+    Attributes:
+        frames: how many were read.
+        problems: what could not be read, in the order of the file.
+        notes: what whoever uses the frames should know, each once.
+        comments: lines, or ends of lines, that are there for people.
+        unstamped: frames without a time; theirs is 0.
+        backward: frames stamped earlier than the one before; largest_step_back_ns.
+        line: the number of the line being read.
+    """
+
+    def __init__(self) -> None:
+        self.frames = 0
+        self.problems: list[Problem] = []
+        self.notes: list[str] = []
+        self.comments = 0
+        self.unstamped = 0
+        self.backward = 0
+        self.largest_step_back_ns = 0
+        self.line = 0
+
+    def note(self, text: str) -> None:
+        """This is told, once."""
+        if text not in self.notes:
+            self.notes.append(text)
+
+    def problem(self, line: int, text: str) -> None:
+        """This could not be read."""
+        self.problems.append(Problem(line, text))
+
+    def watched(self, frames: Iterable[Frame]) -> Iterator[Frame]:
+        """The same frames, counted, their times compared."""
+        before = 0
+        for frame in frames:
+            self.frames += 1
+            step_ns = frame.time_ns - before
+            if step_ns < 0 and self.frames > 1:
+                self.backward += 1
+                self.largest_step_back_ns = max(self.largest_step_back_ns, -step_ns)
+            before = frame.time_ns
+            yield frame
+
+
+class LineReader(Protocol):
+    """Reads a format whose rows are lines; `name` is the format's."""
+
+    name: str
+
+    def take(self, line: str, findings: Findings) -> Sequence[Frame]:
+        """The frames of a line, () if it is no row.
+
+        Raises:
+            ValueError: it should be a row and cannot be read; why.
+        """
+        ...
+
+
+def read_lines(lines: Iterable[str], reader: LineReader, findings: Findings) -> Iterator[Frame]:
+    """The frames in these lines; a line that cannot be read becomes a problem."""
+    for number, line in enumerate(lines, 1):
+        findings.line = number
+        try:
+            found = reader.take(line, findings)
+        except ValueError as error:
+            findings.problem(number, f"{error}: {shown(line)}")
+            continue
+        yield from found
+
+
+def shown(line: str, width: int = 60) -> str:
+    """A line as it can be told: without what no terminal shows, and not too long."""
+    text = "".join(c if c.isprintable() else "." for c in line.strip())
+    return f"'{text}'" if len(text) <= width else f"'{text[:width]}...'"
+
+
+def classic(can_id: int, data: bytes) -> bytes:
+    """A data or error frame.
+
+    Raises:
+        ValueError: it cannot be one.
+    """
+    if len(data) > 8:
+        raise ValueError(f"{len(data)} bytes in a classic frame")
+    return _CLASSIC.pack(_checked(can_id), len(data), data)
+
+
+def remote(can_id: int, length: int) -> bytes:
+    """A remote frame that asks for `length` bytes.
+
+    Raises:
+        ValueError: it cannot be one.
+    """
+    if not 0 <= length <= 15:
+        raise ValueError(f"a remote frame with DLC {length}")
+    return _CLASSIC.pack(_checked(can_id) | RTR, min(length, 8), b"")
+
+
+def flexible(can_id: int, flags: int, data: bytes) -> bytes:
+    """A CAN FD frame; flags are BRS and ESI.
+
+    Raises:
+        ValueError: it cannot be one.
+    """
+    if len(data) > 64:
+        raise ValueError(f"{len(data)} bytes in a CAN FD frame")
+    return _FD.pack(_checked(can_id), len(data), flags & (BRS | ESI) | FDF, data)
+
+
+def _checked(can_id: int) -> int:
+    limit = EFF_MASK if can_id & (EFF | ERR) else SFF_MASK
+    if can_id & EFF_MASK > limit:
+        raise ValueError(f"identifier {can_id & EFF_MASK:X}h needs 29 bits")
+    return can_id
+
+
+def identifier(digits: str) -> int:
+    """A can_id: with three or four digits 11 bit, with more 29 bit, or an error frame's class.
+
+    Raises:
+        ValueError: no identifier, or more than 29 bits.
+    """
+    value = int(digits, 16)
+    if len(digits) == 8 and value & ERR and not value & EFF:
+        return value
+    if value > EFF_MASK:
+        raise ValueError(f"identifier {digits} has more than 29 bits")
+    return value | EFF if len(digits) > 4 or value > SFF_MASK else value
+
+
+def fields(frame: bytes) -> Fields:
+    """What is in a can_frame or canfd_frame."""
+    can_id, length, flags = _HEAD.unpack_from(frame)
+    fd = len(frame) > 16
+    data = b"" if can_id & RTR else frame[8 : 8 + length]
+    return Fields(can_id, length, flags if fd else 0, data, fd)
+
+
+def decimal_ns(text: str, digits: int = 9) -> int:
+    """A decimal number of units of 10^digits ns, exactly; below 1 ns is cut off.
+
+    Raises:
+        ValueError: no number, negative, or too large for a log time.
+    """
+    whole, _, fraction = text.partition(".")
+    if not whole.isdecimal() or (fraction and not fraction.isdecimal()):
+        raise ValueError(f"no time stamp: {shown(text, 24)}")
+    time_ns = int(whole + fraction[:digits].ljust(digits, "0"))
+    if time_ns > TIME_MAX:
+        raise ValueError(f"a time stamp beyond the year 2554: {shown(text, 24)}")
+    return time_ns
+
+
+def decimal(time_ns: int, places: int = 9, unit_ns: int = NS) -> str:
+    """Decimal digits of a time, cut off behind so many places."""
+    whole, rest = divmod(time_ns, unit_ns)
+    digits = len(str(unit_ns)) - 1
+    return f"{whole}.{rest:0{digits}d}"[: len(str(whole)) + 1 + places]
+
+
+def date_ns(year: int, month: int, day: int) -> int:
+    """The beginning of a day (Gregorian, UTC), since 1970."""
+    year, month = (year, month) if month > 2 else (year - 1, month + 12)
+    days = 365 * year + year // 4 - year // 100 + year // 400 + (153 * (month - 3) + 2) // 5 + day
+    return (days - 719_469) * 86_400 * NS
+
+
+def date_of(time_ns: int) -> tuple[int, int, int]:
+    """Year, month, day of a time since 1970 (Gregorian, UTC)."""
+    days = time_ns // (86_400 * NS) + 719_468
+    era, of_era = divmod(days, 146_097)
+    year = (of_era - of_era // 1460 + of_era // 36_524 - of_era // 146_096) // 365
+    of_year = of_era - (365 * year + year // 4 - year // 100)
+    month = (5 * of_year + 2) // 153
+    day = of_year - (153 * month + 2) // 5 + 1
+    month = month + 3 if month < 10 else month - 9
+    return era * 400 + year + (month <= 2), month, day
+
+
+@cache
+def bus_number(bus: str) -> int | None:
+    """N + 1 of a bus called canN; None: it has another name."""
+    match = _BUS_NUMBER.fullmatch(bus)
+    return int(match[1]) + 1 if match else None
+
+
+def bus_numbers(buses: Sequence[str]) -> dict[str, int]:
+    """Channels from 1 for formats without names: canN is N + 1, others take what is free."""
+    numbers: dict[str, int] = {}
+    for bus in buses:
+        number = bus_number(bus)
+        if number is not None:
+            numbers[bus] = number
+    free = 1
+    for bus in buses:
+        if bus not in numbers:
+            while free in numbers.values():
+                free += 1
+            numbers[bus] = free
+    return numbers
