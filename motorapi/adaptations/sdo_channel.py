@@ -10,6 +10,10 @@ with a deadline of the runtime's own time, and never believes a stale answer:
   waits until the late answer has come (it is dropped), the node has booted, or a bound has passed.
   Without that, asking the same object again would return the old value. So it is after another
   process has died in the middle of a transfer.
+- What stops a drive waits for none of this, nor for its turn: it is sent *at once*, and nobody
+  believes its answer. Until that has come, or a bound has passed, nothing is asked that it could be
+  taken to answer (a download of the same object); where such a thing is under way already, here or
+  in another process that hears the request, it is believed once both have been answered.
 """
 
 import struct
@@ -22,16 +26,19 @@ from canopen.sdo.exceptions import SdoAbortedError, SdoCommunicationError
 
 from motorapi.adaptations.canopen_errors import ProtocolViolation, SdoAborted
 from motorapi.adaptations.canopen_link import CanopenLink
-from motorapi.adaptations.sdo_client import RESPONSE_ID, ChannelClient, NoAnswer
+from motorapi.adaptations.sdo_client import REQUEST_ID, RESPONSE_ID, ChannelClient, NoAnswer
 from motorapi.adaptations.turn_lock import TurnLock
 from motorapi.errors import DeadlineExceeded, MotorError, UsageError
 from motorapi.process_lock import Hold, ProcessLock
 
 if TYPE_CHECKING:
+    from motorapi.adaptations.canopen_link import Transmission
     from motorapi.fencing import Fence
     from motorapi.sharing import PhysicalMotor
 
 _PLACE: Final = struct.Struct("<HB")  # index and sub-index
+_CONTROLWORD: Final = b"\x40\x60\x00"
+_INITIATE_DOWNLOAD: Final = 1
 _TURN_TIMEOUT_S: Final = 10.0
 _OTHER_CLIENTS: Final = "another SDO client may be using this channel"
 
@@ -64,6 +71,7 @@ class SdoChannel:
         self._lock = TurnLock(link.runtime)
         self._what = f"the SDO channel of node {node_id}"
         link.handle(RESPONSE_ID + node_id, self._client.heard)
+        link.handle(REQUEST_ID + node_id, self._asked_by_others)
 
     @contextmanager
     def alone(self) -> Iterator[SdoClient]:
@@ -111,7 +119,7 @@ class SdoChannel:
 
     def rebooted(self) -> None:
         """The node has booted: what it was asked before is forgotten."""
-        self._client.booted = True
+        self._client.rebooted()
 
     def upload(self, index: int, subindex: int = 0) -> bytes:
         """The bytes of an object, read from the device.
@@ -133,6 +141,26 @@ class SdoChannel:
             raise UsageError(f"{self._what}: data {data!r}: what is written are bytes")
         self.check_writing()
         self._transfer(index, subindex, data, None if stops else self.fence)
+
+    def send_at_once(
+        self, index: int, subindex: int, data: bytes, fence: "Fence | None" = None
+    ) -> "Transmission":
+        """`data` (1 to 4 bytes) is on its way to an object, in nobody's turn; does not wait.
+
+        Whether the device took it is not told. A segmented transfer that is under way is lost.
+
+        Raises:
+            LinkError: the bus does not take it.
+            MotorBusyError: the fence does not let it out.
+        """
+        until_ns = self._link.runtime.now_ns() + self._quarantine_ns
+        return self._client.send_at_once(_PLACE.pack(index, subindex), data, fence, until_ns)
+
+    def _asked_by_others(self, frame: bytes, time_ns: int) -> None:
+        """Somebody else's stop may not have waited for our turn: its answer is not for us."""
+        if frame[8] >> 5 == _INITIATE_DOWNLOAD and frame[9:12] == _CONTROLWORD:
+            until_ns = self._link.runtime.now_ns() + self._quarantine_ns
+            self._client.expect(_CONTROLWORD, until_ns)
 
     def check_writing(self) -> None:
         """Raises MotorBusyError if the node is being set up, and another process owns it."""

@@ -23,6 +23,8 @@ _EFF: Final = 0x8000_0000
 _ABORT: Final = 0x80
 _NOT_NOW: Final = 0x0800_0021  # "... because of local control"
 _TOGGLE: Final = 0x10
+_DOWNLOADED: Final = 0x60
+_EXPEDITED: Final = 0x03  # with its size
 _NO_PLACE: Final = b"\0\0\0"
 # client command specifiers
 _DOWNLOAD_SEGMENT: Final = 0
@@ -31,7 +33,7 @@ _UPLOAD: Final = 2
 _UPLOAD_SEGMENT: Final = 3
 _BLOCK_UPLOAD: Final = 5
 _BLOCK_DOWNLOAD: Final = 6
-_REQUEST_ID: Final = 0x600
+REQUEST_ID: Final = 0x600
 RESPONSE_ID: Final = 0x580
 
 
@@ -77,7 +79,7 @@ class ChannelClient(SdoClient):
 
     def __init__(self, link: CanopenLink, node_id: int, timeout_s: float) -> None:
         super().__init__(  # type: ignore[no-untyped-call]  # canopen's
-            _REQUEST_ID + node_id, RESPONSE_ID + node_id, _NothingKnown()
+            REQUEST_ID + node_id, RESPONSE_ID + node_id, _NothingKnown()
         )
         self.network = link.network
         self.timeout_s = timeout_s
@@ -93,6 +95,8 @@ class ChannelClient(SdoClient):
         self.odd: bytes | None = None  # a frame during the transfer that was no answer to it
         self._answers: deque[bytes] = deque()
         self._quarantine_ns: int | None = None
+        self._due: list[tuple[bytes, int]] = []  # places of answers nobody waits for; until when
+        self._held: list[bytes] = []  # answers that may be such ones
 
     # --- canopen's hooks
 
@@ -153,17 +157,50 @@ class ChannelClient(SdoClient):
 
     def heard(self, frame: bytes, time_ns: int) -> None:
         """A frame of the server; kept if it can be the answer to the request that waits."""
-        request = self._request
+        request, data = self._request, frame[8:16]
+        is_due = self._is_due(data[1:4], data[0])
+        if is_due:
+            self._due.remove(next(one for one in self._due if one[0] == data[1:4]))
         if request is None or (request.time_ns is None and self._link.confirms):
             self.strays += 1
-            self._quarantine_ns = None  # the late answer, most likely: nothing else can come
+            if not is_due:
+                self._quarantine_ns = None  # the late answer, most likely: nothing else can come
             return
-        data = frame[8:16]
         if not self._can_answer(data, request.frame[8]):
             self.strays += 1
-            self.odd = data
+            if not is_due:
+                self.odd = data
             return
-        self._answers.append(data)
+        self._held.append(data)
+        if not is_due:  # all have come, so that the first one is of the first request
+            self.strays += len(self._held) - 1
+            self._answers.append(self._held[0])
+            self._held.clear()
+
+    def expect(self, place: bytes, until_ns: int) -> None:
+        """A download of this object will be answered for which nobody waits here."""
+        self._due.append((place, until_ns))
+
+    def send_at_once(
+        self, place: bytes, data: bytes, fence: "Fence | None", until_ns: int
+    ) -> Transmission:
+        """An expedited download goes out, in the middle of whatever goes on."""
+        command = _DOWNLOAD << 5 | (4 - len(data)) << 2 | _EXPEDITED
+        request = bytes((command,)) + place + data.ljust(4, b"\0")
+        self.expect(place, until_ns)
+        try:
+            return self._link.send_as(Transmission(can_frame(self.rx_cobid, request)), fence)
+        except BaseException:
+            self._due.remove((place, until_ns))
+            raise
+
+    def _is_due(self, place: bytes, command: int = _ABORT) -> bool:
+        """Whether an answer to a download of this object (b"": of any) comes for nobody."""
+        now_ns = self._runtime.now_ns()
+        self._due = [one for one in self._due if one[1] > now_ns]
+        if command not in (_ABORT, _DOWNLOADED):
+            return False
+        return any(not place or one[0] == place for one in self._due)
 
     def _can_answer(self, data: bytes, asked: int) -> bool:
         """Whether this can be the answer to the command byte `asked` (CiA 301, SDO protocols)."""
@@ -209,6 +246,10 @@ class ChannelClient(SdoClient):
         self.is_under_way = False
         self.odd = None
         self.booted = False
+        self._held.clear()
+        if self._is_due(place):
+            left_ns = max(until_ns for _, until_ns in self._due) - self._runtime.now_ns()
+            self._runtime.wait_until(lambda: not self._is_due(place), left_ns / 1e9)
         if self._quarantine_ns is not None:
             left_ns = self._quarantine_ns - self._runtime.now_ns()
             if left_ns > 0:
@@ -222,6 +263,11 @@ class ChannelClient(SdoClient):
 
     def _is_clean(self) -> bool:
         return self._quarantine_ns is None or self.booted
+
+    def rebooted(self) -> None:
+        """The node has booted: it answers nothing that it was asked before."""
+        self.booted = True
+        self._due.clear()
 
     def quarantine(self, until_ns: int) -> None:
         """An answer may still come until then."""

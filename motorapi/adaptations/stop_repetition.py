@@ -1,5 +1,6 @@
 """A stop is commanded again while the drive does not show that it has it: a frame may be lost."""
 
+import struct
 from collections.abc import Callable
 from contextlib import suppress
 from typing import TYPE_CHECKING, Final, final
@@ -11,9 +12,33 @@ if TYPE_CHECKING:
     from motorapi.adaptations.drive_node import DriveNode
     from motorapi.adaptations.motion_watch import MotionWatch
     from motorapi.fencing import BoundFence, Fence, NodeFence
+    from motorapi.sharing import PhysicalMotor
 
 _REPEAT_S: Final = 0.1
 _REPEATS: Final = 10
+_CONTROL: Final = struct.Struct("<IB3xH6x")
+
+
+def stop_sender(
+    node: "DriveNode", physical: "PhysicalMotor", control_id: int | None, word: int
+) -> "Callable[[Fence | None], None]":
+    """What puts the controlword on its way, whatever else goes on; it does not wait.
+
+    Args:
+        node: of the drive.
+        physical: whose low-level access keeps it from being sent (MotorBusyError).
+        control_id: of the RPDO that brings it; None: there is none, so that it goes by SDO.
+        word: stops the drive.
+    """
+
+    def send(fence: "Fence | None") -> None:
+        with physical.passage(node.label, of_holder=True):
+            if control_id is None:
+                node.sdo.send_at_once(0x6040, 0, word.to_bytes(2, "little"), fence)
+            else:
+                node.link.send_tracked(_CONTROL.pack(control_id, 2, word), fence)
+
+    return send
 
 
 @final
