@@ -1,0 +1,153 @@
+"""Modbus figures: the served TCP controller against pymodbus's own server, and RTU's cycle times.
+
+Both servers run in processes of their own and answer the same client, in turns, the same request: 2
+registers of which one changes (ours: a drive's feedback position; theirs: an action that counts).
+"""
+
+import socket
+import statistics
+import subprocess
+import sys
+import tempfile
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from fractions import Fraction
+from pathlib import Path
+from time import perf_counter
+
+from pymodbus.client import ModbusTcpClient
+
+from emulators.event_queue import EventQueue
+from emulators.media.serial_line import SerialLine
+from emulators.modbus.crc import with_crc
+from emulators.modbus.tcp import adu
+from emulators.world import World
+from tests.emulators.test_lines import Registers
+
+ROUNDS = 7
+REQUESTS = 1500
+BAUD = 115_200
+RIG = """\
+bus.plant = {kind = "modbus_tcp", latency_s = 0}
+[controller.mast]
+kind = "leadshine_pr"
+bus = "plant"
+unit = 1
+timing = {boot_up_s = 0, reply_s = 0}
+"""
+_MOTORHIL = "import sys; from harness.cli import main; sys.exit(main())"
+Work = Callable[[], float]
+
+
+@contextmanager
+def _served() -> Iterator[tuple[int, int]]:
+    """(port, address to read) of a drive served by `motorhil serve`."""
+    with tempfile.TemporaryDirectory() as folder:
+        rig = Path(folder) / "rig.toml"
+        rig.write_text(RIG)
+        words = [sys.executable, "-c", _MOTORHIL, "serve", str(rig), "--modbus-tcp", "127.0.0.1:0"]
+        with _process(words) as said:
+            yield int(said.split(":")[2].split(",")[0]), 0x1014
+
+
+@contextmanager
+def _peer() -> Iterator[tuple[int, int]]:
+    """The same of pymodbus's own server."""
+    with _process([sys.executable, "-m", "tests.benchmarks.pymodbus_peer", "300"]) as said:
+        yield int(said), 0
+
+
+@contextmanager
+def _process(words: list[str]) -> Iterator[str]:
+    with subprocess.Popen(
+        words, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True
+    ) as process:
+        try:
+            assert process.stdout is not None
+            yield process.stdout.readline()
+        finally:
+            process.terminate()
+
+
+def _raw(port: int, address: int) -> Work:
+    """A client of bytes: it costs next to nothing itself."""
+    connection = socket.create_connection(("127.0.0.1", port), timeout=20)
+    connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+    request = adu(7, 1, b"\x03" + address.to_bytes(2, "big") + b"\x00\x02")
+
+    def work() -> float:
+        start_s = perf_counter()
+        for _ in range(REQUESTS):
+            connection.sendall(request)
+            answer = connection.recv(300)
+            assert len(answer) == 13, answer.hex()
+        return REQUESTS / (perf_counter() - start_s)
+
+    return work
+
+
+def _pymodbus(port: int, address: int) -> Work:
+    """pymodbus's sync client."""
+    client = ModbusTcpClient("127.0.0.1", port=port, timeout=20, retries=0)
+    assert client.connect()
+
+    def work() -> float:
+        start_s = perf_counter()
+        for _ in range(REQUESTS):
+            assert len(client.read_holding_registers(address, count=2, device_id=1).registers) == 2
+        return REQUESTS / (perf_counter() - start_s)
+
+    return work
+
+
+def _rates(client: Callable[[int, int], Work]) -> tuple[float, float]:
+    """Requests per second of (ours, the peer): medians of rounds in turns."""
+    ours: list[float] = []
+    theirs: list[float] = []
+    with _served() as here, _peer() as there:
+        ask_us, ask_them = client(*here), client(*there)
+        ask_us(), ask_them()
+        for _ in range(ROUNDS):
+            ours.append(ask_us())
+            theirs.append(ask_them())
+    return statistics.median(ours), statistics.median(theirs)
+
+
+def rtu_cycles(count: int = 50) -> tuple[Fraction, Fraction]:
+    """[us] of one exchange in virtual time: measured mean, and computed from character times.
+
+    Computed: 8 characters, t3.5, the reply delay of 1 ms, 9 characters, t3.5; 10 bits each (8N1).
+    """
+    world = World(EventQueue())
+    world.add_serial_line(SerialLine("line", BAUD, "N", 1), None)
+    world.add_controller("unit", Registers(1, 1_000_000), "line")
+    starts_ns: list[int] = []
+    request = with_crc(bytes.fromhex("010300010002"))
+
+    def again(now_ns: int) -> None:
+        starts_ns.append(now_ns)
+        host.send(request)
+
+    alarm = world.queue.alarm(again)
+    silence_ns = SerialLine("other", BAUD, "N", 1).t35_ns
+    host = world.add_line_host(
+        "line", "host", lambda data, now_ns, sent: None if sent else alarm.set(now_ns + silence_ns)
+    )
+    alarm.set(1_000_000)
+    while len(starts_ns) <= count:
+        world.queue.run_next()
+    measured = Fraction(starts_ns[-1] - starts_ns[0], 1000 * count)
+    computed = Fraction((8 + 9) * 10 * 1_000_000, BAUD) + 2 * 1750 + 1000
+    return measured, computed
+
+
+def run() -> Iterator[tuple[str, float, str]]:
+    """(name, figure, unit) of each measurement."""
+    for name, client in (("a client of bytes", _raw), ("pymodbus's client", _pymodbus)):
+        ours, theirs = _rates(client)
+        yield f"Modbus/TCP, live drive, {name}", ours, "requests/s"
+        yield f"pymodbus's own server, live registers, {name}", theirs, "requests/s"
+        yield "  ratio", ours / theirs, "x"
+    measured, computed = rtu_cycles()
+    yield "RTU cycle at 115,200 bit/s in virtual time", float(measured), "us"
+    yield "  computed from character times", float(computed), "us"
