@@ -62,11 +62,17 @@ class LockDirectory:
             os.close(directory)
 
     def names(self) -> list[str]:
-        """The lock files there are, sorted."""
+        """The lock files there are, sorted.
+
+        Raises:
+            UsageError: the directory is not safe; or it was named, and is not there.
+        """
         try:
             directory, _ = self._open_directory(make=False)
         except FileNotFoundError:
-            return []
+            if self._is_default:
+                return []
+            raise self._refused(self.path, "there is no such directory") from None
         try:
             return sorted(os.listdir(directory))
         finally:
@@ -108,7 +114,8 @@ class LockDirectory:
         if found.st_mode & 0o007:
             raise self._refused(self.path, f"{mode} lets everybody in; it must be 2770 or 0700")
         if not found.st_mode & stat.S_ISGID or found.st_mode & 0o070 != 0o070:
-            raise self._refused(self.path, f"{mode}; it must be 2770, or 0700 and your own")
+            whose = "" if found.st_uid == os.geteuid() else f", of user {found.st_uid}"
+            raise self._refused(self.path, f"{mode}{whose}; it must be 2770, or 0700 and your own")
         return True
 
     def _open_file(self, directory: int, name: str, is_shared: bool, to_read: bool) -> int | None:

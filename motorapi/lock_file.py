@@ -102,6 +102,13 @@ _forking: Final = threading.Lock()
 _opened: Final["weakref.WeakSet[LockFile]"] = weakref.WeakSet()
 
 
+def require_lock(fd: int, name: str) -> None:
+    """Raises UsageError if what is open here is no lock file."""
+    magic = os.pread(fd, len(MAGIC), 0)
+    if magic.strip(b"\0") and magic not in (MAGIC, MAGIC_BEFORE):
+        raise UsageError(f"{name}: this is no lock file; remove it")
+
+
 @final
 class LockFile:
     """One open file of a lock: one who has it, or waits for it. Nothing here waits, but two.
@@ -124,9 +131,7 @@ class LockFile:
             assert fd is not None
             self._fd = fd
             _opened.add(self)
-        magic = os.pread(fd, len(MAGIC), 0)
-        if magic.strip(b"\0") and magic not in (MAGIC, MAGIC_BEFORE):
-            raise UsageError(f"{self.name}: this is no lock file; remove it")
+        require_lock(fd, self.name)
         self._note_epoch(0, 0)
         self.look_up()
 

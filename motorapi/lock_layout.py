@@ -187,7 +187,9 @@ def unpack_takeover(data: bytes) -> Takeover | None:
 
 
 def _text(word: bytes) -> str:
-    return word.rstrip(b"\0").decode("utf-8", "replace")
+    """What somebody wrote, fit for a terminal: on one line, without control characters."""
+    text = word.rstrip(b"\0").decode("utf-8", "replace")
+    return text if text.isprintable() else "".join(c if c.isprintable() else "?" for c in text)
 
 
 @final

@@ -4,7 +4,7 @@ import fcntl
 import os
 from typing import Final, final
 
-from motorapi.lock_file import find, first_places
+from motorapi.lock_file import find, first_places, require_lock
 from motorapi.lock_layout import (
     BLOCK,
     EPOCH,
@@ -38,6 +38,10 @@ class LockReader:
         fd, self._fd = self._fd, -1
         if fd >= 0:
             os.close(fd)
+
+    def require_lock(self, name: str) -> None:
+        """Raises UsageError if it is none."""
+        require_lock(self._fd, name)
 
     def _epoch(self) -> tuple[int, int]:
         """(epoch, the first place that counts in it)."""

@@ -114,6 +114,7 @@ def look(directory: LockDirectory, name: str) -> LockView:
         return LockView(name, name, None, ())
     reader = LockReader(fd)
     try:
+        reader.require_lock(str(directory.path / name))
         record = reader.holder()
         holder = Occupant(record) if record is not None or reader.is_held() else None
         waiters = tuple((place, Occupant(one)) for place, one in reader.waiters())

@@ -3,6 +3,7 @@
 import argparse
 import json
 import sys
+from collections.abc import Iterator
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any, Final
@@ -10,7 +11,9 @@ from typing import Any, Final
 from harness.exit_status import PASSED, WRONG_USAGE
 from harness.plugins import ADAPTATIONS, CONTROLLERS, installed
 from harness.verbs.list_registers import list_registers, with_registers
-from motorapi.lock_view import LockView, Occupant, list_locks
+from motorapi.errors import UsageError
+from motorapi.lock_directory import LockDirectory
+from motorapi.lock_view import LockView, Occupant, look
 
 _BRIEF: Final = ("-sdo", "-sync", "-sync-producer", "-exchange")
 _ARMED: Final = "-armed-"
@@ -39,28 +42,47 @@ def run(options: argparse.Namespace) -> int:
         return WRONG_USAGE
     if options.what == "registers":
         return list_registers(options.name, as_json=options.json)
-    listing = {
+    listings = {
         "controllers": lambda: _plugins(CONTROLLERS),
         "adaptations": lambda: _plugins(ADAPTATIONS),
         "examples": _examples,
-        "motors": _motors,
-    }[options.what]()
+    }
+    wrong: list[str] = []
+    listing = _motors(wrong) if options.what == "motors" else listings[options.what]()
+    for problem in wrong:
+        print(f"motorhil list: {problem}", file=sys.stderr)
+    status = WRONG_USAGE if wrong else PASSED
     if options.json:
         print(json.dumps(listing))
-        return PASSED
+        return status
     if options.what == "motors":
         _show_motors(listing)
-        return PASSED
+        return status
     for entry in listing:
         name, *facts = entry.values()
         print(f"{name:<16} " + "  ".join(facts))
     return PASSED
 
 
-def _motors() -> list[dict[str, Any]]:
+def _locks(wrong: list[str]) -> Iterator[LockView]:
+    """Those that can be looked at; what is wrong with the others is added to `wrong`."""
+    try:
+        directory = LockDirectory()
+        names = directory.names()
+    except UsageError as error:
+        wrong.append(str(error))
+        return
+    for name in names:
+        try:
+            yield look(directory, name)
+        except UsageError as error:
+            wrong.append(str(error))
+
+
+def _motors(wrong: list[str]) -> list[dict[str, Any]]:
     """The motors that processes of this host share, or have shared: who has each, who waits."""
     listing = []
-    for view in list_locks():
+    for view in _locks(wrong):
         if view.holder is None and (view.name.endswith(_BRIEF) or _ARMED in view.name):
             continue  # had for a moment only, unless somebody is paused in it
         if view.holder is None and not view.waiters and not _is_there(view.label):

@@ -90,3 +90,41 @@ def test_what_is_had_for_moments_only_is_listed_while_it_is_had(runtime, locks, 
             assert capsys.readouterr().out.startswith(name)
         assert motorhil(["list", "motors"]) == 0
         assert capsys.readouterr().out == ""
+
+
+def test_lock_directories_that_are_refused_are_told_and_not_taken_for_empty_ones(
+    tmp_path, monkeypatch, capsys
+):
+    def told():
+        assert motorhil(["list", "motors"]) == 2
+        output = capsys.readouterr()
+        assert output.out == ""
+        assert output.err.count("\n") == 1
+        return output.err
+
+    missing = tmp_path / "missing"
+    monkeypatch.setenv(VARIABLE, str(missing))
+    assert told().startswith(f"motorhil list: {missing}: there is no such directory.")
+    missing.mkdir(mode=0o755)
+    assert told().startswith(f"motorhil list: {missing}: mode 0755 lets everybody in;")
+    monkeypatch.setenv(VARIABLE, "here")
+    assert told() == f"motorhil list: {VARIABLE}=here: must be an absolute path\n"
+
+
+def test_one_file_that_is_no_lock_does_not_hide_the_others(runtime, locks, tmp_path, capsys):
+    locks("can0-node3", "can0 node 3").acquire(runtime, "survey")
+    file = tmp_path / "locks" / "can0-node4"
+    file.write_bytes(b"a letter")
+    file.chmod(0o600)
+    assert motorhil(["list", "motors"]) == 2
+    output = capsys.readouterr()
+    assert output.out.startswith("can0 node 3 ")
+    assert output.err == f"motorhil list: {file}: this is no lock file; remove it\n"
+
+
+def test_what_a_program_says_of_itself_cannot_work_the_terminal(runtime, locks, capsys):
+    locks("can0-node3", "can0 node 3").acquire(runtime, "a\nline \x1b[31mred")
+    assert motorhil(["list", "motors"]) == 0
+    output = capsys.readouterr().out
+    assert " for a?line ?[31mred, since " in output
+    assert output.count("\n") == 1

@@ -107,7 +107,9 @@ def test_a_private_directory_of_somebody_else_is_refused_when_named(tmp_path):
     folder = tmp_path / "theirs"
     folder.mkdir(mode=0o700)
     os.chown(folder, SOMEBODY, -1)
-    with pytest.raises(UsageError, match="must be 2770, or 0700 and your own"):
+    with pytest.raises(
+        UsageError, match=f"mode 0700, of user {SOMEBODY}; it must be 2770, or 0700 and your own"
+    ):
         LockDirectory(folder).open("pan")
 
 
