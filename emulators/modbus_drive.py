@@ -5,7 +5,7 @@ calls nothing happens in it: `next_deadline_ns` says when it has to be looked at
 """
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass
 from typing import Final
 
 from emulators.controller import ControllerContext, SettingError
@@ -19,6 +19,7 @@ from emulators.modbus.rtu import RtuUnit
 from emulators.modbus.server import ModbusServer
 from emulators.plant.dc_motor import PI, RANGES, MotorPlant
 from emulators.plant.oscillator import IDEAL, Oscillator
+from emulators.servo_settings import servo_of
 from emulators.setting_tables import (
     duration_ns,
     initial_position_rad,
@@ -36,7 +37,6 @@ KEYS: Final = (
 )
 TIMING_KEYS: Final = ("boot_up_s", "reply_s")
 SWITCH_KEYS: Final = ("home_rad", "limit_forward_rad", "limit_backward_rad")
-_SERVO_KEYS: Final = ("tick_s", "current_steps")
 _RAD_MAX: Final = 1e9
 
 
@@ -83,17 +83,7 @@ def read_settings(table: Mapping[str, object], context: ControllerContext) -> Mo
     if "unit" not in table:
         raise SettingError(("unit",), "is missing", "a number 1..247")
     plant = plant_of(table_in(table, "plant"))
-    servo = table_in(table, "servo")
-    gain_names = tuple(field.name for field in fields(ServoGains))
-    refuse_unknown(servo, (*_SERVO_KEYS, *gain_names), ("servo",))
-    tick_ns = duration_ns(servo, "tick_s", 0.001, ("servo",), 1e-5, 0.1)
-    steps = whole(servo.get("current_steps", 10), ("servo", "current_steps"), 1, 1000)
-    if tick_ns % steps or tick_ns < steps * 1000:
-        message = f"{steps} steps do not divide a servo period of {tick_ns} ns into whole ones"
-        raise SettingError(("servo", "current_steps"), message, "usual: 10")
-    given = {
-        name: number(servo[name], ("servo", name), 0, 1e12) for name in gain_names if name in servo
-    }
+    tick_ns, steps, gains = servo_of(table_in(table, "servo"), plant)
     timing = table_in(table, "timing")
     refuse_unknown(timing, TIMING_KEYS, ("timing",))
     switches = table_in(table, "switches")
@@ -101,7 +91,7 @@ def read_settings(table: Mapping[str, object], context: ControllerContext) -> Mo
     return ModbusDriveSettings(
         unit=whole(table["unit"], ("unit",), UNITS[0], UNITS[-1]),
         plant=plant,
-        gains=replace(ServoGains.tuned(plant, tick_ns, steps), **given),
+        gains=gains,
         tick_ns=tick_ns,
         current_steps=steps,
         oscillator=oscillator_in(table, f"{context.seed}:{context.name}"),
@@ -347,6 +337,17 @@ class ModbusDrive:
         self.axis.at(now_ns)
         if self.is_powered:
             self.settle()
+
+
+def alarm_code(value: float) -> int:
+    """The code that a stimulus `alarm` carries.
+
+    Raises:
+        ValueError: it is none.
+    """
+    if not (1 <= value <= 0xFFFF and value == int(value)):
+        raise ValueError(f"alarm takes a code 1..FFFFh, not {value}")
+    return int(value)
 
 
 def revolutions_inc(plant: MotorPlant) -> int:

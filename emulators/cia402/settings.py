@@ -5,7 +5,7 @@ whoever read the file adds file and line.
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Final, final
 
@@ -14,6 +14,7 @@ from emulators.firmware.gains import ServoGains
 from emulators.plant.dc_motor import MotorPlant
 from emulators.plant.oscillator import IDEAL, Oscillator
 from emulators.plant.presets import PRESETS
+from emulators.servo_settings import servo_of
 from emulators.setting_tables import (
     DEFAULT_PRESET,
     ObjectValue,
@@ -27,7 +28,6 @@ from emulators.setting_tables import (
     plant_of,
     refuse_unknown,
     table_in,
-    whole,
 )
 
 OWN_EDS: Final = Path(__file__).parents[1] / "eds" / "motorhil_cia402.eds"
@@ -55,7 +55,6 @@ _KEYS: Final = (
 )
 _TIMING_KEYS: Final = ("boot_up_s", "sdo_reply_s", "enable_s")
 _UNIT_KEYS: Final = ("position_unit_inc", "velocity_unit_inc_s", "acceleration_unit_inc_s2")
-_SERVO_KEYS: Final = ("tick_s", "current_steps")
 
 
 @final
@@ -107,7 +106,7 @@ def read_settings(table: Mapping[str, object], folder: Path, stream: str = "") -
     node_id = node_id_in(table)
     plant = plant_of(table_in(table, "plant"))
     servo = table_in(table, "servo")
-    tick_ns, current_steps, gains = _servo(servo, plant)
+    tick_ns, current_steps, gains = servo_of(servo, plant)
     timing = table_in(table, "timing")
     refuse_unknown(timing, _TIMING_KEYS, ("timing",))
     units = table_in(table, "units")
@@ -130,23 +129,6 @@ def read_settings(table: Mapping[str, object], folder: Path, stream: str = "") -
         supported_modes=_modes(table),
         initial_position_rad=initial_position_rad(table, plant),
     )
-
-
-def _servo(table: Mapping[str, object], plant: MotorPlant) -> tuple[int, int, ServoGains]:
-    names = tuple(field.name for field in fields(ServoGains))
-    refuse_unknown(table, (*_SERVO_KEYS, *names), ("servo",))
-    tick_ns = duration_ns(table, "tick_s", 0.001, ("servo",), 1e-6, 1.0)
-    steps = whole(table.get("current_steps", 10), ("servo", "current_steps"), 1, 1000)
-    if tick_ns % steps:
-        message = f"{steps} steps do not divide a servo period of {tick_ns} ns"
-        raise SettingError(("servo", "current_steps"), message, "usual: 10")
-    if tick_ns < steps * 1000:
-        message = f"{steps} steps in a servo period of {tick_ns} ns are shorter than a microsecond"
-        raise SettingError(
-            ("servo", "current_steps"), f"{message} each", "a longer tick_s, or fewer steps"
-        )
-    given = {name: number(table[name], ("servo", name), 0, 1e12) for name in names if name in table}
-    return tick_ns, steps, replace(ServoGains.tuned(plant, tick_ns, steps), **given)
 
 
 def _modes(table: Mapping[str, object]) -> tuple[str, ...] | None:

@@ -14,7 +14,12 @@ from emulators.leadshine_pr import register_map as r
 from emulators.leadshine_pr.homing import Homing
 from emulators.modbus.identification import Identification
 from emulators.modbus.registers import RegisterBank
-from emulators.modbus_drive import ModbusDrive, ModbusDriveSettings, revolutions_inc
+from emulators.modbus_drive import (
+    ModbusDrive,
+    ModbusDriveSettings,
+    alarm_code,
+    revolutions_inc,
+)
 
 FUNCTIONS: Final = (0x03, 0x06, 0x08, 0x10, 0x11, 0x2B)
 _JOG_NS: Final = 50_000_000  # a jog goes on so long after the last word that asked for it: *
@@ -303,9 +308,7 @@ class LeadshinePr(ModbusDrive):
         return {"alarm": self._stimulate_alarm, "emergency_stop": self._emergency_stop}
 
     def _stimulate_alarm(self, value: float) -> None:
-        if not (1 <= value <= 0xFFFF and value == int(value)):
-            raise ValueError(f"alarm takes a code 1..FFFFh, not {value}")
-        self._alarm(int(value))
+        self._alarm(alarm_code(value))
 
     def _emergency_stop(self, value: float) -> None:
         if value not in (0, 1):

@@ -14,7 +14,12 @@ from emulators.firmware import flags as f
 from emulators.firmware.axis import NEVER_NS
 from emulators.modbus.identification import Identification
 from emulators.modbus.registers import RegisterBank
-from emulators.modbus_drive import ModbusDrive, ModbusDriveSettings, revolutions_inc
+from emulators.modbus_drive import (
+    ModbusDrive,
+    ModbusDriveSettings,
+    alarm_code,
+    revolutions_inc,
+)
 from emulators.oriental_az import register_map as r
 
 FUNCTIONS: Final = (0x03, 0x06, 0x08, 0x10, 0x17)
@@ -273,9 +278,7 @@ class OrientalAz(ModbusDrive):
         return {"alarm": self._stimulate_alarm}
 
     def _stimulate_alarm(self, value: float) -> None:
-        if not (1 <= value <= 0xFFFF and value == int(value)):
-            raise ValueError(f"alarm takes a code 1..FFFFh, not {value}")
-        self._alarm(int(value))
+        self._alarm(alarm_code(value))
 
     def own_truth(self) -> Mapping[str, float]:
         """Its output word and its alarm."""
