@@ -14,6 +14,7 @@ What is found is looked at after it was opened (no link is followed), and refuse
 could have put it there, or could write to it.
 """
 
+import errno
 import os
 import stat
 from pathlib import Path
@@ -27,6 +28,15 @@ _OPEN: Final = os.O_CLOEXEC | os.O_NOFOLLOW | os.O_NONBLOCK
 """Nonblocking, so that a FIFO in place of a file is found out, not waited for."""
 _PRIVATE: Final = 0o600
 _GROUP: Final = 0o660
+_NO_FAULT_OF_THE_FILE: Final = (
+    errno.EMFILE,
+    errno.ENFILE,
+    errno.ENOMEM,
+    errno.ENOSPC,
+    errno.EDQUOT,
+    errno.EROFS,
+)
+"""Nobody is told to remove a lock file for these: others may be using it."""
 
 
 @final
@@ -57,7 +67,11 @@ class LockDirectory:
         try:
             return self._open_file(directory, name, is_shared, to_read)
         except OSError as error:
-            raise self._refused(self.path / name, str(error.strerror)) from error
+            if error.errno in _NO_FAULT_OF_THE_FILE:
+                reason = f"{error.strerror}: the lock between processes cannot be opened"
+                raise UsageError(f"{self.path / name}: {reason}") from error
+            problem = "it is a link" if error.errno == errno.ELOOP else str(error.strerror)
+            raise self._refused(self.path / name, problem) from error
         finally:
             os.close(directory)
 

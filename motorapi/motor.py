@@ -43,7 +43,7 @@ from motorapi.errors import (
 from motorapi.execution import require_no_fault, require_rest, start_together
 from motorapi.low_level import low_level_access
 from motorapi.motion_waits import check_timeout, wait_for_all
-from motorapi.reservation import Reservation, check_lease
+from motorapi.reservation import Reservation, check_lease, check_take_over
 from motorapi.shared_motor import SharedMotor
 from motorapi.sharing import Run, RunStatus
 from motorapi.state import MotorState
@@ -216,6 +216,7 @@ class Motor(SharedMotor):
         """
         check_timeout(timeout_s)
         check_lease(lease_s)
+        check_take_over(take_over)
         if not isinstance(purpose, str):
             raise UsageError(f"{self.name}: purpose {purpose!r}: say it in words")
         patience = None if timeout_s is None else self._patience(as_number(timeout_s))

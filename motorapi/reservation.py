@@ -11,6 +11,12 @@ LEASE_MIN_S: Final = 0.01
 LEASE_MAX_S: Final = 1e6
 
 
+def check_take_over(take_over: bool) -> None:
+    """Raises UsageError if it is neither True nor False: no motor is taken over by mistake."""
+    if not isinstance(take_over, bool):
+        raise UsageError(f"take_over = {take_over!r}: give True or False")
+
+
 def check_lease(lease_s: float | None) -> None:
     """Raises UsageError if it is no time that a lease could have."""
     if lease_s is None:
@@ -33,6 +39,11 @@ class Reservation:
     def __init__(self, names: Sequence[str], claims: Sequence[Claim]) -> None:
         self.names: Final = tuple(names)
         self._claims: Final = tuple(claims)
+
+    def __repr__(self) -> str:
+        lost_to = self.lost_to
+        how = "held" if self.is_held else "given back" if lost_to is None else f"lost to {lost_to}"
+        return f"<Reservation of {', '.join(self.names)}: {how}>"
 
     @property
     def token(self) -> int:

@@ -1,3 +1,4 @@
+import errno
 import os
 import stat
 
@@ -122,11 +123,27 @@ def test_a_link_in_place_of_the_directory_is_refused(default, tmp_path):
     assert list(elsewhere.iterdir()) == []
 
 
+@pytest.mark.parametrize("number", [errno.EMFILE, errno.ENOSPC, errno.EROFS])
+def test_nobody_is_told_to_remove_a_lock_that_may_be_in_use(group, monkeypatch, number):
+    really = os.open
+
+    def full(path, flags, mode=0o777, *, dir_fd=None):
+        if dir_fd is not None:
+            raise OSError(number, os.strerror(number))
+        return really(path, flags, mode)
+
+    monkeypatch.setattr(lock_directory.os, "open", full)
+    with pytest.raises(UsageError) as refused:
+        LockDirectory(group).open("pan")
+    reason = f"{os.strerror(number)}: the lock between processes cannot be opened"
+    assert str(refused.value) == f"{group}/pan: {reason}"
+
+
 def test_a_link_in_place_of_a_file_is_refused_and_what_it_leads_to_stays(group, tmp_path):
     precious = tmp_path / "precious"
     precious.write_text("keep")
     (group / "pan").symlink_to(precious)
-    with pytest.raises(UsageError, match=f"{group}/pan: Too many levels of symbolic links"):
+    with pytest.raises(UsageError, match=f"{group}/pan: it is a link"):
         LockDirectory(group).open("pan")
     (group / "tilt").symlink_to(tmp_path / "to be made")
     with pytest.raises(UsageError):

@@ -374,6 +374,29 @@ def test_a_lease_nobody_could_have_is_refused(world, logical, lease_s):
     a.enable()
 
 
+@pytest.mark.parametrize("take_over", ["no", float("nan"), 1, None])
+def test_a_motor_is_taken_over_by_true_and_nothing_else(world, logical, take_over):
+    a, b, *_ = logical
+    group = MotorGroup(b)
+    for who in (b, group):
+        with (
+            a.reserve(),
+            pytest.raises(UsageError, match=r"take_over = .*: give True or False"),
+            who.reserve(take_over=take_over),
+        ):
+            pass
+    a.enable()
+
+
+def test_a_reservation_shows_whether_it_is_held(world, logical):
+    a, b, *_ = logical
+    with a.reserve() as first:
+        assert repr(first) == f"<Reservation of {a.name}: held>"
+        with b.reserve("rescue", take_over=True) as second:
+            assert repr(first) == f"<Reservation of {a.name}: lost to {first.lost_to}>"
+    assert repr(second) == f"<Reservation of {b.name}: given back>"
+
+
 def test_low_level_access_of_another_thread_is_not_taken_over(world, logical):
     a, b, *_ = logical
     if world.kind == "strangers":
