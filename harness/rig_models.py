@@ -26,20 +26,20 @@ def _model(description: RigDescription, motor: str) -> MotorModel:
     Raises:
         RigError: with the file and line of the model, wherever it stands.
     """
-    model: MotorDescription = description.motors[motor]
+    described: MotorDescription = description.motors[motor]
     path = ("motor", motor, "model")
     try:
-        if isinstance(model.model, Path):
-            return MotorModel.load(model.model)
+        if isinstance(described.model, Path):
+            return MotorModel.load(described.model)
         return MotorModel.from_table(
-            model.model,
+            described.model,
             path=str(description.source.path),
             line_of=lambda key: description.source.line((*path, key)),
             default_name=motor,
         )
     except FileError as error:
         key = error.key or ""
-        if not isinstance(model.model, Path):
+        if not isinstance(described.model, Path):
             at = (*path, key) if key else path
             raise description.error(at, error.problem, error.remedy) from None
         raise RigError(error.path, error.problem, error.remedy, line=error.line, key=key) from None

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 _TAKER_PATIENCE_NS: Final = 50_000_000
 """How long somebody may be in the middle of taking it over; it takes him some 20 us."""
-_RENEWALS: Final = 8
+_RENEWALS_IN_USE: Final = 8
 """A lease in use is renewed so many times in its time, not with every use."""
 
 
@@ -199,7 +199,7 @@ class Hold:
 
     def _tell_lease(self) -> None:
         now_ns, lease_ns = time.monotonic_ns(), self._lease_ns
-        self._renew_ns = now_ns + lease_ns // _RENEWALS
+        self._renew_ns = now_ns + lease_ns // _RENEWALS_IN_USE
         self._end_ns = now_ns + lease_ns
         self._file.tell_lease(lease_ns, self._end_ns if lease_ns else 0)
 

@@ -13,7 +13,7 @@ from motorapi.errors import MotorBusyError
 if TYPE_CHECKING:
     from motorapi.claim import Claim
 
-RENEWALS: Final = 4
+RENEWALS_IN_WAIT: Final = 4
 """So many times in a lease it is renewed by one who waits."""
 
 
@@ -49,5 +49,5 @@ def use_leases(waits_for: object = None) -> float | None:
         if lease_s is not None and claim.of is not waits_for:
             with suppress(MotorBusyError):
                 claim.use()
-            pauses_s.append(lease_s / RENEWALS)
+            pauses_s.append(lease_s / RENEWALS_IN_WAIT)
     return min(pauses_s, default=None)

@@ -53,8 +53,8 @@ class Teller:
             listener(event)
 
 
-class Owned(Protocol):
-    """What is owned: see `motorapi.ownership.Ownership`."""
+class ClaimKeeper(Protocol):
+    """Where the claim there is, is kept: see `motorapi.ownership.Ownership`."""
 
     @property
     def held(self) -> Claim | None:
@@ -77,9 +77,9 @@ class OwnerRow:
     Attributes: token (of who had it last).
     """
 
-    def __init__(self, owned: Owned, teller: Teller) -> None:
+    def __init__(self, claims: ClaimKeeper, teller: Teller) -> None:
         self.token = 0
-        self._owned: Final = owned
+        self._claims: Final = claims
         self._teller: Final = teller
         self._places: deque[Asked] = deque()
 
@@ -102,7 +102,7 @@ class OwnerRow:
                 self._teller.tell(LockAction.WAITING, asked, self._in_front(patience))
                 timeout_s = patience.timeout_s
                 if not patience.until(
-                    asked.owner.runtime, is_taken, timeout_s, self._look_s, self._owned
+                    asked.owner.runtime, is_taken, timeout_s, self._look_s, self._claims
                 ):
                     raise self._busy(asked.owner, patience)
             finally:
@@ -110,12 +110,12 @@ class OwnerRow:
         assert taken.claim is not None
         if taken.before is not None:
             return taken.claim, LockAction.TAKEN_OVER, taken.before.who
-        if asked.take_over and self._owned.end_run(asked):
+        if asked.take_over and self._claims.end_run(asked):
             return taken.claim, LockAction.TAKEN_OVER, ""
         return taken.claim, LockAction.TAKEN, ""
 
     def _is_taken(self, asked: Asked, taken: "_Taken") -> bool:
-        held = self._owned.held
+        held = self._claims.held
         if not asked.take_over:
             if held is not None and held.left_s != 0.0:
                 return False
@@ -124,23 +124,23 @@ class OwnerRow:
             patience = asked.patience
             if held is None and patience is not None and patience.in_the_way() is not None:
                 return False
-        claim = self._owned.replace(held, asked, self.token + 1)
+        claim = self._claims.replace(held, asked, self.token + 1)
         if claim is None:
             return False
         self.token += 1
         taken.claim, taken.before = claim, held
         if held is not None:
-            self._owned.lose(held, asked)
+            self._claims.lose(held, asked)
         return True
 
     def _look_s(self) -> float | None:
         """How soon one who waits is to look again [s]."""
-        held = self._owned.held
+        held = self._claims.held
         left_s = None if held is None else held.left_s
         return _LOOK_S if left_s is None else min(_LOOK_S, max(left_s, 1e-9))
 
     def _busy(self, owner: Owner, patience: "Patience | None") -> MotorBusyError:
-        held = self._owned.held
+        held = self._claims.held
         if held is not None:
             return held.busy(owner.name)
         in_the_way = None if patience is None else patience.in_the_way()
@@ -152,7 +152,7 @@ class OwnerRow:
 
     def _in_front(self, patience: "Patience") -> str:
         """Whom one waits for, in words."""
-        held = self._owned.held
+        held = self._claims.held
         if held is not None:
             return held.who
         in_the_way = patience.in_the_way()

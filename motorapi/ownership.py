@@ -24,7 +24,7 @@ from typing import TYPE_CHECKING, Final, final
 from motorapi.claim import Asked, Claim, Owner
 from motorapi.errors import MotorBusyError, MotorError
 from motorapi.hold import Loss
-from motorapi.leases import RENEWALS, register
+from motorapi.leases import RENEWALS_IN_WAIT, register
 from motorapi.owner_row import OwnerRow, Teller
 from motorapi.ownership_events import LockAction
 from motorapi.patience import Keeper, Patience
@@ -297,7 +297,7 @@ class Ownership:
             return None
         with suppress(MotorBusyError):
             held.use()
-        pause_s = None if held.lease_s is None else held.lease_s / RENEWALS
+        pause_s = None if held.lease_s is None else held.lease_s / RENEWALS_IN_WAIT
         if self.lock is None:
             return pause_s
         return _LOSS_LOOK_S if pause_s is None else min(_LOSS_LOOK_S, pause_s)
