@@ -105,9 +105,10 @@ class CanopenDecoder:
             return self._heartbeat(node, data[0])
         return _other(identifier, data, can_id)
 
-    def name_of(self, node: int) -> str:
-        """What a node is called."""
-        return self._node(node).name
+    def forget_transfers(self) -> None:
+        """Frames are missing from here on: SDO transfers that had begun have not."""
+        for node in self._nodes.values():
+            node.sdo = SdoReader()
 
     def _node(self, number: int) -> _Node:
         found = self._nodes.get(number)

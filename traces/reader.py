@@ -157,6 +157,18 @@ class Trace:
         """The file is closed."""
         self._file.close()
 
+    def span_ns(self) -> tuple[int, int] | None:
+        """The earliest and the latest log time, by the heads of chunks; None: there is no message.
+
+        Of a chunk that was cut, as its head says.
+        """
+        if not self._chunks:
+            return None
+        return (
+            min(chunk.first_ns for chunk in self._chunks),
+            max(chunk.last_ns for chunk in self._chunks),
+        )
+
     def messages(
         self,
         topics: Collection[str] | None = None,

@@ -1,0 +1,218 @@
+import argparse
+import json
+import struct
+
+import pytest
+
+from harness.verbs import show
+from traces.fields import encode_log
+from traces.protobuf import encode
+from traces.reader import Trace
+from traces.schema import (
+    CAN_FRAME,
+    GROUP_SYNC,
+    LOG,
+    MODBUS_ADU,
+    MOTOR_LOCK,
+    Direction,
+    Level,
+    Schema,
+)
+from traces.writer import TraceWriter
+
+S = 1_000_000_000
+MS = 1_000_000
+RIG = b"""
+[rig]
+name = "two"
+[controller.left]
+bus = "can0"
+node_id = 1
+eds = "left.eds"
+[controller.right]
+bus = "can0"
+node_id = 2
+[controller.lift]
+bus = "rs485"
+unit = 3
+[motor.left_wheel]
+controller = "left"
+[motor.right_wheel]
+bus = "can0"
+node_id = 2
+"""
+EDS = b"[2020]\nParameterName=Winding temperature\nDataType=0x4\n"
+
+
+class Recorded:
+    """A small recording by hand."""
+
+    def __init__(self, path):
+        self.path = str(path)
+        self.writer = TraceWriter(path, {"run": {}})
+        self.writer.attach("two.toml", RIG, "application/toml")
+        self.writer.attach("left.eds", EDS, "text/plain")
+        self.can0 = self.writer.channel("/can/can0", Schema.of(CAN_FRAME))
+        self.source = self.writer.source(self.can0, "host", Direction.TRANSMITTED)
+
+    def frame(self, time_ns, identifier, data):
+        content = bytes.fromhex(data)
+        frame = struct.pack("<IB3x8s", identifier, len(content), content)
+        self.writer.extend([(self.source, time_ns, frame)])
+        return self
+
+    def message(self, time_ns, topic, table, values):
+        channel = self.writer.channel(topic, Schema.of(table))
+        self.writer.write(channel, time_ns, encode(table, values))
+        return self
+
+    def event(self, time_ns, text, name=""):
+        channel = self.writer.channel("/events", Schema.of(LOG))
+        self.writer.write(channel, time_ns, encode_log(time_ns, Level.WARNING, text, name))
+        return self
+
+    def modbus(self, time_ns, data, request):
+        direction = Direction.TRANSMITTED if request else Direction.RECEIVED
+        values = {"direction": direction, "data": bytes.fromhex(data), "tcp": True}
+        return self.message(time_ns, "/modbus/rs485", MODBUS_ADU, values)
+
+    def close(self):
+        self.writer.close()
+        return self.path
+
+
+@pytest.fixture
+def recording(tmp_path):
+    one = Recorded(tmp_path / "one.mcap")
+    one.frame(1 * MS, 0x701, "00").frame(2 * MS, 0x702, "00")
+    lock = {"action": 1, "owner": "start() of left_wheel"}
+    one.message(3 * MS, "/motor/left_wheel/lock", MOTOR_LOCK, lock)
+    for at, data in enumerate(("2F001A0000", "23001A0110004160", "2F001A0001")):  # TPDO 1: 6041h
+        one.frame((4 + at) * MS, 0x601, data.ljust(16, "0"))
+        one.frame((4 + at) * MS + 1, 0x581, "60" + data[2:8] + "00000000")
+    one.frame(7 * MS, 0x000, "0100")
+    one.frame(8 * MS, 0x701, "05").frame(9 * MS, 0x181, "3702").frame(10 * MS, 0x701, "05")
+    one.frame(11 * MS, 0x182, "1802").event(12 * MS, "it is hot", "right_wheel")
+    one.frame(13 * MS, 0x601, "4020200000000000").frame(14 * MS, 0x581, "4320200019000000")
+    sync = {"phase": 1, "motor": ["left_wheel", "right_wheel"], "skew_s": 0.0001, "method": "SYNC"}
+    one.message(15 * MS, "/group/drive/sync", GROUP_SYNC, sync)
+    one.modbus(16 * MS, "0001000000060303006B0001", True)
+    one.modbus(18 * MS, "00010000000503030200FF", False)
+    one.frame(19 * MS, 0x601, "4008100000000000")
+    one.frame(20 * S, 0x181, "1802").frame(20 * S + 1, 0x581, "0D61000000000000")
+    return one.close()
+
+
+def shown(capsys, *words):
+    parser = argparse.ArgumentParser()
+    show.add_arguments(parser)
+    assert show.run(parser.parse_args(words)) == 0
+    return capsys.readouterr()
+
+
+def told(capsys, *words):
+    """The lines without their times."""
+    return [line[17:] for line in shown(capsys, *words).out.splitlines()]
+
+
+def test_everything_is_told_in_order_with_names_from_the_rig_and_the_eds(capsys, recording):
+    lines = shown(capsys, recording).out.splitlines()
+    assert lines[0] == "    0.001000000  can0      left (1) has booted"
+    for text in (
+        "left_wheel  start() of left_wheel takes left_wheel",
+        "can0      NMT to all nodes: start",
+        "can0      left (1) TPDO 1: 6041h statusword = 0237h operation enabled",
+        "events    warning, right_wheel: it is hot",
+        "can0      SDO left (1): 2020h Winding temperature = 25",
+        "drive     group drive begins together, 0.100 ms apart (SYNC): left_wheel, right_wheel",
+        "rs485     Modbus to lift (unit 3): read register 006Bh",
+        "rs485     Modbus lift (unit 3): register 006Bh = 00FFh (after 2.000 ms)",
+    ):
+        assert any(line[17:] == text for line in lines), text
+    assert [line[:15] for line in lines] == sorted(line[:15] for line in lines)
+
+
+def test_a_motor_is_told_with_its_locks_groups_events_and_what_concerns_all(capsys, recording):
+    lines = told(capsys, recording, "--motor", "right_wheel", "--to", "1")
+    assert lines == [
+        "can0      right (2) has booted",
+        "can0      NMT to all nodes: start",
+        "can0      right (2) TPDO 1: 18 02 (its mapping is not in the recording)",
+        "events    warning, right_wheel: it is hot",
+        "drive     group drive begins together, 0.100 ms apart (SYNC): left_wheel, right_wheel",
+    ]
+
+
+def test_identifiers_nodes_buses_and_times_are_filters(capsys, recording):
+    hot = "events    warning, right_wheel: it is hot"
+    assert told(capsys, recording, "--id", "702h", "--id", "182") == [
+        "can0      right (2) has booted",
+        "can0      right (2) TPDO 1: 18 02 (its mapping is not in the recording)",
+        hot,
+    ]
+    assert len(told(capsys, recording, "--bus", "rs485", "--from", "0.0125")) == 2
+    assert told(capsys, recording, "--node", "2", "--from", "0.007", "--to", "0.013") == [
+        "can0      NMT to all nodes: start",
+        "can0      right (2) TPDO 1: 18 02 (its mapping is not in the recording)",
+        hot,
+    ]
+    assert told(capsys, recording, "--from", "0.012", "--to", "0.012000001") == [hot]
+    assert told(capsys, recording, "--from", "0.012000001", "--to", "0.013") == []
+
+
+def test_briefly_what_repeats_is_left_out(capsys, recording):
+    lines = told(capsys, recording, "--brief", "--node", "1", "--to", "0.012")
+    assert sum("is operational" in line for line in lines) == 1
+    assert sum("statusword = 0237h" in line for line in lines) == 1
+
+
+def test_the_last_second_knows_the_mappings_of_the_beginning_and_no_old_transfer(capsys, recording):
+    assert told(capsys, recording, "--last", "1") == [
+        "can0      left (1) TPDO 1: 6041h statusword = 0218h fault",
+        "can0      SDO left (1): tells a segment of an object (the beginning was not recorded): 61",
+    ]
+
+
+def test_the_last_second_of_a_long_recording_is_found_without_reading_the_rest(
+    capsys, tmp_path, monkeypatch
+):
+    long = Recorded(tmp_path / "long.mcap")
+    for second in range(60):
+        long.frame(second * S, 0x701, "05")
+    path = long.close()
+    read = []
+    content = Trace._content
+    monkeypatch.setattr(
+        Trace, "_content", lambda self, chunk: read.append(chunk.first_ns) or content(self, chunk)
+    )
+    assert len(told(capsys, path, "--last", "1.5")) == 2
+    assert len(read) <= 9  # the beginning, of which mappings are learned, and the end
+    assert not [time for time in read if 6 * S < time < 57 * S]
+
+
+def test_a_machine_gets_an_object_a_line(capsys, recording):
+    lines = [json.loads(line) for line in shown(capsys, recording, "--json").out.splitlines()]
+    boot = lines[0]
+    assert (boot["time_ns"], boot["id"], boot["kind"], boot["node"]) == (MS, 0x701, "boot-up", 1)
+    (hot,) = [line for line in lines if line["topic"] == "/events"]
+    assert hot["values"]["message"] == "it is hot"
+    read = [line for line in lines if line.get("index") == 0x2020 and line["facts"]]
+    assert read[0]["facts"][0]["value"] == 25
+
+
+def test_who_was_not_met_and_what_is_cut_is_told(capsys, recording, tmp_path):
+    cut = tmp_path / "cut.mcap"
+    with open(recording, "rb") as file:
+        cut.write_bytes(file.read()[:-400])
+    told_of = shown(capsys, str(cut), "--motor", "nobody").err
+    assert "nothing was told of a motor nobody" in told_of
+    assert "cut at byte" in told_of
+    assert shown(capsys, recording).err == ""
+
+
+@pytest.mark.parametrize("text", ["x", "1.x", "-1", "", ".", "1.0000000001"])
+def test_times_are_seconds_or_refused(text, capsys, recording):
+    assert show._time_ns("1.000000001") == S + 1
+    with pytest.raises(SystemExit):
+        shown(capsys, recording, f"--from={text}")
+    assert "invalid" in capsys.readouterr().err

@@ -1,0 +1,211 @@
+"""Modbus as it goes by on one line, in sentences and facts: a reading that only looks.
+
+Source: MODBUS Application Protocol Specification V1.1b3, sections 6 (function codes) and 7
+(exception codes). Addresses are those of the PDU, from 0.
+"""
+
+from collections.abc import Mapping
+from typing import Final, final
+
+from traces.modbus import Adu, paired
+from traces.said import Fact, Kind, Said
+from traces.tcp_streams import Way
+
+EXCEPTIONS: Final = {
+    1: "illegal function",
+    2: "illegal data address",
+    3: "illegal data value",
+    4: "server device failure",
+    5: "acknowledge",
+    6: "server device busy",
+    8: "memory parity error",
+    10: "gateway path unavailable",
+    11: "gateway target device failed to respond",
+}
+_READS: Final = {1: "coil", 2: "discrete input", 3: "register", 4: "input register"}
+_OTHERS: Final = {
+    7: "read exception status",
+    8: "diagnostics",
+    11: "get communication event counter",
+    12: "get communication event log",
+    17: "report server ID",
+    20: "read file record",
+    21: "write file record",
+    24: "read FIFO queue",
+    43: "encapsulated interface",
+}
+
+
+@final
+class ModbusDecoder:
+    """One line, or all connections of one channel. ADUs are to be shown in the order recorded."""
+
+    def __init__(self, unit_names: Mapping[int, str] | None = None) -> None:
+        """With what its units are called."""
+        self._names = dict(unit_names or {})
+        self._pending: dict[tuple[Way | None, int], Adu] = {}
+
+    def call(self, unit: int, name: str) -> None:
+        """From now on the unit is called so."""
+        self._names.setdefault(unit, name)
+
+    def forget_requests(self) -> None:
+        """ADUs are missing from here on: what was asked is not answered by what comes."""
+        self._pending.clear()
+
+    def decode(self, adu: Adu) -> Said:
+        """What an ADU says: a request, or a response with what it answers."""
+        way = adu.way if adu.to_server or adu.way is None else adu.way.back
+        key = (way, adu.transaction)
+        if adu.to_server:
+            self._pending[key] = adu
+            broadcast = adu.unit == 0 and adu.way is None  # it is answered by nobody
+            facts = _written(adu.pdu, adu.pdu) if broadcast else ()
+            text = f"Modbus to {self._name(adu.unit)}: {_request_text(adu.pdu)}"
+            return Said(Kind.MODBUS_REQUEST, adu.unit, text, facts)
+        asked = self._pending.get(key)
+        found = paired([asked, adu]).exchanges if asked is not None else ()
+        name = self._name(adu.unit)
+        if not found or found[0].response is None:
+            text = f"Modbus {name}: answers nothing that was asked: {_hex(adu.pdu)}"
+            return Said(Kind.MODBUS_RESPONSE, adu.unit, text)
+        del self._pending[key]
+        request, delay_s = found[0].request, found[0].delay_s or 0.0
+        late = f" (after {delay_s * 1e3:.3f} ms)"
+        if adu.is_exception:
+            code = adu.pdu[1] if len(adu.pdu) > 1 else 0
+            words = EXCEPTIONS.get(code, "a code that is in no standard")
+            asked_for = _request_text(request.pdu)
+            text = f"Modbus {name}: refuses {asked_for}: exception {code}, {words}{late}"
+            facts = (Fact(f"{asked_for} refused", code, f"exception {code}, {words}"),)
+            return Said(Kind.MODBUS_RESPONSE, adu.unit, text, facts)
+        facts = _read(request.pdu, adu.pdu) + _written(request.pdu, adu.pdu)
+        text = f"Modbus {name}: {_response_text(request.pdu, adu.pdu, facts)}{late}"
+        return Said(Kind.MODBUS_RESPONSE, adu.unit, text, facts)
+
+    def _name(self, unit: int) -> str:
+        name = self._names.get(unit)
+        return f"unit {unit}" if name is None else f"{name} (unit {unit})"
+
+
+def adu_of(time_ns: int, data: bytes, *, tcp: bool, to_server: bool) -> tuple[Adu | None, str]:
+    """A recorded ADU, or None and why its bytes are none."""
+    if tcp:
+        if len(data) < 8 or int.from_bytes(data[4:6], "big") != len(data) - 6:
+            return None, "no MBAP header that fits its length"
+        transaction = int.from_bytes(data[0:2], "big")
+        return Adu(time_ns, None, to_server, transaction, data[6], data[7:]), ""
+    if len(data) < 4:
+        return None, f"{len(data)} bytes, an ADU has 4 at least"
+    if crc16(data[:-2]) != int.from_bytes(data[-2:], "little"):
+        return None, "its CRC does not fit"
+    return Adu(time_ns, None, to_server, 0, data[0], data[1:-2]), ""
+
+
+def crc16(data: bytes) -> int:
+    """The check sum of the serial line (MODBUS over Serial Line V1.02, 6.2.2)."""
+    crc = 0xFFFF
+    for byte in data:
+        crc ^= byte
+        for _ in range(8):
+            crc = crc >> 1 ^ 0xA001 if crc & 1 else crc >> 1
+    return crc
+
+
+def _request_text(pdu: bytes) -> str:
+    """What a request asks for."""
+    if not pdu:
+        return "an empty request"
+    function = pdu[0]
+    if function in _READS and len(pdu) == 5:
+        count = _u16(pdu, 3)
+        return f"read {_places(_READS[function], _u16(pdu, 1), count)}"
+    if function in (5, 6, 15, 16) and len(pdu) >= 5:
+        facts = _written(pdu, pdu)
+        if facts:
+            return "write " + _told(facts)
+    if function == 22 and len(pdu) == 7:
+        mask, bits = _u16(pdu, 3), _u16(pdu, 5)
+        return f"mask register {_u16(pdu, 1):04X}h, and {mask:04X}h, or {bits:04X}h"
+    if function == 23 and len(pdu) >= 10:
+        places = _places("register", _u16(pdu, 1), _u16(pdu, 3))
+        return f"write {_told(_written(pdu, pdu))}, then read {places}"
+    name = _OTHERS.get(function & 0x7F, "function")
+    return f"{name} ({function:02X}h): {_hex(pdu[1:])}"
+
+
+def _response_text(request: bytes, response: bytes, facts: tuple[Fact, ...]) -> str:
+    read = [fact for fact in facts if not fact.told_to]
+    if read:
+        return _told(read)
+    if facts:
+        return f"takes {_told(facts)}"
+    return (
+        f"answers {_OTHERS.get(request[0], 'function')} ({request[0]:02X}h): {_hex(response[1:])}"
+    )
+
+
+def _read(request: bytes, response: bytes) -> tuple[Fact, ...]:
+    """What a response tells of the places that were asked for; nothing if its length is wrong."""
+    function = request[0]
+    if len(request) < 5 or len(response) < 2 or response[1] != len(response) - 2:
+        return ()
+    start, count, data = _u16(request, 1), _u16(request, 3), response[2:]
+    if function in (3, 4, 23) and len(data) == 2 * count:
+        name = "input register" if function == 4 else "register"
+        values = [_u16(data, 2 * number) for number in range(count)]
+        return tuple(_fact(name, start + n, value, False) for n, value in enumerate(values))
+    if function in (1, 2) and len(data) == (count + 7) // 8:
+        bits = [data[number // 8] >> number % 8 & 1 for number in range(count)]
+        return tuple(_fact(_READS[function], start + n, bit, False) for n, bit in enumerate(bits))
+    return ()
+
+
+def _written(request: bytes, response: bytes) -> tuple[Fact, ...]:
+    """What a request has written, by a response of the same function."""
+    if not request or not response or response[0] != request[0]:
+        return ()
+    function = request[0]
+    if function == 5 and len(request) == 5:
+        return (_fact("coil", _u16(request, 1), int(request[3] == 0xFF), True),)
+    if function == 6 and len(request) == 5:
+        return (_fact("register", _u16(request, 1), _u16(request, 3), True),)
+    at = 6 if function in (15, 16) else 10 if function == 23 else 0
+    if not at or len(request) < at or request[at - 1] != len(request) - at:
+        return ()
+    start, count, data = _u16(request, at - 5), _u16(request, at - 3), request[at:]
+    if function == 15 and len(data) == (count + 7) // 8:
+        bits = [data[number // 8] >> number % 8 & 1 for number in range(count)]
+        return tuple(_fact("coil", start + n, bit, True) for n, bit in enumerate(bits))
+    if function != 15 and len(data) == 2 * count:
+        values = [_u16(data, 2 * number) for number in range(count)]
+        return tuple(_fact("register", start + n, value, True) for n, value in enumerate(values))
+    return ()
+
+
+def _fact(name: str, address: int, value: int, told_to: bool) -> Fact:
+    text = f"{value:04X}h" if "register" in name else ("on" if value else "off")
+    return Fact(f"{name} {address:04X}h", value, text, told_to)
+
+
+def _told(facts: "tuple[Fact, ...] | list[Fact]") -> str:
+    """The places and their values; of places in a row, the first is named."""
+    if not facts:
+        return "nothing that is well formed"
+    values = " ".join(fact.text for fact in facts[:16])
+    more = f" and {len(facts) - 16} more" if len(facts) > 16 else ""
+    return f"{facts[0].subject} = {values}{more}"
+
+
+def _places(name: str, start: int, count: int) -> str:
+    if count == 1:
+        return f"{name} {start:04X}h"
+    return f"{count} {name}s from {start:04X}h"
+
+
+def _u16(data: bytes, at: int) -> int:
+    return int.from_bytes(data[at : at + 2], "big")
+
+
+def _hex(data: bytes) -> str:
+    return data.hex(" ").upper() or "nothing"

@@ -1,0 +1,75 @@
+"""What nodes, units and motors of a recording are called, by the rig and the EDS files in it."""
+
+import tomllib
+from dataclasses import dataclass, field
+from typing import Final, final
+
+from traces.object_names import ObjectNames
+from traces.reader import Attachment
+
+_EDS: Final = (".eds", ".dcf")
+
+
+@final
+@dataclass(slots=True)
+class RecordedNames:
+    """Names and object tables.
+
+    Attributes:
+        nodes: (bus, node or unit) to the controller's name.
+        motors: a motor's name to (bus, node or unit).
+        objects: (bus, node) to the objects its EDS names.
+    """
+
+    nodes: dict[tuple[str, int], str] = field(default_factory=dict)
+    motors: dict[str, tuple[str, int]] = field(default_factory=dict)
+    objects: dict[tuple[str, int], ObjectNames] = field(default_factory=dict)
+
+
+def names_of(attachments: list[Attachment]) -> RecordedNames:
+    """As far as the attachments tell them; what cannot be read tells nothing."""
+    names = RecordedNames()
+    files = {one.name.rpartition("/")[2]: one.data for one in attachments}
+    for data in files.values():
+        rig = _rig(data)
+        if rig is not None:
+            _take(names, rig, files)
+            break
+    return names
+
+
+def _rig(data: bytes) -> dict[str, object] | None:
+    try:
+        found = tomllib.loads(data.decode())
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError):
+        return None
+    return found if isinstance(found.get("rig"), dict) else None
+
+
+def _take(names: RecordedNames, rig: dict[str, object], files: dict[str, bytes]) -> None:
+    places: dict[str, tuple[str, int]] = {}
+    for name, table in _tables(rig, "controller"):
+        place = _place(table)
+        if place is None:
+            continue
+        places[name], names.nodes[place] = place, name
+        eds = str(table.get("eds", "")).rpartition("/")[2]
+        if eds.lower().endswith(_EDS) and eds in files:
+            names.objects[place] = ObjectNames(files[eds].decode("cp1252", errors="replace"))
+    for name, table in _tables(rig, "motor"):
+        controller = table.get("controller")
+        place = places.get(str(controller)) if controller is not None else _place(table)
+        if place is not None:
+            names.motors[name] = place
+
+
+def _tables(rig: dict[str, object], kind: str) -> list[tuple[str, dict[str, object]]]:
+    found = rig.get(kind)
+    if not isinstance(found, dict):
+        return []
+    return [(name, table) for name, table in found.items() if isinstance(table, dict)]
+
+
+def _place(table: dict[str, object]) -> tuple[str, int] | None:
+    bus, number = table.get("bus"), table.get("node_id", table.get("unit"))
+    return (bus, number) if isinstance(bus, str) and isinstance(number, int) else None

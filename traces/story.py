@@ -1,0 +1,216 @@
+"""A recording as sentences, in order: frames, ADUs, locks, groups and events with their times."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Final, final
+
+from traces.decode_canopen import CanopenDecoder
+from traces.decode_modbus import ModbusDecoder, adu_of
+from traces.fields import decode_can_frame
+from traces.protobuf import Value, decode
+from traces.reader import Trace, TraceMessage
+from traces.recorded_names import RecordedNames, names_of
+from traces.said import Said
+from traces.schema import (
+    CAN_FRAME,
+    GROUP_SYNC,
+    LOG,
+    MODBUS_ADU,
+    MOTOR_LOCK,
+    Direction,
+    Level,
+    LockAction,
+)
+
+PREAMBLE_NS: Final = 5_000_000_000
+PREAMBLE_MAX: Final = 50_000
+_ID_MASK: Final = 0x1FFF_FFFF
+_LOCK_WORDS: Final = {
+    LockAction.TAKEN: "takes {motor}",
+    LockAction.RELEASED: "gives {motor} back",
+    LockAction.WAITING: "waits for {motor}",
+    LockAction.REFUSED: "is refused {motor}",
+    LockAction.BROKEN: "takes {motor} from one who died",
+    LockAction.TAKEN_OVER: "takes {motor} over",
+    LockAction.LOST: "has lost {motor}",
+}
+
+
+@final
+@dataclass(frozen=True, slots=True)
+class Line:
+    """One message of a recording in words.
+
+    Attributes:
+        time_ns: log time.
+        topic: of the message.
+        place: the last part that names it: the bus, line, motor or group; "events".
+        text: a sentence.
+        said: what its decoder says; None: it is no traffic.
+        identifier: of a CAN frame; None: it is none.
+        names: motors and controllers it is about, by name.
+        values: the message's own fields; of a CAN frame none.
+    """
+
+    time_ns: int
+    topic: str
+    place: str
+    text: str
+    said: Said | None = None
+    identifier: int | None = None
+    names: tuple[str, ...] = ()
+    values: tuple[tuple[str, Value], ...] = ()
+
+
+@final
+class Story:
+    """Tells an open recording. A decoder's memory goes with it: tell it from front to back."""
+
+    def __init__(self, trace: Trace) -> None:
+        self.names: RecordedNames = names_of(trace.attachments)
+        self._trace = trace
+        self._buses: dict[str, CanopenDecoder] = {}
+        self._lines: dict[str, ModbusDecoder] = {}
+        self._motors = {place: name for name, place in self.names.motors.items()}
+
+    def lines(self, from_ns: int | None = None, to_ns: int | None = None) -> Iterator[Line]:
+        """What happened in this span; motion and plants are not told (they are for plots).
+
+        Where the span begins later, what PDOs carry is first learned from the recording's
+        beginning: its first `PREAMBLE_NS`, `PREAMBLE_MAX` frames at most.
+
+        Raises:
+            TraceError: the recording is damaged.
+        """
+        if from_ns is not None:
+            self._learn(from_ns)
+        for message in self._trace.messages(None, from_ns, to_ns):
+            line = self.line(message)
+            if line is not None:
+                yield line
+
+    def line(self, message: TraceMessage) -> Line | None:
+        """One message in words; None if it is of a kind that is not told."""
+        channel, time_ns, payload = message
+        topic = channel.topic
+        schema = channel.schema.name if channel.schema is not None else ""
+        parts = topic.strip("/").split("/")
+        place = parts[1] if len(parts) > 1 else parts[0]
+        try:
+            if schema == CAN_FRAME.name:
+                return self._can(time_ns, topic, place, payload)
+            if schema == MODBUS_ADU.name:
+                return self._modbus(time_ns, topic, place, decode(MODBUS_ADU, payload))
+            if schema in _PLAIN:
+                table, tell = _PLAIN[schema]
+                fields = decode(table, payload)
+                text, names = tell(place, fields)
+                return Line(
+                    *(time_ns, topic, place, text),
+                    names=names,
+                    values=tuple(fields.items()),
+                )
+        except ValueError as error:
+            return Line(time_ns, topic, place, f"a message that cannot be read: {error}")
+        return None
+
+    def _learn(self, from_ns: int) -> None:
+        begins_ns, _ = self._trace.span_ns() or (0, 0)
+        until_ns = min(from_ns, begins_ns + PREAMBLE_NS)
+        left = PREAMBLE_MAX
+        for message in self._trace.messages(None, None, until_ns):
+            if message[0].topic.startswith(("/can/", "/modbus/")):
+                self.line(message)
+                left -= 1
+                if not left:
+                    break
+        for bus in self._buses.values():
+            bus.forget_transfers()
+        for line in self._lines.values():
+            line.forget_requests()
+
+    def _can(self, time_ns: int, topic: str, bus: str, payload: bytes) -> Line:
+        decoder = self._buses.get(bus)
+        if decoder is None:
+            nodes = {n: name for (b, n), name in self.names.nodes.items() if b == bus}
+            objects = {n: names for (b, n), names in self.names.objects.items() if b == bus}
+            decoder = self._buses[bus] = CanopenDecoder(nodes, objects)
+        frame = decode_can_frame(payload).frame
+        said = decoder.decode(frame)
+        identifier = int.from_bytes(frame[:4], "little") & _ID_MASK
+        return Line(time_ns, topic, bus, said.text, said, identifier, self._about(bus, said.node))
+
+    def _modbus(self, time_ns: int, topic: str, name: str, fields: dict[str, Value]) -> Line:
+        decoder = self._lines.get(name)
+        if decoder is None:
+            units = {n: c for (b, n), c in self.names.nodes.items() if b == name}
+            decoder = self._lines[name] = ModbusDecoder(units)
+        data = fields.get("data", b"")
+        assert isinstance(data, bytes)
+        sender = str(fields.get("sender", ""))
+        to_server = fields.get("direction") == Direction.TRANSMITTED
+        adu, problem = adu_of(time_ns, data, tcp=bool(fields.get("tcp")), to_server=to_server)
+        if fields.get("spoiled"):
+            adu, problem = None, "it was spoiled on the line"
+        if adu is None:
+            text = f"Modbus, no ADU ({problem}): {data.hex(' ').upper()}"
+            return Line(time_ns, topic, name, text)
+        if not to_server and sender:
+            decoder.call(adu.unit, sender)
+            self.names.nodes.setdefault((name, adu.unit), sender)
+        said = decoder.decode(adu)
+        return Line(time_ns, topic, name, said.text, said, None, self._about(name, said.node))
+
+    def _about(self, bus: str, node: int | None) -> tuple[str, ...]:
+        """The controller and the motor that a node is."""
+        if node is None:
+            return ()
+        controller = self.names.nodes.get((bus, node))
+        motor = self._motors.get((bus, node))
+        return tuple(dict.fromkeys(name for name in (motor, controller) if name is not None))
+
+
+def _lock(motor: str, fields: dict[str, Value]) -> tuple[str, tuple[str, ...]]:
+    number = fields.get("action", 0)
+    action = next((one for one in LockAction if one == number), LockAction.UNKNOWN)
+    words = _LOCK_WORDS.get(action, "does something unknown to {motor}").format(motor=motor)
+    text = f"{_text(fields, 'owner') or 'somebody'} {words}"
+    if fields.get("holder"):
+        text += f", which is {_text(fields, 'holder')}'s"
+    waited, held = fields.get("waited_s", 0.0), fields.get("held_s", 0.0)
+    if isinstance(waited, float) and waited:
+        text += f", after waiting {waited:.3f} s"
+    if isinstance(held, float) and held and action is LockAction.RELEASED:
+        text += f", after {held:.3f} s"
+    return text, (motor,)
+
+
+def _sync(group: str, fields: dict[str, Value]) -> tuple[str, tuple[str, ...]]:
+    motors = fields.get("motor", [])
+    assert isinstance(motors, list)
+    skew = fields.get("skew_s")
+    word = "begins together" if fields.get("phase") == 1 else "has ended"
+    told = f", {float(skew) * 1e3:.3f} ms apart" if isinstance(skew, float) else ""
+    method = f" ({_text(fields, 'method')})" if fields.get("method") else ""
+    return f"group {group} {word}{told}{method}: {', '.join(motors)}", tuple(motors)
+
+
+def _log(_: str, fields: dict[str, Value]) -> tuple[str, tuple[str, ...]]:
+    number = fields.get("level", 0)
+    level = next((one.name.lower() for one in Level if one == number), "unknown")
+    who = _text(fields, "name")
+    told = f"{level}, {who}: " if who else f"{level}: "
+    return told + _text(fields, "message"), (who,) if who else ()
+
+
+def _text(fields: dict[str, Value], name: str) -> str:
+    """A field that is text; empty if it is absent."""
+    value = fields.get(name)
+    return value if isinstance(value, str) else ""
+
+
+_PLAIN: Final = {
+    MOTOR_LOCK.name: (MOTOR_LOCK, _lock),
+    GROUP_SYNC.name: (GROUP_SYNC, _sync),
+    LOG.name: (LOG, _log),
+}
