@@ -76,6 +76,10 @@ class LockLooks:
     def _tell(self, level: str, bus: str, text: str) -> None:
         self._world.report(self._world.queue.now_ns, level, bus, text)
 
+    def look(self) -> None:
+        """What has changed since the last look is recorded now: before nobody looks any more."""
+        self._look(self._world.queue.now_ns)
+
     def _look(self, now_ns: int) -> None:
         for lock in self._locks:
             try:

@@ -74,7 +74,7 @@ def run(options: argparse.Namespace) -> int:
         except (HubError, SocketCanError, *modbus_doors.ModbusDoorError) as error:
             print(f"motorhil serve: {error}", file=sys.stderr)
             return WRONG_USAGE
-        _look_at_locks(rig, doors)
+        _look_at_locks(rig, doors, cleanup)
         service = _Service(loop, cleanup.enter_context(StopSignals(loop)))
         if options.rest:
             return service.run_command(options.rest, _environment(doors, lines))
@@ -153,11 +153,13 @@ def _open_doors(
     return doors
 
 
-def _look_at_locks(rig: Rig, doors: dict[str, tuple[str, str]]) -> None:
+def _look_at_locks(rig: Rig, doors: dict[str, tuple[str, str]], cleanup: ExitStack) -> None:
     """Who owns motors on SocketCAN is in the record too, if there is one."""
     interfaces = {bus: channel for bus, (kind, channel) in doors.items() if kind == "socketcan"}
     if rig.recording is not None and interfaces:
-        LockLooks(LockWriter(rig.recording, rig.world), rig.world, rig.description, interfaces)
+        writer = LockWriter(rig.recording, rig.world)
+        looks = LockLooks(writer, rig.world, rig.description, interfaces)
+        cleanup.callback(looks.look)  # what the command did last, it did after the last look
 
 
 @final

@@ -55,7 +55,7 @@ class Bench:
         self.recorder = Recorder()
         description = read_rig(EXAMPLES / f"{rig}.toml", installed_plugins())
         writer = LockWriter(self.recorder, self.world)
-        LockLooks(writer, self.world, description, {"can0": "lo"})
+        self.looks = LockLooks(writer, self.world, description, {"can0": "lo"})
         self.look()
 
     def look(self):
@@ -91,6 +91,17 @@ def test_taking_and_giving_back_are_recorded_with_who_and_since_when(bench, runt
     )
     assert bench.look() == []
     lock.close()
+
+
+def test_what_was_given_back_after_the_last_look_is_seen_at_the_end(bench, runtime):
+    lock = ProcessLock(NODE_2, "lo node 2")
+    hold = lock.acquire(runtime, "survey")
+    bench.look()
+    hold.release()
+    bench.looks.look()
+    lock.close()
+    (tenure,) = ownership_of(bench.recorder.events).tenures["right"]
+    assert (tenure.owner, tenure.ended) == ("survey", Ended.RELEASED)
 
 
 def test_what_lies_between_two_looks_is_missing_and_the_token_shows_it(bench, runtime):
