@@ -15,7 +15,7 @@ class Gateway(Protocol):
     """Something outside that talks to the world; called by the loop, in its thread."""
 
     def sources(self) -> Sequence[Source]:
-        """What to watch for input just now."""
+        """What to watch for input just now; the same object as before only if it is the same."""
 
     def readable(self, source: Source) -> None:
         """There is input from this source."""

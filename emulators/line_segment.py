@@ -153,6 +153,7 @@ class TcpSegment(LineSegment):
         self._slots: dict[int, ControllerSlot] = {}  # by unit
         self._units: dict[int, int] = {}  # by port
         self._connections: dict[int, int] = {}  # by port
+        self._timeout = overseer.queue.alarm(self._give_up)
         self._hosts: list[LineHost] = []  # by connection
         self._streams: list[MbapStream] = []
 
@@ -195,7 +196,7 @@ class TcpSegment(LineSegment):
             self._pipe.submit(connection, True, frame, now_ns)
         else:
             self._respond(self._units[port], frame[1:-2], now_ns)
-        self._settle_all()
+        self._settle(self._pipe.next_deadline_ns())
 
     def _respond(self, unit: int, pdu: bytes, now_ns: int) -> None:
         answer = self.gateway.answered(unit, pdu)
@@ -219,19 +220,27 @@ class TcpSegment(LineSegment):
                 self._hear(connection, data, now_ns)
             else:
                 self._hosts[connection].deliver(data, now_ns)
+        self._settle(self._pipe.next_deadline_ns())
+
+    def _give_up(self, now_ns: int) -> None:
+        """The first unit that was asked may have taken too long by now."""
         for unit, connection, adu in self.gateway.expired(now_ns):
             self._send_back(connection, adu, now_ns, self.name)
             self._ask_next(unit, now_ns)
-        self._settle_all()
+        self._timeout.set(self.gateway.next_deadline_ns())
+        self._settle(self._pipe.next_deadline_ns())
 
     def _hear(self, connection: int, data: bytes, now_ns: int) -> None:
         stream, host = self._streams[connection], self._hosts[connection]
         for request in stream.feed(data):
-            self._tap(now_ns, host.name, adu_of(*request))
+            if self.taps:
+                self._tap(now_ns, host.name, adu_of(*request))
             if not self.gateway.knows(request[1]):
                 self._send_back(connection, self.gateway.refusal(request), now_ns, self.name)
                 continue
             handed_on = self.gateway.ask(connection, request, now_ns)
+            if self._timeout.time_ns == UNSET:  # else it rings before, and is set again then
+                self._timeout.set(self.gateway.next_deadline_ns())
             if handed_on is not None:
                 unit, pdu = handed_on
                 self._slots[unit].deliver(with_crc(bytes((unit,)) + pdu), now_ns)
@@ -244,8 +253,3 @@ class TcpSegment(LineSegment):
     def _tap(self, now_ns: int, sender: str, adu: bytes) -> None:
         for tap in self.taps:
             tap(self.name, now_ns, now_ns, now_ns, sender, adu, False)
-
-    def _settle_all(self) -> None:
-        deadlines = [self._pipe.next_deadline_ns(), self.gateway.next_deadline_ns()]
-        known = [deadline_ns for deadline_ns in deadlines if deadline_ns is not None]
-        self._settle(min(known, default=None))

@@ -56,6 +56,7 @@ class ModbusPty:
         self._line = segment.line
         self._queue = world.queue
         self._silence_ns = max(_SILENCE_NS, self._line.t35_ns)
+        self._sources: Final = (self,)
         self._requests = RtuRequests()
         self._frames: deque[bytes] = deque()
         self._free_ns = 0  # when the last one is out
@@ -91,7 +92,7 @@ class ModbusPty:
 
     def sources(self) -> Sequence[Source]:
         """The one terminal."""
-        return (self,)
+        return self._sources
 
     def readable(self, source: Source) -> None:
         """Somebody has written."""

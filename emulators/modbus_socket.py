@@ -6,7 +6,7 @@ later, and what comes back goes out at once.
 
 import ipaddress
 import socket
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 from typing import Final, final
 
@@ -14,7 +14,7 @@ from emulators.gateway import Source
 from emulators.world import World
 
 CLIENTS_MAX: Final = 256  # select() takes no descriptor above 1023
-_PIECE: Final = 65_536
+_PIECE: Final = 4096
 _UNREAD_MAX: Final = 65_536  # a client that leaves so much unread is not listened to meanwhile
 
 
@@ -26,8 +26,16 @@ class ModbusSocketError(Exception):
 class _Connection:
     """One client."""
 
-    def __init__(self, connection: socket.socket, world: World, line: str, name: str) -> None:
+    def __init__(
+        self,
+        connection: socket.socket,
+        world: World,
+        line: str,
+        name: str,
+        changed: Callable[[], None],
+    ) -> None:
         self.connection = connection
+        self._changed = changed
         self.is_over = False
         self._waiting = bytearray()
         self._ends = False  # once what waits is out
@@ -38,18 +46,30 @@ class _Connection:
             return
         if not data:
             self._ends = True
+        elif not self._waiting:
+            data = data[self._send(data) :]
         self._waiting += data
-        self.flush()
+        if self._waiting or self._ends or self.is_over:
+            self.flush()
+            self._changed()
+
+    def _send(self, data: bytes | bytearray) -> int:
+        """How much of it the client has taken."""
+        try:
+            return self.connection.send(data)
+        except BlockingIOError:
+            return 0
+        except OSError:  # it has gone
+            self.is_over = True
+            return len(data)
 
     def flush(self) -> None:
         """As much as the client takes has been handed over."""
-        try:
-            while self._waiting:
-                del self._waiting[: self.connection.send(self._waiting)]
-        except BlockingIOError:
-            return
-        except OSError:
-            self.is_over = True
+        while self._waiting:
+            taken = self._send(self._waiting)
+            del self._waiting[:taken]
+            if not taken:
+                return
         self.is_over = self.is_over or self._ends
 
     def readable(self) -> None:
@@ -64,6 +84,7 @@ class _Connection:
             self._host.send(data)
         else:
             self.is_over = True
+            self._changed()
 
     def waits(self) -> bool:
         """Whether there are bytes for it to take."""
@@ -103,6 +124,8 @@ class ModbusSocket:
         self._world = world
         self._line = line
         self._connections: dict[socket.socket, _Connection] = {}
+        self._watched: list[Source] = []
+        self._is_settled = False  # nobody came, left, or leaves anything unread
         family, address = _resolved(host, port, any_address)
         self._listener = socket.socket(family, socket.SOCK_STREAM)
         try:
@@ -125,6 +148,14 @@ class ModbusSocket:
 
     def sources(self) -> Sequence[Source]:
         """The listening socket, and those of clients that read what they are told."""
+        if not self._is_settled:
+            self._settle()
+        return self._watched
+
+    def _change(self) -> None:
+        self._is_settled = False
+
+    def _settle(self) -> None:
         watched: list[Source] = [self._listener]
         for connection, client in list(self._connections.items()):
             if client.waits():
@@ -134,7 +165,8 @@ class ModbusSocket:
                 del self._connections[connection]
             elif client.may_send():
                 watched.append(connection)
-        return watched
+        self._watched = watched
+        self._is_settled = not any(client.waits() for client in self._connections.values())
 
     def readable(self, source: Source) -> None:
         """A client has come, spoken or gone."""
@@ -155,11 +187,14 @@ class ModbusSocket:
         with suppress(OSError):  # it may have gone already
             connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
         name = _written(*peer[:2])
-        self._connections[connection] = _Connection(connection, self._world, self._line, name)
+        self._connections[connection] = _Connection(
+            connection, self._world, self._line, name, self._change
+        )
+        self._change()
 
     def backlogged(self) -> bool:
         """Whether a client has bytes to take."""
-        return any(client.waits() for client in self._connections.values())
+        return not self._is_settled
 
     def close(self) -> None:
         """Everybody is disconnected and the address is free again."""

@@ -4,9 +4,10 @@ The only place of this package that reads a clock. The loop waits for the next e
 whichever comes first; what came late is done in the order in which it was due.
 """
 
-import selectors
+import select
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from operator import is_
 from typing import final
 
 from emulators.event_queue import EventQueue
@@ -27,9 +28,11 @@ class WallLoop:
     def __init__(self, queue: EventQueue) -> None:
         self._queue = queue
         self._gateways: list[Gateway] = []
-        # select() answers in ~0.1 ms where epoll has millisecond steps.
-        self._selector = selectors.SelectSelector()
-        self._watched: dict[Source, Gateway] = {}
+        # By descriptor, for select(): it waits for 0.1 ms where epoll has millisecond steps.
+        self._watched: dict[int, tuple[Gateway, Source]] = {}
+        self._woken_by: list[int] = []
+        self._descriptors: list[int] = []  # both together
+        self._last: list[Sequence[Source]] = []  # what each gateway had to watch
         self._start_ns = time.monotonic_ns() - queue.now_ns
         self.late_ns_max = 0
 
@@ -39,11 +42,13 @@ class WallLoop:
 
     def wake_on(self, descriptor: int) -> None:
         """The loop also wakes when this descriptor (a process's pidfd, say) becomes readable."""
-        self._selector.register(descriptor, selectors.EVENT_READ, None)
+        self._woken_by.append(descriptor)
+        self._descriptors.append(descriptor)
 
     def forget(self, descriptor: int) -> None:
         """The loop no longer wakes on this descriptor."""
-        self._selector.unregister(descriptor)
+        self._woken_by.remove(descriptor)
+        self._descriptors.remove(descriptor)
 
     def start(self) -> None:
         """Wall time counts from now."""
@@ -68,27 +73,28 @@ class WallLoop:
             elapsed_ns = time.monotonic_ns() - self._start_ns
             wait_s = min(longest_s, max(0, due_ns - elapsed_ns) / 1e9)
         self._watch()
-        if any(gateway.backlogged() for gateway in self._gateways):
-            wait_s = min(wait_s, _BACKLOGGED_S)
-        for key, _ in self._selector.select(wait_s):
-            gateway: Gateway | None = key.data
-            if gateway is None or isinstance(key.fileobj, int):
-                continue
-            queue.run_until(time.monotonic_ns() - self._start_ns)
-            gateway.readable(key.fileobj)
+        for one in self._gateways:
+            if one.backlogged():
+                wait_s = min(wait_s, _BACKLOGGED_S)
+        for descriptor in select.select(self._descriptors, (), (), wait_s)[0]:
+            heard = self._watched.get(descriptor)
+            if heard is not None:
+                queue.run_until(time.monotonic_ns() - self._start_ns)
+                heard[0].readable(heard[1])
 
     def _watch(self) -> None:
-        wanted = {s: gateway for gateway in self._gateways for s in gateway.sources()}
-        for gone in [s for s in self._watched if s not in wanted]:
-            self._selector.unregister(gone)
-            del self._watched[gone]
-        for new, gateway in wanted.items():
-            if new not in self._watched:
-                self._selector.register(new, selectors.EVENT_READ, gateway)
-                self._watched[new] = gateway
+        now = [gateway.sources() for gateway in self._gateways]
+        if len(now) == len(self._last) and all(map(is_, now, self._last)):
+            return
+        self._last = now
+        self._watched = {
+            source.fileno(): (gateway, source)
+            for gateway, sources in zip(self._gateways, now, strict=True)
+            for source in sources
+        }
+        self._descriptors = [*self._woken_by, *self._watched]
 
     def close(self) -> None:
         """All gateways are closed."""
         for gateway in self._gateways:
             gateway.close()
-        self._selector.close()

@@ -7,7 +7,7 @@ connection as a broken one does: nothing arrives in that direction any more. REP
 faults of TCP and do nothing here.
 """
 
-from collections import deque
+from heapq import heappop, heappush
 from typing import Final, final
 
 from emulators.media.serial_faults import Fate, SerialFaultPlan
@@ -20,13 +20,13 @@ PipeDelivery = tuple[bytes, int, bool]
 class _Direction:
     """One way of one connection."""
 
-    __slots__ = ("free_ns", "is_broken", "name", "waiting")
+    __slots__ = ("free_ns", "is_broken", "is_closed", "name")
 
     def __init__(self, name: str) -> None:
         self.name = name
         self.free_ns = 0
-        self.is_broken = False
-        self.waiting: deque[tuple[int, int, bytes]] = deque()  # (due, turn, bytes)
+        self.is_broken = False  # what is sent from now on is lost
+        self.is_closed = False  # and what is on its way
 
 
 @final
@@ -48,6 +48,7 @@ class BytePipe:
         self._latency_ns: Final = latency_ns
         self._plan: Final = faults
         self._ways: list[tuple[_Direction, _Direction]] = []  # to the server, to the client
+        self._waiting: list[tuple[int, int, bytes, int, bool]] = []  # (due, turn, and a delivery)
         self._turn = 0
 
     def connect(self, client: str, server: str) -> int:
@@ -59,7 +60,7 @@ class BytePipe:
         """What is still on its way is lost."""
         for way in self._ways[connection]:
             way.is_broken = True
-            way.waiting.clear()
+            way.is_closed = True
 
     def submit(self, connection: int, to_server: bool, data: bytes, now_ns: int) -> None:
         """These bytes were sent."""
@@ -75,40 +76,36 @@ class BytePipe:
             return
         at_ns = max(now_ns + self._latency_ns + later_ns, way.free_ns)
         if pause_ns and 0 < pause_after < len(sent):
-            self._put(way, sent[:pause_after], at_ns)
-            self._put(way, sent[pause_after:], at_ns + pause_ns)
+            self._put(sent[:pause_after], at_ns, connection, to_server)
+            at_ns += pause_ns
+            self._put(sent[pause_after:], at_ns, connection, to_server)
         else:
-            self._put(way, sent if len(sent) <= len(data) else data, at_ns)
+            whole = sent if len(sent) <= len(data) else data
+            self._put(whole, at_ns, connection, to_server)
+        way.free_ns = at_ns
         if len(sent) < len(data):
             way.is_broken = True
 
-    def _put(self, way: _Direction, data: bytes, due_ns: int) -> None:
+    def _put(self, data: bytes, due_ns: int, connection: int, to_server: bool) -> None:
         self._turn += 1
-        way.free_ns = due_ns
-        way.waiting.append((due_ns, self._turn, data))
+        heappush(self._waiting, (due_ns, self._turn, data, connection, to_server))
 
     def next_deadline_ns(self) -> int | None:
         """When something arrives [ns]; None: nothing is on its way."""
-        first = self._first()
-        return None if first is None else first[0]
+        waiting = self._waiting
+        while waiting:
+            due_ns, _, _, connection, to_server = waiting[0]
+            if not self._ways[connection][0 if to_server else 1].is_closed:
+                return due_ns
+            heappop(waiting)
+        return None
 
     def expire(self, now_ns: int) -> list[PipeDelivery]:
         """What has arrived by now, in order."""
         out: list[PipeDelivery] = []
-        while True:
-            first = self._first()
-            if first is None or first[0] > now_ns:
-                return out
-            _, _, connection, to_server = first
-            way = self._ways[connection][0 if to_server else 1]
-            out.append((way.waiting.popleft()[2], connection, to_server))
-
-    def _first(self) -> tuple[int, int, int, bool] | None:
-        best: tuple[int, int, int, bool] | None = None
-        for connection, (forth, back) in enumerate(self._ways):
-            for way, to_server in ((forth, True), (back, False)):
-                if way.waiting:
-                    due_ns, turn, _ = way.waiting[0]
-                    if best is None or (due_ns, turn) < best[:2]:
-                        best = (due_ns, turn, connection, to_server)
-        return best
+        waiting = self._waiting
+        while waiting and waiting[0][0] <= now_ns:
+            _, _, data, connection, to_server = heappop(waiting)
+            if not self._ways[connection][0 if to_server else 1].is_closed:
+                out.append((data, connection, to_server))
+        return out

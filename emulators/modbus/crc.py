@@ -3,6 +3,7 @@
 Source: MODBUS over Serial Line, Specification and Implementation Guide V1.02, section 2.5.1.2.
 """
 
+from functools import lru_cache
 from typing import Final
 
 _POLYNOMIAL: Final = 0xA001
@@ -21,6 +22,7 @@ def _table() -> list[int]:
 _TABLE: Final = _table()
 
 
+@lru_cache(maxsize=1024)  # who polls asks the same again and again
 def crc16(data: bytes) -> bytes:
     """The two bytes that go behind these on the line."""
     crc = 0xFFFF
