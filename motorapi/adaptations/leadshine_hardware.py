@@ -14,7 +14,8 @@ from dataclasses import replace
 from math import ceil, floor, pi
 from typing import TYPE_CHECKING, Final, final
 
-from motorapi.adaptations.modbus_line import ByteLine, Exchange
+from motorapi.adaptations.modbus_answers import Exchange
+from motorapi.adaptations.modbus_line import ByteLine
 from motorapi.adaptations.modbus_unit import ModbusUnit, as_i32
 from motorapi.adaptations.polled_motor import Poll, PolledProgress
 from motorapi.adaptations.polled_units import check_register, gear, toward_zero
@@ -220,6 +221,10 @@ class LeadshineHwMotor:
         self.registers.write(_TRIGGER, _HOME)
 
     # --- motion -----------------------------------------------------------------------------------
+
+    def turn(self, model: "MotorModel") -> float:
+        """What one turn of the motor is, in its model's units."""
+        return self._pulses / abs(self._per_unit(model))
 
     def quantised(self, motion: Motion, model: "MotorModel") -> Motion:
         """The motion as the drive will make it."""

@@ -13,12 +13,13 @@ from pymodbus.pdu.register_message import (
     WriteSingleRegisterRequest,
 )
 
+from motorapi.adaptations.modbus_answers import Exchange
 from motorapi.adaptations.modbus_errors import (
     GATEWAY_TARGET_FAILED,
     ModbusExceptionResponse,
     ModbusProtocolViolation,
 )
-from motorapi.adaptations.modbus_line import ByteLine, Exchange, ModbusLine
+from motorapi.adaptations.modbus_line import ByteLine, ModbusLine
 from motorapi.errors import DeadlineExceeded, LinkError, MotorError, UsageError
 from motorapi.lock_names import line_name
 from motorapi.process_lock import ProcessLock, can_share_time
@@ -67,8 +68,12 @@ class ModbusUnit:
     def __init__(
         self, line: ByteLine, unit: int, runtime: "Runtime", hardware: object, timeout_s: float
     ) -> None:
-        if isinstance(unit, bool) or not isinstance(unit, int) or not 1 <= unit <= 255:
-            raise UsageError(f"unit = {unit!r}: must be a server address, 1 to 247")
+        highest = 255 if line.framing == "tcp" else 247
+        if isinstance(unit, bool) or not isinstance(unit, int) or not 1 <= unit <= highest:
+            raise UsageError(f"unit = {unit!r}: must be a server address, 1 to {highest}")
+        own = getattr(line, "wall", getattr(line, "runtime", None))
+        if own is not None and own is not runtime:
+            raise UsageError(f"{line.name} is read by another runtime: hand on the line's own")
         self.unit: Final = unit
         self.runtime: Final = runtime
         self.timeout_s: Final = timeout_s

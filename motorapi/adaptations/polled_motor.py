@@ -12,7 +12,7 @@ from enum import Enum
 from typing import TYPE_CHECKING, Final, Protocol, final
 
 from motorapi.commands import ControlMode, ControlVariable, Motion
-from motorapi.errors import DeviceFault, LinkError, UnsupportedError
+from motorapi.errors import DeviceFault, LinkError, MotionInterrupted, UnsupportedError
 from motorapi.motor import Motor
 from motorapi.state import Fault, Measurement, MotorState
 from motorapi.synchronization import MotionTimes, SyncLevel, SyncOffer, Trigger
@@ -23,6 +23,10 @@ if TYPE_CHECKING:
     from motorapi.sharing import PhysicalMotor
 
 POLL_S: Final = 0.01
+_BEGIN_NS: Final = 100_000_000
+"""A drive may show what was before for so long."""
+_RESTS: Final = 2  # what one poll says is not of one instant
+_NEAR_TURNS: Final = 1 / 200  # a full step: no drive rounds a target by more
 _SUPPORTED: Final = (ControlVariable.POSITION, ControlVariable.VELOCITY)
 
 
@@ -62,15 +66,22 @@ class PolledProgress:
     """What is known of a physical motor, for all logical motors on it.
 
     Attributes: poll (the last one since something was commanded), wanted (None: nothing goes on),
-    armed (what a trigger makes wanted), started_ns, ended_ns (of what was commanded last).
+    armed (what a trigger makes wanted), started_ns, ended_ns (of what was commanded last), armed_at
+    and target (what is armed, or goes on, is to end there, or with that velocity; None: anywhere),
+    rests (polls, one after another, that showed no motion).
     """
 
-    __slots__ = ("armed", "ended_ns", "poll", "started_ns", "wanted")
+    __slots__ = (
+        *("armed", "armed_at", "ended_ns", "poll", "rests", "started_ns", "target", "wanted"),
+    )
 
     def __init__(self) -> None:
         self.poll: Poll | None = None
         self.wanted: Wanted | None = None
         self.armed = Wanted.ARRIVAL
+        self.armed_at: float | None = None
+        self.target: float | None = None
+        self.rests = 0
         self.started_ns: int | None = None
         self.ended_ns: int | None = None
 
@@ -122,6 +133,9 @@ class PolledHardware(Protocol):
 
     def quantised(self, motion: Motion, model: "MotorModel") -> Motion:
         """The motion as the drive will make it; `connect` was called before."""
+
+    def turn(self, model: "MotorModel") -> float:
+        """What one turn of the motor is, in its model's units; likewise."""
 
     def prepare(self, motion: Motion, model: "MotorModel") -> None:
         """All but the trigger is in the drive."""
@@ -211,6 +225,8 @@ class PolledMotor(Motor):
         poll = self._polled.poll(self.model)
         state = self._polled.progress
         state.poll = poll
+        rests = poll.has_arrived or poll.state is MotorState.DISABLED
+        state.rests = state.rests + 1 if rests else 0
         news = self._physical.news
         if news is not None:
             news.grow()
@@ -285,17 +301,20 @@ class PolledMotor(Motor):
         self._polled.prepare(motion, self.model)
         moves = motion.variable is ControlVariable.POSITION
         self._polled.progress.armed = Wanted.ARRIVAL if moves else Wanted.VELOCITY
+        self._polled.progress.armed_at = motion.target
         return _PolledTrigger(self)
 
     @final
     def fire(self) -> None:
         """What was armed begins; for its trigger."""
         self._polled.trigger()
-        self._begun(self._polled.progress.armed)
+        self._begun(self._polled.progress.armed, self._polled.progress.armed_at)
 
-    def _begun(self, wanted: Wanted) -> None:
+    def _begun(self, wanted: Wanted, target: float | None = None) -> None:
         state = self._polled.progress
         state.wanted = wanted
+        state.target = target
+        state.rests = 0
         state.started_ns = self.runtime.now_ns()
         state.ended_ns = None
         state.poll = None
@@ -318,15 +337,40 @@ class PolledMotor(Motor):
             raise DeviceFault(
                 motor=self.name, code=fault.code, text=fault.text, since_ns=fault.since_ns
             )
+        self._refuse_interrupted(poll)
         done = {
             None: True,
-            Wanted.ARRIVAL: poll.has_arrived,
-            Wanted.VELOCITY: poll.at_velocity,
+            Wanted.ARRIVAL: poll.has_arrived and not self._is_short(poll),
+            Wanted.VELOCITY: poll.at_velocity and not self._is_short(poll),
             Wanted.REST: not poll.is_moving,
         }[state.wanted]
         if done and state.ended_ns is None:
             state.ended_ns = poll.time_ns
         return done
+
+    def _is_short(self, poll: Poll) -> bool:
+        """Whether the drive rests, but not where, or how, it was told to."""
+        state = self._polled.progress
+        if not poll.has_arrived or state.target is None:
+            return False
+        if state.wanted is Wanted.VELOCITY:
+            return state.target != 0.0
+        return abs(poll.demand - state.target) > _NEAR_TURNS * self._polled.turn(self.model)
+
+    def _refuse_interrupted(self, poll: Poll) -> None:
+        """Raises MotionInterrupted if what goes on was ended by the drive, or somebody else."""
+        state = self._polled.progress
+        began_ns = poll.time_ns if state.started_ns is None else state.started_ns
+        moves = state.wanted in (Wanted.ARRIVAL, Wanted.VELOCITY)
+        if not moves or poll.time_ns - began_ns < _BEGIN_NS or state.rests < _RESTS:
+            return
+        if poll.state is MotorState.DISABLED:
+            by = "somebody else, or the drive, which is disabled now"
+        elif self._is_short(poll):
+            by = f"somebody else, or an input of the drive: it rests at {poll.demand:g}"
+        else:
+            return
+        raise MotionInterrupted(motor=self.name, by=by, at_ns=poll.time_ns)
 
     def _stop(self) -> None:
         self._begun(Wanted.REST)
