@@ -89,3 +89,9 @@ class EmulatedLine:
             self.is_closed = True
         for listener in tuple(self._listeners):
             listener(data, now_ns)
+
+
+if TYPE_CHECKING:  # it is one, or mypy says why not
+    from motorapi.adaptations.modbus_line import ByteLine
+
+    _EMULATED: type[ByteLine] = EmulatedLine

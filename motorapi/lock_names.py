@@ -52,7 +52,7 @@ def bus_name(bus: "can.BusABC") -> str | None:
 
 
 def socketcan_name(interface: str) -> str:
-    """The name of the bus of a SocketCAN interface."""
+    """The name of the bus of a SocketCAN interface. Raises UsageError if there is none."""
     try:
         index = socket.if_nametoindex(interface)
     except OSError as error:
@@ -77,7 +77,11 @@ def line_name(line: object) -> str | None:
 
 
 def serial_name(path: str) -> str:
-    """The name of the serial line of the character device at `path`."""
+    """The name of the serial line of the character device at `path`.
+
+    Raises:
+        UsageError: there is nothing at `path`, or no character device.
+    """
     found = _stat(path)
     if not stat.S_ISCHR(found.st_mode):
         raise UsageError(f"{path}: this is no serial line, but {_kind(found.st_mode)}")

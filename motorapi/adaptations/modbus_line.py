@@ -40,15 +40,23 @@ _URGENT_NS: Final = 100_000_000  # for silence, of what is posted
 
 
 class ByteLine(Protocol):
-    """A serial line, or a connection, as bytes.
+    """A serial line, or a connection, as bytes."""
 
-    Attributes: name; framing ("rtu" or "tcp"); silence_ns (t3.5; 0 on TCP); is_closed.
-    """
+    @property
+    def name(self) -> str:
+        """What messages call it."""
 
-    name: str
-    framing: str
-    silence_ns: int
-    is_closed: bool
+    @property
+    def framing(self) -> str:
+        """What requests are framed as: "rtu" or "tcp"."""
+
+    @property
+    def silence_ns(self) -> int:
+        """t3.5 [ns]; 0 on TCP."""
+
+    @property
+    def is_closed(self) -> bool:
+        """Whether either end has closed it."""
 
     def duration_ns(self, characters: int) -> int:
         """How long so many characters are on the line [ns]; 0 on TCP."""
@@ -342,3 +350,9 @@ class UnitClient(ModbusClientMixin[ModbusPDU]):
     def execute(self, no_response_expected: bool, request: ModbusPDU) -> ModbusPDU:
         """The answer. Raises as `ModbusLine.ask`."""
         return self.line.ask(request, self.unit, self.timeout_s)
+
+
+if TYPE_CHECKING:  # these are lines, or mypy says why not
+    from motorapi.byte_lines import SerialLine, TcpLine
+
+    _ON_THE_WALL: tuple[type[ByteLine], ...] = (SerialLine, TcpLine)
