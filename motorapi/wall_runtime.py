@@ -19,6 +19,7 @@ from typing import TYPE_CHECKING, Final, ParamSpec, final
 
 from motorapi.bus_sources import FrameSource, source_of
 from motorapi.errors import DeadlineExceeded, LinkError, UsageError
+from motorapi.forks import refuse_fork
 from motorapi.runtime import FrameListener
 from motorapi.wall_timers import Timer, Timers
 
@@ -110,6 +111,7 @@ class WallRuntime:
         self._timers = Timers(self.now_ns, self._run_timer)
         self._waiting = 0
         self._closed = False
+        self.is_the_parents = False  # of the process that this one was forked from
 
     # --- Runtime ---------------------------------------------------------------------------
 
@@ -127,6 +129,7 @@ class WallRuntime:
         """
         if timeout_s is not None and not timeout_s >= 0.0:
             raise UsageError(f"timeout_s = {timeout_s}: must be a number of seconds >= 0")
+        refuse_fork(self.is_the_parents)
         self._refuse_in_callback()
         deadline_ns: int | None = None
         if timeout_s is not None:
@@ -202,6 +205,7 @@ class WallRuntime:
         Raises:
             LinkError: the bus does not take it.
         """
+        refuse_fork(self.is_the_parents)
         link = self._link_of(bus)
         if link is None:
             source_of(bus).send(frame)
@@ -387,5 +391,10 @@ def close_process_runtime() -> None:
         runtime.close()
 
 
+def _in_child() -> None:
+    while _process:
+        _process.pop().is_the_parents = True  # its threads live there
+
+
 atexit.register(close_process_runtime)
-os.register_at_fork(after_in_child=_process.clear)  # its threads live in the parent only
+os.register_at_fork(after_in_child=_in_child)

@@ -1,11 +1,13 @@
 """How the wall clock's runtime ends: its parties, their errors, and what comes in meanwhile."""
 
+import os
 import struct
 import threading
 
 import pytest
 
 from motorapi import DeadlineExceeded, UsageError, WallRuntime
+from motorapi.wall_runtime import process_runtime
 
 pytestmark = pytest.mark.wall
 
@@ -95,3 +97,27 @@ def test_a_party_that_never_ends_is_named(monkeypatch):
         runtime.close()
     go_on.set()
     runtime.close()
+
+
+def test_a_forked_child_is_refused_what_its_parent_made():
+    parents = process_runtime()
+    ours, theirs = os.pipe()
+    child = os.fork()
+    if child == 0:
+        told = []
+        for use in (lambda: parents.wait_until(lambda: True), lambda: parents.send(None, b"")):
+            try:
+                use()
+            except UsageError as error:
+                told.append(str(error))
+        told.append(str(process_runtime().wait_until(lambda: True)))
+        os.write(theirs, "|".join(told).encode())
+        os._exit(0)
+    os.waitpid(child, 0)
+    *refused, own = os.read(ours, 10_000).decode().split("|")
+    os.close(ours)
+    os.close(theirs)
+    assert len(refused) == 2
+    assert all("was forked from" in told and "'spawn'" in told for told in refused)
+    assert own == "True"
+    assert parents.wait_until(lambda: True)
