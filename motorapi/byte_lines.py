@@ -12,6 +12,7 @@ Source: of the silences MODBUS over Serial Line V1.02, section 2.5.1.1.
 
 import select
 import socket
+import struct
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Any, Final, final
 
@@ -28,6 +29,9 @@ _FAST_BIT_S: Final = 19_200
 _T35_NS: Final = 1_750_000
 _NS: Final = 1_000_000_000
 _READ_MAX: Final = 4096
+_SEND_S: Final = 1
+"""Nobody waits longer for an end that takes nothing: all that share the runtime would wait."""
+_SEND_TIMEOUT: Final = struct.pack("@ll", _SEND_S, 0)  # struct timeval
 
 
 @final
@@ -68,6 +72,7 @@ class TcpLine:
             raise LinkError(link=self.name, reason=reason) from error
         self._socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
         self._socket.setblocking(True)
+        self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_SNDTIMEO, _SEND_TIMEOUT)
 
     @property
     def wall(self) -> WallRuntime:
@@ -218,7 +223,13 @@ def _opened(path: str, baud_bit_s: int, parity: str, stop_bits: int) -> object:
         ) from None
     try:
         return serial.Serial(
-            path, baud_bit_s, parity=parity, stopbits=stop_bits, timeout=0, exclusive=False
+            path,
+            baud_bit_s,
+            parity=parity,
+            stopbits=stop_bits,
+            timeout=0,
+            write_timeout=_SEND_S,
+            exclusive=False,
         )
     except (serial.SerialException, OSError, ValueError) as error:
         raise LinkError(link=path, reason=f"cannot be opened ({error})") from error
