@@ -5,7 +5,7 @@ Three figures, each resting on the one before it:
 - *command skew*: between the instants at which the first and the last drive latch their commands.
   One signal for all: 0. Several triggers, fired one after another: what the later ones take on the
   bus, at most (`motorapi.bus_timing.longest_s`), from when the first drive has latched.
-- *motion skew*: and between the latch and the start of motion each drive waits for its own profile
+- *start skew*: and between the latch and the start of motion each drive waits for its own profile
   tick, at most one.
 - *end skew*: and each motion takes a little longer or shorter than the others: rounded to the
   hardware's units, and timed by a clock that is off by some ppm; and it ends at a profile tick.

@@ -55,7 +55,6 @@ _CONFIRM_TIMEOUT_S: Final = 0.5
 _RESEND_S: Final = 0.1
 _STOPPING_PERIODS: Final = 4
 POLL_S: Final = 0.01
-_LATCHED: Final = {ControlVariable.POSITION: 0x607A, ControlVariable.VELOCITY: 0x60FF}
 _LIVE: Final = {ControlVariable.VELOCITY: 0x60FF, ControlVariable.TORQUE: 0x6071}
 
 

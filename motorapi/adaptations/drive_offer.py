@@ -3,6 +3,7 @@
 from typing import TYPE_CHECKING, Final
 
 from motorapi.adaptations.bus_traffic import FULL, SYNC, period_on_wire_s, sync_period, traffic_on
+from motorapi.adaptations.canopen_link import HEARTBEAT_ID
 from motorapi.bus_timing import Firing, OneFrame
 from motorapi.commands import ControlVariable
 from motorapi.synchronization import SyncLevel, SyncOffer
@@ -95,7 +96,7 @@ def _alone(
     """By its own frames: the controlword, or a target that counts as it is written."""
     link, node_id = hardware.link, hardware.node_id
     traffic, unbounded = traffic_on(link, sync_period(link)[0])
-    mates = [0x700 + node_id]
+    mates = [HEARTBEAT_ID + node_id]
     if facts.status is not None:
         mates.append(facts.status.cob_id & 0x7FF)
     exchange = (

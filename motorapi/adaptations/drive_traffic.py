@@ -3,13 +3,13 @@
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Final
 
+from motorapi.adaptations.canopen_link import HEARTBEAT_ID
 from motorapi.adaptations.pdo_setup import PdoFound
 from motorapi.traffic import NodeTraffic, PeriodicMessage
 
 if TYPE_CHECKING:
     from motorapi.adaptations.drive_setup import DriveFacts, HwOptions
 
-_HEARTBEAT_ID: Final = 0x700
 _UNKNOWN_CLOCK_PPM: Final = 1000.0
 _SYNCHRONOUS_MAX: Final = 240
 
@@ -37,8 +37,8 @@ def drive_traffic(
     ours: tuple[PeriodicMessage, ...] = ()
     if options.heartbeat_ms:
         period_s = options.heartbeat_ms / 1e3
-        sent.append(PeriodicMessage(_HEARTBEAT_ID + node_id, 1, period_s * shorter))
-        ours = (PeriodicMessage(_HEARTBEAT_ID + options.host_node_id, 1, period_s),)
+        sent.append(PeriodicMessage(HEARTBEAT_ID + node_id, 1, period_s * shorter))
+        ours = (PeriodicMessage(HEARTBEAT_ID + options.host_node_id, 1, period_s),)
     return NodeTraffic(
         sent=tuple(sent),
         ours=ours,

@@ -2,13 +2,13 @@
 
 from typing import TYPE_CHECKING, Final
 
+from motorapi.adaptations.canopen_link import HEARTBEAT_ID
 from motorapi.traffic import NodeTraffic, PeriodicMessage
 
 if TYPE_CHECKING:
     from motorapi.adaptations.pdo_setup import PdoFound
     from motorapi.adaptations.software_options import IoFacts, IoOptions
 
-_HEARTBEAT_ID: Final = 0x700
 _SHORTER: Final = 0.999  # what the node times, its clock may make so much too short
 _OUTPUT_BYTES: Final = 4
 _COUNT_BYTES: Final = 8
@@ -28,8 +28,8 @@ def node_traffic(
         unknown = f"TPDO {can_id:03X}h of node {node_id} has no inhibit time"
     if options.heartbeat_ms:
         period_s = options.heartbeat_ms / 1e3
-        sent.append(PeriodicMessage(_HEARTBEAT_ID + node_id, 1, period_s * _SHORTER))
-        ours = (PeriodicMessage(_HEARTBEAT_ID + options.host_node_id, 1, period_s),)
+        sent.append(PeriodicMessage(HEARTBEAT_ID + node_id, 1, period_s * _SHORTER))
+        ours = (PeriodicMessage(HEARTBEAT_ID + options.host_node_id, 1, period_s),)
     return NodeTraffic(
         sent=tuple(sent),
         ours=ours,
