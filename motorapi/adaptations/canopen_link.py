@@ -60,10 +60,28 @@ class Transmission:
 class _HostHeartbeat:
     """The heartbeat of one host node-ID, as long as somebody needs it."""
 
-    def __init__(self, period_ms: int, registration: Registration) -> None:
+    def __init__(self, link: "CanopenLink", host_node_id: int, period_ms: int) -> None:
         self.period_ms = period_ms
-        self.registration = registration
         self.users = 1
+        self._link = link
+        self._frame = can_frame(HEARTBEAT_ID + host_node_id, bytes((OPERATIONAL,)))
+        self._fails = False
+        self.registration: Final = link.runtime.every(period_ms / 1e3, self._again)
+
+    def send(self) -> None:
+        """It is heard once."""
+        self._link.send(self._frame)
+
+    def _again(self) -> None:
+        """That a bus takes no more is told once, not with every period for ever."""
+        try:
+            self.send()
+        except LinkError:
+            if self._fails:
+                return
+            self._fails = True
+            raise
+        self._fails = False
 
 
 @final
@@ -312,10 +330,8 @@ class CanopenLink:
                 )
             known.users += 1
             return
-        frame = can_frame(HEARTBEAT_ID + host_node_id, bytes((OPERATIONAL,)))
-        registration = self.runtime.every(period_ms / 1e3, lambda: self.send(frame))
-        self._heartbeats[host_node_id] = _HostHeartbeat(period_ms, registration)
-        self.send(frame)
+        heartbeat = self._heartbeats[host_node_id] = _HostHeartbeat(self, host_node_id, period_ms)
+        heartbeat.send()
 
     def is_host(self, node_id: int) -> bool:
         """Whether the host itself is heard under this node-ID."""

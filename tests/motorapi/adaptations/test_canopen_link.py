@@ -97,6 +97,27 @@ def test_the_host_heartbeat_is_heard_at_once_and_then_every_period():
     assert len(bus.sent) == 4
 
 
+def test_a_heartbeat_that_the_bus_does_not_take_is_told_once_until_it_does_again(monkeypatch):
+    bus = ScriptedBus()
+    link = link_on(bus)
+    link.produce_heartbeat(127, 100)
+    tried = []
+
+    def refuse(frame, fence=None):
+        tried.append(frame)
+        raise LinkError(link="can0", reason="cannot send")
+
+    for _ in range(2):
+        monkeypatch.setattr(link, "send", refuse)
+        with pytest.raises(LinkError, match="cannot send"):
+            bus.runtime.run_for(0.15)
+        tried.clear()
+        bus.runtime.run_for(1.0)  # it goes on trying, and nobody hears of it
+        assert len(tried) == 10
+        monkeypatch.undo()
+        bus.runtime.run_for(0.2)
+
+
 def test_one_host_has_one_heartbeat_period():
     link = link_on(ScriptedBus())
     link.produce_heartbeat(127, 100)
