@@ -11,7 +11,7 @@ from io import TextIOBase
 from pathlib import Path
 from typing import Final, final
 
-from traces import candump
+from traces import asc, candump, sd_rows, trc
 from traces.errors import TraceError
 from traces.reader import read_trace
 from traces.records import MAGIC
@@ -101,7 +101,20 @@ def _write_candump(file: TextIOBase, survey: Survey, frames: Iterator[Frame]) ->
     file.writelines(candump.log_row(frame, places) for frame in frames)
 
 
-WRITABLE: Final = (Format("candump", ".log", _ALL & ~Feature.SENDER, _write_candump),)
+def _write_trc(file: TextIOBase, survey: Survey, frames: Iterator[Frame]) -> None:
+    trc.write_trc(file, survey.buses, survey.lowest_ns, frames)
+
+
+def _write_asc(file: TextIOBase, survey: Survey, frames: Iterator[Frame]) -> None:
+    asc.write_asc(file, survey.buses, survey.lowest_ns, survey.places, frames)
+
+
+_NUMBERED: Final = Feature.BUS_NAMES | Feature.UNDIRECTED | Feature.SENDER | Feature.ERROR_FRAMES
+WRITABLE: Final = (
+    Format("candump", ".log", _ALL & ~Feature.SENDER, _write_candump),
+    Format("trc", ".trc", _ALL & ~_NUMBERED & ~Feature.NANOSECONDS, _write_trc),
+    Format("asc", ".asc", _ALL & ~_NUMBERED, _write_asc),
+)
 
 
 @final
@@ -134,8 +147,14 @@ class Source:
 
 _LINE_READERS: Final[dict[str, Callable[[], LineReader]]] = {
     "candump": candump.CandumpReader,
+    "trc": trc.TrcReader,
+    "asc": asc.AscReader,
+    "sd-rows": sd_rows.SdRowReader,
 }
 _LOOKS: Final[tuple[tuple[str, Callable[[str], bool]], ...]] = (
+    ("trc", trc.looks_like_trc),
+    ("asc", asc.looks_like_asc),
+    ("sd-rows", sd_rows.looks_like_sd_rows),
     ("candump", candump.looks_like_log),
     ("candump", candump.looks_plain),
 )

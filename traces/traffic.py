@@ -21,6 +21,7 @@ SFF_MASK: Final = 0x7FF
 BRS: Final = 1
 ESI: Final = 2
 FDF: Final = 4
+FD_LENGTHS: Final = (*range(9), 12, 16, 20, 24, 32, 48, 64)  # by DLC
 TIME_MAX: Final = (1 << 64) - 1  # an MCAP log time has 64 bits
 _CLASSIC: Final = struct.Struct("<IB3x8s")
 _FD: Final = struct.Struct("<IBB2x64s")

@@ -21,6 +21,13 @@ FILES = {
     "moteus_dynamometer_canfd_candump.txt": ("candump", 1251, 0, 0),
     "savvycan_example_candump.log": ("candump", 12974, 0, 0),
     "canopenlens_sample_amr_2wheel.log": ("candump", 14714, 0, 0),
+    "canopen_machine_pcan1.trc": ("trc", 11283, 0, 0),
+    "canopen_machine_pcanrouter_pcan3.trc": ("trc", 45422, 3, 0),  # DLC 10, 14 bytes
+    "technosoft_ipos_segmented_sdo_and_pdo_mapping.pcan.txt": ("trc", 72, 0, 1),
+    "rdm_inverter_bench_PV1.7.asc": ("asc", 20552, 0, 1788),
+    "rdm_inverter_bench_PV1.4.asc": ("asc", 31625, 0, 3496),
+    "uw_formula_cm_inverter_endurance_LOGS11.TXT": ("sd-rows", 56983, 0, 0),
+    "uw_formula_cm_inverter_fault_on_stands_LOGS5.TXT": ("sd-rows", 63295, 0, 0),
 }
 REFUSED = ("tmotor_ak80_current_chirp.csv", "vfd_omron_cimr_v7az_modbus.ini")
 

@@ -1,0 +1,112 @@
+"""ASC rows, classic and CAN FD. Forms: Vector's format description; python-can; real files."""
+
+import can
+import pytest
+
+from traces import traffic
+from traces.asc import AscReader
+from traces.schema import Direction
+from traces.traffic import Findings, classic, flexible, read_lines, remote
+
+R, T, U = Direction.RECEIVED, Direction.TRANSMITTED, Direction.UNKNOWN
+EXT = 0x18EBFF00 | traffic.EFF
+
+
+def read(*lines):
+    findings = Findings()
+    frames = list(findings.watched(read_lines(lines, AscReader(), findings)))
+    return frames, findings
+
+
+@pytest.mark.parametrize(
+    ("row", "bus", "frame", "way"),
+    [
+        ("0.5 1  C8  Tx   d 2 09 08", "can0", classic(0xC8, b"\x09\x08"), T),
+        ("0.5 2  18EBFF00x       Rx   d 1 01  Length = 273910 BitCount = 141 ID = 418119424x",
+         "can1", classic(EXT, b"\1"), R),
+        ("0.5 1  64              Rx   r", "can0", remote(0x64, 0), R),
+        ("0.5 1  64              Rx   r 8 Length = 0 BitCount = 64 ID = 100x", "can0",
+         remote(0x64, 8), R),
+        ("0.5 1  ErrorFrame", "can0", classic(traffic.ERR | 0x80, bytes(8)), U),
+        ("0.5 CANFD   1 Rx   4EE   Name_1  1 0 f 64 " + "a1 " * 64 + "0 0 303000 0 0", "can0",
+         flexible(0x4EE, 1, b"\xa1" * 64), R),
+        ("0.5 CANFD   1 Tx 18EBFF00x  0 1 2  2 01 02  130 4 1000 0 0", "can0",
+         flexible(EXT, 2, b"\1\2"), T),
+        ("0.5 CANFD   1 Tx 4EE  0 0 2  2 01 02  130 4 0 0 0", "can0", classic(0x4EE, b"\1\2"), T),
+    ],
+)  # fmt: skip
+def test_a_row_is_read(row, bus, frame, way):
+    frames, findings = read("base hex  timestamps absolute", row)
+    assert findings.problems == []
+    assert [tuple(found)[:4] for found in frames] == [(500_000_000, bus, frame, way)]
+
+
+def test_decimal_identifiers_and_data():
+    frames, _ = read("base dec  timestamps absolute", "0.5 1  200  Rx   d 2 10 255")
+    assert frames[0].frame == classic(200, b"\x0a\xff")
+
+
+def test_relative_times_count_from_the_row_before():
+    frames, _ = read("base hex timestamps relative", *["0.250001 1 64 Rx d 0"] * 3)
+    assert [frame.time_ns for frame in frames] == [250_001_000, 500_002_000, 750_003_000]
+
+
+@pytest.mark.parametrize(
+    ("date", "start_s"),
+    [
+        ("date Sat Sep 09 02:13:00 AM 2018", 1536459180),
+        ("date Sat Sep 30 15:06:13.191 2017", 1506783973.191),
+        ("date Sam Mai 6 10:06:13.191 pm 2017", 1494108373.191),
+        ("date 9.9.2018", 0),
+    ],
+)
+def test_the_date_is_the_beginning(date, start_s):
+    frames, findings = read(date, "0.0 1 64 Rx d 0")
+    assert frames[0].time_ns == round(start_s * 1000) * 1_000_000
+    assert bool(findings.notes) is (start_s == 0)
+
+
+@pytest.mark.parametrize(
+    ("row", "why"),
+    [
+        ("0.5 1  C8  Tx   d 3 09 08", "2 of 3 bytes"),
+        ("0.5 1  C8  Tx   d", "ends in the middle"),
+        ("0.5 1  C8", "ends in the middle"),
+        ("0.5", "ends in the middle"),
+        ("0.5 1  C8  Tx   d 2 09 GG", "no bytes"),
+        ("0.5 1  FFF  Tx   d 0", "too large"),
+        ("0.5 1  xyz  Tx   d 0", "no identifier"),
+        ("0.5 CANFD 1 Rx 4EE 1 0 f 64 a1", "1 of 64 bytes"),
+        ("0.5 CANFD 1 Rx", "ends in the middle"),
+        ("0.5 J1939TP FEE3p 6 0 0 - Rx d 23", "another event"),
+        ("nonsense", "no row"),
+    ],
+)
+def test_what_cannot_be_read_is_told_with_its_line(row, why):
+    frames, findings = read("base hex timestamps absolute", row)
+    assert frames == []
+    ((line, text),) = findings.problems
+    assert line == 2
+    assert why in text
+
+
+def test_what_another_writer_wrote_is_read(tmp_path):
+    told = [
+        can.Message(1.5, 0x123, False, data=b"\1\2", channel=0),
+        can.Message(1.75, 0x1ABCDEF, True, data=bytes(8), channel=1, is_rx=False),
+        can.Message(2.0, 0x7, False, is_remote_frame=True, dlc=3, channel=0),
+        can.Message(2.5, 0x8, False, is_fd=True, bitrate_switch=True, data=bytes(12), channel=0),
+    ]
+    with can.ASCWriter(tmp_path / "a.asc") as writer:
+        for message in told:
+            writer(message)
+    frames, findings = read(*(tmp_path / "a.asc").read_text().splitlines())
+    assert findings.problems == []
+    first_ns = frames[0].time_ns
+    found = [(f.time_ns - first_ns, f.bus, f.frame, f.direction) for f in frames]
+    assert found == [
+        (0, "can0", classic(0x123, b"\1\2"), R),
+        (250_000_000, "can1", classic(0x1ABCDEF | traffic.EFF, bytes(8)), T),
+        (500_000_000, "can0", remote(0x7, 3), R),
+        (1_000_000_000, "can0", flexible(0x8, 1, bytes(12)), R),
+    ]

@@ -1,0 +1,95 @@
+"""TRC rows of all versions. Forms: PEAK CAN TRC File Format 2.1.1; real files."""
+
+import pytest
+
+from traces import traffic
+from traces.schema import Direction
+from traces.traffic import Findings, classic, flexible, read_lines, remote
+from traces.trc import TrcReader
+
+R, T, U = Direction.RECEIVED, Direction.TRANSMITTED, Direction.UNKNOWN
+EXT = 0x18FFEF00 | traffic.EFF
+HEAD_2 = (";$FILEVERSION=2.1", ";$STARTTIME=25570.5", ";$COLUMNS=N,O,T,B,I,d,R,L,D")
+DAY_AND_HALF_NS = 129_600 * 10**9
+
+
+def read(*lines):
+    findings = Findings()
+    frames = list(findings.watched(read_lines(lines, TrcReader(), findings)))
+    return frames, findings
+
+
+@pytest.mark.parametrize(
+    ("row", "time_ns", "bus", "frame", "way"),
+    [
+        ("     1)      1841 0001 8 00 11 22 33 44 55 66 77", 1841000000, "can0",
+         classic(1, bytes.fromhex("0011223344556677")), U),
+        ("     1)    1059.9  Rx         0300  2  1A 2B ", 1059900000, "can0",
+         classic(0x300, b"\x1a\x2b"), R),
+        ("     1)    1059.9  Tx     18FFEF00  0", 1059900000, "can0", classic(EXT, b""), T),
+        ("     1)    1059.9  Rx         0300  4  RTR", 1059900000, "can0", remote(0x300, 4), R),
+        ("     1)   1059.900 1  Rx        0300  1  FF", 1059900000, "can0",
+         classic(0x300, b"\xff"), R),
+        ("     1)   1059.900 2  Rx        0300 -  1    FF", 1059900000, "can1",
+         classic(0x300, b"\xff"), R),
+        ("   Line 12:  1)   1059.900   Rx     0300  1  FF", 1059900000, "can0",
+         classic(0x300, b"\xff"), R),
+    ],
+)  # fmt: skip
+def test_a_row_of_1_x(row, time_ns, bus, frame, way):
+    frames, findings = read(row)
+    assert findings.problems == []
+    assert [tuple(found)[:4] for found in frames] == [(time_ns, bus, frame, way)]
+
+
+@pytest.mark.parametrize(
+    ("row", "bus", "frame", "way"),
+    [
+        ("1 1059.900 DT 1 0300 Rx - 2 00 01", "can0", classic(0x300, b"\0\1"), R),
+        ("1 1059.900 RR 2 18FFEF00 Tx - 3", "can1", remote(EXT, 3), T),
+        ("1 1059.900 FB 1 0300 Rx - 9 " + "11 " * 12, "can0", flexible(0x300, 1, b"\x11" * 12), R),
+        ("1 1059.900 FE 1 0300 Rx - 0", "can0", flexible(0x300, 3, b""), R),
+        ("1 1059.900 BI 1 0300 Rx - 1 55", "can0", flexible(0x300, 2, b"\x55"), R),
+        ("1 1059.900 FD 1 0300 Rx - 1 55", "can0", flexible(0x300, 0, b"\x55"), R),
+    ],
+)
+def test_a_row_of_2_x(row, bus, frame, way):
+    frames, findings = read(*HEAD_2, row)
+    assert findings.problems == []
+    time_ns = DAY_AND_HALF_NS + 1_059_900_000
+    assert [tuple(found)[:4] for found in frames] == [(time_ns, bus, frame, way)]
+
+
+def test_a_start_is_rounded_to_what_its_digits_are_worth():
+    frames, _ = read(";$STARTTIME=45364.369224537", "  1)  0.0  Rx  0001  0")
+    assert frames[0].time_ns == 1710319901 * 10**9  # 13.03.2024 08:51:41, as that file says
+
+
+@pytest.mark.parametrize(
+    ("lines", "why"),
+    [
+        (("   3)  5.0  Warng  FFFFFFFF  4  00 00 00 08  BUSHEAVY",), "state of the interface"),
+        (("   3)  5.0  Rx  0300  3  01 02",), "2 of 3 bytes"),
+        (("   3)  5.0  Rx  0300  3  01 02 0",), "no bytes"),
+        (("   3)  5.0  Rx",), "no frame"),
+        (("   3)  -5.0  Rx  0300  0",), "no time stamp"),
+        ((*HEAD_2, "1 1059.900 ST 1 - Rx - 4 00 00 00 00"), "state of the interface"),
+        ((*HEAD_2, "1 1059.900 ER 1 - Rx - 5 04 00 02 00 00"), "error frame"),
+        ((*HEAD_2, "1 1059.900 DT 1"), "ends in the middle"),
+        ((*HEAD_2, "1 1059.900 DT 1 0300 Rx - 8 00 01"), "2 of 8 bytes"),
+        ((*HEAD_2, "1 x DT 1 0300 Rx - 0"), "no time stamp"),
+        ((";$COLUMNS=N,O",), "columns without"),
+    ],
+)
+def test_what_cannot_be_read_is_told_with_its_line(lines, why):
+    frames, findings = read(*lines)
+    assert frames == []
+    ((line, text),) = findings.problems
+    assert line == len(lines)
+    assert why in text
+
+
+def test_what_stands_behind_8_bytes_is_told_and_the_frame_is_kept():
+    frames, findings = read(*HEAD_2, "1 0.0 DT 1 0000 Rx - 10 " + "00 " * 8 + "77 E4")
+    assert frames[0].frame == classic(0, bytes(8))
+    assert findings.problems == [(4, "behind 8 bytes of data there are '77 E4'")]

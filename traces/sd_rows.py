@@ -1,0 +1,46 @@
+"""Reads rows of car loggers as they stand on SD cards: milliseconds, "x", identifier, data.
+
+    000000ADx089A0C020000000000000000
+
+All is hexadecimal; of the identifier 11 or 29 bits are told by its value alone.
+
+Source: recordings of UW Formula Motorsports (../shared/data/traffic/INDEX.md).
+"""
+
+import re
+from collections.abc import Sequence
+from typing import Final, final
+
+from traces import traffic
+from traces.traffic import Findings, Frame
+
+_ROW: Final = re.compile(r"([0-9A-Fa-f]{8})x([0-9A-Fa-f]{8})((?:[0-9A-Fa-f]{2}){0,8})$")
+
+
+def looks_like_sd_rows(line: str) -> bool:
+    """Whether it is such a row."""
+    return _ROW.match(line.strip()) is not None
+
+
+@final
+class SdRowReader:
+    """Rows of such a card."""
+
+    name = "sd-rows"
+
+    def take(self, line: str, findings: Findings) -> Sequence[Frame]:
+        """The frame of a line. Raises ValueError: why it cannot be read."""
+        stripped = line.strip()
+        if not stripped:
+            return ()
+        match = _ROW.match(stripped)
+        if match is None:
+            raise ValueError("no frame")
+        findings.note("identifiers up to 7FFh are taken for 11 bits: the rows do not tell")
+        can_id = int(match[2], 16)
+        if can_id > traffic.EFF_MASK:
+            raise ValueError(f"identifier {match[2]} has more than 29 bits")
+        if can_id > traffic.SFF_MASK:
+            can_id |= traffic.EFF
+        frame = traffic.classic(can_id, bytes.fromhex(match[3]))
+        return (Frame(int(match[1], 16) * 1_000_000, "can0", frame),)
