@@ -206,13 +206,15 @@ class Motor(SharedMotor):
 
         Args:
             purpose: what for; those who are refused are told.
-            timeout_s: how long to wait for the motor [s], as in `start`.
+            timeout_s: how long to wait for the motor [s], as in `start`; for rest, if it is taken
+                from others.
             lease_s: whoever comes next may take it over once this motor was not used for so long
                 [s]: no operation, no wait, no `Reservation.renew`; None: nobody may.
             take_over: take it from whoever has it, in front of all who wait, and bring it to rest.
 
         Raises:
             MotorBusyError: somebody else holds it, or moves it; or it is in the middle of a write.
+            DeadlineExceeded: what was taken over does not come to rest.
         """
         check_timeout(timeout_s)
         check_lease(lease_s)
@@ -220,7 +222,7 @@ class Motor(SharedMotor):
         if not isinstance(purpose, str):
             raise UsageError(f"{self.name}: purpose {purpose!r}: say it in words")
         patience = None if timeout_s is None else self._patience(as_number(timeout_s))
-        who = f"reserve() of {self.name}"
+        who, asked_ns = f"reserve() of {self.name}", self.runtime.now_ns()
         physical = self._physical
         if take_over:
             physical.require_not_held_elsewhere()
@@ -228,11 +230,10 @@ class Motor(SharedMotor):
             self, who, purpose, patience, lease_s=lease_s, take_over=take_over, afresh=True
         ) as claim:
             with physical.transaction(self.runtime, who):
-                self._bury_failed_run()
-                physical.take(self, self.name, self._status())
+                self._take_physical(take_over or physical.ownership.is_orphan)
                 if physical.ownership.is_orphan:
                     self._call(self._connect)
-                    self._adopt()
+                    self._adopt(timeout_s if take_over else None, asked_ns)
             yield Reservation((self.name,), (claim,))
 
     @final

@@ -115,8 +115,7 @@ class SharedMotor(ReadableMotor):
     def _operation(self, name: str, timeout_s: float | None = None) -> Iterator[None]:
         """The motor is ours, connected, and nobody else operates on it inside the block."""
         with self._commanding(f"{name}() of {self.name}", timeout_s):
-            self._bury_failed_run()
-            self._physical.take(self, self.name, self._status())
+            self._take_physical(self._physical.ownership.is_orphan)
             self._call(self._connect)
             if self._physical.ownership.is_orphan:
                 self._adopt()
@@ -126,19 +125,30 @@ class SharedMotor(ReadableMotor):
                 self._keep()
 
     @final
-    def _adopt(self) -> None:
+    def _take_physical(self, take_over: bool) -> None:
+        """It does what we command; with `take_over` also if it does something for others yet."""
+        self._bury_failed_run()
+        now_ns = self.runtime.now_ns() if take_over else None
+        self._physical.take(self, self.name, self._status(), now_ns)
+
+    @final
+    def _adopt(self, timeout_s: float | None = None, since_ns: int = 0) -> None:
         """What was left moving by one who died with the motor, or has lost it, is at rest.
 
         Raises:
-            DeadlineExceeded: it does not come to rest.
+            DeadlineExceeded: it does not come to rest, within `timeout_s` [s] of `since_ns`, if
+                that is given.
         """
         if self._call(self._read_state) is MotorState.ENABLED:
             self._call(self._stop)
-            patience = Patience(_ADOPTION_S, lambda: None, lambda: self._call(self._refresh))
-            if not patience.until(self.runtime, lambda: self._call(self._is_done), _ADOPTION_S):
+            left_s = _ADOPTION_S
+            if timeout_s is not None:
+                left_s = max(0.0, timeout_s - (self.runtime.now_ns() - since_ns) / 1e9)
+            patience = Patience(left_s, lambda: None, lambda: self._call(self._refresh))
+            if not patience.until(self.runtime, lambda: self._call(self._is_done), left_s):
                 raise DeadlineExceeded(
                     awaited=f"rest of {self.name}, left moving by one who has it no more",
-                    timeout_s=_ADOPTION_S,
+                    timeout_s=_ADOPTION_S if timeout_s is None else timeout_s,
                     last_heard=f"{self._call(self._read_velocity):g} {self.model.unit}/s",
                 )
         self._physical.ownership.is_orphan = False

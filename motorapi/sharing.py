@@ -248,8 +248,17 @@ class PhysicalMotor:
 
     # ---- runs ----
 
-    def take(self, owner: object, motor: str, status: RunStatus) -> None:
+    def take(
+        self, owner: object, motor: str, status: RunStatus, taken_over_ns: int | None = None
+    ) -> None:
         """`owner` may command the motor; `status` is that of the run there is, if any.
+
+        Args:
+            owner: the logical motor.
+            motor: its name.
+            status: see above.
+            taken_over_ns: when he took it from others: what goes on for them (a stop, that anybody
+                may command, too) is over, and leaves an orphan. None: he did not.
 
         Raises:
             MotorBusyError: a run of another owner goes on.
@@ -261,7 +270,11 @@ class PhysicalMotor:
                 self._count_news()
             going_on = status is not RunStatus.FAILED and not run.finished
             if going_on and run.owner is not owner:
-                raise MotorBusyError(motor=motor, holder=run.name, since_ns=run.since_ns)
+                if taken_over_ns is None:
+                    raise MotorBusyError(motor=motor, holder=run.name, since_ns=run.since_ns)
+                self.ownership.is_orphan = True
+                run.interrupt(f"{motor}, which took the motor over", taken_over_ns)
+                self._count_news()
         if self._owner is not owner or self._absences != self.ownership.absences:
             self._owner = owner
             self._absences = self.ownership.absences

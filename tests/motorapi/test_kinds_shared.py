@@ -9,6 +9,8 @@ import pytest
 
 from motorapi import (
     ControlMode,
+    DeadlineExceeded,
+    MotionInterrupted,
     Motor,
     MotorBusyError,
     MotorGroup,
@@ -95,6 +97,56 @@ def test_low_level_access_gives_the_hardware_and_keeps_everybody_else_away(kind)
         other.start()
         other.wait_until_done(5)
         assert abs(true_position(rig, USERS[1]) - 0.1) <= kind.window
+
+
+def stopped_for_others(rig):
+    """Ann has it and moves it at full speed; Ben has just stopped it."""
+    ann, ben, cem = (rig.motors[name] for name in USERS[:3])
+    ann.set_control_mode(TRAJECTORY)
+    ann.set_trajectory(TrapezoidalTrajectory(2.0))
+    ann.start()
+    rig.runtime.run_for(0.6)
+    ben.stop()
+    rig.runtime.run_for(0.01)
+    assert abs(cem.velocity()) > 0.5
+    return ben, cem
+
+
+def speed_of(rig, motor):
+    """What its position says [rad/s]."""
+    before = true_position(rig, motor.name)
+    rig.runtime.run_for(0.05)
+    return abs(true_position(rig, motor.name) - before) / 0.05
+
+
+@pytest.mark.parametrize("timeout_s", [None, 5.0])
+def test_what_another_one_has_stopped_is_taken_over_and_at_rest(kind, timeout_s):
+    with (
+        opened(kind, Path("shared.toml"), USERS[:3]) as rig,
+        rig.motors[USERS[0]].reserve("survey") as survey,
+    ):
+        ben, cem = stopped_for_others(rig)
+        with cem.reserve("rescue", take_over=True, timeout_s=timeout_s):
+            assert not survey.is_held
+            assert speed_of(rig, cem) < 0.02
+            with pytest.raises(MotionInterrupted, match="cem, which took the motor over"):
+                ben.wait_until_done(5)
+            one_move(cem, 0.1, 0.5)
+        assert not cem._physical.ownership.is_orphan
+
+
+def test_rest_after_a_takeover_is_waited_for_within_the_timeout_and_by_whoever_comes_next(kind):
+    with opened(kind, Path("shared.toml"), USERS[:3]) as rig, rig.motors[USERS[0]].reserve():
+        ben, cem = stopped_for_others(rig)
+        begun_ns = rig.runtime.now_ns()
+        with (
+            pytest.raises(DeadlineExceeded, match="rest of cem"),
+            cem.reserve("rescue", take_over=True, timeout_s=0.05),
+        ):
+            pass
+        assert rig.runtime.now_ns() - begun_ns < 200_000_000  # and what was asked last is answered
+        with ben.reserve("rescue"):
+            assert speed_of(rig, ben) < 0.02
 
 
 @pytest.mark.wall
