@@ -235,7 +235,7 @@ class TcpSegment(LineSegment):
         for request in stream.feed(data):
             if self.taps:
                 self._tap(now_ns, host.name, adu_of(*request))
-            if not self.gateway.knows(request[1]):
+            if not self.gateway.knows(request[1]) or self.gateway.is_full(request[1]):
                 self._send_back(connection, self.gateway.refusal(request), now_ns, self.name)
                 continue
             handed_on = self.gateway.ask(connection, request, now_ns)

@@ -6,7 +6,9 @@ connection is closed.
 
 Units: controllers behind one address are a gateway's, and are told apart by the unit identifier; a
 request to one that is not there, or does not answer, is answered 0Bh (gateway target device failed
-to respond). A controller that is alone is meant by FFh and 0 too. There is no broadcast on TCP.
+to respond), and one more than so many that wait for one unit 0Ah (gateway path unavailable:
+overloaded). What a client that has left had asked, and the unit was not told yet, it is not told.
+A controller that is alone is meant by FFh and 0 too. There is no broadcast on TCP.
 
 Source: MODBUS Messaging on TCP/IP Implementation Guide V1.0b, sections 3.1.3, 4.4.1 and 4.4.2.
 """
@@ -15,9 +17,15 @@ from collections import deque
 from collections.abc import Sequence
 from typing import Final, final
 
-from emulators.modbus.codes import ERROR, GATEWAY_TARGET_FAILED, PDU_MAX
+from emulators.modbus.codes import (
+    ERROR,
+    GATEWAY_PATH_UNAVAILABLE,
+    GATEWAY_TARGET_FAILED,
+    PDU_MAX,
+)
 
 _HEAD: Final = 7
+_WAITING_MAX: Final = 64  # requests to one unit
 _NOT_SIGNIFICANT: Final = (0x00, 0xFF)
 
 # (transaction identifier, unit identifier, PDU)
@@ -130,9 +138,14 @@ class TcpGateway:
         return self._unit(asked_unit) in self._queues
 
     def refusal(self, request: Request) -> bytes:
-        """What a request to nobody is answered."""
+        """What a request to nobody is answered, or to a unit that too many wait for."""
         transaction, unit, pdu = request
-        return adu(transaction, unit, bytes((pdu[0] | ERROR, GATEWAY_TARGET_FAILED)))
+        code = GATEWAY_PATH_UNAVAILABLE if self.is_full(unit) else GATEWAY_TARGET_FAILED
+        return adu(transaction, unit, bytes((pdu[0] | ERROR, code)))
+
+    def is_full(self, asked_unit: int) -> bool:
+        """Whether no more requests can wait for this unit."""
+        return len(self._queues.get(self._unit(asked_unit), ())) >= _WAITING_MAX
 
     def answered(self, unit: int, pdu: bytes) -> tuple[int, bytes] | None:
         """The unit has answered: (connection, ADU for it); None: nobody waits for that any more."""
@@ -179,10 +192,14 @@ class TcpGateway:
 
     def forget(self, connection: int) -> None:
         """Nobody waits there any more; what a unit is doing already it goes on doing."""
-        for queue in self._queues.values():
-            for pending in queue:
-                if pending.connection == connection:
+        for unit, queue in self._queues.items():
+            for pending in tuple(queue):
+                if pending.connection != connection:
+                    continue
+                if pending is queue[0] and unit not in self._owed_until_ns:
                     pending.connection = GONE
+                else:
+                    queue.remove(pending)
 
     def units(self) -> Sequence[int]:
         """The addresses there are."""

@@ -188,6 +188,17 @@ def test_a_unit_that_is_not_there_is_told_by_the_gateway_at_once():
     assert heard == [(100_000, adu(1, 5, b"\x83\x0b"), False)]
 
 
+def test_more_requests_than_can_wait_for_a_unit_are_refused_and_the_others_answered():
+    world, _ = a_world(tcp=True)
+    heard: Heard = []
+    host = world.add_line_host("line", "host", listener(heard))
+    host.send(b"".join(adu(n, 1, bytes.fromhex("03 0000 0001")) for n in range(68)))
+    world.queue.run_until(1000 * MS)
+    refused = {data[1] for _, data, _ in heard if data[7:] == b"\x83\x0a"}
+    answered = {data[1] for _, data, _ in heard if data[7:] == b"\x03\x02\x00\x64"}
+    assert (answered, refused) == ({*range(64)}, {64, 65, 66, 67})
+
+
 def test_two_connections_each_hear_their_own():
     world, _ = a_world(tcp=True)
     first: Heard = []

@@ -209,6 +209,38 @@ def test_who_has_left_is_told_nothing():
     assert answer[0] == GONE
 
 
+def test_what_who_has_left_asked_and_the_unit_was_not_told_it_is_not_told():
+    one = gateway(1)
+    one.ask(10, READ, 0)
+    one.ask(10, (6, 1, b"\x06b"), 0)
+    one.ask(11, (7, 1, b"\x03c"), 0)
+    one.forget(10)
+    one.answered(1, b"\x03A")
+    assert one.next_for(1, 0) == b"\x03c"
+
+
+def test_what_who_has_left_asked_of_a_unit_that_is_given_up_it_is_not_told_later():
+    one = gateway(1)
+    one.ask(10, READ, 0)
+    one.expired(100 * MS)
+    one.ask(10, (6, 1, b"\x06b"), 100 * MS)
+    one.forget(10)
+    one.expired(200 * MS)
+    assert one.next_for(1, 200 * MS) is None
+
+
+def test_so_many_wait_for_a_unit_and_no_more():
+    one = gateway(1, 2)
+    for number in range(64):
+        assert not one.is_full(1)
+        one.ask(10, (number, 1, b"\x03a"), 0)
+    assert one.is_full(1)
+    assert not one.is_full(2)
+    assert one.refusal((5, 1, b"\x03a")) == mbap(5, 1, "83 0A")
+    one.answered(1, b"\x03A")
+    assert not one.is_full(1)
+
+
 def test_two_controllers_of_one_unit_are_refused():
     with pytest.raises(ValueError, match="two controllers are unit 1"):
         gateway(1, 1)
