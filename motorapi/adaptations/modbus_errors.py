@@ -4,7 +4,7 @@
 
 from typing import Final, final
 
-from motorapi.errors import PeerError
+from motorapi.errors import DeadlineExceeded, PeerError
 
 GATEWAY_TARGET_FAILED: Final = 0x0B
 """The exception code of a gateway, for a unit that does not answer."""
@@ -61,3 +61,10 @@ class ModbusProtocolViolation(PeerError):
         self.heard = heard
         shown = heard[:24].hex(" ").upper() + (" ..." if len(heard) > 24 else "")
         super().__init__(f"{line} unit {unit}: {problem} ({shown})")
+
+
+def is_silence(error: Exception) -> bool:
+    """Whether it says that a unit does not answer, by itself or in its gateway's words."""
+    if isinstance(error, ModbusExceptionResponse):
+        return error.exception_code == GATEWAY_TARGET_FAILED
+    return isinstance(error, DeadlineExceeded)

@@ -14,13 +14,9 @@ from pymodbus.pdu.register_message import (
 )
 
 from motorapi.adaptations.modbus_answers import Exchange
-from motorapi.adaptations.modbus_errors import (
-    GATEWAY_TARGET_FAILED,
-    ModbusExceptionResponse,
-    ModbusProtocolViolation,
-)
+from motorapi.adaptations.modbus_errors import ModbusProtocolViolation, is_silence
 from motorapi.adaptations.modbus_line import ByteLine, ModbusLine
-from motorapi.errors import DeadlineExceeded, LinkError, MotorError, UsageError
+from motorapi.errors import DeadlineExceeded, LinkError, PeerError, UsageError
 from motorapi.lock_names import line_name
 from motorapi.process_lock import ProcessLock, can_share_time
 from motorapi.sharing import register_physical_motor, release_physical_motor
@@ -123,14 +119,10 @@ class ModbusUnit:
         while True:
             try:
                 return self.read(address)[0]
-            except (DeadlineExceeded, ModbusProtocolViolation) as error:
-                last: MotorError = error
-            except ModbusExceptionResponse as error:  # a gateway says so of one that is silent
-                if error.exception_code != GATEWAY_TARGET_FAILED:
+            except (DeadlineExceeded, PeerError) as error:
+                is_odd = isinstance(error, ModbusProtocolViolation)
+                if not (is_odd or is_silence(error)) or self.runtime.now_ns() >= end_ns:
                     raise
-                last = error
-            if self.runtime.now_ns() >= end_ns:
-                raise last
 
     def read_i32(self, address: int) -> int:
         """A signed 32-bit value, upper register first."""

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from enum import Enum
 from typing import TYPE_CHECKING, Final, Protocol, final
 
+from motorapi.adaptations.modbus_errors import is_silence
 from motorapi.commands import ControlMode, ControlVariable, Motion
 from motorapi.errors import DeviceFault, LinkError, MotionInterrupted, UnsupportedError
 from motorapi.motor import Motor
@@ -232,11 +233,13 @@ class PolledMotor(Motor):
             news.grow()
         return poll
 
-    def _last(self) -> Poll:
-        return self._polled.progress.poll or self._poll()
-
     def _read_state(self) -> MotorState:
-        return self._poll().state
+        try:
+            return self._poll().state
+        except Exception as error:
+            if is_silence(error):
+                return MotorState.OFFLINE
+            raise
 
     def _read_fault(self) -> Fault | None:
         return self._poll().fault

@@ -194,6 +194,16 @@ def test_the_power_stage_is_switched(rig):
     assert truth(rig)["current_a"] == 0.0
 
 
+def test_a_drive_that_is_not_heard_is_offline_until_it_is(rig):
+    mast = rig.motors["mast"]
+    mast.enable()
+    rig.controllers["mast"].stimulate("power", 0)
+    assert mast.state() is MotorState.OFFLINE
+    rig.controllers["mast"].stimulate("power", 1)
+    run_s(rig, 2.0)  # a gateway takes a second to give up what was asked of it before
+    assert mast.state() is not MotorState.OFFLINE
+
+
 def test_several_on_one_line_start_one_after_another_and_say_so(adaptation):
     with opened(text(adaptation, names=("pan", "tilt"))) as rig:
         pair = MotorGroup(rig.motors["pan"], rig.motors["tilt"])
