@@ -83,7 +83,7 @@ def _write(target: str, format_: Format, survey: Survey, source: Source) -> None
     """The file is there whole, or not at all."""
     part = f"{target}.part"
     try:
-        with open(part, "w", encoding="utf-8", newline="") as file:
+        with open(part, "wb") as file:
             format_.write(file, survey, source.frames(Findings()))
         os.replace(part, target)
     except OSError as error:

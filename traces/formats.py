@@ -5,13 +5,14 @@ A name ending decides nothing about reading: people keep candump's rows in .txt 
 
 import os
 from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from enum import Flag, auto
-from io import TextIOBase
+from io import TextIOBase, TextIOWrapper
 from pathlib import Path
-from typing import Final, final
+from typing import BinaryIO, Final, final
 
-from traces import asc, candump, sd_rows, trc
+from traces import asc, candump, csv_traffic, sd_rows, socketcan_pcap, trc
 from traces.errors import TraceError
 from traces.reader import read_trace
 from traces.records import MAGIC
@@ -48,7 +49,7 @@ class Format:
     name: str
     ending: str
     holds: Feature
-    write: "Callable[[TextIOBase, Survey, Iterator[Frame]], None]"
+    write: "Callable[[BinaryIO, Survey, Iterator[Frame]], None]"
 
 
 @final
@@ -96,17 +97,37 @@ class Survey:
         self.counts[feature] = self.counts.get(feature, 0) + 1
 
 
-def _write_candump(file: TextIOBase, survey: Survey, frames: Iterator[Frame]) -> None:
+def _write_candump(file: BinaryIO, survey: Survey, frames: Iterator[Frame]) -> None:
     places = survey.places
-    file.writelines(candump.log_row(frame, places) for frame in frames)
+    with _as_text(file) as text:
+        text.writelines(candump.log_row(frame, places) for frame in frames)
 
 
-def _write_trc(file: TextIOBase, survey: Survey, frames: Iterator[Frame]) -> None:
-    trc.write_trc(file, survey.buses, survey.lowest_ns, frames)
+def _write_trc(file: BinaryIO, survey: Survey, frames: Iterator[Frame]) -> None:
+    with _as_text(file) as text:
+        trc.write_trc(text, survey.buses, survey.lowest_ns, frames)
 
 
-def _write_asc(file: TextIOBase, survey: Survey, frames: Iterator[Frame]) -> None:
-    asc.write_asc(file, survey.buses, survey.lowest_ns, survey.places, frames)
+def _write_asc(file: BinaryIO, survey: Survey, frames: Iterator[Frame]) -> None:
+    with _as_text(file) as text:
+        asc.write_asc(text, survey.buses, survey.lowest_ns, survey.places, frames)
+
+
+def _write_csv(file: BinaryIO, survey: Survey, frames: Iterator[Frame]) -> None:
+    with _as_text(file) as text:
+        csv_traffic.write_csv(text, survey.places, frames)
+
+
+def _write_pcapng(file: BinaryIO, survey: Survey, frames: Iterator[Frame]) -> None:
+    socketcan_pcap.write_pcapng(file, survey.buses, frames)
+
+
+@contextmanager
+def _as_text(file: BinaryIO) -> Iterator[TextIOBase]:
+    text = TextIOWrapper(file, encoding="utf-8", newline="")
+    yield text
+    text.flush()
+    text.detach()
 
 
 _NUMBERED: Final = Feature.BUS_NAMES | Feature.UNDIRECTED | Feature.SENDER | Feature.ERROR_FRAMES
@@ -114,6 +135,8 @@ WRITABLE: Final = (
     Format("candump", ".log", _ALL & ~Feature.SENDER, _write_candump),
     Format("trc", ".trc", _ALL & ~_NUMBERED & ~Feature.NANOSECONDS, _write_trc),
     Format("asc", ".asc", _ALL & ~_NUMBERED, _write_asc),
+    Format("csv", ".csv", _ALL, _write_csv),
+    Format("pcapng", ".pcapng", _ALL & ~Feature.SENDER, _write_pcapng),
 )
 
 
@@ -138,6 +161,9 @@ class Source:
             with read_trace(self.path) as trace:
                 yield from recorded_frames(trace, findings)
             return
+        if self.format == "pcap":
+            yield from socketcan_pcap.captured_frames(self.path, findings)
+            return
         try:
             with open(self.path, encoding="utf-8", errors="replace", newline="\n") as file:
                 yield from read_lines(file, _LINE_READERS[self.format](), findings)
@@ -149,11 +175,13 @@ _LINE_READERS: Final[dict[str, Callable[[], LineReader]]] = {
     "candump": candump.CandumpReader,
     "trc": trc.TrcReader,
     "asc": asc.AscReader,
+    "csv": csv_traffic.CsvReader,
     "sd-rows": sd_rows.SdRowReader,
 }
 _LOOKS: Final[tuple[tuple[str, Callable[[str], bool]], ...]] = (
     ("trc", trc.looks_like_trc),
     ("asc", asc.looks_like_asc),
+    ("csv", csv_traffic.looks_like_csv),
     ("sd-rows", sd_rows.looks_like_sd_rows),
     ("candump", candump.looks_like_log),
     ("candump", candump.looks_plain),
@@ -174,12 +202,14 @@ def open_source(path: str | os.PathLike[str]) -> Source:
         raise _unreadable(name, error) from error
     if head.startswith(MAGIC[:5]):
         return Source(name, "mcap")
+    if socketcan_pcap.is_capture(head):
+        return Source(name, "pcap")
     lines = head.decode("utf-8", errors="replace").splitlines()[:_HEAD_LINES]
     for line in lines:
         for format_name, looks in _LOOKS:
             if looks(line):
                 return Source(name, format_name)
-    known = ", ".join(["mcap", *_LINE_READERS])
+    known = ", ".join(["mcap", "pcap", *_LINE_READERS])
     what = "is empty" if not head else "holds no CAN traffic in a format known here"
     raise TraceError(name, what, remedy=f"formats are {known}")
 

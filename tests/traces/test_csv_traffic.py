@@ -1,0 +1,75 @@
+"""Tables: ours, python-can's, SavvyCAN's. Forms: can/io/csv.py; SavvyCAN's framefileio.cpp."""
+
+import can
+import pytest
+
+from traces import traffic
+from traces.csv_traffic import COLUMNS, CsvReader
+from traces.schema import Direction
+from traces.traffic import Findings, classic, flexible, read_lines, remote
+
+OURS = ",".join(COLUMNS)
+SAVVY = "Time Stamp,ID,Extended,Dir,Bus,LEN,D1,D2,D3,D4,D5,D6,D7,D8"
+
+
+def read(*lines):
+    findings = Findings()
+    return list(findings.watched(read_lines(lines, CsvReader(), findings))), findings
+
+
+def test_a_row_of_ours_holds_what_no_other_text_does():
+    frames, findings = read(OURS, "12.000000001,a b,181,0,data,0,0,received,left,2,0102")
+    assert findings.problems == []
+    told = (12_000_000_001, "a b", classic(0x181, b"\1\2"), Direction.RECEIVED, "left")
+    assert tuple(frames[0]) == told
+
+
+def test_python_cans_own_table(tmp_path):
+    with can.CSVWriter(tmp_path / "a.csv") as writer:
+        writer(can.Message(1700000000.25, 0x123, False, data=b"\1\2"))
+        writer(can.Message(1700000000.5, 0x1ABCDEF, True, is_remote_frame=True, dlc=3))
+        writer(can.Message(1700000000.75, 0x7, False, is_fd=True, data=bytes(12)))
+    frames, findings = read(*(tmp_path / "a.csv").read_text().splitlines())
+    assert findings.problems == []
+    second = 1_700_000_000 * 10**9
+    assert [(frame.time_ns - second, frame.frame) for frame in frames] == [
+        (250_000_000, classic(0x123, b"\1\2")),
+        (500_000_000, remote(0x1ABCDEF | traffic.EFF, 3)),
+        (750_000_000, flexible(0x7, 0, bytes(12))),
+    ]
+
+
+def test_savvycans_table_has_microseconds():
+    row = "166064000,0000021A,false,Rx,0,8,FE,36,12,FE,69,05,07,AD,"
+    frames, findings = read(SAVVY, row, "166064001,1ABCDEF0,true,Tx,1,1,FF,")
+    assert findings.problems == []
+    assert [tuple(frame)[:4] for frame in frames] == [
+        (166_064_000_000, "can0", classic(0x21A, bytes.fromhex("FE3612FE690507AD")),
+         Direction.RECEIVED),
+        (166_064_001_000, "can1", classic(0x1ABCDEF0 | traffic.EFF, b"\xff"),
+         Direction.TRANSMITTED),
+    ]  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("head", "row", "why"),
+    [
+        (OURS, "1.0,can0,181,0,data", "ends in the middle"),
+        (OURS, "1.0,can0,181,0,data,0,0,received,,3,0102", "2 of 3 bytes"),
+        (OURS, "1.0,can0,181,0,data,0,0,received,,2,01020", "no bytes"),
+        (OURS, "1.0,can0,181,0,data,0,0,sideways,,1,01", "'sideways'"),
+        (OURS, "1.0,can0,181,0,noise,0,0,received,,1,01", "'noise'"),
+        (OURS, "x,can0,181,0,data,0,0,received,,1,01", "no time stamp"),
+        (OURS, "1.0,can0,FFF,0,data,0,0,received,,1,01", "too large"),
+        (OURS, '1.0,"can0,181', "unexpected end"),
+        (SAVVY, "1,21A,false,Rx,0,2,FE", "ends in the middle"),
+        (SAVVY, "1,21A,false,Rx,0,1,FEFE", "no byte"),
+        ("timestamp,arbitration_id,extended,remote,error,dlc,data", "1,1,0,0,0,1,A", "no base64"),
+    ],
+)
+def test_what_cannot_be_read_is_told_with_its_line(head, row, why):
+    frames, findings = read(head, row)
+    assert frames == []
+    ((line, text),) = findings.problems
+    assert line == 2
+    assert why in text
