@@ -34,6 +34,7 @@ _STANDARD: Final = """
 1018 x32 identity
 1019 u8 synchronous counter overflow value
 1029 u8 error behaviour
+6007 i16 abort connection option code
 603F x16 error code
 6040 x16 controlword
 6041 x16 statusword

@@ -1,0 +1,142 @@
+"""`motorhil diff A B`: the first thing that two recordings tell differently, and a summary."""
+
+import argparse
+import json
+import sys
+from collections import deque
+from collections.abc import Sequence
+
+from harness.exit_status import FAILED, PASSED
+from harness.verbs.show import text_of
+from traces.compare import first_mismatch
+from traces.meaning import Meaning, meaning_of
+from traces.reader import read_trace
+from traces.semantic_diff import Difference, Tolerance, differences
+from traces.story import Line, Story
+
+_NS = 1_000_000_000
+_AROUND_NS = 2 * _NS
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """What `diff` can be told."""
+    usual = Tolerance()
+    parser.add_argument("first", metavar="A", help="a recording (MCAP)")
+    parser.add_argument("second", metavar="B", help="another one")
+    parser.add_argument(
+        "--exact", action="store_true", help="compare the bytes and times of all messages instead"
+    )
+    parser.add_argument(
+        "--tolerance",
+        type=float,
+        default=usual.position,
+        metavar="X",
+        help=f"how far motors may be apart, rad or m (default {usual.position:g})",
+    )
+    parser.add_argument(
+        "--tolerance-s",
+        type=float,
+        default=usual.time_ns / _NS,
+        metavar="S",
+        help=f"how far motion may be apart in time (default {usual.time_ns / _NS:g})",
+    )
+    parser.add_argument(
+        "--context", type=int, default=3, metavar="N", help="lines around it (default 3)"
+    )
+    parser.add_argument("--json", action="store_true", help="answer for a machine")
+
+
+def run(options: argparse.Namespace) -> int:
+    """Exit status: 0 they mean the same, 1 they do not.
+
+    Raises:
+        TraceError: one of them cannot be read, or is damaged.
+    """
+    if options.exact:
+        return _exact(options)
+    first, second = _meaning(options.first), _meaning(options.second)
+    tolerance = Tolerance(options.tolerance, round(options.tolerance_s * _NS))
+    found = differences(first, second, tolerance)
+    if options.json:
+        print(json.dumps({"same": not found, "differences": [_facts(one) for one in found]}))
+        return FAILED if found else PASSED
+    if found:
+        _tell(options, found[0])
+    _summarise(first, second, found)
+    return FAILED if found else PASSED
+
+
+def _exact(options: argparse.Namespace) -> int:
+    mismatch = first_mismatch(options.first, options.second)
+    if options.json:
+        place = None if mismatch is None else mismatch.number
+        print(json.dumps({"same": mismatch is None, "message": place}))
+    else:
+        print("every message is the same" if mismatch is None else mismatch)
+    return PASSED if mismatch is None else FAILED
+
+
+def _meaning(path: str) -> Meaning:
+    with read_trace(path) as trace:
+        meaning = meaning_of(trace)
+        if trace.cut is not None:
+            print(f"motorhil diff: {path}: {trace.cut}", file=sys.stderr)
+    return meaning
+
+
+def _tell(options: argparse.Namespace, difference: Difference) -> None:
+    """The difference, and what each recording tells around it of the same node or motor."""
+    print(f"first difference, {difference.time_ns / _NS:.6f} s: {difference}")
+    sides = ((options.first, difference.first), (options.second, difference.second))
+    for path, item in sides:
+        time_ns = difference.time_ns if item is None else item.time_ns
+        print(f"\n{path}:")
+        for line in _around(path, difference, time_ns, options.context):
+            mark = ">" if item is not None and line.time_ns == item.time_ns else " "
+            print(f"{mark}{text_of(line)}")
+
+
+def _around(path: str, difference: Difference, time_ns: int, count: int) -> Sequence[Line]:
+    before: deque[Line] = deque(maxlen=count)
+    behind: list[Line] = []
+    with read_trace(path) as trace:
+        story = Story(trace)
+        begin_ns = max(0, time_ns - _AROUND_NS)
+        for line in story.lines(begin_ns, time_ns + _AROUND_NS):
+            if not _is_about(line, difference):
+                continue
+            if line.time_ns < time_ns:
+                before.append(line)
+            elif line.time_ns == time_ns or len(behind) <= count:
+                behind.append(line)
+    return [*before, *behind]
+
+
+def _is_about(line: Line, difference: Difference) -> bool:
+    place, node, _ = difference.key
+    if node is not None:
+        return line.place == place and line.said is not None and line.said.node == node
+    return line.place == place or place in line.names
+
+
+def _summarise(first: Meaning, second: Meaning, found: list[Difference]) -> None:
+    orders = len({**first.items, **second.items})
+    quantities = len({**first.motions, **second.motions})
+    compared = f"{orders} orders of events and {quantities} motions"
+    counts = f"{first.messages} and {second.messages} messages"
+    if not found:
+        print(f"the same: {compared} compared, in {counts}")
+        return
+    print(f"\n{len(found)} of {compared} differ, in {counts}:")
+    for one in found[:20]:
+        print(f"  {one.time_ns / _NS:12.6f} s  {one}")
+    if len(found) > 20:
+        print(f"  and {len(found) - 20} more")
+
+
+def _facts(one: Difference) -> dict[str, object]:
+    told = {
+        side: None if item is None else {"time_ns": item.time_ns, "text": item.text}
+        for side, item in (("first", one.first), ("second", one.second))
+    }
+    return {"time_ns": one.time_ns, "about": one.label, **told}

@@ -1,0 +1,78 @@
+"""Small recordings made by hand, for what looks at recordings."""
+
+import struct
+
+from traces.fields import JointStateEncoder, encode_log
+from traces.protobuf import encode
+from traces.schema import CAN_FRAME, JOINT_STATE, LOG, MODBUS_ADU, Direction, Level, Schema
+from traces.writer import TraceWriter
+
+S = 1_000_000_000
+MS = 1_000_000
+RIG = b"""
+[rig]
+name = "two"
+[controller.left]
+bus = "can0"
+node_id = 1
+eds = "left.eds"
+[controller.right]
+bus = "can0"
+node_id = 2
+[controller.lift]
+bus = "rs485"
+unit = 3
+[motor.left_wheel]
+controller = "left"
+[motor.right_wheel]
+bus = "can0"
+node_id = 2
+"""
+EDS = b"[2020]\nParameterName=Winding temperature\nDataType=0x4\n"
+
+
+class Recorded:
+    """A small recording by hand."""
+
+    def __init__(self, path):
+        self.path = str(path)
+        self.writer = TraceWriter(path, {"run": {}})
+        self.writer.attach("two.toml", RIG, "application/toml")
+        self.writer.attach("left.eds", EDS, "text/plain")
+        self.can0 = self.writer.channel("/can/can0", Schema.of(CAN_FRAME))
+        self.source = self.writer.source(self.can0, "host", Direction.TRANSMITTED)
+
+    def frame(self, time_ns, identifier, data):
+        content = bytes.fromhex(data)
+        frame = struct.pack("<IB3x8s", identifier, len(content), content)
+        self.writer.extend([(self.source, time_ns, frame)])
+        return self
+
+    def message(self, time_ns, topic, table, values):
+        channel = self.writer.channel(topic, Schema.of(table))
+        self.writer.write(channel, time_ns, encode(table, values))
+        return self
+
+    def event(self, time_ns, text, name=""):
+        channel = self.writer.channel("/events", Schema.of(LOG))
+        self.writer.write(channel, time_ns, encode_log(time_ns, Level.WARNING, text, name))
+        return self
+
+    def modbus(self, time_ns, data, request):
+        direction = Direction.TRANSMITTED if request else Direction.RECEIVED
+        values = {"direction": direction, "data": bytes.fromhex(data), "tcp": True}
+        return self.message(time_ns, "/modbus/rs485", MODBUS_ADU, values)
+
+    def position(self, time_ns, motor, position):
+        channel = self.writer.channel(f"/motor/{motor}/state", Schema.of(JOINT_STATE))
+        self.writer.write(channel, time_ns, JointStateEncoder(motor).encode(position, None, None))
+        return self
+
+    def sdo(self, time_ns, node, request, response):
+        """A request and, 1 ms later, its response."""
+        self.frame(time_ns, 0x600 + node, request.ljust(16, "0"))
+        return self.frame(time_ns + MS, 0x580 + node, response.ljust(16, "0"))
+
+    def close(self):
+        self.writer.close()
+        return self.path

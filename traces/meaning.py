@@ -1,0 +1,151 @@
+"""What a recording means: in which order what was told to whom and by whom, and how things moved.
+
+Times and repetition are left out: a frame that tells what was known already adds nothing, and each
+node, motor and source of events has an order of its own, so that frames of unrelated nodes may
+change places. What is commanded to one node keeps its order.
+"""
+
+from dataclasses import dataclass
+from typing import Final, final
+
+from traces.protobuf import decode
+from traces.reader import Trace, TraceMessage
+from traces.said import PERIODIC, Fact, Kind, Said
+from traces.schema import JOINT_STATE
+from traces.story import Line, Story
+
+Key = tuple[str, int | None, str]
+"""Bus, line, motor or group; node (None: none); what it is about."""
+
+COMMANDS: Final = "commands"
+_ALWAYS: Final = ("emergency", "NMT command")
+"""Of what is told by a node, what counts each time it is told."""
+_QUANTITIES: Final = ("6062h", "6064h", "607Ah", "60FFh", "6071h", "60C1h")
+"""Motion that is compared: positions and set-points; velocities and currents measured are not."""
+
+
+@final
+@dataclass(frozen=True, slots=True)
+class Item:
+    """One thing that was told, in its order: when, what (to compare), and in words."""
+
+    time_ns: int
+    what: tuple[object, ...]
+    text: str
+
+
+@final
+class Meaning:
+    """What a recording means.
+
+    Attributes:
+        items: what was told, by key, in order.
+        motions: (times [ns], values) of quantities, by key.
+        labels: how a key is called, which depends on the names that the recording knows.
+        messages: how many were read.
+    """
+
+    def __init__(self) -> None:
+        self.items: dict[Key, list[Item]] = {}
+        self.motions: dict[Key, tuple[list[int], list[float]]] = {}
+        self.labels: dict[Key, str] = {}
+        self.messages = 0
+        self._last: dict[tuple[Key, str], object] = {}
+
+    def take(self, line: Line, names: dict[tuple[str, int], str]) -> None:
+        """A line of the story has been heard."""
+        if line.said is not None:
+            self._take_said(line, line.said, names)
+            return
+        what = tuple((name, value) for name, value in line.values if name in _TELLING)
+        if line.topic == "/events":
+            key: Key = ("events", None, line.names[0] if line.names else "")
+        else:
+            key = (line.place, None, line.topic.rpartition("/")[2])
+        self._add(key, " ".join(str(part) for part in (key[0], key[2]) if part), line, what)
+
+    def take_state(self, time_ns: int, motor: str, position: float) -> None:
+        """A motor was there."""
+        key: Key = (motor, None, "position")
+        self.labels.setdefault(key, f"motor {motor}, position")
+        self._move(key, time_ns, position)
+
+    def _take_said(self, line: Line, said: Said, names: dict[tuple[str, int], str]) -> None:
+        who = "all nodes"
+        if said.node is not None:
+            number = "unit" if line.topic.startswith("/modbus/") else "node"
+            name = names.get((line.place, said.node))
+            who = f"{number} {said.node}" + (f" ({name})" if name else "")
+        elif said.kind in (Kind.OTHER, Kind.BUS_ERROR):
+            who = ""
+        for fact in said.facts:
+            subject = COMMANDS if fact.told_to else fact.subject
+            key: Key = (line.place, said.node, subject)
+            label = ", ".join(part for part in (line.place, who, subject) if part)
+            if fact.motion:
+                self._take_motion(line, said, fact, label)
+            elif self._is_news(key, fact, said):
+                self._add(key, label, line, (fact.subject, fact.value), fact)
+
+    def _take_motion(self, line: Line, said: Said, fact: Fact, label: str) -> None:
+        if not fact.subject.startswith(_QUANTITIES) or isinstance(fact.value, str | bytes):
+            return
+        key: Key = (line.place, said.node, fact.subject)
+        self.labels.setdefault(key, label.replace(COMMANDS, fact.subject))
+        self._move(key, line.time_ns, float(fact.value))
+
+    def _is_news(self, key: Key, fact: Fact, said: Said) -> bool:
+        """Whether it is told for the first time, or anew; an SDO's or NMT's command always is."""
+        known = self._last.get((key, fact.subject))
+        self._last[key, fact.subject] = fact.value
+        if fact.told_to and said.kind not in PERIODIC:
+            return True
+        if fact.subject in _ALWAYS or fact.subject.endswith(("aborted", "refused")):
+            return True
+        return known != fact.value or said.kind is Kind.BOOT
+
+    def _add(
+        self, key: Key, label: str, line: Line, what: tuple[object, ...], fact: Fact | None = None
+    ) -> None:
+        self.labels.setdefault(key, label)
+        text = line.text if fact is None else f"{fact.subject} = {fact.text}"
+        self.items.setdefault(key, []).append(Item(line.time_ns, what, text))
+
+    def _move(self, key: Key, time_ns: int, value: float) -> None:
+        times, values = self.motions.setdefault(key, ([], []))
+        times.append(time_ns)
+        values.append(value)
+
+
+_TELLING: Final = ("action", "owner", "holder", "phase", "motor", "method", "level", "message")
+"""Fields of locks, groups and events that are not times and do not change from run to run."""
+
+
+def meaning_of(trace: Trace) -> Meaning:
+    """What this recording means; of a cut one, as far as it goes.
+
+    Raises:
+        TraceError: it is damaged.
+    """
+    story, meaning = Story(trace), Meaning()
+    for message in trace.messages():
+        meaning.messages += 1
+        if message[0].topic.endswith("/state"):
+            _take_state(meaning, message)
+            continue
+        line = story.line(message)
+        if line is not None:
+            meaning.take(line, story.names.nodes)
+    return meaning
+
+
+def _take_state(meaning: Meaning, message: TraceMessage) -> None:
+    channel, time_ns, payload = message
+    if channel.schema is None or channel.schema.name != JOINT_STATE.name:
+        return
+    try:
+        position = decode(JOINT_STATE, payload).get("position")
+    except ValueError:
+        return
+    if isinstance(position, float):
+        meaning.take_state(time_ns, channel.topic.split("/")[2], position)

@@ -1,0 +1,142 @@
+"""Where two recordings begin to mean something else.
+
+Compared are the orders that `traces.meaning` finds, one by one, and motion: a quantity may be at
+most a tolerance away from where the other recording has it within a tolerance of time.
+"""
+
+from bisect import bisect_left, bisect_right
+from dataclasses import dataclass
+from typing import Final, final
+
+from traces.meaning import Item, Key, Meaning
+
+_MEASURED_MIN: Final = 32
+"""So many different values, in both, and what tells them is measured: no order of values is due."""
+
+Series = tuple[list[int], list[float]]
+
+
+@final
+@dataclass(frozen=True, slots=True)
+class Tolerance:
+    """How far motion may be apart.
+
+    Attributes: position, of motors [rad or m]; time_ns; share, of a quantity's own range, for
+    quantities in the units of a drive (and two of them at least).
+    """
+
+    position: float = 0.01
+    time_ns: int = 50_000_000
+    share: float = 0.01
+
+
+@final
+@dataclass(frozen=True, slots=True)
+class Difference:
+    """The first difference of one order or quantity; None: that recording tells nothing there.
+
+    Attributes: key, label (what it is about), first and second (what each tells), after (the last
+    that both tell).
+    """
+
+    key: Key
+    label: str
+    first: Item | None
+    second: Item | None
+    after: Item | None = None
+
+    @property
+    def time_ns(self) -> int:
+        """When it begins."""
+        return min(item.time_ns for item in (self.first, self.second) if item is not None)
+
+    def __str__(self) -> str:
+        return f"{self.label}: {_told(self.first)}, but {_told(self.second)}"
+
+
+def differences(first: Meaning, second: Meaning, tolerance: Tolerance) -> list[Difference]:
+    """The first difference of each order and quantity, by time; none: they mean the same."""
+    found: list[Difference] = []
+    labels = {**second.labels, **first.labels}
+    for key in {**first.items, **second.items}:
+        one, other = first.items.get(key, []), second.items.get(key, [])
+        if _is_measured(one) and _is_measured(other):
+            continue
+        difference = _of_items(key, labels[key], one, other)
+        if difference is not None:
+            found.append(difference)
+    for key in {**first.motions, **second.motions}:
+        pair = first.motions.get(key), second.motions.get(key)
+        difference = _of_motion(key, labels[key], pair, tolerance)
+        if difference is not None:
+            found.append(difference)
+    return sorted(found, key=lambda difference: difference.time_ns)
+
+
+def _is_measured(items: list[Item]) -> bool:
+    """Whether it takes on so many values that it must be a quantity; commands never are."""
+    if len(items) < _MEASURED_MIN or len({item.what[0] for item in items}) > 1:
+        return False
+    return len(dict.fromkeys(item.what for item in items)) >= _MEASURED_MIN
+
+
+def _of_items(key: Key, label: str, one: list[Item], other: list[Item]) -> Difference | None:
+    after: Item | None = None
+    for number in range(max(len(one), len(other))):
+        first = one[number] if number < len(one) else None
+        second = other[number] if number < len(other) else None
+        if first is None or second is None or first.what != second.what:
+            return Difference(key, label, first, second, after)
+        after = first
+    return None
+
+
+def _of_motion(
+    key: Key, label: str, pair: tuple[Series | None, Series | None], tolerance: Tolerance
+) -> Difference | None:
+    one, other = pair
+    if one is None or other is None:
+        (times, values) = one or other or ([0], [0.0])
+        there = Item(times[0], (), f"{values[0]:g}")
+        return Difference(key, label, *((there, None) if one else (None, there)))
+    allowed = tolerance.position
+    if key[1] is not None or key[2] != "position":
+        spread = max(max(one[1]) - min(one[1]), max(other[1]) - min(other[1]))
+        allowed = max(2.0, tolerance.share * spread)
+    for series, against, turned in ((other, one, True), (one, other, False)):
+        found = _first_apart(series, against, allowed, tolerance.time_ns)
+        if found is not None:
+            here, there = found
+            return Difference(key, label, *((there, here) if turned else (here, there)))
+    return None
+
+
+def _first_apart(
+    series: Series, against: Series, allowed: float, time_ns: int
+) -> tuple[Item, Item] | None:
+    """The first sample that is not where the other series is at that time."""
+    times, values = against
+    for now_ns, value in zip(*series, strict=True):
+        early, late = now_ns - time_ns, now_ns + time_ns
+        begin, end = bisect_left(times, early), bisect_right(times, late)
+        # Between samples it is on a line; before the first and behind the last it stands still.
+        near = [*values[begin:end], _at(against, early), _at(against, late)]
+        low, high = min(near), max(near)
+        if not low - allowed <= value <= high + allowed:
+            there = _at(against, now_ns)
+            return Item(now_ns, (), f"{value:g}"), Item(now_ns, (), f"{there:g}")
+    return None
+
+
+def _at(series: Series, time_ns: int) -> float:
+    times, values = series
+    place = bisect_right(times, time_ns)
+    if place == 0 or place == len(times):
+        return values[min(place, len(times) - 1)]
+    before, behind = times[place - 1], times[place]
+    share = (time_ns - before) / (behind - before)
+    return values[place - 1] + share * (values[place] - values[place - 1])
+
+
+def _told(item: Item | None) -> str:
+    return "nothing" if item is None else f"{item.text} at {item.time_ns / 1e9:.6f} s"
