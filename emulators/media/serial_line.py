@@ -116,10 +116,6 @@ class SerialLine:
         """How long so many characters take without a pause [ns]."""
         return characters * self._bits * _NS // self.baud
 
-    def is_busy(self, now_ns: int) -> bool:
-        """Whether somebody sends."""
-        return any(burst.start_ns <= now_ns < burst.end_ns for burst in self._bursts)
-
     def silent_since_ns(self) -> int:
         """When the last character ended that everybody heard [ns]."""
         return self._quiet_ns

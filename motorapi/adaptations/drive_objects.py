@@ -46,7 +46,7 @@ class DriveObjects:
         return decode(kind or "bytes", self.upload(index, subindex))
 
     def read_int(self, what: int | str, subindex: int = 0) -> int:
-        """As `read`, of an object that holds an integer."""
+        """As `read`, of an object that holds an integer; UsageError if it holds none."""
         value = self.read(what, subindex)
         if not isinstance(value, int):
             raise UsageError(f"{self._node.label}: {what} holds no integer known to the standard")

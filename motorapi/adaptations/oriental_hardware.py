@@ -45,7 +45,6 @@ _DECELERATE: Final = 0
 
 _FREE: Final = 0x0040
 _RESET: Final = 0x0080
-_ZHOME: Final = 0x0010
 _READY: Final = 0x0020
 _IS_ALARM: Final = 0x0080
 _MOVE: Final = 0x2000
