@@ -207,7 +207,7 @@ class TcpSegment(LineSegment):
     def _send_back(self, connection: int, adu: bytes, now_ns: int, sender: str) -> None:
         if connection != GONE:
             self._tap(now_ns, sender, adu)
-            self._pipe.submit(connection, False, adu, now_ns)
+            self._pipe.submit(connection, False, adu, now_ns, sender)
 
     def _ask_next(self, unit: int, now_ns: int) -> None:
         pdu = self.gateway.next_for(unit, now_ns)

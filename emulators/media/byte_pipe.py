@@ -12,6 +12,8 @@ from typing import Final, final
 
 from emulators.media.serial_faults import Fate, SerialFaultPlan
 
+_MBAP: Final = 6  # of its header, before the server address
+
 # (bytes, connection, whether they go to the server)
 PipeDelivery = tuple[bytes, int, bool]
 
@@ -62,14 +64,16 @@ class BytePipe:
             way.is_broken = True
             way.is_closed = True
 
-    def submit(self, connection: int, to_server: bool, data: bytes, now_ns: int) -> None:
-        """These bytes were sent."""
+    def submit(
+        self, connection: int, to_server: bool, data: bytes, now_ns: int, sender: str | None = None
+    ) -> None:
+        """These bytes were sent; `sender`: by whom behind that end, for faults."""
         way = self._ways[connection][0 if to_server else 1]
         if way.is_broken or not data:
             return
         fate: Fate = (data, 0, 0, 0, True)
         if self._plan is not None:
-            fate = self._plan.fates(data, way.name, now_ns)[0]
+            fate = self._plan.fates(data, sender or way.name, now_ns, _MBAP)[0]
         sent, later_ns, pause_after, pause_ns, is_heard = fate
         if not is_heard:
             way.is_broken = True

@@ -50,7 +50,7 @@ class SerialFaultRule:
         name: how records and counts call it.
         kind: what happens.
         sender: hit only what this port sends; None: all.
-        unit: hit only frames that begin with this server address.
+        unit: hit only frames of this server address.
         function: hit only frames with this function code (without the exception bit).
         from_ns, until_ns: hit what is sent from the one on [ns], and before the other.
         probability: of firing; 1.0 draws nothing.
@@ -99,15 +99,18 @@ class SerialFaultRule:
     def _refuse(self, reason: str) -> None:
         raise ValueError(f"fault {self.name}: {reason}")
 
-    def is_met_by(self, data: bytes, sender: str, now_ns: int) -> bool:
-        """Whether all conditions but chance and number hold."""
+    def is_met_by(self, data: bytes, sender: str, now_ns: int, head: int = 0) -> bool:
+        """Whether all conditions but chance and number hold; the address is at `head`."""
         return (
             now_ns >= self.from_ns
             and (self.until_ns is None or now_ns < self.until_ns)
             and (self.sender is None or self.sender == sender)
-            and (self.unit is None or data[:1] == bytes((self.unit,)))
-            and (self.function is None or (len(data) > 1 and data[1] & 0x7F == self.function))
+            and (self.unit is None or data[head : head + 1] == bytes((self.unit,)))
+            and (self.function is None or self._has_function(data[head + 1 : head + 2]))
         )
+
+    def _has_function(self, code: bytes) -> bool:
+        return bool(code) and code[0] & 0x7F == self.function
 
 
 @final
@@ -156,10 +159,13 @@ class SerialFaultPlan:
         events, self._events = self._events, []
         return events
 
-    def fates(self, data: bytes, sender: str, now_ns: int) -> list[Fate]:
-        """What becomes of these characters; as they are, if no rule fires."""
+    def fates(self, data: bytes, sender: str, now_ns: int, head: int = 0) -> list[Fate]:
+        """What becomes of these characters; as they are, if no rule fires.
+
+        `head`: so many stand before the server address (6 in Modbus/TCP).
+        """
         for rule in self._rules:
-            if rule.is_met_by(data, sender, now_ns) and self._fires(rule):
+            if rule.is_met_by(data, sender, now_ns, head) and self._fires(rule):
                 self._fired[rule.name] += 1
                 self._events.append((now_ns, rule.name, rule.kind.value, data))
                 return self._hit(rule, data)

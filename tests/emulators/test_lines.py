@@ -225,6 +225,33 @@ def test_who_talks_no_modbus_is_disconnected_and_the_record_says_why():
     assert "host is disconnected: no Modbus: protocol 21536" in events[0][3]
 
 
+@pytest.mark.parametrize(
+    ("conditions", "answered"),
+    [
+        ({"function": 6}, [2]),
+        ({"unit": 2}, [1]),
+        ({"unit": 1, "function": 6, "sender": "unit1"}, [2]),
+        ({"sender": "unit2"}, [1]),
+        ({"function": 3, "sender": "host-2"}, [1]),
+        ({"sender": "line"}, [1, 2]),
+    ],
+)
+def test_faults_on_tcp_know_units_functions_and_senders(conditions, answered):
+    late = SerialFaultRule("late", SerialFaultKind.DELAY, delay_ns=900 * MS, **conditions)
+    world, _ = a_world(late, tcp=True)
+    first: Heard = []
+    second: Heard = []
+    # transaction identifiers that look like units and functions
+    world.add_line_host("line", "host", listener(first)).send(
+        adu(0x0203, 1, bytes.fromhex("06 0000 0001"))
+    )
+    world.add_line_host("line", "host", listener(second)).send(
+        adu(0x0106, 2, bytes.fromhex("03 0000 0001"))
+    )
+    world.queue.run_until(500 * MS)
+    assert [number for number, heard in ((1, first), (2, second)) if heard] == answered
+
+
 @pytest.mark.parametrize("after", range(1, 12))
 def test_a_request_may_come_in_two_pieces_split_anywhere(after):
     split = SerialFaultRule("split", SerialFaultKind.PAUSE, after=after, delay_ns=5 * MS)
