@@ -3,6 +3,7 @@ import json
 
 import pytest
 
+from harness.cli import main
 from harness.verbs import show
 from tests.harness.recorded import MS, Recorded, S
 from traces.reader import Trace
@@ -144,3 +145,12 @@ def test_times_are_seconds_or_refused(text, capsys, recording):
     with pytest.raises(SystemExit):
         shown(capsys, recording, f"--from={text}")
     assert "invalid" in capsys.readouterr().err
+
+
+def test_the_command_line_knows_it(capsys, recording, tmp_path):
+    assert main(["show", recording, "--id", "701"]) == 0
+    assert "left (1) has booted" in capsys.readouterr().out
+    assert main(["diff", recording, recording]) == 0
+    (tmp_path / "none.mcap").write_bytes(b"candump?")
+    assert main(["show", str(tmp_path / "none.mcap")]) == 2
+    assert "no MCAP file" in capsys.readouterr().err
