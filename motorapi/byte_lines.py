@@ -14,6 +14,7 @@ import select
 import socket
 import struct
 from collections.abc import Callable
+from contextlib import suppress
 from typing import TYPE_CHECKING, Any, Final, final
 
 from motorapi.errors import LinkError, UsageError
@@ -105,12 +106,12 @@ class TcpLine:
     # --- the runtime's side: a source of frames ---------------------------------------------------
 
     def receive_frame(self, timeout_s: float) -> tuple[bytes, int, bool] | None:
-        """(bytes, 0, False) that have come; None after `timeout_s` [s]."""
-        if self.is_closed:
-            raise LinkError(link=self.name, reason="the connection is closed")
-        if not select.select([self._socket], [], [], timeout_s)[0]:
-            return None
-        data = self._socket.recv(_READ_MAX)
+        """(bytes, 0, False) that have come, b"" at the end; None after `timeout_s` [s]."""
+        data = b""
+        with suppress(OSError, ValueError):  # it was closed here, or is broken
+            if not select.select([self._socket], [], [], timeout_s)[0]:
+                return None
+            data = self._socket.recv(_READ_MAX)
         if not data:
             self.is_closed = True
         return data, 0, False
@@ -191,12 +192,14 @@ class SerialLine:
     # --- the runtime's side: a source of frames ---------------------------------------------------
 
     def receive_frame(self, timeout_s: float) -> tuple[bytes, int, bool] | None:
-        """(characters, 0, False) that have come; None after `timeout_s` [s]."""
-        if self.is_closed:
-            raise LinkError(link=self.name, reason="the line is closed")
-        if not select.select([self._port], [], [], timeout_s)[0]:
-            return None
-        data = self._port.read(max(1, self._port.in_waiting))
+        """(characters, 0, False) that have come, b"" at the end; None after `timeout_s` [s]."""
+        try:
+            if not select.select([self._port], [], [], timeout_s)[0]:
+                return None
+            data = self._port.read(max(1, self._port.in_waiting))
+        except (OSError, ValueError, TypeError):  # it was closed here, or is gone
+            self.is_closed = True
+            return b"", 0, False
         return (data, 0, False) if data else None
 
     def transmit(self, data: bytes) -> None:
@@ -207,11 +210,19 @@ class SerialLine:
 def _listen(
     runtime: WallRuntime, line: TcpLine | SerialLine, on_data: DataListener
 ) -> "Registration":
-    def on_frame(data: bytes, time_ns: int, transmitted: bool) -> None:
-        if not transmitted:
-            on_data(data, time_ns)
+    """The end of a line is told to who listens to it, and is nobody else's error."""
+    registered: list[Registration] = []  # empty yet, if it ends that soon: then it is told again
 
-    return runtime.listen(line, on_frame)  # type: ignore[arg-type]  # as in `send`
+    def on_frame(data: bytes, time_ns: int, transmitted: bool) -> None:
+        if transmitted:
+            return
+        if not data:
+            for registration in registered:
+                registration.cancel()
+        on_data(data, time_ns)
+
+    registered.append(runtime.listen(line, on_frame))  # type: ignore[arg-type]  # as in `send`
+    return registered[0]
 
 
 def _opened(path: str, baud_bit_s: int, parity: str, stop_bits: int) -> object:

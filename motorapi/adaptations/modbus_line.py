@@ -268,7 +268,7 @@ class ModbusLine:
 
     def _hear(self, data: bytes, time_ns: int) -> None:
         if not data:
-            self._fail_all(LinkError(link=self.name, reason="the other end closed the connection"))
+            self._fail_all(LinkError(link=self.name, reason="the connection has ended"))
             return
         self._silent_ns = time_ns + self.line.silence_ns
         exchange, owed = self._active, None if self._is_tcp else self._owed

@@ -7,6 +7,7 @@ import pytest
 
 from motorapi.adaptations.modbus_line import ModbusLine, UnitClient
 from motorapi.byte_lines import TcpLine
+from motorapi.errors import LinkError
 from motorapi.lock_directory import LockDirectory
 from motorapi.process_lock import ProcessLock
 from motorapi.wall_runtime import WallRuntime
@@ -75,3 +76,26 @@ def test_threads_that_share_a_line_ask_one_after_another(tmp_path):
             line.close()
             connection.close()
             runtime.close()
+
+
+@pytest.mark.parametrize("end", ["ours", "theirs"])
+def test_a_connection_that_ends_fails_what_is_asked_on_it_and_no_other_wait(end):
+    runtime = WallRuntime()
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        connection = TcpLine("127.0.0.1", server.getsockname()[1], runtime=runtime)
+        line = ModbusLine(connection, runtime, None)
+        other = server.accept()[0]
+        asked = runtime.spawn(
+            "asks", lambda: UnitClient(line, 1, 5.0).read_holding_registers(0, count=1)
+        )
+        assert len(other.recv(12)) == 12
+        (connection if end == "ours" else other).close()
+        assert asked.join(2.0)  # would raise what is not the asker's alone
+        assert isinstance(asked.error, LinkError)
+        assert runtime.wait_until(lambda: False, 0.2) is False
+        with pytest.raises(LinkError, match="has ended"):
+            UnitClient(line, 1, 5.0).read_holding_registers(0, count=1)
+        line.close()
+        connection.close()
+        other.close()
+        runtime.close()
