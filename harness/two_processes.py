@@ -1,7 +1,7 @@
 """`motorhil demo --two-processes`: two programs share the pan motor, and one of them is killed.
 
 The rover is served on a hub, in wall time, and recorded. Two programs join it, each in a process of
-its own: `driving_program.py` drives the manoeuvre and looks along each leg before it, and
+its own: `driving_program.py` drives a manoeuvre and looks along each leg before it, and
 `mast_program.py` takes panoramas. When the driving program has had the pan motor once, and waits
 for it again while the mast moves it, the mast's program is killed. The driving program is to finish
 all the same; who had the motor when, and why it changed hands, is then read from the record alone.
@@ -25,7 +25,7 @@ from typing import TYPE_CHECKING, Final, final
 
 from emulators.hub import HubError, HubServer
 from emulators.serve import WallLoop
-from harness.examples.rover import MANOEUVRE
+from harness.examples.driving_program import LEGS
 from harness.examples.rover_kinematics import WHEELS
 from harness.exit_status import FAILED, PASSED
 from harness.ownership_record import Ended, Tenure, read_ownership
@@ -224,10 +224,10 @@ class _Story:
 
 def _motors(rig: Rig) -> tuple[list[tuple[str, ...]], list[str]]:
     """A row a motor of where it should be and is, by the plants' truth; and what is off."""
-    legs = {name: [leg.wheel(name) for leg in MANOEUVRE] for name in WHEELS}
+    legs = {name: [leg.wheel(name) for leg in LEGS] for name in WHEELS}
     targets = {f"drive_{name}": sum(roll for _, roll in legs[name]) for name in WHEELS}
     targets |= {f"steer_{name}": legs[name][-1][0] for name in WHEELS}
-    targets[SHARED] = MANOEUVRE[-1].way_ahead_rad()
+    targets[SHARED] = LEGS[-1].way_ahead_rad()
     rows: list[tuple[str, ...]] = []
     off: list[str] = []
     for motor, target_rad in targets.items():

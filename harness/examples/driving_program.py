@@ -8,11 +8,12 @@ again, and the manoeuvre goes on.
 
 import sys
 
-from harness.examples.rover import MANOEUVRE, Rover
+from harness.examples.rover import Rover
 from harness.examples.rover_hardware import rover_motors
 from harness.examples.rover_kinematics import WHEELS, Leg
 from motorapi import ControlMode, Motor, MotorError, MotorGroup
 
+LEGS = (Leg.arc(1.5, 0.3), Leg.crab(0.3, -0.5), Leg.turn(-0.4))
 PATIENCE_S = 60.0
 
 
@@ -33,7 +34,7 @@ def main() -> int:
             rover = Rover(wheels, steering, MotorGroup(motors[12]))
             for group in (rover.wheels, rover.steering, rover.mast):
                 group.for_each(Motor.set_control_mode, ControlMode.TRAJECTORY)
-            for leg in MANOEUVRE:
+            for leg in LEGS:
                 look_ahead(rover, leg)
                 print(f"drives the {leg.name}", flush=True)
                 rover.drive(leg)

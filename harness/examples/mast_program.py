@@ -11,7 +11,7 @@ from itertools import count
 from harness.examples.rover_hardware import rover_motors
 from motorapi import ControlMode, Motor, MotorError, MotorGroup, TrapezoidalTrajectory
 
-PICTURES_RAD = (-1.2, -0.4, 0.4, 1.2)
+PICTURES_RAD = (-0.8, 0.0, 0.8)
 TILT_RAD = -0.15
 EXPOSURE_S = 0.1
 PATIENCE_S = 60.0

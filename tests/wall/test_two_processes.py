@@ -117,7 +117,8 @@ def test_the_one_that_is_left_finishes_and_the_record_shows_why(demo):
     assert killed_ns <= left_ns  # and the two may be heard of in either order
     assert (died.program, died.purpose.split()[0]) == ("mast_program.py", "panorama")
     after = tenures[tenures.index(died) + 1 :]
-    assert [one.purpose for one in after] == ["a look along the crab", "a look along the turn"]
+    looks = ["a look along the crab", "a look along the turn"]
+    assert [one.purpose for one in after] in (looks, looks[1:])  # it may have had to wait but once
     assert {one.program for one in after} == {"driving_program.py"}
     assert {one.pid for one in after} != {died.pid}
     waiting = [event for event in record.events if event.action is LockAction.WAITING]
