@@ -12,7 +12,7 @@ from io import TextIOBase, TextIOWrapper
 from pathlib import Path
 from typing import BinaryIO, Final, final
 
-from traces import asc, candump, csv_traffic, sd_rows, socketcan_pcap, trc
+from traces import asc, blf, candump, csv_traffic, sd_rows, socketcan_pcap, trc
 from traces.errors import TraceError
 from traces.reader import read_trace
 from traces.records import MAGIC
@@ -161,6 +161,9 @@ class Source:
             with read_trace(self.path) as trace:
                 yield from recorded_frames(trace, findings)
             return
+        if self.format == "blf":
+            yield from blf.blf_frames(self.path, findings)
+            return
         if self.format == "pcap":
             yield from socketcan_pcap.captured_frames(self.path, findings)
             return
@@ -202,6 +205,8 @@ def open_source(path: str | os.PathLike[str]) -> Source:
         raise _unreadable(name, error) from error
     if head.startswith(MAGIC[:5]):
         return Source(name, "mcap")
+    if head.startswith(blf.MAGIC):
+        return Source(name, "blf")
     if socketcan_pcap.is_capture(head):
         return Source(name, "pcap")
     lines = head.decode("utf-8", errors="replace").splitlines()[:_HEAD_LINES]
@@ -209,7 +214,7 @@ def open_source(path: str | os.PathLike[str]) -> Source:
         for format_name, looks in _LOOKS:
             if looks(line):
                 return Source(name, format_name)
-    known = ", ".join(["mcap", "pcap", *_LINE_READERS])
+    known = ", ".join(["mcap", "blf", "pcap", *_LINE_READERS])
     what = "is empty" if not head else "holds no CAN traffic in a format known here"
     raise TraceError(name, what, remedy=f"formats are {known}")
 

@@ -1,0 +1,96 @@
+"""BLF files that another wrote are read to the nanosecond, damaged ones as far as they go."""
+
+import struct
+
+import can
+import pytest
+
+from traces import traffic
+from traces.blf import blf_frames
+from traces.formats import open_source
+from traces.schema import Direction
+from traces.traffic import Findings, classic, flexible, remote
+
+R, T, U = Direction.RECEIVED, Direction.TRANSMITTED, Direction.UNKNOWN
+START = 1_700_000_000
+MESSAGES = [
+    can.Message(START, 0x123, False, data=b"\1\2", channel=0),
+    can.Message(START + 0.25, 0x1ABCDEF, True, data=bytes(8), channel=1, is_rx=False),
+    can.Message(START + 0.5, 0x7, False, is_remote_frame=True, dlc=3, channel=0),
+    can.Message(START + 0.75, 0x8, False, is_fd=True, bitrate_switch=True, data=bytes(12)),
+    can.Message(START + 1, 0x44, False, is_error_frame=True, dlc=8, data=bytes(range(8))),
+]
+FRAMES = [
+    (START * 10**9, "can0", classic(0x123, b"\1\2"), R),
+    (START * 10**9 + 250_000_000, "can1", classic(0x1ABCDEF | traffic.EFF, bytes(8)), T),
+    (START * 10**9 + 500_000_000, "can0", remote(0x7, 3), R),
+    (START * 10**9 + 750_000_000, "can0", flexible(0x8, 1, bytes(12)), R),
+    (START * 10**9 + 1_000_000_000, "can0", classic(traffic.ERR | 0x44, bytes(range(8))), U),
+]
+
+
+@pytest.fixture
+def path(tmp_path):
+    return tmp_path / "some.blf"
+
+
+def write(path, messages, compression=-1):
+    with can.BLFWriter(path, compression_level=compression) as writer:
+        for message in messages:
+            writer(message)
+
+
+def read(path):
+    findings = Findings()
+    return [tuple(frame)[:4] for frame in blf_frames(str(path), findings)], findings
+
+
+@pytest.mark.parametrize("compression", [0, 6])
+def test_what_python_can_wrote_is_read(path, compression):
+    write(path, MESSAGES, compression)
+    frames, findings = read(path)
+    assert findings.problems == []
+    assert frames == FRAMES
+    assert open_source(path).format == "blf"
+
+
+def test_objects_that_go_on_in_the_next_container_are_whole(path):
+    write(path, MESSAGES[:1] * 5000, 1)
+    frames, findings = read(path)
+    assert findings.problems == []
+    assert frames == FRAMES[:1] * 5000
+
+
+def test_stamps_are_held_to_the_nanosecond(path):
+    write(path, MESSAGES[:1], 0)
+    data = bytearray(path.read_bytes())
+    at = data.rindex(b"LOBJ")
+    struct.pack_into("<Q", data, at + 24, 123_456_789)
+    path.write_bytes(data)
+    assert read(path)[0][0][0] == START * 10**9 + 123_456_789
+    struct.pack_into("<I", data, at + 16, 1)  # units of 10 us
+    path.write_bytes(data)
+    assert read(path)[0][0][0] == START * 10**9 + 123_456_789 * 10_000
+
+
+def test_a_file_cut_anywhere_gives_what_is_before_and_tells(path):
+    write(path, MESSAGES, 0)
+    whole = path.read_bytes()
+    between = (144, len(whole))  # where whole objects end: no reader can tell
+    for end in range(4, len(whole)):
+        path.write_bytes(whole[:end])
+        frames, findings = read(path)
+        assert frames == FRAMES[: len(frames)]
+        assert findings.problems or len(frames) == len(FRAMES) or end in between
+    assert len(frames) >= 4
+
+
+def test_damage_in_the_middle_costs_what_is_damaged(path):
+    write(path, MESSAGES[:1] * 5000, 1)
+    data = bytearray(path.read_bytes())
+    at = data.index(b"LOBJ", 200)
+    data[at + 100 : at + 110] = bytes(10)
+    path.write_bytes(data)
+    frames, findings = read(path)
+    assert 1000 < len(frames) < 5000
+    assert any("damaged" in problem.text for problem in findings.problems)
