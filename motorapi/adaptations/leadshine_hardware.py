@@ -91,7 +91,7 @@ class LeadshineHwMotor:
         self._fault_since_ns = 0
         self._is_homed = False
         self._prepared: tuple[int, ...] = ()
-        self._ramp_ms = 0
+        self._ramp_told = (-1, 0)  # under which token, and what [ms]
         self._stop: Exchange | None = None
         self._quick_stopped = False
 
@@ -256,9 +256,10 @@ class LeadshineHwMotor:
             speed = max(1, floor(motion.velocity * rpm_unit + 1e-9))
             check_register(self.label, "velocity", speed, _RPM_MAX, "rpm")
             path = (_ABSOLUTE, target >> 16, target, speed, faster, slower, 0, _RUN)
-        if self._ramp_ms != slower:
+        ramp = self.physical.token, slower
+        if self._ramp_told != ramp:
             self.registers.write(_QUICK_RAMP, slower)  # a stop slows down as the motion does
-            self._ramp_ms = slower
+            self._ramp_told = ramp
         self._prepared = path
         self._stop = None
 

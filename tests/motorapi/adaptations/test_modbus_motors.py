@@ -204,6 +204,20 @@ def test_a_drive_that_is_not_heard_is_offline_until_it_is(rig):
     assert mast.state() is not MotorState.OFFLINE
 
 
+def test_the_ramp_of_a_stop_is_told_again_after_somebody_else_had_the_drive():
+    with opened() as rig:
+        mast = rig.motors["mast"]
+        go_to(mast, 0.1)
+        mast.wait_until_done(5)
+        with mast.low_level() as hardware:
+            told = hardware.registers.read(0x6017)
+            hardware.registers.write(0x6017, told[0] + 100)
+        go_to(mast, 0.2)
+        mast.wait_until_done(5)
+        with mast.low_level() as hardware:
+            assert hardware.registers.read(0x6017) == told
+
+
 def test_several_on_one_line_start_one_after_another_and_say_so(adaptation):
     with opened(text(adaptation, names=("pan", "tilt"))) as rig:
         pair = MotorGroup(rig.motors["pan"], rig.motors["tilt"])
