@@ -25,6 +25,7 @@ _HEAD: Final = struct.Struct("<IB")
 _CONTROLWORD: Final = 0x6040
 _STATUSWORD: Final = 0x6041
 _MODE: Final = (0x6060, 0x6061)
+_RESETS: Final = (0x81, 0x82)
 _MOTION: Final = frozenset(
     (
         *(0x6042, 0x6043, 0x6044, 0x6062, 0x6063, 0x6064, 0x6069, 0x606B, 0x606C, 0x6071),
@@ -120,6 +121,13 @@ class CanopenDecoder:
             )
         return found
 
+    def _forget(self, number: int) -> None:
+        """The node begins anew: with the PDOs of its EDS, or with some that nobody has told."""
+        node = self._node(number)
+        node.mode, node.controlword, node.sdo = 0, None, SdoReader()
+        self.maps.forget(number)
+        self._learn_defaults(number, node.names)
+
     def _learn_defaults(self, node: int, names: ObjectNames) -> None:
         """The PDOs as an EDS has them."""
         for (index, subindex), text in names.defaults.items():
@@ -141,11 +149,15 @@ class CanopenDecoder:
         node = data[1] or None
         whom = "all nodes" if node is None else self._node(node).name
         fact = Fact("NMT command", data[0], command, told_to=True)
+        if data[0] in _RESETS:
+            for number in list(self._nodes) if node is None else [node]:
+                self._forget(number)
         return Said(Kind.NMT, node, f"NMT to {whom}: {command}", (fact,))
 
     def _heartbeat(self, node: int, state: int) -> Said:
         name = self._node(node).name
         if state == 0:
+            self._forget(node)
             fact = Fact("NMT state", 0, "boot-up")
             return Said(Kind.BOOT, node, f"{name} has booted", (fact,))
         text = NMT_STATES.get(state & 0x7F, f"state {state & 0x7F:02X}h, unknown")

@@ -42,6 +42,13 @@ class PdoMaps:
             self._identifiers[key] = None if value & _INVALID else value & _ID_MASK
             self._by_identifier.clear()
 
+    def forget(self, node: int) -> None:
+        """The node was reset: what was written to it is no longer so."""
+        for known in (self._identifiers, self._entries, self._counts):
+            for key in [key for key in known if key[0] == node]:
+                del known[key]
+        self._by_identifier.clear()
+
     def of(self, identifier: int) -> list[PdoKey]:
         """The PDOs with this identifier: one that a node transmits, or those of all who receive."""
         found = self._by_identifier.get(identifier)

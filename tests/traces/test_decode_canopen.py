@@ -210,3 +210,16 @@ def test_a_fault_reset_is_an_edge():
     texts = told(*write, *write, decoder=decoder)
     assert texts[0].endswith("0080h fault reset")
     assert texts[2].endswith("0080h fault reset, still set: no command")
+
+
+@pytest.mark.parametrize(
+    "reset", [(0x000, "8105"), (0x000, "8100"), (0x000, "8200"), (0x705, "00")]
+)
+def test_a_node_that_was_reset_has_no_longer_what_was_written_to_it(reset):
+    decoder = CanopenDecoder({5: "pan"})
+    told(*MAPPING, reset, decoder=decoder)
+    assert told((0x185, "3706FFFFFFFF"), decoder=decoder) == [
+        "pan (5) TPDO 1: 37 06 FF FF FF FF (its mapping is not in the recording)"
+    ]
+    told(*MAPPING, (0x000, "8106"), (0x706, "00"), decoder=decoder)  # somebody else's
+    assert "6064h" in told((0x185, "3706FFFFFFFF"), decoder=decoder)[0]

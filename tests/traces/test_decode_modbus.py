@@ -3,8 +3,10 @@
 import pytest
 
 from traces.decode_modbus import ModbusDecoder, adu_of, crc16
-from traces.modbus import Adu
+from traces.modbus import Adu, adus
+from traces.pcap import Capture
 from traces.said import Kind
+from traces.tcp_streams import pieces
 
 MS = 1_000_000
 
@@ -111,3 +113,15 @@ def test_the_bytes_of_a_connection_are_an_adu_if_their_length_fits():
     adu, _ = adu_of(5, data, tcp=True, to_server=True)
     assert (adu.transaction, adu.unit, adu.pdu.hex()) == (0x1234, 0x11, "03006b0003")
     assert adu_of(5, data[:-1], tcp=True, to_server=True)[0] is None
+
+
+@pytest.mark.data
+def test_a_gateway_answers_as_often_as_its_index_says(shared):
+    path = shared / "data/traffic/modbus_gateway_units1237_pipelined.pcap"
+    decoder = ModbusDecoder()
+    texts = [
+        decoder.decode(adu) for adu in adus(pieces(Capture(path).packets())) if isinstance(adu, Adu)
+    ]
+    requests = [said for said in texts if said.kind is Kind.MODBUS_REQUEST]
+    answers = [said for said in texts if said.kind is Kind.MODBUS_RESPONSE and said.facts]
+    assert (len(requests), len(answers)) == (2382, 1592)  # ../shared/data/traffic/INDEX.md
