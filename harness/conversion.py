@@ -9,6 +9,7 @@ from typing import final
 
 from traces.errors import TraceError
 from traces.formats import WRITABLE, Feature, Format, Source, Survey, open_source
+from traces.modbus_pcap import captured_adus, record_adus
 from traces.traffic import Findings
 from traces.traffic_mcap import record_frames
 
@@ -61,6 +62,8 @@ def convert(source_path: str, target: str, name: str, overwrite: bool = False) -
     findings = Findings()
     frames = source.frames(findings)
     first = next(frames, None)
+    if first is None and source.format == "pcap":
+        return _convert_modbus(source, target, name)
     if first is None:
         raise TraceError(source_path, f"no frame can be read as {source.format}")
     frames = chain((first,), frames)
@@ -77,6 +80,21 @@ def convert(source_path: str, target: str, name: str, overwrite: bool = False) -
         buses = tuple(survey.buses)
         lost = {what: n for what, n in survey.counts.items() if what not in format_.holds}
     return Conversion(source, target, name, findings, buses, lost)
+
+
+def _convert_modbus(source: Source, target: str, name: str) -> Conversion:
+    """The target holds the Modbus/TCP of a capture without CAN frames."""
+    findings = Findings()
+    adus = captured_adus(source.path, findings)
+    first = next(adus, None)
+    if first is None:
+        raise TraceError(source.path, "holds neither CAN frames nor Modbus/TCP")
+    if name != "mcap":
+        remedy = "convert it to mcap"
+        raise TraceError(source.path, f"holds Modbus/TCP, which {name} cannot", remedy=remedy)
+    told = {"source": Path(source.path).name, "format": "Modbus/TCP in pcap"}
+    lines = record_adus(target, chain((first,), adus), {"convert": told})
+    return Conversion(source, target, name, findings, lines, {})
 
 
 def _write(target: str, format_: Format, survey: Survey, source: Source) -> None:

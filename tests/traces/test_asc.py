@@ -57,6 +57,8 @@ def test_relative_times_count_from_the_row_before():
         ("date Sat Sep 09 02:13:00 AM 2018", 1536459180),
         ("date Sat Sep 30 15:06:13.191 2017", 1506783973.191),
         ("date Sam Mai 6 10:06:13.191 pm 2017", 1494108373.191),
+        ("date Thu Jan 1 12:30:00 PM 2015", 1420115400),
+        ("date Thu Jan 1 12:30:00 AM 2015", 1420072200),
         ("date 9.9.2018", 0),
     ],
 )

@@ -69,6 +69,7 @@ def test_a_start_is_rounded_to_what_its_digits_are_worth():
     ("lines", "why"),
     [
         (("   3)  5.0  Warng  FFFFFFFF  4  00 00 00 08  BUSHEAVY",), "state of the interface"),
+        (("   3)  5  FFFFFFFF  4  00 00 00 08  BUSHEAVY",), "state of the interface"),
         (("   3)  5.0  Rx  0300  3  01 02",), "2 of 3 bytes"),
         (("   3)  5.0  Rx  0300  3  01 02 0",), "no bytes"),
         (("   3)  5.0  Rx",), "no frame"),

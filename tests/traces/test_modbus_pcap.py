@@ -1,0 +1,74 @@
+"""Modbus/TCP of captures becomes a recording. Bytes: MODBUS Messaging on TCP/IP V1.0b."""
+
+import pytest
+
+from harness.conversion import convert
+from tests.traces.captures import SYN, ethernet, ip4, pcap, tcp
+from traces.errors import TraceError
+from traces.protobuf import decode
+from traces.reader import read_trace
+from traces.schema import MODBUS_ADU, Direction
+
+REQUEST = bytes.fromhex("0007 0000 0006 01 03 0010 0002")
+RESPONSE = bytes.fromhex("0007 0000 0007 01 03 04 00000001")
+
+
+def there(sequence, data, flags=0x10):
+    return ethernet(ip4(tcp(sequence, data, flags)))
+
+
+def back(sequence, data, flags=0x10):
+    segment = tcp(sequence, data, flags, source=502, target=40000)
+    return ethernet(ip4(segment, source="10.0.0.2", target="10.0.0.1"))
+
+
+@pytest.fixture
+def capture(tmp_path):
+    path = tmp_path / "some.pcap"
+    packets = [there(9, b"", SYN), back(99, b"", SYN), there(10, REQUEST[:5])]
+    packets += [there(15, REQUEST[5:]), back(100, RESPONSE), there(22, b"\0\1\0\1\0\6\1\3")]
+    path.write_bytes(pcap([(n, 0, packet) for n, packet in enumerate(packets)]))
+    return path
+
+
+def test_every_adu_is_recorded_as_it_was_on_the_wire(tmp_path, capture):
+    done = convert(capture, tmp_path / "a.mcap", "mcap")
+    assert done.buses == ("10.0.0.2",)
+    assert done.findings.frames == 2
+    ((packet, why),) = done.findings.problems
+    assert packet == 6
+    assert "protocol 1" in why
+    with read_trace(tmp_path / "a.mcap") as trace:
+        found = [(c.topic, t, decode(MODBUS_ADU, payload)) for c, t, payload in trace.messages()]
+    assert [(topic, time_ns) for topic, time_ns, _ in found] == [
+        ("/modbus/10.0.0.2", 3_000_000_000),
+        ("/modbus/10.0.0.2", 4_000_000_000),
+    ]
+    assert [adu["data"] for _, _, adu in found] == [REQUEST, RESPONSE]
+    assert [adu["direction"] for _, _, adu in found] == [Direction.TRANSMITTED, Direction.RECEIVED]
+    assert [adu["sender"] for _, _, adu in found] == ["10.0.0.1:40000", "10.0.0.2:502"]
+    assert all(adu["tcp"] for _, _, adu in found)
+
+
+def test_a_format_of_can_frames_cannot_hold_it(tmp_path, capture):
+    with pytest.raises(TraceError, match="holds Modbus/TCP, which asc cannot; convert it to mcap"):
+        convert(capture, tmp_path / "a.asc", "asc")
+
+
+def test_a_capture_of_something_else_is_refused(tmp_path):
+    (tmp_path / "other.pcap").write_bytes(pcap([(0, 0, ethernet(b"?", kind=0x88CC))]))
+    with pytest.raises(TraceError, match="neither CAN frames nor Modbus/TCP"):
+        convert(tmp_path / "other.pcap", tmp_path / "a.mcap", "mcap")
+
+
+@pytest.mark.data
+@pytest.mark.parametrize(
+    ("name", "adus", "problems"),
+    [  # of the gateway: 2382 requests, 1592 responses (INDEX), and one nobody asked for
+        ("modbus_gateway_units1237_pipelined", 2382 + 1592 + 1, 0),
+        ("modbus_quickdraw_part1", 46, 6),
+    ],
+)
+def test_a_real_capture(shared, tmp_path, name, adus, problems):
+    done = convert(shared / f"data/traffic/{name}.pcap", tmp_path / "a.mcap", "mcap")
+    assert (done.findings.frames, len(done.findings.problems)) == (adus, problems)
