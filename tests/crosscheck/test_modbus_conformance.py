@@ -132,6 +132,30 @@ def test_requests_may_be_cut_at_any_byte(served):
             assert served.answer_tcp(one, 1) == pdu("03 02 03ED")
 
 
+def test_a_client_that_reads_late_loses_nothing_and_holds_nobody_up(served):
+    gateway = served.world.line("plant").gateway
+    sent = 0
+    with socket.socket() as late:
+        late.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 16_384)
+        late.connect(served.socket.address)
+        late.setblocking(False)
+        assert served.ask_tcp(2, READ_5) == pdu("03 02 07D5")
+        for connection in served.socket._connections:  # the kernel would take megabytes
+            connection.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, 16_384)
+        asked = gateway.requests
+        while not served.socket.backlogged():
+            os.write(late.fileno(), adu(1, 1, pdu("03 0000 007D")) * 50)
+            sent += 50
+            while gateway.requests < asked + sent:
+                served.loop.step(0.05)
+            served.loop.step(0)
+        assert served.ask_tcp(2, READ_5) == pdu("03 02 07D5")
+        size = 7 + 2 + 250
+        answers = served.heard(late.fileno(), size * sent)
+    assert answers[:9] == pdu("0001 0000 00FD 01 03 FA")
+    assert answers == answers[:size] * sent
+
+
 def test_what_is_no_modbus_ends_its_connection_and_no_other(served):
     with socket.create_connection(served.socket.address) as other:
         other.sendall(b"GET / HTTP/1.1\r\n\r\n")

@@ -91,6 +91,10 @@ class Line:
 @example([(0, 0, "write 1"), (0, 1, "write 1")], None)
 @example([(0, 0, "read 1"), (4400, 1, "read 1")], None)  # into the answer
 @example([(0, 0, "write 0"), (1700, 1, "write 0")], None)  # within its t3.5
+@example(  # what a server made of it, had it not looked at the check sum
+    [(0, 0, "write 1"), (9000, 1, "read 1")],
+    SerialFaultRule("drawn", K.CORRUPT, sender="host", limit=1, flip=b"\0\0\0\0\0\x01"),
+)
 def test_whatever_collides_ends_and_the_next_request_is_answered(speeches, rule):
     line = Line(*([] if rule is None else [rule]))
     line.world.queue.run_until(10 * MS)
