@@ -112,19 +112,19 @@ def test_lock_directories_that_are_refused_are_told_and_not_taken_for_empty_ones
 
 
 def test_one_file_that_is_no_lock_does_not_hide_the_others(runtime, locks, tmp_path, capsys):
-    locks("can0-node3", "can0 node 3").acquire(runtime, "survey")
     file = tmp_path / "locks" / "can0-node4"
-    file.write_bytes(b"a letter")
-    file.chmod(0o600)
-    assert motorhil(["list", "motors"]) == 2
+    with locks("can0-node3", "can0 node 3").acquire(runtime, "survey"):
+        file.write_bytes(b"a letter")
+        file.chmod(0o600)
+        assert motorhil(["list", "motors"]) == 2
     output = capsys.readouterr()
     assert output.out.startswith("can0 node 3 ")
     assert output.err == f"motorhil list: {file}: this is no lock file; remove it\n"
 
 
 def test_what_a_program_says_of_itself_cannot_work_the_terminal(runtime, locks, capsys):
-    locks("can0-node3", "can0 node 3").acquire(runtime, "a\nline \x1b[31mred")
-    assert motorhil(["list", "motors"]) == 0
+    with locks("can0-node3", "can0 node 3").acquire(runtime, "a\nline \x1b[31mred"):
+        assert motorhil(["list", "motors"]) == 0
     output = capsys.readouterr().out
     assert " for a?line ?[31mred, since " in output
     assert output.count("\n") == 1
