@@ -14,7 +14,7 @@ from typing import Final, final
 from traces.canopen_codes import NMT_COMMANDS, NMT_STATES, abort_text, emergency_text
 from traces.decode_cia402 import controlword_text, mode_text, statusword_text
 from traces.decode_sdo import SdoReader, SdoStep, Step
-from traces.object_names import ObjectNames, value_of, value_text
+from traces.object_names import ObjectNames, axis_of, value_of, value_text
 from traces.pdo_maps import PdoKey, PdoMaps
 from traces.said import Fact, Kind, Said
 
@@ -57,8 +57,8 @@ class _Node:
         self.name = name
         self.names = names
         self.sdo = SdoReader()
-        self.mode = 0
-        self.controlword: int | None = None
+        self.modes: dict[int, int] = {}  # of operation, by axis
+        self.controlwords: dict[int, int] = {}
 
 
 @final
@@ -124,7 +124,7 @@ class CanopenDecoder:
     def _forget(self, number: int) -> None:
         """The node begins anew: with the PDOs of its EDS, or with some that nobody has told."""
         node = self._node(number)
-        node.mode, node.controlword, node.sdo = 0, None, SdoReader()
+        node.modes, node.controlwords, node.sdo = {}, {}, SdoReader()
         self.maps.forget(number)
         self._learn_defaults(number, node.names)
 
@@ -220,29 +220,32 @@ class CanopenDecoder:
         node = self._node(number)
         name = node.names.of(index, subindex)
         value = value_of(name.kind, data)
+        axis, first = axis_of(index)
         if isinstance(value, int):
             self.maps.learn(number, index, subindex, value)
-            if index in _MODE and value:
-                node.mode = value
+            if first in _MODE and value:
+                node.modes[axis] = value
         text = self._value_text(node, index, name.kind, data)
-        if index == _CONTROLWORD and told_to and isinstance(value, int):
-            node.controlword = value
+        if first == _CONTROLWORD and told_to and isinstance(value, int):
+            node.controlwords[axis] = value
         subject = f"{place_text(index, subindex)} {name.text}".strip()
         # A set-point told by SDO is a command like any other; as a stream it is motion.
-        return (Fact(subject, value, text, told_to, index in _MOTION and not told_to),)
+        return (Fact(subject, value, text, told_to, first in _MOTION and not told_to),)
 
     @staticmethod
     def _value_text(node: _Node, index: int, kind: str, data: bytes) -> str:
         value = value_of(kind, data)
+        axis, first = axis_of(index)
         if isinstance(value, int):
-            if index == _CONTROLWORD:
-                words = controlword_text(value, node.mode, node.controlword)
+            mode = node.modes.get(axis, 0)
+            if first == _CONTROLWORD:
+                words = controlword_text(value, mode, node.controlwords.get(axis))
                 return f"{value:04X}h {words}"
-            if index == _STATUSWORD:
-                return f"{value:04X}h {statusword_text(value, node.mode)}"
-            if index in _MODE:
+            if first == _STATUSWORD:
+                return f"{value:04X}h {statusword_text(value, mode)}"
+            if first in _MODE:
                 return f"{value} {mode_text(value)}"
-            if index == 0x603F:
+            if first == 0x603F:
                 return f"{value:04X}h {emergency_text(value)}"
         return value_text(kind, data)
 
@@ -286,7 +289,7 @@ class CanopenDecoder:
                 continue  # a dummy object
             part = value.to_bytes((bits + 7) // 8, "little")
             (fact,) = self._object(number, index, subindex, part, told_to)
-            motion = fact.motion or index in _SETPOINTS
+            motion = fact.motion or axis_of(index)[1] in _SETPOINTS
             facts.append(Fact(fact.subject, fact.value, fact.text, told_to, motion))
         return facts
 

@@ -8,6 +8,7 @@ change places. What is commanded to one node keeps its order.
 from dataclasses import dataclass
 from typing import Final, final
 
+from traces.object_names import axis_of
 from traces.protobuf import decode
 from traces.reader import Trace, TraceMessage
 from traces.said import PERIODIC, Fact, Kind, Said
@@ -20,7 +21,7 @@ Key = tuple[str, int | None, str]
 COMMANDS: Final = "commands"
 _ALWAYS: Final = ("emergency", "NMT command")
 """Of what is told by a node, what counts each time it is told."""
-_QUANTITIES: Final = ("6062h", "6064h", "607Ah", "60FFh", "6071h", "60C1h")
+_QUANTITIES: Final = (0x6062, 0x6064, 0x607A, 0x60FF, 0x6071, 0x60C1)
 """Motion that is compared: positions and set-points; velocities and currents measured are not."""
 
 
@@ -88,7 +89,8 @@ class Meaning:
                 self._add(key, label, line, (fact.subject, fact.value), fact)
 
     def _take_motion(self, line: Line, said: Said, fact: Fact, label: str) -> None:
-        if not fact.subject.startswith(_QUANTITIES) or isinstance(fact.value, str | bytes):
+        _, index = axis_of(int(fact.subject[:4], 16))
+        if index not in _QUANTITIES or isinstance(fact.value, str | bytes):
             return
         key: Key = (line.place, said.node, fact.subject)
         self.labels.setdefault(key, label.replace(COMMANDS, fact.subject))

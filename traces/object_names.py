@@ -187,8 +187,22 @@ def _table(text: str) -> dict[tuple[int, int], ObjectName]:
 _KNOWN: Final = _table(_STANDARD) | _table(_SUBS)
 
 
+def axis_of(index: int) -> tuple[int, int]:
+    """Which axis of a device an object is of, from 1, and its index on the first axis.
+
+    Source: CiA 402-2: the objects of each further axis are 800h behind.
+    """
+    if 0x6800 <= index < 0xA000:
+        return (index - 0x6000) // 0x800 + 1, 0x6000 + index % 0x800
+    return 1, index
+
+
 def standard_name(index: int, subindex: int) -> ObjectName:
     """Of an object of CiA 301 or 402; of any other its text is empty."""
+    axis, first = axis_of(index)
+    if axis > 1:
+        name = standard_name(first, subindex)
+        return ObjectName(f"{name.text}, axis {axis}" if name.text else "", name.kind)
     if 0x1400 <= index < 0x1C00:
         return _pdo_name(index, subindex)
     if subindex == 0 and index in _ARRAYS:

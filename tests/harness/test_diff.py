@@ -296,3 +296,20 @@ def test_context_leaves_other_nodes_out(compare):
 
     _, out = compare(with_neighbour("07"), with_neighbour("0F"))
     assert "right (2)" not in out
+
+
+@pytest.mark.parametrize("index", ["6460", "6468"])
+def test_positions_that_drives_tell_are_motion_on_every_axis(compare, index):
+    def told(last):
+        def make(one):
+            for at, value in enumerate((0, 500, last)):
+                one.sdo(
+                    at * S, 1, f"40{index}00", f"43{index}00{value.to_bytes(4, 'little').hex()}"
+                )
+
+        return make
+
+    assert compare(told(1000), told(1009))[0] == 0  # 1 % of the way
+    status, out = compare(told(1000), told(1020))
+    assert status == 1
+    assert "position actual value" in out.splitlines()[0]

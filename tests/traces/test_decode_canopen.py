@@ -223,3 +223,20 @@ def test_a_node_that_was_reset_has_no_longer_what_was_written_to_it(reset):
     ]
     told(*MAPPING, (0x000, "8106"), (0x706, "00"), decoder=decoder)  # somebody else's
     assert "6064h" in told((0x185, "3706FFFFFFFF"), decoder=decoder)[0]
+
+
+def test_each_axis_of_a_device_has_its_own_objects_and_mode():
+    frames = [  # CiA 402-2: the second axis is 800h behind the first
+        (0x605, "2F60600003000000"),  # 6060h: pv
+        (0x585, "6060600000000000"),
+        (0x605, "2F60680001000000"),  # 6860h: pp
+        (0x585, "6060680000000000"),
+        (0x585, "4B41600037120000"),
+        (0x585, "4B41680037120000"),
+        (0x585, "43646800FFFFFFFF"),
+    ]
+    assert told(*frames)[4:] == [
+        "SDO pan (5): 6041h statusword = 1237h operation enabled, speed is 0",
+        "SDO pan (5): 6841h statusword, axis 2 = 1237h operation enabled, set-point acknowledge",
+        "SDO pan (5): 6864h position actual value, axis 2 = -1",
+    ]
