@@ -105,7 +105,8 @@ def _write(target: str, format_: Format, survey: Survey, source: Source) -> None
             format_.write(file, survey, source.frames(Findings()))
         os.replace(part, target)
     except OSError as error:
-        with suppress(OSError):
-            os.remove(part)
         what = f"cannot be written: {(error.strerror or str(error)).lower()}"
         raise TraceError(target, what) from error
+    finally:
+        with suppress(OSError):
+            os.remove(part)

@@ -32,6 +32,7 @@ _ERROR: Final = struct.Struct("<HHIBBBxIIH2x8s")
 _CONTAINER: Final = 10
 _HEAD_MAX: Final = 1 << 16
 _OBJECT_MAX: Final = 1 << 28
+_INNER_MAX: Final = 1 << 22  # inside a container
 _EXTENDED: Final = 0x8000_0000
 _REMOTE: Final = 0x80
 _SENT: Final = 0x01
@@ -95,6 +96,7 @@ class _Objects:
                     self._number, f"ends {missing} bytes before the end of an object at byte {at}"
                 )
             body = data[at : at + size]
+            damage = len(self._findings.problems)
             if kind == _CONTAINER:
                 rest += self._content(body, max(head, _BASE.size), at)
             else:
@@ -105,6 +107,12 @@ class _Objects:
                 if frame is not None:
                     yield frame
             rest = rest[used:]
+            if (
+                len(self._findings.problems) > damage
+                and kind == _CONTAINER
+                and at + size < len(data)
+            ):
+                rest = b""  # a size that is damaged must not swallow the containers behind
             at += size + size % 4
         if data[at:].strip(b"\0"):
             left = len(data) - at
@@ -147,7 +155,7 @@ class _Objects:
                 lost = found - at
                 self._findings.problem(self._number, f"{lost} bytes in a container are no object")
             _, _, version, size, kind = _BASE.unpack_from(data, found)
-            if size < _BASE.size or size > _OBJECT_MAX:
+            if not _BASE.size <= size <= _INNER_MAX:
                 self._findings.problem(self._number, f"an object of {size} bytes")
                 at = found + 4
                 continue

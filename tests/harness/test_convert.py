@@ -67,12 +67,14 @@ def test_people_are_told_twenty_problems_and_how_many_more(folder, say):
         (("in.txt", "-o", "there.log"), "exists; name another file, or say --force"),
         (("in.txt", "-o", "no/such/x.log"), "cannot be written: no such file"),
         (("in.txt", "-o", "there.log", "--to", "mcap", "--force"), "is no recording"),
+        (("in.txt", "-o", "folder.log", "--force"), "cannot be written: is a directory"),
         (("cut.txt", "-o", "x.mcap"), "no frame can be read as candump"),
         ((".", "-o", "x.mcap"), "is a directory"),
     ],
 )
 def test_wrong_usage_is_refused_in_a_sentence(folder, say, words, why):
     (folder / "there.log").write_text("mine\n")
+    (folder / "folder.log").mkdir()
     (folder / "cut.txt").write_text("  can0  181   [8]  01 02 03")
     status, out, err = say("convert", *words)
     assert (status, out) == (2, "")
