@@ -13,6 +13,7 @@ Source: of the silences MODBUS over Serial Line V1.02, section 2.5.1.1.
 import select
 import socket
 import struct
+import threading
 from collections.abc import Callable
 from contextlib import suppress
 from typing import TYPE_CHECKING, Any, Final, final
@@ -159,6 +160,8 @@ class SerialLine:
         self._character_ns: Final = bits * _NS // baud_bit_s
         self._wall: Final = process_runtime() if runtime is None else runtime
         self.is_closed = False
+        self._reads = threading.Event()
+        self._reads.set()
         self._port: Any = _opened(path, baud_bit_s, parity, stop_bits)  # Any: pyserial's own
 
     @property
@@ -184,18 +187,28 @@ class SerialLine:
         """`on_data` hears what comes."""
         return _listen(self._wall, self, on_data)
 
+    def set_reading(self, reads: bool) -> None:
+        """Whether what comes is read: of those who have this device open, one gets each byte."""
+        if reads:
+            self._reads.set()
+        else:
+            self._reads.clear()
+
     def close(self) -> None:
         """Nothing is sent or heard any more; closing again does nothing."""
         self.is_closed = True
+        self._reads.set()  # whoever reads learns it
         self._port.close()
 
     # --- the runtime's side: a source of frames ---------------------------------------------------
 
     def receive_frame(self, timeout_s: float) -> tuple[bytes, int, bool] | None:
         """(characters, 0, False) that have come, b"" at the end; None after `timeout_s` [s]."""
+        if not self._reads.wait(timeout_s):
+            return None
         try:
-            if not select.select([self._port], [], [], timeout_s)[0]:
-                return None
+            if not select.select([self._port], [], [], timeout_s)[0] or not self._reads.is_set():
+                return None  # nothing, or the answer to another process
             data = self._port.read(max(1, self._port.in_waiting))
         except (OSError, ValueError, TypeError):  # it was closed here, or is gone
             self.is_closed = True

@@ -96,6 +96,8 @@ class ModbusLine:
         self._owed_until_ns = 0  # ... until then
         self._timer: Registration | None = None
         self._registration = line.listen(self._hear)
+        if lock is not None:
+            self._set_reading(False)
 
     # ---- asking ----
 
@@ -228,12 +230,20 @@ class ModbusLine:
             self._hold = self._lock.acquire(self.runtime, "a Modbus exchange", 0.0, self)
         except MotorBusyError:
             return False
+        self._set_reading(True)
         return True
 
     def _unlock(self) -> None:
         hold, self._hold = self._hold, None
         if hold is not None:
+            self._set_reading(False)
             hold.release()
+
+    def _set_reading(self, reads: bool) -> None:
+        """On a line that processes share, each reads what comes only in its own exchanges."""
+        set_reading = getattr(self.line, "set_reading", None)
+        if set_reading is not None:
+            set_reading(reads)
 
     def _set_timer(self, time_s: float, action: Callable[[], None]) -> None:
         self._end_timer()

@@ -3,13 +3,19 @@
 import os
 import pty
 import socket
+import threading
 import time
+import tty
 
 import pytest
 
+from motorapi.adaptations.modbus_line import ModbusLine, UnitClient
 from motorapi.byte_lines import SerialLine, TcpLine
 from motorapi.errors import LinkError
+from motorapi.lock_directory import LockDirectory
+from motorapi.process_lock import ProcessLock
 from motorapi.wall_runtime import WallRuntime
+from tests.emulators.modbus_bench import with_crc
 
 pytestmark = pytest.mark.wall
 
@@ -44,3 +50,38 @@ def test_a_serial_line_that_takes_nothing_is_a_broken_link():
     finally:
         os.close(slave)
         os.close(master)
+
+
+def serve(master):
+    """Each request for a register is answered by its unit."""
+    try:
+        while request := os.read(master, 300):
+            os.write(master, with_crc(request[:2] + b"\x02\x00" + request[:1]))
+    except OSError:
+        return
+
+
+def test_of_two_that_have_a_serial_device_open_nobody_reads_the_others_answers(tmp_path):
+    master, slave = pty.openpty()
+    tty.setraw(slave)
+    threading.Thread(target=serve, args=(master,), daemon=True).start()
+    runtime, heard = WallRuntime(), {1: [], 2: []}
+
+    def ask(unit):
+        port = SerialLine(os.ttyname(slave), baud_bit_s=115_200, parity="N", runtime=runtime)
+        lock = ProcessLock("port-exchange", "the port", LockDirectory(tmp_path))
+        line = ModbusLine(port, runtime, lock)
+        client = UnitClient(line, unit, 0.5)
+        for _ in range(30):
+            heard[unit] += client.read_holding_registers(5).registers
+        line.close()
+        port.close()
+
+    parties = [runtime.spawn(f"unit {unit}", lambda unit=unit: ask(unit)) for unit in (1, 2)]
+    for party in parties:
+        assert party.join(30.0)
+        assert party.error is None
+    assert heard == {1: [1] * 30, 2: [2] * 30}
+    runtime.close()
+    os.close(slave)
+    os.close(master)
