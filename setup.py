@@ -16,6 +16,7 @@ from setuptools import setup
 HOT = (
     "emulators/event_queue.py",
     "emulators/can_segment.py",
+    "emulators/line_segment.py",
     "emulators/segment.py",
     "emulators/world.py",
     "emulators/media/*.py",
