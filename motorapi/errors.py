@@ -173,6 +173,7 @@ class MotorBusyError(MotorError):
     ("low-level access"; "" if the holder's name says it all). If the holder is a process, through a
     lock between processes, also pid and program, and since (in words). taken_over ("": it was not):
     why the holder could take it over from who is told this, as "its lease of 0.5 s was over".
+    remedy: what to do about a holder who will not let go by himself; "" if there is nothing.
     """
 
     def __init__(
@@ -186,6 +187,7 @@ class MotorBusyError(MotorError):
         program: str = "",
         since: str = "",
         taken_over: str = "",
+        remedy: str = "",
     ) -> None:
         self.motor = motor
         self.holder = holder
@@ -195,9 +197,11 @@ class MotorBusyError(MotorError):
         self.program = program
         self.since = since or f"{since_ns / 1e9:.6f} s"
         self.taken_over = taken_over
+        self.remedy = remedy
         whom = f"{holder} for {purpose}" if purpose else holder
         how = f"was taken over ({taken_over})" if taken_over else "is held"
-        super().__init__(f"{motor} {how} by {whom} since {self.since}")
+        tail = f"; {remedy}" if remedy else ""
+        super().__init__(f"{motor} {how} by {whom} since {self.since}{tail}")
 
 
 @final

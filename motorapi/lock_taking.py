@@ -179,6 +179,14 @@ _DOING: Final[dict[Attempt | None, str]] = {
 }
 
 
+def _remedy(who: Occupant) -> str:
+    """What to do about one who is paused, and will not let go by himself."""
+    if who.record is None or not who.is_paused:
+        return ""
+    pid = who.record.pid
+    return f"let it go on (kill -CONT {pid}), or end it (kill -9 {pid})"
+
+
 def busy_error(runtime: Runtime | None, asker: str, who: Occupant, doing: str) -> MotorBusyError:
     """What somebody is told who is refused; `doing` says what the holder is doing."""
     record = who.record
@@ -191,4 +199,5 @@ def busy_error(runtime: Runtime | None, asker: str, who: Occupant, doing: str) -
         purpose="" if record is None else record.purpose,
         pid=None if record is None else record.pid,
         program="" if record is None else record.program,
+        remedy=_remedy(who),
     )
