@@ -13,7 +13,6 @@ Source: of the silences MODBUS over Serial Line V1.02, section 2.5.1.1.
 import select
 import socket
 import struct
-import threading
 from collections.abc import Callable
 from contextlib import suppress
 from typing import TYPE_CHECKING, Any, Final, final
@@ -160,8 +159,8 @@ class SerialLine:
         self._character_ns: Final = bits * _NS // baud_bit_s
         self._wall: Final = process_runtime() if runtime is None else runtime
         self.is_closed = False
-        self._reads = threading.Event()
-        self._reads.set()
+        self._reads = True
+        self._gate, self._gate_key = socket.socketpair()  # readable when it reads again
         self._port: Any = _opened(path, baud_bit_s, parity, stop_bits)  # Any: pyserial's own
 
     @property
@@ -189,25 +188,30 @@ class SerialLine:
 
     def set_reading(self, reads: bool) -> None:
         """Whether what comes is read: of those who have this device open, one gets each byte."""
-        if reads:
-            self._reads.set()
-        else:
-            self._reads.clear()
+        if reads and not self._reads:
+            self._reads = True
+            self._gate_key.send(b"1")
+        elif self._reads and not reads:
+            self._reads = False
+            if select.select([self._gate], [], [], 0.0)[0]:
+                self._gate.recv(_READ_MAX)
 
     def close(self) -> None:
         """Nothing is sent or heard any more; closing again does nothing."""
-        self.is_closed = True
-        self._reads.set()  # whoever reads learns it
+        self.is_closed = self._reads = True
+        self._gate.close()
+        self._gate_key.close()
         self._port.close()
 
     # --- the runtime's side: a source of frames ---------------------------------------------------
 
     def receive_frame(self, timeout_s: float) -> tuple[bytes, int, bool] | None:
         """(characters, 0, False) that have come, b"" at the end; None after `timeout_s` [s]."""
-        if not self._reads.wait(timeout_s):
-            return None
         try:
-            if not select.select([self._port], [], [], timeout_s)[0] or not self._reads.is_set():
+            if not self._reads:
+                select.select([self._gate], [], [], timeout_s)
+                return None
+            if not select.select([self._port], [], [], timeout_s)[0] or not self._reads:
                 return None  # nothing, or the answer to another process
             data = self._port.read(max(1, self._port.in_waiting))
         except (OSError, ValueError, TypeError):  # it was closed here, or is gone
