@@ -14,7 +14,7 @@ from typing import Final, final
 from traces.canopen_codes import NMT_COMMANDS, NMT_STATES, abort_text, emergency_text
 from traces.decode_cia402 import controlword_text, mode_text, statusword_text
 from traces.decode_sdo import SdoReader, SdoStep, Step
-from traces.object_names import ObjectNames, axis_of, value_of, value_text
+from traces.object_names import ObjectName, ObjectNames, axis_of, value_of, value_text
 from traces.pdo_maps import PdoKey, PdoMaps
 from traces.said import Fact, Kind, Said
 
@@ -25,6 +25,8 @@ _HEAD: Final = struct.Struct("<IB")
 _CONTROLWORD: Final = 0x6040
 _STATUSWORD: Final = 0x6041
 _MODE: Final = (0x6060, 0x6061)
+_DRIVES: Final = (402, 0xFFFF)
+"""Low word of the device type 1000h: a drive; several devices, each with a profile of its own."""
 _RESETS: Final = (0x81, 0x82)
 _MOTION: Final = frozenset(
     (
@@ -57,8 +59,17 @@ class _Node:
         self.name = name
         self.names = names
         self.sdo = SdoReader()
+        self.is_drive = True  # until its device type says otherwise
         self.modes: dict[int, int] = {}  # of operation, by axis
         self.controlwords: dict[int, int] = {}
+
+    def place(self, index: int) -> tuple[int, int]:
+        """Axis and index on the first axis, of a drive; of anything else no such index."""
+        return axis_of(index) if self.is_drive or index < 0x6000 else (1, 0)
+
+    def name_of(self, index: int, subindex: int) -> ObjectName:
+        """What an object is called; 6000h and on by CiA 402 only if this is a drive."""
+        return self.names.of(index, subindex, self.is_drive)
 
 
 @final
@@ -194,7 +205,7 @@ class CanopenDecoder:
         if step.index is None or step.subindex is None:
             what, kind = "an object (the beginning was not recorded)", ""
         else:
-            name = node.names.of(step.index, step.subindex)
+            name = node.name_of(step.index, step.subindex)
             what = f"{place_text(step.index, step.subindex)} {name.text}".strip()
             kind = name.kind
         who = f"SDO {node.name}" if from_server else f"SDO to {node.name}"
@@ -218,11 +229,13 @@ class CanopenDecoder:
     ) -> tuple[Fact, ...]:
         """An object of a node has this value; what follows from it is learned."""
         node = self._node(number)
-        name = node.names.of(index, subindex)
+        name = node.name_of(index, subindex)
         value = value_of(name.kind, data)
-        axis, first = axis_of(index)
+        axis, first = node.place(index)
         if isinstance(value, int):
             self.maps.learn(number, index, subindex, value)
+            if index == 0x1000:
+                node.is_drive = value & 0xFFFF in _DRIVES
             if first in _MODE and value:
                 node.modes[axis] = value
         text = self._value_text(node, index, name.kind, data)
@@ -235,7 +248,7 @@ class CanopenDecoder:
     @staticmethod
     def _value_text(node: _Node, index: int, kind: str, data: bytes) -> str:
         value = value_of(kind, data)
-        axis, first = axis_of(index)
+        axis, first = node.place(index)
         if isinstance(value, int):
             mode = node.modes.get(axis, 0)
             if first == _CONTROLWORD:
@@ -289,7 +302,7 @@ class CanopenDecoder:
                 continue  # a dummy object
             part = value.to_bytes((bits + 7) // 8, "little")
             (fact,) = self._object(number, index, subindex, part, told_to)
-            motion = fact.motion or axis_of(index)[1] in _SETPOINTS
+            motion = fact.motion or self._node(number).place(index)[1] in _SETPOINTS
             facts.append(Fact(fact.subject, fact.value, fact.text, told_to, motion))
         return facts
 

@@ -243,9 +243,10 @@ class ObjectNames:
         if eds:
             self._read(eds)
 
-    def of(self, index: int, subindex: int) -> ObjectName:
-        """The object's name; its text is empty if it has none."""
-        standard = standard_name(index, subindex)
+    def of(self, index: int, subindex: int, is_drive: bool = True) -> ObjectName:
+        """The object's name; its text is empty if it has none that is known."""
+        known = is_drive or index < 0x6000
+        standard = standard_name(index, subindex) if known else ObjectName("", "")
         own = self._own.get((index, subindex))
         if own is None or (standard.text and standard.kind):
             return standard

@@ -240,3 +240,17 @@ def test_each_axis_of_a_device_has_its_own_objects_and_mode():
         "SDO pan (5): 6841h statusword, axis 2 = 1237h operation enabled, set-point acknowledge",
         "SDO pan (5): 6864h position actual value, axis 2 = -1",
     ]
+
+
+def test_what_is_no_drive_has_no_objects_of_a_drive():
+    decoder = CanopenDecoder({5: "pan"})
+    texts = told(
+        (0x605, "4000100000000000"),
+        (0x585, "4300100091010300"),  # CiA 401, generic I/O
+        (0x605, "2B41600037020000"),
+        decoder=decoder,
+    )
+    assert texts[1:] == [
+        "SDO pan (5): 1000h device type = 00030191h",
+        "SDO to pan (5): write 6041h = 0237h",
+    ]
