@@ -30,6 +30,7 @@ _FAST_BIT_S: Final = 19_200
 _T35_NS: Final = 1_750_000
 _NS: Final = 1_000_000_000
 _READ_MAX: Final = 4096
+_LOOK_S: Final = 0.001
 _SEND_S: Final = 1
 """Nobody waits longer for an end that takes nothing: all that share the runtime would wait."""
 _SEND_TIMEOUT: Final = struct.pack("@ll", _SEND_S, 0)  # struct timeval
@@ -160,7 +161,6 @@ class SerialLine:
         self._wall: Final = process_runtime() if runtime is None else runtime
         self.is_closed = False
         self._reads = True
-        self._gate, self._gate_key = socket.socketpair()  # readable when it reads again
         self._port: Any = _opened(path, baud_bit_s, parity, stop_bits)  # Any: pyserial's own
 
     @property
@@ -188,19 +188,11 @@ class SerialLine:
 
     def set_reading(self, reads: bool) -> None:
         """Whether what comes is read: of those who have this device open, one gets each byte."""
-        if reads and not self._reads:
-            self._reads = True
-            self._gate_key.send(b"1")
-        elif self._reads and not reads:
-            self._reads = False
-            if select.select([self._gate], [], [], 0.0)[0]:
-                self._gate.recv(_READ_MAX)
+        self._reads = reads
 
     def close(self) -> None:
         """Nothing is sent or heard any more; closing again does nothing."""
         self.is_closed = self._reads = True
-        self._gate.close()
-        self._gate_key.close()
         self._port.close()
 
     # --- the runtime's side: a source of frames ---------------------------------------------------
@@ -209,7 +201,7 @@ class SerialLine:
         """(characters, 0, False) that have come, b"" at the end; None after `timeout_s` [s]."""
         try:
             if not self._reads:
-                select.select([self._gate], [], [], timeout_s)
+                select.select([], [], [], _LOOK_S)  # until it reads again
                 return None
             if not select.select([self._port], [], [], timeout_s)[0] or not self._reads:
                 return None  # nothing, or the answer to another process
