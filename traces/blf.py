@@ -141,6 +141,7 @@ class _Objects:
             for begin in range(0, len(stored), 512):
                 out += unpacker.decompress(stored[begin : begin + 512])
         except zlib.error as error:
+            self._findings.note("frames of a damaged container may be wrong")
             self._findings.problem(self._number, f"a container at byte {at} is damaged ({error})")
         return bytes(out)
 

@@ -99,4 +99,5 @@ def test_damage_in_the_middle_costs_what_is_damaged(path):
     frames, findings = read(path)
     in_first = 128 * 1024 // 48  # python-can's container, an object of its own
     assert len({frame[2] for frame in frames}) > 4900 - in_first + in_first // 2
+    assert findings.notes == ["frames of a damaged container may be wrong"]
     assert any("damaged" in problem.text for problem in findings.problems)

@@ -1,5 +1,6 @@
 """What each format holds is held: what it can hold comes back, what it cannot is told as lost."""
 
+import can
 import pytest
 
 from harness.conversion import convert
@@ -15,6 +16,7 @@ from traces.traffic_mcap import record_frames
 SINCE_1970_NS = 1_700_000_000_123_456_000
 R, T = Direction.RECEIVED, Direction.TRANSMITTED
 EXT = 0x1ABCDEF0 | traffic.EFF
+FORMAT_OF = {form.ending: form.name for form in WRITABLE}
 BASE = [
     Frame(SINCE_1970_NS, "can0", classic(0x123, b"\1\2\3"), R),
     Frame(SINCE_1970_NS + 1000, "can1", classic(EXT, bytes(range(8))), R),
@@ -106,3 +108,25 @@ def test_what_holds_no_traffic_is_refused(tmp_path, content):
     (tmp_path / "some.txt").write_bytes(content)
     with pytest.raises(TraceError, match=r"some\.txt: (is empty|holds no CAN traffic)"):
         open_source(tmp_path / "some.txt")
+
+
+@pytest.mark.parametrize("ending", [".log", ".trc", ".asc"])
+def test_python_can_reads_what_is_written(tmp_path, ending):
+    frames = BASE + WITH[Feature.DIRECTION] + WITH[Feature.REMOTE]
+    record_frames(tmp_path / "a.mcap", frames, {})
+    convert(tmp_path / "a.mcap", tmp_path / f"b{ending}", FORMAT_OF[ending])
+    options = {"relative_timestamp": False} if ending == ".asc" else {}
+    with can.LogReader(tmp_path / f"b{ending}", **options) as reader:
+        found = list(reader)
+    told = [traffic.fields(frame.frame) for frame in frames]
+    assert [message.arbitration_id for message in found] == [one.identifier for one in told]
+    assert [bytes(message.data) for message in found] == [one.data for one in told]
+    assert [message.is_rx for message in found] == [frame.direction is R for frame in frames]
+    assert [message.is_remote_frame for message in found] == [
+        one.can_id & traffic.RTR != 0 for one in told
+    ]
+    assert [message.dlc for message in found] == [one.length for one in told]
+    # its stamps are floats, and it takes the date in an ASC file for local time
+    since = [m.timestamp - found[0].timestamp for m in found]
+    want = [(frame.time_ns - frames[0].time_ns) / 1e9 for frame in frames]
+    assert since == pytest.approx(want, abs=1e-6)
