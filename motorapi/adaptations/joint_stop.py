@@ -12,6 +12,7 @@ from contextlib import AbstractContextManager
 from typing import Final, final
 from weakref import WeakKeyDictionary
 
+from motorapi.adaptations.bus_sync import BusSync
 from motorapi.adaptations.canopen_link import CanopenLink, Transmission
 from motorapi.adaptations.cia402_hardware import Cia402HwMotor
 from motorapi.adaptations.cia402_objects import Mode, PdsState
@@ -51,7 +52,7 @@ class JointStop:
 
     def fire(self) -> None:
         """SYNC follows when all frames were on the wire; does not wait."""
-        _open.pop(self._link, None)
+        _open.pop(self._link.bus_sync, None)
         if self._armed:
             self._timer = self._link.runtime.every(_LOOK_S, self._look)
         else:
@@ -80,13 +81,14 @@ class JointStop:
             self._turn.__exit__(None, None, None)
 
 
-_open: "Final[WeakKeyDictionary[CanopenLink, JointStop]]" = WeakKeyDictionary()
-"""Those that drives are still added to, by the group that stops now."""
+_open: "Final[WeakKeyDictionary[BusSync, JointStop]]" = WeakKeyDictionary()
+"""Those that drives are still added to, by the group that stops now; of a link that is compiled
+there are no weak references, of what it has of SYNC there are."""
 
 
 def joint_stop_of(link: CanopenLink) -> JointStop | None:
     """The one to add a drive of this bus to; None: SYNC is not ours to send now."""
-    stop = _open.get(link)
+    stop = _open.get(link.bus_sync)
     if stop is not None:
         return stop
     if not link.confirms or link.latching or link.cyclic_sync() is not None:
@@ -95,5 +97,5 @@ def joint_stop_of(link: CanopenLink) -> JointStop | None:
     if not turn.__enter__():
         turn.__exit__(None, None, None)
         return None
-    stop = _open[link] = JointStop(link, turn)
+    stop = _open[link.bus_sync] = JointStop(link, turn)
     return stop

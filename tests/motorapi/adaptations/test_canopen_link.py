@@ -103,12 +103,12 @@ def test_a_heartbeat_that_the_bus_does_not_take_is_told_once_until_it_does_again
     link.produce_heartbeat(127, 100)
     tried = []
 
-    def refuse(frame, fence=None):
+    def refuse(frame):
         tried.append(frame)
         raise LinkError(link="can0", reason="cannot send")
 
     for _ in range(2):
-        monkeypatch.setattr(link, "send", refuse)
+        monkeypatch.setattr(bus, "transmit", refuse)
         with pytest.raises(LinkError, match="cannot send"):
             bus.runtime.run_for(0.15)
         tried.clear()
