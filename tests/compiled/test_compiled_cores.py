@@ -18,6 +18,8 @@ pytestmark = [pytest.mark.compiled, pytest.mark.timeout(1800)]
 
 COMPILED = CHECKOUT / ".venv-compiled" / "bin"
 FOLDERS = ("determinism", "emulators", "traces", "harness", "motorapi")
+# What is in there is interpreted in both builds, or runs for a minute over what others cover.
+LEFT_OUT = ("motorapi/functions", "motorapi/generation", "harness/sharing")
 
 
 @pytest.fixture(scope="module")
@@ -89,6 +91,8 @@ def test_compiled_and_pure_cores_make_one_demo_whatever_the_hash_seed(built, tmp
 
 
 def test_the_compiled_cores_pass_the_same_tests(built):
-    made = make("test-compiled", "TESTS=" + " ".join(f"tests/{folder}" for folder in FOLDERS))
+    words = [f"tests/{folder}" for folder in FOLDERS]
+    words += [f"--ignore=tests/{folder}" for folder in LEFT_OUT]
+    made = make("test-compiled", "TESTS=" + " ".join(words))
     assert made.returncode == 0, made.stdout[-6000:] + made.stderr[-1000:]
     assert " passed" in made.stdout
