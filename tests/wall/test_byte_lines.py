@@ -66,9 +66,12 @@ def test_of_two_that_have_a_serial_device_open_nobody_reads_the_others_answers(t
     tty.setraw(slave)
     threading.Thread(target=serve, args=(master,), daemon=True).start()
     runtime, heard = WallRuntime(), {1: [], 2: []}
+    # Both are open before anybody asks: pyserial's open drops what has come, another's answer too.
+    where = {"path": os.ttyname(slave), "baud_bit_s": 115_200, "parity": "N", "runtime": runtime}
+    ports = {unit: SerialLine(**where) for unit in heard}
 
     def ask(unit):
-        port = SerialLine(os.ttyname(slave), baud_bit_s=115_200, parity="N", runtime=runtime)
+        port = ports[unit]
         lock = ProcessLock("port-exchange", "the port", LockDirectory(tmp_path))
         line = ModbusLine(port, runtime, lock)
         client = UnitClient(line, unit, 0.5)
