@@ -11,7 +11,8 @@ drive), "careless" (they go out with the token it once had, which it does not lo
     group           arms nodes 1 and 2, says "armed", and sends SYNC when it was paused and goes on;
                     then "started", or "busy WHY"
     spoil           "spoilt": the function of the stream fails once the program was paused
-    told            what on_done was told without any wait for the motor, and the stream's error
+    told            what on_done was told without any wait for the motor, and the error of the
+                    stream, once both have ended
     write           "wrote" a setting, by SDO; or "busy WHY"
     wait            "done", or "interrupted WHY"
     renew           "renewed", or "busy WHY"
@@ -102,8 +103,9 @@ class Program:
                 motor.stop()
                 return "stopped"
             case "told":
-                motor.runtime.wait_until(lambda: bool(self.outcomes), 60.0)
-                return f"{self.outcomes[0].error}; the stream: {self.hardware.stream.error}"
+                stream = self.hardware.stream  # either may hear of it first
+                motor.runtime.wait_until(lambda: bool(self.outcomes) and stream.ended, 60.0)
+                return f"{self.outcomes[0].error}; the stream: {stream.error}"
             case "write":
                 self.hardware.write(0x6065, 2000)
                 return "wrote"
