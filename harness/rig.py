@@ -261,7 +261,7 @@ class Rig:
     def _record(
         self, target: Path, started: list[tuple[int, str, str, str]], cleanup: ExitStack
     ) -> None:
-        from harness.rig_recording import start_recording
+        from harness.rig_recording import end_recording, start_recording
         from traces.errors import TraceError
 
         try:
@@ -269,8 +269,7 @@ class Rig:
         except TraceError as error:
             raise RigError(error.path, error.what, error.remedy) from None
         self.recording = recorder
-        queue = self.world.queue
-        cleanup.callback(lambda: recorder.close(queue.now_ns))
+        cleanup.callback(end_recording, recorder, self.world)
 
     def _open_door(self, cleanup: ExitStack) -> None:
         """`can.Bus()` in this process finds the buses by name."""

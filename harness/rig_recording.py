@@ -6,6 +6,7 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import TYPE_CHECKING, final
 
+from emulators.line_segment import SerialSegment
 from harness.ownership_tap import LockWriter, MotorNames, MotorTap, OwnershipTap
 from harness.recorder import PERIOD_NS, Reading, Recorder, run_metadata
 from harness.rig_file import MotorDescription, RigDescription
@@ -21,6 +22,7 @@ if TYPE_CHECKING:
     from motorapi.synchronization import SyncQuality
 
 _TOML: str = "application/toml"
+_ON_ITS_WAY = 8  # frames, and silences behind them
 _START, _END = 1, 2  # motorhil.GroupSync.Phase
 
 
@@ -67,6 +69,19 @@ def start_recording(
         writer.close()
         raise
     return recorder
+
+
+def end_recording(recorder: Recorder, world: "World") -> None:
+    """The record is complete, with what was still on its way over a serial line."""
+    for name in world.line_names():
+        segment = world.line(name)
+        if isinstance(segment, SerialSegment):
+            for _ in range(_ON_ITS_WAY):
+                due_ns = segment.line.next_deadline_ns()
+                if due_ns is None:
+                    break
+                world.queue.run_until(due_ns)
+    recorder.close(world.queue.now_ns)
 
 
 def watch_motor(

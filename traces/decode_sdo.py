@@ -46,6 +46,7 @@ class SdoStep:
         size: that the beginning of a segmented transfer announces.
         toggle: of a segment.
         last: whether it is the last segment.
+        begins: whether the client begins a transfer by it.
     """
 
     step: Step
@@ -58,6 +59,7 @@ class SdoStep:
     size: int | None = None
     toggle: bool = False
     last: bool = False
+    begins: bool = False
 
 
 @final
@@ -104,14 +106,18 @@ class SdoReader:
         known = self._transfer
         if kind == 2:
             self._transfer = _Transfer(index, subindex, True)
-            return SdoStep(Step.ASK_UPLOAD, index, subindex)
+            return SdoStep(Step.ASK_UPLOAD, index, subindex, begins=True)
         if kind == 1:
             begun = self._transfer = _Transfer(index, subindex, False)
             if command & 0x02:
                 begun.data, begun.complete = _expedited(command, data), True
-                return SdoStep(Step.DOWNLOAD, index, subindex, begun.data, upload=False)
+                return SdoStep(
+                    Step.DOWNLOAD, index, subindex, begun.data, upload=False, begins=True
+                )
             size = int.from_bytes(data[4:8], "little") if command & 0x01 else None
-            return SdoStep(Step.DOWNLOAD_BEGINS, index, subindex, upload=False, size=size)
+            return SdoStep(
+                *(Step.DOWNLOAD_BEGINS, index, subindex), upload=False, size=size, begins=True
+            )
         if kind in (5, 6):
             return self._block(kind == 5, command, index, subindex, False)
         if kind == 3:
@@ -198,7 +204,7 @@ class SdoReader:
             not upload and from_server and part == 0
         ):
             known.in_block = True
-        return SdoStep(Step.BLOCK, known.index, known.subindex, upload=upload)
+        return SdoStep(Step.BLOCK, known.index, known.subindex, upload=upload, begins=starts)
 
     @staticmethod
     def _block_segment(known: _Transfer, data: bytes) -> SdoStep:

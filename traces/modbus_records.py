@@ -4,11 +4,11 @@ Source: MODBUS over Serial Line V1.02, section 2.5.1.2 for the check sum; the Me
 guide V1.0b, section 3.1.3 for the header.
 """
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from typing import Final
 
 from traces.modbus import Adu, Malformed
-from traces.protobuf import decode
+from traces.protobuf import Value, decode
 from traces.reader import Trace
 from traces.schema import MODBUS_ADU, Direction
 
@@ -27,20 +27,28 @@ def lines_of(trace: Trace) -> list[str]:
 def recorded_adus(trace: Trace, line: str) -> Iterator[Adu | Malformed]:
     """What was on a line, in order; times are of last bits [ns of the rig]."""
     for _, _, payload in trace.messages(topics=[_TOPIC + line]):
-        values = decode(MODBUS_ADU, payload)
-        data, end_ns = values.get("data", b""), values.get("end_ns", 0)
-        assert isinstance(data, bytes)
-        assert isinstance(end_ns, int)
-        to_server = values.get("direction") == Direction.TRANSMITTED
-        is_tcp = bool(values.get("tcp"))
-        problem = _problem(data, spoiled=bool(values.get("spoiled")), tcp=is_tcp)
-        if problem:
-            yield Malformed(end_ns, None, 0, data, problem)
-        elif is_tcp:
-            transaction = int.from_bytes(data[:2], "big")
-            yield Adu(end_ns, None, to_server, transaction, data[6], data[_HEAD:])
-        else:
-            yield Adu(end_ns, None, to_server, 0, data[0], data[1:-2])
+        yield _told(decode(MODBUS_ADU, payload))
+
+
+def adu_in(values: Mapping[str, Value]) -> Adu | None:
+    """The ADU that a message's fields hold; None: what was on the line is none."""
+    told = _told(values)
+    return told if isinstance(told, Adu) else None
+
+
+def _told(values: Mapping[str, Value]) -> Adu | Malformed:
+    data, end_ns = values.get("data", b""), values.get("end_ns", 0)
+    assert isinstance(data, bytes)
+    assert isinstance(end_ns, int)
+    to_server = values.get("direction") == Direction.TRANSMITTED
+    is_tcp = bool(values.get("tcp"))
+    problem = _problem(data, spoiled=bool(values.get("spoiled")), tcp=is_tcp)
+    if problem:
+        return Malformed(end_ns, None, 0, data, problem)
+    if is_tcp:
+        transaction = int.from_bytes(data[:2], "big")
+        return Adu(end_ns, None, to_server, transaction, data[6], data[_HEAD:])
+    return Adu(end_ns, None, to_server, 0, data[0], data[1:-2])
 
 
 def _problem(data: bytes, *, spoiled: bool, tcp: bool) -> str:

@@ -26,6 +26,7 @@ class PdoMaps:
         self._identifiers: dict[PdoKey, int | None] = {}  # None: switched off
         self._entries: dict[PdoKey, dict[int, int]] = {}
         self._counts: dict[PdoKey, int] = {}
+        self._types: dict[PdoKey, int] = {}
         self._by_identifier: dict[int, list[PdoKey]] = {}
 
     def learn(self, node: int, index: int, subindex: int, value: int) -> None:
@@ -41,10 +42,12 @@ class PdoMaps:
         elif subindex == 1:
             self._identifiers[key] = None if value & _INVALID else value & _ID_MASK
             self._by_identifier.clear()
+        elif subindex == 2:
+            self._types[key] = value
 
     def forget(self, node: int) -> None:
         """The node was reset: what was written to it is no longer so."""
-        for known in (self._identifiers, self._entries, self._counts):
+        for known in (self._identifiers, self._entries, self._counts, self._types):
             for key in [key for key in known if key[0] == node]:
                 del known[key]
         self._by_identifier.clear()
@@ -61,6 +64,10 @@ class PdoMaps:
                 self._by_identifier.clear()
             self._by_identifier[identifier] = found
         return found
+
+    def transmission_type(self, key: PdoKey) -> int | None:
+        """When it is sent, or acted on: 0 to 240 by SYNC; None: not known."""
+        return self._types.get(key)
 
     def objects(self, key: PdoKey) -> list[Entry] | None:
         """What is in it, in order; None: not known."""

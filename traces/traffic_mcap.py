@@ -17,7 +17,7 @@ _REMEMBERED: Final = 1 << 16
 
 
 @final
-class _Decoder:
+class FrameDecoder:
     """Takes apart what begins like a message before it without looking at it again.
 
     All but the data of a message that our writer has written is the same for one identifier, sender
@@ -55,7 +55,7 @@ def recorded_frames(trace: Trace, findings: Findings) -> Iterator[Frame]:
     """
     left_out: dict[str, int] = {}
     known: dict[int, str | None] = {}
-    decoder = _Decoder()
+    decoder = FrameDecoder()
     for number, (channel, time_ns, payload) in enumerate(trace.messages(), 1):
         bus = known.get(channel.number, "")
         if bus == "":

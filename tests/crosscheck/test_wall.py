@@ -95,6 +95,10 @@ def test_bring_up_pp_pv_homing_fault_and_nmt(tmp_path):
             assert node.sdo[0x6064].raw == 0
             node.controlword = State402.CW_OPERATION_ENABLED  # BaseNode402 leaves bit 4 set
 
+        # BaseNode402 may have taken a statusword for new that was older than its RPDO 2.
+        for _ in range(2):
+            assert node.tpdo[1].wait_for_reception(10.0) is not None
+        node.state = "OPERATION ENABLED"
         node.sdo[0x1016][1].raw = 0x7E_0032  # it watches node 126, 50 ms; we speak but once
         node.sdo[0x1029][1].raw = 1
         network.send_message(0x77E, b"\x05")

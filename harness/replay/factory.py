@@ -1,0 +1,103 @@
+"""A recorded controller from its table in a rig: entry point `motorhil.controllers`, `recorded`.
+
+[controller.left]
+kind = "recorded"
+bus = "can0"
+node_id = 1                     # on a line: unit
+recording = "bench.mcap"        # starts at the rig's folder
+recorded_bus = "can0"           # where the recording has it on more than one bus
+bitrate_bit_s = 1_000_000       # of the recorded bus
+"""
+
+from collections.abc import Mapping
+from functools import lru_cache
+from pathlib import Path
+from typing import Final
+
+from emulators.controller import Controller, ControllerContext, SettingError
+from emulators.setting_tables import refuse_unknown, whole
+from harness.replay.recorded_node import RecordedNode
+from harness.replay.recorded_unit import RecordedUnit
+from harness.rig_buses import BUS_KINDS, NODE_MAX, UNIT_MAX
+from traces.errors import TraceError
+from traces.reader import read_trace
+from traces.recorded_tapes import RecordedTapes, tapes_of
+from traces.tape import Tape
+
+KIND: Final = "recorded"
+_KEYS: Final = ("node_id", "unit", "recording", "recorded_bus", "bitrate_bit_s")
+_RATE_MAX: Final = 1_000_000
+
+
+def build(settings: Mapping[str, object], context: ControllerContext) -> Controller:
+    """The controller a rig describes.
+
+    Args:
+        settings: its table without `kind` and `bus`.
+        context: its name, where relative paths start, the seed.
+
+    Raises:
+        SettingError: a key or value is wrong, or the recording has no such controller.
+    """
+    refuse_unknown(settings, _KEYS, ())
+    is_unit = "unit" in settings
+    key = "unit" if is_unit else "node_id"
+    if key not in settings:
+        raise SettingError((key,), "is missing", "node_id = 1, or on a line unit = 1")
+    number = whole(settings[key], (key,), 1, UNIT_MAX if is_unit else NODE_MAX)
+    path, found = _recording(settings, context.folder)
+    tape = _tape(path, found, settings.get("recorded_bus"), number, is_unit)
+    if is_unit:
+        return RecordedUnit(tape, number)
+    rate = whole(settings.get("bitrate_bit_s", _RATE_MAX), ("bitrate_bit_s",), 1000, _RATE_MAX)
+    return RecordedNode(tape, found.decoders[tape.bus], number, 1_000_000_000 // rate)
+
+
+build.bus_kinds = BUS_KINDS  # type: ignore[attr-defined]  # how a plugin says where it can be
+
+
+def _recording(settings: Mapping[str, object], folder: Path) -> tuple[Path, RecordedTapes]:
+    value = settings.get("recording")
+    if not isinstance(value, str):
+        raise SettingError(("recording",), "is missing, or no text", 'recording = "bench.mcap"')
+    path = folder / value
+    try:
+        about = path.stat()
+        return path, _tapes(path, about.st_mtime_ns, about.st_size)
+    except OSError as error:
+        reason = (error.strerror or str(error)).lower()
+        remedy = "paths start at the rig's folder"
+        raise SettingError(("recording",), f"{path}: {reason}", remedy) from None
+    except TraceError as error:
+        raise SettingError(("recording",), str(error)) from None
+
+
+@lru_cache(maxsize=2)
+def _tapes(path: Path, modified_ns: int, size: int) -> RecordedTapes:
+    """All tapes of a file as it is now: its controllers are built one by one."""
+    with read_trace(path) as trace:
+        return tapes_of(trace)
+
+
+def _tape(path: Path, found: RecordedTapes, bus: object, number: int, is_unit: bool) -> Tape:
+    word = "unit" if is_unit else "node"
+    fitting = {
+        where: tape
+        for (where, of), tape in found.tapes.items()
+        if of == number and (where in found.decoders) is not is_unit and bus in (None, where)
+    }
+    if len(fitting) == 1:
+        return next(iter(fitting.values()))
+    if fitting:
+        several = ", ".join(fitting)
+        problem = f"{path} has {word} {number} on several buses: {several}"
+        raise SettingError(("recorded_bus",), "is missing", f"name one; {problem}")
+    known = ", ".join(
+        f"{of} on {where}" for where, of in found.tapes if (where in found.decoders) is not is_unit
+    )
+    on = f" on {bus}" if isinstance(bus, str) else ""
+    raise SettingError(
+        ("recording",),
+        f"{path} has nothing of a {word} {number}{on}",
+        f"it has {word}s {known}" if known else f"it has no {word}s at all",
+    )

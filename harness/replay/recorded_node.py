@@ -1,0 +1,216 @@
+"""A CANopen node out of a recording, as a controller on an emulated bus.
+
+It answers a live host as the recorded node answered the recorded host; see `harness.replay.player`.
+What the recording cannot answer is refused by an SDO abort, and told as an error of this node.
+
+Source: CiA 301, SDO abort transfer protocol.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from typing import Final, final
+
+from emulators.media.can_bits import INTERMISSION_BITS, KEY_SHIFT, measure
+from harness.replay.player import Mismatch, TapePlayer
+from traces.canopen_tapes import SYNC_KEY, nmt_key, pdo_key, remote_key, sdo_key
+from traces.decode_canopen import CanopenDecoder
+from traces.tape import Key, Sent, Step, Tape
+from traces.traffic import RTR, classic
+
+_SYNC: Final = 0x080
+_RESETS: Final = (0x81, 0x82)
+_BITS: Final = (1 << KEY_SHIFT) - 1
+NO_DATA: Final = 0x0800_0024
+"""SDO abort code: no data available."""
+
+
+@final
+class RecordedNode:
+    """Implements `emulators.controller.Controller`.
+
+    Args:
+        tape: of the node.
+        decoder: that has seen the recording; what came is told in its words.
+        node_id: on this bus, as in the recording.
+        bit_ns: of the bus [ns]; recorded frames began so much before they were complete.
+
+    Attributes:
+        player: what was found, and what was not.
+    """
+
+    def __init__(
+        self, tape: Tape, decoder: CanopenDecoder, node_id: int, bit_ns: int = 1000
+    ) -> None:
+        self.player: Final = TapePlayer(_with_durations(tape, bit_ns))
+        self.node_id: Final = node_id
+        self._decoder = decoder
+        self._dialogue: Step | None = None
+        self._turn = 0
+        self._set_points: dict[int, bytes] = {}
+        self._pdos = frozenset(step.key[1] for step in tape.steps if step.key[0] == "pdo")
+        self._remotes = frozenset(step.key[1] for step in tape.steps if step.key[0] == "remote")
+        self._output: list[bytes] = []
+        self._events: list[tuple[str, str]] = []
+
+    # ------------------------------------------------------------------------- Controller
+
+    def start(self, now_ns: int) -> None:
+        """The recording begins."""
+        self.player.start(now_ns)
+
+    def receive(self, data: bytes, now_ns: int) -> None:
+        """A frame was on the bus."""
+        can_id = int.from_bytes(data[:4], "little")
+        identifier = can_id & 0x7FF
+        if can_id & RTR:
+            self._answer(self.player.poll(remote_key(identifier)), now_ns)
+        elif identifier == 0:
+            self._nmt(data, now_ns)
+        elif identifier == _SYNC:
+            self._sync(now_ns)
+        elif identifier == 0x600 + self.node_id:
+            self._request(data, now_ns)
+        elif self._set_points.get(identifier) != data:
+            self._set_points[identifier] = data
+            self._command(pdo_key(identifier, data), data, now_ns)
+        self._output += self.player.take(now_ns)
+
+    def sent(self, data: bytes, now_ns: int) -> bool | None:
+        """Nothing comes of it."""
+        return False
+
+    def wants_sent(self) -> bool:
+        """Nothing comes of it."""
+        return False
+
+    def next_deadline_ns(self) -> int | None:
+        """When it sends something."""
+        return self.player.next_deadline_ns()
+
+    def expire(self, now_ns: int) -> None:
+        """What is due is sent."""
+        self._output += self.player.take(now_ns)
+
+    def take_output(self) -> Sequence[bytes]:
+        """The frames to send now."""
+        output, self._output = self._output, []
+        return output
+
+    def take_events(self) -> Sequence[tuple[str, str]]:
+        """What could not be answered."""
+        events, self._events = self._events, []
+        return events
+
+    def stimulate(self, name: str, value: float, now_ns: int) -> None:
+        """Nothing can happen to it but what was recorded.
+
+        Raises:
+            ValueError: always.
+        """
+        raise ValueError(f"stimulus {name!r}: a recorded drive has no inputs")
+
+    def snapshot(self, now_ns: int) -> Mapping[str, float]:
+        """How much of the recording has been told."""
+        return {"matched": float(self.player.matched), "mismatches": self._mismatches()}
+
+    def identifiers(self) -> Sequence[int] | None:
+        """What the recorded node was told, and its SDO server's."""
+        plain = {0, _SYNC, 0x600 + self.node_id, *self._pdos}
+        return sorted(plain | {RTR | identifier for identifier in self._remotes})
+
+    def identifiers_revision(self) -> int:
+        """Never changes."""
+        return 0
+
+    # ------------------------------------------------------------------------------ inside
+
+    def _mismatches(self) -> float:
+        return float(len(self.player.mismatches))
+
+    def _nmt(self, data: bytes, now_ns: int) -> None:
+        if data[4] < 2 or data[9] not in (0, self.node_id):
+            return
+        if data[8] in _RESETS:
+            self._set_points.clear()
+            self._dialogue = None
+        self._command(nmt_key(data[8:10]), data, now_ns)
+
+    def _sync(self, now_ns: int) -> None:
+        """It fires what it was told before if the recorded one did; else it only asks."""
+        if self.player.is_next(SYNC_KEY):
+            step = self.player.command(SYNC_KEY, now_ns)
+        else:
+            step = self.player.poll(SYNC_KEY)
+        self._answer(step, now_ns)
+
+    def _answer(self, step: Step | None, now_ns: int) -> None:
+        """What answers a SYNC, or a remote frame; what is not known stays silent."""
+        if step is not None:
+            self.player.answer(step.answers, now_ns)
+
+    def _command(self, key: Key, frame: bytes, now_ns: int) -> None:
+        if self.player.command(key, now_ns) is None:
+            self._refuse(key, frame, now_ns)
+
+    def _request(self, frame: bytes, now_ns: int) -> None:
+        """A frame of the SDO client: it goes on with the transfer there is, or begins one."""
+        step = self._dialogue
+        if step is not None and self._turn < len(step.turns):
+            turn = step.turns[self._turn]
+            if turn.asked == frame:
+                self._turn += 1
+                self.player.answer(turn.answers, now_ns)
+                return
+        data = frame[8:16]
+        if data[0] == 0x80:
+            self._dialogue = None
+            self.player.forget_answers()
+            return
+        key = sdo_key(data)
+        step = self._find(key, data, now_ns)
+        if step is None or not step.turns:
+            self._dialogue = None
+            self._refuse(key, frame, now_ns)
+            abort = b"\x80" + data[1:4] + NO_DATA.to_bytes(4, "little")
+            self.player.answer([Sent(0, classic(0x580 + self.node_id, abort))], now_ns)
+            return
+        self._dialogue, self._turn = step, 1
+        self.player.answer(step.turns[0].answers, now_ns)
+
+    def _find(self, key: Key, data: bytes, now_ns: int) -> Step | None:
+        """What the recording has for a request; a write is a command, a read a poll."""
+        kind = data[0] >> 5
+        if kind == 2 or (kind == 5 and not data[0] & 0x03):
+            return self.player.poll(key)
+        if kind == 1 or (kind == 6 and not data[0] & 0x01):
+            return self.player.command(key, now_ns)
+        return None
+
+    def _refuse(self, key: Key, frame: bytes, now_ns: int) -> None:
+        mismatch = self.player.refuse(key, self._decoder.decode(frame).text, now_ns)
+        self._events.append(("error", told(mismatch)))
+
+
+def told(mismatch: Mismatch) -> str:
+    """A mismatch in one line."""
+    expected = mismatch.expected
+    if expected is None:
+        place = "it is at its end, or has nothing of the kind"
+    else:
+        place = f"expected, as at {expected.time_ns / 1e9:.6f} s of it: {expected.text}"
+    return f"the recording cannot answer: {mismatch.came}; {place}"
+
+
+def _with_durations(tape: Tape, bit_ns: int) -> Tape:
+    """The tape with what each frame takes on a bus of this bit time."""
+
+    def timed(one: Sent) -> Sent:
+        bits = (measure(one.data) & _BITS) - INTERMISSION_BITS
+        return replace(one, duration_ns=bits * bit_ns)
+
+    for step in tape.steps:
+        step.reactions = [timed(one) for one in step.reactions]
+        step.answers = [timed(one) for one in step.answers]
+        for turn in step.turns:
+            turn.answers = [timed(one) for one in turn.answers]
+    return tape

@@ -1,0 +1,114 @@
+"""A Modbus unit out of a recording, as a controller on an emulated line.
+
+It answers a live host as the recorded unit answered the recorded host; see `harness.replay.player`.
+A request that the recording cannot answer is refused with an exception, and told as an error.
+
+Source: MODBUS over Serial Line V1.02, section 2; Application Protocol V1.1b3, section 7.
+"""
+
+from collections.abc import Mapping, Sequence
+from typing import Final, final
+
+from emulators.modbus.crc import crc16, with_crc
+from harness.replay.player import TapePlayer
+from harness.replay.recorded_node import told
+from traces.decode_modbus import ModbusDecoder
+from traces.modbus import Adu
+from traces.modbus_tapes import request_key, role_of
+from traces.tape import Role, Sent, Tape
+
+_SHORTEST: Final = 4
+DEVICE_FAILURE: Final = 4
+"""Exception code: server device failure."""
+
+
+@final
+class RecordedUnit:
+    """Implements `emulators.controller.Controller`.
+
+    Args:
+        tape: of the unit.
+        unit: its server address on this line, as in the recording.
+
+    Attributes:
+        player: what was found, and what was not.
+    """
+
+    def __init__(self, tape: Tape, unit: int) -> None:
+        self.player: Final = TapePlayer(tape)
+        self.unit: Final = unit
+        self._output: list[bytes] = []
+        self._events: list[tuple[str, str]] = []
+
+    def start(self, now_ns: int) -> None:
+        """The recording begins."""
+        self.player.start(now_ns)
+
+    def receive(self, data: bytes, now_ns: int) -> None:
+        """What was on the line between two silences; b"": it was spoiled."""
+        if len(data) < _SHORTEST or crc16(data[:-2]) != data[-2:]:
+            return
+        if data[0] not in (0, self.unit):
+            return
+        pdu = data[1:-2]
+        key = request_key(pdu)
+        is_command = role_of(pdu) is Role.COMMAND
+        step = self.player.command(key, now_ns) if is_command else self.player.poll(key)
+        if step is not None:
+            if data[0] and step.turns:
+                self.player.answer(step.turns[0].answers, now_ns)
+        else:
+            adu = Adu(now_ns, None, True, 0, data[0], pdu)
+            mismatch = self.player.refuse(key, ModbusDecoder().decode(adu).text, now_ns)
+            self._events.append(("error", told(mismatch)))
+            if data[0]:
+                refusal = bytes([self.unit, pdu[0] | 0x80, DEVICE_FAILURE])
+                self.player.answer([Sent(0, refusal)], now_ns)
+        self.expire(now_ns)
+
+    def sent(self, data: bytes, now_ns: int) -> bool | None:
+        """Nothing comes of it."""
+        return False
+
+    def wants_sent(self) -> bool:
+        """Nothing comes of it."""
+        return False
+
+    def next_deadline_ns(self) -> int | None:
+        """When it answers."""
+        return self.player.next_deadline_ns()
+
+    def expire(self, now_ns: int) -> None:
+        """What is due is sent."""
+        self._output += [with_crc(frame) for frame in self.player.take(now_ns)]
+
+    def take_output(self) -> Sequence[bytes]:
+        """The frames to send now."""
+        output, self._output = self._output, []
+        return output
+
+    def take_events(self) -> Sequence[tuple[str, str]]:
+        """What could not be answered."""
+        events, self._events = self._events, []
+        return events
+
+    def stimulate(self, name: str, value: float, now_ns: int) -> None:
+        """Nothing can happen to it but what was recorded.
+
+        Raises:
+            ValueError: always.
+        """
+        raise ValueError(f"stimulus {name!r}: a recorded unit has no inputs")
+
+    def snapshot(self, now_ns: int) -> Mapping[str, float]:
+        """How much of the recording has been told."""
+        mismatches = len(self.player.mismatches)
+        return {"matched": float(self.player.matched), "mismatches": float(mismatches)}
+
+    def identifiers(self) -> Sequence[int] | None:
+        """On a line everybody hears everything."""
+        return None
+
+    def identifiers_revision(self) -> int:
+        """Never changes."""
+        return 0

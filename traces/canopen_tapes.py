@@ -1,0 +1,300 @@
+"""The tapes of all nodes on a recorded CAN bus: what each was told, and what came of it.
+
+What a node sends is its own by its name in the recording, or by its identifier. A PDO belongs to
+a SYNC where the recording tells that its transmission type is synchronous; where it tells nothing,
+if it comes soon behind nearly every SYNC.
+
+Source: CiA 301 (pre-defined connection set, SDO, PDO transmission types, NMT).
+"""
+
+from collections.abc import Iterable, Mapping
+from typing import Final, final
+
+from traces.decode_canopen import CanopenDecoder
+from traces.decode_sdo import SdoReader
+from traces.object_names import ObjectNames
+from traces.pdo_maps import PdoKey
+from traces.said import Said
+from traces.schema import Direction
+from traces.tape import START, Key, Role, Sent, Step, Tape, Turn, period_ns
+from traces.traffic import EFF, ERR, RTR, Frame, classic
+
+_NMT: Final = 0x000
+_SYNC: Final = 0x080
+_SYNCHRONOUS_MAX: Final = 240
+_SYNCS_MIN: Final = 8
+"""So many SYNCs it takes to say that a PDO comes behind them."""
+_NEAR_NS: Final = 2_000_000
+_RESETS: Final = (0x81, 0x82)
+
+
+@final
+class _Node:
+    """A node whose tape is being cut."""
+
+    def __init__(self, bus: str, number: int, begin_ns: int) -> None:
+        self.tape = Tape(bus, number)
+        self.command = Step(Role.COMMAND, START, begin_ns, "the recording begins")
+        self.tape.steps.append(self.command)
+        self.sdo = SdoReader()
+        self.dialogue: Step | None = None
+        self.asked_ns = begin_ns
+        self.set_points: dict[int, bytes] = {}
+        self.sync: Step | None = None
+        self.syncs = 0
+        self.is_commanded = False  # since the last SYNC
+        self.remote: dict[int, Step] = {}
+        self.times_ns: dict[int, list[int]] = {}
+        # PDOs of which nothing tells whether SYNC asks for them: (SYNC, command, frame, time).
+        self.unclear: dict[int, list[tuple[Step | None, Step, bytes, int]]] = {}
+        self.has_sent = False
+
+    def add(self, step: Step) -> None:
+        """It was told this."""
+        self.tape.steps.append(step)
+        if step.role is Role.COMMAND:
+            self.command = step
+            self.is_commanded = True
+
+
+@final
+class CanopenTapes:
+    """One bus; shown its frames in the order they were recorded."""
+
+    def __init__(
+        self,
+        bus: str,
+        begin_ns: int,
+        names: Mapping[int, str] | None = None,
+        objects: Mapping[int, ObjectNames] | None = None,
+    ) -> None:
+        """With when the recording begins [ns], what its nodes are called, and their objects."""
+        self.decoder = CanopenDecoder(names, objects)
+        self._bus = bus
+        self._begin_ns = begin_ns
+        self._numbers = {name: number for number, name in (names or {}).items()}
+        self._nodes: dict[int, _Node] = {}
+
+    def take(self, time_ns: int, frame: bytes, direction: Direction, sender: str) -> None:
+        """This frame was complete at that time."""
+        can_id = int.from_bytes(frame[:4], "little")
+        if can_id & (EFF | ERR) or len(frame) != 16:
+            return
+        identifier = can_id & 0x7FF
+        data = frame[8 : 8 + frame[4]]
+        function, number = identifier >> 7, identifier & 0x7F
+        if can_id & RTR:
+            self._remote(time_ns, identifier, frame)
+        elif identifier == _SYNC:
+            self._sync(time_ns, self._numbers.get(sender))
+        elif sender in self._numbers:
+            self._sent(self._numbers[sender], time_ns, identifier, frame)
+        elif function == 11 and number:
+            self._sent(number, time_ns, identifier, frame)
+        elif function == 12 and number:
+            self._request(number, time_ns, frame, data)
+        elif identifier == _NMT:
+            self._nmt(time_ns, frame, data)
+        else:
+            self._other(time_ns, identifier, frame, direction)
+
+    def tapes(self) -> dict[int, Tape]:
+        """Of every node that has sent anything, by node-ID."""
+        done: dict[int, Tape] = {}
+        for number, node in sorted(self._nodes.items()):
+            if not node.has_sent:
+                continue
+            self._clear_up(node)
+            node.tape.steps = [
+                step
+                for step in node.tape.steps
+                if step.role is Role.COMMAND or step.turns or step.answers
+            ]
+            for identifier, times in node.times_ns.items():
+                found = period_ns(times)
+                if found is not None:
+                    node.tape.periods_ns[identifier] = found
+            done[number] = node.tape
+        return done
+
+    def _node(self, number: int) -> _Node:
+        node = self._nodes.get(number)
+        if node is None:
+            node = self._nodes[number] = _Node(self._bus, number, self._begin_ns)
+        return node
+
+    # ------------------------------------------------------------------- what it was told
+
+    def _request(self, number: int, time_ns: int, frame: bytes, data: bytes) -> None:
+        """A frame of an SDO client."""
+        node = self._node(number)
+        step = node.sdo.read(data, False)
+        said = self.decoder.decode(frame)
+        node.asked_ns = time_ns
+        if step.begins and step.index is not None:
+            told = Step(
+                Role.POLL if step.upload else Role.COMMAND, sdo_key(data), time_ns, said.text
+            )
+            told.turns.append(Turn(frame))
+            node.add(told)
+            node.dialogue = told
+        elif node.dialogue is not None:
+            node.dialogue.turns.append(Turn(frame))
+
+    def _nmt(self, time_ns: int, frame: bytes, data: bytes) -> None:
+        text = self.decoder.decode(frame).text
+        if len(data) < 2:
+            return
+        whom = [self._node(data[1])] if data[1] else list(self._nodes.values())
+        for node in whom:
+            node.add(Step(Role.COMMAND, nmt_key(data), time_ns, text))
+            if data[0] in _RESETS:
+                node.set_points.clear()
+
+    def _sync(self, time_ns: int, producer: int | None) -> None:
+        """SYNC: it fires what a node was told before, or only asks."""
+        for number, node in self._nodes.items():
+            if number == producer:
+                node.command.reactions.append(Sent(time_ns - node.command.time_ns, SYNC_FRAME))
+                continue
+            role = Role.COMMAND if node.is_commanded else Role.POLL
+            node.sync = Step(role, SYNC_KEY, time_ns, "SYNC")
+            node.syncs += 1
+            node.add(node.sync)
+            node.is_commanded = False
+
+    def _remote(self, time_ns: int, identifier: int, frame: bytes) -> None:
+        keys = self.decoder.maps.of(identifier)
+        number = keys[0][0] if keys else identifier & 0x7F
+        step = Step(Role.POLL, remote_key(identifier), time_ns, self.decoder.decode(frame).text)
+        node = self._node(number)
+        node.add(step)
+        node.remote[identifier] = step
+
+    def _other(self, time_ns: int, identifier: int, frame: bytes, direction: Direction) -> None:
+        """A PDO, an emergency, a heartbeat."""
+        keys = self.decoder.maps.of(identifier)
+        function, number = identifier >> 7, identifier & 0x7F
+        if keys and keys[0][1]:
+            if direction is not Direction.TRANSMITTED:
+                self._sent(keys[0][0], time_ns, identifier, frame)
+        elif keys:
+            self._set_point(keys, time_ns, identifier, frame)
+        elif function in (1, 14) and number and direction is not Direction.TRANSMITTED:
+            self._sent(number, time_ns, identifier, frame)
+
+    def _set_point(self, keys: list[PdoKey], time_ns: int, identifier: int, frame: bytes) -> None:
+        """A PDO to nodes; the same again tells nothing."""
+        for number, _, _ in keys:
+            node = self._node(number)
+            if node.set_points.get(identifier) != frame:
+                node.set_points[identifier] = frame
+                node.add(Step(Role.COMMAND, pdo_key(identifier, frame), time_ns, ""))
+
+    # ----------------------------------------------------------------------- what it sent
+
+    def _sent(self, number: int, time_ns: int, identifier: int, frame: bytes) -> None:
+        node = self._node(number)
+        node.has_sent = True
+        function, low = identifier >> 7, identifier & 0x7F
+        if function == 11 and low == number:
+            self._answered(node, time_ns, self.decoder.decode(frame), frame)
+            return
+        if function == 14 and low == number and frame[4] == 1 and frame[8] == 0:
+            self.decoder.decode(frame)  # it has booted, and forgotten what it was told
+            node.set_points.clear()
+        asked = node.remote.pop(identifier, None)
+        if asked is not None:
+            asked.answers.append(Sent(time_ns - asked.time_ns, frame))
+            return
+        node.times_ns.setdefault(identifier, []).append(time_ns)
+        keys = self.decoder.maps.of(identifier)
+        if keys and keys[0][1]:
+            kind = self.decoder.maps.transmission_type(keys[0])
+            if kind is None:
+                node.unclear.setdefault(identifier, []).append(
+                    (node.sync, node.command, frame, time_ns)
+                )
+                return
+            if kind <= _SYNCHRONOUS_MAX and node.sync is not None:
+                node.sync.answers.append(Sent(time_ns - node.sync.time_ns, frame))
+                return
+        node.command.reactions.append(Sent(time_ns - node.command.time_ns, frame))
+
+    @staticmethod
+    def _answered(node: _Node, time_ns: int, said: Said, frame: bytes) -> None:
+        """A frame of its SDO server."""
+        node.sdo.read(frame[8:16], True)
+        if node.dialogue is None:  # it answers what was not recorded
+            return
+        node.dialogue.turns[-1].answers.append(Sent(time_ns - node.asked_ns, frame))
+        node.dialogue.answer_text = said.text
+
+    @staticmethod
+    def _clear_up(node: _Node) -> None:
+        """PDOs of which nothing is told: if SYNC asks for them is clear by now."""
+        for found in node.unclear.values():
+            near = [
+                sync is not None and time_ns - sync.time_ns <= _NEAR_NS
+                for sync, _, _, time_ns in found
+            ]
+            by_sync = node.syncs >= _SYNCS_MIN and 10 * sum(near) >= 9 * max(len(found), node.syncs)
+            for sync, command, frame, time_ns in found:
+                if by_sync and sync is not None:
+                    sync.answers.append(Sent(time_ns - sync.time_ns, frame))
+                else:
+                    command.reactions.append(Sent(time_ns - command.time_ns, frame))
+        for step in node.tape.steps:
+            if len(step.reactions) > 1:
+                step.reactions.sort(key=_delay_of)
+        node.unclear.clear()
+
+
+SYNC_KEY: Final[Key] = ("sync", 0, b"")
+SYNC_FRAME: Final = classic(_SYNC, b"")
+
+
+def sdo_key(data: bytes) -> Key:
+    """Of the request that begins an SDO transfer: its object, and all it says."""
+    return ("sdo", int.from_bytes(data[1:4], "little"), bytes(data))
+
+
+def nmt_key(data: bytes) -> Key:
+    """Of an NMT command, to one node or to all."""
+    return ("nmt", data[0], b"")
+
+
+def pdo_key(identifier: int, frame: bytes) -> Key:
+    """Of a PDO to a node."""
+    return ("pdo", identifier, frame[4:5] + frame[8:])
+
+
+def sentence(step: Step, decoder: CanopenDecoder) -> str:
+    """What a step tells; of a PDO, which is told too often to be put in words each time, as now."""
+    kind, identifier, data = step.key
+    if kind != "pdo":
+        return step.text
+    return decoder.decode(classic(identifier, data[1 : 1 + data[0]])).text
+
+
+def remote_key(identifier: int) -> Key:
+    """Of a remote frame."""
+    return ("remote", identifier, b"")
+
+
+def canopen_tapes(
+    bus: str,
+    frames: Iterable[Frame],
+    begin_ns: int,
+    names: Mapping[int, str] | None = None,
+    objects: Mapping[int, ObjectNames] | None = None,
+) -> dict[int, Tape]:
+    """The tapes of the nodes in these frames of one bus, by node-ID."""
+    cutter = CanopenTapes(bus, begin_ns, names, objects)
+    for time_ns, _, frame, direction, sender in frames:
+        cutter.take(time_ns, frame, direction, sender)
+    return cutter.tapes()
+
+
+def _delay_of(sent: Sent) -> int:
+    return sent.delay_ns

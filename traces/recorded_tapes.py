@@ -1,0 +1,77 @@
+"""All tapes of a recording: one of every CANopen node and Modbus unit that has sent anything."""
+
+from dataclasses import dataclass
+from typing import Final, final
+
+from traces.canopen_tapes import CanopenTapes
+from traces.decode_canopen import CanopenDecoder
+from traces.modbus_records import adu_in
+from traces.modbus_tapes import LineAdu, modbus_tapes
+from traces.protobuf import decode
+from traces.reader import Trace
+from traces.recorded_names import RecordedNames, names_of
+from traces.schema import CAN_FRAME, MODBUS_ADU
+from traces.tape import Tape
+from traces.traffic_mcap import FrameDecoder
+
+_RUN: Final = "run"
+"""Metadata that a rig writes: its time begins at 0, with power coming on."""
+
+
+@final
+@dataclass(frozen=True, slots=True)
+class RecordedTapes:
+    """What can be played.
+
+    Attributes:
+        tapes: by bus or line, and node-ID or unit.
+        decoders: of CAN buses, by name; they have seen the whole recording.
+    """
+
+    tapes: dict[tuple[str, int], Tape]
+    decoders: dict[str, CanopenDecoder]
+
+
+def tapes_of(trace: Trace) -> RecordedTapes:
+    """The tapes of a recording; of a cut one, as far as it goes.
+
+    Raises:
+        TraceError: the recording is damaged.
+    """
+    names = names_of(trace.attachments)
+    span = trace.span_ns() or (0, 0)
+    begin_ns = 0 if _RUN in trace.metadata else span[0]
+    buses: dict[str, CanopenTapes] = {}
+    lines: dict[str, list[LineAdu]] = {}
+    frames = FrameDecoder()
+    for channel, time_ns, payload in trace.messages():
+        kind = channel.schema.name if channel.schema is not None else ""
+        place = channel.topic.rpartition("/")[2]
+        try:
+            if kind == CAN_FRAME.name:
+                cutter = buses.get(place)
+                if cutter is None:
+                    cutter = buses[place] = _cutter(place, begin_ns, names)
+                _, _, frame, direction, sender = frames.frame(payload, time_ns, place)
+                cutter.take(time_ns, frame, direction, sender)
+            elif kind == MODBUS_ADU.name:
+                values = decode(MODBUS_ADU, payload)
+                start_ns, end_ns = values.get("start_ns", 0), values.get("end_ns", 0)
+                adu = adu_in(values)
+                if adu is not None and isinstance(start_ns, int) and isinstance(end_ns, int):
+                    lines.setdefault(place, []).append(LineAdu(time_ns, start_ns, end_ns, adu))
+        except ValueError:  # a message that is none tells nothing
+            continue
+    found: dict[tuple[str, int], Tape] = {}
+    for bus, cutter in buses.items():
+        found |= {(bus, number): tape for number, tape in cutter.tapes().items()}
+    for line, adus in lines.items():
+        units = modbus_tapes(line, adus, begin_ns)
+        found |= {(line, unit): tape for unit, tape in units.items()}
+    return RecordedTapes(found, {bus: cutter.decoder for bus, cutter in buses.items()})
+
+
+def _cutter(bus: str, begin_ns: int, names: RecordedNames) -> CanopenTapes:
+    nodes = {number: name for (where, number), name in names.nodes.items() if where == bus}
+    objects = {number: known for (where, number), known in names.objects.items() if where == bus}
+    return CanopenTapes(bus, begin_ns, nodes, objects)
