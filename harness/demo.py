@@ -61,12 +61,17 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         default=MASTS[0],
         help="pan and tilt as the other drives (can), or on a serial line (modbus)",
     )
+    parser.add_argument(
+        "--against",
+        type=Path,
+        metavar="FILE",
+        help="a recording of this demo, which stands in for the drives (record: out/against.mcap)",
+    )
     add_seed(parser)
     parser.add_argument(
         "-o",
         "--output",
         type=Path,
-        default=Path("out/demo.mcap"),
         metavar="FILE",
         help="the record (default out/demo.mcap)",
     )
@@ -90,6 +95,8 @@ def run(options: argparse.Namespace) -> int:
     from motorapi import MotorError
     from traces.digest import digest
 
+    if options.output is None:
+        options.output = Path("out/demo.mcap" if options.against is None else "out/against.mcap")
     if options.two_processes:
         return _run_two(options)
     rig_file = EXAMPLES / f"{options.rig}.toml"
@@ -97,6 +104,8 @@ def run(options: argparse.Namespace) -> int:
     if options.mast == "modbus":
         description = with_modbus_mast(description)
     description = _with_eds(description, options.eds)
+    if options.against is not None:
+        description = _against(description, options)
     _make_folder(options.output.parent)
     begun_s = time.perf_counter()
     with Rig(
@@ -114,6 +123,7 @@ def run(options: argparse.Namespace) -> int:
             manoeuvre(rover, rig.runtime, POINT_M, told)
         except MotorError as error:
             print(f"motorhil demo: {error}", file=sys.stderr)
+            _stood_in(rig)
             print(f"the record so far: {options.output}", file=sys.stderr)
             print(f"again: {_again(options, rig.seed)}", file=sys.stderr)
             return FAILED
@@ -121,6 +131,7 @@ def run(options: argparse.Namespace) -> int:
         simulated_s = rig.runtime.now_ns() / 1e9
         _print_buses(rig)
         _print_groups(rig, rover)
+        arrived = _stood_in(rig) and arrived
     spent_s = time.perf_counter() - begun_s
     print(
         f"\n{simulated_s:.1f} s simulated in {spent_s:.2f} s: "
@@ -137,12 +148,32 @@ def _run_two(options: argparse.Namespace) -> int:
     """As `run`, for two programs."""
     from harness import two_processes
 
-    others = options.rig != RIG.stem or options.mast != MASTS[0]
+    others = options.rig != RIG.stem or options.mast != MASTS[0] or options.against is not None
     if others or options.eds or options.realtime:
         print("motorhil demo: --two-processes takes --seed and -o alone", file=sys.stderr)
         return WRONG_USAGE
     _make_folder(options.output.parent)
     return two_processes.run(options.output, options.seed)
+
+
+def _against(description: "RigDescription", options: argparse.Namespace) -> "RigDescription":
+    """The rig with its drives out of a recording."""
+    from harness.replay.recorded_rig import with_recorded
+
+    if not options.against.is_file():
+        raise RigError(options.against, "no such recording", "make one: motorhil demo")
+    if options.output.exists() and options.against.samefile(options.output):
+        raise RigError(options.output, "is the recording itself", "record elsewhere with -o")
+    return with_recorded(description, options.against)
+
+
+def _stood_in(rig: "Rig") -> bool:
+    """Whether recorded drives, if there are any, could answer everything; it is told."""
+    from harness.replay.verdict import summary, unanswered
+
+    for line in summary(rig):
+        print(f"motorhil demo: {line}", file=sys.stderr)
+    return not unanswered(rig)
 
 
 def _again(options: argparse.Namespace, seed: int) -> str:
@@ -154,6 +185,8 @@ def _again(options: argparse.Namespace, seed: int) -> str:
         words += ["--mast", options.mast]
     for file in options.eds:
         words += ["--eds", str(file)]
+    if options.against is not None:
+        words += ["--against", str(options.against)]
     return shlex.join([*words, "--realtime"] if options.realtime else words)
 
 
@@ -254,10 +287,11 @@ def _heard_error_inc(motor: "Motor") -> float:
 
 
 def _reached_rad(rig: "Rig", motor: str) -> float:
-    """Where the motor really is."""
+    """Where the motor really is; of a recorded drive, where it says that it is."""
     controller = rig.description.motors[motor].controller
     assert controller is not None
-    return rig.controllers[controller].snapshot()[_in_truth(rig, motor, "position_rad")]
+    truth = rig.controllers[controller].snapshot().get(_in_truth(rig, motor, "position_rad"))
+    return rig.motors[motor].position() if truth is None else truth
 
 
 def _print_motors(rig: "Rig", rover: "Rover", peaks: _PeakFollowingError) -> bool:

@@ -116,7 +116,7 @@ class Rig:
         """The rig of a file, switched on at time 0.
 
         Args:
-            path: the rig file.
+            path: the rig file; or a recording, whose controllers then are out of it.
             seed: instead of the rig's own.
             realtime: time passes no faster than the wall clock.
             record: an MCAP file to write everything to.
@@ -124,7 +124,7 @@ class Rig:
         Raises:
             RigError: the rig cannot be used as it is written; nothing is left open.
         """
-        description = read_rig(Path(path), installed_plugins())
+        description = describe(Path(path))
         if seed is not None and not 0 <= seed <= SEED_MAX:
             raise RigError(path, f"seed {seed} is not within 0 to {SEED_MAX}", "another number")
         return cls(
@@ -350,6 +350,18 @@ class Rig:
 
             watch_group(self.recording, group, name, self.world)
         return group
+
+
+def describe(path: Path) -> RigDescription:
+    """What a rig file says, or the rig in a recording.
+
+    Raises:
+        RigError: it cannot be used.
+    """
+    from harness.replay.recorded_rig import is_recording, rig_in
+
+    known = installed_plugins()
+    return rig_in(path, known) if is_recording(path) else read_rig(path, known)
 
 
 def installed_plugins() -> Known:

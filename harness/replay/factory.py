@@ -62,14 +62,24 @@ def _recording(settings: Mapping[str, object], folder: Path) -> tuple[Path, Reco
         raise SettingError(("recording",), "is missing, or no text", 'recording = "bench.mcap"')
     path = folder / value
     try:
-        about = path.stat()
-        return path, _tapes(path, about.st_mtime_ns, about.st_size)
+        return path, recorded_tapes(path)
     except OSError as error:
         reason = (error.strerror or str(error)).lower()
         remedy = "paths start at the rig's folder"
         raise SettingError(("recording",), f"{path}: {reason}", remedy) from None
     except TraceError as error:
         raise SettingError(("recording",), str(error)) from None
+
+
+def recorded_tapes(path: Path) -> RecordedTapes:
+    """The tapes in a file, read once for all its controllers.
+
+    Raises:
+        OSError: there is no such file.
+        TraceError: it cannot be read.
+    """
+    about = path.stat()
+    return _tapes(path, about.st_mtime_ns, about.st_size)
 
 
 @lru_cache(maxsize=2)

@@ -12,7 +12,7 @@ from typing import Final, final
 
 from emulators.media.can_bits import INTERMISSION_BITS, KEY_SHIFT, measure
 from harness.replay.player import Mismatch, TapePlayer
-from traces.canopen_tapes import SYNC_KEY, nmt_key, pdo_key, remote_key, sdo_key
+from traces.canopen_tapes import SYNC_KEY, nmt_key, pdo_key, remote_key, sdo_key, sentence
 from traces.decode_canopen import CanopenDecoder
 from traces.tape import Key, Sent, Step, Tape
 from traces.traffic import RTR, classic
@@ -188,6 +188,9 @@ class RecordedNode:
 
     def _refuse(self, key: Key, frame: bytes, now_ns: int) -> None:
         mismatch = self.player.refuse(key, self._decoder.decode(frame).text, now_ns)
+        expected = mismatch.expected
+        if expected is not None:
+            expected.text = sentence(expected, self._decoder)
         self._events.append(("error", told(mismatch)))
 
 

@@ -1,21 +1,40 @@
-"""A rig whose controllers are out of a recording: of that recording's own rig, or of another."""
+"""A rig whose controllers are out of a recording: of that recording's own rig, or of another.
 
+A recording without a rig (imported, or of real hardware) has its buses and whoever answers there,
+and no motors.
+"""
+
+import tempfile
 import tomllib
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path, PurePosixPath
 from typing import TYPE_CHECKING, Final
 
-from harness.replay.factory import KIND
+from harness.replay.factory import KIND, recorded_tapes
 from harness.rig_buses import CAN, address_key
+from harness.rig_file import Known, parse_rig, read_rig
+from harness.settings import RigError, Source
 from traces.errors import TraceError
-from traces.reader import read_trace
+from traces.reader import Attachment, read_trace
+from traces.records import MAGIC
+from traces.tape import Tape
 
 if TYPE_CHECKING:
     from harness.rig_file import RigDescription
 
 _DEPTH: Final = 8
 """Folders above the rig's in which files that it names as ../x can be put."""
+_BITRATE_BIT_S: Final = 1_000_000
+
+
+def is_recording(path: Path) -> bool:
+    """Whether it is a recording, and no rig file."""
+    try:
+        with path.open("rb") as file:
+            return file.read(len(MAGIC)) == MAGIC
+    except OSError:
+        return False
 
 
 def with_recorded(description: "RigDescription", recording: Path) -> "RigDescription":
@@ -38,26 +57,55 @@ def with_recorded(description: "RigDescription", recording: Path) -> "RigDescrip
     return replace(description, controllers=controllers, faults=())
 
 
-def extract_rig(recording: Path, folder: Path) -> Path:
-    """The rig file of a recording, with the files that it names, in this empty folder.
+def rig_in(recording: Path, known: Known) -> "RigDescription":
+    """The rig that a recording was made with, its controllers out of the recording.
 
     Raises:
-        TraceError: the recording cannot be read, or holds no rig.
+        RigError: the recording cannot be read, or its rig not be used.
     """
-    with read_trace(recording) as trace:
-        files = {one.name.rpartition("/")[2]: one.data for one in trace.attachments}
+    try:
+        with read_trace(recording) as trace:
+            attachments = trace.attachments
+        found = _own_rig(recording, attachments, known)
+        if found is None:
+            text = _generated(recorded_tapes(recording).tapes)
+            return with_recorded(
+                parse_rig(Source(recording / "generated.toml", text), known), recording
+            )
+    except TraceError as error:
+        raise RigError(error.path, error.what, error.remedy) from None
+    return with_recorded(found, recording)
+
+
+def _own_rig(
+    recording: Path, attachments: list[Attachment], known: Known
+) -> "RigDescription | None":
+    """As it was; None: the recording holds no rig file."""
+    files = {one.name.rpartition("/")[2]: one.data for one in attachments}
     for name, data in files.items():
         try:
             rig = tomllib.loads(data.decode())
         except (tomllib.TOMLDecodeError, UnicodeDecodeError):
             continue
         if isinstance(rig.get("rig"), dict):
-            home = folder.joinpath(*(["in"] * _DEPTH))
-            for place, contents in _places(rig, files).items():
-                _write(home / place, contents)
-            return _write(home / name, data)
-    remedy = "name the rig it was made with: --rig RIG"
-    raise TraceError(str(recording), "holds no rig file", remedy=remedy)
+            with tempfile.TemporaryDirectory(prefix="motorhil-") as folder:
+                home = Path(folder, *(["in"] * _DEPTH))
+                for place, contents in _places(rig, files).items():
+                    _write(home / place, contents)
+                found = read_rig(_write(home / name, data), known)
+                motors = {
+                    motor.name: replace(motor, model=_table(motor.model))
+                    for motor in found.motors.values()
+                }
+            source = Source(recording / name, data.decode())
+            source.root()
+            return replace(found, motors=motors, source=source)
+    return None
+
+
+def _table(model: Path | Mapping[str, object]) -> Mapping[str, object]:
+    """A motor model as what its file says, for the file does not stay."""
+    return tomllib.loads(model.read_text("utf-8")) if isinstance(model, Path) else model
 
 
 def _places(rig: Mapping[str, object], files: Mapping[str, bytes]) -> dict[str, bytes]:
@@ -78,3 +126,29 @@ def _write(path: Path, data: bytes) -> Path:
     path.parent.mkdir(parents=True, exist_ok=True)
     path.write_bytes(data)
     return path
+
+
+def _generated(tapes: Mapping[tuple[str, int], Tape]) -> str:
+    """A rig file of buses and whoever answers there."""
+    buses = list(dict.fromkeys(bus for bus, _ in tapes))
+    lines = ["[rig]"]
+    for bus in buses:
+        is_line = any(
+            step.turns and step.key[0] == "modbus"
+            for (where, _), tape in tapes.items()
+            for step in tape.steps
+            if where == bus
+        )
+        kind = 'kind = "modbus_rtu"' if is_line else f"bitrate_bit_s = {_BITRATE_BIT_S}"
+        lines += ["", f"[bus.{_key(bus)}]", kind]
+        for where, number in tapes:
+            if where == bus:
+                key, word = ("unit", "unit") if is_line else ("node_id", "node")
+                name = f"{word}_{number}" if len(buses) == 1 else f"{bus}_{word}_{number}"
+                lines += ["", f"[controller.{_key(name)}]", f'kind = "{KIND}"']
+                lines += [f'bus = "{bus}"', f"{key} = {number}", 'recording = "it"']
+    return "\n".join(lines) + "\n"
+
+
+def _key(name: str) -> str:
+    return f'"{name}"'

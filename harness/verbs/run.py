@@ -26,7 +26,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "motorhil run [-h] [--realtime] [--seed N] [-o FILE] RIG [SCRIPT [ARGS ...]] [-- ARGS ...]"
     )
     parser.epilog = _MORE
-    parser.add_argument("rig", type=Path, metavar="RIG", help="a rig file (TOML)")
+    parser.add_argument(
+        *("rig",),
+        type=Path,
+        metavar="RIG",
+        help="a rig file (TOML); or a recording, which then stands in for its devices",
+    )
     parser.add_argument("script", nargs="?", metavar="SCRIPT", help="a Python program, or -")
     parser.add_argument(
         "args", nargs="*", default=[], metavar="ARGS", help="the script's own arguments"
@@ -42,6 +47,7 @@ def run(options: argparse.Namespace) -> int:
     Raises:
         RigError: the rig, the script or the output file cannot be used; nothing was run.
     """
+    from harness.replay.verdict import summary, unanswered
     from harness.rig import Rig
     from harness.script import print_error, read_script, run_prompt, run_script
     from traces.errors import TraceError
@@ -58,6 +64,9 @@ def run(options: argparse.Namespace) -> int:
     try:
         with rig:
             status = run_prompt(rig) if script is None else run_script(rig, script, words)
+            for line in summary(rig):
+                print(f"motorhil run: {line}", file=sys.stderr)
+            status = status or (FAILED if unanswered(rig) else PASSED)
     except (RigError, TraceError, BrokenPipeError):
         raise
     except Exception as error:  # of a party that nobody joined, or while closing what is in use

@@ -1,0 +1,70 @@
+"""Whether a recording could stand in for its devices: what it could not answer, in order."""
+
+from collections.abc import Iterator
+from typing import TYPE_CHECKING, NamedTuple, final
+
+from harness.replay.player import Mismatch, TapePlayer
+from harness.replay.recorded_node import RecordedNode, told
+from harness.replay.recorded_unit import RecordedUnit
+
+if TYPE_CHECKING:
+    from harness.rig import Rig
+
+
+@final
+class Unanswered(NamedTuple):
+    """What one recorded controller was told, and could not answer."""
+
+    controller: str
+    mismatch: Mismatch
+
+    def __str__(self) -> str:
+        return f"{self.controller} at {self.mismatch.time_ns / 1e9:.6f} s: {told(self.mismatch)}"
+
+
+def players(rig: "Rig") -> dict[str, TapePlayer]:
+    """Of the rig's controllers that are out of recordings, by name."""
+    cores = {name: rig.controllers[name].core for name in rig.description.controllers}
+    return {
+        name: core.player
+        for name, core in cores.items()
+        if isinstance(core, RecordedNode | RecordedUnit)
+    }
+
+
+def unanswered(rig: "Rig") -> list[Unanswered]:
+    """What the rig's recorded controllers could not answer, by time; none: they stood in."""
+    found = [
+        Unanswered(name, mismatch)
+        for name, player in players(rig).items()
+        for mismatch in player.mismatches
+    ]
+    return sorted(found, key=_when)
+
+
+def summary(rig: "Rig") -> Iterator[str]:
+    """What came of a run against recorded controllers, in lines; none if there are none."""
+    known = players(rig)
+    if not known:
+        return
+    wrong = unanswered(rig)
+    matched = sum(player.matched for player in known.values())
+    whom = f"{len(known)} recorded controller{'s' if len(known) > 1 else ''}"
+    if not wrong:
+        yield f"{whom}: {matched} commands, all answered as recorded"
+    else:
+        yield f"{whom}: {len(wrong)} of {matched + len(wrong)} commands not in the recording; first:"
+        yield str(wrong[0])
+        for text in wrong[0].mismatch.before:
+            yield f"  answered before: {text}"
+    left = {name: len(player.left()) for name, player in known.items() if player.left()}
+    if left:
+        told_of = ", ".join(f"{name} {count}" for name, count in left.items())
+        yield f"commands of the recording that did not come: {told_of}"
+    rest = sum(player.to_come() for player in known.values())
+    if rest:
+        yield f"the recording goes on: {rest} more commands"
+
+
+def _when(one: Unanswered) -> int:
+    return one.mismatch.time_ns
