@@ -5,6 +5,7 @@ most a tolerance away from where the other recording has it within a tolerance o
 """
 
 from bisect import bisect_left, bisect_right
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Final, final
 
@@ -60,7 +61,7 @@ def differences(first: Meaning, second: Meaning, tolerance: Tolerance) -> list[D
     labels = {**second.labels, **first.labels}
     for key in {**first.items, **second.items}:
         one, other = first.items.get(key, []), second.items.get(key, [])
-        if _is_measured(one) and _is_measured(other):
+        if is_measured(one) and is_measured(other):
             continue
         difference = _of_items(key, labels[key], one, other)
         if difference is not None:
@@ -73,7 +74,7 @@ def differences(first: Meaning, second: Meaning, tolerance: Tolerance) -> list[D
     return sorted(found, key=lambda difference: difference.time_ns)
 
 
-def _is_measured(items: list[Item]) -> bool:
+def is_measured(items: list[Item]) -> bool:
     """Whether it takes on so many values that it must be a quantity; commands never are."""
     if len(items) < _MEASURED_MIN or len({item.what[0] for item in items}) > 1:
         return False
@@ -99,10 +100,7 @@ def _of_motion(
         (times, values) = one or other or ([0], [0.0])
         there = Item(times[0], (), f"{values[0]:g}")
         return Difference(key, label, *((there, None) if one else (None, there)))
-    allowed = tolerance.position
-    if key[1] is not None or key[2] != "position":
-        spread = max(max(one[1]) - min(one[1]), max(other[1]) - min(other[1]))
-        allowed = max(2.0, tolerance.share * spread)
+    allowed = allowed_of(key, one, other, tolerance)
     for series, against, turned in ((other, one, True), (one, other, False)):
         found = _first_apart(series, against, allowed, tolerance.time_ns)
         if found is not None:
@@ -111,18 +109,33 @@ def _of_motion(
     return None
 
 
-def _first_apart(
-    series: Series, against: Series, allowed: float, time_ns: int
-) -> tuple[Item, Item] | None:
-    """The first sample that is not where the other series is at that time."""
+def allowed_of(key: Key, one: Series, other: Series, tolerance: Tolerance) -> float:
+    """How far the two may be apart, in the quantity's own unit."""
+    if key[1] is None and key[2] == "position":
+        return tolerance.position
+    spread = max(max(one[1]) - min(one[1]), max(other[1]) - min(other[1]))
+    return max(2.0, tolerance.share * spread)
+
+
+def apart(series: Series, against: Series, time_ns: int) -> Iterator[tuple[int, float]]:
+    """(time [ns], distance) of each sample from where the other series is within `time_ns` of it.
+
+    Between samples that is on a line; before the first and behind the last it stands still.
+    """
     times, values = against
     for now_ns, value in zip(*series, strict=True):
         early, late = now_ns - time_ns, now_ns + time_ns
         begin, end = bisect_left(times, early), bisect_right(times, late)
-        # Between samples it is on a line; before the first and behind the last it stands still.
         near = [*values[begin:end], _at(against, early), _at(against, late)]
-        low, high = min(near), max(near)
-        if not low - allowed <= value <= high + allowed:
+        yield now_ns, max(min(near) - value, value - max(near), 0.0)
+
+
+def _first_apart(
+    series: Series, against: Series, allowed: float, time_ns: int
+) -> tuple[Item, Item] | None:
+    """The first sample that is not where the other series is at that time."""
+    for (now_ns, distance), value in zip(apart(series, against, time_ns), series[1], strict=True):
+        if distance > allowed:
             there = _at(against, now_ns)
             return Item(now_ns, (), f"{value:g}"), Item(now_ns, (), f"{there:g}")
     return None

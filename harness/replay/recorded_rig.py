@@ -63,24 +63,34 @@ def rig_in(recording: Path, known: Known) -> "RigDescription":
     Raises:
         RigError: the recording cannot be read, or its rig not be used.
     """
+    found = own_rig(recording, known)
+    if found is None:
+        try:
+            text = _generated(recorded_tapes(recording).tapes)
+        except TraceError as error:
+            raise RigError(error.path, error.what, error.remedy) from None
+        found = parse_rig(Source(recording / "generated.toml", text), known)
+    return with_recorded(found, recording)
+
+
+def own_rig(recording: Path, known: Known) -> "RigDescription | None":
+    """The rig that a recording was made with, as it was; None: the recording holds none.
+
+    Raises:
+        RigError: the recording cannot be read, or its rig not be used.
+    """
     try:
         with read_trace(recording) as trace:
             attachments = trace.attachments
-        found = _own_rig(recording, attachments, known)
-        if found is None:
-            text = _generated(recorded_tapes(recording).tapes)
-            return with_recorded(
-                parse_rig(Source(recording / "generated.toml", text), known), recording
-            )
     except TraceError as error:
         raise RigError(error.path, error.what, error.remedy) from None
-    return with_recorded(found, recording)
+    return _own_rig(recording, attachments, known)
 
 
 def _own_rig(
     recording: Path, attachments: list[Attachment], known: Known
 ) -> "RigDescription | None":
-    """As it was; None: the recording holds no rig file."""
+    """Of the first attached file that is one; what it names stays as tables, not as files."""
     files = {one.name.rpartition("/")[2]: one.data for one in attachments}
     for name, data in files.items():
         try:

@@ -53,7 +53,8 @@ def summary(rig: "Rig") -> Iterator[str]:
     if not wrong:
         yield f"{whom}: {matched} commands, all answered as recorded"
     else:
-        yield f"{whom}: {len(wrong)} of {matched + len(wrong)} commands not in the recording; first:"
+        asked = matched + len(wrong)
+        yield f"{whom}: {len(wrong)} of {asked} commands not in the recording; first:"
         yield str(wrong[0])
         for text in wrong[0].mismatch.before:
             yield f"  answered before: {text}"

@@ -1,0 +1,67 @@
+"""`motorhil replay FILE --as device SCRIPT`: a program against the recording of its devices."""
+
+import argparse
+import shlex
+import sys
+from typing import TYPE_CHECKING
+
+from harness.exit_status import FAILED, PASSED
+from harness.settings import RigError
+
+if TYPE_CHECKING:
+    from harness.rig import Rig
+    from harness.rig_file import RigDescription
+
+
+def run(options: argparse.Namespace) -> int:
+    """Exit status: the script's; 1 if it raised, or told what the recording cannot answer.
+
+    Raises:
+        RigError: the recording, the rig or the script cannot be used.
+    """
+    from harness.replay.verdict import summary, unanswered
+    from harness.rig import Rig
+    from harness.script import print_error, read_script, run_prompt, run_script
+    from traces.errors import TraceError
+
+    words = [*options.args, *(options.rest or ())]
+    script = None if options.script is None else read_script(options.script)
+    status = PASSED
+    rig = Rig(
+        _described(options), seed=options.seed, realtime=options.realtime, record=options.output
+    )
+    try:
+        with rig:
+            status = run_prompt(rig) if script is None else run_script(rig, script, words)
+            for line in summary(rig):
+                print(f"motorhil replay: {line}", file=sys.stderr)
+            status = status or (FAILED if unanswered(rig) else PASSED)
+    except (RigError, TraceError, BrokenPipeError):
+        raise
+    except Exception as error:  # of a party that nobody joined, or while closing what is in use
+        print_error(error, "<prompt>" if script is None else script.name)
+        status = FAILED
+    if status != PASSED and script is not None:
+        print(f"again: {_again(options, rig, words)}", file=sys.stderr)
+    return status
+
+
+def _described(options: argparse.Namespace) -> "RigDescription":
+    from harness.replay.recorded_rig import with_recorded
+    from harness.rig import describe
+
+    if options.rig is None:
+        return describe(options.file)
+    return with_recorded(describe(options.rig), options.file)
+
+
+def _again(options: argparse.Namespace, rig: "Rig", words: list[str]) -> str:
+    command = ["motorhil", "replay", str(options.file), "--as", "device", options.script]
+    command += ["--seed", str(rig.seed)]
+    if options.rig is not None:
+        command += ["--rig", str(options.rig)]
+    if options.realtime:
+        command.append("--realtime")
+    if options.output is not None:
+        command += ["-o", str(options.output)]
+    return shlex.join([*command, "--", *words] if words else command)

@@ -1,0 +1,184 @@
+"""Plays a recorded host: what it sends when, told what is heard and what time it is.
+
+Sans-I/O. A step is sent when all it waited for has been told again, and as much time has passed
+behind the last of that, or behind the host's last frame, as in the recording. What is not told
+within the patience is missed: that is noted, and the host goes on, as a person watching would.
+"""
+
+from collections.abc import Callable, Collection, Sequence
+from dataclasses import dataclass
+from typing import Final, final
+
+from traces.host_tape import ANSWER, HostStep, Listener, Subject, Told
+
+PATIENCE_NS: Final = 2_000_000_000
+
+
+@final
+@dataclass(frozen=True, slots=True)
+class Missed:
+    """Something the host had waited for, and that was not told: when it gave up, what, instead."""
+
+    time_ns: int
+    awaited: Told
+    step: HostStep
+    instead: str
+
+
+@final
+class HostPlayer:
+    """One host on all buses.
+
+    Args:
+        steps: of the recording.
+        listener: that hears the live buses.
+        begin_ns: when the recording begins [ns of it].
+        duration_ns: from a frame's first bit to its last on a bus [ns]; None: not known.
+        lines: which of the buses are lines that speak Modbus.
+        speed: how much faster pauses are than recorded.
+        patience_ns: for each thing that is waited for [ns].
+
+    Attributes:
+        sent: how many frames were sent.
+        missed: what was waited for in vain.
+        pairs: (time in the recording, live time) of frames that were transmitted [ns].
+    """
+
+    def __init__(
+        self,
+        steps: Sequence[HostStep],
+        listener: Listener,
+        begin_ns: int = 0,
+        duration_ns: Callable[[str, bytes], int] | None = None,
+        lines: Collection[str] = (),
+        speed: float = 1.0,
+        patience_ns: int = PATIENCE_NS,
+    ) -> None:
+        self.sent = 0
+        self.missed: list[Missed] = []
+        self.pairs: list[tuple[int, int]] = []
+        self._steps = steps
+        self._listener = listener
+        self._speed = speed
+        self._patience_ns = patience_ns
+        self._told: dict[Subject, list[Told]] = {}
+        self._seen: dict[Subject, int] = {}
+        self._anchor = (begin_ns, 0)  # the last that is known of: when recorded, when live
+        self._duration_ns = duration_ns
+        self._lines = frozenset(lines)
+        self._waiting_since_ns = 0
+        self._in_flight: list[HostStep] = []
+        self._waits: list[Told] = []
+        self._begin()
+
+    def start(self, now_ns: int) -> None:
+        """The recording begins now."""
+        self._anchor = (self._anchor[0], now_ns)
+        self._waiting_since_ns = now_ns
+
+    def is_over(self) -> bool:
+        """Whether all has been sent."""
+        return self.sent == len(self._steps)
+
+    def heard(self, bus: str, frame: bytes, now_ns: int, transmitted: bool) -> None:
+        """A frame was complete on a live bus; `transmitted`: it was one of the host's own."""
+        said = self._listener.decode(bus, frame)
+        if transmitted:
+            for place, step in enumerate(self._in_flight):
+                if step.bus == bus and step.frame == frame:
+                    del self._in_flight[place]
+                    self.pairs.append((step.time_ns, now_ns))
+                    self._know(step.time_ns, now_ns)
+                    break
+            return
+        for told in self._listener.told(now_ns, bus, said):
+            self._told.setdefault(told.subject, []).append(told)
+
+    def answered(self, line: str, unit: int, now_ns: int) -> None:
+        """A unit's answer was complete on a live line."""
+        subject = (line, unit, ANSWER)
+        self._told.setdefault(subject, []).append(Told(now_ns, subject, True, "its answer"))
+
+    def next_deadline_ns(self) -> int | None:
+        """When `take` is wanted at the latest, if nothing is heard before [ns]."""
+        if self.is_over():
+            return None
+        if self._is_ready():
+            return self._due_ns()
+        return self._waiting_since_ns + self._patience_ns
+
+    def take(self, now_ns: int) -> list[tuple[str, bytes]]:
+        """(bus, frame) of what is to be sent by now."""
+        out: list[tuple[str, bytes]] = []
+        while not self.is_over():
+            if not self._is_ready():
+                if now_ns < self._waiting_since_ns + self._patience_ns:
+                    break
+                self._give_up(now_ns)
+                continue
+            if self._due_ns() > now_ns:
+                break
+            step = self._steps[self.sent]
+            out.append((step.bus, step.frame))
+            if step.bus in self._lines:  # nobody tells when it is out: it is a moment later
+                end_ns = now_ns + self._length_ns(step)
+                self.pairs.append((step.time_ns, end_ns))
+                self._know(step.time_ns, end_ns)
+            else:
+                self._in_flight.append(step)
+            self.sent += 1
+            self._waiting_since_ns = now_ns
+            self._begin()
+        return out
+
+    # ------------------------------------------------------------------------------ inside
+
+    def _begin(self) -> None:
+        """What the next step waits for is not told yet."""
+        if not self.is_over():
+            self._waits = list(self._steps[self.sent].waits)
+
+    def _is_ready(self) -> bool:
+        """Whether all that this step waits for has been told."""
+        while self._waits and self._has_come(self._waits[0]):
+            del self._waits[0]
+        return not self._waits
+
+    def _has_come(self, awaited: Told) -> bool:
+        """Whether it has been told, behind what was waited for before; then that is behind us."""
+        heard = self._told.get(awaited.subject, [])
+        for place in range(self._seen.get(awaited.subject, 0), len(heard)):
+            if heard[place].value == awaited.value:
+                self._seen[awaited.subject] = place + 1
+                self._know(awaited.time_ns, heard[place].time_ns)
+                return True
+        return False
+
+    def _give_up(self, now_ns: int) -> None:
+        """What this step waits for has not come: without it, then."""
+        awaited = self._waits.pop(0)
+        heard = self._told.get(awaited.subject, [])
+        if awaited.subject[2] == ANSWER:
+            instead = "no answer"
+        elif heard:
+            instead = f"last told: {heard[-1].text}"
+        else:
+            instead = "it has told nothing of it"
+        self.missed.append(Missed(now_ns, awaited, self._steps[self.sent], instead))
+        self._waiting_since_ns = now_ns
+        self._know(awaited.time_ns, now_ns)
+
+    def _know(self, recorded_ns: int, live_ns: int) -> None:
+        """What was recorded then was so now: pauses are counted from here."""
+        if recorded_ns >= self._anchor[0]:
+            self._anchor = (recorded_ns, live_ns)
+
+    def _due_ns(self) -> int:
+        step = self._steps[self.sent]
+        recorded_ns, live_ns = self._anchor
+        due_ns = live_ns + round((step.time_ns - recorded_ns) / self._speed)
+        return due_ns - self._length_ns(step)
+
+    def _length_ns(self, step: HostStep) -> int:
+        """How long it is on its bus."""
+        return 0 if self._duration_ns is None else self._duration_ns(step.bus, step.frame)

@@ -1,0 +1,131 @@
+"""`motorhil replay FILE --as host`: the recorded host drives a rig; are its devices alike?"""
+
+import argparse
+import json
+import math
+import sys
+import tempfile
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from harness.exit_status import FAILED, PASSED
+from harness.settings import RigError
+from harness.text_table import print_table
+
+if TYPE_CHECKING:
+    from harness.replay.as_host import HostRun
+    from harness.rig_file import RigDescription
+    from traces.fidelity import ObjectFidelity
+    from traces.semantic_diff import Difference
+
+_SHOWN = 20
+
+
+def run(options: argparse.Namespace) -> int:
+    """Exit status: 0 the devices told what the recorded ones told, 1 something else.
+
+    Raises:
+        RigError: the rig cannot be used for it.
+        TraceError: the recording cannot be read, or the new one not be written.
+    """
+    from harness.replay.as_host import compared, drive, read_host
+    from harness.rig import Rig
+    from traces.semantic_diff import Tolerance
+
+    steps, begin_ns = read_host(options.file)
+    description = _described(options)
+    with tempfile.TemporaryDirectory(prefix="motorhil-") as folder:
+        live = options.output or Path(folder, "live.mcap")
+        with Rig(description, seed=options.seed, realtime=options.realtime, record=live) as rig:
+            for note in rig.notes:
+                print(note, file=sys.stderr)
+            patience_ns = round(options.patience * 1e9)
+            done = drive(rig, steps, begin_ns, options.speed or 1.0, patience_ns)
+        found, differing = compared(
+            options.file, live, done.pairs, Tolerance(options.tolerance, 50_000_000)
+        )
+    if options.json:
+        print(json.dumps(_facts(done, found, differing)))
+    else:
+        _tell(options, done, found, differing)
+    return FAILED if differing or done.player.missed else PASSED
+
+
+def _described(options: argparse.Namespace) -> "RigDescription":
+    """The rig that is named, or the one that the recording was made with."""
+    from harness.replay.recorded_rig import own_rig
+    from harness.rig import describe, installed_plugins
+
+    if options.rig is not None:
+        return describe(options.rig)
+    found = own_rig(options.file, installed_plugins())
+    if found is None:
+        raise RigError(options.file, "holds no rig file", "name a rig to drive: --rig RIG")
+    return found
+
+
+def _tell(
+    options: argparse.Namespace,
+    done: "HostRun",
+    found: "list[ObjectFidelity]",
+    differing: "list[Difference]",
+) -> None:
+    rows = [
+        (
+            one.label,
+            f"{one.first}",
+            f"{one.second}",
+            f"{100 * one.share:.1f} %",
+            "" if one.worst is None or not math.isfinite(one.worst) else f"{one.worst:g}",
+            f"{one.worst_ns / 1e9:.3f}" if one.worst else "",
+        )
+        for one in found
+    ]
+    print_table(("object", "recorded", "now", "agree", "worst", "at s"), rows)
+    missed = done.player.missed
+    for one in missed[: None if options.all else _SHOWN]:
+        print(
+            f"{one.time_ns / 1e9:12.6f} s  waited in vain: {one.awaited.text} (recorded at "
+            f"{one.awaited.time_ns / 1e9:.6f} s), before: {one.step.text}; {one.instead}"
+        )
+    for difference in differing[: None if options.all else _SHOWN]:
+        print(f"{difference.time_ns / 1e9:12.6f} s  {difference}")
+    whole = sum(one.agreeing for one in found)
+    of = sum(one.first if one.worst is not None else max(one.first, one.second) for one in found)
+    print(
+        f"\n{done.player.sent} frames of the host sent; {len(found)} objects, "
+        f"{100 * whole / max(1, of):.2f} % of what they tell agrees; "
+        f"{len(differing)} differences, {len(missed)} times waited in vain"
+    )
+
+
+def _facts(
+    done: "HostRun", found: "list[ObjectFidelity]", differing: "list[Difference]"
+) -> dict[str, object]:
+    return {
+        "sent": done.player.sent,
+        "objects": [
+            {
+                "object": one.label,
+                "recorded": one.first,
+                "now": one.second,
+                "share": one.share,
+                "worst": one.worst if one.worst is None or math.isfinite(one.worst) else None,
+                "worst_ns": one.worst_ns,
+            }
+            for one in found
+        ],
+        "differences": [
+            {"time_ns": one.time_ns, "about": one.label, "text": str(one)} for one in differing
+        ],
+        "missed": [
+            {
+                "time_ns": one.time_ns,
+                "awaited": one.awaited.text,
+                "recorded_ns": one.awaited.time_ns,
+                "before": one.step.text,
+                "instead": one.instead,
+            }
+            for one in done.player.missed
+        ],
+    }

@@ -1,0 +1,58 @@
+"""The host of a recording: all that it sent, on all buses and lines."""
+
+from typing import Final
+
+from traces.decode_modbus import ModbusDecoder
+from traces.host_tape import HostCutter, HostStep, Listener
+from traces.modbus_records import adu_in
+from traces.protobuf import decode
+from traces.reader import Trace
+from traces.schema import CAN_FRAME, MODBUS_ADU
+from traces.traffic_mcap import FrameDecoder
+
+_RTU_REST: Final = 2
+
+
+def host_of(trace: Trace, listener: Listener) -> list[HostStep]:
+    """What the host sent, in order; of a cut recording, as far as it goes.
+
+    Raises:
+        TraceError: the recording is damaged.
+    """
+    cutter = HostCutter(listener)
+    frames = FrameDecoder()
+    lines: dict[str, ModbusDecoder] = {}
+    for channel, time_ns, payload in trace.messages():
+        kind = channel.schema.name if channel.schema is not None else ""
+        place = channel.topic.rpartition("/")[2]
+        try:
+            if kind == CAN_FRAME.name:
+                told = frames.frame(payload, time_ns, place)
+                cutter.take_frame(time_ns, place, told.frame, told.direction)
+            elif kind == MODBUS_ADU.name:
+                values = decode(MODBUS_ADU, payload)
+                adu, data = adu_in(values), values.get("data", b"")
+                if adu is not None and isinstance(data, bytes):
+                    text = lines.setdefault(place, ModbusDecoder()).decode(adu).text
+                    cutter.take_adu(adu.time_ns, place, data, adu, text)
+        except ValueError:  # a message that is none tells nothing
+            continue
+    return cutter.steps
+
+
+def answer_size(data: bytes, tcp: bool) -> int | None:
+    """How many bytes the answer that begins so has; None: that is not told, or not yet.
+
+    Source: MODBUS Application Protocol Specification V1.1b3, section 6; on TCP, the header.
+    """
+    if tcp:
+        return 6 + int.from_bytes(data[4:6], "big") if len(data) >= 6 else None
+    if len(data) < 3:
+        return None
+    function = data[1]
+    if function & 0x80:
+        return 3 + _RTU_REST
+    if function in (0x01, 0x02, 0x03, 0x04, 0x0C, 0x11, 0x14, 0x15, 0x17):
+        return 3 + data[2] + _RTU_REST
+    fixed = {0x05: 6, 0x06: 6, 0x07: 3, 0x08: 6, 0x0B: 6, 0x0F: 6, 0x10: 6, 0x16: 8}
+    return fixed[function] + _RTU_REST if function in fixed else None
