@@ -6,6 +6,7 @@ progress, record, and a table of what came of it. `--two-processes` is in `harne
 """
 
 import argparse
+import math
 import shlex
 import sys
 import time
@@ -100,9 +101,10 @@ def run(options: argparse.Namespace) -> int:
     if options.two_processes:
         return _run_two(options)
     rig_file = EXAMPLES / f"{options.rig}.toml"
-    description = read_rig(rig_file, installed_plugins())
+    known = installed_plugins()
+    description = read_rig(rig_file, known)
     if options.mast == "modbus":
-        description = with_modbus_mast(description)
+        description = with_modbus_mast(description, known)
     description = _with_eds(description, options.eds)
     if options.against is not None:
         description = _against(description, options)
@@ -291,7 +293,10 @@ def _reached_rad(rig: "Rig", motor: str) -> float:
     controller = rig.description.motors[motor].controller
     assert controller is not None
     truth = rig.controllers[controller].snapshot().get(_in_truth(rig, motor, "position_rad"))
-    return rig.motors[motor].position() if truth is None else truth
+    if truth is not None:
+        return truth
+    latest = rig.motors[motor].latest()
+    return math.nan if latest is None or latest.position is None else latest.position
 
 
 def _print_motors(rig: "Rig", rover: "Rover", peaks: _PeakFollowingError) -> bool:

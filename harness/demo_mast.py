@@ -1,39 +1,56 @@
 """The demo's mast on Modbus: two PR-mode drives on a serial line, in place of those on CAN."""
 
-from dataclasses import replace
+import re
 from typing import TYPE_CHECKING, Final
 
-from harness.rig_buses import MODBUS_RTU, BusDescription
-from harness.settings import RigError
+from harness.rig_file import Known, parse_rig
+from harness.settings import RigError, Source
 
 if TYPE_CHECKING:
     from harness.rig_file import RigDescription
 
 MASTS: Final = ("can", "modbus")
 LINE: Final = "rs485"
-_BAUD_BIT_S: Final = 115_200
 _UNITS: Final = {"pan": 1, "tilt": 2}
+_LINE: Final = f"""
+[bus.{LINE}]
+kind = "modbus_rtu"
+baud_bit_s = 115_200
+parity = "N"
+"""
+_ON_CAN: Final = ("kind", "bus", "node_id", "adaptation", "servo_period_ms", "oscillator_ppm")
 
 
-def with_modbus_mast(description: "RigDescription") -> "RigDescription":
+def with_modbus_mast(description: "RigDescription", known: Known) -> "RigDescription":
     """The rig with pan and tilt on a line of their own; nothing else differs.
+
+    Its file's text is changed so, for that is what a record says of the rig that ran.
 
     Raises:
         RigError: it has no such drives.
     """
-    controllers, motors = dict(description.controllers), dict(description.motors)
+    path, text = description.source.path, description.source.text
     for name, unit in _UNITS.items():
-        controller = controllers.get(name)
+        controller = description.controllers.get(name)
         if controller is None or controller.kind != "cia402":
             problem = f"{name} is no drive of its own"
-            raise RigError(description.source.path, problem, "use --mast with --rig rover")
-        settings: dict[str, object] = {"plant": controller.settings["plant"], "unit": unit}
-        controllers[name] = replace(
-            controller, kind="leadshine_pr", bus=LINE, node_id=unit, settings=settings
-        )
-        motors[name] = replace(
-            motors[name], adaptation="leadshine", bus=LINE, node_id=unit, settings={}
-        )
-    line = BusDescription(LINE, MODBUS_RTU, _BAUD_BIT_S, parity="N")
-    buses = {**description.buses, LINE: line}
-    return replace(description, buses=buses, controllers=controllers, motors=motors)
+            raise RigError(path, problem, "use --mast with --rig rover")
+        drive = f'kind = "leadshine_pr"\nbus = "{LINE}"\nunit = {unit}\n'
+        text = _with_table(text, f"controller.{name}", drive)
+        text = _with_table(text, f"motor.{name}", 'adaptation = "leadshine"\n')
+    source = Source(path, text + _LINE)
+    return parse_rig(source, known)
+
+
+def _with_table(text: str, table: str, lines: str) -> str:
+    """The text with these lines in that table, in place of what it says of a drive on CAN."""
+    head = f"[{table}]\n"
+    before, _, rest = text.partition(head)
+    end = re.search(r"^\[", rest, re.MULTILINE)
+    body, behind = (rest[: end.start()], rest[end.start() :]) if end else (rest, "")
+    kept = [
+        line
+        for line in body.splitlines(keepends=True)
+        if line.partition("=")[0].strip() not in _ON_CAN
+    ]
+    return before + head + lines + "".join(kept) + behind

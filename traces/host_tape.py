@@ -11,7 +11,8 @@ Source: CiA 301; CiA 402-2, statusword (bits 0 to 3, 5, 6: state; 10: target rea
 the mode).
 """
 
-from collections.abc import Iterator, Mapping
+from bisect import bisect_right
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
 from typing import Final, final
 
@@ -50,18 +51,21 @@ class HostStep:
     """A frame of the host.
 
     Attributes:
-        time_ns: when it was complete in the recording.
+        start_ns, end_ns: of its first and last bit in the recording.
         bus: where.
         frame: the frame, or the ADU with check sum or header.
         text: as a sentence.
-        waits: what had been told since the host's frame before.
+        waits: what had been told since the start of the host's frame before.
+        is_free: it waits for nothing and nobody waits for it: the host's own heartbeat.
     """
 
-    time_ns: int
+    start_ns: int
+    end_ns: int
     bus: str
     frame: bytes
     text: str
     waits: list[Told] = field(default_factory=list)
+    is_free: bool = False
 
 
 @final
@@ -107,13 +111,16 @@ class HostCutter:
 
     Whose a frame is tells its direction; where that is not known, what it is for.
 
-    Attributes: steps, so far.
+    Args:
+        listener: that hears the recording.
+        length_ns: how long a frame is on a CAN bus [ns].
     """
 
-    def __init__(self, listener: Listener) -> None:
-        self.steps: list[HostStep] = []
+    def __init__(self, listener: Listener, length_ns: Callable[[str, bytes], int]) -> None:
         self._listener = listener
-        self._waits: list[Told] = []
+        self._length_ns = length_ns
+        self._sent: list[HostStep] = []
+        self._told: list[Told] = []
 
     def take_frame(self, time_ns: int, bus: str, frame: bytes, direction: Direction) -> None:
         """A frame was complete on a CAN bus."""
@@ -122,21 +129,39 @@ class HostCutter:
             direction is Direction.UNKNOWN and said.kind in _FROM_HOST
         )
         if not is_hosts:
-            self._waits += self._listener.told(time_ns, bus, said)
+            self._told += self._listener.told(time_ns, bus, said)
         elif not int.from_bytes(frame[:4], "little") & ERR:
-            self._add(HostStep(time_ns, bus, frame, said.text))
+            start_ns = time_ns - self._length_ns(bus, frame)
+            free = said.kind in (Kind.HEARTBEAT, Kind.BOOT)
+            self._sent.append(HostStep(start_ns, time_ns, bus, frame, said.text, is_free=free))
 
-    def take_adu(self, end_ns: int, line: str, data: bytes, adu: Adu, text: str) -> None:
-        """An ADU's last bit ended on a line; `data` is all of it, as it was there."""
+    def take_adu(self, start_ns: int, line: str, data: bytes, adu: Adu, text: str) -> None:
+        """An ADU was on a line; `data` is all of it, as it was there."""
         if adu.to_server:
-            self._add(HostStep(end_ns, line, data, text))
+            self._sent.append(HostStep(start_ns, adu.time_ns, line, data, text))
         else:
-            self._waits.append(Told(end_ns, (line, adu.unit, ANSWER), True, text))
+            self._told.append(Told(adu.time_ns, (line, adu.unit, ANSWER), True, text))
 
-    def _add(self, step: HostStep) -> None:
-        step.waits = self._waits
-        self._waits = []
-        self.steps.append(step)
+    def steps(self) -> list[HostStep]:
+        """What the host sent, in the order in which it began to."""
+        steps = sorted(self._sent, key=_start_of)
+        told = sorted(self._told, key=_time_of)
+        first = 0
+        for step in steps:
+            if step.is_free:
+                continue
+            behind = bisect_right(told, step.start_ns, first, key=_time_of)
+            step.waits = told[first:behind]
+            first = behind
+        return steps
+
+
+def _start_of(step: HostStep) -> int:
+    return step.start_ns
+
+
+def _time_of(told: Told) -> int:
+    return told.time_ns
 
 
 def _is_hex(text: str) -> bool:

@@ -1,5 +1,6 @@
 """The host of a recording: all that it sent, on all buses and lines."""
 
+from collections.abc import Callable
 from typing import Final
 
 from traces.decode_modbus import ModbusDecoder
@@ -13,13 +14,20 @@ from traces.traffic_mcap import FrameDecoder
 _RTU_REST: Final = 2
 
 
-def host_of(trace: Trace, listener: Listener) -> list[HostStep]:
+def host_of(
+    trace: Trace, listener: Listener, length_ns: Callable[[str, bytes], int]
+) -> list[HostStep]:
     """What the host sent, in order; of a cut recording, as far as it goes.
+
+    Args:
+        trace: the recording.
+        listener: that hears it.
+        length_ns: how long a frame is on a CAN bus [ns].
 
     Raises:
         TraceError: the recording is damaged.
     """
-    cutter = HostCutter(listener)
+    cutter = HostCutter(listener, length_ns)
     frames = FrameDecoder()
     lines: dict[str, ModbusDecoder] = {}
     for channel, time_ns, payload in trace.messages():
@@ -32,12 +40,13 @@ def host_of(trace: Trace, listener: Listener) -> list[HostStep]:
             elif kind == MODBUS_ADU.name:
                 values = decode(MODBUS_ADU, payload)
                 adu, data = adu_in(values), values.get("data", b"")
-                if adu is not None and isinstance(data, bytes):
+                start_ns = values.get("start_ns", 0)
+                if adu is not None and isinstance(data, bytes) and isinstance(start_ns, int):
                     text = lines.setdefault(place, ModbusDecoder()).decode(adu).text
-                    cutter.take_adu(adu.time_ns, place, data, adu, text)
+                    cutter.take_adu(start_ns, place, data, adu, text)
         except ValueError:  # a message that is none tells nothing
             continue
-    return cutter.steps
+    return cutter.steps()
 
 
 def answer_size(data: bytes, tcp: bool) -> int | None:

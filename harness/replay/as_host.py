@@ -1,15 +1,14 @@
 """The host of a recording drives a rig; what its devices answer is compared with the recording."""
 
 from collections.abc import Callable
-from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Final, final
+from typing import TYPE_CHECKING, Final
 
 from emulators.media.can_bits import INTERMISSION_BITS, KEY_SHIFT, measure
 from harness.replay.host_player import PATIENCE_NS, HostPlayer
 from harness.settings import RigError
 from traces.fidelity import ObjectFidelity, fidelity, retimed, told_by_nodes
-from traces.host_tape import HostStep, Listener
+from traces.host_tape import Listener
 from traces.meaning import Meaning, meaning_of
 from traces.reader import read_trace
 from traces.recorded_host import answer_size, host_of
@@ -23,76 +22,55 @@ _TAIL_S: Final = 0.1
 """How long what the last frame brings about is heard [s]."""
 
 
-@final
-@dataclass(frozen=True, slots=True)
-class HostRun:
-    """What came of it.
+def drive(
+    rig: "Rig",
+    recording: Path,
+    speed: float = 1.0,
+    patience_ns: int = PATIENCE_NS,
+) -> HostPlayer:
+    """The rig has been told all that the recorded host sent.
 
-    Attributes:
-        player: what was sent, and what was waited for in vain.
-        pairs: (time in the recording, live time) of the host's frames [ns].
-    """
-
-    player: HostPlayer
-    pairs: list[tuple[int, int]]
-
-
-def read_host(recording: Path) -> tuple[list[HostStep], int]:
-    """The host's frames, and when the recording begins [ns].
+    Args:
+        rig: open, in virtual time or the wall's.
+        recording: with a host in it.
+        speed: how much faster the host's pauses are than recorded.
+        patience_ns: how long something is waited for that was told in the recording [ns].
 
     Raises:
         TraceError: the recording cannot be read.
-        RigError: there is no host in it.
+        RigError: there is no host in it, or it uses a bus or line that the rig does not have.
     """
+    buses, lines = rig.world.bus_names(), rig.world.line_names()
+    bits_ns = {bus: rig.world.bus(bus).bit_ns for bus in buses}
+
+    def length_ns(bus: str, frame: bytes) -> int:
+        return ((measure(frame) & _BITS) - INTERMISSION_BITS) * bits_ns.get(bus, 1000)
+
     with read_trace(recording) as trace:
-        steps = host_of(trace, Listener({}))
+        steps = host_of(trace, Listener({}), length_ns)
         begin_ns = 0 if "run" in trace.metadata else (trace.span_ns() or (0, 0))[0]
     if not steps:
         raise RigError(
             recording, "holds no frame of a host", "give a recording with commands to devices"
         )
-    return steps, begin_ns
-
-
-def drive(
-    rig: "Rig",
-    steps: list[HostStep],
-    begin_ns: int,
-    speed: float = 1.0,
-    patience_ns: int = PATIENCE_NS,
-    progress: Callable[[int, int], None] | None = None,
-) -> HostRun:
-    """The rig has been told all that the recorded host sent.
-
-    Raises:
-        RigError: the host uses a bus or line that the rig does not have.
-    """
-    runtime = rig.runtime
-    buses, lines = set(rig.world.bus_names()), set(rig.world.line_names())
-    for step in steps:
-        if step.bus not in buses | lines:
-            known = ", ".join((*rig.world.bus_names(), *rig.world.line_names()))
-            raise RigError(
-                rig.description.source.path,
-                f"has no bus or line {step.bus!r}, on which the recorded host sends",
-                f"name one of them so: {known}",
-            )
-    used = dict.fromkeys(step.bus for step in steps)
-    bits_ns = {bus: rig.world.bus(bus).bit_ns for bus in used if bus in buses}
-
-    def length_ns(bus: str, frame: bytes) -> int:
-        if bus in lines:
-            return rig.line(bus).duration_ns(len(frame))
-        return ((measure(frame) & _BITS) - INTERMISSION_BITS) * bits_ns[bus]
-
-    player = HostPlayer(
-        steps, Listener({}), begin_ns, length_ns, lines & set(used), speed, patience_ns
-    )
+    used = list(dict.fromkeys(step.bus for step in steps))
+    for bus in used:
+        if bus not in (*buses, *lines):
+            known = ", ".join((*buses, *lines))
+            problem = f"has no bus or line {bus!r}, on which the recorded host sends"
+            raise RigError(rig.description.source.path, problem, f"name one of them so: {known}")
+    player = HostPlayer(steps, Listener({}), begin_ns, lines, speed, patience_ns)
     for name in used:
         if name in lines:
             _hear_line(rig, name, player)
         else:
             _hear_bus(rig, name, player)
+    _play(rig, player)
+    return player
+
+
+def _play(rig: "Rig", player: HostPlayer) -> None:
+    runtime, lines = rig.runtime, rig.world.line_names()
     player.start(runtime.now_ns())
     while not player.is_over():
         for bus, frame in player.take(runtime.now_ns()):
@@ -100,14 +78,11 @@ def drive(
                 rig.line(bus).send(frame)
             else:
                 runtime.send(rig.bus(bus), frame)
-        if progress is not None:
-            progress(player.sent, len(steps))
         due_ns = player.next_deadline_ns()
         if due_ns is not None:
             left_s = max(0, due_ns - runtime.now_ns()) / 1e9
             runtime.wait_until(_changed(player, due_ns), left_s)
     runtime.run_for(_TAIL_S)
-    return HostRun(player, player.pairs)
 
 
 def _changed(player: HostPlayer, due_ns: int) -> Callable[[], bool]:

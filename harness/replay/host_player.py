@@ -3,9 +3,10 @@
 Sans-I/O. A step is sent when all it waited for has been told again, and as much time has passed
 behind the last of that, or behind the host's last frame, as in the recording. What is not told
 within the patience is missed: that is noted, and the host goes on, as a person watching would.
+The host's own heartbeat waits for nothing, and goes on as long as there is something to send.
 """
 
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 from typing import Final, final
 
@@ -26,6 +27,39 @@ class Missed:
 
 
 @final
+class _Heartbeat:
+    """Frames of one identifier that go out by the clock alone."""
+
+    def __init__(self, steps: list[HostStep], speed: float) -> None:
+        self.steps = steps
+        self.sent = 0
+        self.due_ns = 0
+        self._speed = speed
+        last = steps[-1].start_ns - steps[-2].start_ns if len(steps) > 1 else None
+        self._period_ns = last
+
+    def start(self, begin_ns: int, now_ns: int) -> None:
+        self.due_ns = now_ns + round((self.steps[0].start_ns - begin_ns) / self._speed)
+
+    def take(self) -> HostStep:
+        """The next one; it is then due again, with the last period when the recording is over."""
+        place = min(self.sent, len(self.steps) - 1)
+        step = self.steps[place]
+        self.sent += 1
+        if self.sent < len(self.steps):
+            pause_ns = self.steps[self.sent].start_ns - step.start_ns
+            self.due_ns += round(pause_ns / self._speed)
+        elif self._period_ns:
+            self.due_ns += round(self._period_ns / self._speed)
+        else:
+            self.due_ns = _NEVER_NS
+        return step
+
+
+_NEVER_NS: Final = 1 << 62
+
+
+@final
 class HostPlayer:
     """One host on all buses.
 
@@ -33,15 +67,14 @@ class HostPlayer:
         steps: of the recording.
         listener: that hears the live buses.
         begin_ns: when the recording begins [ns of it].
-        duration_ns: from a frame's first bit to its last on a bus [ns]; None: not known.
         lines: which of the buses are lines that speak Modbus.
         speed: how much faster pauses are than recorded.
         patience_ns: for each thing that is waited for [ns].
 
     Attributes:
-        sent: how many frames were sent.
+        sent: how many frames were sent, without heartbeats.
         missed: what was waited for in vain.
-        pairs: (time in the recording, live time) of frames that were transmitted [ns].
+        pairs: (time in the recording, live time) of frames that were on their bus [ns].
     """
 
     def __init__(
@@ -49,7 +82,6 @@ class HostPlayer:
         steps: Sequence[HostStep],
         listener: Listener,
         begin_ns: int = 0,
-        duration_ns: Callable[[str, bytes], int] | None = None,
         lines: Collection[str] = (),
         speed: float = 1.0,
         patience_ns: int = PATIENCE_NS,
@@ -57,14 +89,18 @@ class HostPlayer:
         self.sent = 0
         self.missed: list[Missed] = []
         self.pairs: list[tuple[int, int]] = []
-        self._steps = steps
+        self._steps = [step for step in steps if not step.is_free]
+        free: dict[tuple[str, bytes], list[HostStep]] = {}
+        for step in steps:
+            if step.is_free:
+                free.setdefault((step.bus, step.frame[:4]), []).append(step)
+        self._heartbeats = [_Heartbeat(one, speed) for one in free.values()]
         self._listener = listener
         self._speed = speed
         self._patience_ns = patience_ns
         self._told: dict[Subject, list[Told]] = {}
         self._seen: dict[Subject, int] = {}
         self._anchor = (begin_ns, 0)  # the last that is known of: when recorded, when live
-        self._duration_ns = duration_ns
         self._lines = frozenset(lines)
         self._waiting_since_ns = 0
         self._in_flight: list[HostStep] = []
@@ -73,8 +109,11 @@ class HostPlayer:
 
     def start(self, now_ns: int) -> None:
         """The recording begins now."""
-        self._anchor = (self._anchor[0], now_ns)
+        begin_ns = self._anchor[0]
+        self._anchor = (begin_ns, now_ns)
         self._waiting_since_ns = now_ns
+        for one in self._heartbeats:
+            one.start(begin_ns, now_ns)
 
     def is_over(self) -> bool:
         """Whether all has been sent."""
@@ -82,16 +121,15 @@ class HostPlayer:
 
     def heard(self, bus: str, frame: bytes, now_ns: int, transmitted: bool) -> None:
         """A frame was complete on a live bus; `transmitted`: it was one of the host's own."""
-        said = self._listener.decode(bus, frame)
         if transmitted:
             for place, step in enumerate(self._in_flight):
                 if step.bus == bus and step.frame == frame:
                     del self._in_flight[place]
-                    self.pairs.append((step.time_ns, now_ns))
-                    self._know(step.time_ns, now_ns)
+                    self._is_out(step, now_ns)
                     break
+            self._listener.decode(bus, frame)
             return
-        for told in self._listener.told(now_ns, bus, said):
+        for told in self._listener.told(now_ns, bus, self._listener.decode(bus, frame)):
             self._told.setdefault(told.subject, []).append(told)
 
     def answered(self, line: str, unit: int, now_ns: int) -> None:
@@ -103,13 +141,16 @@ class HostPlayer:
         """When `take` is wanted at the latest, if nothing is heard before [ns]."""
         if self.is_over():
             return None
-        if self._is_ready():
-            return self._due_ns()
-        return self._waiting_since_ns + self._patience_ns
+        due_ns = self._due_ns() if self._is_ready() else self._waiting_since_ns + self._patience_ns
+        return min([due_ns, *(one.due_ns for one in self._heartbeats)])
 
     def take(self, now_ns: int) -> list[tuple[str, bytes]]:
         """(bus, frame) of what is to be sent by now."""
         out: list[tuple[str, bytes]] = []
+        for one in self._heartbeats:
+            while one.due_ns <= now_ns and not self.is_over():
+                step = one.take()
+                out.append((step.bus, step.frame))
         while not self.is_over():
             if not self._is_ready():
                 if now_ns < self._waiting_since_ns + self._patience_ns:
@@ -121,9 +162,7 @@ class HostPlayer:
             step = self._steps[self.sent]
             out.append((step.bus, step.frame))
             if step.bus in self._lines:  # nobody tells when it is out: it is a moment later
-                end_ns = now_ns + self._length_ns(step)
-                self.pairs.append((step.time_ns, end_ns))
-                self._know(step.time_ns, end_ns)
+                self._is_out(step, now_ns + step.end_ns - step.start_ns)
             else:
                 self._in_flight.append(step)
             self.sent += 1
@@ -137,6 +176,11 @@ class HostPlayer:
         """What the next step waits for is not told yet."""
         if not self.is_over():
             self._waits = list(self._steps[self.sent].waits)
+
+    def _is_out(self, step: HostStep, now_ns: int) -> None:
+        """A frame of the host has been on its bus."""
+        self.pairs.append((step.end_ns, now_ns))
+        self._know(step.end_ns, now_ns)
 
     def _is_ready(self) -> bool:
         """Whether all that this step waits for has been told."""
@@ -174,11 +218,6 @@ class HostPlayer:
             self._anchor = (recorded_ns, live_ns)
 
     def _due_ns(self) -> int:
-        step = self._steps[self.sent]
+        """When this step begins."""
         recorded_ns, live_ns = self._anchor
-        due_ns = live_ns + round((step.time_ns - recorded_ns) / self._speed)
-        return due_ns - self._length_ns(step)
-
-    def _length_ns(self, step: HostStep) -> int:
-        """How long it is on its bus."""
-        return 0 if self._duration_ns is None else self._duration_ns(step.bus, step.frame)
+        return live_ns + round((self._steps[self.sent].start_ns - recorded_ns) / self._speed)

@@ -13,7 +13,7 @@ from harness.settings import RigError
 from harness.text_table import print_table
 
 if TYPE_CHECKING:
-    from harness.replay.as_host import HostRun
+    from harness.replay.host_player import HostPlayer
     from harness.rig_file import RigDescription
     from traces.fidelity import ObjectFidelity
     from traces.semantic_diff import Difference
@@ -28,11 +28,10 @@ def run(options: argparse.Namespace) -> int:
         RigError: the rig cannot be used for it.
         TraceError: the recording cannot be read, or the new one not be written.
     """
-    from harness.replay.as_host import compared, drive, read_host
+    from harness.replay.as_host import compared, drive
     from harness.rig import Rig
     from traces.semantic_diff import Tolerance
 
-    steps, begin_ns = read_host(options.file)
     description = _described(options)
     with tempfile.TemporaryDirectory(prefix="motorhil-") as folder:
         live = options.output or Path(folder, "live.mcap")
@@ -40,7 +39,7 @@ def run(options: argparse.Namespace) -> int:
             for note in rig.notes:
                 print(note, file=sys.stderr)
             patience_ns = round(options.patience * 1e9)
-            done = drive(rig, steps, begin_ns, options.speed or 1.0, patience_ns)
+            done = drive(rig, options.file, options.speed or 1.0, patience_ns)
         found, differing = compared(
             options.file, live, done.pairs, Tolerance(options.tolerance, 50_000_000)
         )
@@ -48,7 +47,7 @@ def run(options: argparse.Namespace) -> int:
         print(json.dumps(_facts(done, found, differing)))
     else:
         _tell(options, done, found, differing)
-    return FAILED if differing or done.player.missed else PASSED
+    return FAILED if differing or done.missed else PASSED
 
 
 def _described(options: argparse.Namespace) -> "RigDescription":
@@ -66,7 +65,7 @@ def _described(options: argparse.Namespace) -> "RigDescription":
 
 def _tell(
     options: argparse.Namespace,
-    done: "HostRun",
+    done: "HostPlayer",
     found: "list[ObjectFidelity]",
     differing: "list[Difference]",
 ) -> None:
@@ -82,7 +81,7 @@ def _tell(
         for one in found
     ]
     print_table(("object", "recorded", "now", "agree", "worst", "at s"), rows)
-    missed = done.player.missed
+    missed = done.missed
     for one in missed[: None if options.all else _SHOWN]:
         print(
             f"{one.time_ns / 1e9:12.6f} s  waited in vain: {one.awaited.text} (recorded at "
@@ -93,17 +92,17 @@ def _tell(
     whole = sum(one.agreeing for one in found)
     of = sum(one.first if one.worst is not None else max(one.first, one.second) for one in found)
     print(
-        f"\n{done.player.sent} frames of the host sent; {len(found)} objects, "
+        f"\n{done.sent} frames of the host sent; {len(found)} objects, "
         f"{100 * whole / max(1, of):.2f} % of what they tell agrees; "
         f"{len(differing)} differences, {len(missed)} times waited in vain"
     )
 
 
 def _facts(
-    done: "HostRun", found: "list[ObjectFidelity]", differing: "list[Difference]"
+    done: "HostPlayer", found: "list[ObjectFidelity]", differing: "list[Difference]"
 ) -> dict[str, object]:
     return {
-        "sent": done.player.sent,
+        "sent": done.sent,
         "objects": [
             {
                 "object": one.label,
@@ -126,6 +125,6 @@ def _facts(
                 "before": one.step.text,
                 "instead": one.instead,
             }
-            for one in done.player.missed
+            for one in done.missed
         ],
     }
