@@ -7,6 +7,7 @@ Source: MODBUS Application Protocol Specification V1.1b3, section 6.
 """
 
 from collections.abc import Iterable
+from dataclasses import replace
 from typing import Final, NamedTuple, final
 
 from traces.decode_modbus import ModbusDecoder
@@ -14,6 +15,8 @@ from traces.modbus import Adu
 from traces.tape import START, Key, Role, Sent, Step, Tape, Turn
 
 WRITES: Final = (0x05, 0x06, 0x0F, 0x10, 0x15, 0x16, 0x17)
+_GATEWAYS: Final = (b"\x0a", b"\x0b")
+"""Exceptions that a gateway tells of itself (path unavailable, no response), not its units."""
 
 
 @final
@@ -39,33 +42,73 @@ def role_of(pdu: bytes) -> Role:
 def modbus_tapes(line: str, adus: Iterable[LineAdu], begin_ns: int) -> dict[int, Tape]:
     """The tapes of the units that have answered anything on this line, by unit."""
     decoder = ModbusDecoder()
-    tapes: dict[int, Tape] = {}
-    answering: dict[int, list[tuple[int, Step, int]]] = {}  # by unit: transaction, step, asked
-    answered: list[int] = []
+    units: dict[int, _Unit] = {}
     for complete_ns, start_ns, end_ns, adu in adus:
         text = decoder.decode(adu).text
-        if adu.to_server:
-            whom = list(tapes) if adu.unit == 0 else [adu.unit]
-            for unit in whom:
-                tape = tapes.get(unit)
-                if tape is None:
-                    first = Step(Role.COMMAND, START, begin_ns, "the recording begins")
-                    tape = tapes[unit] = Tape(line, unit, [first])
-                step = Step(role_of(adu.pdu), request_key(adu.pdu), complete_ns, text)
-                step.turns.append(Turn(bytes([adu.unit]) + adu.pdu))
-                tape.steps.append(step)
-                waiting = answering.setdefault(unit, [])
-                waiting.append((adu.transaction, step, complete_ns))
-                if adu.way is None and not adu.transaction:  # a serial line: one at a time
-                    del waiting[:-1]
+        if not adu.to_server:
+            unit = units.get(adu.unit)
+            if unit is not None:
+                unit.answered(start_ns, end_ns, adu, text)
             continue
-        waiting = answering.get(adu.unit, [])
-        for place, (transaction, step, asked_ns) in enumerate(waiting):
-            if transaction == adu.transaction:
-                del waiting[place]
-                frame = bytes([adu.unit]) + adu.pdu
-                step.turns[0].answers.append(Sent(end_ns - asked_ns, frame, end_ns - start_ns))
-                step.answer_text = text
-                answered.append(adu.unit)
-                break
-    return {unit: tape for unit, tape in sorted(tapes.items()) if unit in set(answered)}
+        for number in list(units) if adu.unit == 0 else [adu.unit]:
+            if number not in units:
+                units[number] = _Unit(line, number, begin_ns)
+            units[number].asked(complete_ns, adu, text)
+    return {number: one.clear_up() for number, one in sorted(units.items()) if one.has_answered}
+
+
+@final
+class _Unit:
+    """A unit whose tape is being cut.
+
+    Behind a gateway it is asked one thing after another, and not at all for a while when it has
+    not answered: how long it took is then not in the recording, and taken to be the usual.
+    """
+
+    def __init__(self, line: str, number: int, begin_ns: int) -> None:
+        self.tape = Tape(line, number)
+        self.tape.steps.append(Step(Role.COMMAND, START, begin_ns, "the recording begins"))
+        self.has_answered = False
+        # Transaction, what, when it was asked, whether the unit was asked at once.
+        self._pending: list[tuple[int, Step, int, bool]] = []
+        self._is_held_up = False
+        self._delays_ns: list[int] = []
+        self._unclear: list[Step] = []
+
+    def asked(self, complete_ns: int, adu: Adu, text: str) -> None:
+        step = Step(role_of(adu.pdu), request_key(adu.pdu), complete_ns, text)
+        step.turns.append(Turn(bytes([adu.unit]) + adu.pdu))
+        self.tape.steps.append(step)
+        if not adu.transaction:  # a serial line: what was not answered will not be
+            self._pending.clear()
+        at_once = not self._pending and not self._is_held_up
+        self._pending.append((adu.transaction, step, complete_ns, at_once))
+
+    def answered(self, start_ns: int, end_ns: int, adu: Adu, text: str) -> None:
+        for place, (transaction, step, asked_ns, at_once) in enumerate(self._pending):
+            if transaction != adu.transaction:
+                continue
+            del self._pending[place]
+            if adu.is_exception and adu.pdu[1:] in _GATEWAYS:
+                self._is_held_up = True
+                return
+            self._is_held_up = self._is_held_up and bool(self._pending)
+            frame = bytes([adu.unit]) + adu.pdu
+            step.turns[0].answers.append(Sent(end_ns - asked_ns, frame, end_ns - start_ns))
+            step.answer_text = text
+            self.has_answered = True
+            if at_once:
+                self._delays_ns.append(end_ns - asked_ns)
+            else:
+                self._unclear.append(step)
+            return
+
+    def clear_up(self) -> Tape:
+        """Its tape, with the usual delay where none is in the recording."""
+        usual_ns = sorted(self._delays_ns)[len(self._delays_ns) // 2] if self._delays_ns else 0
+        for step in self._unclear:
+            turn = step.turns[0]
+            turn.answers = [
+                replace(sent, delay_ns=min(sent.delay_ns, usual_ns)) for sent in turn.answers
+            ]
+        return self.tape

@@ -8,6 +8,7 @@ from traces.object_names import ObjectNames
 from traces.reader import Attachment
 
 _EDS: Final = (".eds", ".dcf")
+_TABLES: Final = ("rig", "bus", "controller", "motor")
 
 
 @final
@@ -31,19 +32,20 @@ def names_of(attachments: list[Attachment]) -> RecordedNames:
     names = RecordedNames()
     files = {one.name.rpartition("/")[2]: one.data for one in attachments}
     for data in files.values():
-        rig = _rig(data)
+        rig = rig_in(data)
         if rig is not None:
             _take(names, rig, files)
             break
     return names
 
 
-def _rig(data: bytes) -> dict[str, object] | None:
+def rig_in(data: bytes) -> dict[str, object] | None:
+    """The rig that an attached file is; None: it is none (but a motor model, an EDS)."""
     try:
         found = tomllib.loads(data.decode())
     except (tomllib.TOMLDecodeError, UnicodeDecodeError):
         return None
-    return found if isinstance(found.get("rig"), dict) else None
+    return found if any(isinstance(found.get(name), dict) for name in _TABLES) else None
 
 
 def _take(names: RecordedNames, rig: dict[str, object], files: dict[str, bytes]) -> None:

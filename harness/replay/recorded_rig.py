@@ -17,6 +17,7 @@ from harness.rig_file import Known, parse_rig, read_rig
 from harness.settings import RigError, Source
 from traces.errors import TraceError
 from traces.reader import Attachment, read_trace
+from traces.recorded_names import rig_in as rig_of
 from traces.records import MAGIC
 from traces.tape import Tape
 
@@ -93,11 +94,8 @@ def _own_rig(
     """Of the first attached file that is one; what it names stays as tables, not as files."""
     files = {one.name.rpartition("/")[2]: one.data for one in attachments}
     for name, data in files.items():
-        try:
-            rig = tomllib.loads(data.decode())
-        except (tomllib.TOMLDecodeError, UnicodeDecodeError):
-            continue
-        if isinstance(rig.get("rig"), dict):
+        rig = rig_of(data)
+        if rig is not None:
             with tempfile.TemporaryDirectory(prefix="motorhil-") as folder:
                 home = Path(folder, *(["in"] * _DEPTH))
                 for place, contents in _places(rig, files).items():

@@ -1,0 +1,29 @@
+"""Recordings like another one, but for something."""
+
+from traces.reader import read_trace
+from traces.writer import TraceWriter
+
+
+def copied(source, target, change):
+    """A copy, of what `change(number, topic, time, payload)` gives; None: left out."""
+    with read_trace(source) as trace, TraceWriter(target, trace.metadata) as writer:
+        for one in trace.attachments:
+            writer.attach(one.name, one.data, one.media_type, one.log_time_ns)
+        channels = {}
+        for number, (channel, time_ns, payload) in enumerate(trace.messages()):
+            if channel.number not in channels:
+                channels[channel.number] = writer.channel(channel.topic, channel.schema)
+            changed = change(number, channel.topic, time_ns, payload)
+            if changed is not None:
+                writer.write(channels[channel.number], time_ns, changed)
+    return target
+
+
+def traffic(path, topic=None):
+    """(time, payload) of what was on each bus and line, by topic, in order."""
+    found = {}
+    with read_trace(path) as trace:
+        for channel, time_ns, payload in trace.messages():
+            if channel.topic.startswith(("/can/", "/modbus/")):
+                found.setdefault(channel.topic, []).append((time_ns, payload))
+    return found if topic is None else found[topic]

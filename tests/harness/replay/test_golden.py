@@ -1,0 +1,76 @@
+"""The golden recordings are what the rigs do today, and each replays in all three ways."""
+
+import shutil
+
+import pytest
+
+from harness.replay.as_host import compared, drive
+from harness.replay.recorded_rig import with_recorded
+from harness.replay.verdict import players, summary, unanswered
+from harness.rig import Rig
+from tests.golden import GOLDEN, INDEX, described, golden, record, rows
+from tests.harness.replay.altered import traffic
+from traces.digest import digest
+from traces.semantic_diff import Tolerance
+
+NAMES = list(GOLDEN)
+
+
+@pytest.fixture(params=NAMES)
+def name(request):
+    return request.param
+
+
+def test_it_is_what_the_rig_does_today(name, tmp_path):
+    with golden(name) as path:
+        record(name, tmp_path / "now.mcap")
+        assert digest(tmp_path / "now.mcap") == digest(path), "if that is right: make golden"
+
+
+def test_the_index_tells_what_there_is():
+    assert INDEX.read_text() == "\n".join(rows()) + "\n", "make golden"
+
+
+def test_as_devices_they_answer_the_same_application_and_every_frame_is_the_same(name, tmp_path):
+    """To the nanosecond: the drives are recorded, the host is live."""
+    with golden(name) as path:
+        again = tmp_path / "again.mcap"
+        with Rig(with_recorded(described(name), path), record=again) as rig:
+            GOLDEN[name][2](rig)
+            assert unanswered(rig) == []
+            assert {"matched": 0, "left": 0, "to come": 0}.items() <= {
+                "matched": 0,
+                "left": sum(len(one.left()) for one in players(rig).values()),
+                "to come": sum(one.to_come() for one in players(rig).values()),
+            }.items()
+            (line,) = summary(rig)
+            assert "all answered as recorded" in line
+        assert traffic(again) == traffic(path)
+
+
+def test_the_rig_in_the_recording_serves_as_well(name, tmp_path):
+    with golden(name) as path:
+        moved = shutil.copy(path, tmp_path / "bench.mcap")
+        with Rig.open(moved) as rig:
+            GOLDEN[name][2](rig)
+            assert unanswered(rig) == []
+
+
+def test_as_host_it_drives_the_same_devices_to_the_same(name, tmp_path):
+    with golden(name) as path:
+        live = tmp_path / "live.mcap"
+        with Rig(described(name), record=live) as rig:
+            player = drive(rig, path)
+        objects, differing = compared(path, live, player.pairs, Tolerance())
+        if name == "overload":  # nobody loads the motor: that the frames do not tell
+            assert any("emergency" in one.label for one in differing)
+            assert any("6041h" in one.awaited.subject[2] for one in player.missed)
+            return
+        assert player.missed == []
+        assert differing == []
+        assert objects
+        assert {one.label: one.share for one in objects if one.share < 1.0} == {}
+
+
+def test_as_traffic_its_frames_are_on_another_bus_when_they_were(name, tmp_path):
+    pytest.skip("with replay as traffic")
