@@ -90,7 +90,6 @@ def run(options: argparse.Namespace) -> int:
     Raises:
         RigError: an option or an EDS file cannot be used.
     """
-    from harness.examples.rover import Rover, manoeuvre
     from harness.rig import Rig, installed_plugins
     from harness.rig_file import read_rig
     from motorapi import MotorError
@@ -110,30 +109,16 @@ def run(options: argparse.Namespace) -> int:
         description = _against(description, options)
     _make_folder(options.output.parent)
     begun_s = time.perf_counter()
-    with Rig(
-        description, seed=options.seed, realtime=options.realtime, record=options.output
-    ) as rig:
-        for note in rig.notes:
-            print(note, file=sys.stderr)
-        peaks = _PeakFollowingError(rig)
-        rover = Rover(rig.groups["wheels"], rig.groups["steering"], rig.groups["mast"])
-
-        def told(text: str) -> None:
-            print(f"{rig.runtime.now_ns() / 1e9:7.3f} s  {text}", file=sys.stderr, flush=True)
-
-        try:
-            manoeuvre(rover, rig.runtime, POINT_M, told)
-        except MotorError as error:
-            print(f"motorhil demo: {error}", file=sys.stderr)
-            _stood_in(rig)
-            print(f"the record so far: {options.output}", file=sys.stderr)
-            print(f"again: {_again(options, rig.seed)}", file=sys.stderr)
-            return FAILED
-        arrived = _print_motors(rig, rover, peaks)
-        simulated_s = rig.runtime.now_ns() / 1e9
-        _print_buses(rig)
-        _print_groups(rig, rover)
-        arrived = _stood_in(rig) and arrived
+    rig = Rig(description, seed=options.seed, realtime=options.realtime, record=options.output)
+    try:
+        with rig:
+            arrived = _drive(rig)
+            simulated_s = rig.runtime.now_ns() / 1e9
+    except MotorError as error:  # the mast's party may raise it, when the rig is closed
+        _tell_failure(rig, error)
+        print(f"the record so far: {options.output}", file=sys.stderr)
+        print(f"again: {_again(options, rig.seed)}", file=sys.stderr)
+        return FAILED
     spent_s = time.perf_counter() - begun_s
     print(
         f"\n{simulated_s:.1f} s simulated in {spent_s:.2f} s: "
@@ -144,6 +129,38 @@ def run(options: argparse.Namespace) -> int:
         print(f"motorhil demo: a motor is off by more than {ERROR_MAX_RAD} rad", file=sys.stderr)
         print(f"again: {_again(options, rig.seed)}", file=sys.stderr)
     return PASSED if arrived else FAILED
+
+
+def _drive(rig: "Rig") -> bool:
+    """The manoeuvre has been driven, and what came of it told; whether all went well."""
+    from harness.examples.rover import Rover, manoeuvre
+
+    for note in rig.notes:
+        print(note, file=sys.stderr)
+    peaks = _PeakFollowingError(rig)
+    rover = Rover(rig.groups["wheels"], rig.groups["steering"], rig.groups["mast"])
+
+    def told(text: str) -> None:
+        print(f"{rig.runtime.now_ns() / 1e9:7.3f} s  {text}", file=sys.stderr, flush=True)
+
+    manoeuvre(rover, rig.runtime, POINT_M, told)
+    arrived = _print_motors(rig, rover, peaks)
+    _print_buses(rig)
+    _print_groups(rig, rover)
+    return _stood_in(rig) and arrived
+
+
+def _tell_failure(rig: "Rig", error: BaseException | None) -> None:
+    """What went wrong, the cause first, and what recorded drives had to do with it."""
+    from motorapi import MotorError
+
+    causes = []
+    while isinstance(error, MotorError):
+        causes.append(str(error))
+        error = error.__context__
+    for cause in causes:
+        print(f"motorhil demo: {cause}", file=sys.stderr)
+    _stood_in(rig, " ".join(causes))
 
 
 def _run_two(options: argparse.Namespace) -> int:
@@ -169,11 +186,11 @@ def _against(description: "RigDescription", options: argparse.Namespace) -> "Rig
     return with_recorded(description, options.against)
 
 
-def _stood_in(rig: "Rig") -> bool:
+def _stood_in(rig: "Rig", failure: str = "") -> bool:
     """Whether recorded drives, if there are any, could answer everything; it is told."""
     from harness.replay.verdict import summary, unanswered
 
-    for line in summary(rig):
+    for line in summary(rig, failure):
         print(f"motorhil demo: {line}", file=sys.stderr)
     return not unanswered(rig)
 

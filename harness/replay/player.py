@@ -124,10 +124,13 @@ class TapePlayer:
 
     def refuse(self, key: Key, came: str, now_ns: int) -> Mismatch:
         """What came cannot be answered: that is noted, with what was expected."""
-        told = tuple(step.answer_text for step in self._before if step.answer_text)
-        mismatch = Mismatch(now_ns, came, self._expected(key), told)
+        mismatch = Mismatch(now_ns, came, self._expected(key), self.answered_last())
         self.mismatches.append(mismatch)
         return mismatch
+
+    def answered_last(self) -> tuple[str, ...]:
+        """What it has answered last, as sentences, oldest first."""
+        return tuple(step.answer_text for step in self._before if step.answer_text)
 
     def left(self) -> list[Step]:
         """Commands of the recording, up to the last one found, that were never told."""

@@ -1,5 +1,6 @@
 """Whether a recording could stand in for its devices: what it could not answer, in order."""
 
+import re
 from collections.abc import Iterator
 from typing import TYPE_CHECKING, NamedTuple, final
 
@@ -42,8 +43,14 @@ def unanswered(rig: "Rig") -> list[Unanswered]:
     return sorted(found, key=_when)
 
 
-def summary(rig: "Rig") -> Iterator[str]:
-    """What came of a run against recorded controllers, in lines; none if there are none."""
+def summary(rig: "Rig", failure: str = "") -> Iterator[str]:
+    """What came of a run against recorded controllers, in lines; none if there are none.
+
+    Args:
+        rig: open, or closed.
+        failure: what the application failed with; what the controllers named there answered last
+            is told, for it may have been that.
+    """
     known = players(rig)
     if not known:
         return
@@ -58,6 +65,10 @@ def summary(rig: "Rig") -> Iterator[str]:
         yield str(wrong[0])
         for text in wrong[0].mismatch.before:
             yield f"  answered before: {text}"
+    for name, player in known.items():
+        if re.search(rf"\b{re.escape(name)}\b", failure):
+            for text in player.answered_last():
+                yield f"  {name} answered last: {text}"
     left = {name: len(player.left()) for name, player in known.items() if player.left()}
     if left:
         told_of = ", ".join(f"{name} {count}" for name, count in left.items())

@@ -1,0 +1,171 @@
+"""A host program against a recording of its devices: what passes, what not, what is told."""
+
+from itertools import pairwise
+
+import pytest
+from hypothesis import event, given
+from hypothesis import strategies as st
+
+from harness.replay.recorded_rig import with_recorded
+from harness.replay.verdict import players, unanswered
+from harness.rig import Rig
+from motorapi import ControlMode, MotorError
+from tests.golden import described, golden, overload, record
+from tests.harness.replay.altered import copied, traffic
+from traces.reader import read_trace
+
+
+def one_move(rig, target=1.0, pauses=(0.0, 0.0, 0.0), after_enable=None):
+    """As the first half of `algorithms`, as patient as told."""
+    left = rig.motors["left"]
+    left.set_control_mode(ControlMode.SETPOINT)
+    rig.runtime.run_for(pauses[0])
+    if after_enable is not None:
+        left.enable()
+        after_enable(left)
+    left.set_setpoint(target)
+    rig.runtime.run_for(pauses[1])
+    left.start()
+    left.wait_until_done(timeout_s=5)
+    rig.runtime.run_for(pauses[2])
+    return left.position()
+
+
+@given(st.tuples(*[st.sampled_from((0.0, 0.001, 0.037, 0.4, 3.0))] * 3))
+def test_a_host_may_be_slower_than_the_recorded_one(pauses):
+    with golden("cia402") as path, Rig(with_recorded(described("cia402"), path)) as rig:
+        position = one_move(rig, pauses=pauses)
+        event(f"slower by {sum(pauses):g} s")
+        assert unanswered(rig) == []
+        assert position == pytest.approx(1.0, abs=0.001)  # what the recorded drive reached
+
+
+def test_a_drive_that_is_not_told_anything_keeps_its_heartbeat():
+    with golden("cia402") as path, Rig(with_recorded(described("cia402"), path)) as rig:
+        one_move(rig)
+        heard = []
+        rig.runtime.listen(rig.bus("can0"), lambda *one: heard.append(one))
+        rig.runtime.run_for(5.0)
+        beats = [time_ns for frame, time_ns, _ in heard if frame[:2] == b"\x01\x07"]
+        assert 49 <= len(beats) <= 51
+        steps = {b - a for a, b in pairwise(beats[1:])}
+        assert max(steps) - min(steps) < 1_000_000
+
+
+def test_another_target_is_named_with_what_was_expected():
+    with golden("cia402") as path, Rig(with_recorded(described("cia402"), path)) as rig:
+        with pytest.raises(MotorError):
+            one_move(rig, target=1.1)
+        first = unanswered(rig)[0]
+    assert first.controller == "left"
+    told = str(first)
+    # The model: 66 * 2000 increments in 2 pi.
+    assert "write 607Ah target position = 23109" in told
+    assert "expected, as at" in told
+    assert "write 607Ah target position = 21008" in told
+
+
+def sdo_answers(path):
+    """(number of the message, payload) of what node 1 has answered to SDO requests."""
+    found = []
+    with read_trace(path) as trace:
+        for number, (channel, _, payload) in enumerate(trace.messages()):
+            if channel.topic == "/can/can0" and payload[1:5] == b"\x81\x05\0\0":
+                found.append((number, payload))
+    return found
+
+
+# What the host acts on, and how: (object, the byte of its value that is altered).
+ACTED_ON = {
+    "1000h": (b"\x43\x00\x10\x00", 0),
+    "6061h": (b"\x4f\x61\x60\x00", 0),
+    "1400h:2": (b"\x4f\x00\x14\x02", 0),
+    "607Dh": (b"\x43\x7d\x60\x02", 0),
+    "6062h": (b"\x43\x62\x60\x00", 1),
+}
+
+
+@pytest.mark.parametrize("what", ACTED_ON)
+def test_one_altered_reply_fails_and_is_named(what, tmp_path):
+    head, byte = ACTED_ON[what]
+
+    with golden("cia402") as path:
+        number = next(n for n, payload in sdo_answers(path) if payload[-8:-4] == head)
+
+        def change(here, topic, time_ns, payload):
+            if here != number:
+                return payload
+            at = len(payload) - 4 + byte
+            return payload[:at] + bytes([payload[at] ^ 0x01]) + payload[at + 1 :]
+
+        altered = copied(path, tmp_path / "altered.mcap", change)
+        told = ""
+        with Rig.open(altered) as rig:
+            try:
+                one_move(rig)
+                one_move(rig, target=2.0) if what == "6062h" else None
+            except MotorError as error:
+                told = str(error)
+            for one in unanswered(rig):
+                told += "\n".join([str(one), *one.mismatch.before])
+    assert what in told
+
+
+def test_what_is_not_altered_passes(tmp_path):
+    """The partner: the same copy, and nothing changed."""
+    with golden("cia402") as path:
+        same = copied(path, tmp_path / "same.mcap", lambda *args: args[-1])
+        with Rig.open(same) as rig:
+            one_move(rig)
+            assert unanswered(rig) == []
+
+
+def test_a_read_that_was_never_recorded_ends_with_an_abort_and_is_told():
+    with golden("cia402") as path, Rig(with_recorded(described("cia402"), path)) as rig:
+        with pytest.raises(MotorError, match="2020h:00h aborted: no data available"):
+            one_move(rig, after_enable=lambda motor: motor.hardware.read(0x2020, 0, "u16"))
+        (one,) = unanswered(rig)
+        assert "read 2020h" in str(one)
+
+
+def test_what_never_changed_is_answered_as_often_as_it_is_asked():
+    def ask(motor):
+        for _ in range(3):
+            assert motor.hardware.read(0x1018, 2, "u32") == 0x402
+
+    with golden("cia402") as path, Rig(with_recorded(described("cia402"), path)) as rig:
+        one_move(rig, after_enable=ask)
+        assert unanswered(rig) == []
+
+
+def test_a_modbus_request_that_is_not_in_the_record_is_refused_and_told():
+    with golden("leadshine") as path, Rig(with_recorded(described("leadshine"), path)) as rig:
+        with pytest.raises(MotorError, match="server device failure"):
+            one_move(rig, target=1.1)
+        first = unanswered(rig)[0]
+        assert first.controller == "left"
+        assert "write" in str(first)
+        assert "expected, as at" in str(first)
+
+
+def test_a_recorded_drive_has_no_inputs():
+    with (
+        golden("cia402") as path,
+        Rig(with_recorded(described("cia402"), path)) as rig,
+        pytest.raises(ValueError, match="a recorded drive has no inputs"),
+    ):
+        rig.controllers["left"].stimulate("load_torque_n_m", 1.0)
+
+
+def test_the_record_of_a_replay_is_a_recording_like_others(tmp_path):
+    """Devices out of a replay's record are the same devices."""
+    first = tmp_path / "first.mcap"
+    second = tmp_path / "second.mcap"
+    record("overload", first)
+    with Rig(with_recorded(described("overload"), first), record=second) as rig:
+        overload(rig)
+    with Rig.open(second) as rig:
+        overload(rig)
+        assert unanswered(rig) == []
+        assert sum(one.matched for one in players(rig).values()) > 20
+    assert traffic(first) == traffic(second)
