@@ -1,0 +1,199 @@
+"""What a tape does with hosts that do other things than the recorded one, by hand and at random."""
+
+from hypothesis import event, given
+from hypothesis import strategies as st
+
+from harness.replay.player import LOOK_AHEAD, TapePlayer
+from traces.tape import START, Role, Sent, Step, Tape, Turn, period_ns
+
+MS = 1_000_000
+
+
+def command(number, *reactions):
+    """A write of `number` to an object of its own; reactions are (delay, frame)."""
+    return Step(
+        Role.COMMAND,
+        ("sdo", number, bytes([number & 0xFF])),
+        number * MS,
+        f"write {number}",
+        turns=[Turn(b"w", [Sent(MS, b"ok%d" % number)])],
+        reactions=[Sent(delay, frame) for delay, frame in reactions],
+    )
+
+
+def poll(number, answer):
+    return Step(
+        Role.POLL,
+        ("read", number, b""),
+        0,
+        f"read {number}",
+        turns=[Turn(b"r", [Sent(MS, answer)])],
+    )
+
+
+def tape(*steps, periods_ns=None):
+    first = Step(Role.COMMAND, START, 0, "")
+    return Tape("can0", 1, [first, *steps], periods_ns or {})
+
+
+def played(*steps, periods_ns=None):
+    player = TapePlayer(tape(*steps, periods_ns=periods_ns))
+    player.start(0)
+    return player
+
+
+def key(number):
+    return ("sdo", number, bytes([number & 0xFF]))
+
+
+def answers(step):
+    return None if step is None else [sent.data for turn in step.turns for sent in turn.answers]
+
+
+def test_what_follows_a_command_keeps_its_delay_behind_it():
+    player = played(command(1, (5 * MS, b"a"), (9 * MS, b"b")))
+    player.command(key(1), 100 * MS)
+    assert player.next_deadline_ns() == 105 * MS
+    assert player.take(105 * MS - 1) == []
+    assert player.take(105 * MS) == [b"a"]
+    assert player.next_deadline_ns() == 109 * MS
+    assert player.take(200 * MS) == [b"b"]
+    assert player.next_deadline_ns() is None
+
+
+def test_a_command_cuts_short_what_the_one_before_it_would_still_have_brought():
+    """Of each identifier the last frame, in their order."""
+    a1, a2, b1 = b"\x81\1\0\0one", b"\x81\1\0\0two", b"\x01\7\0\0up"
+    player = played(command(1, (5 * MS, a1), (6 * MS, b1), (7 * MS, a2)), command(2))
+    player.command(key(1), 0)
+    player.command(key(2), MS)
+    assert player.take(MS) == [b1, a2]
+
+
+def test_polls_are_answered_in_order_and_the_last_again_until_the_next_command():
+    player = played(command(1), poll(7, b"not yet"), poll(7, b"done"), command(2), poll(7, b"off"))
+    player.command(key(1), 0)
+    read = ("read", 7, b"")
+    assert [answers(player.poll(read))[0] for _ in range(4)] == [
+        b"not yet",
+        b"done",
+        b"done",
+        b"done",
+    ]
+    player.command(key(2), MS)
+    assert answers(player.poll(read)) == [b"off"]
+
+
+def test_what_is_asked_in_another_epoch_has_no_answer_unless_it_never_changes():
+    player = played(
+        poll(7, b"a"), poll(8, b"same"), command(1), poll(7, b"b"), poll(8, b"same"), command(2)
+    )
+    player.command(key(1), 0)
+    player.command(key(2), 0)
+    assert player.poll(("read", 7, b"")) is None
+    assert answers(player.poll(("read", 8, b""))) == [b"same"]
+    assert player.poll(("read", 9, b"")) is None
+
+
+def test_the_same_words_again_are_answered_again_and_nothing_comes_of_it():
+    player = played(command(1, (MS, b"moves")), command(2), command(1, (MS, b"moves again")))
+    assert player.command(key(1), 0) is not None
+    player.take(10 * MS)
+    assert answers(player.command(key(1), 20 * MS)) == [b"ok1"]
+    assert player.repeated == 1
+    assert player.next_deadline_ns() is None  # the second move is another command's
+    player.command(key(2), 30 * MS)
+    player.command(key(1), 40 * MS)
+    assert player.take(50 * MS) == [b"moves again"]
+
+
+def test_what_was_left_out_may_still_come():
+    player = played(command(1), command(2), command(3))
+    for number in (1, 3, 2):
+        assert player.command(key(number), 0) is not None
+    assert player.left() == []
+    assert player.to_come() == 0
+
+
+def test_a_command_too_far_ahead_is_not_meant():
+    steps = [command(1 + number) for number in range(LOOK_AHEAD + 1)]
+    last = steps[-1]
+    assert played(*steps).command(last.key, 0) is None
+    assert played(*steps[1:]).command(last.key, 0) is not None
+
+
+def test_what_cannot_be_answered_names_the_same_object_first_then_the_next():
+    player = played(command(1), command(2))
+    assert player.refuse(("sdo", 2, b"\xff"), "write 2 = ff", 5).expected.text == "write 2"
+    assert player.refuse(("sdo", 9, b"\xff"), "write 9", 5).expected.text == "write 1"
+    player.command(key(1), 0)
+    player.command(key(2), 0)
+    assert player.refuse(("sdo", 9, b"\xff"), "write 9", 5).expected is None
+
+
+def test_what_was_periodic_goes_on_and_what_came_once_does_not():
+    beat, boot = b"\x01\7\0\0\5", b"\x02\7\0\0\0"
+    reactions = [(n * 100 * MS, beat) for n in range(1, 4)]
+    player = played(
+        command(1, (10 * MS, boot), *reactions),
+        periods_ns={0x701: 100 * MS, 0x702: 100 * MS},
+    )
+    player.command(key(1), 0)
+    out = player.take(1_000 * MS)
+    assert out[0] == boot
+    # Three recorded ones; the next a quarter of a period late, then every period.
+    assert out[1:] == [beat] * (3 + 6)
+    assert player.next_deadline_ns() == 1_025 * MS
+
+
+def test_a_period_is_what_most_intervals_are():
+    assert period_ns([0, 100, 201, 299, 400, 500]) == 100
+    assert period_ns([0, 100, 200]) is None  # too few to say
+    assert period_ns([0, 100, 130, 500, 900, 901]) is None
+    assert period_ns([5] * 9) is None
+
+
+HOSTS = st.lists(st.tuples(st.sampled_from("NRPS"), st.integers(0, 30)), max_size=40)
+
+
+@given(st.integers(1, 25), HOSTS)
+def test_whatever_a_host_does_each_command_is_found_once_and_nothing_runs_early(count, host):
+    """N: the next command, R: any, P: a poll, S: time passes."""
+    steps = []
+    for number in range(1, count + 1):
+        steps.append(command(number, (3 * MS, b"\x81\1\0\0%d" % number)))
+        steps.append(poll(100, b"%d" % number))
+    player = played(*steps)
+    now_ns, following, found = 0, 1, []
+    for what, number in host:
+        if what == "S":
+            now_ns += number * MS
+            player.take(now_ns)
+        elif what == "P":
+            player.poll(("read", 100, b""))
+        else:
+            wanted = following if what == "N" else number
+            matched = player.matched
+            step = player.command(key(wanted), now_ns)
+            if step is None:
+                assert not 1 <= wanted <= count
+            else:
+                assert step.key == key(wanted)
+            if player.matched > matched:
+                found.append(wanted)
+                following = max(found) + 1
+        due_ns = player.next_deadline_ns()
+        assert due_ns is None or due_ns >= now_ns - 30 * MS
+    assert len(found) == len(set(found)) == player.matched
+    assert sorted(set(range(1, following)) - set(found)) == [one.key[1] for one in player.left()]
+    event(f"found {min(len(found), 5)}{'+' if len(found) > 5 else ''}")
+
+
+@given(st.integers(1, 25))
+def test_the_recorded_host_finds_everything(count):
+    steps = [command(number) for number in range(1, count + 1)]
+    player = played(*steps)
+    for number in range(1, count + 1):
+        assert player.is_next(key(number))
+        assert player.command(key(number), number) is steps[number - 1]
+    assert (player.matched, player.left(), player.to_come()) == (count, [], 0)
