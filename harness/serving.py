@@ -17,9 +17,10 @@ from emulators.hub import HubError, HubServer
 from emulators.serve import WallLoop
 from emulators.socketcan import SocketCanError, SocketCanGateway
 from harness import modbus_doors
-from harness.exit_status import PASSED, WRONG_USAGE
+from harness.exit_status import FAILED, PASSED, WRONG_USAGE
 from harness.lock_looks import LockLooks
 from harness.ownership_tap import LockWriter
+from harness.replay.verdict import summary, unanswered
 from harness.rig import Rig
 from harness.seed_option import add_seed
 from harness.settings import RigError
@@ -31,7 +32,7 @@ _GRACE_S: Final = 3.0
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The words after `motorhil serve`."""
-    parser.add_argument("rig", type=Path, metavar="RIG", help="the rig file")
+    parser.add_argument("rig", type=Path, metavar="RIG", help="the rig file, or a recording")
     parser.add_argument(
         "--socket",
         type=Path,
@@ -59,7 +60,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(options: argparse.Namespace) -> int:
-    """Exit status: 0, 2 wrong usage, or the command's own."""
+    """Exit status: 0, 1 a recording could not answer, 2 wrong usage, or the command's own."""
     if options.rest == []:
         print("motorhil serve: no command after --; name one, or leave -- out", file=sys.stderr)
         return WRONG_USAGE
@@ -77,7 +78,9 @@ def run(options: argparse.Namespace) -> int:
         _look_at_locks(rig, doors, cleanup)
         service = _Service(loop, cleanup.enter_context(StopSignals(loop)))
         if options.rest:
-            return service.run_command(options.rest, _environment(doors, lines))
+            status = service.run_command(options.rest, _environment(doors, lines))
+            verdict = _stood_in(rig)
+            return status or verdict
         print(f"serving {rig.description.name}; Ctrl-C stops", file=sys.stderr)
         for bus, (interface, channel) in doors.items():
             print(f"{bus}: can.Bus(interface={interface!r}, channel={channel!r})", flush=True)
@@ -87,7 +90,14 @@ def run(options: argparse.Namespace) -> int:
         print(
             f"stopped; an event was at most {loop.late_ns_max / 1e6:.1f} ms late", file=sys.stderr
         )
-    return PASSED
+        return _stood_in(rig)
+
+
+def _stood_in(rig: Rig) -> int:
+    """0 unless controllers out of a recording could not answer something; it is told."""
+    for line in summary(rig):
+        print(f"motorhil serve: {line}", file=sys.stderr)
+    return FAILED if unanswered(rig) else PASSED
 
 
 def _refuse_nothing(rig: Rig, options: argparse.Namespace) -> None:

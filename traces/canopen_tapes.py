@@ -7,12 +7,14 @@ if it comes soon behind nearly every SYNC.
 Source: CiA 301 (pre-defined connection set, SDO, PDO transmission types, NMT).
 """
 
+from bisect import bisect_right
 from collections.abc import Iterable, Mapping
+from dataclasses import replace
 from typing import Final, final
 
-from traces.decode_canopen import CanopenDecoder
+from traces.decode_canopen import SETPOINTS, CanopenDecoder
 from traces.decode_sdo import SdoReader
-from traces.object_names import ObjectNames
+from traces.object_names import ObjectNames, axis_of
 from traces.pdo_maps import PdoKey
 from traces.said import Said
 from traces.schema import Direction
@@ -26,6 +28,8 @@ _SYNCS_MIN: Final = 8
 """So many SYNCs it takes to say that a PDO comes behind them."""
 _NEAR_NS: Final = 2_000_000
 _RESETS: Final = (0x81, 0x82)
+_OUTPUTS: Final = (0x6411,)
+"""Analogue outputs of I/O nodes (CiA 401): set-points where the servo is on the host."""
 
 
 @final
@@ -67,8 +71,14 @@ class CanopenTapes:
         begin_ns: int,
         names: Mapping[int, str] | None = None,
         objects: Mapping[int, ObjectNames] | None = None,
+        any_set_point: bool = False,
     ) -> None:
-        """With when the recording begins [ns], what its nodes are called, and their objects."""
+        """With when the recording begins [ns], what its nodes are called, and their objects.
+
+        With `any_set_point`, of PDOs to nodes the set-points in them count for nothing: a stream of
+        them is told once, whatever its values.
+        """
+        self._any_set_point = any_set_point
         self.decoder = CanopenDecoder(names, objects)
         self._bus = bus
         self._begin_ns = begin_ns
@@ -114,6 +124,7 @@ class CanopenTapes:
                 found = period_ns(times)
                 if found is not None:
                     node.tape.periods_ns[identifier] = found
+            _mark_periodic(node)
             done[number] = node.tape
         return done
 
@@ -185,11 +196,24 @@ class CanopenTapes:
 
     def _set_point(self, keys: list[PdoKey], time_ns: int, identifier: int, frame: bytes) -> None:
         """A PDO to nodes; the same again tells nothing."""
-        for number, _, _ in keys:
-            node = self._node(number)
-            if node.set_points.get(identifier) != frame:
-                node.set_points[identifier] = frame
-                node.add(Step(Role.COMMAND, pdo_key(identifier, frame), time_ns, ""))
+        for key in keys:
+            node = self._node(key[0])
+            told = frame
+            if self._any_set_point:
+                mask = node.tape.masks[identifier] = self._mask(key)
+                told = masked(frame, mask)
+            if node.set_points.get(identifier) != told:
+                node.set_points[identifier] = told
+                node.add(Step(Role.COMMAND, pdo_key(identifier, told), time_ns, ""))
+
+    def _mask(self, key: PdoKey) -> bytes:
+        """Of the 8 data bytes of a PDO, what is no set-point."""
+        mask, at = (1 << 64) - 1, 0
+        for index, _, bits in self.decoder.maps.objects(key) or ():
+            if index in _OUTPUTS or axis_of(index)[1] in SETPOINTS:
+                mask &= ~(((1 << bits) - 1) << at)
+            at += bits
+        return mask.to_bytes(8, "little")
 
     # ----------------------------------------------------------------------- what it sent
 
@@ -250,8 +274,33 @@ class CanopenTapes:
         node.unclear.clear()
 
 
+def _mark_periodic(node: _Node) -> None:
+    """Of frames with a period: which of them were followed by the next one in time.
+
+    A boot-up is none of them, though it has the identifier of heartbeats.
+    """
+    for step in node.tape.steps:
+        for place, one in enumerate(step.reactions):
+            identifier = int.from_bytes(one.data[:2], "little")
+            period = node.tape.periods_ns.get(identifier)
+            if period is None or (identifier >> 7 == 14 and not one.data[8]):
+                continue
+            times, now_ns = node.times_ns[identifier], step.time_ns + one.delay_ns
+            behind = bisect_right(times, now_ns)
+            # Behind the last one, as before it.
+            next_ns = times[behind] if behind < len(times) else 2 * now_ns - times[behind - 2]
+            if 4 * (next_ns - now_ns) <= 5 * period:
+                step.reactions[place] = replace(one, goes_on=True)
+
+
 SYNC_KEY: Final[Key] = ("sync", 0, b"")
 SYNC_FRAME: Final = classic(_SYNC, b"")
+
+
+def masked(frame: bytes, mask: bytes) -> bytes:
+    """The can_frame with those bits of its data that the mask has."""
+    data = int.from_bytes(frame[8:], "little") & int.from_bytes(mask, "little")
+    return frame[:8] + data.to_bytes(8, "little")
 
 
 def sdo_key(data: bytes) -> Key:

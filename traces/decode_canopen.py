@@ -35,7 +35,7 @@ _MOTION: Final = frozenset(
     )
 )
 """Measured and demanded quantities of CiA 402."""
-_SETPOINTS: Final = frozenset((0x607A, 0x60FF, 0x6071, 0x6042, 0x60C1))
+SETPOINTS: Final = frozenset((0x607A, 0x60FF, 0x6071, 0x6042, 0x60C1))
 
 # SocketCAN's error classes, linux/can/error.h.
 _BUS_ERRORS: Final = (
@@ -302,7 +302,7 @@ class CanopenDecoder:
                 continue  # a dummy object
             part = value.to_bytes((bits + 7) // 8, "little")
             (fact,) = self._object(number, index, subindex, part, told_to)
-            motion = fact.motion or self._node(number).place(index)[1] in _SETPOINTS
+            motion = fact.motion or self._node(number).place(index)[1] in SETPOINTS
             facts.append(Fact(fact.subject, fact.value, fact.text, told_to, motion))
         return facts
 

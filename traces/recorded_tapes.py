@@ -32,8 +32,12 @@ class RecordedTapes:
     decoders: dict[str, CanopenDecoder]
 
 
-def tapes_of(trace: Trace) -> RecordedTapes:
+def tapes_of(trace: Trace, any_set_point: bool = False) -> RecordedTapes:
     """The tapes of a recording; of a cut one, as far as it goes.
+
+    Args:
+        trace: the recording.
+        any_set_point: the values of set-points in PDOs count for nothing.
 
     Raises:
         TraceError: the recording is damaged.
@@ -51,7 +55,7 @@ def tapes_of(trace: Trace) -> RecordedTapes:
             if kind == CAN_FRAME.name:
                 cutter = buses.get(place)
                 if cutter is None:
-                    cutter = buses[place] = _cutter(place, begin_ns, names)
+                    cutter = buses[place] = _cutter(place, begin_ns, names, any_set_point)
                 _, _, frame, direction, sender = frames.frame(payload, time_ns, place)
                 cutter.take(time_ns, frame, direction, sender)
             elif kind == MODBUS_ADU.name:
@@ -71,7 +75,7 @@ def tapes_of(trace: Trace) -> RecordedTapes:
     return RecordedTapes(found, {bus: cutter.decoder for bus, cutter in buses.items()})
 
 
-def _cutter(bus: str, begin_ns: int, names: RecordedNames) -> CanopenTapes:
+def _cutter(bus: str, begin_ns: int, names: RecordedNames, any_set_point: bool) -> CanopenTapes:
     nodes = {number: name for (where, number), name in names.nodes.items() if where == bus}
     objects = {number: known for (where, number), known in names.objects.items() if where == bus}
-    return CanopenTapes(bus, begin_ns, nodes, objects)
+    return CanopenTapes(bus, begin_ns, nodes, objects, any_set_point)

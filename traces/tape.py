@@ -37,11 +37,13 @@ class Sent:
         delay_ns: from what it answers, or follows, being complete until it was complete.
         data: a Linux can_frame; of a Modbus unit, an RTU frame.
         duration_ns: from its first bit to its last, where the recording tells; else 0.
+        goes_on: whether the next of its kind came a period later, whatever happened meanwhile.
     """
 
     delay_ns: int
     data: bytes
     duration_ns: int = 0
+    goes_on: bool = False
 
 
 @final
@@ -89,12 +91,14 @@ class Tape:
         number: node-ID or unit.
         steps: in their order; the first is the recording's beginning (`START`).
         periods_ns: of what it sends periodically by itself, by identifier.
+        masks: of PDOs to it, what of their 8 data bytes counts, by identifier; else all does.
     """
 
     bus: str
     number: int
     steps: list[Step] = field(default_factory=list)
     periods_ns: dict[int, int] = field(default_factory=dict)
+    masks: dict[int, bytes] = field(default_factory=dict)
 
     def commands(self) -> int:
         """How many commands it was told."""
@@ -108,11 +112,12 @@ REGULAR_MIN: Final = 4
 def period_ns(times_ns: Sequence[int]) -> int | None:
     """The period of what came at these times; None: it has none.
 
-    Most intervals (9 of 10) are within a tenth of the middle one.
+    Most intervals are within a tenth of the middle one; what is sent on events besides has shorter
+    ones between them.
     """
     steps = sorted(b - a for a, b in pairwise(times_ns))
     if len(steps) < REGULAR_MIN:
         return None
     middle = steps[len(steps) // 2]
     near = sum(1 for step in steps if abs(step - middle) * 10 <= middle)
-    return middle if middle > 0 and near * 10 >= 9 * len(steps) else None
+    return middle if middle > 0 and 2 * near > len(steps) else None

@@ -50,9 +50,8 @@ def _described(options: argparse.Namespace) -> "RigDescription":
     from harness.replay.recorded_rig import with_recorded
     from harness.rig import describe
 
-    if options.rig is None:
-        return describe(options.file)
-    return with_recorded(describe(options.rig), options.file)
+    rig = describe(options.file if options.rig is None else options.rig)
+    return with_recorded(rig, options.file, options.set_points)
 
 
 def _again(options: argparse.Namespace, rig: "Rig", words: list[str]) -> str:
@@ -60,6 +59,8 @@ def _again(options: argparse.Namespace, rig: "Rig", words: list[str]) -> str:
     command += ["--seed", str(rig.seed)]
     if options.rig is not None:
         command += ["--rig", str(options.rig)]
+    if options.set_points != "exact":
+        command += ["--set-points", options.set_points]
     if options.realtime:
         command.append("--realtime")
     if options.output is not None:

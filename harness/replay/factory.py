@@ -25,7 +25,8 @@ from traces.recorded_tapes import RecordedTapes, tapes_of
 from traces.tape import Tape
 
 KIND: Final = "recorded"
-_KEYS: Final = ("node_id", "unit", "recording", "recorded_bus", "bitrate_bit_s")
+_KEYS: Final = ("node_id", "unit", "recording", "recorded_bus", "bitrate_bit_s", "set_points")
+SET_POINTS: Final = ("exact", "any")
 _RATE_MAX: Final = 1_000_000
 
 
@@ -62,7 +63,7 @@ def _recording(settings: Mapping[str, object], folder: Path) -> tuple[Path, Reco
         raise SettingError(("recording",), "is missing, or no text", 'recording = "bench.mcap"')
     path = folder / value
     try:
-        return path, recorded_tapes(path)
+        return path, recorded_tapes(path, _any_set_point(settings))
     except OSError as error:
         reason = (error.strerror or str(error)).lower()
         remedy = "paths start at the rig's folder"
@@ -71,7 +72,15 @@ def _recording(settings: Mapping[str, object], folder: Path) -> tuple[Path, Reco
         raise SettingError(("recording",), str(error)) from None
 
 
-def recorded_tapes(path: Path) -> RecordedTapes:
+def _any_set_point(settings: Mapping[str, object]) -> bool:
+    value = settings.get("set_points", SET_POINTS[0])
+    if value not in SET_POINTS:
+        words = " or ".join(f'"{one}"' for one in SET_POINTS)
+        raise SettingError(("set_points",), f"{value!r} is not known", f"write {words}")
+    return value == SET_POINTS[1]
+
+
+def recorded_tapes(path: Path, any_set_point: bool = False) -> RecordedTapes:
     """The tapes in a file, read once for all its controllers.
 
     Raises:
@@ -79,14 +88,14 @@ def recorded_tapes(path: Path) -> RecordedTapes:
         TraceError: it cannot be read.
     """
     about = path.stat()
-    return _tapes(path, about.st_mtime_ns, about.st_size)
+    return _tapes(path, about.st_mtime_ns, about.st_size, any_set_point)
 
 
 @lru_cache(maxsize=2)
-def _tapes(path: Path, modified_ns: int, size: int) -> RecordedTapes:
+def _tapes(path: Path, modified_ns: int, size: int, any_set_point: bool) -> RecordedTapes:
     """All tapes of a file as it is now: its controllers are built one by one."""
     with read_trace(path) as trace:
-        return tapes_of(trace)
+        return tapes_of(trace, any_set_point)
 
 
 def _tape(path: Path, found: RecordedTapes, bus: object, number: int, is_unit: bool) -> Tape:

@@ -18,7 +18,7 @@ from traces.tape import Key, Role, Sent, Step, Tape
 LOOK_AHEAD: Final = 64
 """So many commands a host may leave out at once; further away, the same words mean another time."""
 _KEPT: Final = 8
-_OVERTIME: Final = 5  # quarters of a period after which what was periodic is missed
+_OVERTIME: Final = 6  # quarters of a period after which what was periodic is missed
 
 
 @final
@@ -72,7 +72,6 @@ class TapePlayer:
         self._due: list[tuple[int, int, bytes]] = []  # answers, by time and order
         self._asked = 0
         self._periodic: dict[int, tuple[int, bytes]] = {}  # identifier: when next, frame
-        self._sent_ns: dict[int, int] = {}
         self._before: deque[Step] = deque(maxlen=_KEPT)
 
     def start(self, now_ns: int) -> None:
@@ -211,14 +210,14 @@ class TapePlayer:
 
     def _cut_short(self, now_ns: int) -> None:
         """Of what was still to come by itself, the last of each identifier is sent now."""
-        last: dict[bytes, bytes] = {}
+        last: dict[bytes, Sent] = {}
         for sent in self._reactions[self._reaction :]:
             last.pop(sent.data[:4], None)
-            last[sent.data[:4]] = sent.data
-        for data in last.values():
+            last[sent.data[:4]] = sent
+        for sent in last.values():
             self._asked += 1
-            heappush(self._due, (now_ns, self._asked, data))
-            self._keep_period(data, now_ns, _OVERTIME)
+            heappush(self._due, (now_ns, self._asked, sent.data))
+            self._keep_period(sent.data, now_ns, _OVERTIME if sent.goes_on else 0)
         self._reaction = len(self._reactions)
 
     def _own_ns(self) -> int | None:
@@ -232,28 +231,23 @@ class TapePlayer:
 
     def _take_own(self, own_ns: int) -> bytes:
         if self._reaction < len(self._reactions):
-            data = self._reactions[self._reaction].data
+            sent = self._reactions[self._reaction]
             self._reaction += 1
-            self._keep_period(data, own_ns, _OVERTIME)
-            if self._reaction == len(self._reactions):  # what has stopped by now stays silent
-                kept = {one: when for one, when in self._periodic.items() if when[0] >= own_ns}
-                self._periodic = kept
-            return data
+            self._keep_period(sent.data, own_ns, _OVERTIME if sent.goes_on else 0)
+            return sent.data
         identifier = min(self._periodic, key=self._periodic.__getitem__)
         data = self._periodic[identifier][1]
         self._keep_period(data, own_ns, 4)
         return data
 
     def _keep_period(self, data: bytes, own_ns: int, quarters: int) -> None:
-        """If it has come regularly just now, it is due again so many quarters of a period later."""
+        """It is due again so many quarters of its period later; 0: not by itself."""
         identifier = int.from_bytes(data[:4], "little")
-        period_ns = self.tape.periods_ns.get(identifier)
-        if period_ns is None:
-            return
-        step_ns = own_ns - self._sent_ns.get(identifier, own_ns)
-        self._sent_ns[identifier] = own_ns
-        if identifier in self._periodic or 4 * abs(step_ns - period_ns) <= period_ns:
+        if quarters:
+            period_ns = self.tape.periods_ns[identifier]
             self._periodic[identifier] = (own_ns + period_ns * quarters // 4, data)
+        else:
+            self._periodic.pop(identifier, None)
 
     def _expected(self, key: Key) -> Step | None:
         """What the recording has where this came: the same object with other data, or the next."""

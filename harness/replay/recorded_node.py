@@ -12,7 +12,7 @@ from typing import Final, final
 
 from emulators.media.can_bits import INTERMISSION_BITS, KEY_SHIFT, measure
 from harness.replay.player import Mismatch, TapePlayer
-from traces.canopen_tapes import SYNC_KEY, nmt_key, pdo_key, remote_key, sdo_key, sentence
+from traces.canopen_tapes import SYNC_KEY, masked, nmt_key, pdo_key, remote_key, sdo_key, sentence
 from traces.decode_canopen import CanopenDecoder
 from traces.tape import Key, Sent, Step, Tape
 from traces.traffic import RTR, classic
@@ -70,9 +70,8 @@ class RecordedNode:
             self._sync(now_ns)
         elif identifier == 0x600 + self.node_id:
             self._request(data, now_ns)
-        elif self._set_points.get(identifier) != data:
-            self._set_points[identifier] = data
-            self._command(pdo_key(identifier, data), data, now_ns)
+        else:
+            self._set_point(identifier, data, now_ns)
         self._output += self.player.take(now_ns)
 
     def sent(self, data: bytes, now_ns: int) -> bool | None:
@@ -134,6 +133,13 @@ class RecordedNode:
             self._set_points.clear()
             self._dialogue = None
         self._command(nmt_key(data[8:10]), data, now_ns)
+
+    def _set_point(self, identifier: int, frame: bytes, now_ns: int) -> None:
+        mask = self.player.tape.masks.get(identifier)
+        told = frame if mask is None else masked(frame, mask)
+        if self._set_points.get(identifier) != told:
+            self._set_points[identifier] = told
+            self._command(pdo_key(identifier, told), frame, now_ns)
 
     def _sync(self, now_ns: int) -> None:
         """It fires what it was told before if the recorded one did; else it only asks."""

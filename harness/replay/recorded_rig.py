@@ -11,7 +11,7 @@ from dataclasses import replace
 from pathlib import Path, PurePosixPath
 from typing import TYPE_CHECKING, Final
 
-from harness.replay.factory import KIND, recorded_tapes
+from harness.replay.factory import KIND, SET_POINTS, recorded_tapes
 from harness.rig_buses import CAN, address_key
 from harness.rig_file import Known, parse_rig, read_rig
 from harness.settings import RigError, Source
@@ -38,10 +38,13 @@ def is_recording(path: Path) -> bool:
         return False
 
 
-def with_recorded(description: "RigDescription", recording: Path) -> "RigDescription":
+def with_recorded(
+    description: "RigDescription", recording: Path, set_points: str = SET_POINTS[0]
+) -> "RigDescription":
     """The rig with its controllers out of the recording, and without its faults.
 
-    What faults did is in the recording; and what nobody heard is not.
+    What faults did is in the recording; and what nobody heard is not. `set_points` is "exact", or
+    "any" if their values in PDOs may be others than recorded.
     """
     controllers = {}
     for name, controller in description.controllers.items():
@@ -54,6 +57,7 @@ def with_recorded(description: "RigDescription", recording: Path) -> "RigDescrip
             settings[address_key(bus)] = controller.node_id
         if bus.kind == CAN:
             settings["bitrate_bit_s"] = bus.bitrate_bit_s
+            settings["set_points"] = set_points
         controllers[name] = replace(controller, kind=KIND, settings=settings, plants_from_model=())
     return replace(description, controllers=controllers, faults=())
 

@@ -29,6 +29,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--rig", type=Path, metavar="RIG", help="a rig file (default: the recording's own rig)"
     )
+    parser.add_argument(
+        "--set-points",
+        choices=("exact", "any"),
+        default="exact",
+        help="any: values of set-points in PDOs may be others than recorded (device)",
+    )
     parser.add_argument("--realtime", action="store_true", help="no faster than the wall clock")
     add_seed(parser)
     parser.add_argument("-o", "--output", type=Path, metavar="FILE", help="record to FILE (MCAP)")

@@ -96,6 +96,21 @@ def test_a_write_and_what_came_of_it():
     assert "6041h statusword = 0231h" in read.answer_text
 
 
+def test_what_was_followed_by_the_next_of_its_kind_in_time_goes_on():
+    """Every 20 ms, and one more on a change; a pause; a boot-up is no heartbeat."""
+    times = [0, 20, 40, 42, 62, 82, 102, 500, 520, 540]
+    beats = [frame(t, 0x701, b"\5") for t in range(100, 600, 100)]
+    tpdos = [frame(t, 0x181, b"\1") for t in times]
+    traffic = sorted([frame(0, 0x701, b"\0"), *tpdos, *beats], key=lambda one: one.time_ns)
+    (first,) = cut(*traffic)[1].steps
+    told = {
+        can_id: [one.goes_on for one in first.reactions if one.data[:2] == can_id]
+        for can_id in (b"\x81\1", b"\1\7")
+    }
+    assert told[b"\x81\1"] == [t != 102 for t in times]
+    assert told[b"\1\7"] == [False, True, True, True, True, True]
+
+
 def test_a_segmented_upload_is_one_step_of_several_turns():
     """CiA 301: initiate upload with the size 9, two segments."""
     tapes = cut(

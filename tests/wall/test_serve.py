@@ -44,6 +44,16 @@ def test_a_script_for_real_hardware_runs_unchanged_in_a_process_of_its_own(tmp_p
     assert {"/can/can0", "/controller/left/truth"} <= topics
 
 
+def test_a_recording_stands_in_for_the_drives_in_real_time(tmp_path):
+    """Recorded in virtual time, served to a process of its own on the wall's."""
+    record = tmp_path / "bench.mcap"
+    assert motorhil("run", RIG, "-o", str(record), *SCRIPT).stdout == REACHED
+    done = motorhil("serve", str(record), "--", sys.executable, *SCRIPT)
+    assert (done.returncode, done.stdout) == (0, REACHED), done.stderr
+    assert "2 recorded controllers: " in done.stderr
+    assert "commands, all answered as recorded" in done.stderr
+
+
 @pytest.mark.parametrize(
     ("ending", "status"), [("sys.exit(3)", 3), ("os.kill(os.getpid(), 9)", 137)]
 )

@@ -65,6 +65,19 @@ def test_another_target_is_named_with_what_was_expected():
     assert "write 607Ah target position = 21008" in told
 
 
+@pytest.mark.parametrize("set_points", ["exact", "any"])
+def test_a_host_that_is_the_servo_may_stream_other_values_if_that_is_said(set_points):
+    """To a target half a milliradian further on: within the window of what was recorded."""
+    with golden("software") as path:
+        description = with_recorded(described("software"), path, set_points)
+        with Rig(description) as rig:
+            try:
+                one_move(rig, target=1.0005)
+            except MotorError as error:
+                assert set_points == "exact", error
+            assert bool(unanswered(rig)) == (set_points == "exact")
+
+
 def sdo_answers(path):
     """(number of the message, payload) of what node 1 has answered to SDO requests."""
     found = []

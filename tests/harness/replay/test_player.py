@@ -133,17 +133,15 @@ def test_what_cannot_be_answered_names_the_same_object_first_then_the_next():
 
 def test_what_was_periodic_goes_on_and_what_came_once_does_not():
     beat, boot = b"\x01\7\0\0\5", b"\x02\7\0\0\0"
-    reactions = [(n * 100 * MS, beat) for n in range(1, 4)]
-    player = played(
-        command(1, (10 * MS, boot), *reactions),
-        periods_ns={0x701: 100 * MS, 0x702: 100 * MS},
-    )
+    first = command(1, (10 * MS, boot))
+    first.reactions += [Sent(n * 100 * MS, beat, goes_on=True) for n in range(1, 4)]
+    player = played(first, periods_ns={0x701: 100 * MS, 0x702: 100 * MS})
     player.command(key(1), 0)
     out = player.take(1_000 * MS)
     assert out[0] == boot
-    # Three recorded ones; the next a quarter of a period late, then every period.
+    # Three recorded ones; the next half a period late, then every period.
     assert out[1:] == [beat] * (3 + 6)
-    assert player.next_deadline_ns() == 1_025 * MS
+    assert player.next_deadline_ns() == 1_050 * MS
 
 
 def test_a_period_is_what_most_intervals_are():
