@@ -186,4 +186,5 @@ def log_row(frame: Frame, places: int = 6) -> str:
         body = told.data.hex().upper()
     whole, _, fraction = traffic.decimal(frame.time_ns, places).partition(".")
     way = {Direction.RECEIVED: " R", Direction.TRANSMITTED: " T"}.get(frame.direction, "")
-    return f"({whole:0>10}.{fraction}) {frame.bus} {digits}#{body}{way}\n"
+    bus = traffic.one_word(frame.bus)
+    return f"({whole:0>10}.{fraction}) {bus} {digits}#{body}{way}\n"

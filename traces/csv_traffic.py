@@ -177,7 +177,7 @@ def write_csv(file: TextIOBase, places: int, frames: Iterator[Frame]) -> None:
         rows.writerow(
             (
                 traffic.decimal(frame.time_ns, places),
-                frame.bus,
+                traffic.one_word(frame.bus),
                 f"{told.identifier:X}",
                 int(told.can_id & traffic.EFF != 0),
                 kind,

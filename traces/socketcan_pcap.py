@@ -122,27 +122,30 @@ def _origins(data: bytes) -> Iterator[_Origin]:
             return
         body = data[at + 8 : at + size - 4]
         if kind == 1:
-            name = _option(body[8:], _NAME, order).decode("utf-8", errors="replace")
-            names.append(name or f"can{len(names)}")
+            name = _option(body[8:], _NAME, order)
+            told = f"can{len(names)}" if name is None else name.decode("utf-8", errors="replace")
+            names.append(told)
         elif kind == 3 and names:
             yield _Origin(names[0], Direction.UNKNOWN)
         elif kind == 6 and len(body) >= 20:
             which, captured = struct.unpack_from(order + "I8xI", body)
             if which < len(names) and 20 + captured <= len(body):
                 flags = _option(body[20 + (captured + 3 & ~3) :], _FLAGS, order)
-                way = struct.unpack(order + "I", flags)[0] & 3 if len(flags) == 4 else 0
+                way = struct.unpack(order + "I", flags)[0] & 3 if flags and len(flags) == 4 else 0
                 yield _Origin(names[which], _WAYS[way] if way < 3 else Direction.UNKNOWN)
         at += size
 
 
-def _option(options: bytes, wanted: int, order: str) -> bytes:
+def _option(options: bytes, wanted: int, order: str) -> bytes | None:
     at = 0
     while at + 4 <= len(options):
         code, length = struct.unpack_from(order + "HH", options, at)
-        if code in (0, wanted):
+        if code == wanted:
             return options[at + 4 : at + 4 + length]
+        if code == 0:
+            break
         at += 4 + (length + 3 & ~3)
-    return b""
+    return None
 
 
 def write_pcapng(file: BinaryIO, buses: Sequence[str], frames: Iterator[Frame]) -> None:

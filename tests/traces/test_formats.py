@@ -26,6 +26,7 @@ BASE = [
 WITH = {
     Feature.NANOSECONDS: [Frame(SINCE_1970_NS + 1, "can0", classic(1, b""), R)],
     Feature.BUS_NAMES: [Frame(SINCE_1970_NS, "drive-bus", classic(1, b""), R)],
+    Feature.BLANKS: [Frame(SINCE_1970_NS, "drive bus", classic(1, b""), R)],
     Feature.DIRECTION: [Frame(SINCE_1970_NS, "can0", classic(1, b""), T)],
     Feature.UNDIRECTED: [Frame(SINCE_1970_NS, "can0", classic(1, b""))],
     Feature.SENDER: [Frame(SINCE_1970_NS, "can0", classic(1, b""), R, "left")],
@@ -71,6 +72,7 @@ def test_the_digest_stays_just_where_the_table_says_so(tmp_path, form, feature):
     before, after, lost = there_and_back(tmp_path, BASE + WITH[feature] + BASE, form)
     assert (before == after) is (feature in form.holds)
     assert (feature in lost) is (feature not in form.holds)
+    assert set(lost) <= {feature, Feature.BUS_NAMES}
 
 
 @pytest.mark.parametrize("form", WRITABLE, ids=lambda form: form.name)
@@ -110,7 +112,7 @@ def test_what_holds_no_traffic_is_refused(tmp_path, content):
         open_source(tmp_path / "some.txt")
 
 
-@pytest.mark.parametrize("ending", [".log", ".trc", ".asc"])
+@pytest.mark.parametrize("ending", [".log", ".trc", ".asc", ".blf"])
 def test_python_can_reads_what_is_written(tmp_path, ending):
     frames = BASE + WITH[Feature.DIRECTION] + WITH[Feature.REMOTE]
     record_frames(tmp_path / "a.mcap", frames, {})
