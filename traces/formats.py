@@ -48,6 +48,17 @@ class Feature(Flag):
     ERROR_FRAMES = auto()  # and what they tell
 
 
+IN_WORDS: Final = {
+    Feature.NANOSECONDS: "what is below 1 us in a stamp",
+    Feature.BUS_NAMES: "bus names other than canN",
+    Feature.BLANKS: "blanks in bus names",
+    Feature.DIRECTION: "which frames were sent",
+    Feature.UNDIRECTED: "that a direction is not known",
+    Feature.SENDER: "who sent a frame",
+    Feature.REMOTE: "remote frames",
+    Feature.FD: "CAN FD",
+    Feature.ERROR_FRAMES: "what error frames tell",
+}
 _ALL: Final = ~Feature(0)
 
 
@@ -154,7 +165,7 @@ WRITABLE: Final = (
     Format("asc", ".asc", _ALL & ~_NUMBERED, _write_asc),
     Format("blf", ".blf", _ALL & ~_NUMBERED | Feature.ERROR_FRAMES, _write_blf),
     Format("csv", ".csv", _ALL & ~Feature.BLANKS, _write_csv),
-    Format("pcapng", ".pcapng", _ALL & ~Feature.SENDER, _write_pcapng),
+    Format("pcapng", ".pcapng", _ALL, _write_pcapng),
 )
 
 
