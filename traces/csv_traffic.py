@@ -73,7 +73,10 @@ class CsvReader:
             parts = next(csv.reader([line.rstrip("\r\n")], strict=True))
         except csv.Error as error:
             raise ValueError(str(error)) from None
-        row = {name: part.strip() for name, part in zip(self._columns, parts, strict=False)}
+        row = {
+            name: part if name == "sender" else part.strip()
+            for name, part in zip(self._columns, parts, strict=False)
+        }
         try:
             return (self._take(row),)
         except KeyError as missing:
