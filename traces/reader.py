@@ -174,10 +174,7 @@ class Trace:
         """
         self.salvaged = 0
         for chunk in self._chunks:
-            if chunk.whole and (
-                (from_ns is not None and chunk.last_ns < from_ns)
-                or (to_ns is not None and chunk.first_ns >= to_ns)
-            ):
+            if _is_outside(chunk, from_ns, to_ns):
                 continue
             for message in self._in_chunk(chunk):
                 if not chunk.whole:
@@ -189,6 +186,21 @@ class Trace:
                     and (to_ns is None or time_ns < to_ns)
                 ):
                     yield message
+
+    def contents(
+        self, from_ns: int | None = None, to_ns: int | None = None
+    ) -> Iterator[tuple[bytes, Iterator[TraceMessage]]]:
+        """For who reads in bulk: (its records, uncompressed; its messages) of each chunk.
+
+        Chunks that lie outside of the span are left out; of the others all messages are given.
+
+        Raises:
+            TraceError: a chunk is damaged. What came before it is good.
+        """
+        for chunk in self._chunks:
+            if not _is_outside(chunk, from_ns, to_ns):
+                data = self._content(chunk)
+                yield data, self._in_chunk(chunk, data)
 
     # --------------------------------------------------------------------- from head to head
 
@@ -324,9 +336,9 @@ class Trace:
 
     # ------------------------------------------------------------------------------- messages
 
-    def _in_chunk(self, chunk: Chunk) -> Iterator[TraceMessage]:
-        """The messages of a chunk, as written."""
-        data = self._content(chunk)
+    def _in_chunk(self, chunk: Chunk, data: bytes | None = None) -> Iterator[TraceMessage]:
+        """The messages of a chunk, as written; its records may be known already."""
+        data = self._content(chunk) if data is None else data
         end = len(data)
         unpack = records.MESSAGE_HEAD.unpack_from
         last_head = end - records.MESSAGE_HEAD.size
@@ -375,3 +387,11 @@ class Trace:
                 remedy=f"all before {chunk.first_ns / 1e9:.3f} s is good",
             )
         return content
+
+
+def _is_outside(chunk: Chunk, from_ns: int | None, to_ns: int | None) -> bool:
+    """Whether no message of the chunk is of this span; of a cut chunk nobody knows."""
+    return chunk.whole and (
+        (from_ns is not None and chunk.last_ns < from_ns)
+        or (to_ns is not None and chunk.first_ns >= to_ns)
+    )

@@ -70,7 +70,7 @@ def test_it_is_learned_as_if_all_had_been_looked_at(tmp_path_factory, before, af
 
 
 def test_a_pdo_is_read_as_it_was_mapped_then(tmp_path):
-    frames = sdo(1, 0x1A00, 1, 0x60610008) + [classic(0x181, b"\3")]
+    frames = [*sdo(1, 0x1A00, 1, 0x60610008), classic(0x181, b"\3")]
     frames += [*sdo(1, 0x1A00, 1, 0x60410010), classic(0x701, b"\5")]
     frames.append(classic(0x181, b"\x37\x12"))
     record_frames(tmp_path / "a.mcap", [Frame(n * S, "can0", f) for n, f in enumerate(frames)], {})
