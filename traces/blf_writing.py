@@ -38,6 +38,12 @@ _CORE_NOT_ACKNOWLEDGE: Final = 0x2000
 _CORE_OTHER, _CORE_UNACKNOWLEDGED = 3 << 6, 7 << 6
 _LINUX_UNACKNOWLEDGED: Final = 0x20
 _MS: Final = 1_000_000
+_CLASSIC_SIZE: Final = 16
+_MESSAGE_OBJECT: Final = struct.Struct("<24sQ8s8s")
+_MESSAGE_HEAD: Final = _OBJECT.pack(
+    *(b"LOBJ", 32, 1, _OBJECT.size + _MESSAGE.size, _MESSAGE_KIND, _NANOSECONDS, 0, 0, 0)
+)[:24]
+_REMEMBERED: Final = 1 << 16
 
 
 def write_blf(file: BinaryIO, buses: Sequence[str], first_ns: int, frames: Iterator[Frame]) -> None:
@@ -55,20 +61,28 @@ class _Writer:
         self._file = file
         self._start_ns = self._last_ns = first_ns // _MS * _MS
         self._content = bytearray()
+        self._known: dict[tuple[int, Direction, bytes], bytes] = {}  # what a message begins with
         self._objects = 0
         self._size = _HEAD.size
         self._plain_size = _HEAD.size  # as if nothing were compressed
         file.write(bytes(_HEAD.size))
 
     def add(self, frame: Frame, channel: int) -> None:
-        told = traffic.fields(frame.frame)
-        kind, body = _object(told, frame.direction, channel)
-        size = _OBJECT.size + len(body)  # always a multiple of 4: nothing is padded
-        since_ns = frame.time_ns - self._start_ns
-        self._content += _OBJECT.pack(b"LOBJ", 32, 1, size, kind, _NANOSECONDS, 0, 0, since_ns)
-        self._content += body
+        time_ns, _, data, direction, _ = frame
+        since_ns = time_ns - self._start_ns
+        key = channel, direction, data[:8]
+        begins = self._known.get(key) if len(data) == _CLASSIC_SIZE else None
+        if begins is not None:  # all but the time and the data is as in one before
+            self._content += _MESSAGE_OBJECT.pack(_MESSAGE_HEAD, since_ns, begins, data[8:])
+        else:
+            kind, body = _object(traffic.fields(data), direction, channel)
+            size = _OBJECT.size + len(body)  # always a multiple of 4: nothing is padded
+            self._content += _OBJECT.pack(b"LOBJ", 32, 1, size, kind, _NANOSECONDS, 0, 0, since_ns)
+            self._content += body
+            if kind == _MESSAGE_KIND and len(self._known) < _REMEMBERED:
+                self._known[key] = body[:8]
         self._objects += 1
-        self._last_ns = frame.time_ns
+        self._last_ns = time_ns
         if len(self._content) >= _CONTENT_MAX:
             self._put(self._content[:_CONTENT_MAX])
             del self._content[:_CONTENT_MAX]
