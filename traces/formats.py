@@ -126,6 +126,12 @@ def _write_candump(file: BinaryIO, survey: Survey, frames: Iterator[Frame]) -> N
         text.writelines(candump.log_row(frame, places) for frame in frames)
 
 
+def _write_plain(file: BinaryIO, survey: Survey, frames: Iterator[Frame]) -> None:
+    places = survey.places
+    with _as_text(file) as text:
+        text.writelines(candump.plain_row(frame, places) for frame in frames)
+
+
 def _write_trc(file: BinaryIO, survey: Survey, frames: Iterator[Frame]) -> None:
     with _as_text(file) as text:
         trc.write_trc(text, survey.buses, survey.lowest_ns, frames)
@@ -159,8 +165,10 @@ def _as_text(file: BinaryIO) -> Iterator[TextIOBase]:
 
 _NAMES: Final = Feature.BUS_NAMES | Feature.BLANKS
 _NUMBERED: Final = _NAMES | Feature.UNDIRECTED | Feature.SENDER | Feature.ERROR_FRAMES
+_NOT_PLAIN: Final = Feature.SENDER | Feature.BLANKS | Feature.UNDIRECTED
 WRITABLE: Final = (
     Format("candump", ".log", _ALL & ~Feature.SENDER & ~Feature.BLANKS, _write_candump),
+    Format("candump-plain", ".txt", _ALL & ~_NOT_PLAIN, _write_plain),
     Format("trc", ".trc", _ALL & ~_NUMBERED & ~Feature.NANOSECONDS, _write_trc),
     Format("asc", ".asc", _ALL & ~_NUMBERED, _write_asc),
     Format("blf", ".blf", _ALL & ~_NUMBERED | Feature.ERROR_FRAMES, _write_blf),
