@@ -1,17 +1,24 @@
-"""From one format of CAN traffic to another: what was read, written, and what that lost."""
+"""From one format of recorded traffic to another: what was read, written, and what that lost."""
 
 import os
-from contextlib import suppress
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from itertools import chain
 from pathlib import Path
-from typing import final
+from typing import BinaryIO, Final, final
 
 from traces.errors import TraceError
 from traces.formats import WRITABLE, Feature, Format, Source, Survey, open_source
+from traces.modbus_export import AduFeature, ModbusExport
 from traces.modbus_pcap import captured_adus, record_adus
+from traces.modbus_records import RecordedAdu, all_adus
+from traces.reader import read_trace
 from traces.traffic import Findings
 from traces.traffic_mcap import record_frames
+
+MODBUS_PCAPNG: Final = "modbus-pcapng"
+_WITH_MODBUS: Final = ("mcap", "pcap")
 
 
 @final
@@ -20,7 +27,8 @@ class Conversion:
     """What came of it.
 
     Attributes: source, target (its path), format (what was written), findings (of reading), buses,
-    lost (how many frames have what the target's format does not hold).
+    lost (how many frames or ADUs have what the target's format does not hold), is_modbus (ADUs were
+    read, not frames).
     """
 
     source: Source
@@ -28,7 +36,8 @@ class Conversion:
     format: str
     findings: Findings
     buses: tuple[str, ...]
-    lost: dict[Feature, int]
+    lost: Mapping[Feature, int] | Mapping[AduFeature, int]
+    is_modbus: bool = False
 
 
 def format_named(name: str) -> Format | None:
@@ -49,6 +58,8 @@ def format_of_ending(path: str) -> str | None:
 def convert(source_path: str, target: str, name: str, overwrite: bool = False) -> Conversion:
     """The target holds the source's frames, as far as its format can.
 
+    Where there are none, or the format is `MODBUS_PCAPNG`, it holds the ADUs of Modbus lines.
+
     Raises:
         TraceError: the source cannot be read or has no frames; the target cannot be written, or
             exists and may not be lost.
@@ -59,10 +70,12 @@ def convert(source_path: str, target: str, name: str, overwrite: bool = False) -
             raise TraceError(target, "is the source itself", remedy="name another file")
     if os.path.exists(target) and not overwrite:
         raise TraceError(target, "exists", remedy="name another file, or say --force")
+    if name == MODBUS_PCAPNG:
+        return _convert_modbus(source, target, name)
     findings = Findings()
     frames = source.frames(findings)
     first = next(frames, None)
-    if first is None and source.format == "pcap":
+    if first is None and source.format in _WITH_MODBUS:
         return _convert_modbus(source, target, name)
     if first is None:
         raise TraceError(source_path, f"no frame can be read as {source.format}")
@@ -76,33 +89,54 @@ def convert(source_path: str, target: str, name: str, overwrite: bool = False) -
         survey = Survey()
         for frame in frames:
             survey.add(frame)
-        _write(target, format_, survey, source)
+        with _whole(target) as file:
+            format_.write(file, survey, source.frames(Findings()))
         buses = tuple(survey.buses)
         lost = {what: n for what, n in survey.counts.items() if what not in format_.holds}
     return Conversion(source, target, name, findings, buses, lost)
 
 
 def _convert_modbus(source: Source, target: str, name: str) -> Conversion:
-    """The target holds the Modbus/TCP of a capture without CAN frames."""
+    """The target holds the Modbus of a capture or recording without CAN frames."""
     findings = Findings()
-    adus = captured_adus(source.path, findings)
+    adus = _adus(source, findings)
     first = next(adus, None)
     if first is None:
-        raise TraceError(source.path, "holds neither CAN frames nor Modbus/TCP")
-    if name != "mcap":
-        remedy = "convert it to mcap"
-        raise TraceError(source.path, f"holds Modbus/TCP, which {name} cannot", remedy=remedy)
-    told = {"source": Path(source.path).name, "format": "Modbus/TCP in pcap"}
-    lines = record_adus(target, chain((first,), adus), {"convert": told})
-    return Conversion(source, target, name, findings, lines, {})
+        neither = "no Modbus" if name == MODBUS_PCAPNG else "neither CAN frames nor Modbus"
+        raise TraceError(source.path, f"holds {neither}")
+    adus = chain((first,), adus)
+    if name == "mcap":
+        told = {"source": Path(source.path).name, "format": f"Modbus in {source.format}"}
+        lines = record_adus(target, adus, {"convert": told})
+        return Conversion(source, target, name, findings, lines, {}, True)
+    if name not in ("pcapng", MODBUS_PCAPNG):
+        remedy = "convert it to mcap or pcapng"
+        raise TraceError(source.path, f"holds Modbus, which {name} cannot", remedy=remedy)
+    with _whole(target) as file:
+        export = ModbusExport(file, findings)
+        export.add(adus)
+    return Conversion(source, target, MODBUS_PCAPNG, findings, export.lines, export.lost, True)
 
 
-def _write(target: str, format_: Format, survey: Survey, source: Source) -> None:
-    """The file is there whole, or not at all."""
+def _adus(source: Source, findings: Findings) -> Iterator[RecordedAdu]:
+    if source.format == "pcap":
+        yield from captured_adus(source.path, findings)
+    elif source.format == "mcap":
+        with read_trace(source.path) as trace:
+            for adu in all_adus(trace):
+                findings.frames += 1
+                yield adu
+            if trace.cut is not None and trace.cut.messages_missing:
+                findings.problem(0, str(trace.cut))
+
+
+@contextmanager
+def _whole(target: str) -> Iterator[BinaryIO]:
+    """A file that will be the target: it is there whole, or not at all."""
     part = f"{target}.part"
     try:
         with open(part, "wb") as file:
-            format_.write(file, survey, source.frames(Findings()))
+            yield file
         os.replace(part, target)
     except OSError as error:
         what = f"cannot be written: {(error.strerror or str(error)).lower()}"

@@ -36,6 +36,8 @@ _INNER_MAX: Final = 1 << 22  # inside a container
 _EXTENDED: Final = 0x8000_0000
 _REMOTE: Final = 0x80
 _SENT: Final = 0x01
+_CORE_TOLD: Final = 2  # of an error frame: the controller's own error code is valid
+_CORE_SENT: Final = 0x1000
 
 
 def blf_frames(path: str, findings: Findings) -> Iterator[Frame]:
@@ -239,6 +241,6 @@ def _either(can_id: int, remote: int, fd: int, bits: int, dlc: int, data: bytes)
 
 def _error(body: bytes, at: int) -> _Told:
     told = _ERROR.unpack_from(body, at)
-    channel, can_id, data = told[0], told[7], told[9]
+    channel, flags, can_id, core, data = told[0], told[2], told[7], told[8], told[9]
     frame = traffic.classic(traffic.ERR | can_id & traffic.EFF_MASK, data)
-    return channel, frame, Direction.UNKNOWN
+    return channel, frame, _way(core & _CORE_SENT) if flags & _CORE_TOLD else Direction.UNKNOWN

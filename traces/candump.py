@@ -1,4 +1,4 @@
-"""Reads what `candump` of can-utils printed, with `-L` or without, as people keep it; writes `-L`.
+"""Reads what `candump` of can-utils printed, with `-L` or without, as people keep it; writes both.
 
 What people keep has no time stamps, or dates; no interface; comments behind the rows; the command
 line in front of them; two rows in one line; an end in the middle of a row.
@@ -169,21 +169,43 @@ def _packed(digits: str) -> bytes:
         raise ValueError("no whole bytes") from None
 
 
+def plain_row(frame: Frame, places: int = 6) -> str:
+    """A row of `candump -t a -x`; who cannot say which way a frame went, has received it."""
+    told = traffic.fields(frame.frame)
+    fd = told.fd
+    way = "TX" if frame.direction is Direction.TRANSMITTED else "RX"
+    brs = "B" if fd and told.flags & traffic.BRS else "-"
+    esi = "E" if fd and told.flags & traffic.ESI else "-"
+    count = f"{told.length:02d}" if fd else str(told.length)
+    data = "remote request" if told.can_id & traffic.RTR else told.data.hex(" ").upper()
+    if told.can_id & traffic.ERR:
+        data += "   ERRORFRAME"
+    bus = traffic.one_word(frame.bus)
+    head = f" ({_stamp(frame.time_ns, places)})  {bus}  {way} {brs} {esi}  {_digits(told)}"
+    return f"{head}   [{count}]  {data}".rstrip() + "\n"
+
+
+def _digits(told: traffic.Fields) -> str:
+    if told.can_id & traffic.ERR:
+        return f"{told.identifier | traffic.ERR:08X}"
+    return f"{told.identifier:0{8 if told.can_id & traffic.EFF else 3}X}"
+
+
+def _stamp(time_ns: int, places: int) -> str:
+    whole, _, fraction = traffic.decimal(time_ns, places).partition(".")
+    return f"{whole:0>10}.{fraction}"
+
+
 def log_row(frame: Frame, places: int = 6) -> str:
     """A row of `candump -L`; microseconds as it writes them, or with -N nanoseconds."""
     told = traffic.fields(frame.frame)
     can_id = told.can_id
-    digits = f"{told.identifier:03X}"
-    if can_id & traffic.ERR:
-        digits = f"{told.identifier | traffic.ERR:08X}"
-    elif can_id & traffic.EFF:
-        digits = f"{told.identifier:08X}"
     if can_id & traffic.RTR:
         body = f"R{told.length}" if told.length else "R"
     elif told.fd:
         body = f"#{told.flags & 3:X}{told.data.hex().upper()}"
     else:
         body = told.data.hex().upper()
-    whole, _, fraction = traffic.decimal(frame.time_ns, places).partition(".")
     way = {Direction.RECEIVED: " R", Direction.TRANSMITTED: " T"}.get(frame.direction, "")
-    return f"({whole:0>10}.{fraction}) {frame.bus} {digits}#{body}{way}\n"
+    bus = traffic.one_word(frame.bus)
+    return f"({_stamp(frame.time_ns, places)}) {bus} {_digits(told)}#{body}{way}\n"

@@ -73,7 +73,10 @@ class CsvReader:
             parts = next(csv.reader([line.rstrip("\r\n")], strict=True))
         except csv.Error as error:
             raise ValueError(str(error)) from None
-        row = {name: part.strip() for name, part in zip(self._columns, parts, strict=False)}
+        row = {
+            name: part if name == "sender" else part.strip()
+            for name, part in zip(self._columns, parts, strict=False)
+        }
         try:
             return (self._take(row),)
         except KeyError as missing:
@@ -177,7 +180,7 @@ def write_csv(file: TextIOBase, places: int, frames: Iterator[Frame]) -> None:
         rows.writerow(
             (
                 traffic.decimal(frame.time_ns, places),
-                frame.bus,
+                traffic.one_word(frame.bus),
                 f"{told.identifier:X}",
                 int(told.can_id & traffic.EFF != 0),
                 kind,

@@ -12,12 +12,21 @@ from io import TextIOBase, TextIOWrapper
 from pathlib import Path
 from typing import BinaryIO, Final, final
 
-from traces import asc, blf, candump, csv_traffic, sd_rows, socketcan_pcap, trc
+from traces import asc, blf, blf_writing, candump, csv_traffic, sd_rows, socketcan_pcap, trc
 from traces.errors import TraceError
 from traces.reader import read_trace
 from traces.records import MAGIC
 from traces.schema import Direction
-from traces.traffic import ERR, RTR, Findings, Frame, LineReader, bus_number, read_lines
+from traces.traffic import (
+    ERR,
+    RTR,
+    Findings,
+    Frame,
+    LineReader,
+    bus_number,
+    one_word,
+    read_lines,
+)
 from traces.traffic_mcap import recorded_frames
 
 _HEAD_BYTES: Final = 1 << 16
@@ -30,6 +39,7 @@ class Feature(Flag):
 
     NANOSECONDS = auto()  # finer than a microsecond
     BUS_NAMES = auto()  # other than can0, can1, ...
+    BLANKS = auto()  # in names of buses, or what cannot be printed
     DIRECTION = auto()  # which were sent
     UNDIRECTED = auto()  # that neither is known
     SENDER = auto()
@@ -38,6 +48,17 @@ class Feature(Flag):
     ERROR_FRAMES = auto()  # and what they tell
 
 
+IN_WORDS: Final = {
+    Feature.NANOSECONDS: "what is below 1 us in a stamp",
+    Feature.BUS_NAMES: "bus names other than canN",
+    Feature.BLANKS: "blanks in bus names",
+    Feature.DIRECTION: "which frames were sent",
+    Feature.UNDIRECTED: "that a direction is not known",
+    Feature.SENDER: "who sent a frame",
+    Feature.REMOTE: "remote frames",
+    Feature.FD: "CAN FD",
+    Feature.ERROR_FRAMES: "what error frames tell",
+}
 _ALL: Final = ~Feature(0)
 
 
@@ -82,6 +103,8 @@ class Survey:
             self._count(Feature.NANOSECONDS)
         if bus_number(bus) is None:
             self._count(Feature.BUS_NAMES)
+            if one_word(bus) != bus:
+                self._count(Feature.BLANKS)
         if direction != Direction.RECEIVED:
             self._count(Feature.DIRECTION if direction else Feature.UNDIRECTED)
         if sender:
@@ -103,6 +126,12 @@ def _write_candump(file: BinaryIO, survey: Survey, frames: Iterator[Frame]) -> N
         text.writelines(candump.log_row(frame, places) for frame in frames)
 
 
+def _write_plain(file: BinaryIO, survey: Survey, frames: Iterator[Frame]) -> None:
+    places = survey.places
+    with _as_text(file) as text:
+        text.writelines(candump.plain_row(frame, places) for frame in frames)
+
+
 def _write_trc(file: BinaryIO, survey: Survey, frames: Iterator[Frame]) -> None:
     with _as_text(file) as text:
         trc.write_trc(text, survey.buses, survey.lowest_ns, frames)
@@ -118,6 +147,10 @@ def _write_csv(file: BinaryIO, survey: Survey, frames: Iterator[Frame]) -> None:
         csv_traffic.write_csv(text, survey.places, frames)
 
 
+def _write_blf(file: BinaryIO, survey: Survey, frames: Iterator[Frame]) -> None:
+    blf_writing.write_blf(file, survey.buses, survey.lowest_ns, frames)
+
+
 def _write_pcapng(file: BinaryIO, survey: Survey, frames: Iterator[Frame]) -> None:
     socketcan_pcap.write_pcapng(file, survey.buses, frames)
 
@@ -130,13 +163,17 @@ def _as_text(file: BinaryIO) -> Iterator[TextIOBase]:
     text.detach()
 
 
-_NUMBERED: Final = Feature.BUS_NAMES | Feature.UNDIRECTED | Feature.SENDER | Feature.ERROR_FRAMES
+_NAMES: Final = Feature.BUS_NAMES | Feature.BLANKS
+_NUMBERED: Final = _NAMES | Feature.UNDIRECTED | Feature.SENDER | Feature.ERROR_FRAMES
+_NOT_PLAIN: Final = Feature.SENDER | Feature.BLANKS | Feature.UNDIRECTED
 WRITABLE: Final = (
-    Format("candump", ".log", _ALL & ~Feature.SENDER, _write_candump),
+    Format("candump", ".log", _ALL & ~Feature.SENDER & ~Feature.BLANKS, _write_candump),
+    Format("candump-plain", ".txt", _ALL & ~_NOT_PLAIN, _write_plain),
     Format("trc", ".trc", _ALL & ~_NUMBERED & ~Feature.NANOSECONDS, _write_trc),
     Format("asc", ".asc", _ALL & ~_NUMBERED, _write_asc),
-    Format("csv", ".csv", _ALL, _write_csv),
-    Format("pcapng", ".pcapng", _ALL & ~Feature.SENDER, _write_pcapng),
+    Format("blf", ".blf", _ALL & ~_NUMBERED | Feature.ERROR_FRAMES, _write_blf),
+    Format("csv", ".csv", _ALL & ~Feature.BLANKS, _write_csv),
+    Format("pcapng", ".pcapng", _ALL, _write_pcapng),
 )
 
 

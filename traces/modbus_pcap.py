@@ -1,30 +1,31 @@
-"""Modbus/TCP out of packet captures: every ADU, with the time of the packet that completed it.
+"""Modbus out of packet captures: every ADU, with the time of the packet that completed it.
 
-A line is a server's address; the application is taken for the client, so requests are sent and
-responses received. Senders are told by address and port.
+On TCP a line is a server's address; the application is taken for the client, so requests are sent
+and responses received. Senders are told by address and port. Captures that we wrote
+(`traces.modbus_export`) tell the names of both, and serial lines as well.
 """
 
+from collections import deque
 from collections.abc import Iterator
-from typing import Final, NamedTuple
+from pathlib import Path
+from typing import Final, final
 
-from traces.modbus import Malformed, adus
-from traces.pcap import Capture
+from traces.modbus import Adu, Malformed, adus
+from traces.modbus_export import RTAC_EVENTS, RTAC_HEAD, RTAC_SERIAL
+from traces.modbus_records import RecordedAdu
+from traces.pcap import Capture, Packet
+from traces.pcapng import Origin, origins
 from traces.protobuf import Value, encode
 from traces.schema import MODBUS_ADU, Direction, Schema
-from traces.tcp_streams import pieces
+from traces.tcp_streams import Way, pieces
 from traces.traffic import Findings
 from traces.writer import TraceWriter
 
 _PREFIX: Final = "/modbus/"
 _BATCH: Final = 8192
-
-
-class RecordedAdu(NamedTuple):
-    """An ADU as a recording has it: log time [ns], line, a motorhil.ModbusAdu."""
-
-    time_ns: int
-    line: str
-    payload: bytes
+_EVENTS: Final = {1: Direction.TRANSMITTED, 2: Direction.RECEIVED} | {
+    event: direction for direction, event in RTAC_EVENTS.items()
+}
 
 
 def captured_adus(path: str, findings: Findings) -> Iterator[RecordedAdu]:
@@ -33,29 +34,85 @@ def captured_adus(path: str, findings: Findings) -> Iterator[RecordedAdu]:
     Raises:
         TraceError: it cannot be read, or is no capture.
     """
-    capture = Capture(path)
-    for adu in adus(pieces(capture.packets())):
-        if isinstance(adu, Malformed):
-            findings.problem(adu.packet, f"{adu.way}: {adu.problem}")
-            continue
-        way = adu.way
-        if way is None:  # a serial line: not in a capture
-            continue
+    for one in _Reader(path, findings).adus():
+        findings.frames += 1
+        yield one
+
+
+@final
+class _Reader:
+    def __init__(self, path: str, findings: Findings) -> None:
+        self._path = path
+        self._findings = findings
+        self._capture = Capture(path)
+        self._origins = list(origins(Path(path).read_bytes()))
+        self._serial: deque[Packet] = deque()
+
+    def adus(self) -> Iterator[RecordedAdu]:
+        """In the order of the packets that completed them."""
+        for adu in adus(pieces(self._packets())):
+            yield from self._from_serial_lines(adu.packet)
+            if isinstance(adu, Malformed):
+                self._findings.problem(adu.packet, f"{adu.way}: {adu.problem}")
+            elif adu.way is not None:
+                yield self._from_tcp(adu, adu.way)
+        yield from self._from_serial_lines(0)
+        for problem in self._capture.problems:
+            self._findings.problem(0, problem.removeprefix(f"{self._path}: "))
+
+    def _packets(self) -> Iterator[Packet]:
+        """What may be TCP; the others wait for their turn."""
+        for packet in self._capture.packets():
+            if packet.link_type == RTAC_SERIAL:
+                self._serial.append(packet)
+            else:
+                yield packet
+
+    def _origin(self, packet: int) -> Origin:
+        known = 0 < packet <= len(self._origins)
+        return self._origins[packet - 1] if known else Origin("serial0", Direction.UNKNOWN)
+
+    def _from_tcp(self, adu: Adu, way: Way) -> RecordedAdu:
         data = adu.transaction.to_bytes(2, "big") + bytes(2)
         data += (len(adu.pdu) + 1).to_bytes(2, "big") + bytes((adu.unit,)) + adu.pdu
-        values: dict[str, Value] = {
-            "direction": int(Direction.TRANSMITTED if adu.to_server else Direction.RECEIVED),
-            "sender": f"{way.source}:{way.source_port}",
-            "start_ns": adu.time_ns,
-            "end_ns": adu.time_ns,
-            "tcp": True,
-            "data": data,
-        }
-        findings.frames += 1
         line = way.target if adu.to_server else way.source
-        yield RecordedAdu(adu.time_ns, line, encode(MODBUS_ADU, values))
-    for problem in capture.problems:
-        findings.problem(0, problem.removeprefix(f"{path}: "))
+        sender = f"{way.source}:{way.source_port}"
+        origin = self._origin(adu.packet)
+        if origin.ours:
+            line, sender = origin.interface, sender if origin.sender is None else origin.sender
+        direction = Direction.TRANSMITTED if adu.to_server else Direction.RECEIVED
+        return _recorded(adu.time_ns, line, direction, sender, data, tcp=True)
+
+    def _from_serial_lines(self, before: int) -> Iterator[RecordedAdu]:
+        """Of the packets before this one; 0: of all that are left."""
+        while self._serial and (self._serial[0].number < before or not before):
+            packet = self._serial.popleft()
+            if len(packet.data) < RTAC_HEAD.size:
+                what = f"{len(packet.data)} bytes are no event of a serial line"
+                self._findings.problem(packet.number, what)
+                continue
+            event = RTAC_HEAD.unpack_from(packet.data)[2]
+            direction = _EVENTS.get(event)
+            data = packet.data[RTAC_HEAD.size :]
+            if direction is None or not data:
+                self._findings.note("events of a serial line that carry no data are left out")
+                continue
+            origin = self._origin(packet.number)
+            sender = origin.sender or ""
+            yield _recorded(packet.time_ns, origin.interface, direction, sender, data, tcp=False)
+
+
+def _recorded(
+    time_ns: int, line: str, direction: Direction, sender: str, data: bytes, *, tcp: bool
+) -> RecordedAdu:
+    values: dict[str, Value] = {"direction": int(direction)}
+    if sender:
+        values["sender"] = sender
+    values |= {"start_ns": time_ns, "end_ns": time_ns}
+    if tcp:
+        values["tcp"] = True
+    values["data"] = data
+    return RecordedAdu(time_ns, line, encode(MODBUS_ADU, values))
 
 
 def record_adus(

@@ -5,7 +5,7 @@ guide V1.0b, section 3.1.3 for the header.
 """
 
 from collections.abc import Iterator, Mapping
-from typing import Final
+from typing import Final, NamedTuple
 
 from traces.modbus import Adu, Malformed
 from traces.protobuf import Value, decode
@@ -16,6 +16,21 @@ _TOPIC: Final = "/modbus/"
 _SHORTEST: Final = 4
 _HEAD: Final = 7
 _POLYNOMIAL: Final = 0xA001
+
+
+class RecordedAdu(NamedTuple):
+    """An ADU as a recording has it: log time [ns], line, a motorhil.ModbusAdu."""
+
+    time_ns: int
+    line: str
+    payload: bytes
+
+
+def all_adus(trace: Trace) -> Iterator[RecordedAdu]:
+    """The ADUs of all lines, as they were recorded."""
+    for channel, time_ns, payload in trace.messages():
+        if channel.schema is not None and channel.schema.name == MODBUS_ADU.name:
+            yield RecordedAdu(time_ns, channel.topic.removeprefix(_TOPIC), payload)
 
 
 def lines_of(trace: Trace) -> list[str]:

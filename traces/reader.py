@@ -1,8 +1,8 @@
 """Reads recordings, whole ones and cut ones, ours and other writers'.
 
-Opening walks over the heads of the records only, chunk by chunk, so that it goes the same way
-through every file, whether it has a summary or ends in the middle of a chunk. Messages come in the
-order they were written.
+Opening walks over the heads of the records only, so that it goes the same way through every file,
+whether it is complete or ends in the middle of a chunk; a summary saves it the way over chunks and
+their indexes. Messages come in the order they were written.
 """
 
 import os
@@ -13,6 +13,7 @@ from dataclasses import dataclass
 from typing import BinaryIO, Final, Self, final
 
 from traces import records
+from traces.chunk_places import Chunk, read_summary
 from traces.compression import CompressionError, decompress, salvage
 from traces.errors import TraceError
 from traces.schema import Schema
@@ -78,22 +79,6 @@ class Cut:
         return f"cut at byte {self.offset}: {self.reason}, {self.size} bytes are left of it{rest}"
 
 
-@final
-@dataclass(frozen=True, slots=True)
-class _Chunk:
-    """A chunk's place and what its head says; or, uncompressed, messages outside of any chunk."""
-
-    offset: int
-    first_ns: int
-    last_ns: int
-    size: int
-    crc: int
-    compression: str
-    data_offset: int
-    data_size: int
-    whole: bool
-
-
 TraceMessage = tuple[Channel, int, bytes]
 """(channel, log time [ns], payload)."""
 
@@ -143,7 +128,7 @@ class Trace:
         self.salvaged = 0
         self._file = file
         self._schemas: dict[int, Schema] = {}
-        self._chunks: list[_Chunk] = []
+        self._chunks: list[Chunk] = []
         self._size = file.seek(0, os.SEEK_END)
         self._scan()
 
@@ -189,10 +174,7 @@ class Trace:
         """
         self.salvaged = 0
         for chunk in self._chunks:
-            if chunk.whole and (
-                (from_ns is not None and chunk.last_ns < from_ns)
-                or (to_ns is not None and chunk.first_ns >= to_ns)
-            ):
+            if _is_outside(chunk, from_ns, to_ns):
                 continue
             for message in self._in_chunk(chunk):
                 if not chunk.whole:
@@ -205,6 +187,21 @@ class Trace:
                 ):
                     yield message
 
+    def contents(
+        self, from_ns: int | None = None, to_ns: int | None = None
+    ) -> Iterator[tuple[bytes, Iterator[TraceMessage]]]:
+        """For who reads in bulk: (its records, uncompressed; its messages) of each chunk.
+
+        Chunks that lie outside of the span are left out; of the others all messages are given.
+
+        Raises:
+            TraceError: a chunk is damaged. What came before it is good.
+        """
+        for chunk in self._chunks:
+            if not _is_outside(chunk, from_ns, to_ns):
+                data = self._content(chunk)
+                yield data, self._in_chunk(chunk, data)
+
     # --------------------------------------------------------------------- from head to head
 
     def _scan(self) -> None:
@@ -216,7 +213,15 @@ class Trace:
         offset = len(start)
         opcode = 0
         data_ended = False
+        summary = read_summary(self._file)
+        for opcode, content in summary.names:  # else those inside chunks are met only in these
+            self._take(opcode, content, self._size)
         while opcode != records.FOOTER:
+            place = summary.places.get(offset)
+            if place is not None:
+                self._chunks.append(place.chunk)
+                offset = place.end
+                continue
             head = self._read(offset, records.RECORD_HEAD.size)
             name = "record" if not head else _NAMES.get(head[0], f"record of kind {head[0]:02X}h")
             if len(head) < records.RECORD_HEAD.size:
@@ -264,7 +269,7 @@ class Trace:
         there = min(stored, max(0, self._size - data_offset))
         whole = end <= self._size
         self._chunks.append(
-            _Chunk(offset, first, last, size, crc, compression, data_offset, there, whole)
+            Chunk(offset, first, last, size, crc, compression, data_offset, there, whole)
         )
 
     def _add_loose(self, offset: int, end: int) -> None:
@@ -278,7 +283,7 @@ class Trace:
                 start = before.offset
                 first, last = min(before.first_ns, time_ns), max(before.last_ns, time_ns)
         size = end - start
-        self._chunks.append(_Chunk(start, first, last, size, 0, "", start, size, True))
+        self._chunks.append(Chunk(start, first, last, size, 0, "", start, size, True))
 
     def _take(self, opcode: int, content: bytes, offset: int) -> None:
         """What a record of the file's structure says is known."""
@@ -331,9 +336,9 @@ class Trace:
 
     # ------------------------------------------------------------------------------- messages
 
-    def _in_chunk(self, chunk: _Chunk) -> Iterator[TraceMessage]:
-        """The messages of a chunk, as written."""
-        data = self._content(chunk)
+    def _in_chunk(self, chunk: Chunk, data: bytes | None = None) -> Iterator[TraceMessage]:
+        """The messages of a chunk, as written; its records may be known already."""
+        data = self._content(chunk) if data is None else data
         end = len(data)
         unpack = records.MESSAGE_HEAD.unpack_from
         last_head = end - records.MESSAGE_HEAD.size
@@ -361,7 +366,7 @@ class Trace:
         if offset != end and chunk.whole:
             raise TraceError(self.path, "a record goes beyond its chunk", offset=chunk.offset)
 
-    def _content(self, chunk: _Chunk) -> bytes:
+    def _content(self, chunk: Chunk) -> bytes:
         """A chunk's records, uncompressed; of a cut chunk, what can be had."""
         data = self._read(chunk.data_offset, chunk.data_size)
         if not chunk.whole:
@@ -370,11 +375,23 @@ class Trace:
             content = decompress(chunk.compression, data, chunk.size)
         except CompressionError as error:
             raise TraceError(self.path, f"damaged chunk ({error})", offset=chunk.offset) from error
-        if chunk.crc and zlib.crc32(content) != chunk.crc:
+        crc = chunk.crc
+        if crc is None:
+            head = self._read(chunk.offset + records.RECORD_HEAD.size, records.CHUNK_HEAD.size)
+            crc = records.CHUNK_HEAD.unpack(head)[3]
+        if crc and zlib.crc32(content) != crc:
             raise TraceError(
                 self.path,
-                f"damaged chunk (CRC {zlib.crc32(content):08X}h, should be {chunk.crc:08X}h)",
+                f"damaged chunk (CRC {zlib.crc32(content):08X}h, should be {crc:08X}h)",
                 offset=chunk.offset,
                 remedy=f"all before {chunk.first_ns / 1e9:.3f} s is good",
             )
         return content
+
+
+def _is_outside(chunk: Chunk, from_ns: int | None, to_ns: int | None) -> bool:
+    """Whether no message of the chunk is of this span; of a cut chunk nobody knows."""
+    return chunk.whole and (
+        (from_ns is not None and chunk.last_ns < from_ns)
+        or (to_ns is not None and chunk.first_ns >= to_ns)
+    )

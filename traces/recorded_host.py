@@ -4,12 +4,12 @@ from collections.abc import Callable
 from typing import Final
 
 from traces.decode_modbus import ModbusDecoder
+from traces.frame_decoder import FrameDecoder
 from traces.host_tape import HostCutter, HostStep, Listener
 from traces.modbus_records import adu_in
 from traces.protobuf import decode
 from traces.reader import Trace
 from traces.schema import CAN_FRAME, MODBUS_ADU
-from traces.traffic_mcap import FrameDecoder
 
 _RTU_REST: Final = 2
 

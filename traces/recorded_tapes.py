@@ -5,6 +5,7 @@ from typing import Final, final
 
 from traces.canopen_tapes import CanopenTapes
 from traces.decode_canopen import CanopenDecoder
+from traces.frame_decoder import FrameDecoder
 from traces.modbus_records import adu_in
 from traces.modbus_tapes import LineAdu, modbus_tapes
 from traces.protobuf import decode
@@ -12,7 +13,6 @@ from traces.reader import Trace
 from traces.recorded_names import RecordedNames, names_of
 from traces.schema import CAN_FRAME, MODBUS_ADU
 from traces.tape import Tape
-from traces.traffic_mcap import FrameDecoder
 
 _RUN: Final = "run"
 """Metadata that a rig writes: its time begins at 0, with power coming on."""

@@ -6,7 +6,8 @@ from typing import Final, final
 
 from traces.decode_canopen import CanopenDecoder
 from traces.decode_modbus import ModbusDecoder, adu_of
-from traces.fields import decode_can_frame
+from traces.frame_decoder import FrameDecoder
+from traces.preamble import telling
 from traces.protobuf import Value, decode
 from traces.reader import Trace, TraceMessage
 from traces.recorded_names import RecordedNames, names_of
@@ -71,6 +72,7 @@ class Story:
         self._trace = trace
         self._buses: dict[str, CanopenDecoder] = {}
         self._lines: dict[str, ModbusDecoder] = {}
+        self._decode_frame = FrameDecoder().decode
         self._motors = {place: name for name, place in self.names.motors.items()}
 
     def lines(self, from_ns: int | None = None, to_ns: int | None = None) -> Iterator[Line]:
@@ -117,13 +119,8 @@ class Story:
     def _learn(self, from_ns: int) -> None:
         begins_ns, _ = self._trace.span_ns() or (0, 0)
         until_ns = min(from_ns, begins_ns + PREAMBLE_NS)
-        left = PREAMBLE_MAX
-        for message in self._trace.messages(None, None, until_ns):
-            if message[0].topic.startswith(("/can/", "/modbus/")):
-                self.line(message)
-                left -= 1
-                if not left:
-                    break
+        for message in telling(self._trace.messages(None, None, until_ns), PREAMBLE_MAX):
+            self.line(message)
         for bus in self._buses.values():
             bus.forget_transfers()
         for line in self._lines.values():
@@ -135,7 +132,7 @@ class Story:
             nodes = {n: name for (b, n), name in self.names.nodes.items() if b == bus}
             objects = {n: names for (b, n), names in self.names.objects.items() if b == bus}
             decoder = self._buses[bus] = CanopenDecoder(nodes, objects)
-        frame = decode_can_frame(payload).frame
+        frame, _, _ = self._decode_frame(payload)
         said = decoder.decode(frame)
         identifier = int.from_bytes(frame[:4], "little") & _ID_MASK
         return Line(time_ns, topic, bus, said.text, said, identifier, self._about(bus, said.node))

@@ -242,11 +242,16 @@ def date_of(time_ns: int) -> tuple[int, int, int]:
     return era * 400 + year + (month <= 2), month, day
 
 
+def one_word(name: str) -> str:
+    """A bus's name as it can stand in a row: blanks, and what cannot be printed, become "_"."""
+    return "".join(c if c.isprintable() and not c.isspace() else "_" for c in name) or "_"
+
+
 @cache
 def bus_number(bus: str) -> int | None:
-    """N + 1 of a bus called canN; None: it has another name."""
+    """N + 1 of a bus called canN; None: it has another name, or none of 16 bit."""
     match = _BUS_NUMBER.fullmatch(bus)
-    return int(match[1]) + 1 if match else None
+    return int(match[1]) + 1 if match and int(match[1]) < 0xFFFF else None
 
 
 def bus_numbers(buses: Sequence[str]) -> dict[str, int]:

@@ -2,10 +2,10 @@
 
 import os
 from collections.abc import Iterable, Iterator
-from typing import Final, final
+from typing import Final
 
 from traces.chunk import Entry
-from traces.fields import can_frame_prefix, decode_can_frame
+from traces.frame_decoder import FrameDecoder
 from traces.reader import Trace
 from traces.schema import CAN_FRAME, Direction, Schema
 from traces.traffic import Findings, Frame
@@ -13,38 +13,6 @@ from traces.writer import TraceWriter
 
 _PREFIX: Final = "/can/"
 _BATCH: Final = 8192
-_REMEMBERED: Final = 1 << 16
-
-
-@final
-class FrameDecoder:
-    """Takes apart what begins like a message before it without looking at it again.
-
-    All but the data of a message that our writer has written is the same for one identifier, sender
-    and length, and stands in front of the data.
-    """
-
-    def __init__(self) -> None:
-        self._known: dict[tuple[bytes, int], tuple[bytes, bytes, bytes, Direction, str]] = {}
-
-    def frame(self, payload: bytes, time_ns: int, bus: str) -> Frame:
-        """Raises ValueError: the payload is no CanFrame."""
-        key = (payload[:5], len(payload))
-        before = self._known.get(key)
-        if before is not None and payload.startswith(before[0]):
-            prefix, head, padding, direction, sender = before
-            frame = head + payload[len(prefix) :] + padding
-            return Frame(time_ns, bus, frame, direction, sender)
-        told = decode_can_frame(payload)
-        head = told.frame[:8]
-        sender_bytes = told.sender.encode()
-        prefix, length = can_frame_prefix(head, len(told.frame), sender_bytes, told.direction)
-        if len(prefix) + length == len(payload) and payload.startswith(prefix):
-            if len(self._known) >= _REMEMBERED:
-                self._known.clear()
-            padding = bytes(len(told.frame) - 8 - length)
-            self._known[key] = (prefix, head, padding, told.direction, told.sender)
-        return Frame(time_ns, bus, told.frame, told.direction, told.sender)
 
 
 def recorded_frames(trace: Trace, findings: Findings) -> Iterator[Frame]:
@@ -55,7 +23,7 @@ def recorded_frames(trace: Trace, findings: Findings) -> Iterator[Frame]:
     """
     left_out: dict[str, int] = {}
     known: dict[int, str | None] = {}
-    decoder = FrameDecoder()
+    decode = FrameDecoder().decode
     for number, (channel, time_ns, payload) in enumerate(trace.messages(), 1):
         bus = known.get(channel.number, "")
         if bus == "":
@@ -66,9 +34,11 @@ def recorded_frames(trace: Trace, findings: Findings) -> Iterator[Frame]:
             left_out[channel.topic] = left_out.get(channel.topic, 0) + 1
             continue
         try:
-            yield decoder.frame(payload, time_ns, bus)
+            frame, direction, sender = decode(payload)
         except ValueError as error:
             findings.problem(number, f"{channel.topic}: {error}")
+            continue
+        yield Frame(time_ns, bus, frame, direction, sender)
     for topic, count in left_out.items():
         findings.note(f"{topic}: {count} messages are no CAN frames, and left out")
     if trace.cut is not None and trace.cut.messages_missing:

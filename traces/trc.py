@@ -8,8 +8,9 @@ Source: PEAK-System, "PEAK CAN TRC File Format", version 2.1.1.
 
 import re
 from collections.abc import Iterator, Sequence
+from functools import lru_cache
 from io import TextIOBase
-from typing import Final, final
+from typing import Final, NamedTuple, final
 
 from traces import traffic
 from traces.schema import Direction
@@ -52,7 +53,7 @@ class TrcReader:
 
     def __init__(self) -> None:
         self._start_ns = 0
-        self._columns: list[str] = []
+        self._columns: _Columns | None = None
 
     def take(self, line: str, findings: Findings) -> Sequence[Frame]:
         """The frame of a line. Raises ValueError: why it cannot be read."""
@@ -62,8 +63,9 @@ class TrcReader:
         if stripped.startswith((";", "//", "#")):
             self._header(stripped, findings)
             return ()
-        frame = self._row_2(stripped, findings) if self._columns else _row_1(stripped)
-        return (frame._replace(time_ns=frame.time_ns + self._start_ns),)
+        if self._columns is not None:
+            return (self._row_2(stripped, self._columns, findings),)
+        return (_row_1(stripped, self._start_ns),)
 
     def _header(self, line: str, findings: Findings) -> None:
         match = _HEADER.match(line)
@@ -76,32 +78,29 @@ class TrcReader:
             if not self._start_ns:
                 findings.note("no start since 1970 is told: times are from its beginning")
         elif key == "COLUMNS":
-            self._columns = [column.strip() for column in value.split(",")]
-            missing = [column for column in "OTI" if column not in self._columns]
-            if missing or not {"l", "L"} & set(self._columns):
-                self._columns = []
-                raise ValueError("columns without time, type, identifier or length")
+            self._columns = None
+            self._columns = _Columns.named([column.strip() for column in value.split(",")])
 
-    def _row_2(self, line: str, findings: Findings) -> Frame:
-        parts = line.split(maxsplit=len(self._columns) - 1)
-        row = dict(zip(self._columns, parts, strict=False))
-        kind = row.get("T", "")
+    def _row_2(self, line: str, columns: "_Columns", findings: Findings) -> Frame:
+        row = line.split(None, columns.splits)
+        told = len(row)
+        kind = row[columns.kind] if told > columns.kind else ""
         known = _KINDS.get(kind)
         if known is None:
             raise ValueError(f"no frame but {_OTHER_KINDS.get(kind, f'a row of type {kind!r}')}")
-        if "O" not in row or "I" not in row or not {"l", "L"} & set(row):
+        if told <= columns.last_needed:
             raise ValueError("ends in the middle")
-        can_id = _identifier(row["I"])
+        can_id = _identifier(row[columns.identifier])
         fd, flags = known
-        length = _number(row.get("l") or row["L"])
-        if fd and "l" not in row:
+        length = _number(row[columns.length])
+        if fd and columns.is_dlc:
             if length > 15:
                 raise ValueError(f"DLC {length}")
             length = traffic.FD_LENGTHS[length]
         if kind == "RR":
             data = traffic.remote(can_id, length)
         else:
-            text = row.get("D", "")
+            text = row[columns.data] if told > columns.data else ""
             if not fd and 8 < length < 16 and len(text) > 23:  # a DLC above 8 means 8 bytes
                 findings.problem(findings.line, f"behind 8 bytes of data there are '{text[24:]}'")
                 text = text[:23]
@@ -110,14 +109,51 @@ class TrcReader:
                 traffic.flexible(can_id, flags, content) if fd else traffic.classic(can_id, content)
             )
         return Frame(
-            traffic.decimal_ns(row["O"], 6),
-            f"can{max(0, _number(row.get('B', '1')) - 1)}",
+            self._start_ns + traffic.decimal_ns(row[columns.offset], 6),
+            _bus(row[columns.bus]) if told > columns.bus else "can0",
             data,
-            _WAYS.get(row.get("d", ""), Direction.UNKNOWN),
+            _WAYS.get(row[columns.way], Direction.UNKNOWN)
+            if told > columns.way
+            else Direction.UNKNOWN,
         )
 
 
-def _row_1(line: str) -> Frame:
+_NOWHERE: Final = 1 << 16
+"""The place of a column that is not there: behind every row."""
+
+
+class _Columns(NamedTuple):
+    """Where in a row what stands; `is_dlc`: its length is told as a DLC."""
+
+    splits: int
+    kind: int
+    offset: int
+    identifier: int
+    length: int
+    is_dlc: bool
+    last_needed: int
+    bus: int
+    way: int
+    data: int
+
+    @staticmethod
+    def named(names: list[str]) -> "_Columns":
+        """Raises ValueError: one is missing that no frame can do without."""
+        at = {name: place for place, name in enumerate(names)}
+        length = at.get("l", at.get("L"))
+        if length is None or not {"O", "T", "I"} <= set(at):
+            raise ValueError("columns without time, type, identifier or length")
+        needed = (at["T"], at["O"], at["I"], length)
+        others = (at.get(name, _NOWHERE) for name in "BdD")
+        return _Columns(len(names) - 1, *needed, "l" not in at, max(needed), *others)
+
+
+@lru_cache
+def _bus(digits: str) -> str:
+    return f"can{max(0, _number(digits) - 1)}"
+
+
+def _row_1(line: str, start_ns: int) -> Frame:
     """A row of 1.0 to 1.3. The number of its bus, its type and what is reserved may be missing."""
     match = _ROW_1.match(line)
     if match is None:
@@ -131,9 +167,11 @@ def _row_1(line: str) -> Frame:
     else:
         frame = traffic.classic(can_id, _data(rest, length))
     direction = _WAYS[kind] if kind else Direction.UNKNOWN
-    return Frame(traffic.decimal_ns(stamp, 6), f"can{int(bus or 1) - 1}", frame, direction)
+    time_ns = start_ns + traffic.decimal_ns(stamp, 6)
+    return Frame(time_ns, f"can{int(bus or 1) - 1}", frame, direction)
 
 
+@lru_cache(4096)
 def _identifier(digits: str) -> int:
     """With more than four digits 29 bit, as PEAK writes it."""
     try:

@@ -1,4 +1,4 @@
-"""`motorhil convert SOURCE -o TARGET`: recorded CAN traffic from one format to another."""
+"""`motorhil convert SOURCE -o TARGET`: recorded traffic from one format to another."""
 
 import argparse
 import json
@@ -15,9 +15,10 @@ _SHOWN: Final = 20
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """What `convert` can be told."""
+    from harness.conversion import MODBUS_PCAPNG
     from traces.formats import WRITABLE
 
-    names = ["mcap", *(known.name for known in WRITABLE)]
+    names = ["mcap", *(known.name for known in WRITABLE), MODBUS_PCAPNG]
     parser.add_argument("source", metavar="SOURCE", help="its format is found by its content")
     parser.add_argument("-o", "--output", required=True, metavar="TARGET", help="file to write")
     parser.add_argument("--to", choices=names, help="format to write (default: by the ending)")
@@ -75,7 +76,7 @@ def run(options: argparse.Namespace) -> int:
             print(f"{done.source.path}: {note}", file=sys.stderr)
         unread = f", {len(found.problems)} not readable" if found.problems else ""
         print(
-            f"{done.target}: {found.frames} frames of {', '.join(done.buses)}, "
+            f"{done.target}: {found.frames} {_what(done)} of {', '.join(done.buses)}, "
             f"from {done.source.format} to {done.format}{unread}"
         )
     return FAILED if options.strict and (found.problems or done.lost) else PASSED
@@ -94,5 +95,9 @@ def _notes(done: "Conversion") -> list[str]:
         )
     for what, count in done.lost.items():
         told = str(what.name).lower().replace("_", " ")
-        notes.append(f"lost, {done.format} cannot hold it: {told} of {count} frames")
+        notes.append(f"lost, {done.format} cannot hold it: {told} of {count} {_what(done)}")
     return notes
+
+
+def _what(done: "Conversion") -> str:
+    return "ADUs" if done.is_modbus else "frames"

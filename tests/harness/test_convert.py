@@ -4,9 +4,11 @@ import json
 
 import pytest
 
-from traces.schema import Direction
+from traces.protobuf import encode
+from traces.schema import CAN_FRAME, MODBUS_ADU, Direction, Schema
 from traces.traffic import Frame, classic
 from traces.traffic_mcap import record_frames
+from traces.writer import TraceWriter
 
 TEXT = """\
 candump can0
@@ -81,3 +83,34 @@ def test_wrong_usage_is_refused_in_a_sentence(folder, say, words, why):
     assert why in err
     assert (folder / "there.log").read_text() == "mine\n"
     assert not list(folder.glob("**/*.part"))
+
+
+def test_modbus_lines_are_told_as_adus_and_can_be_taken_out_of_a_mixed_recording(folder, say):
+    request = bytes.fromhex("01 03 0010 0002 C5CE")
+    with TraceWriter("mixed.mcap") as writer:
+        can = writer.channel("/can/can0", Schema.of(CAN_FRAME))
+        line = writer.channel("/modbus/rs485", Schema.of(MODBUS_ADU))
+        writer.can_frame(writer.source(can, "left"), 0, classic(1, b""))
+        values = {"direction": 2, "sender": "host", "start_ns": 1, "end_ns": 2, "data": request}
+        writer.write(line, 3, encode(MODBUS_ADU, values))
+        writer.write(line, 4, encode(MODBUS_ADU, values | {"direction": 0}))
+    assert say("convert", "mixed.mcap", "-o", "can.pcapng")[1:] == (
+        "can.pcapng: 1 frames of can0, from mcap to pcapng\n",
+        "mixed.mcap: /modbus/rs485: 2 messages are no CAN frames, and left out\n",
+    )
+    status, out, err = say(
+        "convert", "mixed.mcap", "-o", "line.pcapng", "--to", "modbus-pcapng", "--strict"
+    )
+    assert status == 1
+    assert out == ("line.pcapng: 2 ADUs of rs485, from mcap to modbus-pcapng, 1 not readable\n")
+    assert err.splitlines() == [
+        "mixed.mcap:2: rs485: an ADU of which nobody said which way it went",
+        "mixed.mcap: lost, modbus-pcapng cannot hold it: bit times of 1 ADUs",
+    ]
+    assert say("convert", "line.pcapng", "-o", "again.mcap")[1:] == (
+        "again.mcap: 1 ADUs of rs485, from pcap to mcap\n",
+        "",
+    )
+    assert say("convert", "again.mcap", "-o", "x.log")[2] == (
+        "again.mcap: holds Modbus, which candump cannot; convert it to mcap or pcapng\n"
+    )

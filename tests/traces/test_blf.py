@@ -1,15 +1,18 @@
 """BLF files that another wrote are read to the nanosecond, damaged ones as far as they go."""
 
+import shutil
 import struct
+import subprocess
 
 import can
 import pytest
 
 from traces import traffic
 from traces.blf import blf_frames
+from traces.blf_writing import write_blf
 from traces.formats import open_source
 from traces.schema import Direction
-from traces.traffic import Findings, classic, flexible, remote
+from traces.traffic import Findings, Frame, classic, flexible, remote
 
 R, T, U = Direction.RECEIVED, Direction.TRANSMITTED, Direction.UNKNOWN
 START = 1_700_000_000
@@ -101,3 +104,48 @@ def test_damage_in_the_middle_costs_what_is_damaged(path):
     assert len({frame[2] for frame in frames}) > 4900 - in_first + in_first // 2
     assert findings.notes == ["frames of a damaged container may be wrong"]
     assert any("damaged" in problem.text for problem in findings.problems)
+
+
+def test_what_is_written_has_nanoseconds_and_a_head_that_counts(path):
+    frames = [
+        Frame(START * 10**9 + 1_999_999 + n, "can3", classic(n % 2048, bytes(n % 9)), T)
+        for n in range(20_000)
+    ]
+    with path.open("wb") as file:
+        write_blf(file, ["can3"], frames[0].time_ns, iter(frames))
+    found, findings = read(path)
+    assert found == [frame[:4] for frame in frames]
+    assert findings.problems == []
+    with can.BLFReader(path) as reader:
+        assert reader.object_count == 20_000
+        assert reader.file_size == path.stat().st_size
+        assert reader.start_timestamp == START + 0.001
+        assert [message.arbitration_id for message in reader] == [n % 2048 for n in range(20_000)]
+
+
+@pytest.mark.skipif(shutil.which("tshark") is None, reason="tshark is not installed")
+def test_tshark_reads_what_is_written(path):
+    sent = flexible(0x77, 3, bytes(range(12)))
+    frames = [
+        *(Frame(*frame) for frame in FRAMES[:3]),
+        Frame(START * 10**9 + 999_999_999, "can2", sent, T),
+        Frame(START * 10**9 + 1_000_000_001, "can0", classic(traffic.ERR | 0x20, bytes(8)), R),
+    ]
+    with path.open("wb") as file:
+        write_blf(file, ["can0", "can1", "can2"], frames[0].time_ns, iter(frames))
+    names = "frame.time_epoch frame.interface_name can.id can.flags.rtr can.len data"
+    names += " frame.packet_flags_direction can.err.ack"
+    fields = [word for name in names.split() for word in ("-e", name)]
+    command = ["tshark", "-r", str(path), "-T", "fields", "-E", "separator=;", *fields]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=60)
+    assert done.returncode == 0, done.stderr
+    rows = [line.split(";") for line in done.stdout.splitlines()]
+    stamps = [traffic.decimal(frame.time_ns) for frame in frames]
+    assert [row[0] for row in rows] in (stamps, stamps[:4])  # 4.0 passes over error frames
+    assert [row[1] for row in rows[:4]] == ["CAN-1", "CAN-2", "CAN-1", "CAN-3"]
+    assert [int(row[2], 0) for row in rows[:4]] == [0x123, 0x1ABCDEF, 0x7, 0x77]
+    assert [row[3] for row in rows[:3]] == ["0", "0", "1"]
+    assert [row[4] for row in rows[:4]] == ["2", "8", "3", "12"]
+    assert [row[5] for row in rows[:4]] == ["0102", "00" * 8, "", bytes(range(12)).hex()]
+    assert [int(row[6], 0) for row in rows[:4]] == [1, 2, 1, 2]
+    assert [row[7] for row in rows[4:]] in ([], ["1"])

@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from traces import traffic
-from traces.candump import CandumpReader, log_row
+from traces.candump import CandumpReader, log_row, plain_row
 from traces.schema import Direction
 from traces.traffic import Findings, Frame, classic, flexible, read_lines, remote
 
@@ -25,6 +25,7 @@ def one(line):
 
 
 EXT = 0x12345678 | traffic.EFF
+R, T = Direction.RECEIVED, Direction.TRANSMITTED
 
 
 @pytest.mark.parametrize(
@@ -173,3 +174,23 @@ def test_dates_are_those_of_the_standard_library(time_ns):
     day_s = time_ns // 10**9 // 86400 * 86400
     assert timegm((*traffic.date_of(time_ns), 0, 0, 0)) == day_s
     assert traffic.date_ns(*traffic.date_of(time_ns)) == day_s * 10**9
+
+
+@pytest.mark.parametrize(
+    ("frame", "row"),
+    [  # columns as `candump -t a -x` has them
+        (Frame(1, "can0", classic(0x123, b"\1\2"), R),
+         " (0000000000.000000)  can0  RX - -  123   [2]  01 02\n"),
+        (Frame(10**18, "vcan1", classic(EXT, b""), T),
+         " (1000000000.000000)  vcan1  TX - -  12345678   [0]\n"),
+        (Frame(0, "can0", remote(0x701, 3), R),
+         " (0000000000.000000)  can0  RX - -  701   [3]  remote request\n"),
+        (Frame(0, "can0", flexible(0x77, 3, b"\xff"), R),
+         " (0000000000.000000)  can0  RX B E  077   [01]  FF\n"),
+        (Frame(0, "can0", classic(traffic.ERR | 4, bytes(8)), R),
+         " (0000000000.000000)  can0  RX - -  20000004   [8]"
+         "  00 00 00 00 00 00 00 00   ERRORFRAME\n"),
+    ],
+)  # fmt: skip
+def test_a_plain_row_is_written(frame, row):
+    assert plain_row(frame) == row

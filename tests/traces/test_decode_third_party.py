@@ -13,7 +13,9 @@ from collections import Counter
 import pytest
 
 from traces.decode_canopen import CanopenDecoder
+from traces.formats import open_source
 from traces.said import Kind
+from traces.traffic import Findings
 
 pytestmark = pytest.mark.data
 
@@ -100,6 +102,22 @@ def content(service, text, said):
         reason = re.search(r'"(.*?)\.?"', text)[1].lower()
         return "" if reason in said.text.lower() else f"abort: {reason}"
     return segments(text, said)
+
+
+def test_another_reader_of_a_real_file_is_agreed_with(shared):
+    """Number, time, identifier, length and data of all its rows."""
+    source = open_source(shared / "data/traffic/canopen_machine_pcan1.trc")
+    frames = list(source.frames(Findings()))
+    found = joined(shared / "data/traffic/canopen_machine_pcan1.trc.csv")
+    assert len(frames) == len(found) == 11283
+    start_ns = frames[0].time_ns - 144_500_000  # they count from $STARTTIME
+    assert start_ns == 1675777465161000000  # "Start time: 07.02.2023 13:44:25.161.0", for UTC
+    for number, (frame, row) in enumerate(zip(frames, found, strict=True), 1):
+        milliseconds, _, rest = row[1].partition(",")
+        time_ns = int(milliseconds) * 1_000_000 + int(rest.ljust(6, "0"))
+        assert (number, frame.time_ns - start_ns) == (int(row[0].lstrip("'")), time_ns)
+        assert frame.frame == frame_of(row)
+        assert frame.frame[4] == int(row[3])
 
 
 def bytes_of(value, size):

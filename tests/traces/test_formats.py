@@ -4,11 +4,12 @@ import can
 import pytest
 
 from harness.conversion import convert
+from tests.architecture.checkout import CHECKOUT
 from tests.traces.recordings import write
 from traces import traffic
 from traces.digest import digest
 from traces.errors import TraceError
-from traces.formats import WRITABLE, Feature, Survey, open_source
+from traces.formats import IN_WORDS, WRITABLE, Feature, Survey, open_source
 from traces.schema import Direction
 from traces.traffic import Findings, Frame, classic, flexible, remote
 from traces.traffic_mcap import record_frames
@@ -26,6 +27,7 @@ BASE = [
 WITH = {
     Feature.NANOSECONDS: [Frame(SINCE_1970_NS + 1, "can0", classic(1, b""), R)],
     Feature.BUS_NAMES: [Frame(SINCE_1970_NS, "drive-bus", classic(1, b""), R)],
+    Feature.BLANKS: [Frame(SINCE_1970_NS, "drive bus", classic(1, b""), R)],
     Feature.DIRECTION: [Frame(SINCE_1970_NS, "can0", classic(1, b""), T)],
     Feature.UNDIRECTED: [Frame(SINCE_1970_NS, "can0", classic(1, b""))],
     Feature.SENDER: [Frame(SINCE_1970_NS, "can0", classic(1, b""), R, "left")],
@@ -71,6 +73,7 @@ def test_the_digest_stays_just_where_the_table_says_so(tmp_path, form, feature):
     before, after, lost = there_and_back(tmp_path, BASE + WITH[feature] + BASE, form)
     assert (before == after) is (feature in form.holds)
     assert (feature in lost) is (feature not in form.holds)
+    assert set(lost) <= {feature, Feature.BUS_NAMES}
 
 
 @pytest.mark.parametrize("form", WRITABLE, ids=lambda form: form.name)
@@ -83,6 +86,17 @@ def test_times_from_0_and_times_that_go_back_are_held_by_all(tmp_path, form, ste
         frames.insert(0, Frame(0, "can0", classic(9, b""), R))
     before, after, _ = there_and_back(tmp_path, frames, form)
     assert before == after
+
+
+def test_readme_tells_what_each_format_does_not_hold():
+    rows = ["| format | ending | does not hold |", "| --- | --- | --- |"]
+    for form in WRITABLE:
+        lacks = [feature for feature in Feature if feature not in form.holds]
+        if Feature.BUS_NAMES in lacks:
+            lacks.remove(Feature.BLANKS)  # they go with the names
+        told = ", ".join(IN_WORDS[feature] for feature in lacks) or "nothing is lost"
+        rows.append(f"| {form.name} | `{form.ending}` | {told} |")
+    assert "\n".join(rows) + "\n\n" in (CHECKOUT / "README.md").read_text(), "\n".join(rows)
 
 
 def test_a_survey_tells_every_feature():
@@ -110,7 +124,7 @@ def test_what_holds_no_traffic_is_refused(tmp_path, content):
         open_source(tmp_path / "some.txt")
 
 
-@pytest.mark.parametrize("ending", [".log", ".trc", ".asc"])
+@pytest.mark.parametrize("ending", [".log", ".trc", ".asc", ".blf"])
 def test_python_can_reads_what_is_written(tmp_path, ending):
     frames = BASE + WITH[Feature.DIRECTION] + WITH[Feature.REMOTE]
     record_frames(tmp_path / "a.mcap", frames, {})

@@ -51,13 +51,13 @@ def test_every_adu_is_recorded_as_it_was_on_the_wire(tmp_path, capture):
 
 
 def test_a_format_of_can_frames_cannot_hold_it(tmp_path, capture):
-    with pytest.raises(TraceError, match="holds Modbus/TCP, which asc cannot; convert it to mcap"):
+    with pytest.raises(TraceError, match=r"holds Modbus, which asc cannot; .* mcap or pcapng"):
         convert(capture, tmp_path / "a.asc", "asc")
 
 
 def test_a_capture_of_something_else_is_refused(tmp_path):
     (tmp_path / "other.pcap").write_bytes(pcap([(0, 0, ethernet(b"?", kind=0x88CC))]))
-    with pytest.raises(TraceError, match="neither CAN frames nor Modbus/TCP"):
+    with pytest.raises(TraceError, match="neither CAN frames nor Modbus"):
         convert(tmp_path / "other.pcap", tmp_path / "a.mcap", "mcap")
 
 
@@ -67,6 +67,8 @@ def test_a_capture_of_something_else_is_refused(tmp_path):
     [  # of the gateway: 2382 requests, 1592 responses (INDEX), and one nobody asked for
         ("modbus_gateway_units1237_pipelined", 2382 + 1592 + 1, 0),
         ("modbus_quickdraw_part1", 46, 6),
+        # INDEX counts packets with data: 11889; many hold several ADUs, and tshark counts 15976
+        ("modbus_plant1_tcp", 15976, 0),
     ],
 )
 def test_a_real_capture(shared, tmp_path, name, adus, problems):

@@ -6,6 +6,7 @@ from mcap.writer import CompressionType, IndexType, Writer
 
 from tests.traces.recordings import MS, SECOND, Recording, counted_frame, write
 from traces import records
+from traces.chunk_places import Summary, read_summary
 from traces.errors import TraceError
 from traces.fields import encode_can_frame
 from traces.reader import Trace, read_trace
@@ -294,6 +295,46 @@ def test_files_of_another_writer_may_be_cut_too(tmp_path, options):
             found = payloads(trace)
             assert found == wanted[: len(found)]
             assert trace.cut is not None
+
+
+@pytest.mark.parametrize("options", OTHER_WRITERS.values(), ids=OTHER_WRITERS)
+def test_a_summary_tells_what_going_through_the_file_does(tmp_path, monkeypatch, options):
+    path = tmp_path / "a.mcap"
+    path.write_bytes(written_by_mcap(options)[0])
+    told = traced(path)
+    monkeypatch.setattr("traces.reader.read_summary", lambda file: Summary({}, []))
+    assert traced(path) == told
+
+
+def test_our_own_summary_tells_all_chunks_and_other_ways_lead_to_the_same(tmp_path, monkeypatch):
+    path = tmp_path / "a.mcap"
+    write(path, 100)
+    with path.open("rb") as file, read_trace(path) as trace:
+        places = read_summary(file).places
+        assert [place.chunk for place in places.values()] == trace._chunks
+        assert len(places) == 5
+    told = traced(path)
+    data = bytearray(path.read_bytes())
+    data[-50] ^= 1  # the summary's CRC does not fit: it is not believed
+    path.write_bytes(data)
+    with path.open("rb") as file:
+        assert read_summary(file) == ({}, [])
+    assert traced(path) == told
+
+
+def traced(path):
+    with read_trace(path) as trace:
+        found = payloads(trace)
+        span = trace.span_ns()
+        return found, span, trace.metadata, trace.attachments, trace.channels, trace.cut
+
+
+def test_channels_that_stand_in_a_chunk_are_known_to_who_skips_it(tmp_path):
+    path = tmp_path / "a.mcap"
+    data, wanted = written_by_mcap(OTHER_WRITERS["small-chunks"])
+    path.write_bytes(data)
+    with read_trace(path) as trace:
+        assert payloads(trace, from_ns=1400) == [m for m in wanted if m[1] >= 1400]
 
 
 def test_records_of_the_future_are_skipped(tmp_path):

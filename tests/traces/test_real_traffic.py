@@ -29,7 +29,16 @@ FILES = {
     "uw_formula_cm_inverter_endurance_LOGS11.TXT": ("sd-rows", 56983, 0, 0),
     "uw_formula_cm_inverter_fault_on_stands_LOGS5.TXT": ("sd-rows", 63295, 0, 0),
 }
-REFUSED = ("tmotor_ak80_current_chirp.csv", "vfd_omron_cimr_v7az_modbus.ini")
+REFUSED = (
+    "tmotor_ak80_current_chirp.csv",
+    "vfd_omron_cimr_v7az_modbus.ini",
+    "canopen_machine_pcan1.trc.csv",  # somebody's decode, no recording
+)
+ELSEWHERE = {
+    "modbus_gateway_units1237_pipelined.pcap": "test_modbus_pcap",
+    "modbus_plant1_tcp.pcap": "test_modbus_pcap",
+    "modbus_quickdraw_part1.pcap": "test_modbus_pcap",
+}
 
 
 @pytest.mark.parametrize("name", FILES)
@@ -56,3 +65,11 @@ def test_a_real_file_is_read_as_its_index_says(shared, tmp_path, name):
 def test_what_holds_no_frames_is_refused(shared, name):
     with pytest.raises(TraceError, match="holds no CAN traffic"):
         list(open_source(shared / "data/traffic" / name).frames(Findings()))
+
+
+def test_no_file_of_the_index_is_left_out(shared):
+    index = (shared / "data/traffic/INDEX.md").read_text()
+    named = set(re.findall(r"^\| (\S+\.\w+) \|", index, re.MULTILINE))
+    assert named == {*FILES, *REFUSED, *ELSEWHERE}
+    there = {path.name for path in (shared / "data/traffic").iterdir()} - {"INDEX.md"}
+    assert there == named

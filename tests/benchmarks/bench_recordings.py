@@ -1,0 +1,127 @@
+"""What reading, converting and showing recordings costs a frame, beside peers in the same run.
+
+The frames are those of `bench_traces`. Times are CPU time of the process, the best of several.
+"""
+
+import contextlib
+import io
+import tempfile
+from collections.abc import Callable
+from pathlib import Path
+
+import can
+from mcap.reader import make_reader
+
+from harness.cli import main as motorhil
+from harness.conversion import convert
+from tests.benchmarks.bench_traces import FRAMES, by_python_can, by_writer, cpu_us, entries, traffic
+from traces.arrays import read_can_arrays
+from traces.blf_writing import write_blf
+from traces.formats import open_source
+from traces.reader import read_trace
+from traces.story import Story
+from traces.traffic import Findings, Frame
+
+LAST_S = 1.0
+SPANS = 20  # of the frames, one after another, in the recording of which the end is shown
+
+
+def by_mcap_reader(path: Path, from_ns: int | None = None) -> int:
+    """Messages read by the stock reader, payloads left packed."""
+    with path.open("rb") as file:
+        reader = make_reader(file)
+        return sum(1 for _ in reader.iter_messages(start_time=from_ns, log_time_order=False))
+
+
+def by_can_reader(path: Path) -> int:
+    """Messages read by python-can."""
+    with can.LogReader(str(path)) as reader:
+        return sum(1 for _ in reader)
+
+
+def by_source(path: Path) -> int:
+    """Frames read by us, one by one."""
+    return sum(1 for _ in open_source(path).frames(Findings()))
+
+
+def by_our_blf(frames: list[Frame], path: Path) -> None:
+    """A BLF file of ours."""
+    with path.open("wb") as file:
+        write_blf(file, ["can0", "can1"], frames[0].time_ns, iter(frames))
+
+
+def show_end(path: Path) -> None:
+    """`motorhil show --last`, its lines thrown away."""
+    with contextlib.redirect_stdout(io.StringIO()):
+        motorhil(["show", str(path), "--last", str(LAST_S)])
+
+
+def lines_of(path: Path) -> int:
+    """Every frame as a sentence."""
+    with read_trace(path) as trace:
+        return sum(1 for _ in Story(trace).lines())
+
+
+def run() -> list[tuple[str, float, str]]:
+    """Figures as (name, figure, unit)."""
+    told = traffic()
+    senders, batch = entries(told)
+    span_ns = told[-1][1] + 125_000
+    messages = [
+        can.Message(
+            timestamp=1e9 + time_ns / 1e9,
+            arbitration_id=int.from_bytes(frame[:4], "little"),
+            is_extended_id=False,
+            data=frame[8 : 8 + frame[4]],
+            channel=int(bus[3:]),
+        )
+        for bus, time_ns, _, frame in told
+    ]
+    figures: list[tuple[str, float, str]] = []
+
+    def add(name: str, work: Callable[[], object]) -> float:
+        cost = cpu_us(work)
+        figures.append((name, cost, "us CPU/frame"))
+        return cost
+
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        ours, theirs = folder / "ours.mcap", folder / "theirs.blf"
+        by_writer(senders, batch, ours)
+        by_python_can(messages, theirs)
+        arrays = add("reading into arrays", lambda: read_can_arrays(ours))
+        stock = add("mcap's reader, payloads left packed", lambda: by_mcap_reader(ours))
+        blf = add("python-can's BLFReader", lambda: by_can_reader(theirs))
+        figures.append(("frames into arrays", 1 / arrays, "million/s of CPU"))
+        figures.append(
+            ("reading into arrays against mcap's reader", stock / arrays, "times faster")
+        )
+        figures.append(("reading into arrays against BLFReader", blf / arrays, "times faster"))
+        add("frames as sentences", lambda: lines_of(ours))
+        frames = list(open_source(ours).frames(Findings()))
+        own = add("writing BLF", lambda: by_our_blf(frames, folder / "a.blf"))
+        peer = add("python-can's BLFWriter", lambda: by_python_can(messages, theirs))
+        figures.append(("writing BLF against python-can", own / peer, "of its CPU"))
+        ratio = (folder / "a.blf").stat().st_size / theirs.stat().st_size
+        figures.append(("BLF file against python-can's", ratio, "of its size"))
+        for kind, form in (("blf", "blf"), ("log", "candump"), ("trc", "trc"), ("asc", "asc")):
+            path = folder / f"peer.{kind}"
+            convert(ours, path, form, True)
+            cost = cpu_us(lambda path=path: by_source(path))
+            against = cpu_us(lambda path=path: by_can_reader(path))
+            figures.append((f"reading {form} against python-can", cost / against, "of its CPU"))
+        long = folder / "long.mcap"
+        many = [(s, t + k * span_ns, f) for k in range(SPANS) for s, t, f in batch]
+        by_writer(senders, many, long)
+        size = long.stat().st_size / 1e6
+        from_ns = SPANS * span_ns - int(LAST_S * 1e9)
+        end = cpu_us(lambda: show_end(long)) * FRAMES / 1e3
+        mine = cpu_us(lambda: by_mcap_reader(long, from_ns)) * FRAMES / 1e3
+        figures.append((f"showing the last second of {size:.0f} MB", end, "ms CPU"))
+        figures.append((f"mcap's reader, the last second of {size:.0f} MB, packed", mine, "ms CPU"))
+    return figures
+
+
+if __name__ == "__main__":
+    for name, figure, unit in run():
+        print(f"{name:60s} {figure:10.3f} {unit}")

@@ -1,0 +1,235 @@
+"""Writes recorded Modbus lines as pcapng, for Wireshark and for us to read again.
+
+What was on TCP becomes segments to and from port 502, each ADU in one, with sequence numbers and
+check sums that fit; how a connection began is not in a recording, and not made up. A line or a
+sender whose name is no address gets a private one; the names stand beside. What was on a serial
+line becomes events of link type 250, whose content Wireshark has to be told: decode
+`rtacser.data` as Modbus RTU (tshark -d rtacser.data,mbrtu).
+
+Source: RFC 791, 8200, 9293; LINKTYPE_RTAC_SERIAL, tcpdump.org, events as Wireshark names them;
+draft-ietf-opsawg-pcapng.
+"""
+
+import struct
+from collections.abc import Iterator
+from enum import Flag, auto
+from ipaddress import IPv4Address, IPv6Address, ip_address
+from typing import BinaryIO, Final, NamedTuple, final
+
+from traces.modbus_records import RecordedAdu
+from traces.pcapng import PcapngWriter
+from traces.protobuf import decode
+from traces.schema import MODBUS_ADU, Direction
+from traces.traffic import Findings
+
+_ETHERNET: Final = 1
+RTAC_SERIAL: Final = 250
+RTAC_HEAD: Final = struct.Struct(">IIBBH")  # s, us, event, control lines, nothing
+RTAC_EVENTS: Final = {Direction.TRANSMITTED: 3, Direction.RECEIVED: 4}  # DATA_TX_END, DATA_RX_END
+PORT: Final = 502
+_FIRST_PORT: Final = 49_152
+_PSH_ACK: Final = 0x18
+_NOT_TO_BE_CUT: Final = 0x4000
+_TCP: Final = 6
+_HEAD: Final = 7
+_LENGTH_MAX: Final = 254
+_Address = IPv4Address | IPv6Address
+
+
+@final
+class AduFeature(Flag):
+    """What a recorded ADU may have and a capture does not hold."""
+
+    BIT_TIMES = auto()  # of the first bit and the last one
+    SPOILED = auto()
+
+
+class _End(NamedTuple):
+    address: _Address
+    port: int
+
+    def __str__(self) -> str:
+        return f"{self.address}:{self.port}"
+
+
+@final
+class _Line:
+    """A line on TCP: its interface, its server, and what was sent between it and each client."""
+
+    def __init__(self, interface: int, server: _End) -> None:
+        self.interface = interface
+        self.server = server
+        self.clients: dict[str, _End] = {}
+        self.sent: dict[tuple[_End, bool], int] = {}  # bytes, by client and whether to the server
+        self.asked: dict[int, _End] = {}  # who used a transaction identifier last
+        self.last: _End | None = None
+
+
+@final
+class ModbusExport:
+    """Writes ADUs in the order they come. Attributes: lost, how many have what is not held."""
+
+    def __init__(self, file: BinaryIO, findings: Findings) -> None:
+        self.lost: dict[AduFeature, int] = {}
+        self._out = PcapngWriter(file)
+        self._findings = findings
+        self._lines: dict[str, _Line] = {}
+        self._serial: dict[str, int] = {}
+        self._used: set[tuple[_End, _End]] = set()  # server and client of each connection
+
+    @property
+    def lines(self) -> tuple[str, ...]:
+        """The lines that are in it."""
+        return (*self._lines, *self._serial)
+
+    def add(self, adus: Iterator[RecordedAdu]) -> None:
+        """These ADUs are written; those that cannot be are problems."""
+        for number, (time_ns, name, payload) in enumerate(adus, 1):
+            try:
+                self._add(time_ns, name, payload)
+            except ValueError as error:
+                self._findings.problem(number, f"{name}: {error}")
+
+    def _add(self, time_ns: int, name: str, payload: bytes) -> None:
+        values = decode(MODBUS_ADU, payload)
+        data, sender = values.get("data", b""), str(values.get("sender", ""))
+        assert isinstance(data, bytes)
+        direction = next((way for way in RTAC_EVENTS if way == values.get("direction")), None)
+        if direction is None:
+            raise ValueError("an ADU of which nobody said which way it went")
+        if values.get("tcp"):
+            self._on_tcp(time_ns, name, data, direction, sender)
+        else:
+            self._on_serial(time_ns, name, data, direction, sender)
+        if {values.get("start_ns", 0), values.get("end_ns", 0)} != {time_ns}:
+            self._count(AduFeature.BIT_TIMES)
+        if values.get("spoiled"):
+            self._count(AduFeature.SPOILED)
+
+    def _count(self, feature: AduFeature) -> None:
+        self.lost[feature] = self.lost.get(feature, 0) + 1
+
+    # ------------------------------------------------------------------------------- serial
+
+    def _on_serial(
+        self, time_ns: int, name: str, data: bytes, direction: Direction, sender: str
+    ) -> None:
+        if name not in self._serial:
+            self._serial[name] = self._out.interface(RTAC_SERIAL, name)
+        seconds, rest_ns = divmod(time_ns, 1_000_000_000)
+        event = RTAC_EVENTS[direction]
+        head = RTAC_HEAD.pack(seconds & 0xFFFF_FFFF, rest_ns // 1000, event, 0, 0)
+        self._out.packet(self._serial[name], time_ns, head + data, direction, sender or None)
+
+    # ---------------------------------------------------------------------------------- TCP
+
+    def _on_tcp(
+        self, time_ns: int, name: str, data: bytes, direction: Direction, sender: str
+    ) -> None:
+        _check(data)
+        line = self._lines.get(name)
+        if line is None:
+            line = self._lines[name] = self._line(name)
+        to_server = direction is Direction.TRANSMITTED
+        transaction = int.from_bytes(data[:2], "big")
+        if to_server:
+            client = line.last = line.asked[transaction] = self._client(line, sender)
+            ends = client, line.server
+        else:
+            client = line.asked.get(transaction) or line.last or self._client(line, "")
+            ends = line.server, client
+        sent = line.sent.get((client, to_server), 1)
+        heard = line.sent.get((client, not to_server), 1)
+        line.sent[client, to_server] = (sent + len(data)) & 0xFFFF_FFFF
+        packet = _ethernet(*ends, sent, heard, data)
+        told = None if sender == str(ends[0]) else sender
+        self._out.packet(line.interface, time_ns, packet, direction, told)
+
+    def _line(self, name: str) -> _Line:
+        try:
+            address = ip_address(name)
+        except ValueError:
+            address = _private(0, len(self._lines))
+        return _Line(self._out.interface(_ETHERNET, name), _End(address, PORT))
+
+    def _client(self, line: _Line, sender: str) -> _End:
+        """The end of a connection that a sender has; no two connections are the same."""
+        found = line.clients.get(sender)
+        if found is not None:
+            return found
+        server = line.server
+        version = server.address.version
+        end = _end_called(sender)
+        if end is None or end.address.version != version or (server, end) in self._used:
+            end = _generated(version, len(self._used))
+            while (server, end) in self._used:
+                end = end._replace(port=end.port + 1)
+        self._used.add((server, end))
+        line.clients[sender] = end
+        return end
+
+
+def _end_called(sender: str) -> _End | None:
+    """The end that a sender's name tells, "address:port"; None: it tells none."""
+    host, _, port = sender.rpartition(":")
+    try:
+        end = _End(ip_address(host), int(port))
+    except ValueError:
+        return None
+    return end if 0 < end.port < 1 << 16 and end.port != PORT else None
+
+
+def _generated(version: int, number: int) -> _End:
+    address: _Address = _private(1, number)
+    if version == 6:
+        address = IPv6Address((0xFD << 120) + (1 << 64) + number + 1)
+    return _End(address, _FIRST_PORT)
+
+
+def _check(data: bytes) -> None:
+    """Raises ValueError: in a stream it would be taken for something else."""
+    length = int.from_bytes(data[4:6], "big")
+    if len(data) <= _HEAD or data[2:4] != b"\0\0" or not 2 <= length <= _LENGTH_MAX:
+        raise ValueError(f"no Modbus/TCP: {data[:_HEAD].hex(' ').upper()}")
+    if len(data) != 6 + length:
+        raise ValueError(f"{len(data) - 6} bytes of an ADU of {length}")
+
+
+def _private(kind: int, number: int) -> IPv4Address:
+    """10.kind.x.y: servers are of kind 0, clients of kind 1."""
+    return IPv4Address((10 << 24) + (kind << 16) + number % 65_000 + 1)
+
+
+def _ethernet(source: _End, target: _End, sequence: int, heard: int, data: bytes) -> bytes:
+    """A segment, down to its Ethernet frame."""
+    size = 20 + len(data)
+    ends = source.address.packed + target.address.packed
+    head = struct.pack(
+        *(">HHIIBBHHH", source.port, target.port, sequence, heard, 5 << 4, _PSH_ACK, 0xFFFF, 0, 0)
+    )
+    pseudo = ends + struct.pack(">II", size, _TCP)
+    check = _check_sum(pseudo + head + data)
+    segment = head[:16] + check.to_bytes(2, "big") + head[18:] + data
+    if source.address.version == 4:
+        kind = 0x0800
+        ip = struct.pack(">BBHHHBBH", 0x45, 0, 20 + size, 0, _NOT_TO_BE_CUT, 64, _TCP, 0) + ends
+        ip = ip[:10] + _check_sum(ip).to_bytes(2, "big") + ip[12:]
+    else:
+        kind = 0x86DD
+        ip = struct.pack(">IHBB", 6 << 28, size, _TCP, 64) + ends
+    return _mac(target) + _mac(source) + kind.to_bytes(2, "big") + ip + segment
+
+
+def _mac(end: _End) -> bytes:
+    """Locally administered, by the address."""
+    return b"\x02\x00" + end.address.packed[-4:]
+
+
+def _check_sum(data: bytes) -> int:
+    """The internet check sum (RFC 1071)."""
+    data += bytes(len(data) % 2)
+    words: tuple[int, ...] = struct.unpack(f">{len(data) // 2}H", data)
+    total = sum(words)
+    while total >> 16:
+        total = (total & 0xFFFF) + (total >> 16)
+    return ~total & 0xFFFF
