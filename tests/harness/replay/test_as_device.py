@@ -1,5 +1,6 @@
 """A host program against a recording of its devices: what passes, what not, what is told."""
 
+from contextlib import suppress
 from itertools import pairwise
 
 import pytest
@@ -71,10 +72,11 @@ def test_a_host_that_is_the_servo_may_stream_other_values_if_that_is_said(set_po
     with golden("software") as path:
         description = with_recorded(described("software"), path, set_points)
         with Rig(description) as rig:
-            try:
+            if set_points == "any":
                 one_move(rig, target=1.0005)
-            except MotorError as error:
-                assert set_points == "exact", error
+            else:
+                with suppress(MotorError):
+                    one_move(rig, target=1.0005)
             assert bool(unanswered(rig)) == (set_points == "exact")
 
 
