@@ -18,6 +18,7 @@ from traces.tape import Key, Role, Sent, Step, Tape
 LOOK_AHEAD: Final = 64
 """So many commands a host may leave out at once; further away, the same words mean another time."""
 _KEPT: Final = 8
+_NEVER_NS: Final = 1 << 62
 _OVERTIME: Final = 6  # quarters of a period after which what was periodic is missed
 
 
@@ -67,6 +68,7 @@ class TapePlayer:
         self._answered: dict[Key, Step] = {}  # of the epoch
         self._constants = _constants(self._steps)
         self._anchor_ns = 0
+        self._epoch_ns = 0  # when the command that is furthest was told
         self._reactions: list[Sent] = []
         self._reaction = 0
         self._due: list[tuple[int, int, bytes]] = []  # answers, by time and order
@@ -101,13 +103,18 @@ class TapePlayer:
         self._go_to(number, now_ns)
         return step
 
-    def poll(self, key: Key) -> Step | None:
+    def poll(self, key: Key, now_ns: int) -> Step | None:
         """What is answered to this now; None: the recording does not tell.
 
         Within an epoch, what was asked in it, in order, and then the last of it again; besides,
-        what never has another answer.
+        what never has another answer. That nothing was answered (it had not booted yet) holds only
+        until the time, behind the command, at which it sent something, or was asked again.
         """
         waiting = self._polls.get(key)
+        while waiting and len(waiting) > 1 and _is_silent(waiting[0]):
+            if now_ns - self._epoch_ns < self._silent_for_ns(waiting[0], waiting[1]):
+                break
+            del waiting[0]
         step = waiting.pop(0) if waiting else self._answered.get(key, self._constants.get(key))
         if step is not None:
             self._answered[key] = step
@@ -181,6 +188,13 @@ class TapePlayer:
 
     # -------------------------------------------------------------------------------- inside
 
+    def _silent_for_ns(self, step: Step, later: Step) -> int:
+        """How long behind the epoch's command what was told nothing to `step` stayed so."""
+        command = self._steps[self._place]
+        asked_ns = step.time_ns - command.time_ns
+        spoke_ns = (sent.delay_ns for sent in command.reactions if sent.delay_ns > asked_ns)
+        return min(next(spoke_ns, _NEVER_NS), later.time_ns - command.time_ns)
+
     def _find(self, key: Key) -> int | None:
         """The step of a command: the first behind the last one found, else one left out."""
         ahead = self._commands[self._next : self._next + LOOK_AHEAD]
@@ -197,7 +211,7 @@ class TapePlayer:
         self._anchor_ns, self._reactions, self._reaction = now_ns, step.reactions, 0
         if number < self._place:
             return
-        self._place = number
+        self._place, self._epoch_ns = number, now_ns
         while self._next < len(self._commands) and self._commands[self._next] <= number:
             self._next += 1
         self._polls.clear()
@@ -271,6 +285,10 @@ def _constants(steps: list[Step]) -> dict[Key, Step]:
         if first is not None and _answers(first) != _answers(step):
             found[step.key] = None
     return {key: step for key, step in found.items() if step is not None}
+
+
+def _is_silent(step: Step) -> bool:
+    return bool(step.turns) and not any(turn.answers for turn in step.turns)
 
 
 def _answers(step: Step) -> list[list[bytes]]:

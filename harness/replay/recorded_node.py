@@ -63,7 +63,7 @@ class RecordedNode:
         can_id = int.from_bytes(data[:4], "little")
         identifier = can_id & 0x7FF
         if can_id & RTR:
-            self._answer(self.player.poll(remote_key(identifier)), now_ns)
+            self._answer(self.player.poll(remote_key(identifier), now_ns), now_ns)
         elif identifier == 0:
             self._nmt(data, now_ns)
         elif identifier == _SYNC:
@@ -146,7 +146,7 @@ class RecordedNode:
         if self.player.is_next(SYNC_KEY):
             step = self.player.command(SYNC_KEY, now_ns)
         else:
-            step = self.player.poll(SYNC_KEY)
+            step = self.player.poll(SYNC_KEY, now_ns)
         self._answer(step, now_ns)
 
     def _answer(self, step: Step | None, now_ns: int) -> None:
@@ -187,7 +187,7 @@ class RecordedNode:
         """What the recording has for a request; a write is a command, a read a poll."""
         kind = data[0] >> 5
         if kind == 2 or (kind == 5 and not data[0] & 0x03):
-            return self.player.poll(key)
+            return self.player.poll(key, now_ns)
         if kind == 1 or (kind == 6 and not data[0] & 0x01):
             return self.player.command(key, now_ns)
         return None

@@ -53,7 +53,7 @@ class RecordedUnit:
         pdu = data[1:-2]
         key = request_key(pdu)
         is_command = role_of(pdu) is Role.COMMAND
-        step = self.player.command(key, now_ns) if is_command else self.player.poll(key)
+        step = self.player.command(key, now_ns) if is_command else self.player.poll(key, now_ns)
         if step is not None:
             if data[0] and step.turns:
                 self.player.answer(step.turns[0].answers, now_ns)

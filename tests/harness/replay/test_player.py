@@ -74,14 +74,32 @@ def test_polls_are_answered_in_order_and_the_last_again_until_the_next_command()
     player = played(command(1), poll(7, b"not yet"), poll(7, b"done"), command(2), poll(7, b"off"))
     player.command(key(1), 0)
     read = ("read", 7, b"")
-    assert [answers(player.poll(read))[0] for _ in range(4)] == [
+    assert [answers(player.poll(read, 0))[0] for _ in range(4)] == [
         b"not yet",
         b"done",
         b"done",
         b"done",
     ]
     player.command(key(2), MS)
-    assert answers(player.poll(read)) == [b"off"]
+    assert answers(player.poll(read, 0)) == [b"off"]
+
+
+def test_a_drive_is_silent_as_long_as_the_recorded_one_was_and_no_longer():
+    """It is asked before it has booted; the host that comes later finds it there."""
+    read = ("read", 7, b"")
+    silent, there = poll(7, b""), poll(7, b"here")
+    silent.turns[0].answers.clear()
+    there.time_ns = 300 * MS
+    player = played(silent, there)
+    assert answers(player.poll(read, 299 * MS)) == []
+    player = played(silent, there)
+    assert answers(player.poll(read, 300 * MS)) == [b"here"]
+    recorded = tape(silent, there)
+    recorded.steps[0].reactions.append(Sent(200 * MS, b"\1\7\0\0boot"))
+    for now_ns, expected in ((200 * MS - 1, []), (200 * MS, [b"here"])):
+        player = TapePlayer(recorded)
+        player.start(0)
+        assert answers(player.poll(read, now_ns)) == expected
 
 
 def test_what_is_asked_in_another_epoch_has_no_answer_unless_it_never_changes():
@@ -90,9 +108,9 @@ def test_what_is_asked_in_another_epoch_has_no_answer_unless_it_never_changes():
     )
     player.command(key(1), 0)
     player.command(key(2), 0)
-    assert player.poll(("read", 7, b"")) is None
-    assert answers(player.poll(("read", 8, b""))) == [b"same"]
-    assert player.poll(("read", 9, b"")) is None
+    assert player.poll(("read", 7, b""), 0) is None
+    assert answers(player.poll(("read", 8, b""), 0)) == [b"same"]
+    assert player.poll(("read", 9, b""), 0) is None
 
 
 def test_the_same_words_again_are_answered_again_and_nothing_comes_of_it():
@@ -168,7 +186,7 @@ def test_whatever_a_host_does_each_command_is_found_once_and_nothing_runs_early(
             now_ns += number * MS
             player.take(now_ns)
         elif what == "P":
-            player.poll(("read", 100, b""))
+            player.poll(("read", 100, b""), now_ns)
         else:
             wanted = following if what == "N" else number
             matched = player.matched
