@@ -1,0 +1,300 @@
+"""One CAN bus as the page needs it: who takes how much of it, and what its nodes tell of motors.
+
+Most frames are PDOs, and of most objects in them nothing is drawn. So which bits of a PDO are which
+quantity is worked out once, from what the decoder has learned, and again after whatever can change
+it; all other CANopen frames are the decoder's. Heartbeats that repeat the last one tell nothing.
+"""
+
+import struct
+from typing import Final, final
+
+from emulators.media.can_bits import frame_bits
+from harness.report.incidents import Incidents, Severity
+from harness.report.nodes import Nodes
+from harness.report.traffic import Traffic
+from traces.canopen_codes import NMT_STATES
+from traces.decode_canopen import CanopenDecoder
+from traces.decode_cia402 import STATES
+from traces.object_names import axis_of
+from traces.pdo_maps import PdoKey
+from traces.recorded_names import RecordedNames
+from traces.said import Kind, Said
+from traces.frame_decoder import FrameDecoder
+
+_EFF: Final = 0x8000_0000
+_RTR: Final = 0x4000_0000
+_ERR: Final = 0x2000_0000
+_SYNC: Final = 0x080
+_HEAD: Final = struct.Struct("<IBB")
+
+# Index: whether it is signed. Source: CiA 402-2, object dictionary.
+QUANTITIES: Final[dict[int, bool]] = {
+    0x603F: False,  # error code
+    0x6041: False,  # statusword
+    0x6061: True,  # modes of operation display
+    0x6062: True,  # position demand value
+    0x6064: True,  # position actual value
+    0x606B: True,  # velocity demand value
+    0x606C: True,  # velocity actual value
+    0x6077: True,  # torque actual value
+    0x607A: True,  # target position
+    0x60C1: True,  # interpolation data record
+    0x60F4: True,  # following error actual value
+    0x60FF: True,  # target velocity
+}
+STATUSWORD: Final = 0x6041
+UNKNOWN_STATE: Final = len(STATES)
+
+_Part = tuple[int, int, int, bool, int, int]
+"""Node, shift, mask, whether it is signed, axis, index on the first axis."""
+
+
+@final
+class CanBus:
+    """Takes the frames of one bus.
+
+    Attributes: traffic; unmapped (frames that would be PDOs, of which no mapping is known);
+    fd_frames; doubtful (frames that would be emergencies, on a bus where nothing else says that it
+    is CANopen: they are told only after something has).
+    """
+
+    def __init__(
+        self,
+        name: str,
+        bitrate_bit_s: int | None,
+        names: RecordedNames,
+        nodes: Nodes,
+        incidents: Incidents,
+    ) -> None:
+        """What its nodes tell goes to `nodes`, what happens to `incidents`."""
+        why = "" if bitrate_bit_s else "its bit rate is not in the recording; give it by --bitrate"
+        capacity = float(bitrate_bit_s) if bitrate_bit_s else None
+        self.traffic = Traffic(name, "CAN", "bit", capacity, why)
+        self.unmapped = 0
+        self.fd_frames = 0
+        self._name = name
+        self._nodes = nodes
+        self._incidents = incidents
+        self._frames = FrameDecoder()
+        own = {n: controller for (bus, n), controller in names.nodes.items() if bus == name}
+        objects = {n: eds for (bus, n), eds in names.objects.items() if bus == name}
+        self._node_names = own
+        self._decoder = CanopenDecoder(own, objects)
+        self._labels: dict[int, int] = {}
+        self._plans: dict[int, tuple[_Part, ...] | None] = {}
+        self._heartbeats: dict[int, int] = {}
+        self._no_drives: set[int] = set()
+        self._is_canopen = False
+        self.doubtful: list[tuple[int, Severity, str]] = []
+
+    def take(self, time_ns: int, payload: bytes) -> None:
+        """A recorded frame.
+
+        Raises:
+            ValueError: it is none.
+        """
+        frame = self._frames.decode(payload)[0]
+        can_id, length, _ = _HEAD.unpack_from(frame)
+        if can_id & _ERR:
+            self._error(time_ns, frame)
+            return
+        self._weigh(time_ns, can_id, length, frame)
+        if can_id & (_EFF | _RTR) or len(frame) != 16:
+            return
+        function = can_id >> 7
+        if function == 14 and length == 1:
+            state = frame[8]
+            if state and self._heartbeats.get(can_id) == state:
+                return
+            self._heartbeats[can_id] = state
+        elif can_id and not (function == 1 and length == 8) and function not in (11, 12):
+            if can_id == _SYNC and length <= 1 and not self._is_canopen:
+                self._begin_canopen(self._decoder.decode(frame))
+            self._pdo(time_ns, can_id, frame[8 : 8 + length])
+            return
+        self._tell(time_ns, self._decoder.decode(frame))
+
+    # ----------------------------------------------------------------------------------- load
+
+    def _weigh(self, time_ns: int, can_id: int, length: int, frame: bytes) -> None:
+        key = self._labels.get(can_id)
+        if key is None:
+            key = self._labels[can_id] = self._new_label(can_id)
+        if len(frame) == 16 and length <= 8:
+            bits = frame_bits(frame)
+        else:
+            self.fd_frames += 1
+            bits = fd_bits(length, extended=bool(can_id & _EFF))
+        self.traffic.add(time_ns, key, bits)
+
+    def _new_label(self, can_id: int) -> int:
+        identifier = can_id & 0x1FFF_FFFF
+        text = f"{identifier:08X}h" if can_id & _EFF else f"{identifier:03X}h"
+        rank = identifier << 2 | 1 if can_id & _EFF else identifier << 20
+        if can_id & _RTR:
+            return self.traffic.label(f"{text} remote", rank + 1)
+        name = "" if can_id & _EFF else self._usual(identifier)
+        return self.traffic.label(text, rank, name)
+
+    def _usual(self, identifier: int) -> str:
+        """What the identifier is for by the pre-defined connection set, and whose."""
+        function, node = identifier >> 7, identifier & 0x7F
+        if identifier == 0:
+            return "NMT"
+        if identifier == 0x080:
+            return "SYNC"
+        if identifier == 0x100:
+            return "TIME"
+        what = _SERVICES.get(function)
+        if what is None or not node:
+            return ""
+        return f"{what} {self._node_names.get(node, f'node {node}')}"
+
+    # ---------------------------------------------------------------------------------- nodes
+
+    def _pdo(self, time_ns: int, identifier: int, data: bytes) -> None:
+        try:
+            plan = self._plans[identifier]
+        except KeyError:
+            plan = self._plans[identifier] = self._plan(identifier)
+        if plan is None:
+            self.unmapped += 1
+            return
+        if not plan:
+            return
+        raw, size = int.from_bytes(data, "little"), 8 * len(data)
+        for node, shift, mask, is_signed, axis, index in plan:
+            width = mask.bit_length()
+            if shift + width > size:
+                continue
+            value = raw >> shift & mask
+            if is_signed and value >> width - 1:
+                value -= 1 << width
+            self._quantity(time_ns, node, axis, index, value)
+
+    def _plan(self, identifier: int) -> tuple[_Part, ...] | None:
+        """What of a PDO is drawn; None: it is one and what it carries is not known."""
+        parts: list[_Part] = []
+        keys: list[PdoKey] = self._decoder.maps.of(identifier)
+        unknown = False
+        for key in keys:
+            objects = self._decoder.maps.objects(key)
+            unknown = unknown or objects is None
+            at = 0
+            for index, _, bits in objects or ():
+                axis, first = axis_of(index)
+                if first in QUANTITIES and key[0] not in self._no_drives:
+                    parts.append((key[0], at, (1 << bits) - 1, QUANTITIES[first], axis, first))
+                at += bits
+        return None if unknown and not parts else tuple(parts)
+
+    def _quantity(self, time_ns: int, node: int, axis: int, index: int, value: int) -> None:
+        told = self._nodes.of(self._name, node, axis)
+        if index == STATUSWORD:
+            told.pds.add(time_ns, pds_code(value))
+        elif index == 0x6061:
+            told.mode.add(time_ns, value)
+        elif index != 0x603F:
+            told.track(index).add(time_ns, value)
+
+    def _tell(self, time_ns: int, said: Said) -> None:
+        """A frame that the decoder has read."""
+        kind, node = said.kind, said.node
+        if not self._is_canopen and kind is not Kind.EMERGENCY:
+            self._begin_canopen(said)
+        if kind in (Kind.SDO_REQUEST, Kind.SDO_RESPONSE):
+            self._sdo(time_ns, said)
+            return
+        if kind in (Kind.BOOT, Kind.NMT):
+            self._plans.clear()
+            self._heartbeats.clear()
+            word = "boot-up" if kind is Kind.BOOT else "NMT command"
+            self._incidents.add(time_ns, Severity.INFO, word, self._name, said.text)
+        if kind in (Kind.BOOT, Kind.HEARTBEAT) and node is not None:
+            code = said.facts[0].value
+            assert isinstance(code, int)
+            self._nodes.of(self._name, node, 1).nmt.add(time_ns, code)
+        elif kind is Kind.EMERGENCY:
+            data = said.facts[0].value
+            over = isinstance(data, bytes) and data[:2] == b"\0\0"
+            level = Severity.INFO if over else Severity.ERROR
+            if self._is_canopen:
+                self._incidents.add(time_ns, level, "emergency", self._name, said.text)
+            else:
+                self.doubtful.append((time_ns, level, said.text))
+
+    def _begin_canopen(self, said: Said) -> None:
+        """Something that only CANopen says: what looked like emergencies were some."""
+        if said.kind in (Kind.SDO_REQUEST, Kind.SDO_RESPONSE) and said.index is None:
+            return
+        self._is_canopen = True
+        for time_ns, level, text in self.doubtful:
+            self._incidents.add(time_ns, level, "emergency", self._name, text)
+        self.doubtful.clear()
+
+    def _sdo(self, time_ns: int, said: Said) -> None:
+        index, node = said.index, said.node
+        if index is None or node is None or not said.facts:
+            return
+        fact = said.facts[0]
+        if fact.subject.endswith("aborted"):
+            self._incidents.add(time_ns, Severity.WARNING, "SDO abort", self._name, said.text)
+            return
+        if not isinstance(fact.value, int):
+            return
+        if 0x1400 <= index < 0x1C00:
+            self._plans.clear()
+        elif index == 0x1000:
+            self._plans.clear()
+            is_drive = fact.value & 0xFFFF in (402, 0xFFFF)
+            (self._no_drives.discard if is_drive else self._no_drives.add)(node)
+        elif index >= 0x6000 and node not in self._no_drives:
+            axis, first = axis_of(index)
+            if first in QUANTITIES:
+                self._quantity(time_ns, node, axis, first, fact.value)
+
+    def _error(self, time_ns: int, frame: bytes) -> None:
+        said = self._decoder.decode(frame)
+        level = Severity.ERROR if "bus-off" in said.text else Severity.WARNING
+        self._incidents.add(time_ns, level, "error frame", self._name, said.text)
+
+
+_SERVICES: Final = {
+    1: "EMCY",
+    3: "TPDO 1",
+    4: "RPDO 1",
+    5: "TPDO 2",
+    6: "RPDO 2",
+    7: "TPDO 3",
+    8: "RPDO 3",
+    9: "TPDO 4",
+    10: "RPDO 4",
+    11: "SDO from",
+    12: "SDO to",
+    14: "heartbeat",
+}
+
+
+def pds_code(statusword: int) -> int:
+    """Which of `traces.decode_cia402.STATES` it shows; `UNKNOWN_STATE`: none of them."""
+    for number, (mask, value, _) in enumerate(STATES):
+        if statusword & mask == value:
+            return number
+    return UNKNOWN_STATE
+
+
+def nmt_text(code: int) -> str:
+    """A state of the NMT slave in words."""
+    return NMT_STATES.get(code, f"state {code:02X}h")
+
+
+def fd_bits(length: int, *, extended: bool) -> int:
+    """Bits of a CAN FD frame without stuff bits, intermission included, as if at one bit rate.
+
+    Source: ISO 11898-1, FD base and extended frame format: 17 or 21 bits of CRC behind 4 of stuff
+    count, each with its fixed stuff bits.
+    """
+    head = 41 if extended else 22  # SOF to DLC
+    crc = 17 if length <= 16 else 21
+    fixed = (crc + 4 + 3) // 4 + 1
+    return head + 8 * length + 4 + crc + fixed + 13

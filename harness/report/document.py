@@ -1,0 +1,356 @@
+"""What the page draws, as one JSON document beside packed arrays."""
+
+from math import isfinite
+from typing import TYPE_CHECKING, Final
+
+from harness.report.collect import Findings
+from harness.report.incidents import Severity
+from harness.report.motors import Line, Motor, Plot, motors_of
+from harness.report.pack import Packed, Packer
+from harness.report.reduce import FRAMES_MAX, POINTS_MAX, cells, extremes, share
+from harness.report.timelines import (
+    Timeline,
+    lock_timeline,
+    mode_timeline,
+    nmt_timeline,
+    pds_timeline,
+)
+from harness.report.traffic import Traffic
+from traces.reader import Trace
+
+if TYPE_CHECKING:
+    from numpy import int64
+    from numpy.typing import NDArray
+
+Json = dict[str, object]
+FORMAT: Final = 1
+WALL_NS: Final = 10**15
+"""Log times from here on are of a calendar (11 days and more), not of a rig that began at 0."""
+
+
+def document_of(
+    trace: Trace,
+    found: Findings,
+    title: str,
+    points_max: int = POINTS_MAX,
+    frames_max: int = FRAMES_MAX,
+) -> tuple[Json, str]:
+    """(the document, the packed arrays as text).
+
+    Args:
+        trace: it was read from.
+        found: in it.
+        title: of the page.
+        points_max: of all quantities together.
+        frames_max: of all buses together.
+    """
+    span_ns = max(1, found.end_ns - found.begin_ns)
+    packer = Packer(span_ns)
+    motors = motors_of(found)
+    notes = _notes(trace, found)
+    points = sum(len(line.times_ns) for m in motors for p in m.plots for line in p.lines)
+    if points > points_max:
+        notes.append(
+            f"{points:,} points of quantities are drawn by about {points_max:,} of them: of each"
+            " stretch of time the first, the last, the lowest and the highest"
+        )
+    frames = sum(len(one.times_ns) for one in found.traffics())
+    if frames > frames_max:
+        notes.append(
+            f"{frames:,} frames are drawn as sums over short stretches of time, as the panels say"
+        )
+    document: Json = {
+        "format": FORMAT,
+        "title": title,
+        "file": trace.path.rpartition("/")[2],
+        "time": _time(found, packer, span_ns),
+        "facts": _facts(trace, found, span_ns),
+        "motors": [_motor(m, packer, points, points_max, span_ns) for m in motors],
+        "timelines": [
+            _timeline(one, packer)
+            for one in (
+                pds_timeline(found, motors, span_ns),
+                lock_timeline(found, span_ns),
+                nmt_timeline(found, motors, span_ns),
+                mode_timeline(motors, span_ns),
+            )
+        ],
+        "groups": _groups(found, packer),
+        "traffic": [_traffic(one, packer, frames, frames_max) for one in found.traffics()],
+        "incidents": _incidents(found, packer),
+        "notes": notes,
+    }
+    return document, packer.text()
+
+
+def _time(found: Findings, packer: Packer, span_ns: int) -> Json:
+    kind = "rig"
+    if found.in_order:
+        kind = "order"
+    elif found.begin_ns >= WALL_NS:
+        kind = "wall"
+    told: Json = {
+        "kind": kind,
+        "span": packer.ticks(span_ns),
+        "tick_s": 1.0 if found.in_order else packer.tick_ns / 1e9,
+        "begin_s": found.begin_ns / 1e9 if kind == "rig" else 0.0,
+        "begin_ns": str(found.begin_ns),
+    }
+    return told
+
+
+def _facts(trace: Trace, found: Findings, span_ns: int) -> list[list[str]]:
+    """Lines of the head: what was recorded, when, by what."""
+    facts: list[list[str]] = []
+    if found.rig.name:
+        facts.append(["rig", found.rig.name])
+    run = trace.metadata.get("run", {})
+    for key in ("seed", "command_line"):
+        if run.get(key):
+            facts.append([key.replace("_", " "), run[key]])
+    source = trace.metadata.get("convert", {})
+    if source:
+        facts.append(["converted from", f"{source.get('source', '')} ({source.get('format', '')})"])
+    facts.append(["messages", f"{sum(found.messages.values()):,}"])
+    version = trace.metadata.get("versions", {}).get("motorhil")
+    writer = trace.library or "unknown"
+    facts.append(["written by", f"{writer} {version}" if version else writer])
+    return facts
+
+
+def _notes(trace: Trace, found: Findings) -> list[str]:
+    """What one should know before believing the page."""
+    notes: list[str] = []
+    if not sum(found.messages.values()):
+        notes.append("the recording holds no messages")
+    if trace.cut is not None:
+        more = f"; {trace.salvaged} messages of its last chunk were read" if trace.salvaged else ""
+        notes.append(f"the file is {trace.cut}{more}")
+    if found.in_order and found.messages:
+        notes.append("all messages have one time: the axis counts messages, rates are not drawn")
+    if found.backward:
+        notes.append(
+            f"{found.backward:,} messages are stamped earlier than the one before: drawn by stamp"
+        )
+    for topic, count in found.unread.items():
+        notes.append(f"{count:,} messages of {topic} cannot be read")
+    for topic, count in found.not_drawn.items():
+        notes.append(f"{topic} ({count:,} messages) is of a kind that is not drawn")
+    for name, bus in found.buses.items():
+        if bus.unmapped:
+            notes.append(
+                f"{name}: of {bus.unmapped:,} frames that may be PDOs the mapping is not in the"
+                " recording, so their objects are not drawn"
+            )
+        if bus.doubtful:
+            notes.append(
+                f"{name}: {len(bus.doubtful):,} frames have identifiers of emergencies (081h to"
+                " 0FFh), but nothing on this bus is CANopen for certain: not taken for any"
+            )
+        if bus.fd_frames:
+            notes.append(
+                f"{name}: {bus.fd_frames:,} CAN FD frames count by their bits without stuff bits"
+            )
+    return notes + found.incidents.left_out()
+
+
+# -------------------------------------------------------------------------------------- motors
+
+
+def _motor(motor: Motor, packer: Packer, points: int, points_max: int, span_ns: int) -> Json:
+    return {
+        "name": motor.name,
+        "about": motor.about,
+        "scale": motor.scale,
+        "summary": _summary(motor, packer),
+        "plots": [_plot(plot, packer, points, points_max, span_ns) for plot in motor.plots],
+    }
+
+
+def _plot(plot: Plot, packer: Packer, points: int, points_max: int, span_ns: int) -> Json:
+    return {
+        "quantity": plot.quantity,
+        "unit": plot.unit,
+        "missing": plot.missing,
+        "lines": [_line(line, packer, points, points_max) for line in plot.lines],
+    }
+
+
+def _line(line: Line, packer: Packer, points: int, points_max: int) -> Json:
+    count = len(line.times_ns)
+    times, values = extremes(line.times_ns, line.values, share(count, points, points_max))
+    return {
+        "name": line.name,
+        "role": line.role,
+        "source": line.source,
+        "held": line.held,
+        "points": count,
+        "t": packer.times(times),
+        "v": packer.numbers(values),
+    }
+
+
+def _summary(motor: Motor, packer: Packer) -> Json:
+    """Travel, top speed and largest following error, by the best that is told of each."""
+    import numpy as np
+
+    told: Json = {}
+    for quantity in ("position", "velocity", "following error"):
+        line, unit = _best(motor, quantity)
+        if line is None or not np.isfinite(line.values).any():
+            continue
+        if quantity == "position":
+            place = int(np.nanargmax(line.values))
+            value = float(line.values[place] - np.nanmin(line.values))
+        else:
+            place = int(np.nanargmax(abs(line.values)))
+            value = float(abs(line.values[place]))
+        if not isfinite(value):
+            continue
+        told[quantity] = {
+            "value": value,
+            "unit": unit,
+            "at": packer.ticks(int(line.times_ns[place])),
+            "source": line.source,
+        }
+    return told
+
+
+def _best(motor: Motor, quantity: str) -> tuple[Line | None, str]:
+    for role in ("truth", "actual"):
+        for plot in motor.plots:
+            if plot.quantity == quantity:
+                for line in plot.lines:
+                    if line.role == role:
+                        return line, plot.unit
+    return None, ""
+
+
+# --------------------------------------------------------------- states, groups, buses, events
+
+
+def _timeline(line: Timeline, packer: Packer) -> Json:
+    rows: list[Json] = []
+    for row in line.rows:
+        texts = list(dict.fromkeys(bar.text for bar in row.bars))
+        rows.append(
+            {
+                "name": row.name,
+                "left_out": row.left_out,
+                "from": packer.whole([packer.ticks(bar.from_ns) for bar in row.bars]),
+                "to": packer.whole([packer.ticks(bar.to_ns) for bar in row.bars]),
+                "word": packer.whole([bar.word for bar in row.bars]),
+                "waits": packer.whole([int(bar.waits) for bar in row.bars]),
+                "text": packer.whole([texts.index(bar.text) for bar in row.bars]),
+                "texts": texts,
+            }
+        )
+    return {
+        "title": line.title,
+        "about": line.about,
+        "words": line.words,
+        "tones": line.tones,
+        "rows": rows,
+    }
+
+
+def _groups(found: Findings, packer: Packer) -> list[Json]:
+    order = {name: place for place, name in enumerate(found.rig.groups)}
+    names = sorted(
+        {one.group for one in found.groups}, key=lambda name: (order.get(name, len(order)), name)
+    )
+    return [
+        {
+            "name": name,
+            "moments": [
+                {
+                    "at": packer.ticks(one.time_ns),
+                    "start": one.is_start,
+                    "motors": one.motors,
+                    "offsets_s": [_finite(offset_s) for offset_s in one.offsets_s],
+                    "skew_s": _finite(one.skew_s),
+                    "predicted_s": _finite(one.predicted_s),
+                    "method": one.method,
+                }
+                for one in found.groups
+                if one.group == name
+            ],
+        }
+        for name in names
+    ]
+
+
+def _finite(value: float | None) -> float | None:
+    """None also of what is no number: JSON has none for it."""
+    return value if value is not None and isfinite(value) else None
+
+
+def _traffic(traffic: Traffic, packer: Packer, frames: int, frames_max: int) -> Json:
+    import numpy as np
+
+    times = np.array(traffic.times_ns, dtype=np.int64)
+    keys = np.array(traffic.keys, dtype=np.int64)
+    weights = np.array(traffic.weights, dtype=np.int64)
+    order = np.argsort(times, kind="stable")
+    times, keys, weights = times[order], _by_rank(traffic, keys[order]), weights[order]
+    counts, width_ns = np.ones(len(times), dtype=np.int64), 0
+    budget = share(len(times), frames, frames_max)
+    if len(times) > budget:
+        width_ns = _cell_width_ns(times, keys, budget)
+        times, keys, weights, counts = cells(times, keys, weights, width_ns)
+    ranked = sorted(range(len(traffic.labels)), key=lambda n: (traffic.ranks[n], n))
+    packed: dict[str, Packed] = {
+        "t": packer.times(times),
+        "key": packer.whole(keys),
+        "weight": packer.whole(weights),
+    }
+    if width_ns:
+        packed["count"] = packer.whole(counts)
+    return {
+        "name": traffic.name,
+        "kind": traffic.kind,
+        "unit": traffic.unit,
+        "capacity_s": traffic.capacity_s,
+        "why": traffic.why_no_capacity,
+        "frames": len(traffic.times_ns),
+        "cell_s": width_ns / 1e9,
+        "labels": [traffic.labels[number] for number in ranked],
+        "names": [traffic.names[number] for number in ranked],
+        **packed,
+    }
+
+
+def _by_rank(traffic: Traffic, keys: "NDArray[int64]") -> "NDArray[int64]":
+    """The labels' numbers, when the labels stand in order."""
+    import numpy as np
+
+    ranked = sorted(range(len(traffic.labels)), key=lambda n: (traffic.ranks[n], n))
+    places = np.zeros(max(1, len(ranked)), dtype=np.int64)
+    places[ranked] = np.arange(len(ranked))
+    return places[keys]
+
+
+def _cell_width_ns(times: "NDArray[int64]", keys: "NDArray[int64]", budget: int) -> int:
+    """The width of cells of which there are at most so many, a power of two of 1 ms or less."""
+    import numpy as np
+
+    width_ns = 125_000
+    while True:
+        codes = times // width_ns * (1 << 16) + keys
+        if len(np.unique(codes)) <= budget or width_ns > 1 << 60:
+            return width_ns
+        width_ns *= 2
+
+
+def _incidents(found: Findings, packer: Packer) -> Json:
+    ordered = sorted(found.incidents.kept, key=lambda one: one.time_ns)
+    kinds = sorted(found.incidents.counts)
+    return {
+        "kinds": kinds,
+        "counts": [found.incidents.counts[kind] for kind in kinds],
+        "list": [
+            [packer.ticks(i.time_ns), int(i.severity), kinds.index(i.kind), i.place, i.text]
+            for i in ordered
+        ],
+        "severities": [severity.name.lower() for severity in Severity],
+    }

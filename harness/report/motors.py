@@ -1,0 +1,331 @@
+"""What is known of each motor, as plots: position, velocity, following error, torque.
+
+The application's state is in rad or m. A drive counts in increments of its own: they become rad or
+m where the motor's model is in the recording, or where its truth tells a position in both; else
+they are drawn as increments. What is not told is not derived from something else, with two
+exceptions that say so: the velocity demand by differences of the position demand, and the following
+error of a drive that tells demand and actual position but not their difference.
+"""
+
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Final, final
+
+from harness.report.collect import Findings
+from harness.report.nodes import Place, Told
+from harness.report.rig_facts import MotorFacts
+from harness.report.tracks import Track
+
+if TYPE_CHECKING:
+    from numpy import float64, int64
+    from numpy.typing import NDArray
+
+QUANTITIES: Final = ("position", "velocity", "following error", "torque")
+_SAME: Final = 0.01
+_TRAVEL_INC: Final = 1_000.0
+
+
+@final
+@dataclass(frozen=True, slots=True)
+class Line:
+    """One line of a plot.
+
+    Attributes: name; role ("demand", "actual", "truth", "target"); source (topic and field, or
+    object); held; times_ns, values (by time).
+    """
+
+    name: str
+    role: str
+    source: str
+    held: bool
+    times_ns: "NDArray[int64]"
+    values: "NDArray[float64]"
+
+
+@final
+@dataclass(slots=True)
+class Plot:
+    """One quantity in one unit; without lines it is not told, and `missing` says why."""
+
+    quantity: str
+    unit: str
+    lines: list[Line] = field(default_factory=list)
+    missing: str = ""
+
+
+@final
+@dataclass(slots=True)
+class Motor:
+    """A motor, or an axis of a node that no motor is known for.
+
+    Attributes: name; about (where it is, in words); place; told (by its drive on a bus); plots (one
+    or more for each of `QUANTITIES`); scale (where its units are from, in words).
+    """
+
+    name: str
+    about: str
+    place: Place | None
+    told: Told | None
+    plots: list[Plot]
+    scale: str
+    truth_states: Track | None = None
+
+
+def motors_of(found: Findings) -> list[Motor]:
+    """All of them: the rig's, in its order, then those that only the recording tells of."""
+    facts = dict(found.rig.motors)
+    covered = {one.controller for one in facts.values()}
+    for name in found.states:
+        if name not in facts:
+            place = found.names.motors.get(name)
+            controller = name if name in found.truths else None
+            facts[name] = MotorFacts(name, controller=controller, place=place)
+            covered.add(controller)
+    for name in found.truths:
+        if name not in covered and name not in facts:
+            facts[name] = MotorFacts(name, "rad", controller=name)
+    motors = [_motor(found, one) for one in facts.values()]
+    known = {motor.place for motor in motors}
+    for axis, told in sorted(found.nodes.told.items()):
+        if axis not in known and (told.tracks or len(told.pds)):
+            motors.append(_nameless(found, axis))
+    return motors
+
+
+def _nameless(found: Findings, place: Place) -> Motor:
+    bus, node, axis = place
+    name = found.names.nodes.get((bus, node), f"{bus} node {node}")
+    return _motor(found, MotorFacts(name if axis == 1 else f"{name} axis {axis}"), place)
+
+
+def _motor(found: Findings, facts: MotorFacts, place: Place | None = None) -> Motor:
+    if place is None and facts.place is not None:
+        place = (*facts.place, facts.channel)
+    told = found.nodes.told.get(place) if place is not None else None
+    truth = _truth_of(found, facts)
+    state = found.states.get(facts.name, {})
+    unit = facts.unit or ("rad" if "position_rad" in truth else "rad or m" if state else "")
+    scale, scale_text = _scale(facts, truth, unit)
+    builder = _Builder(facts, unit, scale)
+    builder.add_state(state)
+    builder.add_truth(truth)
+    if told is not None:
+        builder.add_told(told)
+    about = f"{place[0]} node {place[1]}" if place is not None and told is not None else ""
+    return Motor(facts.name, about, place, told, builder.plots(), scale_text, truth.get("state"))
+
+
+def _truth_of(found: Findings, facts: MotorFacts) -> dict[str, Track]:
+    """The truth of its controller, of its own channel."""
+    if facts.controller is None:
+        return {}
+    truth = found.truths.get(facts.controller, {})
+    prefix = "" if facts.channel == 1 else f"channel_{facts.channel}_"
+    if prefix:
+        return {k.removeprefix(prefix): t for k, t in truth.items() if k.startswith(prefix)}
+    return {key: track for key, track in truth.items() if not key.startswith("channel_")}
+
+
+def _scale(facts: MotorFacts, truth: dict[str, Track], unit: str) -> tuple[float | None, str]:
+    """Increments in one rad or m as its truth counts, and who says so."""
+    measured = _measured(truth)
+    given = facts.increments_per_unit
+    if measured is not None and (given is None or abs(given / measured - 1.0) > _SAME):
+        return measured, f"1 {unit} is {measured:,.2f} increments of its truth, by its own position"
+    if given is not None:
+        return given, f"1 {unit} is {given:,.2f} increments, by {facts.model or 'its model'}"
+    return None, "what an increment is in rad or m is not in the recording"
+
+
+def _measured(truth: dict[str, Track]) -> float | None:
+    """By a truth's position in both units; None: it has not moved far enough to tell."""
+    both = truth.get("position_inc"), truth.get("position_rad")
+    if both[0] is None or both[1] is None or not len(both[0]):
+        return None
+    low = min(range(len(both[0])), key=both[0].values.__getitem__)
+    high = max(range(len(both[0])), key=both[0].values.__getitem__)
+    travel_inc = both[0].values[high] - both[0].values[low]
+    travel = both[1].values[high] - both[1].values[low]
+    return travel_inc / travel if travel_inc >= _TRAVEL_INC and travel else None
+
+
+@final
+class _Builder:
+    """The plots of one motor."""
+
+    def __init__(self, facts: MotorFacts, unit: str, scale: float | None) -> None:
+        self._facts = facts
+        self._unit = unit
+        self._scale = scale
+        self._plots: dict[tuple[str, str], Plot] = {}
+        self._roles: set[tuple[str, str]] = set()
+
+    def plots(self) -> list[Plot]:
+        """By quantity; one that nothing tells of has a reason instead of lines."""
+        found: list[Plot] = []
+        for quantity in QUANTITIES:
+            own = [plot for (name, _), plot in self._plots.items() if name == quantity]
+            found += own or [Plot(quantity, "", missing=_MISSING[quantity])]
+        return found
+
+    def add_state(self, state: dict[str, Track]) -> None:
+        """What the application knows of it."""
+        topic = f"/motor/{self._facts.name}/state"
+        unit = self._unit
+        force = {"rad": "N·m", "m": "N"}.get(unit, "N·m or N")
+        rate = f"{unit}/s" if unit in ("rad", "m") else f"({unit})/s"
+        for name, quantity, own in (
+            ("position", "position", unit),
+            ("velocity", "velocity", rate),
+            ("effort", "torque", force),
+        ):
+            if name in state:
+                self._add(
+                    quantity, own, "actual", "actual (application)", f"{topic}.{name}", state[name]
+                )
+
+    def add_truth(self, truth: dict[str, Track]) -> None:
+        """What is so inside its controller."""
+        topic = f"/controller/{self._facts.controller}/truth"
+        for key, quantity, unit in (
+            ("position_rad", "position", "rad"),
+            ("velocity_rad_s", "velocity", "rad/s"),
+            ("torque_n_m", "torque", "N·m"),
+        ):
+            if key in truth:
+                self._add(quantity, unit, "truth", "true (plant)", f"{topic}.{key}", truth[key])
+        error = truth.get("following_error_inc")
+        demand, position = truth.get("demand_inc"), truth.get("position_inc")
+        source = f"{topic}.following_error_inc"
+        if error is not None and self._scale:
+            times, values = error.sorted()
+            self._line(
+                "following error",
+                "rad",
+                "actual",
+                "drive",
+                source,
+                False,
+                times,
+                values / self._scale,
+            )
+        elif error is not None:
+            self._add("following error", "increments", "actual", "drive", source, error)
+        if demand is not None and position is not None and "position_rad" in truth and self._scale:
+            self._add_demand(topic, demand, position, truth["position_rad"])
+
+    def _add_demand(self, topic: str, demand: Track, position: Track, true: Track) -> None:
+        """In rad: as far from where the plant is as the drive's counts say (homing moves both)."""
+        assert self._scale
+        times, wanted = demand.sorted()
+        values = true.sorted()[1] + (wanted - position.sorted()[1]) / self._scale
+        name = f"{topic}.demand_inc"
+        self._line("position", "rad", "demand", "demand (drive)", name, False, times, values)
+        rates = differences(times, wanted / self._scale)
+        told = f"differences of {name}"
+        self._line(
+            "velocity", "rad/s", "demand", "demand (by differences)", told, True, times, rates
+        )
+
+    def add_told(self, told: Told) -> None:
+        """What its drive says on the bus; where the application or the truth say it, not again."""
+        facts = self._facts
+        inc = facts.increments_per_unit
+        for index, quantity, role, name in _TOLD:
+            track = told.tracks.get(index)
+            if track is None or (quantity, role) in self._roles:
+                continue
+            unit, factor = "increments", 1.0
+            if quantity == "velocity":
+                unit = "drive's units"
+                if facts.velocity_unit is not None:
+                    unit, factor = f"{facts.unit}/s", facts.velocity_unit
+            elif quantity == "torque":
+                unit = "‰ of rated"
+            elif inc is not None:
+                unit, factor = facts.unit, 1.0 / inc
+            times, values = track.sorted()
+            source = f"{index:04X}h on the bus"
+            self._line(
+                quantity, unit, role, f"{name} {index:04X}h", source, True, times, values * factor
+            )
+        demand, actual = told.tracks.get(0x6062), told.tracks.get(0x6064)
+        if demand and actual and not any(name == "following error" for name, _ in self._plots):
+            unit, factor = (facts.unit, 1.0 / inc) if inc is not None else ("increments", 1.0)
+            times, values = difference(demand, actual)
+            self._line(
+                "following error",
+                unit,
+                "actual",
+                "6062h minus 6064h",
+                "6062h minus 6064h on the bus",
+                True,
+                times,
+                values * factor,
+            )
+
+    def _add(
+        self, quantity: str, unit: str, role: str, name: str, source: str, track: Track
+    ) -> None:
+        self._line(quantity, unit, role, name, source, track.held, *track.sorted())
+
+    def _line(
+        self,
+        quantity: str,
+        unit: str,
+        role: str,
+        name: str,
+        source: str,
+        held: bool,
+        times: "NDArray[int64]",
+        values: "NDArray[float64]",
+    ) -> None:
+        plot = self._plots.setdefault((quantity, unit), Plot(quantity, unit))
+        plot.lines.append(Line(name, role, source, held, times, values))
+        self._roles.add((quantity, role))
+
+
+_TOLD: Final = (
+    (0x6062, "position", "demand", "demand"),
+    (0x6064, "position", "actual", "actual"),
+    (0x607A, "position", "target", "target"),
+    (0x606B, "velocity", "demand", "demand"),
+    (0x606C, "velocity", "actual", "actual"),
+    (0x60FF, "velocity", "target", "target"),
+    (0x60F4, "following error", "actual", "drive"),
+    (0x6077, "torque", "actual", "actual"),
+)
+_MISSING: Final = {
+    "position": "no position in the recording: no state, no truth, and 6064h is in no known PDO",
+    "velocity": "no velocity in the recording: no state, no truth, and 606Ch is in no known PDO",
+    "following error": "no following error in the recording: no truth, and neither 60F4h nor 6062h"
+    " is in a known PDO",
+    "torque": "no torque in the recording",
+}
+
+
+def differences(times_ns: "NDArray[int64]", values: "NDArray[float64]") -> "NDArray[float64]":
+    """Rates [1/s] from each point to the next; 0 behind the last one.
+
+    Where two have one time, the recorder tells a step behind a silence: it took a sampling period
+    at most, and the shortest time between two points stands for it.
+    """
+    import numpy as np
+
+    if len(times_ns) < 2:
+        return np.zeros(len(times_ns))
+    steps = np.diff(times_ns)
+    positive = steps[steps > 0]
+    shortest = int(positive.min()) if len(positive) else 1
+    rates = np.diff(values) / (np.maximum(steps, shortest) / 1e9)
+    return np.append(rates, 0.0)
+
+
+def difference(one: Track, other: Track) -> "tuple[NDArray[int64], NDArray[float64]]":
+    """One minus the other at every time at which either is told, from when both are."""
+    import numpy as np
+
+    (t1, v1), (t2, v2) = one.sorted(), other.sorted()
+    times = np.unique(np.concatenate((t1, t2)))
+    times = times[times >= max(t1[0], t2[0])]
+    at = np.searchsorted(t1, times, "right") - 1, np.searchsorted(t2, times, "right") - 1
+    return times, v1[at[0]] - v2[at[1]]

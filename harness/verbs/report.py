@@ -1,0 +1,127 @@
+"""`motorhil report FILE -o report.html`: a recording as one page to look at, without a network."""
+
+import argparse
+import os
+import sys
+from collections.abc import Callable
+from contextlib import suppress
+from pathlib import Path
+from typing import Final
+
+from harness.exit_status import PASSED
+from traces.errors import TraceError
+from traces.reader import Trace, read_trace
+
+_KILO: Final = {"k": 1_000, "M": 1_000_000}
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """What `report` can be told."""
+    parser.add_argument("file", metavar="FILE", help="a recording (MCAP)")
+    parser.add_argument(
+        "-o",
+        "--output",
+        type=Path,
+        metavar="PAGE",
+        help="the page (default: FILE with the ending .html)",
+    )
+    parser.add_argument("--title", help="of the page (default: the recording's name)")
+    parser.add_argument(
+        "--bitrate",
+        action="append",
+        type=_bitrate,
+        default=[],
+        metavar="BUS=RATE",
+        help="of a CAN bus whose bit rate the recording does not tell, as can0=500k",
+    )
+    parser.add_argument(
+        "--foxglove-layout",
+        type=Path,
+        metavar="JSON",
+        help="also write a layout for Foxglove, for the motors and controllers of this recording",
+    )
+
+
+def run(options: argparse.Namespace) -> int:
+    """Exit status: 0 the page has been written.
+
+    Raises:
+        TraceError: the recording cannot be read, is damaged, or the page cannot be written.
+    """
+    from harness.report.collect import collect
+    from harness.report.document import document_of
+    from harness.report.page import render
+
+    target = options.output or Path(options.file).with_suffix(".html")
+    with read_trace(options.file) as trace:
+        _refuse_source(options.file, target, options.foxglove_layout)
+        found = collect(trace, dict(options.bitrate), _progress())
+        title = options.title or Path(options.file).name
+        document, packed = document_of(trace, found, title)
+        page = render(document, packed)
+        _write(target, page)
+        if options.foxglove_layout is not None:
+            _write_layout(trace, options.foxglove_layout)
+    messages = sum(found.messages.values())
+    print(f"{target}: {messages} messages, {len(page.encode()) / 1e6:.1f} MB")
+    for name in sorted(set(dict(options.bitrate)) - set(found.buses)):
+        print(f"motorhil report: there is no CAN bus {name} in it", file=sys.stderr)
+    return PASSED
+
+
+def _write_layout(trace: Trace, target: Path) -> None:
+    import json
+
+    from harness.report.foxglove import layout_of
+
+    _write(target, json.dumps(layout_of(trace), indent=2) + "\n")
+    print(f"{target}: a layout for Foxglove")
+
+
+def _refuse_source(source: str, *targets: Path | None) -> None:
+    for target in targets:
+        with suppress(OSError):
+            if target is not None and os.path.samefile(source, target):
+                raise TraceError(str(target), "is the recording itself", remedy="name another file")
+
+
+def _write(target: Path, text: str) -> None:
+    """The file is there whole, or not at all."""
+    part = target.with_name(target.name + ".part")
+    try:
+        part.write_text(text, "utf-8")
+        os.replace(part, target)
+    except OSError as error:
+        reason = (error.strerror or str(error)).lower()
+        raise TraceError(str(target), f"cannot be written: {reason}") from error
+    finally:
+        with suppress(OSError):
+            part.unlink()
+
+
+def _progress() -> Callable[[int], None] | None:
+    """Tells on a terminal how far it has come; None: there is none."""
+    if not sys.stderr.isatty():
+        return None
+
+    def told(count: int) -> None:
+        if not count % 200_000:
+            print(f"{count:,} messages read", file=sys.stderr, flush=True)
+
+    return told
+
+
+def _bitrate(text: str) -> tuple[str, int]:
+    """A bus and its bit rate.
+
+    Raises:
+        argparse.ArgumentTypeError: it is not BUS=RATE.
+    """
+    name, sign, rate = text.partition("=")
+    factor = _KILO.get(rate[-1:], 1)
+    number = rate.removesuffix(rate[-1:]) if factor > 1 else rate
+    if not name or not sign or not number.isdecimal() or not 0 < int(number) * factor <= 10**8:
+        raise argparse.ArgumentTypeError(
+            f"{text!r} is not BUS=RATE with a rate of 1 bit/s to 100M, as can0=500k"
+        )
+    return name, int(number) * factor
