@@ -44,6 +44,7 @@ QUANTITIES: Final[dict[int, bool]] = {
 }
 STATUSWORD: Final = 0x6041
 UNKNOWN_STATE: Final = len(STATES)
+FAULTS: Final = tuple(n for n, (_, _, name) in enumerate(STATES) if name.startswith("fault"))
 
 _Part = tuple[int, int, int, bool, int, int]
 """Node, shift, mask, whether it is signed, axis, index on the first axis."""
@@ -54,7 +55,8 @@ class CanBus:
     """Takes the frames of one bus.
 
     Attributes: traffic; unmapped (frames that would be PDOs, of which no mapping is known);
-    fd_frames; doubtful (frames that would be emergencies, on a bus where nothing else says that it
+    fd_frames; untyped (nodes whose device type tells no profile: what they call as CiA 402 does is
+    read so); doubtful (frames that would be emergencies, on a bus where nothing else says that it
     is CANopen: they are told only after something has).
     """
 
@@ -72,6 +74,7 @@ class CanBus:
         self.traffic = Traffic(name, "CAN", "bit", capacity, why)
         self.unmapped = 0
         self.fd_frames = 0
+        self.untyped: set[int] = set()
         self._name = name
         self._nodes = nodes
         self._incidents = incidents
@@ -191,7 +194,13 @@ class CanBus:
     def _quantity(self, time_ns: int, node: int, axis: int, index: int, value: int) -> None:
         told = self._nodes.of(self._name, node, axis)
         if index == STATUSWORD:
-            told.pds.add(time_ns, pds_code(value))
+            before = told.pds.last
+            code = pds_code(value)
+            if told.pds.add(time_ns, code) and code in FAULTS and before not in FAULTS:
+                name = self._node_names.get(node, f"node {node}")
+                axis_text = f" axis {axis}" if axis > 1 else ""
+                text = f"{name}{axis_text}: {STATES[code][2]} (statusword {value:04X}h)"
+                self._incidents.add(time_ns, Severity.ERROR, "drive fault", self._name, text)
         elif index == 0x6061:
             told.mode.add(time_ns, value)
         elif index != 0x603F:
@@ -246,8 +255,9 @@ class CanBus:
             self._plans.clear()
         elif index == 0x1000:
             self._plans.clear()
-            is_drive = fact.value & 0xFFFF in (402, 0xFFFF)
-            (self._no_drives.discard if is_drive else self._no_drives.add)(node)
+            profile = fact.value & 0xFFFF
+            (self._no_drives.discard if profile in _MAY_BE_DRIVES else self._no_drives.add)(node)
+            (self.untyped.discard if profile else self.untyped.add)(node)
         elif index >= 0x6000 and node not in self._no_drives:
             axis, first = axis_of(index)
             if first in QUANTITIES:
@@ -259,6 +269,8 @@ class CanBus:
         self._incidents.add(time_ns, level, "error frame", self._name, said.text)
 
 
+_MAY_BE_DRIVES: Final = (0, 402, 0xFFFF)
+"""Low word of the device type 1000h: no profile is told, a drive, several devices in one."""
 _SERVICES: Final = {
     1: "EMCY",
     3: "TPDO 1",

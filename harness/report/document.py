@@ -147,6 +147,13 @@ def _notes(trace: Trace, found: Findings) -> list[str]:
                 f"{name}: {len(bus.doubtful):,} frames have identifiers of emergencies (081h to"
                 " 0FFh), but nothing on this bus is CANopen for certain: not taken for any"
             )
+        untyped = sorted({n for b, n, _ in found.nodes.told if b == name} & bus.untyped)
+        if any(found.nodes.is_drive(name, node) for node in untyped):
+            nodes = ", ".join(str(node) for node in untyped)
+            notes.append(
+                f"{name}: the device type 1000h of node {nodes} tells no profile; its objects are"
+                " read as those of CiA 402"
+            )
         if bus.fd_frames:
             notes.append(
                 f"{name}: {bus.fd_frames:,} CAN FD frames count by their bits without stuff bits"

@@ -209,7 +209,7 @@ class _Builder:
                 values / self._scale,
             )
         elif error is not None:
-            self._add("following error", "increments", "actual", "drive", source, error)
+            self._add("following error", "inc", "actual", "drive", source, error)
         if demand is not None and position is not None and "position_rad" in truth and self._scale:
             self._add_demand(topic, demand, position, truth["position_rad"])
 
@@ -222,9 +222,7 @@ class _Builder:
         self._line("position", "rad", "demand", "demand (drive)", name, False, times, values)
         rates = differences(times, wanted / self._scale)
         told = f"differences of {name}"
-        self._line(
-            "velocity", "rad/s", "demand", "demand (by differences)", told, True, times, rates
-        )
+        self._line("velocity", "rad/s", "demand", "demand (slope)", told, True, times, rates)
 
     def add_told(self, told: Told) -> None:
         """What its drive says on the bus; where the application or the truth say it, not again."""
@@ -234,9 +232,9 @@ class _Builder:
             track = told.tracks.get(index)
             if track is None or (quantity, role) in self._roles:
                 continue
-            unit, factor = "increments", 1.0
+            unit, factor = "inc", 1.0
             if quantity == "velocity":
-                unit = "drive's units"
+                unit = "drive units"
                 if facts.velocity_unit is not None:
                     unit, factor = f"{facts.unit}/s", facts.velocity_unit
             elif quantity == "torque":
@@ -250,7 +248,7 @@ class _Builder:
             )
         demand, actual = told.tracks.get(0x6062), told.tracks.get(0x6064)
         if demand and actual and not any(name == "following error" for name, _ in self._plots):
-            unit, factor = (facts.unit, 1.0 / inc) if inc is not None else ("increments", 1.0)
+            unit, factor = (facts.unit, 1.0 / inc) if inc is not None else ("inc", 1.0)
             times, values = difference(demand, actual)
             self._line(
                 "following error",

@@ -45,3 +45,10 @@ class Nodes:
         if found is None:
             found = self.told[place] = Told()
         return found
+
+    def is_drive(self, bus: str, node: int) -> bool:
+        """Whether it told something of CiA 402, on any axis."""
+        return any(
+            place[:2] == (bus, node) and bool(told.tracks or len(told.pds) or len(told.mode))
+            for place, told in self.told.items()
+        )

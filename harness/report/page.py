@@ -9,7 +9,15 @@ from typing import Final
 
 from harness.report.document import Json
 
-SCRIPTS: Final = ("data.js", "axes.js", "plots.js", "traffic.js", "timelines.js", "page.js")
+SCRIPTS: Final = (
+    "data.js",
+    "axes.js",
+    "plots.js",
+    "traffic.js",
+    "timelines.js",
+    "moves.js",
+    "page.js",
+)
 
 
 def render(document: Json, packed: str) -> str:
@@ -38,8 +46,8 @@ def render(document: Json, packed: str) -> str:
 def _policy(script: str, style: str) -> str:
     """A content security policy: this script and this style, and nothing from anywhere."""
     return (
-        f"default-src 'none'; img-src data:; script-src '{_digest(script)}'; style-src '{_digest(style)}';"
-        " base-uri 'none'; form-action 'none'"
+        f"default-src 'none'; img-src data:; script-src '{_digest(script)}';"
+        f" style-src '{_digest(style)}'; base-uri 'none'; form-action 'none'"
     )
 
 

@@ -52,23 +52,26 @@ class Track:
 
 @final
 class Steps:
-    """A state over time: a number from each time on, in the order it came."""
+    """A state over time: a number from each time on, in the order it came.
 
-    __slots__ = ("_last", "codes", "times_ns")
+    Attributes: times_ns, codes, last (the present one; None: not known yet).
+    """
+
+    __slots__ = ("codes", "last", "times_ns")
 
     def __init__(self) -> None:
         self.times_ns: array[int] = array("q")
         self.codes: array[int] = array("q")
-        self._last: int | None = None
+        self.last: int | None = None
 
     def __len__(self) -> int:
         return len(self.times_ns)
 
     def add(self, time_ns: int, code: int) -> bool:
         """It is in this state; whether that is new."""
-        if code == self._last:
+        if code == self.last:
             return False
-        self._last = code
+        self.last = code
         self.times_ns.append(time_ns)
         self.codes.append(code)
         return True

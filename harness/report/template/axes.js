@@ -38,7 +38,8 @@ function prefix(size, unit) {
   if (size >= 1e4) return [1e-3, "k"];
   if (size >= 0.1) return [1, ""];
   if (size >= 1e-4) return [1e3, "m"];
-  return [1e6, "µ"];
+  if (size >= 1e-7 || unit !== "s") return [1e6, "µ"];
+  return [1e9, "n"];
 }
 
 function short(value, figures = 5) {

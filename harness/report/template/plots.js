@@ -79,6 +79,8 @@ function clipPlot(ctx, height) {
   ctx.clip();
 }
 
+const NARROW = { position: "pos.", velocity: "vel.", "following error": "f. error", torque: "torque" };
+
 // y ticks with their labels in the gutter, and what the axis is.
 function yAxis(ctx, height, low, high, title, unit) {
   const [factor, sign] = prefix(Math.max(Math.abs(low), Math.abs(high)), unit);
@@ -104,7 +106,7 @@ function yAxis(ctx, height, low, high, title, unit) {
   ctx.textAlign = "left";
   ctx.textBaseline = "top";
   ctx.fillStyle = theme.ink;
-  ctx.fillText(fitted(ctx, title, gutter - 52), 0, 2);
+  ctx.fillText(fitted(ctx, gutter < 120 && NARROW[title] || title, gutter - 44), 0, 2);
   ctx.fillStyle = theme.soft;
   ctx.fillText(fitted(ctx, sign + unit, gutter - 52), 0, 16);
   ctx.strokeStyle = theme.rule;
@@ -242,7 +244,8 @@ class QuantityPanel extends Panel {
   read(at) {
     for (const [line, element] of this.values) {
       const value = at === null ? null : line.at(at);
-      element.textContent = value === null ? "" : withUnit(value, this.plot.unit, 6);
+      const unit = this.plot.unit === "drive units" ? "" : this.plot.unit; // it stands at the axis
+      element.textContent = value === null ? "" : withUnit(value, unit, 6);
     }
   }
 }

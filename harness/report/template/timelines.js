@@ -12,23 +12,29 @@ function fillOf(ctx, tone, word, waits) {
 
 class TimelinePanel extends Panel {
   constructor(parent, told) {
-    super(parent, `${told.title}: ${told.about}`, told.rows.length * ROW + 4);
+    super(parent, `${told.title}: ${told.about}`, 0);
     this.told = told;
+    this.reading.classList.add("rows");
     this.rows = told.rows.map((row) => ({
       name: row.name, from: seconds(row.from), to: seconds(row.to), word: whole(row.word),
       waits: whole(row.waits), text: whole(row.text), texts: row.texts,
     }));
-    this.lines = this.rows.map(() => {
+    this.height = 4;
+    this.lines = this.rows.map((row) => { // those who wait stand below who has it
+      row.y = this.height - 2;
+      const long = row.waits.some((waits, i) => waits && row.to[i] - row.from[i] > SPAN / 500);
+      row.high = long ? ROW + 7 : ROW;
+      this.height += row.high;
       const line = make("div", this.reading, "", "line");
-      line.style.height = line.style.lineHeight = ROW + "px";
+      line.style.height = line.style.lineHeight = row.high + "px";
       return make("span", line, "", "name");
     });
   }
   draw(ctx, width, height) {
     gridLines(ctx, height);
     let drawn = 0;
-    this.rows.forEach((row, n) => {
-      const y = n * ROW + 2;
+    this.rows.forEach((row) => {
+      const y = row.y;
       ctx.textBaseline = "middle";
       ctx.textAlign = "left";
       ctx.fillStyle = theme.ink;
@@ -50,7 +56,7 @@ class TimelinePanel extends Panel {
       if (to - from < 0.5 && Math.floor(from) === painted && tone !== "fault") continue; // hidden by the one before
       painted = Math.floor(from);
       ctx.fillStyle = fillOf(ctx, tone, row.word[i], waits);
-      const high = waits ? (ROW - 4) / 2 : ROW - 3, top = waits ? y + ROW / 2 - 1 : y;
+      const high = waits ? 6 : ROW - 3, top = waits ? y + row.high - 9 : y;
       ctx.fillRect(from, top, Math.max(1, to - from), high);
       if (to - from > 4) {
         ctx.fillStyle = theme.paper;
@@ -124,13 +130,13 @@ class GroupPanel extends Panel {
         if (value > 0) { low = Math.min(low, value); high = Math.max(high, value); }
       }
     }
-    this.low = Number.isFinite(low) ? Math.floor(Math.log10(low) - 0.01) : -6;
+    this.low = Number.isFinite(low) ? Math.max(-9, Math.floor(Math.log10(low) - 0.01)) : -6; // below 1 ns is 0
     this.high = Math.max(this.low + 1, high > 0 ? Math.ceil(Math.log10(high) + 0.01) : -3);
   }
   draw(ctx, width, height) {
     const rows = this.high - this.low + 1; // the lowest is for 0
     const toY = (value) => {
-      const level = value > 0 ? Math.log10(value) - this.low + 1 : 0.35;
+      const level = value >= 10 ** this.low ? Math.log10(value) - this.low + 1 : 0.35;
       return height - 4 - level / rows * (height - 10);
     };
     ctx.textAlign = "right";
@@ -202,6 +208,7 @@ class IncidentPanel extends Panel {
   constructor(parent, told) {
     super(parent, "faults and events", told.kinds.length * ROW + 6);
     this.told = told;
+    this.reading.classList.add("rows");
     this.lines = told.kinds.map((kind, n) => {
       const line = make("div", this.reading, "", "line");
       line.style.height = line.style.lineHeight = ROW + "px";

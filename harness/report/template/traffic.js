@@ -149,7 +149,7 @@ class IdentifierPanel extends Panel {
       ctx.fillRect(gutter, n * 13 + 14, width, 0.5);
     });
   }
-  // Darker is more; the least there is can still be seen.
+  // Stronger is more; the least there is can still be seen.
   heat(ctx, cells, rows, width) {
     let most = 0;
     for (let i = 0; i < cells.length; i++) if (cells[i] > most) most = cells[i];
