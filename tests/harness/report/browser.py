@@ -94,7 +94,9 @@ class Browser:
     def open(self, page: Path, fragment=""):
         """The page is drawn, or has failed: `errors` and its own `data-error` tell."""
         self.call("Page.navigate", url=page.as_uri() + fragment)
-        return self.wait("document.documentElement.dataset.state || document.documentElement.dataset.error")
+        return self.wait(
+            "document.documentElement.dataset.state || document.documentElement.dataset.error"
+        )
 
     def wait(self, condition, timeout_ms=120_000):
         """What the condition is when it is true; the browser itself waits, frame by frame."""
@@ -130,7 +132,7 @@ class Browser:
         """By panel: how much it has drawn, from when to when."""
         found = self.run(
             "[...document.querySelectorAll('canvas[data-panel]')].map(c =>"
-            " [c.dataset.panel, Number(c.dataset.drawn), Number(c.dataset.from), Number(c.dataset.to)])"
+            " [c.dataset.panel, ...['drawn', 'from', 'to'].map(n => Number(c.dataset[n]))])"
         )
         return {name: tuple(rest) for name, *rest in found}
 
@@ -160,7 +162,9 @@ class Browser:
 
     def media(self, **features):
         """As `prefers_color_scheme="dark"`."""
-        told = [{"name": name.replace("_", "-"), "value": value} for name, value in features.items()]
+        told = [
+            {"name": name.replace("_", "-"), "value": value} for name, value in features.items()
+        ]
         self.call("Emulation.setEmulatedMedia", features=told)
 
     def picture(self, whole=False):

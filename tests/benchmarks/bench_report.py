@@ -1,0 +1,119 @@
+"""What a page costs: to make, a frame of the recording; to open, in a browser, where there is one.
+
+The recording is that of twelve drives on two buses whose motors move, with the PDO mappings in it,
+a million frames. The peer is mcap's own reader, which only reads them, in the same run.
+"""
+
+import tempfile
+import time
+from pathlib import Path
+
+from mcap.reader import make_reader
+
+from harness.cli import main
+from tests.benchmarks.bench_traces import traffic
+from tests.harness.report.browser import Browser, chromium
+from traces.fields import encode_can_frame
+from traces.schema import CAN_FRAME, Direction, Schema
+from traces.writer import TraceWriter
+
+FRAMES = 1_000_000
+PERIOD_NS = 125_000
+# TPDO 1 and RPDO 1 of each drive: 6041h and 6064h, 6040h and 607Ah; TPDO 2: 606Ch and 606Bh.
+MAPPINGS = {
+    0x1A00: (0x60410010, 0x60640020),
+    0x1600: (0x60400010, 0x607A0020),
+    0x1A01: (0x606C0020, 0x606B0020),
+}
+
+
+def run():
+    """Figures: (name, figure, unit)."""
+    with tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as folder:
+        recording, page = Path(folder) / "million.mcap", Path(folder) / "million.html"
+        write(recording)
+        begun_s = time.process_time()
+        read_by_mcap(recording)
+        peer_s = time.process_time() - begun_s
+        begun_s = time.process_time()
+        if main(["report", str(recording), "-o", str(page)]):
+            raise SystemExit("the page was not made")
+        made_s = time.process_time() - begun_s
+        yield "page of 1e6 frames, CPU a frame", made_s / FRAMES * 1e6, "us"
+        yield "  as a multiple of mcap's reader reading them", made_s / peer_s, "x"
+        yield "  its size", page.stat().st_size / 1e6, "MB"
+        yield "  the recording's", recording.stat().st_size / 1e6, "MB"
+        if chromium() is not None:
+            yield from opened(Path(folder), page)
+
+
+def opened(folder, page):
+    """How long the page takes to be there, and to draw anew, by the page's own clock."""
+    with Browser(folder / "profile") as browser:
+        browser.open(page)
+        if browser.errors:
+            raise SystemExit(browser.errors)
+        load = "Number(document.documentElement.dataset.loadMs)"
+        yield "  in Chromium: from the page's text to all of it drawn", browser.run(load), "ms"
+        drawn = "Number(document.documentElement.dataset.drawMs)"
+        for name, part in (("a tenth of it", 0.1), ("a thousandth", 0.001)):
+            browser.run(f"setRange(SPAN * 0.4, SPAN * (0.4 + {part})); 0")
+            browser.settle()
+            yield f"  what is in sight drawn anew, {name}", browser.run(drawn), "ms"
+        browser.run("whole_range(); 0")
+        browser.settle()
+        yield "  what is in sight drawn anew, the whole", browser.run(drawn), "ms"
+        browser.run("paint(true)")
+        browser.run("redraw(true)")
+        yield "  every panel drawn anew, the whole", browser.run(drawn), "ms"
+
+
+def write(path):
+    """The traffic of `bench_traces`, ten times over, behind what tells its mappings."""
+    told = traffic()
+    with TraceWriter(path) as writer:
+        channels = {
+            name: writer.channel(f"/can/{name}", Schema.of(CAN_FRAME)) for name in ("can0", "can1")
+        }
+        sources = {}
+        for drive in range(12):
+            bus = f"can{drive % 2}"
+            for entry in mappings(drive + 1):
+                writer.write(
+                    channels[bus], 0, encode_can_frame(entry, "host", Direction.TRANSMITTED)
+                )
+        for turn in range(FRAMES // len(told)):
+            batch = []
+            for bus, time_ns, sender, frame in told:
+                key = (bus, sender)
+                if key not in sources:
+                    sources[key] = writer.source(channels[bus], sender, Direction.RECEIVED)
+                at_ns = time_ns + turn * len(told) * PERIOD_NS
+                batch.append((sources[key], at_ns, frame))
+            writer.extend(batch)
+
+
+def mappings(node):
+    """SDO downloads and their answers that map the PDOs of a drive."""
+    for index, entries in MAPPINGS.items():
+        values = [
+            (0, 0),
+            *((sub, value) for sub, value in enumerate(entries, 1)),
+            (0, len(entries)),
+        ]
+        for sub, value in values:
+            head = bytes((0x23, index & 0xFF, index >> 8, sub)) + value.to_bytes(4, "little")
+            yield can_frame(0x600 + node, head)
+            yield can_frame(0x580 + node, bytes((0x60, index & 0xFF, index >> 8, sub, 0, 0, 0, 0)))
+
+
+def can_frame(identifier, data):
+    """As Linux has it."""
+    return identifier.to_bytes(4, "little") + bytes((len(data), 0, 0, 0)) + data.ljust(8, b"\0")
+
+
+def read_by_mcap(path):
+    """All messages, by the stock reader."""
+    with path.open("rb") as file:
+        for _ in make_reader(file).iter_messages(log_time_order=False):
+            pass

@@ -1,0 +1,73 @@
+"""The demo's recording, made once; and the report of any recording."""
+
+import base64
+import json
+import re
+import zlib
+
+import pytest
+
+from harness.cli import main
+from harness.report.collect import collect
+from harness.report.document import document_of
+from traces.reader import read_trace
+
+
+@pytest.fixture(scope="session")
+def demo(tmp_path_factory):
+    path = tmp_path_factory.mktemp("report") / "demo.mcap"
+    assert main(["demo", "-o", str(path)]) == 0
+    return path
+
+
+@pytest.fixture(scope="session")
+def demo_page(demo):
+    page = demo.with_suffix(".html")
+    assert main(["report", str(demo), "-o", str(page)]) == 0
+    return page
+
+
+@pytest.fixture
+def report_of():
+    """(what was found in a recording, the page's document, its arrays by `array`)."""
+
+    def report(path, **limits):
+        with read_trace(path) as trace:
+            found = collect(trace)
+            document, packed = document_of(trace, found, "a title", **limits)
+        return found, document, Arrays(packed)
+
+    return report
+
+
+class Arrays:
+    """The packed arrays, read by their description alone: Python's integers, no numpy."""
+
+    def __init__(self, packed):
+        self.bytes = zlib.decompress(base64.b64decode(packed))
+
+    def whole(self, told):
+        size, count, at = int(told["type"][1:]) // 8, told["count"], told["offset"]
+        planes = [self.bytes[at + n * count : at + (n + 1) * count] for n in range(size)]
+        return [int.from_bytes(bytes(parts), "little") for parts in zip(*planes, strict=True)]
+
+    def times(self, told):
+        found, total = [], 0
+        for step in self.whole(told):
+            total = total + step if told.get("delta") else step
+            found.append(total)
+        return found
+
+    def numbers(self, told):
+        import struct
+
+        raw = self.whole(told)
+        return [told["base"] + struct.unpack("<f", struct.pack("<I", one))[0] for one in raw]
+
+
+def document_in(page):
+    """(document, arrays) of a page's text, as a browser finds them in it."""
+    text = page.read_text("utf-8")
+    found = re.search(r'<script type="application/json" id="document">(.*?)</script>', text, re.S)
+    packed = re.search(r'<script type="text/plain" id="packed">(.*?)</script>', text, re.S)
+    return json.loads(found[1]), Arrays(packed[1])
