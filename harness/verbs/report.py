@@ -60,10 +60,10 @@ def run(options: argparse.Namespace) -> int:
         document, packed = document_of(trace, found, title)
         page = render(document, packed)
         _write(target, page)
+        messages = sum(found.messages.values())
+        print(f"{target}: {messages} messages, {len(page.encode()) / 1e6:.1f} MB")
         if options.foxglove_layout is not None:
             _write_layout(trace, options.foxglove_layout)
-    messages = sum(found.messages.values())
-    print(f"{target}: {messages} messages, {len(page.encode()) / 1e6:.1f} MB")
     for name in sorted(set(dict(options.bitrate)) - set(found.buses)):
         print(f"motorhil report: there is no CAN bus {name} in it", file=sys.stderr)
     return PASSED

@@ -137,6 +137,13 @@ PLANTS = [
     ("harness-edges", "harness/recorder.py", "import time", "harness.recorder -> time"),
     ("harness-edges", "harness/virtual_time.py", "import random", "harness.virtual_time -> random"),
     (
+        "report",
+        "harness/report/collect.py",
+        "import harness.report.document",
+        "harness.report.collect -> harness.report.document",
+    ),
+    ("report", "harness/report/novelty.py", "", "novelty"),
+    (
         "judges",
         "harness/sharing/linearizability.py",
         "import hypothesis",

@@ -34,9 +34,10 @@ def test_the_wheel_carries_every_file_that_is_no_program(wheel):
         path.relative_to(CHECKOUT).as_posix()
         for name in PACKAGES
         for path in (CHECKOUT / name).rglob("*")
-        if path.suffix in (".toml", ".json", ".eds", ".binpb") or path.name == "py.typed"
+        if path.suffix in (".toml", ".json", ".eds", ".binpb", ".html", ".css", ".js") or path.name == "py.typed"
     }
     assert "harness/rig.schema.json" in wanted
+    assert "harness/report/template/page.html" in wanted
     with zipfile.ZipFile(wheel) as archive:
         assert wanted <= set(archive.namelist())
 
@@ -63,6 +64,16 @@ def test_from_the_wheel_alone_a_new_rig_is_made_and_runs(installed, tmp_path):
         done = installed(*map(str, words))
         assert (done.returncode, done.stderr.count("Traceback")) == (0, 0), done.stderr
     assert "right is at 3.1416 rad" in done.stdout
+
+
+def test_from_the_wheel_alone_a_recording_is_drawn(installed, tmp_path):
+    bench = tmp_path / "bench"
+    installed("new", str(bench))
+    recording = str(tmp_path / "run.mcap")
+    installed("run", str(bench / "rig.toml"), str(bench / "drive.py"), "-o", recording)
+    done = installed("report", recording)
+    assert (done.returncode, done.stderr) == (0, "")
+    assert '"name":"left"' in (tmp_path / "run.html").read_text("utf-8")
 
 
 def test_the_same_source_has_the_same_digest_wherever_it_is(installed):
