@@ -34,7 +34,8 @@ def test_the_wheel_carries_every_file_that_is_no_program(wheel):
         path.relative_to(CHECKOUT).as_posix()
         for name in PACKAGES
         for path in (CHECKOUT / name).rglob("*")
-        if path.suffix in (".toml", ".json", ".eds", ".binpb", ".html", ".css", ".js") or path.name == "py.typed"
+        if path.suffix in (".toml", ".json", ".eds", ".binpb", ".html", ".css", ".js")
+        or path.name == "py.typed"
     }
     assert "harness/rig.schema.json" in wanted
     assert "harness/report/template/page.html" in wanted

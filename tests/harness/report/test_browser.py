@@ -93,6 +93,30 @@ def test_pixels_are_drawn_where_a_motor_moves(opened):
     assert colours["0,114,178"] > 100  # the actual position, blue, where no demand is on it
 
 
+def test_one_sample_of_many_thousands_is_seen(browser, tmp_path):
+    """A spike of one sample, two dozen samples to a pixel: it stands above all others."""
+    one = Recorded(tmp_path / "a.mcap")
+    for number in range(24_000):
+        one.position(number * MS, "left_wheel", 1.0 if number == 12_000 else 0.0)
+    path = one.close()
+    assert main(["report", path]) == 0
+    browser.errors.clear()
+    browser.open((tmp_path / "a.mcap").with_suffix(".html"))
+    heights = browser.run(
+        "(() => { const own = p => p.canvas.dataset.panel.startsWith('left_wheel, position');"
+        " const c = panels.find(own).canvas, d = c.getContext('2d'); const out = [];"
+        " for (let y = 0; y < c.height; y++) { let n = 0;"
+        "   const row = d.getImageData(gutter + 4, y, plotWidth - 8, 1).data;"
+        "   for (let i = 0; i < row.length; i += 4)"
+        "     if (row[i] < 90 && row[i + 2] > 120 && row[i + 3] > 60) n++;"
+        "   out.push(n); } return out; })()"
+    )
+    assert browser.errors == []
+    upper = heights[8 : len(heights) // 2]
+    assert all(0 < count < 6 for count in upper)  # a thin line all the way up
+    assert max(heights) > 500  # and the long one at 0
+
+
 def test_the_range_in_the_address_is_the_range_drawn(opened, demo_page):
     opened.requests.clear()
     opened.call("Page.navigate", url="about:blank")
