@@ -48,8 +48,11 @@ function build() {
     const holder = section("load", "Bus load", "each frame counts while its bits are on the bus");
     for (const traffic of traffics) {
       new LoadPanel(holder, traffic);
-      if (traffic.why) make("div", holder, `${traffic.name}: load in bit/s, for ${traffic.why}`, "missing");
       if (traffic.cell_s) make("div", holder, `${traffic.name}: ${traffic.frames.toLocaleString("en")} frames, summed up over ${spanText(traffic.cell_s)}`, "missing");
+    }
+    for (const why of new Set(traffics.map((traffic) => traffic.why).filter(Boolean))) {
+      const names = traffics.filter((traffic) => traffic.why === why).map((traffic) => traffic.name);
+      make("div", holder, `load in bit/s of ${names.join(", ")}: ${why}`, "missing");
     }
   }
   if (report.groups.length) {

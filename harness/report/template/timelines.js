@@ -147,7 +147,7 @@ class GroupPanel extends Panel {
       ctx.fillStyle = theme.grid;
       ctx.fillRect(gutter, y, width, 1);
       ctx.fillStyle = theme.soft;
-      if ((this.high - power) % every === 0) ctx.fillText(withUnit(10 ** power, "s", 1), gutter - 6, y);
+      if ((this.high - power) % every === 0 && y < toY(0) - 11) ctx.fillText(withUnit(10 ** power, "s", 1), gutter - 6, y);
     }
     ctx.fillStyle = theme.soft;
     ctx.fillText("0", gutter - 6, toY(0));

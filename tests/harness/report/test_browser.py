@@ -97,7 +97,7 @@ def test_one_sample_of_many_thousands_is_seen(browser, tmp_path):
     """A spike of one sample, two dozen samples to a pixel: it stands above all others."""
     one = Recorded(tmp_path / "a.mcap")
     for number in range(24_000):
-        one.position(number * MS, "left_wheel", 1.0 if number == 12_000 else 0.0)
+        one.position(number * MS, "left_wheel", 1.0 if number == 12_345 else 0.0)
     path = one.close()
     assert main(["report", path]) == 0
     browser.errors.clear()

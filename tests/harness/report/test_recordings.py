@@ -11,7 +11,7 @@ from harness.cli import main
 from harness.report.reduce import cells, extremes
 from tests.harness.recorded import MS, Recorded, S
 from traces.fields import encode_can_frame
-from traces.schema import CAN_FRAME, GROUP_SYNC, MOTOR_LOCK, Schema
+from traces.schema import CAN_FRAME, GROUP_SYNC, MODBUS_ADU, MOTOR_LOCK, Schema
 from traces.writer import TraceWriter
 
 WALL_NS = 1_700_000_000 * S
@@ -209,6 +209,31 @@ def test_a_cut_recording_is_drawn_as_far_as_it_goes(demo, tmp_path, report_of):
     found, document, _ = report_of(path)
     assert 5_000 < sum(found.messages.values()) < 28_000
     assert any(note.startswith("the file is cut at byte") for note in document["notes"])
+
+
+def test_a_serial_line_is_busy_while_its_bits_run_and_exceptions_are_told(tmp_path, report_of):
+    """115,200 bit/s with a parity bit: 11 bits a byte.
+
+    Check sums as pymodbus computes them: 8 and 5 bytes in all.
+    """
+    one = Recorded(tmp_path / "a.mcap")
+    for at, data, received in (
+        (10 * MS, "01030001000295CB", False),  # read two registers of unit 1 ...
+        (20 * MS, "018302C0F1", True),  # ... refused: illegal data address
+    ):
+        content = bytes.fromhex(data)
+        start = at - round(len(content) * 11 / 115_200 * S)
+        values = {"direction": 1 if received else 2, "data": content}
+        values |= {"start_ns": start, "end_ns": at}
+        one.message(at + MS, "/modbus/rs485", MODBUS_ADU, values)
+    _, document, arrays = report_of(one.close())
+    (traffic,) = document["traffic"]
+    assert (traffic["kind"], traffic["unit"], traffic["capacity_s"]) == ("Modbus RTU", "ns", 1e9)
+    assert arrays.whole(traffic["weight"]) == [round(n * 11 / 115_200 * S) for n in (8, 5)]
+    assert traffic["labels"] == ["unit 1 03h request", "unit 1 03h response"]
+    ((_, severity, _, place, text),) = document["incidents"]["list"]
+    assert (severity, place) == (1, "rs485")
+    assert "exception 2, illegal data address" in text
 
 
 def test_who_waited_and_how_it_ended_is_in_the_lock_timeline(tmp_path, report_of):
