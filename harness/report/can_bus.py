@@ -15,11 +15,11 @@ from harness.report.traffic import Traffic
 from traces.canopen_codes import NMT_STATES
 from traces.decode_canopen import CanopenDecoder
 from traces.decode_cia402 import STATES
+from traces.frame_decoder import FrameDecoder
 from traces.object_names import axis_of
 from traces.pdo_maps import PdoKey
 from traces.recorded_names import RecordedNames
 from traces.said import Kind, Said
-from traces.frame_decoder import FrameDecoder
 
 _EFF: Final = 0x8000_0000
 _RTR: Final = 0x4000_0000
