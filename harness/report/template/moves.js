@@ -116,10 +116,19 @@ function listen() {
   listenPointer();
   addEventListener("resize", () => { layout(); redraw(); });
   addEventListener("scroll", () => { if (panels.some((panel) => panel.stale && panel.visible())) ask(); }, { passive: true });
-  addEventListener("beforeprint", () => paint(true));
+  addEventListener("beforeprint", () => dress(true));
+  addEventListener("afterprint", () => dress(false));
   addEventListener("hashchange", () => { if (fromHash()) redraw(); });
   const dark = matchMedia("(prefers-color-scheme: dark)");
   dark.addEventListener("change", () => { readTheme(); redrawn.forEach((draw) => draw()); redraw(); });
+}
+
+// For paper everything is drawn, in the colours of light; then those of the screen come back.
+function dress(printing) {
+  document.documentElement.classList.toggle("printing", printing);
+  readTheme();
+  redrawn.forEach((draw) => draw());
+  redraw(printing);
 }
 
 function listenPointer() {

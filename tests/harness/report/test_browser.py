@@ -260,11 +260,18 @@ def test_it_fits_the_window_in_light_and_dark(opened, width, scheme):
         assert opened.run(f"({contrast})('{name}', 'paper')") >= least, name
 
 
-def test_before_it_is_printed_everything_is_drawn(opened):
+def test_before_it_is_printed_everything_is_drawn_for_white_paper(opened):
+    opened.media(prefers_color_scheme="dark")
+    opened.settle()
     opened.run("setRange(5, 6)")
+    opened.settle()
+    colours = "[theme.paper, getComputedStyle(document.body).backgroundColor]"
+    dark = opened.run(colours)
     opened.run("dispatchEvent(new Event('beforeprint')); 0")
-    ranges = {(begin, end) for _, begin, end in opened.drawn().values()}
-    assert ranges == {(5.0, 6.0)}
+    assert {(begin, end) for _, begin, end in opened.drawn().values()} == {(5.0, 6.0)}
+    assert opened.run(colours) == ["#ffffff", "rgb(255, 255, 255)"]
+    opened.run("dispatchEvent(new Event('afterprint')); 0")
+    assert opened.run(colours) == dark != ["#ffffff", "rgb(255, 255, 255)"]
 
 
 def test_names_that_are_markup_stay_names(browser, tmp_path):
