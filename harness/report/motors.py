@@ -293,10 +293,12 @@ _TOLD: Final = (
     (0x6077, "torque", "actual", "actual"),
 )
 _MISSING: Final = {
-    "position": "no position in the recording: no state, no truth, and 6064h is in no known PDO",
-    "velocity": "no velocity in the recording: no state, no truth, and 606Ch is in no known PDO",
-    "following error": "no following error in the recording: no truth, and neither 60F4h nor 6062h"
-    " is in a known PDO",
+    "position": "no position in the recording: neither a state nor a truth tells it, nor 6064h in"
+    " a known PDO",
+    "velocity": "no velocity in the recording: neither a state nor a truth tells it, nor 606Ch in"
+    " a known PDO",
+    "following error": "no following error in the recording: no truth tells it, nor 60F4h or"
+    " 6062h in a known PDO",
     "torque": "no torque in the recording",
 }
 

@@ -274,6 +274,30 @@ def test_before_it_is_printed_everything_is_drawn_for_white_paper(opened):
     assert opened.run(colours) == dark != ["#ffffff", "rgb(255, 255, 255)"]
 
 
+def test_a_page_of_sums_and_extremes_tells_the_same_load(browser, demo, demo_page, tmp_path):
+    from harness.report.collect import collect
+    from harness.report.document import document_of
+    from harness.report.page import render
+    from traces.reader import read_trace
+
+    with read_trace(demo) as trace:
+        made = document_of(trace, collect(trace), "reduced", points_max=3_000, frames_max=4_000)
+    page = tmp_path / "reduced.html"
+    page.write_text(render(*made), "utf-8")
+    asked = "traffics.map(t => [t.load(0, SPAN), t.load(5, 10), t.byLabel(0, SPAN)[1][2]])"
+    browser.errors.clear()
+    browser.open(page)
+    reduced = browser.run(asked)
+    assert all(count > 0 for count, _, _ in browser.drawn().values())
+    browser.open(demo_page)
+    exact = browser.run(asked)
+    assert browser.errors == []
+    for one, other in zip(reduced, exact, strict=True):
+        assert one == pytest.approx(
+            other, rel=0.03
+        )  # what lies in a cell at the end counts in part
+
+
 def test_names_that_are_markup_stay_names(browser, tmp_path):
     """Motors, events and files are called by others: nothing they are called is obeyed."""
     evil = "</script><script>document.title='taken'</script><img src=x onerror=alert(1)>@@packed@@"
