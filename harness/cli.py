@@ -39,6 +39,7 @@ _VERBS: Final = (
     _Verb("check", "say what is wrong in a rig file, or what it holds", "harness.verbs.check"),
     _Verb("run", "run a script, or a prompt, with a rig around it", "harness.verbs.run", True),
     _Verb("serve", "run a rig in real time for other processes", "harness.serving", True),
+    _Verb("record", "record live CAN buses", "harness.verbs.record"),
     _Verb("replay", "let a recording stand in for devices or host", "harness.verbs.replay", True),
     _Verb("show", "tell a recording in sentences", "harness.verbs.show"),
     _Verb(

@@ -96,6 +96,11 @@ class TraceWriter:
     def __exit__(self, *_: object) -> None:
         self.close()
 
+    @property
+    def size(self) -> int:
+        """Bytes that are with the operating system; messages of an open chunk are not yet."""
+        return self._offset
+
     # ------------------------------------------------------------- what is said about messages
 
     def channel(self, topic: str, schema: Schema, metadata: Mapping[str, str] | None = None) -> int:
