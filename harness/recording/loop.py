@@ -29,13 +29,27 @@ class RecordingLoop:
         ended: whether every bus has ended by itself.
     """
 
-    def __init__(self, taps: Sequence[Tap], pump: Pump, own_times: bool) -> None:
-        """`own_times`: log times are not the wall's, so that events are stamped like frames."""
+    def __init__(
+        self,
+        taps: Sequence[Tap],
+        pump: Pump,
+        own_times: bool,
+        report: Callable[[str], None] | None = None,
+    ) -> None:
+        """Nothing has been read yet.
+
+        Args:
+            taps: in the order in which the pump knows them.
+            pump: is handed what comes.
+            own_times: log times are not the wall's, so that events are stamped like frames.
+            report: told at once of each problem.
+        """
         self.problems: list[str] = []
         self._taps = list(taps)
         self._alive = list(taps)
         self._pump = pump
         self._own_times = own_times
+        self._report = report
         self._woken_by: list[int] = []
 
     @property
@@ -110,6 +124,8 @@ class RecordingLoop:
             if isinstance(problem, BusEndedError):
                 self._alive.remove(tap)
             self.problems.append(str(problem))
+            if self._report is not None:
+                self._report(str(problem))
             time_ns = self._log_time_ns(now_ns)
             self._pump.event(time_ns, Level.ERROR, tap.default_name, str(problem))
             return []

@@ -36,7 +36,7 @@ class Series:
         Args:
             path: FILE.mcap; with either limit the files are FILE-0001.mcap and so on.
             open_file: makes a writer that knows its channels and sources, always the same.
-            rotate_bytes: a file ends with the chunk that makes it so large.
+            rotate_bytes: a file ends once it is so large, behind a chunk.
             rotate_ns: a file ends so long after its first message.
             overwrite: older recordings of these names may be lost.
 

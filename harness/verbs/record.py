@@ -128,7 +128,7 @@ def _record(
         overwrite=options.force,
     )
     pump = Pump(names, series)
-    loop = RecordingLoop(taps, pump, own_times)
+    loop = RecordingLoop(taps, pump, own_times, _report)
     signals = cleanup.enter_context(StopSignals(loop))
     buses = ", ".join(f"{name} ({text})" for name, text in zip(names, options.on, strict=True))
     print(f"recording {buses}; Ctrl-C ends it", file=sys.stderr, flush=True)
@@ -176,6 +176,11 @@ def _teller(pump: "Pump", series: "Series") -> "Callable[[int], None]":
     return tell
 
 
+def _report(text: str) -> None:
+    before = "\r\x1b[K" if sys.stderr.isatty() else ""  # in place of the line of progress
+    print(f"{before}motorhil record: {text}", file=sys.stderr, flush=True)
+
+
 def _summarize(
     options: argparse.Namespace,
     names: list[str],
@@ -185,8 +190,6 @@ def _summarize(
 ) -> None:
     if sys.stderr.isatty():
         print(file=sys.stderr)
-    for text in loop.problems:
-        print(f"motorhil record: {text}", file=sys.stderr)
     span_ns = (pump.last_ns or 0) - (pump.first_ns or 0)
     if options.json:
         counts = zip(names, pump.frames, pump.dropped, strict=True)
