@@ -51,9 +51,12 @@ class RigSink:
     carries_fd = False
 
     def __init__(self, rig: "Rig", bus: str) -> None:
-        """Joined. Raises RigError: the rig has no such bus."""
+        """Joined. Raises PlaceError: the rig has no such bus."""
         self.name = bus
-        self._bus = rig.bus(bus)
+        try:
+            self._bus = rig.bus(bus)
+        except KeyError as error:
+            raise PlaceError(f"--on {bus}: {error.args[0]}") from None
         self._queued = 0
         self._heard = self._bus.subscribe(self._hear)
 

@@ -105,10 +105,9 @@ def _open(
     for place in [parse_place(text) for text in options.on]:
         name = place.name or (buses[0] if len(buses) == 1 else "")
         if name not in buses or name in sinks:
-            known = ", ".join(buses)
-            what = (
-                f"is there for {name} already" if name in sinks else f"there are frames of {known}"
-            )
+            what = f"{name} is sent elsewhere already"
+            if name not in sinks:
+                what = f"there are frames of {', '.join(buses)}"
             raise PlaceError(f"--on {place.text}: {what}; write --on {buses[0]}=WHERE")
         sinks[name] = RigSink(rig, place.channel) if rig else open_sink(place, interface)
         cleanup.callback(sinks[name].close)

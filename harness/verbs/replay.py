@@ -2,10 +2,12 @@
 
 import argparse
 import math
+import sys
 from importlib import import_module
 from pathlib import Path
 from typing import Final
 
+from harness.exit_status import WRONG_USAGE
 from harness.seed_option import add_seed
 
 _MODES: Final = {
@@ -100,5 +102,8 @@ def run(options: argparse.Namespace) -> int:
     Raises:
         RigError, TraceError: a file cannot be used.
     """
+    if options.mode != "traffic" and options.speed == math.inf:
+        print("motorhil replay: --speed max is for --as traffic; say a number", file=sys.stderr)
+        return WRONG_USAGE
     status: int = import_module(_MODES[options.mode]).run(options)
     return status

@@ -17,8 +17,8 @@ from harness.recording.python_can import PythonCanTap
 from harness.recording.series import Series
 from tests.wall.test_hub import serving
 from traces.reader import read_trace
-from traces.traffic import Findings
-from traces.traffic_mcap import recorded_frames
+from traces.traffic import Findings, Frame, classic
+from traces.traffic_mcap import record_frames, recorded_frames
 
 pytestmark = pytest.mark.wall
 
@@ -193,3 +193,18 @@ def test_a_full_disk_is_one_line_and_the_summary(capsys):
     said = capsys.readouterr()
     assert "cannot be written: no space left on device" in said.err
     assert "Traceback" not in said.err
+
+
+@pytest.mark.parametrize("speed", ["1", "max"])
+def test_a_recording_sent_to_a_hub_is_on_its_bus_in_order(hub, tmp_path, capsys, speed):
+    sent = [Frame(k * 100_000, "can0", classic(0x123, k.to_bytes(2, "big"))) for k in range(COUNT)]
+    path, file = str(tmp_path / "sent.mcap"), tmp_path / "run.mcap"
+    record_frames(path, sent, {})
+    with recording("--on", hub, "-o", str(file)) as process:
+        words = ["replay", path, "--as", "traffic", "--on", hub, "--speed", speed, "--json"]
+        assert main(words) == 0
+        process.send_signal(signal.SIGINT)
+        process.communicate(timeout=20)
+    told = json.loads(capsys.readouterr().out)
+    assert told["sent"] == {"can0": COUNT}
+    assert numbers(file) == list(range(COUNT))

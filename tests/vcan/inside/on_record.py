@@ -14,8 +14,8 @@ from harness.recording.places import parse_place
 from harness.recording.socketcan import SocketCanTap
 from traces.reader import read_trace
 from traces.schema import Direction
-from traces.traffic import ERR, Findings
-from traces.traffic_mcap import recorded_frames
+from traces.traffic import ERR, Findings, Frame, classic, flexible
+from traces.traffic_mcap import record_frames, recorded_frames
 
 MOTORHIL = (sys.executable, "-c", "import sys; from harness.cli import main; sys.exit(main())")
 
@@ -123,3 +123,18 @@ def test_an_interface_that_is_down_is_told_and_read_again_when_it_is_up(capsys, 
         switch("vcan1", up=True)
     assert "2 of vcan1 frames" in out
     assert len(recorded(file)) == 2
+
+
+def test_a_recording_sent_back_is_what_it_was(capsys, tmp_path):
+    path, again = str(tmp_path / "first.mcap"), str(tmp_path / "again.mcap")
+    frames = [Frame(k * 1_000_000, "arm", classic(k % 2048, bytes(k % 9))) for k in range(1500)]
+    frames += [Frame(2_000_000_000, "arm", flexible(k, 1, bytes(48))) for k in range(20)]
+    record_frames(path, frames, {})
+    with recording("--on", "vcan0", "-o", again) as process:
+        for speed in ("10", "max"):
+            assert main(["replay", path, "--as", "traffic", "--on", "vcan0", "--speed", speed]) == 0
+        process.send_signal(2)
+        out, _ = process.communicate(timeout=60)
+    assert "none lost" in out
+    assert [frame.frame for frame in recorded(again)] == 2 * [frame.frame for frame in frames]
+    assert "1520 of arm to vcan0 frames in" in capsys.readouterr().out
