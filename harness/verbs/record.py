@@ -135,13 +135,13 @@ def _record(
     try:
         loop.run(lambda: signals.number is not None, options.duration, _teller(pump, series))
     finally:
-        facts = {name: str(count) for name, count in zip(names, pump.frames, strict=True)}
+        if sys.stderr.isatty():
+            print(file=sys.stderr)
+        frames = {name: str(count) for name, count in zip(names, pump.frames, strict=True)}
         lost = {name: str(count) for name, count in zip(names, pump.dropped, strict=True)}
         clocks = {name: tap.clock for name, tap in zip(names, taps, strict=True)}
-        try:
-            pump.close({"frames": facts, "lost": lost, "clocks": clocks})
-        finally:
-            _summarize(options, names, pump, series, loop)
+        pump.close({"frames": frames, "lost": lost, "clocks": clocks})
+    _summarize(options, names, pump, series, loop)
     return FAILED if loop.ended else PASSED
 
 
@@ -188,8 +188,6 @@ def _summarize(
     series: "Series",
     loop: "RecordingLoop",
 ) -> None:
-    if sys.stderr.isatty():
-        print(file=sys.stderr)
     span_ns = (pump.last_ns or 0) - (pump.first_ns or 0)
     if options.json:
         counts = zip(names, pump.frames, pump.dropped, strict=True)
