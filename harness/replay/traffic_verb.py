@@ -181,7 +181,8 @@ def _tell(
     for bus, count in done.errors.items():
         print(f"{options.file}: {count} error frames of {bus} cannot be sent", file=sys.stderr)
     each = ", ".join(f"{n} of {bus} to {sinks[bus].name}" for bus, n in done.sent.items())
-    told = f"{each or 'no'} frames in {took_s:.3f} s, recorded in {found.span_ns / _NS:.3f} s"
+    each = each.replace(" of", " frames of", 1) or "nothing"
+    told = f"{each} in {took_s:.3f} s, recorded in {found.span_ns / _NS:.3f} s"
     if speed is not None:
         told += "; late: " + ", ".join(f"{name} {ns / 1e6:.3f} ms" for name, ns in figures.items())
     print(told)

@@ -202,8 +202,9 @@ def _summarize(
         return
     files = series.paths[0] + (f" to {series.paths[-1]}" if len(series.paths) > 1 else "")
     each = ", ".join(f"{n} of {name}" for name, n in zip(names, pump.frames, strict=True))
+    each = each.replace(" of", " frames of", 1)
     lost = sum(pump.dropped)
-    print(f"{files}: {each} frames in {span_ns / _NS:.3f} s, {lost or 'none'} lost", flush=True)
+    print(f"{files}: {each} in {span_ns / _NS:.3f} s, {lost or 'none'} lost", flush=True)
 
 
 def _positive(text: str) -> float:

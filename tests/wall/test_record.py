@@ -74,7 +74,7 @@ def test_a_signal_completes_the_file_with_everything_sent_before_it(hub, tmp_pat
         process.send_signal(number)
         out, err = process.communicate(timeout=20)
     assert (process.returncode, err) == (0, "")
-    assert f"{COUNT} of can0, 5 of arm frames in" in out
+    assert f"{COUNT} frames of can0, 5 of arm in" in out
     assert "none lost" in out
     assert numbers(file) == list(range(COUNT))
     assert numbers(file, "arm") == list(range(5))
@@ -113,7 +113,7 @@ def test_a_hub_that_goes_ends_the_recording_and_that_is_told(tmp_path):
             out, err = process.communicate(timeout=20)
     assert process.returncode == 1
     assert "the hub has closed the connection" in err
-    assert f"{COUNT} of can0 frames" in out
+    assert f"{COUNT} frames of can0" in out
     assert numbers(file) == list(range(COUNT))
     with read_trace(file) as trace:
         assert trace.cut is None

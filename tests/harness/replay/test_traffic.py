@@ -199,7 +199,7 @@ def test_frames_in_a_rig_are_on_its_bus_at_their_times(capsys, tmp_path):
     words = ("replay", path, "--as", "traffic", "--rig", RIG, "--on", "arm=can0", "-o", live)
     assert main(words) == 0
     told = capsys.readouterr().out
-    assert told.startswith("1000 of arm to can0 frames in 0.999")
+    assert told.startswith("1000 frames of arm to can0 in 0.999")
     assert told.endswith(
         "late: median 0.000 ms, 99 % 0.000 ms, worst 0.000 ms, at the end 0.000 ms\n"
     )
@@ -287,7 +287,7 @@ def test_buses_that_are_sent_nowhere_are_told(capsys, tmp_path):
     assert main(["replay", path, "--as", "traffic", "--on", "can0=virtual:1"]) == 0
     said = capsys.readouterr()
     assert "1 frames of can1 are not sent" in said.err
-    assert said.out.startswith("1 of can0 to can0=virtual:1 frames")
+    assert said.out.startswith("1 frames of can0 to can0=virtual:1")
 
 
 @pytest.mark.parametrize("speed", ["0", "-1", "fast", "nan"])

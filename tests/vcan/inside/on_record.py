@@ -56,7 +56,7 @@ def test_two_interfaces_fd_and_error_frames_with_the_kernels_stamps(tmp_path):
         process.send_signal(2)
         out, err = process.communicate(timeout=60)
     assert (process.returncode, err) == (0, "")
-    assert "101 of vcan0, 100 of arm frames in" in out
+    assert "101 frames of vcan0, 100 of arm in" in out
     frames = recorded(file)
     times = [frame.time_ns for frame in frames]
     assert times == sorted(times)
@@ -121,7 +121,7 @@ def test_an_interface_that_is_down_is_told_and_read_again_when_it_is_up(capsys, 
             out, _ = process.communicate(timeout=60)
     finally:
         switch("vcan1", up=True)
-    assert "2 of vcan1 frames" in out
+    assert "2 frames of vcan1" in out
     assert len(recorded(file)) == 2
 
 
@@ -137,4 +137,4 @@ def test_a_recording_sent_back_is_what_it_was(capsys, tmp_path):
         out, _ = process.communicate(timeout=60)
     assert "none lost" in out
     assert [frame.frame for frame in recorded(again)] == 2 * [frame.frame for frame in frames]
-    assert "1520 of arm to vcan0 frames in" in capsys.readouterr().out
+    assert "1520 frames of arm to vcan0 in" in capsys.readouterr().out
