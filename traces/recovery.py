@@ -31,6 +31,16 @@ from traces.record_checks import (
 )
 
 _LOOSE_MAX: Final = 1 << 20
+_NAMES: Final = {
+    records.HEADER: "a header",
+    records.SCHEMA: "a schema",
+    records.CHANNEL: "a channel",
+    records.CHUNK: "a chunk",
+    records.MESSAGE_INDEX: "an index of messages",
+    records.ATTACHMENT: "an attachment",
+    records.METADATA: "metadata",
+    records.DATA_END: "the end of the data",
+}
 _STRUCTURE: Final = (records.SCHEMA, records.CHANNEL, records.METADATA, records.ATTACHMENT)
 _FOOTER_SIZE: Final = records.RECORD_HEAD.size + records.FOOTER_BODY.size
 
@@ -277,8 +287,14 @@ class _Walk:
         is_cut = end == self._size < stated
         if is_cut and opcode == records.CHUNK and self._salvage(offset):
             return end
-        what = "a damaged chunk" if opcode == records.CHUNK and not is_cut else "no whole record"
-        self._lose(offset, end, what, not self._data_ended)
+        name = _NAMES.get(opcode, "")
+        what = "no whole record"
+        if is_cut and name:
+            what = f"{name} whose end is missing"
+        elif opcode == records.CHUNK:
+            what = "a damaged chunk"
+        may_hold = not self._data_ended and not (is_cut and name and opcode != records.CHUNK)
+        self._lose(offset, end, what, may_hold)
         return end
 
     def _salvage(self, offset: int) -> bool:

@@ -103,6 +103,7 @@ def test_the_file_that_other_writers_make_keeps_its_digest_and_its_publish_times
 def test_cut_at_every_byte_nothing_is_lost_that_was_there():
     data, by_chunk, spans = small()
     saved = Counter()
+    told = Counter()
     for size in range(8, len(data)):
         done, whole = recovered(data[:size])
         if size % 3 == 0:
@@ -118,7 +119,15 @@ def test_cut_at_every_byte_nothing_is_lost_that_was_there():
         assert done.losses[-1].offset + done.losses[-1].size == size
         assert listed == read(data[:size])  # what the reader salvages, too
         saved[done.salvaged > 0] += 1
+        told[done.losses[-1].what.split(",")[0]] += 1
     assert saved[False] > 100
+    lengths = dict.fromkeys(range(0x10), 0)
+    offset = 8
+    while offset < len(data) - 8:
+        length = int.from_bytes(data[offset + 1 : offset + 9], "little")
+        lengths[data[offset]] += length
+        offset += 9 + length
+    assert told["an index of messages whose end is missing"] == lengths[records.MESSAGE_INDEX]
 
 
 def test_of_a_large_chunk_that_is_cut_the_first_messages_are_saved():
