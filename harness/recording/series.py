@@ -3,6 +3,7 @@
 import os
 from bisect import bisect_left
 from collections.abc import Callable
+from glob import escape, glob
 from operator import itemgetter
 from typing import Final, final
 
@@ -51,6 +52,7 @@ class Series:
         self._rotate_ns = rotate_ns
         self._overwrite = overwrite
         self._end_ns: int | None = None  # of this file; None: nothing is in it
+        self._refuse_loss()
         self._writer = self._next()
 
     @property
@@ -100,13 +102,26 @@ class Series:
         self._end_ns = None
         self._writer = self._next()
 
+    def _name(self, number: int) -> str:
+        if self._rotate_bytes is None and self._rotate_ns is None:
+            return self._path
+        root, ending = os.path.splitext(self._path)
+        return f"{root}-{number:04d}{ending}"
+
+    def _refuse_loss(self) -> None:
+        """Raises TraceError before anything is recorded: a file that will be needed is there."""
+        if self._overwrite:
+            return
+        taken = [self._name(1)]
+        if taken[0] != self._path:
+            root, ending = os.path.splitext(self._path)
+            taken = sorted(glob(f"{escape(root)}-[0-9][0-9][0-9][0-9]{escape(ending)}"))
+        for path in taken:
+            if os.path.exists(path) and os.path.getsize(path):
+                raise TraceError(path, "exists", remedy="name another file, or say --force")
+
     def _next(self) -> TraceWriter:
-        path = self._path
-        if self._rotate_bytes is not None or self._rotate_ns is not None:
-            root, ending = os.path.splitext(path)
-            path = f"{root}-{len(self.paths) + 1:04d}{ending}"
-        if not self._overwrite and os.path.exists(path) and os.path.getsize(path):
-            raise TraceError(path, "exists", remedy="name another file, or say --force")
+        path = self._name(len(self.paths) + 1)
         writer = self._open_file(path)
         self.paths.append(path)
         return writer

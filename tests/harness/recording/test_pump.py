@@ -190,6 +190,16 @@ def test_an_older_recording_is_not_lost_unless_that_is_said(tmp_path):
         write_series(tmp_path / "notes.mcap", overwrite=True)
 
 
+def test_a_later_file_that_would_be_lost_is_told_before_anything_is_recorded(tmp_path):
+    (tmp_path / "run-0007.mcap").write_text("from another day")
+    (tmp_path / "run-x.mcap").write_text("of no number")
+    with pytest.raises(TraceError, match=r"run-0007.mcap: exists"):
+        write_series(tmp_path / "run.mcap", rotate_ns=3 * S)
+    assert len(list(tmp_path.iterdir())) == 2
+    (tmp_path / "run-0007.mcap").unlink()
+    assert len(write_series(tmp_path / "run.mcap", rotate_ns=3 * S)[0].paths) == 7
+
+
 def test_a_terminal_is_told_four_times_a_second():
     progress = Progress(0)
     assert progress.line(249 * MS, 10, 0, 0) is None
