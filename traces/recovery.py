@@ -236,17 +236,11 @@ class _Walk:
         at = start + records.CHUNK_HEAD.size + 4 + min(name_size, self._size)
         stored = int.from_bytes(data[at : at + 8], "little")
         ends = {start + length, at + 8 + stored}
-        for end in sorted(ends):
-            if end > self._size or (len(ends) > 1 and not self._is_end(end)):
-                continue
-            chunk = chunk_in(data[start:end])
+        for end in sorted(ends):  # a wrong one that is greater only has more behind the data
+            chunk = chunk_in(data[start:end]) if end <= self._size else None
             if chunk is not None and (chunk.crc or (opcode == records.CHUNK and len(ends) == 1)):
                 return chunk, end
         return None
-
-    def _is_end(self, offset: int) -> bool:
-        """Whether a record may have ended here."""
-        return offset == self._size or record_at(self._data, offset) is not None
 
     def _take_chunk(self, chunk: Chunk, offset: int, end: int) -> None:
         self._has_chunks = True

@@ -64,6 +64,9 @@ def test_a_short_row_never_shows_what_a_longer_one_left(pair):
     sender.send(classic(1))
     sender.send(flexible(3))
     assert [frame for _, _, frame in reader.read(0, 1, NOW)] == [classic(1), flexible(3)]
+    sender.send(flexible(4))
+    sender.send(classic(5))
+    assert [frame for _, _, frame in reader.read(0, 1, NOW)] == [flexible(4), classic(5)]
 
 
 def test_a_full_batch_is_followed_by_the_rest(pair):

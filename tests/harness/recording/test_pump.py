@@ -27,6 +27,7 @@ class Told:
 
     def flush(self):
         self.flushes += 1
+        self.flushed = len(self.entries)
 
     def close(self, facts):
         self.facts = facts
@@ -54,6 +55,14 @@ def test_two_buses_are_recorded_in_the_order_of_their_stamps_across_rounds():
     assert (pump.first_ns, pump.last_ns) == (1, 14)
 
 
+def test_within_a_round_the_buses_are_put_in_order():
+    told = Told()
+    pump = Pump(["can0", "can1"], told)
+    pump.take([frames(0, 1, 5), frames(2, 2, 3)], began_ns=10)
+    assert times(pump, told) == [1, 2, 3, 5]
+    assert (pump.first_ns, pump.last_ns) == (1, 5)
+
+
 def test_a_stamp_ahead_of_our_clock_waits_one_round_and_no_longer():
     told = Told()
     pump = Pump(["can0", "can1"], told)
@@ -78,10 +87,11 @@ def test_a_silent_bus_is_in_the_file_after_a_second():
     pump.tick(0)
     assert told.flushes == 0
     pump.take([frames(0, 5 * S)], began_ns=5 * S)
+    pump.take([frames(0, 5 * S + 1)], began_ns=5 * S + 1)
     pump.tick(5 * S + FLUSH_NS - 1)
     assert told.flushes == 0
     pump.tick(5 * S + FLUSH_NS)
-    assert told.flushes == 1
+    assert (told.flushes, told.flushed) == (1, 2)
     pump.tick(9 * S)
     assert told.flushes == 1  # nothing new
 
