@@ -39,7 +39,9 @@ _VERBS: Final = (
     _Verb("check", "say what is wrong in a rig file, or what it holds", "harness.verbs.check"),
     _Verb("run", "run a script, or a prompt, with a rig around it", "harness.verbs.run", True),
     _Verb("serve", "run a rig in real time for other processes", "harness.serving", True),
+    _Verb("record", "record live CAN buses", "harness.verbs.record"),
     _Verb("replay", "let a recording stand in for devices or host", "harness.verbs.replay", True),
+    _Verb("recover", "make a cut or damaged recording whole again", "harness.verbs.recover"),
     _Verb("show", "tell a recording in sentences", "harness.verbs.show"),
     _Verb(
         "diff", "find the first thing that two recordings tell differently", "harness.verbs.diff"

@@ -8,13 +8,23 @@ from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from pathlib import Path
 from types import FrameType
-from typing import Final, Self, final
+from typing import Final, Protocol, Self, final
 
 import harness
 from emulators.serve import WallLoop
 
 STOPPING: Final = (signal.SIGINT, signal.SIGTERM)
 _LINE_MAX: Final = 65_536
+
+
+class Wakeable(Protocol):
+    """A loop that descriptors can wake."""
+
+    def wake_on(self, descriptor: int) -> None:
+        """It also wakes when this one becomes readable."""
+
+    def forget(self, descriptor: int) -> None:
+        """It no longer does."""
 
 
 @final
@@ -24,7 +34,7 @@ class StopSignals:
     Attributes: number, the first one that came; None: none.
     """
 
-    def __init__(self, loop: WallLoop, numbers: Sequence[signal.Signals] = STOPPING) -> None:
+    def __init__(self, loop: Wakeable, numbers: Sequence[signal.Signals] = STOPPING) -> None:
         self.number: int | None = None
         self._loop = loop
         self._reader, self._writer = os.pipe()

@@ -17,6 +17,7 @@ from traces.chunk_places import Chunk, read_summary
 from traces.compression import CompressionError, decompress, salvage
 from traces.errors import TraceError
 from traces.schema import Schema
+from traces.structure import Attachment, Channel, attachment_in, channel_in, schema_in
 
 _NAMES: Final = {
     records.HEADER: "header",
@@ -36,29 +37,6 @@ _STRUCTURE: Final = (
     records.ATTACHMENT,
     records.METADATA,
 )
-
-
-@final
-@dataclass(frozen=True, slots=True)
-class Channel:
-    """A topic and how its messages are encoded; `schema` is None if there is none."""
-
-    number: int
-    topic: str
-    encoding: str
-    schema: Schema | None
-    metadata: dict[str, str]
-
-
-@final
-@dataclass(frozen=True, slots=True)
-class Attachment:
-    """A file inside the file."""
-
-    name: str
-    media_type: str
-    log_time_ns: int
-    data: bytes
 
 
 @final
@@ -129,6 +107,9 @@ class Trace:
         self._file = file
         self._schemas: dict[int, Schema] = {}
         self._chunks: list[Chunk] = []
+        self._told = 0  # of those, by `more_messages`
+        self._scanned = 0  # up to here records are whole
+        self._data_ended = False
         self._size = file.seek(0, os.SEEK_END)
         self._scan()
 
@@ -202,17 +183,48 @@ class Trace:
                 data = self._content(chunk)
                 yield data, self._in_chunk(chunk, data)
 
+    def grow(self) -> bool:
+        """Whether the file has been written on since it was opened; what is new is known now.
+
+        Raises:
+            TraceError: it has become shorter, or what is new is damaged.
+        """
+        size = self._file.seek(0, os.SEEK_END)
+        if size < self._size:
+            raise TraceError(self.path, "has become shorter: it was written over")
+        if size == self._size or self.cut is None:
+            return False
+        self._size = size
+        if self._chunks and not self._chunks[-1].whole:
+            self._chunks.pop()
+        self._scan()
+        return True
+
+    def more_messages(self, from_ns: int | None = None) -> Iterator[TraceMessage]:
+        """Messages of whole chunks that this has not given before, later chunks than `from_ns`.
+
+        Raises:
+            TraceError: a chunk is damaged.
+        """
+        while self._told < len(self._chunks) and self._chunks[self._told].whole:
+            chunk = self._chunks[self._told]
+            self._told += 1
+            if from_ns is None or chunk.last_ns >= from_ns:
+                yield from self._in_chunk(chunk)
+
     # --------------------------------------------------------------------- from head to head
 
     def _scan(self) -> None:
         """All but the messages is known; `cut` tells where whole records end."""
-        start = self._read(0, len(records.MAGIC))
-        if start != records.MAGIC:
-            what = "is empty" if not self._size else "is no MCAP file"
-            raise TraceError(self.path, what, remedy="give a recording, as `--record` makes them")
-        offset = len(start)
+        if not self._scanned:
+            if self._read(0, len(records.MAGIC)) != records.MAGIC:
+                what = "is empty" if not self._size else "is no MCAP file"
+                remedy = "give a recording, as `--record` makes them"
+                raise TraceError(self.path, what, remedy=remedy)
+            self._scanned = len(records.MAGIC)
+        self.cut = None
+        offset = self._scanned
         opcode = 0
-        data_ended = False
         summary = read_summary(self._file)
         for opcode, content in summary.names:  # else those inside chunks are met only in these
             self._take(opcode, content, self._size)
@@ -220,33 +232,35 @@ class Trace:
             place = summary.places.get(offset)
             if place is not None:
                 self._chunks.append(place.chunk)
-                offset = place.end
+                offset = self._scanned = place.end
                 continue
             head = self._read(offset, records.RECORD_HEAD.size)
             name = "record" if not head else _NAMES.get(head[0], f"record of kind {head[0]:02X}h")
             if len(head) < records.RECORD_HEAD.size:
                 reason = f"in the head of a {name}" if head else "before the footer"
-                self.cut = Cut(offset, len(head), reason, not data_ended)
+                self.cut = Cut(offset, len(head), reason, not self._data_ended)
                 return
             opcode, length = records.RECORD_HEAD.unpack(head)
             end = offset + len(head) + length
             if opcode == 0:
                 left = self._size - offset
-                self.cut = Cut(offset, left, "no record begins there", not data_ended)
+                self.cut = Cut(offset, left, "no record begins there", not self._data_ended)
                 return
             if opcode == records.CHUNK:
                 self._add_chunk(offset, end)
             if end > self._size:
                 left = self._size - offset
                 reason = f"in a {name} of {end - offset} bytes"
-                self.cut = Cut(offset, left, reason, not data_ended)
+                self.cut = Cut(offset, left, reason, not self._data_ended)
                 return
             if opcode == records.MESSAGE:
                 self._add_loose(offset, end)
             elif opcode in _STRUCTURE:
                 self._take(opcode, self._read(offset + 9, length), offset)
-            data_ended = data_ended or opcode == records.DATA_END
+            self._data_ended = self._data_ended or opcode == records.DATA_END
             offset = end
+            if opcode != records.FOOTER:  # with it, the magic behind it is looked at again
+                self._scanned = end
         if self._read(offset, len(records.MAGIC)) != records.MAGIC:
             self.cut = Cut(offset, self._size - offset, "in the closing magic", False)
 
@@ -276,7 +290,7 @@ class Trace:
         """A message outside of any chunk belongs to the stretch of such messages."""
         (time_ns,) = records.UINT64.unpack(self._read(offset + 15, 8))
         start, first, last = offset, time_ns, time_ns
-        if self._chunks:
+        if len(self._chunks) > self._told:
             before = self._chunks[-1]
             if before.offset == before.data_offset and before.offset + before.data_size == offset:
                 self._chunks.pop()
@@ -292,47 +306,20 @@ class Trace:
                 _, at = records.read_string(content, 0)
                 self.library, _ = records.read_string(content, at)
             elif opcode == records.SCHEMA:
-                self._take_schema(content)
+                number, schema = schema_in(content)
+                self._schemas[number] = schema
             elif opcode == records.CHANNEL:
-                self._take_channel(content)
+                channel = channel_in(content, self._schemas)
+                self.channels[channel.number] = channel
             elif opcode == records.METADATA:
                 name, at = records.read_string(content, 0)
                 self.metadata[name] = records.read_string_map(content, at)
             else:
-                self._take_attachment(content)
+                self.attachments.append(attachment_in(content))
         except (struct.error, ValueError, KeyError) as error:
             raise TraceError(
                 self.path, f"damaged {_NAMES[opcode]} record ({error})", offset=offset
             ) from error
-
-    def _take_schema(self, content: bytes) -> None:
-        (number,) = records.UINT16.unpack_from(content)
-        name, at = records.read_string(content, 2)
-        encoding, at = records.read_string(content, at)
-        (size,) = records.UINT32.unpack_from(content, at)
-        self._schemas[number] = Schema(name, content[at + 4 : at + 4 + size], encoding)
-
-    def _take_channel(self, content: bytes) -> None:
-        number, schema = struct.unpack_from("<HH", content)
-        topic, at = records.read_string(content, 4)
-        encoding, at = records.read_string(content, at)
-        known = self._schemas[schema] if schema else None
-        self.channels[number] = Channel(
-            number, topic, encoding, known, records.read_string_map(content, at)
-        )
-
-    def _take_attachment(self, content: bytes) -> None:
-        (time_ns,) = records.UINT64.unpack_from(content)
-        name, at = records.read_string(content, 16)
-        media_type, at = records.read_string(content, at)
-        (size,) = records.UINT64.unpack_from(content, at)
-        if size > len(content):
-            raise ValueError(f"{size} bytes of data go beyond the record")
-        data = content[at + 8 : at + 8 + size]
-        (crc,) = records.UINT32.unpack_from(content, at + 8 + size)
-        if crc not in (0, zlib.crc32(content[: at + 8 + size])):
-            raise ValueError("its CRC does not fit")
-        self.attachments.append(Attachment(name, media_type, time_ns, data))
 
     # ------------------------------------------------------------------------------- messages
 

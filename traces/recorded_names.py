@@ -5,7 +5,7 @@ from dataclasses import dataclass, field
 from typing import Final, final
 
 from traces.object_names import ObjectNames
-from traces.reader import Attachment
+from traces.structure import Attachment
 
 _EDS: Final = (".eds", ".dcf")
 _TABLES: Final = ("rig", "bus", "controller", "motor")

@@ -1,6 +1,6 @@
 """A recording as sentences, in order: frames, ADUs, locks, groups and events with their times."""
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from typing import Final, final
 
@@ -70,6 +70,7 @@ class Story:
     def __init__(self, trace: Trace) -> None:
         self.names: RecordedNames = names_of(trace.attachments)
         self._trace = trace
+        self._has_learned = False
         self._buses: dict[str, CanopenDecoder] = {}
         self._lines: dict[str, ModbusDecoder] = {}
         self._decode_frame = FrameDecoder().decode
@@ -86,7 +87,21 @@ class Story:
         """
         if from_ns is not None:
             self._learn(from_ns)
-        for message in self._trace.messages(None, from_ns, to_ns):
+        yield from self._told(self._trace.messages(None, from_ns, to_ns))
+
+    def more_lines(self, from_ns: int | None = None, to_ns: int | None = None) -> Iterator[Line]:
+        """As `lines`, of what has been written since this was asked last (`Trace.grow`)."""
+        if from_ns is not None and not self._has_learned:
+            self._learn(from_ns)
+        self._has_learned = True
+        for line in self._told(self._trace.more_messages(from_ns)):
+            if (from_ns is None or line.time_ns >= from_ns) and (
+                to_ns is None or line.time_ns < to_ns
+            ):
+                yield line
+
+    def _told(self, messages: Iterable[TraceMessage]) -> Iterator[Line]:
+        for message in messages:
             line = self.line(message)
             if line is not None:
                 yield line

@@ -28,6 +28,7 @@ from traces.chunk import ChunkBuffer, Entry
 from traces.errors import TraceError
 from traces.new_file import create, let_go, reason
 from traces.schema import Direction, Schema
+from traces.summary import Summary, framed_chunk
 
 CHUNK_NS: Final = 1_000_000_000
 CHUNK_BYTES: Final = 1 << 20
@@ -74,14 +75,8 @@ class TraceWriter:
             self._file = target
         self._offset: int = 0
         self._crc: int = 0
-        self._schemas: dict[Schema, tuple[int, bytes]] = {}
-        self._channels: list[bytes] = []
-        self._counts: dict[int, int] = {}
-        self._chunk_indexes: list[bytes] = []
-        self._attachment_indexes: list[bytes] = []
-        self._metadata_indexes: list[bytes] = []
-        self._first_ns: int | None = None
-        self._last_ns: int = 0
+        self._schemas: dict[Schema, int] = {}
+        self._summary: Summary = Summary()
         self._due_ns: int = 0
         self._chunk: ChunkBuffer = ChunkBuffer(2 * CHUNK_BYTES, not compact)
         self._compressor: zstandard.ZstdCompressor = zstandard.ZstdCompressor(level=_LEVEL)
@@ -96,6 +91,11 @@ class TraceWriter:
     def __exit__(self, *_: object) -> None:
         self.close()
 
+    @property
+    def size(self) -> int:
+        """Bytes that are with the operating system; messages of an open chunk are not yet."""
+        return self._offset
+
     # ------------------------------------------------------------- what is said about messages
 
     def channel(self, topic: str, schema: Schema, metadata: Mapping[str, str] | None = None) -> int:
@@ -109,14 +109,15 @@ class TraceWriter:
             number = len(self._schemas) + 1
             data = records.schema(number, schema.name, schema.encoding, schema.data)
             self._put(data)
-            self._schemas[schema] = (number, data)
-        number = len(self._channels) + 1
+            self._schemas[schema] = number
+            self._summary.schemas.append(data)
+        number = len(self._summary.channels) + 1
         data = records.channel(
-            number, self._schemas[schema][0], topic, schema.encoding, metadata or {}
+            number, self._schemas[schema], topic, schema.encoding, metadata or {}
         )
         self._put(data)
-        self._channels.append(data)
-        self._counts[number] = 0
+        self._summary.channels.append(data)
+        self._summary.counts[number] = 0
         return number
 
     def source(self, channel: int, sender: str, direction: Direction = Direction.UNKNOWN) -> int:
@@ -134,7 +135,7 @@ class TraceWriter:
         offset = self._offset
         data = records.metadata(name, values)
         self._put(data)
-        self._metadata_indexes.append(records.metadata_index(offset, len(data), name))
+        self._summary.metadata_indexes.append(records.metadata_index(offset, len(data), name))
 
     def attach(
         self,
@@ -155,7 +156,7 @@ class TraceWriter:
             records.ATTACHMENT, content + records.UINT32.pack(zlib.crc32(content))
         )
         self._put(record)
-        self._attachment_indexes.append(
+        self._summary.attachment_indexes.append(
             records.attachment_index(offset, len(record), log_time_ns, len(data), name, media_type)
         )
 
@@ -234,7 +235,7 @@ class TraceWriter:
         try:
             if self.error is None:
                 self._close_chunk()
-                self._put(self._ending())
+                self._put(self._summary.ending(self._offset, self._crc))
         finally:
             self._release()
 
@@ -248,67 +249,13 @@ class TraceWriter:
         with chunk.content() as content:
             data = self._compressor.compress(content)
             crc = zlib.crc32(content)
-        offset, size, first, last = self._offset, chunk.used, chunk.first_ns, chunk.last_ns
-        parts = [records.chunk(first, last, size, crc, _COMPRESSION, data)]
-        length = end = len(parts[0])
-        index_offsets: dict[int, int] = {}
-        for channel, places in chunk.index():
-            index_offsets[channel] = offset + end
-            parts.append(records.message_index(channel, places))
-            end += len(parts[-1])
-        self._put(b"".join(parts))
-        for channel, count in chunk.counts().items():
-            self._counts[channel] += count
+        record, index, message_indexes = framed_chunk(
+            *(self._offset, chunk.first_ns, chunk.last_ns, chunk.used, crc),
+            *(_COMPRESSION, data, chunk.index()),
+        )
+        self._put(record + message_indexes)
+        self._summary.add_chunk(index, chunk.first_ns, chunk.last_ns, chunk.counts())
         chunk.clear()
-        self._chunk_indexes.append(
-            records.chunk_index(
-                first,
-                last,
-                offset,
-                length,
-                index_offsets,
-                end - length,
-                _COMPRESSION,
-                len(data),
-                size,
-            )
-        )
-        self._first_ns = first if self._first_ns is None else min(first, self._first_ns)
-        self._last_ns = max(last, self._last_ns)
-
-    def _ending(self) -> bytes:
-        """All behind the last chunk: data end, summary, summary offsets, footer, magic."""
-        data_end = records.record(records.DATA_END, records.UINT32.pack(self._crc))
-        start = self._offset + len(data_end)
-        statistics = records.statistics(
-            list(self._counts.items()),
-            len(self._schemas),
-            len(self._attachment_indexes),
-            len(self._metadata_indexes),
-            len(self._chunk_indexes),
-            self._first_ns or 0,
-            self._last_ns,
-        )
-        summary = b""
-        offsets = b""
-        for opcode, group in (
-            (records.SCHEMA, [data for _, data in self._schemas.values()]),
-            (records.CHANNEL, self._channels),
-            (records.STATISTICS, [statistics]),
-            (records.CHUNK_INDEX, self._chunk_indexes),
-            (records.ATTACHMENT_INDEX, self._attachment_indexes),
-            (records.METADATA_INDEX, self._metadata_indexes),
-        ):
-            if group:
-                data = b"".join(group)
-                offsets += records.summary_offset(opcode, start + len(summary), len(data))
-                summary += data
-        offset_start = start + len(summary)
-        footer = records.RECORD_HEAD.pack(records.FOOTER, records.FOOTER_BODY.size)
-        footer += records.UINT64.pack(start) + records.UINT64.pack(offset_start)
-        crc = zlib.crc32(summary + offsets + footer)
-        ending = summary + offsets + footer + records.UINT32.pack(crc)
-        return data_end + ending + records.MAGIC
 
     def _short_ending(self) -> bytes:
         """The least that makes a file complete: no summary, so that readers go through it all."""
@@ -335,13 +282,16 @@ class TraceWriter:
         Raises:
             TraceError: always.
         """
-        reach = f"up to {self._last_ns / 1e9:.3f} s" if self._chunk_indexes else "nothing yet"
+        reach = "nothing yet"
+        if self._summary.chunk_indexes:
+            reach = f"up to {self._summary.last_ns / 1e9:.3f} s"
         self.error = TraceError(
             self.path,
             f"cannot be written: {reason(cause)}; the recording holds {reach}",
             remedy="free space there, or record to another place",
         )
-        for ending in (self._ending(), self._short_ending(), b""):
+        whole = self._summary.ending(self._offset, self._crc)
+        for ending in (whole, self._short_ending(), b""):
             try:
                 self._file.seek(self._offset)
                 self._file.truncate()
@@ -364,5 +314,5 @@ class TraceWriter:
             raise TraceError(self.path, "the recording is closed")
 
     def _check_channel(self, channel: int) -> None:
-        if not 0 < channel <= len(self._channels):
+        if not 0 < channel <= len(self._summary.channels):
             raise ValueError(f"{self.path} has no channel {channel}")

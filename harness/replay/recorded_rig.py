@@ -16,9 +16,10 @@ from harness.rig_buses import CAN, address_key
 from harness.rig_file import Known, parse_rig, read_rig
 from harness.settings import RigError, Source
 from traces.errors import TraceError
-from traces.reader import Attachment, read_trace
+from traces.reader import read_trace
 from traces.recorded_names import rig_in as rig_of
 from traces.records import MAGIC
+from traces.structure import Attachment
 from traces.tape import Tape
 
 if TYPE_CHECKING:

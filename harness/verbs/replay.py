@@ -1,15 +1,19 @@
-"""`motorhil replay FILE --as device|host`: a recording stands in for one side of the bus."""
+"""`motorhil replay FILE --as device|host|traffic`: a recording stands in for a side, or both."""
 
 import argparse
+import math
+import sys
 from importlib import import_module
 from pathlib import Path
 from typing import Final
 
+from harness.exit_status import WRONG_USAGE
 from harness.seed_option import add_seed
 
 _MODES: Final = {
     "device": "harness.replay.device_verb",
     "host": "harness.replay.host_verb",
+    "traffic": "harness.replay.traffic_verb",
 }
 
 
@@ -22,7 +26,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         choices=list(_MODES),
         dest="mode",
         help="device: its devices answer SCRIPT as they did; host: its host drives a rig, and what "
-        "the devices tell is compared",
+        "the devices tell is compared; traffic: its frames are sent again, at their times",
     )
     parser.add_argument("script", nargs="?", metavar="SCRIPT", help="a Python program, or -")
     parser.add_argument("args", nargs="*", default=[], metavar="ARGS", help="of the script")
@@ -39,7 +43,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_seed(parser)
     parser.add_argument("-o", "--output", type=Path, metavar="FILE", help="record to FILE (MCAP)")
     parser.add_argument(
-        "--speed", type=float, metavar="X", help="pauses of the host X times faster"
+        "--speed",
+        type=_speed,
+        metavar="X",
+        help="pauses of the host, or all traffic, X times faster; max: traffic as fast as it goes",
     )
     parser.add_argument(
         "--patience",
@@ -56,7 +63,37 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="how far a motor may be off, rad or m (default 0.01)",
     )
     parser.add_argument("--all", action="store_true", help="tell all differences, not 20")
+    _add_traffic(parser)
     parser.add_argument("--json", action="store_true", help="answer for a machine")
+
+
+def _add_traffic(parser: argparse.ArgumentParser) -> None:
+    traffic = parser.add_argument_group("of --as traffic")
+    traffic.add_argument(
+        "--on",
+        action="append",
+        default=[],
+        metavar="[BUS=]WHERE",
+        help="where a recorded bus is sent: as of `motorhil record`, or a bus of --rig",
+    )
+    traffic.add_argument("--bus", action="append", metavar="NAME", help="only this bus")
+    traffic.add_argument("--id", action="append", type=_hex, metavar="HEX", help="only this one")
+    traffic.add_argument("--node", action="append", type=int, metavar="N", help="only this node")
+    traffic.add_argument("--from", type=float, dest="from_s", metavar="S", help="from this time")
+    traffic.add_argument("--to", type=float, dest="to_s", metavar="S", help="before this time")
+    traffic.add_argument("--bitrate", type=int, metavar="N", help="bit/s, of python-can's")
+    traffic.add_argument("--fd", action="store_true", help="CAN FD, of python-can's")
+
+
+def _speed(text: str) -> float:
+    value = math.inf if text == "max" else float(text)
+    if not value > 0.0:
+        raise ValueError(text)
+    return value
+
+
+def _hex(text: str) -> int:
+    return int(text.lower().removesuffix("h"), 16)
 
 
 def run(options: argparse.Namespace) -> int:
@@ -65,5 +102,8 @@ def run(options: argparse.Namespace) -> int:
     Raises:
         RigError, TraceError: a file cannot be used.
     """
+    if options.mode != "traffic" and options.speed == math.inf:
+        print("motorhil replay: --speed max is for --as traffic; say a number", file=sys.stderr)
+        return WRONG_USAGE
     status: int = import_module(_MODES[options.mode]).run(options)
     return status

@@ -3,6 +3,9 @@
 import argparse
 import json
 import sys
+import time
+from collections.abc import Callable, Iterator
+from contextlib import nullcontext, suppress
 from typing import Final, final
 
 from harness.exit_status import PASSED
@@ -12,6 +15,7 @@ from traces.said import PERIODIC, Fact, Kind
 from traces.story import Line, Story
 
 _NS: Final = 1_000_000_000
+_LOOK_AGAIN_S: Final = 0.2  # a recorder writes once a second
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -41,6 +45,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         action="store_true",
         help="leave out SYNC, and heartbeats and PDOs that tell nothing new but motion",
     )
+    parser.add_argument(
+        "--follow",
+        action="store_true",
+        help="go on while it is being recorded, until it is complete, or Ctrl-C",
+    )
     parser.add_argument("--json", action="store_true", help="one JSON object a line")
 
 
@@ -57,14 +66,43 @@ def run(options: argparse.Namespace) -> int:
         span = trace.span_ns()
         if options.last_ns is not None and span is not None:
             from_ns = max(from_ns or 0, span[1] - options.last_ns)
-        for line in story.lines(from_ns, options.to_ns):
-            if wanted.takes(line):
-                print(json.dumps(facts_of(line)) if options.json else text_of(line))
+        lines = story.lines(from_ns, options.to_ns)
+        if options.follow:
+            lines = followed(trace, story, from_ns, options.to_ns, _wait)
+        with suppress(KeyboardInterrupt) if options.follow else nullcontext():
+            for line in lines:
+                if wanted.takes(line):
+                    print(json.dumps(facts_of(line)) if options.json else text_of(line))
         _warn(trace)
         for name in options.motor or ():
             if name not in wanted.met:
                 print(f"motorhil show: nothing was told of a motor {name}", file=sys.stderr)
     return PASSED
+
+
+def followed(
+    trace: Trace,
+    story: Story,
+    from_ns: int | None,
+    to_ns: int | None,
+    wait: Callable[[], None],
+) -> Iterator[Line]:
+    """Lines of a recording that is being made, as they come; `wait` is called in between.
+
+    Raises:
+        TraceError: what was written is damaged, or the file was written over.
+    """
+    while True:
+        yield from story.more_lines(from_ns, to_ns)
+        if trace.cut is None:
+            return
+        while not trace.grow():
+            wait()
+
+
+def _wait() -> None:
+    sys.stdout.flush()
+    time.sleep(_LOOK_AGAIN_S)
 
 
 def text_of(line: Line) -> str:

@@ -4,6 +4,7 @@ import shutil
 
 import pytest
 
+from harness.cli import main
 from harness.replay.as_host import compared, drive
 from harness.replay.recorded_rig import with_recorded
 from harness.replay.verdict import players, summary, unanswered
@@ -11,6 +12,7 @@ from harness.rig import Rig
 from tests.golden import GOLDEN, INDEX, described, golden, record, rows
 from tests.harness.replay.altered import traffic
 from traces.digest import digest
+from traces.fields import decode_can_frame
 from traces.semantic_diff import Tolerance
 
 NAMES = list(GOLDEN)
@@ -72,5 +74,23 @@ def test_as_host_it_drives_the_same_devices_to_the_same(name, tmp_path):
         assert {one.label: one.share for one in objects if one.share < 1.0} == {}
 
 
-def test_as_traffic_its_frames_are_on_another_bus_when_they_were(name, tmp_path):
-    pytest.skip("with replay as traffic")
+def test_as_traffic_its_frames_are_on_another_bus_when_they_were(name, tmp_path, capsys):
+    """Each is sent when it was recorded, and so ends a frame later; a longer one may hold it up."""
+    bench, live = tmp_path / "bench.toml", tmp_path / "live.mcap"
+    bench.write_text("bus.bench.bitrate_bit_s = 1_000_000\n")
+    with golden(name) as path:
+        words = ["replay", str(path), "--as", "traffic", "--on", "can0=bench"]
+        status = main([*words, "--rig", str(bench), "-o", str(live)])
+        recorded = traffic(path)
+        if "/can/can0" not in recorded:
+            assert status == 2
+            assert "holds no CAN frame to send" in capsys.readouterr().err
+            return
+        assert status == 0
+        sent = recorded["/can/can0"]
+    heard = traffic(live)["/can/bench"]
+    before, after = ([decode_can_frame(data).frame for _, data in all_] for all_ in (sent, heard))
+    assert before == after
+    began_ns = heard[0][0] - sent[0][0]
+    late = [there - here - began_ns for (here, _), (there, _) in zip(sent, heard, strict=True)]
+    assert -135_000 < min(late) <= max(late) < 2 * 135_000  # the longest frame, at 1 Mbit/s

@@ -1,0 +1,1 @@
+"""Recording of live buses: taps read them, the pump orders and counts, a series of files keeps."""

@@ -1,0 +1,135 @@
+"""The loop that reads buses on the wall: waits, reads all of them, hands over, and lets be.
+
+After each round it pauses for a moment, so that a busy bus is read in batches; the sockets hold
+what comes meanwhile.
+"""
+
+import select
+import time
+from collections.abc import Callable, Sequence
+from typing import Final, final
+
+from harness.recording.pump import Pump
+from harness.recording.taps import POLLED, BusDownError, BusEndedError, Tap
+from traces.chunk import Entry
+from traces.schema import Level
+
+_IDLE_S: Final = 0.25
+_POLL_S: Final = 0.01
+_PAUSE_S: Final = 0.003
+_ROUND_FRAMES: Final = 8192  # of one bus; then the others have a turn
+
+
+@final
+class RecordingLoop:
+    """Reads taps until it is told to stop, or nothing is left to read.
+
+    Attributes:
+        problems: what happened to buses, in words, in order.
+        ended: whether every bus has ended by itself.
+    """
+
+    def __init__(
+        self,
+        taps: Sequence[Tap],
+        pump: Pump,
+        own_times: bool,
+        report: Callable[[str], None] | None = None,
+    ) -> None:
+        """Nothing has been read yet.
+
+        Args:
+            taps: in the order in which the pump knows them.
+            pump: is handed what comes.
+            own_times: log times are not the wall's, so that events are stamped like frames.
+            report: told at once of each problem.
+        """
+        self.problems: list[str] = []
+        self._taps = list(taps)
+        self._alive = list(taps)
+        self._pump = pump
+        self._own_times = own_times
+        self._report = report
+        self._woken_by: list[int] = []
+
+    @property
+    def ended(self) -> bool:
+        """Whether every bus has ended by itself."""
+        return not self._alive
+
+    def wake_on(self, descriptor: int) -> None:
+        """The loop also wakes when this descriptor becomes readable."""
+        self._woken_by.append(descriptor)
+
+    def forget(self, descriptor: int) -> None:
+        """It no longer does."""
+        self._woken_by.remove(descriptor)
+
+    def run(
+        self, stopped: Callable[[], bool], duration_s: float | None, tell: Callable[[int], None]
+    ) -> None:
+        """Everything has been recorded until `stopped()`, or for `duration_s` [s].
+
+        Args:
+            stopped: asked at least four times a second.
+            duration_s: None: as long as there is something to read.
+            tell: called as often, with a time that never goes back [ns].
+
+        Raises:
+            TraceError: the recording cannot be written.
+        """
+        end_s = None if duration_s is None else time.monotonic() + duration_s
+        while self._alive and not stopped():
+            wait_s = _IDLE_S
+            if any(tap.fileno() == POLLED for tap in self._alive):
+                wait_s = _POLL_S
+            if end_s is not None:
+                left_s = end_s - time.monotonic()
+                if left_s <= 0.0:
+                    break
+                wait_s = min(wait_s, left_s)
+            self._wait(wait_s)
+            if self._round() and not stopped():
+                select.select(self._woken_by, (), (), _PAUSE_S)
+            tell(time.monotonic_ns())
+        self._round()  # what had come when we were told to stop
+
+    def _wait(self, longest_s: float) -> None:
+        readable = [tap.fileno() for tap in self._alive if tap.fileno() != POLLED]
+        select.select([*self._woken_by, *readable], (), (), longest_s)
+
+    def _round(self) -> int:
+        """All buses were read until empty, within bounds; how many frames that gave."""
+        now_ns = time.time_ns()
+        came: list[list[Entry]] = []
+        for tap in self._taps:
+            frames = self._read(tap, now_ns) if tap in self._alive else []
+            more = frames
+            while more and len(frames) < _ROUND_FRAMES:
+                more = self._read(tap, now_ns)
+                frames += more
+            came.append(frames)
+        count = self._pump.take(came, now_ns)
+        for number, tap in enumerate(self._taps):
+            if tap.dropped != self._pump.dropped[number]:
+                self._pump.lost(number, tap.dropped, self._log_time_ns(now_ns))
+        self._pump.tick(now_ns)
+        return count
+
+    def _read(self, tap: Tap, now_ns: int) -> list[Entry]:
+        """What has come on a bus; what has happened to it is told."""
+        try:
+            return tap.read(now_ns)
+        except (BusDownError, BusEndedError) as problem:
+            if isinstance(problem, BusEndedError):
+                self._alive.remove(tap)
+            self.problems.append(str(problem))
+            if self._report is not None:
+                self._report(str(problem))
+            time_ns = self._log_time_ns(now_ns)
+            self._pump.event(time_ns, Level.ERROR, tap.default_name, str(problem))
+            return []
+
+    def _log_time_ns(self, now_ns: int) -> int:
+        """When it is now, by the clock of the recording."""
+        return now_ns if not self._own_times else self._pump.last_ns or 0

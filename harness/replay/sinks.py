@@ -1,0 +1,213 @@
+"""Buses that recorded frames are sent to: of a rig, of a hub, SocketCAN, any of python-can."""
+
+import errno
+import os
+import time
+from collections.abc import Mapping
+from contextlib import suppress
+from pathlib import Path
+from typing import TYPE_CHECKING, Final, final
+
+import can
+
+from harness.hub_client import HubLink
+from harness.recording.places import Kind, Place, PlaceError
+from harness.recording.python_can import message_of, open_bus
+from harness.recording.socketcan import open_interface
+from harness.replay.traffic import STUCK_S, SendError, Sink
+
+if TYPE_CHECKING:
+    from harness.rig import Rig
+
+_SOL_CAN_RAW: Final = 101  # linux/can/raw.h
+_CAN_RAW_FILTER: Final = 1
+_CAN_RAW_FD_FRAMES: Final = 5
+_FD_MTU: Final = 72
+_QUEUED_MAX: Final = 64  # so many are given to a bus of ours before it has carried them
+_PAUSE_S: Final = 0.0005
+
+
+def open_sink(place: Place, options: Mapping[str, object]) -> Sink:
+    """The bus there.
+
+    Args:
+        place: of the wall's world.
+        options: of python-can's interface (bitrate, fd).
+
+    Raises:
+        PlaceError: it cannot be reached.
+    """
+    if place.kind is Kind.SOCKETCAN:
+        return SocketCanSink(place)
+    if place.kind is Kind.HUB:
+        return HubSink(place)
+    return PythonCanSink(place, options)
+
+
+@final
+class RigSink:
+    """A bus of an open rig, in the rig's time."""
+
+    carries_fd = False
+
+    def __init__(self, rig: "Rig", bus: str) -> None:
+        """Joined. Raises PlaceError: the rig has no such bus."""
+        self.name = bus
+        try:
+            self._bus = rig.bus(bus)
+        except KeyError as error:
+            raise PlaceError(f"--on {bus}: {error.args[0]}") from None
+        self._queued = 0
+        self._heard = self._bus.subscribe(self._hear)
+
+    def _hear(self, frame: bytes, time_ns: int, transmitted: bool) -> None:
+        self._queued -= transmitted
+
+    def send(self, frame: bytes) -> None:
+        """The frame waits its turn."""
+        self._queued += 1
+        self._bus.transmit(frame)
+
+    def is_ready(self) -> bool:
+        """Whether not too many wait."""
+        return self._queued < _QUEUED_MAX
+
+    def is_empty(self) -> bool:
+        """Whether none waits."""
+        return not self._queued
+
+    def close(self) -> None:
+        """It hears nothing any more."""
+        self._heard.cancel()
+
+
+@final
+class HubSink:
+    """A bus of `motorhil serve --socket`, which tells when a frame was carried."""
+
+    carries_fd = False
+
+    def __init__(self, place: Place) -> None:
+        """Connected. Raises PlaceError: nobody serves there, or the hub refuses."""
+        self.name = place.text
+        try:
+            self._link = HubLink(place.channel)
+        except can.CanError as error:
+            raise PlaceError(f"--on {place.text}: {error}") from None
+        self._queued = 0
+
+    def send(self, frame: bytes) -> None:
+        """The hub has the frame."""
+        try:
+            self._link.send(frame)
+        except can.CanError as error:
+            raise SendError(str(error)) from None
+        self._queued += 1
+
+    def is_ready(self) -> bool:
+        """Whether not too many wait; looked at when it might not be."""
+        if self._queued >= _QUEUED_MAX // 2:
+            self._listen()
+        return self._queued < _QUEUED_MAX
+
+    def is_empty(self) -> bool:
+        """Whether none waits."""
+        self._listen()
+        return not self._queued
+
+    def _listen(self) -> None:
+        try:
+            while (heard := self._link.receive(0.0)) is not None:
+                self._queued -= heard[2]
+        except can.CanError as error:
+            raise SendError(str(error)) from None
+
+    def close(self) -> None:
+        """Disconnected."""
+        self._link.close()
+
+
+@final
+class SocketCanSink:
+    """A SocketCAN interface; the kernel's queue paces what comes too fast."""
+
+    def __init__(self, place: Place) -> None:
+        """Open. Raises PlaceError: it cannot be used."""
+        self.name = place.text
+        self._socket = open_interface(place)
+        self._socket.setsockopt(_SOL_CAN_RAW, _CAN_RAW_FILTER, b"")  # nothing is to be heard
+        self.carries_fd = _mtu(place.channel) >= _FD_MTU
+        if self.carries_fd:
+            self._socket.setsockopt(_SOL_CAN_RAW, _CAN_RAW_FD_FRAMES, 1)
+
+    def send(self, frame: bytes) -> None:
+        """The frame is in the interface's queue."""
+        deadline_s = time.monotonic() + STUCK_S
+        while True:
+            try:
+                self._socket.send(frame)
+            except OSError as error:
+                # ENOBUFS: the queue (10 frames by default) is full; no poll tells when it is not.
+                if error.errno != errno.ENOBUFS:
+                    reason = os.strerror(error.errno or 0).lower()
+                    raise SendError(f"{self.name}: {reason}") from None
+                if time.monotonic() > deadline_s:
+                    raise SendError(
+                        f"{self.name}: its queue has been full for {STUCK_S:g} s; is another node "
+                        "there to acknowledge, and the bit rate right?"
+                    ) from None
+                time.sleep(_PAUSE_S)
+            else:
+                return
+
+    def is_ready(self) -> bool:
+        """Always: `send` waits."""
+        return True
+
+    def is_empty(self) -> bool:
+        """Taken to be: the kernel does not tell."""
+        return True
+
+    def close(self) -> None:
+        """The interface is left alone."""
+        self._socket.close()
+
+
+@final
+class PythonCanSink:
+    """Any bus of python-can; what comes from it is heard and forgotten."""
+
+    def __init__(self, place: Place, options: Mapping[str, object]) -> None:
+        """Open. Raises PlaceError: it cannot be."""
+        self.name = place.text
+        self._bus = open_bus(place, options)
+        fd = (can.CanProtocol.CAN_FD, can.CanProtocol.CAN_FD_NON_ISO)
+        self.carries_fd = bool(options.get("fd")) or self._bus.protocol in fd
+        self._notifier = can.Notifier(self._bus, [], timeout=0.1)
+
+    def send(self, frame: bytes) -> None:
+        """The interface has the frame."""
+        try:
+            self._bus.send(message_of(frame), STUCK_S)
+        except (can.CanError, OSError, ValueError) as error:
+            raise SendError(f"{self.name}: {error}") from None
+
+    def is_ready(self) -> bool:
+        """Always: `send` waits."""
+        return True
+
+    def is_empty(self) -> bool:
+        """Taken to be: most interfaces do not tell."""
+        return True
+
+    def close(self) -> None:
+        """The bus has been left."""
+        self._notifier.stop(2.0)
+        self._bus.shutdown()
+
+
+def _mtu(interface: str) -> int:
+    """The largest frame the interface carries [bytes]; 0 if that is not told."""
+    with suppress(OSError, ValueError):
+        return int(Path(f"/sys/class/net/{interface}/mtu").read_text())
+    return 0

@@ -1,0 +1,218 @@
+"""`motorhil record --on WHERE -o FILE`: live CAN buses into a recording, several at once."""
+
+import argparse
+import json
+import sys
+from contextlib import ExitStack
+from typing import TYPE_CHECKING, Final
+
+from harness.exit_status import FAILED, PASSED, WRONG_USAGE
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from harness.recording.loop import RecordingLoop
+    from harness.recording.pump import Pump
+    from harness.recording.series import Series
+    from harness.recording.taps import Tap
+
+_NS: Final = 1_000_000_000
+_MIB: Final = 1 << 20
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """What `record` can be told."""
+    parser.add_argument(
+        "--on",
+        action="append",
+        required=True,
+        metavar="[NAME=]WHERE",
+        help="a SocketCAN interface (vcan0), the socket of `motorhil serve --socket` (a path, or "
+        "PATH#BUS), or interface:channel of python-can; may be repeated",
+    )
+    parser.add_argument(
+        "-o", "--output", required=True, metavar="FILE", help="file to write (MCAP)"
+    )
+    parser.add_argument("--duration", type=_positive, metavar="S", help="stop after S seconds")
+    parser.add_argument(
+        "--rotate-mib",
+        type=_positive,
+        metavar="N",
+        help="begin another file after N MiB: FILE-0001.mcap, FILE-0002.mcap, ...",
+    )
+    parser.add_argument(
+        "--rotate-s", type=_positive, metavar="S", help="begin another file after S seconds"
+    )
+    parser.add_argument(
+        "--bitrate", type=int, metavar="N", help="bit/s, where a python-can interface needs it"
+    )
+    parser.add_argument(
+        "--fd", action="store_true", help="CAN FD, where a python-can interface must be told"
+    )
+    parser.add_argument(
+        "--compact", action="store_true", help="a third of the size, but not for Foxglove"
+    )
+    parser.add_argument("--force", action="store_true", help="write over recordings that exist")
+    parser.add_argument("--json", action="store_true", help="the summary for a machine")
+    parser.epilog = "Ctrl-C ends it; however it ends, the file is readable."
+
+
+def run(options: argparse.Namespace) -> int:
+    """Exit status: 0 recorded, 1 a bus ended by itself, 2 it could not begin, or not be written.
+
+    Raises:
+        TraceError: the recording cannot be written.
+    """
+    from harness.recording.places import PlaceError
+
+    with ExitStack() as cleanup:
+        try:
+            taps, names, own_times = _open(options, cleanup)
+        except PlaceError as error:
+            print(f"motorhil record: {error}", file=sys.stderr)
+            return WRONG_USAGE
+        return _record(options, taps, names, own_times, cleanup)
+
+
+def _open(options: argparse.Namespace, cleanup: ExitStack) -> "tuple[list[Tap], list[str], bool]":
+    """(every bus, being read; its name; whether log times are a hub's); raises PlaceError."""
+    from harness.recording.places import Kind, PlaceError, parse_place, refuse_twice
+    from harness.recording.taps import HubClocks, HubTap
+
+    places = [parse_place(text) for text in options.on]
+    clocks = HubClocks(places)
+    interface = {"bitrate": options.bitrate} if options.bitrate else {}
+    if options.fd:
+        interface["fd"] = True
+    taps: list[Tap] = []
+    for place in places:
+        tap: Tap
+        if any(p.kind is place.kind and p.channel == place.channel for p in places[: len(taps)]):
+            raise PlaceError(f"--on {place.text}: is recorded already; name each bus once")
+        if place.kind is Kind.SOCKETCAN:
+            from harness.recording.socketcan import SocketCanTap
+
+            tap = SocketCanTap(place)
+        elif place.kind is Kind.HUB:
+            tap = HubTap(place, clocks)
+        else:
+            from harness.recording.python_can import PythonCanTap
+
+            tap = PythonCanTap(place, interface)
+        cleanup.callback(tap.close)
+        tap.source = 2 * len(taps)
+        taps.append(tap)
+    names = [place.name or tap.default_name for place, tap in zip(places, taps, strict=True)]
+    refuse_twice(names, places)
+    return taps, names, clocks.keeps
+
+
+def _record(
+    options: argparse.Namespace,
+    taps: "list[Tap]",
+    names: list[str],
+    own_times: bool,
+    cleanup: ExitStack,
+) -> int:
+    from harness.recording.loop import RecordingLoop
+    from harness.recording.pump import Pump, opener
+    from harness.recording.series import Series
+    from harness.wall_programs import StopSignals
+
+    metadata = _metadata(options, taps, names)
+    series = Series(
+        options.output,
+        opener(names, metadata, options.compact),
+        rotate_bytes=_scaled(options.rotate_mib, _MIB),
+        rotate_ns=_scaled(options.rotate_s, _NS),
+        overwrite=options.force,
+    )
+    pump = Pump(names, series)
+    loop = RecordingLoop(taps, pump, own_times, _report)
+    signals = cleanup.enter_context(StopSignals(loop))
+    buses = ", ".join(f"{name} ({text})" for name, text in zip(names, options.on, strict=True))
+    print(f"recording {buses}; Ctrl-C ends it", file=sys.stderr, flush=True)
+    try:
+        loop.run(lambda: signals.number is not None, options.duration, _teller(pump, series))
+    finally:
+        if sys.stderr.isatty():
+            print(file=sys.stderr)
+        frames = {name: str(count) for name, count in zip(names, pump.frames, strict=True)}
+        lost = {name: str(count) for name, count in zip(names, pump.dropped, strict=True)}
+        clocks = {name: tap.clock for name, tap in zip(names, taps, strict=True)}
+        pump.close({"frames": frames, "lost": lost, "clocks": clocks})
+    _summarize(options, names, pump, series, loop)
+    return FAILED if loop.ended else PASSED
+
+
+def _metadata(
+    options: argparse.Namespace, taps: "list[Tap]", names: list[str]
+) -> dict[str, dict[str, str]]:
+    from harness.build_info import version, version_of
+
+    places = {f"{name}_from": text for name, text in zip(names, options.on, strict=True)}
+    clocks = {f"{name}_clock": tap.clock for name, tap in zip(names, taps, strict=True)}
+    versions = {name: version_of(name) or "absent" for name in ("python-can", "zstandard")}
+    return {"record": {**places, **clocks}, "versions": {"motorhil": version(), **versions}}
+
+
+def _teller(pump: "Pump", series: "Series") -> "Callable[[int], None]":
+    """Shows on a terminal how it goes; elsewhere nothing."""
+    from harness.recording.progress import Progress
+
+    progress: list[Progress] = []
+    is_shown = sys.stderr.isatty()
+
+    def tell(now_ns: int) -> None:
+        if not is_shown:
+            return
+        if not progress:
+            progress.append(Progress(now_ns))
+        line = progress[0].line(now_ns, sum(pump.frames), sum(pump.dropped), series.bytes)
+        if line is not None:
+            sys.stderr.write(f"\r{line}\x1b[K")  # to the end of the line
+            sys.stderr.flush()
+
+    return tell
+
+
+def _report(text: str) -> None:
+    before = "\r\x1b[K" if sys.stderr.isatty() else ""  # in place of the line of progress
+    print(f"{before}motorhil record: {text}", file=sys.stderr, flush=True)
+
+
+def _summarize(
+    options: argparse.Namespace,
+    names: list[str],
+    pump: "Pump",
+    series: "Series",
+    loop: "RecordingLoop",
+) -> None:
+    span_ns = (pump.last_ns or 0) - (pump.first_ns or 0)
+    if options.json:
+        counts = zip(names, pump.frames, pump.dropped, strict=True)
+        facts = {
+            "files": series.paths,
+            "bytes": series.bytes,
+            "span_ns": span_ns,
+            "buses": {name: {"frames": count, "lost": lost} for name, count, lost in counts},
+            "problems": loop.problems,
+        }
+        print(json.dumps(facts), flush=True)
+        return
+    files = series.paths[0] + (f" to {series.paths[-1]}" if len(series.paths) > 1 else "")
+    each = ", ".join(f"{n} of {name}" for name, n in zip(names, pump.frames, strict=True))
+    each = each.replace(" of", " frames of", 1)
+    lost = sum(pump.dropped)
+    print(f"{files}: {each} in {span_ns / _NS:.3f} s, {lost or 'none'} lost", flush=True)
+
+
+def _positive(text: str) -> float:
+    value = float(text)
+    if not 0.0 < value < 1e9:
+        raise ValueError(text)
+    return value
+
+
+def _scaled(value: float | None, unit: int) -> int | None:
+    return None if value is None else max(1, round(value * unit))
