@@ -216,7 +216,7 @@ def test_list_shows_what_is_installed_and_where_our_own_eds_is(bench, say):
     status, out, _ = say("list", "controllers")
     assert status == 0
     lines = {line.split()[0]: line for line in out.splitlines()}
-    own = ["cia401", "cia402", "leadshine_pr", "oriental_az"]
+    own = ["cia401", "cia402", "leadshine_pr", "oriental_az", "recorded"]
     assert list(lines) == sorted([*own, "broken", "echo"])
     assert "bench 1.0" in lines["echo"]
     eds = Path(lines["cia402"].split()[-1])
