@@ -6,6 +6,8 @@ READY := $(VENV)/.ready
 
 COMPILED := .venv-compiled
 PACKAGES := motorapi emulators traces harness
+# Two are enough: the tests that go by the wall, one after another, are half of all (tests/conftest.py).
+WORKERS := -n auto --maxprocesses 2 --dist loadgroup
 
 .PHONY: demo test check bench format clean compiled build-compiled test-compiled
 
@@ -13,7 +15,7 @@ demo: $(READY)  ## the rover manoeuvre on emulated drives; writes out/demo.mcap
 	$(BIN)/motorhil demo
 
 test: check  ## everything that must hold, on one machine, in minutes
-	$(BIN)/python -m pytest
+	$(BIN)/python -m pytest $(WORKERS)
 
 check: $(READY)  ## style, types and who may import whom
 	$(BIN)/ruff check .

@@ -4,6 +4,7 @@ Controllers are the same on both: they are told RTU frames, and give RTU frames.
 those are what is on the wires; on TCP a gateway stands between, as in a real plant.
 """
 
+from abc import ABC, abstractmethod
 from collections.abc import Callable
 from typing import Final, final
 
@@ -20,7 +21,7 @@ LineTap = Callable[[str, int, int, int, str, bytes, bool], None]
 """(line, now, when its first bit began and its last one ended [ns], who sent it, ADU, spoiled)."""
 
 
-class LineSegment(Segment):
+class LineSegment(Segment, ABC):
     """What serial lines and gateways have in common: who is there, faults, taps."""
 
     def __init__(self, name: str, overseer: Overseer, plan: SerialFaultPlan | None) -> None:
@@ -31,17 +32,17 @@ class LineSegment(Segment):
         self._overseer = overseer
         self._alarm = overseer.queue.alarm(self._expire)
 
+    @abstractmethod
     def attach(self, name: str) -> int:
         """The number of a new port of a controller."""
-        raise NotImplementedError
 
     def join(self, slot: ControllerSlot, unit: int) -> None:
         """The controller, whose port was attached last, takes part."""
         self.endpoints.append(slot)
 
+    @abstractmethod
     def add_host(self, name: str, listener: HostListener) -> "LineHost":
         """An application's port on the line."""
-        raise NotImplementedError
 
     def free_name(self, wish: str) -> str:
         """The name wished for, with a number behind it if it is taken."""
@@ -57,8 +58,9 @@ class LineSegment(Segment):
         if isinstance(endpoint, LineHost):
             endpoint.is_closed = True
 
+    @abstractmethod
     def _expire(self, now_ns: int) -> None:
-        raise NotImplementedError
+        """What is due has happened."""
 
     def _settle(self, deadline_ns: int | None) -> None:
         if self.plan is not None:

@@ -236,6 +236,8 @@ def _listen(
 
 def _opened(path: str, baud_bit_s: int, parity: str, stop_bits: int) -> object:
     try:
+        import termios
+
         import serial
     except ImportError:
         raise UsageError(
@@ -251,5 +253,13 @@ def _opened(path: str, baud_bit_s: int, parity: str, stop_bits: int) -> object:
             write_timeout=_SEND_S,
             exclusive=False,
         )
-    except (serial.SerialException, OSError, ValueError) as error:
-        raise LinkError(link=path, reason=f"cannot be opened ({error})") from error
+    except (
+        OSError,
+        ValueError,
+        OverflowError,
+        termios.error,
+    ) as error:  # whatever pyserial lets by
+        settings = f"{baud_bit_s} bit/s, parity {parity}, {stop_bits} stop bits"
+        remedy = "is it plugged in, a serial device that can do this, and yours to open?"
+        reason = f"cannot be opened with {settings} ({error}): {remedy}"
+        raise LinkError(link=path, reason=reason) from error

@@ -18,6 +18,7 @@ settings.register_profile(
     max_examples=60,
     suppress_health_check=[HealthCheck.too_slow],
 )
+settings.register_profile("brief", settings.get_profile("ci"), max_examples=15)
 settings.register_profile("nightly", deadline=None, print_blob=True, max_examples=5000)
 settings.load_profile(os.environ.get("MOTORHIL_HYPOTHESIS", "ci"))
 
@@ -26,6 +27,39 @@ def pytest_configure() -> None:
     """Tests that are to judge the compiled cores (make test-compiled) have not got others."""
     if os.environ.get("MOTORHIL_COMPILED") == "1" and not cores_are_compiled():
         raise pytest.UsageError(f"the cores in {emulators.__file__} are not compiled")
+
+
+def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
+    """With several workers (`make test`) the two long groups begin at once, each on one worker.
+
+    One is the compiled build and what is run in it, one is all that goes by the wall: nothing there
+    runs beside another of its kind.
+    """
+    if not hasattr(config, "workerinput"):
+        return
+    long = {"compiled": ("compiled",), "wall": ("wall", "vcan")}
+    groups: dict[str, list[pytest.Item]] = {name: [] for name in (*long, "")}
+    for item in items:
+        group = next(
+            (g for g, marks in long.items() if any(map(item.get_closest_marker, marks))), ""
+        )
+        if group:
+            item.add_marker(pytest.mark.xdist_group(group))
+        groups[group].append(item)
+    items[:] = [item for group in groups.values() for item in group]
+
+
+@pytest.hookimpl(optionalhook=True)
+def pytest_xdist_make_scheduler(config: pytest.Config, log: object) -> object:
+    """Each worker has a group, or a file: what a file makes for all its tests is made once."""
+    from xdist.scheduler import LoadGroupScheduling
+
+    class Scheduling(LoadGroupScheduling):
+        def _split_scope(self, nodeid: str) -> str:
+            return str(super()._split_scope(nodeid)).split("::")[0]
+
+    config.option.loadscopereorder = False  # the long ones first
+    return Scheduling(config, log)
 
 
 REQUIRED = [name for name in os.environ.get("MOTORHIL_REQUIRE", "").split(",") if name]
@@ -42,6 +76,14 @@ def pytest_runtest_makereport(
         report.outcome = "failed"
         report.longrepr = f"MOTORHIL_REQUIRE={','.join(REQUIRED)}, but {reason}"
     return report
+
+
+def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:
+    """What a test that passed tells people: how many of its own ran, and were skipped, on vcan."""
+    for report in terminalreporter.getreports("passed"):
+        for name, value in report.user_properties:
+            if name == "on real vcan":
+                terminalreporter.write_line(f"{name}: {value}")
 
 
 @pytest.fixture(scope="session", autouse=True)

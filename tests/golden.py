@@ -14,11 +14,12 @@ from harness.rig import Rig, installed_plugins
 from harness.rig_file import RigDescription, parse_rig
 from harness.settings import Source
 from motorapi import ControlMode, Motor, MotorGroup, TrapezoidalTrajectory
+from tests.architecture.checkout import CHECKOUT
 from tests.motorapi.kinds import EVERY
 from traces.digest import digest
 from traces.reader import read_trace
 
-FOLDER = Path(__file__).parent.parent / "traces" / "golden"
+FOLDER = CHECKOUT / "traces" / "golden"
 INDEX = FOLDER / "INDEX.md"
 LOAD_N_M = 20.0
 

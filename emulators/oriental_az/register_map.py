@@ -5,6 +5,9 @@ row is the trigger.
 
 Source: an open-source master for AZD drives, and the maker's emulator's description of the trigger,
 agree on what is not marked; what is marked "*" follows the vendor's manuals as quoted elsewhere.
+Left out, because no source says more of them than that they are: the lifetime in the upper half of
+the trigger (its unit, and what ends with it), and what a drive answers that is asked for one half
+of a row, which should be asked for as a whole: here it is read, and written, as any register.
 """
 
 from typing import Final

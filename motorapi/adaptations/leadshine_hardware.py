@@ -88,10 +88,11 @@ class LeadshineHwMotor:
         self.progress: Final = PolledProgress()
         self.users = 0
         self._pulses = 0  # in a turn of the motor; 0: not asked yet
+        self._asked_at = (-1, 0)  # the standing then
         self._fault_since_ns = 0
         self._is_homed = False
         self._prepared: tuple[int, ...] = ()
-        self._ramp_told = (-1, 0)  # under which token, and what [ms]
+        self._ramp_told = ((-1, 0), 0)  # at which standing, and what [ms]
         self._stop: Exchange | None = None
         self._quick_stopped = False
 
@@ -132,8 +133,11 @@ class LeadshineHwMotor:
     def connect(self, model: "MotorModel") -> None:
         """It answers, and how many pulses make a turn is known."""
         gear(model)
-        if not self._pulses:
-            self._pulses = self.registers.first_read(_PULSES, _BOOT_S)
+        standing = self.registers.standing
+        if self._asked_at != standing:
+            is_known = bool(self._pulses)
+            self._pulses = self.registers.first_read(_PULSES, 0.0 if is_known else _BOOT_S)
+            self._asked_at = standing
 
     def _per_unit(self, model: "MotorModel") -> float:
         """Pulses per U."""
@@ -243,6 +247,7 @@ class LeadshineHwMotor:
 
     def prepare(self, motion: Motion, model: "MotorModel") -> None:
         """Path 0 as it will be sent; nothing is sent yet but the stop's ramp, if it differs."""
+        self.connect(model)
         rpm_unit, per_unit = self._rpm_per_unit(model), self._per_unit(model)
         faster, slower = self._ramps(motion, rpm_unit)
         if motion.variable is ControlVariable.VELOCITY:
@@ -256,7 +261,7 @@ class LeadshineHwMotor:
             speed = max(1, floor(motion.velocity * rpm_unit + 1e-9))
             check_register(self.label, "velocity", speed, _RPM_MAX, "rpm")
             path = (_ABSOLUTE, target >> 16, target, speed, faster, slower, 0, _RUN)
-        ramp = self.physical.token, slower
+        ramp = self.registers.standing, slower
         if self._ramp_told != ramp:
             self.registers.write(_QUICK_RAMP, slower)  # a stop slows down as the motion does
             self._ramp_told = ramp

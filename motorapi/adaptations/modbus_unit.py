@@ -16,7 +16,7 @@ from pymodbus.pdu.register_message import (
 from motorapi.adaptations.modbus_answers import Exchange
 from motorapi.adaptations.modbus_errors import ModbusProtocolViolation, is_silence
 from motorapi.adaptations.modbus_line import ByteLine, ModbusLine
-from motorapi.errors import DeadlineExceeded, LinkError, PeerError, UsageError
+from motorapi.errors import DeadlineExceeded, LinkError, MotorError, PeerError, UsageError
 from motorapi.lock_names import line_name
 from motorapi.process_lock import ProcessLock, can_share_time
 from motorapi.sharing import register_physical_motor, release_physical_motor
@@ -24,6 +24,7 @@ from motorapi.sharing import register_physical_motor, release_physical_motor
 if TYPE_CHECKING:
     from pymodbus.pdu import ModbusPDU
 
+    from motorapi.fencing import Owned
     from motorapi.runtime import Runtime
 
 _LINES: Final[dict[int, ModbusLine]] = {}  # by id(line), which stays its own while we hold it
@@ -81,6 +82,7 @@ class ModbusUnit:
         self._hardware = hardware
         self.line: Final = _open(line, runtime)
         self.is_closed = False
+        self.silences = 0  # how often it did not answer: each time it may have been without power
 
     def close(self) -> None:
         """It is used no more; closing again does nothing."""
@@ -93,6 +95,21 @@ class ModbusUnit:
         if self.is_closed:
             raise LinkError(link=self.label, reason="this hardware object is closed")
 
+    @property
+    def standing(self) -> tuple[int, int]:
+        """While this is the same nobody else had the motor, and it always answered.
+
+        What was read of it, and what it was told, is true for so long only.
+        """
+        return self.physical.token, self.silences
+
+    def _ask(self, request: "ModbusPDU", owned: "Owned | None" = None) -> "ModbusPDU":
+        try:
+            return self.line.ask(request, self.unit, self.timeout_s, owned)
+        except MotorError as error:
+            self.silences += is_silence(error)
+            raise
+
     def read(self, address: int, count: int = 1) -> list[int]:
         """The contents of holding registers, 0 to FFFFh each.
 
@@ -100,7 +117,7 @@ class ModbusUnit:
         """
         self._require_open()
         request = ReadHoldingRegistersRequest(address=address, count=count)
-        answer = self.line.ask(request, self.unit, self.timeout_s)
+        answer = self._ask(request)
         if len(answer.registers) != count:
             raise ModbusProtocolViolation(
                 line=self.line.name,
@@ -137,7 +154,7 @@ class ModbusUnit:
         """
         self._require_open()
         request = self._request(address, values)
-        self.line.ask(request, self.unit, self.timeout_s, self.physical.ownership)
+        self._ask(request, self.physical.ownership)
 
     def post(self, address: int, *values: int) -> Exchange:
         """As `write`, without waiting and whoever owns the motor: for stops."""

@@ -28,6 +28,7 @@ if TYPE_CHECKING:
     from motorapi.sharing import PhysicalMotor
 
 _BLOCK: Final = 0x0058
+_TRIGGER_AT: Final = 14  # in the block
 _INPUTS: Final = 0x007C
 _PULSED_INPUTS: Final = 0x0078
 _OUTPUTS: Final = 0x007E
@@ -92,10 +93,12 @@ class OrientalAzHwMotor:
         self.progress: Final = PolledProgress()
         self.users = 0
         self._steps = 0.0  # in a turn of the motor; 0: not asked yet
+        self._asked_at = (-1, 0)  # the standing then
         self._fault_since_ns = 0
         self._is_enabled = False  # by us: the drive excites its motor by itself at power-on
         self._quick_stopped = False
         self._prepared: tuple[int, ...] = ()
+        self._told: tuple[tuple[int, ...], ...] = ()  # the blocks of which it holds one
         self._deceleration = 1_000_000
         self._hz: int | None = None  # commanded; None: a motion of position
         self._stop: Exchange | None = None
@@ -137,10 +140,21 @@ class OrientalAzHwMotor:
     def connect(self, model: "MotorModel") -> None:
         """It answers, and how many steps make a turn is known."""
         gear(model)
+        standing = self.registers.standing
+        if self._asked_at == standing:
+            return
         if not self._steps:
             self.registers.first_read(_OUTPUTS, _BOOT_S)
-            a, b = self.registers.read_i32(_GEAR_A), self.registers.read_i32(_GEAR_B)
-            self._steps = 1000.0 * b / a
+        a, b = self.registers.read_i32(_GEAR_A), self.registers.read_i32(_GEAR_B)
+        if self._is_enabled and self._asked_at[1] != standing[1]:
+            self._is_enabled = self._remembers()
+        self._steps = 1000.0 * b / a
+        self._asked_at = standing
+
+    def _remembers(self) -> bool:
+        """Whether it holds what it was told last: it has forgotten, if it was without power."""
+        held = tuple(self.registers.read(_BLOCK, _TRIGGER_AT))
+        return held in [block[:_TRIGGER_AT] for block in self._told]
 
     def _per_unit(self, model: "MotorModel") -> float:
         """Steps per U."""
@@ -244,6 +258,7 @@ class OrientalAzHwMotor:
 
     def prepare(self, motion: Motion, model: "MotorModel") -> None:
         """The block as it will be sent; nothing is sent yet."""
+        self.connect(model)
         per_unit = self._per_unit(model)
         size = abs(per_unit)
         faster, slower = _down(motion.acceleration * size), _down(motion.deceleration * size)
@@ -263,7 +278,11 @@ class OrientalAzHwMotor:
 
     def trigger(self) -> None:
         """What was prepared is told and started by one request."""
+        self._tell(self._prepared)
         self.registers.write(_BLOCK, *self._prepared)
+
+    def _tell(self, block: tuple[int, ...]) -> None:
+        self._told = (*self._told[-1:], block)  # the one before, if this one gets lost
 
     def post_stop(self, quick: bool) -> None:
         """The drive is told to slow down; told again, if it did not answer and still moves."""
@@ -274,6 +293,7 @@ class OrientalAzHwMotor:
     def _post(self) -> Exchange:
         slower = self._deceleration
         block = words(0, _DECELERATE, 0, 0, slower, slower, _FULL_CURRENT, 1)
+        self._tell(block)
         return self.registers.post(_BLOCK, *block)
 
     def _stop_again(self, is_moving: bool) -> None:

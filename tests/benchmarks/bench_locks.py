@@ -1,24 +1,25 @@
 """The lock between processes, against flock in the same run."""
 
 import fcntl
-import json
 import os
 import statistics
-import subprocess
-import sys
 import tempfile
 import time
 from collections.abc import Callable
-from dataclasses import asdict
 
+from harness.sharing.desk import Desk
+from harness.sharing.history import Action, SharingViolated
+from harness.sharing.processes import Outcome, Plan
+from harness.sharing.processes import run as contested
 from motorapi.lock_directory import LockDirectory
 from motorapi.process_lock import ProcessLock
 from motorapi.wall_runtime import WallRuntime
-from tests.wall.lock_stress import Plan, Verdict
 
 ROUNDS = 5
 SHORT_ROUNDS = 200  # each shorter than a turn on a busy processor, so that one goes undisturbed
 TIMES = 100
+CONTEST_S, INSIDE_S = 3.0, 50e-6
+OURS, FLOCK = "harness.sharing.desk:work_lock", "tests.benchmarks.bench_locks:work_flock"
 
 
 def _best_us(action: Callable[[], object]) -> float:
@@ -81,10 +82,32 @@ def _held_us() -> tuple[float, float, float]:
             runtime.close()
 
 
-def _stress(plan: Plan) -> Verdict:
-    command = [sys.executable, "-m", "tests.wall.lock_stress", json.dumps(asdict(plan))]
-    done = subprocess.run(command, capture_output=True, text=True, check=True)
-    return Verdict(**json.loads(done.stdout))
+def work_flock(desk: Desk) -> None:
+    """The peer of `work_lock`: no order, no token."""
+    lock = os.open(desk.folder / "flock", os.O_RDWR | os.O_CREAT)
+    while not desk.is_over:
+        take = desk.history.call(desk.name, "lock", Action.TAKE)
+        fcntl.flock(lock, fcntl.LOCK_EX)
+        take.returned()
+        desk.spend(INSIDE_S)
+        desk.history.call(desk.name, "lock", Action.COMMAND, value=1).returned()
+        desk.history.call(desk.name, "lock", Action.READ).returned(value=1)
+        give = desk.history.call(desk.name, "lock", Action.GIVE)
+        fcntl.flock(lock, fcntl.LOCK_UN)
+        give.returned()
+
+
+def _contested(work: str) -> Outcome:
+    facts: dict[str, object] = {"inside_s": INSIDE_S, "commands": 1}
+    return contested(Plan(work, seconds=CONTEST_S, workers=4, facts=facts))
+
+
+def _violations(outcome: Outcome) -> int:
+    try:
+        outcome.require_sound()
+    except SharingViolated:
+        return 1
+    return 0
 
 
 def run() -> list[tuple[str, float, str]]:
@@ -92,12 +115,12 @@ def run() -> list[tuple[str, float, str]]:
     ours_us, flock_us = _uncontended_us()
     write_us, renew_us, over_us = _held_us()
     pairs = [  # in turn, so that both meet the same disturbances
-        (_stress(Plan(3.0, 4)), _stress(Plan(3.0, 4, lock="flock"))) for _ in range(ROUNDS)
+        (_contested(OURS), _contested(FLOCK)) for _ in range(ROUNDS)
     ]
-    ours_s = statistics.median(ours.worst_wait_s for ours, _ in pairs)
-    peer_s = statistics.median(peer.worst_wait_s for _, peer in pairs)
-    killed = _stress(Plan(10.0, 5, kill_period_s=0.05))
-    violations = killed.intruders + killed.overtaken + killed.tokens_repeated
+    ours_s = statistics.median(ours.waits_s[-1] for ours, _ in pairs)
+    peer_s = statistics.median(peer.waits_s[-1] for _, peer in pairs)
+    turns, peer_turns = (sum(len(one.waits_s) for one in them) for them in zip(*pairs, strict=True))
+    killed = contested(Plan(OURS, seconds=10.0, kill_period_s=0.05))
     return [
         ("taking it and letting it go, nobody else there", ours_us, "us"),
         ("the same with flock", flock_us, "us"),
@@ -107,10 +130,10 @@ def run() -> list[tuple[str, float, str]]:
         ("4 processes, 50 us inside: worst wait (median of 5 runs of 3 s)", ours_s * 1e3, "ms"),
         ("the same with flock", peer_s * 1e3, "ms"),
         ("ours against that", ours_s / peer_s, "x"),
-        ("turns a second", sum(ours.turns for ours, _ in pairs) / ROUNDS / 3.0, "1/s"),
-        ("the same with flock", sum(peer.turns for _, peer in pairs) / ROUNDS / 3.0, "1/s"),
-        ("5 processes, one killed every 50 ms for 10 s: killed", killed.killed, ""),
-        ("turns", killed.turns, ""),
-        ("violations: intruders, overtaken, tokens repeated", violations, ""),
-        ("longest time in which nobody had a turn", killed.longest_gap_s * 1e3, "ms"),
+        ("turns a second", turns / ROUNDS / CONTEST_S, "1/s"),
+        ("the same with flock", peer_turns / ROUNDS / CONTEST_S, "1/s"),
+        ("5 processes, one killed every 50 ms for 10 s: killed", killed.counts["killed"], ""),
+        ("turns", len(killed.waits_s), ""),
+        ("1 if anybody intruded, was overtaken, or had an old token", _violations(killed), ""),
+        ("longest time in which nobody had a turn", killed.worst_gap_s * 1e3, "ms"),
     ]

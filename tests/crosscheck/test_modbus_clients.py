@@ -6,11 +6,8 @@ where it is missing.
 """
 
 import asyncio
-import os
 import shutil
-import socket
 import subprocess
-import sys
 import time
 from collections.abc import Iterator
 from pathlib import Path
@@ -28,61 +25,9 @@ from pymodbus.client import (
 from pymodbus.client.mixin import ModbusClientMixin
 
 from tests.crosscheck.modbus_capture import SERVER_PORT, to_pcap
-from tests.wall.test_serve import MOTORHIL, motorhil, one_line
+from tests.crosscheck.served_plant import LONG_S, Server
 
 pytestmark = pytest.mark.wall
-
-LONG_S = 20.0
-RIG = """\
-bus.plant = {kind = "modbus_tcp", latency_s = 0}
-bus.rs485 = {kind = "modbus_rtu", baud_bit_s = 115_200, parity = "N"}
-[controller.mast]
-kind = "leadshine_pr"
-bus = "plant"
-unit = 1
-timing.boot_up_s = 0
-[controller.head]
-kind = "oriental_az"
-bus = "plant"
-unit = 2
-timing.boot_up_s = 0
-[controller.arm]
-kind = "leadshine_pr"
-bus = "rs485"
-unit = 1
-timing.boot_up_s = 0
-[controller.hand]
-kind = "oriental_az"
-bus = "rs485"
-unit = 2
-timing.boot_up_s = 0
-"""
-
-
-class Server:
-    """`motorhil serve` in a process of its own."""
-
-    def __init__(self, folder: Path) -> None:
-        self.rig = folder / "rig.toml"
-        self.rig.write_text(RIG)
-        self.link = folder / "line"
-        self.record = folder / "run.mcap"
-        doors = ("--modbus-tcp", "127.0.0.1:0", "--modbus-rtu", str(self.link))
-        self.process = subprocess.Popen(
-            [*MOTORHIL, "serve", str(self.rig), *doors, "-o", str(self.record)],
-            stdout=subprocess.PIPE,
-            stderr=subprocess.PIPE,
-            text=True,
-        )
-        assert self.process.stdout is not None
-        self.said = [self.process.stdout.readline() for _ in range(2)]
-        self.port = int(self.said[0].split(":")[2].split(",")[0])
-
-    def stop(self) -> str:
-        """What it said in the end."""
-        if self.process.poll() is None:
-            self.process.terminate()
-        return self.process.communicate(timeout=LONG_S)[1]
 
 
 @pytest.fixture(scope="module")
@@ -334,79 +279,3 @@ def test_the_planted_fault_a_wrong_check_sum_is_seen_by_wireshark(tshark, tmp_pa
     to_pcap([(0, "host", True, bytes.fromhex("010300000001840B"))], tmp_path / "crc.pcap")
     ((_, malformed, message, _),) = dissected(tshark, tmp_path / "crc.pcap", "mbrtu")
     assert malformed or "CRC" in message
-
-
-# ---- the command ----
-
-
-def test_it_says_where_and_leaves_nothing_behind(tmp_path):
-    there = Server(tmp_path)
-    assert there.said == [
-        f"plant: Modbus/TCP at 127.0.0.1:{there.port}, units 1, 2\n",
-        f"rs485: Modbus RTU (as at 115200 bit/s 8N1) at {there.link}, units 1, 2\n",
-    ]
-    assert there.link.is_symlink()
-    errors = there.stop()
-    assert "Traceback" not in errors
-    assert there.process.returncode == 0
-    assert not there.link.is_symlink()
-    with pytest.raises(ConnectionRefusedError):
-        socket.create_connection(("127.0.0.1", there.port))
-
-
-def test_a_link_left_by_a_killed_server_is_replaced_and_a_file_is_not(tmp_path):
-    link = tmp_path / "line"
-    link.symlink_to("/dev/pts/no-such-terminal")
-    (tmp_path / "rig.toml").write_text(RIG)
-    words = ["serve", str(tmp_path / "rig.toml"), "--modbus-rtu", str(link), "--"]
-    show = [sys.executable, "-c", "import os; print(os.readlink(os.environ[NAME]))"]
-    show[2] = show[2].replace("NAME", "'MOTORHIL_CHANNEL_RS485'")
-    done = motorhil(*words, *show)
-    assert (done.returncode, done.stderr) == (0, "")
-    assert done.stdout.startswith("/dev/pts/")
-    link.write_text("mine")
-    done = motorhil(*words, *show)
-    assert done.returncode == 2
-    assert f"{link}: the link to the terminal cannot be made" in one_line(done.stderr)
-    assert link.read_text() == "mine"
-
-
-@pytest.mark.parametrize(
-    ("words", "reason"),
-    [
-        (["--modbus-tcp", "0.0.0.0:0"], "0.0.0.0:0 can be reached from other machines"),
-        (["--modbus-tcp", "[::]:0"], "[::]:0 can be reached from other machines"),
-        (["--modbus-tcp", "rs485=127.0.0.1:0"], "bus 'rs485': it is of kind modbus_rtu"),
-        (["--modbus-tcp", "no=127.0.0.1:0"], "bus 'no': the rig has none of it"),
-        (["--modbus-rtu", "plant=/tmp/x"], "bus 'plant': it is of kind modbus_tcp"),
-        (["--modbus-rtu", "rs485="], "names no place"),
-        (["--modbus-tcp", "5020"], "no HOST:PORT"),
-        (["--modbus-tcp", "127.0.0.1:65536"], "no HOST:PORT"),
-        ([], "no place is named where to serve them"),
-        (["--socket", "/tmp/x", "--modbus-tcp", "127.0.0.1:0"], "no CAN bus for --on and --socket"),
-    ],
-)
-def test_what_cannot_be_served_is_one_line(tmp_path, words, reason):
-    (tmp_path / "rig.toml").write_text(RIG)
-    done = motorhil("serve", str(tmp_path / "rig.toml"), *words, "--", "true")
-    assert done.returncode == 2
-    assert reason in one_line(done.stderr)
-
-
-def test_other_machines_are_let_in_if_that_is_said(tmp_path):
-    (tmp_path / "rig.toml").write_text(RIG)
-    done = motorhil(
-        *("serve", str(tmp_path / "rig.toml"), "--modbus-tcp", "0.0.0.0:0", "--any-address"),
-        *("--", "sh", "-c", "echo $MOTORHIL_CHANNEL_PLANT"),
-    )
-    assert done.returncode == 0, done.stderr
-    assert done.stdout.startswith("0.0.0.0:")
-
-
-def test_a_port_in_use_is_one_line(tmp_path):
-    (tmp_path / "rig.toml").write_text(RIG)
-    with socket.create_server(("127.0.0.1", 0)) as taken:
-        place = f"127.0.0.1:{taken.getsockname()[1]}"
-        done = motorhil("serve", str(tmp_path / "rig.toml"), "--modbus-tcp", place, "--", "true")
-    assert done.returncode == 2
-    assert f"{place}: {os.strerror(98)}" in one_line(done.stderr)

@@ -13,7 +13,7 @@ CHECKOUT = Path(__file__).parents[2]
 
 @pytest.mark.vcan
 @pytest.mark.timeout(300)
-def test_on_real_socketcan(capfd):
+def test_on_real_socketcan(capfd, record_property):
     command = [sys.executable, "-m", "pytest", "-p", "no:cacheprovider"]
     inside = str(Path(__file__).parent / "inside")
     try:
@@ -23,5 +23,4 @@ def test_on_real_socketcan(capfd):
     output = capfd.readouterr().out
     assert status == 0, output
     assert " passed" in output, output
-    with capfd.disabled():
-        print(f"\n  on real vcan: {output.strip().splitlines()[-1]}")
+    record_property("on real vcan", output.strip().splitlines()[-1])

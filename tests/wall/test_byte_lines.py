@@ -1,8 +1,10 @@
 """Lines on the wall whose other end takes nothing: who sends is told, and nobody waits for ever."""
 
+import errno
 import os
 import pty
 import socket
+import termios
 import threading
 import time
 import tty
@@ -50,6 +52,28 @@ def test_a_serial_line_that_takes_nothing_is_a_broken_link():
     finally:
         os.close(slave)
         os.close(master)
+
+
+@pytest.mark.parametrize("call", ["tcgetattr", "tcsetattr", "tcflush"])
+def test_a_device_that_goes_while_it_is_opened_is_a_broken_link_with_the_remedy(call, monkeypatch):
+    def gone(*args):
+        raise termios.error(errno.EIO, "Input/output error")
+
+    master, slave = pty.openpty()
+    path = os.ttyname(slave)
+    monkeypatch.setattr(termios, call, gone)
+    with pytest.raises(LinkError, match=rf"^{path}: .*Input/output error.*is it plugged in"):
+        SerialLine(path, runtime=WallRuntime())
+    os.close(slave)
+    os.close(master)
+
+
+def test_a_speed_that_no_device_has_is_a_broken_link_with_the_settings():
+    master, slave = pty.openpty()
+    with pytest.raises(LinkError, match=r"with 1099511627776 bit/s, parity E, 1 stop bits \("):
+        SerialLine(os.ttyname(slave), baud_bit_s=1 << 40, runtime=WallRuntime())
+    os.close(slave)
+    os.close(master)
 
 
 def serve(master):

@@ -66,6 +66,6 @@ def test_two_groups_in_opposite_orders_end_every_round():
         work="harness.sharing.drivers:work_groups",
         workers=2,
         seconds=60.0,
-        facts={"rounds": 50, "move_every": 50},
+        facts={"rounds": 20, "move_every": 20},
     )
-    assert outcome.reached()["read: done"] == 100
+    assert outcome.reached()["read: done"] == 40

@@ -1,0 +1,101 @@
+"""What is known of a Modbus drive is asked again after others had it, or it was without power."""
+
+import pytest
+
+from emulators.media.serial_faults import SerialFaultKind, SerialFaultRule
+from motorapi import ControlMode, MotorState
+from motorapi.errors import DeadlineExceeded
+from tests.motorapi.adaptations.modbus_rigs import ADAPTATIONS, opened, run_s, text, truth
+
+RESOLUTION = 0.004  # rad: two steps of the coarser drive, that here counts half as many
+# Registers that say how much a turn is, and what they hold when a turn is half as many steps.
+COARSER = {"leadshine": (0x0001, (5000,)), "oriental_az": (0x0380, (0, 2))}
+QUICK_RAMP = 0x6017
+ONE_IS_LOST = SerialFaultRule("lost", SerialFaultKind.LOSE, sender="mast", limit=1)
+
+
+@pytest.fixture(params=list(ADAPTATIONS))
+def adaptation(request):
+    return request.param
+
+
+@pytest.fixture
+def rig(adaptation):
+    with opened(text(adaptation)) as rig:
+        yield rig
+
+
+def go_to(motor, position):
+    motor.set_control_mode(ControlMode.SETPOINT)
+    motor.set_setpoint(position)
+    motor.start()
+    motor.wait_until_done(5)
+
+
+def cut_power(rig):
+    """Its supply was gone for a while, and somebody asked it meanwhile."""
+    drive = rig.controllers["mast"]
+    drive.stimulate("power", 0)
+    assert rig.motors["mast"].state() is MotorState.OFFLINE
+    drive.stimulate("power", 1)
+    run_s(rig, 2.0)
+
+
+def test_what_somebody_else_made_of_a_turn_is_asked_before_the_next_motion(rig, adaptation):
+    mast = rig.motors["mast"]
+    go_to(mast, 0.1)
+    with mast.low_level() as hardware:
+        address, values = COARSER[adaptation]
+        hardware.registers.write(address, *values)
+    go_to(mast, 0.5)
+    assert truth(rig)["position_rad"] == pytest.approx(0.5, abs=RESOLUTION)
+    assert mast.position() == pytest.approx(0.5, abs=RESOLUTION)
+
+
+def test_a_turn_is_what_it_was_saved_as_after_power_was_gone(rig, adaptation):
+    mast = rig.motors["mast"]
+    mast.enable()
+    with mast.low_level() as hardware:
+        address, values = COARSER[adaptation]
+        hardware.registers.write(address, *values)
+    go_to(mast, 0.2)
+    cut_power(rig)
+    before = truth(rig)["position_rad"]
+    here = mast.position()
+    go_to(mast, here + 0.2)
+    assert truth(rig)["position_rad"] - before == pytest.approx(0.2, abs=RESOLUTION)
+
+
+@pytest.mark.parametrize("has_moved", [True, False])
+def test_a_drive_that_was_without_power_is_enabled_by_nobody(rig, has_moved):
+    mast = rig.motors["mast"]
+    mast.enable()
+    if has_moved:
+        go_to(mast, 0.1)
+    assert mast.state() is MotorState.ENABLED
+    cut_power(rig)
+    assert mast.state() is MotorState.DISABLED
+    mast.enable()
+    assert mast.state() is MotorState.ENABLED
+
+
+def test_a_drive_of_which_an_answer_was_lost_is_as_enabled_as_before(rig):
+    mast = rig.motors["mast"]
+    go_to(mast, 0.1)
+    rig.faults.inject("line", ONE_IS_LOST)
+    with pytest.raises(DeadlineExceeded):
+        mast.position()
+    assert mast.state() is MotorState.ENABLED
+    go_to(mast, 0.2)
+    assert truth(rig)["position_rad"] == pytest.approx(0.2, abs=RESOLUTION)
+
+
+@pytest.mark.parametrize("adaptation", ["leadshine"])
+def test_the_ramp_of_a_stop_is_told_again_after_power_was_gone(rig):
+    mast = rig.motors["mast"]
+    go_to(mast, 0.1)
+    told = mast.hardware.registers.read(QUICK_RAMP)
+    cut_power(rig)
+    assert mast.hardware.registers.read(QUICK_RAMP) != told
+    go_to(mast, 0.2)
+    assert mast.hardware.registers.read(QUICK_RAMP) == told

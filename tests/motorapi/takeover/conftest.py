@@ -1,0 +1,55 @@
+"""Where a motor is taken from who lives, by lease or on demand: the same wherever owners live.
+
+- "parties": logical motors of one process, in virtual time, without a lock.
+- "threads": logical motors of one process, on the wall's clock, with a lock between processes.
+- "strangers": each has a hardware object and a lock of his own, as in processes of their own.
+"""
+
+from types import SimpleNamespace
+
+import pytest
+
+from emulators.event_queue import EventQueue
+from harness.virtual_time import VirtualRuntime
+from motorapi import (
+    WallRuntime,
+)
+from motorapi.lock_directory import LockDirectory
+from motorapi.process_lock import ProcessLock
+from tests.motorapi.plain import PlainBus, PlainHwMotor, PlainMotor
+
+
+@pytest.fixture(params=["parties", "threads", "strangers"])
+def world(request, tmp_path):
+    """Somewhere to live, with logical motors a to d of one physical one."""
+    virtual = request.param == "parties"
+    runtime = VirtualRuntime(EventQueue()) if virtual else WallRuntime()
+    directory = LockDirectory(tmp_path)
+
+    def hardware(bus, node):
+        lock = None if virtual else ProcessLock(f"m{node}", f"motor {node}", directory)
+        return PlainHwMotor(runtime, node, bus, lock=lock)
+
+    def motors(names, node=1):
+        if request.param == "strangers":
+            return [PlainMotor(hardware(PlainBus(f"of {n}"), node), name=n) for n in names]
+        shared = hardware(PlainBus("bus"), node)
+        return [PlainMotor(shared, name=name) for name in names]
+
+    def pass_s(time_s):
+        runtime.wait_until(lambda: False, time_s)
+
+    yield SimpleNamespace(
+        runtime=runtime,
+        motors=motors,
+        pass_s=pass_s,
+        kind=request.param,
+        virtual=virtual,
+        lease_s=0.1 if virtual else 0.4,  # far longer than a busy machine delays anybody
+    )
+    runtime.close()
+
+
+@pytest.fixture
+def logical(world):
+    return world.motors("abcd")
