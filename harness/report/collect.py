@@ -15,7 +15,7 @@ from harness.report.tracks import TIME_MAX_NS, Track
 from harness.report.traffic import Traffic
 from harness.report.truth import TruthReader, message_of
 from traces.protobuf import Value, decode
-from traces.reader import Channel, Trace
+from traces.reader import Trace
 from traces.recorded_names import RecordedNames, names_of
 from traces.schema import (
     CAN_FRAME,
@@ -27,6 +27,7 @@ from traces.schema import (
     Level,
     LockAction,
 )
+from traces.structure import Channel
 
 _Handler = Callable[[int, bytes], None]
 _ACTIONS: Final[dict[object, LockAction]] = {action.value: action for action in LockAction}

@@ -5,7 +5,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass, field
 from typing import Any, final
 
-from traces.reader import Attachment
+from traces.structure import Attachment
 
 # A TOML table, hence Any.
 Table = dict[str, Any]
