@@ -9,7 +9,7 @@ PACKAGES := motorapi emulators traces harness
 # Two are enough: the tests that go by the wall, one after another, are half of all (tests/conftest.py).
 WORKERS := -n auto --maxprocesses 2 --dist loadgroup
 
-.PHONY: demo test check bench format clean compiled build-compiled test-compiled
+.PHONY: demo test check bench golden format clean compiled build-compiled test-compiled
 
 demo: $(READY)  ## the rover manoeuvre on emulated drives; writes out/demo.mcap
 	$(BIN)/motorhil demo
@@ -25,6 +25,9 @@ check: $(READY)  ## style, types and who may import whom
 
 bench: $(READY)  ## figures against a peer in the same run; asserts no wall time
 	$(BIN)/python -m tests.benchmarks
+
+golden: $(READY)  ## the golden recordings again, where a rig does something else today
+	$(BIN)/python -m tests.golden
 
 format: $(READY)
 	$(BIN)/ruff check --fix .
