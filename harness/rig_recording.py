@@ -117,7 +117,7 @@ class _GroupObserver:
         known = [(name, times) for name, times in quality.times if times is not None]
         starts = [(name, times.started_ns, times.source) for name, times in known]
         ends = [(name, times.ended_ns, times.source) for name, times in known]
-        self._write(_START, starts, quality.start_skew_s, None)
+        self._write(_START, starts, quality.start_skew_s, quality.predicted_start_skew_s)
         self._write(_END, ends, quality.end_skew_s, quality.predicted_end_skew_s)
 
     def _write(

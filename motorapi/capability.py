@@ -77,7 +77,14 @@ def quality_of(started: Sequence[Started]) -> SyncQuality:
     """
     times = tuple((one.motor.name, one.motor._call(one.motor._motion_times)) for one in started)
     known = [its for one, (_, its) in zip(started, times, strict=True) if not stays(one)]
+    offers = [one.motor._call(one.motor._sync_offer) for one in started]
+    members = [
+        Member(one.motor.name, offer, None)
+        for one, offer in zip(started, offers, strict=True)
+        if not stays(one)
+    ]
     return SyncQuality(
+        predicted_start_skew_s=start_bound(members, command_bound(members)).value_s,
         predicted_end_skew_s=end_skew_s(started),
         start_skew_s=spread_s([None if its is None else its.started_ns for its in known]),
         end_skew_s=spread_s([None if its is None else its.ended_ns for its in known]),

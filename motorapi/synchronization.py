@@ -176,6 +176,8 @@ class SyncQuality:
     """How well a group did begin and end together.
 
     Attributes:
+        predicted_start_skew_s: bound on it, as `SyncCapability` has it, of those motors that have a
+            way to go [s]; None: there is none.
         predicted_end_skew_s: from the profiles as the hardware rounded them [s].
         start_skew_s: between the first and the last motor's start as measured [s]; None until all
             of them told. A motor that has no way to go does not count.
@@ -189,6 +191,7 @@ class SyncQuality:
         straddles: how many signals came between what should have gone between two of them.
     """
 
+    predicted_start_skew_s: float | None
     predicted_end_skew_s: float
     start_skew_s: float | None
     end_skew_s: float | None

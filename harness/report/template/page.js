@@ -56,7 +56,7 @@ function build() {
     }
   }
   if (report.groups.length) {
-    const holder = section("groups", "Group skew", "● start measured, ■ end measured, ◇ end predicted; at the time at which the group was told");
+    const holder = section("groups", "Group skew", "● start measured, ○ at most; ■ end measured, ◇ predicted; at the time at which the group was told");
     for (const group of report.groups) new GroupPanel(holder, group);
   }
   addTimeline("locks", locks, true);

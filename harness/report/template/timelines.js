@@ -118,7 +118,7 @@ class GroupPanel extends Panel {
   constructor(parent, group) {
     super(parent, `group ${group.name}: skew`, 74);
     this.group = group;
-    this.lines = [0, 1, 2, 3].map(() => {
+    this.lines = [0, 1, 2, 3, 4].map(() => {
       const line = make("div", this.reading, "", "line");
       make("span", line, "", "name");
       make("span", line, "", "value");
@@ -164,7 +164,7 @@ class GroupPanel extends Panel {
       const x = toX(one.at * time.tick_s);
       if (x < gutter - 10 || x > gutter + width + 10) continue;
       drawn++;
-      if (one.predicted_s !== null) this.shape(ctx, x, toY(one.predicted_s), "predicted");
+      if (one.predicted_s !== null) this.shape(ctx, x, toY(one.predicted_s), one.start ? "bound" : "predicted");
       if (one.skew_s !== null) this.shape(ctx, x, toY(one.skew_s), one.start ? "start" : "end");
     }
     ctx.restore();
@@ -181,7 +181,8 @@ class GroupPanel extends Panel {
       for (const one of near) {
         const name = one.start ? "start, measured" : "end, measured";
         rows.push([name, one.skew_s === null ? "not known" : withUnit(one.skew_s, "s", 4), one]);
-        if (one.predicted_s !== null) rows.push(["end, predicted", withUnit(one.predicted_s, "s", 4), one]);
+        const bound = one.start ? "start, at most" : "end, predicted";
+        if (one.predicted_s !== null) rows.push([bound, withUnit(one.predicted_s, "s", 4), one]);
       }
     }
     this.lines.forEach((line, n) => {
@@ -197,9 +198,10 @@ function groupShape(ctx, x, y, what) {
   ctx.lineWidth = 1.6;
   ctx.beginPath();
   if (what === "start") ctx.arc(x, y, 3.2, 0, 7);
+  else if (what === "bound") ctx.arc(x, y, 4.5, 0, 7);
   else if (what === "end") ctx.rect(x - 3, y - 3, 6, 6);
   else { ctx.moveTo(x, y - 4.5); ctx.lineTo(x + 4.5, y); ctx.lineTo(x, y + 4.5); ctx.lineTo(x - 4.5, y); ctx.closePath(); }
-  if (what === "predicted") { ctx.strokeStyle = theme.demand; ctx.stroke(); return; }
+  if (what === "predicted" || what === "bound") { ctx.strokeStyle = theme.demand; ctx.stroke(); return; }
   ctx.fillStyle = what === "start" ? theme.actual : theme.truth;
   ctx.fill();
 }
