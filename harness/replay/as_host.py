@@ -1,47 +1,77 @@
-"""The host of a recording drives a rig; what its devices answer is compared with the recording."""
+"""The host of a recording drives devices; what they answer is compared with the recording."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Final, Protocol, final
 
 from emulators.media.can_bits import INTERMISSION_BITS, KEY_SHIFT, measure
 from harness.replay.host_player import PATIENCE_NS, HostPlayer
 from harness.settings import RigError
+from motorapi.runtime import Runtime
 from traces.fidelity import ObjectFidelity, fidelity, retimed, told_by_nodes
 from traces.host_tape import Listener
 from traces.meaning import Meaning, meaning_of
 from traces.reader import read_trace
 from traces.recorded_host import answer_size, host_of
 from traces.semantic_diff import Difference, Tolerance, differences
+from traces.traffic import classic
 
 if TYPE_CHECKING:
     from harness.rig import Rig
 
 _BITS: Final = (1 << KEY_SHIFT) - 1
+_RESET_ALL: Final = classic(0, b"\x81\x00")
+"""NMT: reset node, to all (CiA 301)."""
 _TAIL_S: Final = 0.1
 """How long what the last frame brings about is heard [s]."""
 
 
+class Driven(Protocol):
+    """The buses and lines that a recorded host is to drive.
+
+    Attributes:
+        runtime: whose time it is.
+        buses, lines: their names.
+        what: what messages call them all.
+    """
+
+    runtime: Runtime
+    buses: Sequence[str]
+    lines: Sequence[str]
+    what: str
+
+    def bit_ns(self, bus: str) -> int:
+        """How long a bit is on a bus [ns]."""
+
+    def send(self, bus: str, frame: bytes) -> None:
+        """A can_frame waits its turn on a bus, or an ADU goes out on a line."""
+
+    def listen(self, bus: str, player: HostPlayer) -> None:
+        """The player hears what is on it."""
+
+
 def drive(
-    rig: "Rig",
+    driven: Driven,
     recording: Path,
     speed: float = 1.0,
     patience_ns: int = PATIENCE_NS,
+    reset: bool = False,
 ) -> HostPlayer:
-    """The rig has been told all that the recorded host sent.
+    """The devices have been told all that the recorded host sent.
 
     Args:
-        rig: open, in virtual time or the wall's.
+        driven: where they are.
         recording: with a host in it.
         speed: how much faster the host's pauses are than recorded.
         patience_ns: how long something is waited for that was told in the recording [ns].
+        reset: all nodes are reset first, by NMT: what has long booted boots again.
 
     Raises:
         TraceError: the recording cannot be read.
-        RigError: there is no host in it, or it uses a bus or line that the rig does not have.
+        RigError: there is no host in it, or it uses a bus or line that is not there.
     """
-    buses, lines = rig.world.bus_names(), rig.world.line_names()
-    bits_ns = {bus: rig.world.bus(bus).bit_ns for bus in buses}
+    buses, lines = driven.buses, driven.lines
+    bits_ns = {bus: driven.bit_ns(bus) for bus in buses}
 
     def length_ns(bus: str, frame: bytes) -> int:
         return ((measure(frame) & _BITS) - INTERMISSION_BITS) * bits_ns.get(bus, 1000)
@@ -57,57 +87,82 @@ def drive(
     for bus in used:
         if bus not in (*buses, *lines):
             known = ", ".join((*buses, *lines))
-            problem = f"has no bus or line {bus!r}, on which the recorded host sends"
-            raise RigError(rig.description.source.path, problem, f"name one of them so: {known}")
+            problem = (
+                f"the recorded host sends on {bus!r}, and {driven.what} has no such bus or line"
+            )
+            raise RigError(recording, problem, f"it has {known}")
     player = HostPlayer(steps, Listener({}), begin_ns, lines, speed, patience_ns)
+    runtime = driven.runtime
+    for bus in (one for one in used if reset and one in buses):
+        driven.send(bus, _RESET_ALL)  # before anybody listens: what was told before is no answer
     for name in used:
-        if name in lines:
-            _hear_line(rig, name, player)
-        else:
-            _hear_bus(rig, name, player)
-    _play(rig, player)
-    return player
-
-
-def _play(rig: "Rig", player: HostPlayer) -> None:
-    runtime, lines = rig.runtime, rig.world.line_names()
+        driven.listen(name, player)
     player.start(runtime.now_ns())
     while not player.is_over():
         for bus, frame in player.take(runtime.now_ns()):
-            if bus in lines:
-                rig.line(bus).send(frame)
-            else:
-                runtime.send(rig.bus(bus), frame)
+            driven.send(bus, frame)
         due_ns = player.next_deadline_ns()
         if due_ns is not None:
             left_s = max(0, due_ns - runtime.now_ns()) / 1e9
             runtime.wait_until(_changed(player, due_ns), left_s)
-    runtime.run_for(_TAIL_S)
+    runtime.wait_until(_never, _TAIL_S)
+    return player
 
 
 def _changed(player: HostPlayer, due_ns: int) -> Callable[[], bool]:
     return lambda: player.next_deadline_ns() != due_ns
 
 
-def _hear_bus(rig: "Rig", name: str, player: HostPlayer) -> None:
-    def hear(frame: bytes, time_ns: int, transmitted: bool) -> None:
-        player.heard(name, frame, time_ns, transmitted)
-
-    rig.runtime.listen(rig.bus(name), hear)
+def _never() -> bool:
+    return False
 
 
-def _hear_line(rig: "Rig", name: str, player: HostPlayer) -> None:
-    line = rig.line(name)
-    rest = bytearray()
+@final
+class DrivenRig:
+    """The buses and lines of an open rig."""
 
-    def hear(data: bytes, time_ns: int) -> None:
-        rest.extend(data)
-        size = answer_size(bytes(rest), line.framing == "tcp")
-        if size is not None and len(rest) >= size:
-            player.answered(name, rest[6 if line.framing == "tcp" else 0], time_ns)
-            rest.clear()
+    def __init__(self, rig: "Rig") -> None:
+        self.runtime: Runtime = rig.runtime
+        self.buses: Sequence[str] = rig.world.bus_names()
+        self.lines: Sequence[str] = rig.world.line_names()
+        self.what = str(rig.description.source.path)
+        self._rig = rig
 
-    line.listen(hear)
+    def bit_ns(self, bus: str) -> int:
+        """How long a bit is on a bus [ns]."""
+        return self._rig.world.bus(bus).bit_ns
+
+    def send(self, bus: str, frame: bytes) -> None:
+        """It waits its turn, or goes out."""
+        if bus in self.lines:
+            self._rig.line(bus).send(frame)
+        else:
+            self.runtime.send(self._rig.bus(bus), frame)
+
+    def listen(self, bus: str, player: HostPlayer) -> None:
+        """The player hears what is on it."""
+        if bus in self.lines:
+            self._listen_to_line(bus, player)
+            return
+
+        def hear(frame: bytes, time_ns: int, transmitted: bool) -> None:
+            player.heard(bus, frame, time_ns, transmitted)
+
+        self.runtime.listen(self._rig.bus(bus), hear)
+
+    def _listen_to_line(self, name: str, player: HostPlayer) -> None:
+        line = self._rig.line(name)
+        rest = bytearray()
+        is_tcp = line.framing == "tcp"
+
+        def hear(data: bytes, time_ns: int) -> None:
+            rest.extend(data)
+            size = answer_size(bytes(rest), is_tcp)
+            if size is not None and len(rest) >= size:
+                player.answered(name, rest[6 if is_tcp else 0], time_ns)
+                rest.clear()
+
+        line.listen(hear)
 
 
 def compared(

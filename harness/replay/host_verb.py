@@ -8,9 +8,10 @@ import tempfile
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from harness.exit_status import FAILED, PASSED
+from harness.exit_status import FAILED, PASSED, WRONG_USAGE
 from harness.settings import RigError
 from harness.text_table import print_table
+from motorapi.errors import MotorError
 
 if TYPE_CHECKING:
     from harness.replay.host_player import HostPlayer
@@ -28,18 +29,20 @@ def run(options: argparse.Namespace) -> int:
         RigError: the rig cannot be used for it.
         TraceError: the recording cannot be read, or the new one not be written.
     """
-    from harness.replay.as_host import compared, drive
-    from harness.rig import Rig
+    from harness.recording.places import PlaceError
+    from harness.replay.as_host import compared
     from traces.semantic_diff import Tolerance
 
-    description = _described(options)
     with tempfile.TemporaryDirectory(prefix="motorhil-") as folder:
         live = options.output or Path(folder, "live.mcap")
-        with Rig(description, seed=options.seed, realtime=options.realtime, record=live) as rig:
-            for note in rig.notes:
-                print(note, file=sys.stderr)
-            patience_ns = round(options.patience * 1e9)
-            done = drive(rig, options.file, options.speed or 1.0, patience_ns)
+        try:
+            done = _on_buses(options, live) if options.on else _on_rig(options, live)
+        except PlaceError as error:
+            print(f"motorhil replay: {error}", file=sys.stderr)
+            return WRONG_USAGE
+        except MotorError as error:  # a bus that broke
+            print(f"motorhil replay: {error}", file=sys.stderr)
+            return FAILED
         found, differing = compared(
             options.file, live, done.pairs, Tolerance(options.tolerance, 50_000_000)
         )
@@ -48,6 +51,39 @@ def run(options: argparse.Namespace) -> int:
     else:
         _tell(options, done, found, differing)
     return FAILED if differing or done.missed else PASSED
+
+
+def _on_rig(options: argparse.Namespace, live: Path) -> "HostPlayer":
+    """Emulated devices, in virtual time or no faster than the wall's."""
+    from harness.replay.as_host import DrivenRig, drive
+    from harness.rig import Rig
+
+    description = _described(options)
+    with Rig(description, seed=options.seed, realtime=options.realtime, record=live) as rig:
+        for note in rig.notes:
+            print(note, file=sys.stderr)
+        return drive(DrivenRig(rig), options.file, *_pace(options))
+
+
+def _on_buses(options: argparse.Namespace, live: Path) -> "HostPlayer":
+    """Devices on buses of the wall's world."""
+    from harness.recording.places import PlaceError
+    from harness.replay.as_host import drive
+    from harness.replay.real_buses import DrivenBuses, places_for
+    from traces.reader import read_trace
+
+    if options.rig is not None:
+        raise PlaceError("--on names buses, and --rig a rig to drive: say one of them")
+    with read_trace(options.file) as trace:
+        topics = sorted({channel.topic for channel in trace.channels.values()})
+    buses = [topic.removeprefix("/can/") for topic in topics if topic.startswith("/can/")]
+    places = places_for(options.on, buses or ["can0"])
+    with DrivenBuses(places, options.bitrate, live, options.file) as driven:
+        return drive(driven, options.file, *_pace(options))
+
+
+def _pace(options: argparse.Namespace) -> tuple[float, int, bool]:
+    return options.speed or 1.0, round(options.patience * 1e9), options.reset
 
 
 def _described(options: argparse.Namespace) -> "RigDescription":

@@ -62,13 +62,16 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="X",
         help="how far a motor may be off, rad or m (default 0.01)",
     )
+    parser.add_argument(
+        "--reset", action="store_true", help="reset all nodes first: they boot again (host)"
+    )
     parser.add_argument("--all", action="store_true", help="tell all differences, not 20")
     _add_traffic(parser)
     parser.add_argument("--json", action="store_true", help="answer for a machine")
 
 
 def _add_traffic(parser: argparse.ArgumentParser) -> None:
-    traffic = parser.add_argument_group("of --as traffic")
+    traffic = parser.add_argument_group("of --as traffic; --on and --bitrate also of --as host")
     traffic.add_argument(
         "--on",
         action="append",

@@ -17,6 +17,7 @@ pytestmark = pytest.mark.wall
 MOTORHIL = (sys.executable, "-c", "import sys; from harness.cli import main; sys.exit(main())")
 RIG = str(EXAMPLES / "two_wheels.toml")
 SCRIPT = (str(Path(__file__).parent / "patient_wheels.py"), str(EXAMPLES / "wheel_model.toml"))
+GOLDEN = Path(__file__).parents[2] / "traces" / "golden"
 REACHED = "1.000\n2.000 2.000\n"  # what the paper says of Algorithms 1 and 2
 
 
@@ -52,6 +53,31 @@ def test_a_recording_stands_in_for_the_drives_in_real_time(tmp_path):
     assert (done.returncode, done.stdout) == (0, REACHED), done.stderr
     assert "2 recorded controllers: " in done.stderr
     assert "commands, all answered as recorded" in done.stderr
+
+
+def test_a_recorded_host_drives_drives_of_another_process_to_the_same(tmp_path):
+    """They have long booted: it resets them first. Two names for a bus, and the record of it."""
+    record, again = tmp_path / "bench.mcap", tmp_path / "again.mcap"
+    assert motorhil("run", RIG, "-o", str(record), *SCRIPT).stdout == REACHED
+    hub = tmp_path / "hub"
+    words = ("replay", str(record), "--as", "host", "--on", f"can0={hub}", "--reset")
+    done = motorhil(
+        *("serve", RIG, "--socket", str(hub), "--"), *MOTORHIL, *words, "-o", str(again)
+    )
+    assert done.returncode == 0, done.stdout + done.stderr
+    assert "0 differences, 0 times waited in vain" in done.stdout
+    with read_trace(again) as trace:
+        assert {channel.topic for channel, _, _ in trace.messages()} == {"/can/can0"}
+
+
+@pytest.mark.parametrize(
+    "words", [("--on", "/nowhere/hub"), ("--on", "can7=vcan7"), ("--on", "vcan77"), ("--on", "=x")]
+)
+def test_a_bus_that_the_recorded_host_cannot_reach_is_one_line(tmp_path, words):
+    record = str(GOLDEN / "cia402.mcap")
+    done = motorhil("replay", record, "--as", "host", *words)
+    assert (done.returncode, done.stdout) == (2, "")
+    assert one_line(done.stderr).startswith("motorhil replay: --on ")
 
 
 @pytest.mark.parametrize(

@@ -5,7 +5,7 @@ import shutil
 import pytest
 
 from harness.cli import main
-from harness.replay.as_host import compared, drive
+from harness.replay.as_host import DrivenRig, compared, drive
 from harness.replay.recorded_rig import with_recorded
 from harness.replay.verdict import players, summary, unanswered
 from harness.rig import Rig
@@ -62,7 +62,7 @@ def test_as_host_it_drives_the_same_devices_to_the_same(name, tmp_path):
     with golden(name) as path:
         live = tmp_path / "live.mcap"
         with Rig(described(name), record=live) as rig:
-            player = drive(rig, path)
+            player = drive(DrivenRig(rig), path)
         objects, differing = compared(path, live, player.pairs, Tolerance())
         if name == "overload":  # nobody loads the motor: that the frames do not tell
             assert any("emergency" in one.label for one in differing)

@@ -1,0 +1,122 @@
+"""Buses of the wall's world that a recorded host drives: real ones, and other processes'."""
+
+from collections.abc import Mapping, Sequence
+from contextlib import ExitStack
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Final, Self, final
+
+from harness.recording.places import Kind, Place, PlaceError
+from harness.recording.python_can import open_bus
+from motorapi.runtime import Runtime
+from motorapi.wall_runtime import WallRuntime
+from traces.reader import read_trace
+from traces.schema import CAN_FRAME, Direction, Schema
+from traces.writer import TraceWriter
+
+if TYPE_CHECKING:
+    import can
+
+    from harness.replay.host_player import HostPlayer
+
+_INTERFACES: Final = {Kind.SOCKETCAN: "socketcan", Kind.HUB: "emulated"}
+_BITRATE_BIT_S: Final = 1_000_000
+
+
+@final
+class DrivenBuses:
+    """Open buses by name, and the record of what is on them; a context manager.
+
+    Args:
+        places: by the name that a bus has in the recording.
+        bitrate_bit_s: of all of them [bit/s]; None: 1 Mbit/s, for how long frames are.
+        live: the file to record to.
+        recording: whose attachments (rig, EDS) the record is to have, so that it is told alike.
+
+    Raises:
+        PlaceError: a bus cannot be reached.
+        TraceError: a file cannot be read, or not be written.
+    """
+
+    def __init__(
+        self,
+        places: Mapping[str, Place],
+        bitrate_bit_s: int | None,
+        live: Path,
+        recording: Path,
+    ) -> None:
+        self.buses: Sequence[str] = list(places)
+        self.lines: Sequence[str] = []
+        self.what = ", ".join(place.text for place in places.values())
+        self._bit_ns = 1_000_000_000 // (bitrate_bit_s or _BITRATE_BIT_S)
+        options = {"bitrate": bitrate_bit_s} if bitrate_bit_s else {}
+        with ExitStack() as cleanup:
+            self._open: dict[str, can.BusABC] = {}
+            for name, place in places.items():
+                interface = _INTERFACES.get(place.kind, place.interface)
+                told = options if place.kind is Kind.PYTHON_CAN else {}
+                bus = open_bus(replace(place, interface=interface), told)
+                cleanup.callback(bus.shutdown)
+                self._open[name] = bus
+            runtime = WallRuntime()
+            cleanup.callback(runtime.close)
+            self.runtime: Runtime = runtime
+            self._writer = cleanup.enter_context(TraceWriter(live))
+            with read_trace(recording) as trace:
+                for one in trace.attachments:
+                    self._writer.attach(one.name, one.data, one.media_type)
+            self._sources = {name: self._sources_on(name) for name in places}
+            self._cleanup = cleanup.pop_all()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._cleanup.close()
+
+    def bit_ns(self, bus: str) -> int:
+        """How long a bit is on a bus [ns]."""
+        return self._bit_ns
+
+    def send(self, bus: str, frame: bytes) -> None:
+        """The frame waits its turn."""
+        self.runtime.send(self._open[bus], frame)
+
+    def listen(self, bus: str, player: "HostPlayer") -> None:
+        """The player hears what is on it, and the record."""
+        heard, sent = self._sources[bus]
+
+        def hear(frame: bytes, time_ns: int, transmitted: bool) -> None:
+            self._writer.can_frame(sent if transmitted else heard, time_ns, frame)
+            player.heard(bus, frame, time_ns, transmitted)
+
+        self.runtime.listen(self._open[bus], hear)
+
+    def _sources_on(self, bus: str) -> tuple[int, int]:
+        channel = self._writer.channel(f"/can/{bus}", Schema.of(CAN_FRAME))
+        return (
+            self._writer.source(channel, "", Direction.RECEIVED),
+            self._writer.source(channel, "host", Direction.TRANSMITTED),
+        )
+
+
+def places_for(texts: Sequence[str], buses: Sequence[str]) -> dict[str, Place]:
+    """The places that `--on` names, by the recorded bus that each is for.
+
+    Raises:
+        PlaceError: one names nothing, or it is not clear for which bus.
+    """
+    from harness.recording.places import parse_place
+
+    found: dict[str, Place] = {}
+    for place in map(parse_place, texts):
+        name = place.name or (buses[0] if len(buses) == 1 else "")
+        if name not in buses or name in found:
+            what = (
+                f"{name} is driven elsewhere already"
+                if name in found
+                else (f"the recording has buses {', '.join(buses)}")
+            )
+            raise PlaceError(f"--on {place.text}: {what}; write --on {buses[0]}=WHERE")
+        found[name] = place
+    return found
