@@ -1,10 +1,9 @@
-"""SDO server (CiA 301, 7.2.4): expedited and segmented transfers, and why they are aborted.
+"""SDO server (CiA 301, 7.2.4): expedited, segmented and block transfers, and why they are aborted.
 
-A transfer is one of three things: none, an upload being handed out in segments, or a download being
-collected. A new initiate request takes the place of whatever went on before. Every response leaves
-`reply_ns` after its request; values are read and written when the request comes.
-
-Block transfer is refused with 0504 0001h; its command specifiers have their place in `receive`.
+A transfer is one of five things: none, an upload being handed out or a download being collected, in
+segments or in blocks. A new initiate request takes the place of whatever went on before, except
+between the segments of a block download, which have no command. Every response leaves `reply_ns`
+after its request; values are read and written when the request comes.
 """
 
 from collections import deque
@@ -13,10 +12,12 @@ from typing import Final, final
 
 from emulators.canopen.abort_code import AbortCode
 from emulators.canopen.access import DictionaryAccess
+from emulators.canopen.sdo_block import BLOCK_MAX, BlockDownload, BlockUpload
 from emulators.canopen.shared import NEVER, Outbox
 
 MAX_DOWNLOAD_BYTES: Final = 1 << 20
 
+_BLOCK_RESPONSE: Final = Struct("<IB3xBBB5s")
 _RESPONSE: Final = Struct("<IB3xBHB4s")  # an SDO frame with command, index, sub-index and 4 bytes
 _SEGMENT: Final = Struct("<IB3xB7s")
 
@@ -29,9 +30,18 @@ _ABORT: Final = 4
 _BLOCK_UPLOAD: Final = 5
 _BLOCK_DOWNLOAD: Final = 6
 
+_BLOCK_SEGMENTS: Final = 8  # a state, no specifier: frames of a block download
+
+# Of a block transfer's commands the client's subcommand, and what of them says what they have.
+_START: Final = 3
+_CONFIRM: Final = 2
+_HAS_CRC: Final = 4
+_HAS_SIZE: Final = 2
+
 _IDLE: Final = -1
 
 _TOGGLE: Final = 0x10
+_ABORTED: Final = 0x80
 
 
 @final
@@ -53,6 +63,8 @@ class SdoServer:
         self._parts: list[bytes] = []  # what has been collected
         self._collected = 0
         self._expected: int | None = None
+        self._incoming: BlockDownload | None = None
+        self._outgoing: BlockUpload | None = None
 
     def configure(self, response_id: int) -> None:
         """Responses carry this identifier from now on."""
@@ -71,7 +83,9 @@ class SdoServer:
             return  # an SDO always has 8 bytes
         command = frame[8]
         specifier = command >> 5
-        if specifier == _UPLOAD:
+        if self._state == _BLOCK_SEGMENTS and command != _ABORTED:
+            self._block_segment(command, frame, now_ns)
+        elif specifier == _UPLOAD:
             self._begin_upload(frame[9] | frame[10] << 8, frame[11], now_ns)
         elif specifier == _DOWNLOAD:
             self._begin_download(command, frame, now_ns)
@@ -81,9 +95,11 @@ class SdoServer:
             self._download_segment(command, frame, now_ns)
         elif specifier == _ABORT:
             self._end()
+        elif specifier == _BLOCK_UPLOAD:
+            self._block_upload(command, frame, now_ns)
+        elif specifier == _BLOCK_DOWNLOAD:
+            self._block_download(command, frame, now_ns)
         else:
-            if specifier in (_BLOCK_UPLOAD, _BLOCK_DOWNLOAD):
-                self._begin(frame[9] | frame[10] << 8, frame[11])
             self._abort(AbortCode.COMMAND_SPECIFIER_UNKNOWN, now_ns)
 
     def expire(self, now_ns: int) -> None:
@@ -175,6 +191,105 @@ class SdoServer:
             self._end()
         self._reply(_SEGMENT.pack(self._response_id, 8, response, b""), now_ns)
 
+    # ------------------------------------------------------------------------- in blocks
+
+    def _block_download(self, command: int, frame: bytes, now_ns: int) -> None:
+        """A block download begins, or ends."""
+        if command & 1:
+            self._end_block_download(command, frame, now_ns)
+            return
+        index, subindex = frame[9] | frame[10] << 8, frame[11]
+        self._begin(index, subindex)
+        expected = int.from_bytes(frame[12:16], "little") if command & _HAS_SIZE else None
+        code = self._access.refusal(index, subindex, expected)
+        if code == 0 and expected is not None and expected > MAX_DOWNLOAD_BYTES:
+            code = AbortCode.OUT_OF_MEMORY
+        if code:
+            self._abort(code, now_ns)
+            return
+        self._state = _BLOCK_SEGMENTS
+        self._incoming = BlockDownload(expected, command & _HAS_CRC != 0, MAX_DOWNLOAD_BYTES)
+        size = bytes((self._incoming.block_size,))
+        self._reply(_RESPONSE.pack(self._response_id, 8, 0xA4, index, subindex, size), now_ns)
+
+    def _block_segment(self, command: int, frame: bytes, now_ns: int) -> None:
+        incoming = self._incoming
+        assert incoming is not None
+        if not 1 <= command & 0x7F <= incoming.block_size:
+            self._abort(AbortCode.INVALID_SEQUENCE_NUMBER, now_ns)
+            return
+        good = incoming.segment(command, frame[9:16])
+        if incoming.overflows():
+            is_told = incoming.expected is not None
+            self._abort(AbortCode.LENGTH_TOO_HIGH if is_told else AbortCode.OUT_OF_MEMORY, now_ns)
+        elif good is not None:
+            if incoming.is_complete:
+                self._state = _BLOCK_DOWNLOAD
+            head = (self._response_id, 8, 0xA2, good, incoming.block_size, b"")
+            self._reply(_BLOCK_RESPONSE.pack(*head), now_ns)
+
+    def _end_block_download(self, command: int, frame: bytes, now_ns: int) -> None:
+        incoming = self._incoming
+        if self._state != _BLOCK_DOWNLOAD or incoming is None:
+            self._abort(AbortCode.COMMAND_SPECIFIER_UNKNOWN, now_ns)
+            return
+        data = incoming.end(command >> 2 & 7, frame[9] | frame[10] << 8)
+        code: int = data if isinstance(data, AbortCode) else AbortCode.OK
+        if isinstance(data, bytes):
+            code = self._access.download(self._index, self._subindex, data, now_ns)
+        if code:
+            self._abort(code, now_ns)
+            return
+        self._end()
+        self._reply(_SEGMENT.pack(self._response_id, 8, 0xA1, b""), now_ns)
+
+    def _block_upload(self, command: int, frame: bytes, now_ns: int) -> None:
+        """A block upload begins, or goes on as its client says."""
+        step = command & 3
+        if step == 0:
+            self._begin_block_upload(command, frame, now_ns)
+            return
+        outgoing = self._outgoing
+        if self._state != _BLOCK_UPLOAD or outgoing is None:
+            self._abort(AbortCode.COMMAND_SPECIFIER_UNKNOWN, now_ns)
+        elif step == _START:
+            self._send_block(outgoing, now_ns)
+        elif step == _CONFIRM:
+            code = outgoing.confirm(frame[9], frame[10])
+            if code is not None:
+                self._abort(code, now_ns)
+            elif outgoing.is_over():
+                unused, crc = outgoing.end()
+                end = crc.to_bytes(2, "little")
+                self._reply(_SEGMENT.pack(self._response_id, 8, 0xC1 | unused << 2, end), now_ns)
+            else:
+                self._send_block(outgoing, now_ns)
+        else:
+            self._end()
+
+    def _begin_block_upload(self, command: int, frame: bytes, now_ns: int) -> None:
+        index, subindex = frame[9] | frame[10] << 8, frame[11]
+        block_size, threshold = frame[12], frame[13]
+        self._begin(index, subindex)
+        if not 1 <= block_size <= BLOCK_MAX:
+            self._abort(AbortCode.INVALID_BLOCK_SIZE, now_ns)
+            return
+        data = self._access.upload(index, subindex, now_ns)
+        if isinstance(data, int):
+            self._abort(data, now_ns)
+            return
+        if 0 < len(data) <= threshold:  # the client has said that a plain transfer is better then
+            self._begin_upload(index, subindex, now_ns)
+            return
+        self._state = _BLOCK_UPLOAD
+        self._outgoing = BlockUpload(data, block_size, command & _HAS_CRC != 0)
+        size = len(data).to_bytes(4, "little")
+        self._reply(_RESPONSE.pack(self._response_id, 8, 0xC6, index, subindex, size), now_ns)
+
+    def _send_block(self, outgoing: BlockUpload, now_ns: int) -> None:
+        for head, part in outgoing.block():
+            self._reply(_SEGMENT.pack(self._response_id, 8, head, part), now_ns)
+
     def _judge(self, is_last: bool) -> int:
         """What is wrong with the length collected so far; 0 if nothing."""
         expected = self._expected
@@ -199,6 +314,8 @@ class SdoServer:
         self._parts = []
         self._collected = 0
         self._expected = None
+        self._incoming = None
+        self._outgoing = None
 
     def _accept(self, now_ns: int) -> None:
         response = (self._response_id, 8, 0x60, self._index, self._subindex, b"")

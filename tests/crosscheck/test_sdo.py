@@ -69,8 +69,8 @@ def test_an_upload_in_segments_byte_by_byte(wire):
         ("605#2F021402FB000000", 0x0609_0030),  # 251 is reserved
         ("605#23001401E1010000", 0x0609_0030),  # another identifier while it exists
         ("605#2305100080000040", 0x0609_0030),  # it produces no SYNC
-        ("605#A018100100000000", 0x0504_0001),  # block upload is not built
-        ("605#C218100104000000", 0x0504_0001),  # nor block download
+        ("605#A018100100000000", 0x0504_0002),  # block upload in blocks of 0
+        ("605#C218100104000000", 0x0601_0002),  # block download to what is read only
         ("605#E000000000000000", 0x0504_0001),  # no command specifier at all
         ("605#6000000000000000", 0x0504_0001),  # a segment of nothing
         ("605#0000000000000000", 0x0504_0001),
@@ -146,5 +146,12 @@ def test_canopen_sees_the_same_codes(connected):
     assert aborted(lambda: node.sdo.upload(0x2000, 0)) == 0x0602_0000
     assert aborted(lambda: node.sdo.download(0x1000, 0, b"\0\0\0\0")) == 0x0601_0002
     assert aborted(lambda: node.sdo.download(0x6040, 0, b"\0")) == 0x0607_0013
-    with pytest.raises(Exception, match="0x05040001"):
-        node.sdo.open(0x1008, block_transfer=True).read()
+    with pytest.raises(Exception, match="0x06020000"):
+        node.sdo.open(0x2000, block_transfer=True).read()
+
+
+def test_canopen_reads_the_name_in_blocks(connected):
+    _, _, node = connected
+    plain = node.sdo.upload(0x1008, 0)
+    assert len(plain) > 7
+    assert node.sdo.open(0x1008, block_transfer=True).read() == plain

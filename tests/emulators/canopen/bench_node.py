@@ -197,12 +197,17 @@ class Bench:
 
     def ask(self, request: str) -> str:
         """An SDO request and its response, "" if none comes within the reply time."""
+        responses = self.ask_all(request)
+        return responses[0] if responses else ""
+
+    def ask_all(self, request: str) -> list[str]:
+        """An SDO request and all frames that answer it within the reply time."""
         before = len(self.log)
         self.tell(0x600 + NODE_ID, request)
         self.wait(1 * MS)
-        responses = [text for _, text in self.log[before:] if text.startswith("582 ")]
+        responses = [text[4:] for _, text in self.log[before:] if text.startswith("582 ")]
         self.log = [entry for entry in self.log if not entry[1].startswith("582 ")]
-        return responses[0][4:] if responses else ""
+        return responses
 
     def download(self, index: int, subindex: int, value: int, size: int) -> str:
         """An expedited download; "" if it was accepted, else the abort code "0601 0002"."""

@@ -173,8 +173,15 @@ def test_segments_carry_every_length_up_and_down(length):
         ("21 01 20 00 01 00 10 00", "0504 0005"),  # one byte more than there is memory
         ("2F 60 60 00 0B 00 00 00", "0609 0031"),  # 6060h is -4..10
         ("2F 60 60 00 FB 00 00 00", "0609 0032"),
-        ("C6 00 20 00 1E 00 00 00", "0504 0001"),  # block download
-        ("A4 08 10 00 7F 00 00 00", "0504 0001"),  # block upload
+        ("C6 08 10 00 1E 00 00 00", "0601 0002"),  # block download to const
+        ("C6 17 10 00 03 00 00 00", "0607 0012"),
+        ("C6 01 20 00 01 00 10 00", "0504 0005"),
+        ("C1 00 00 00 00 00 00 00", "0504 0001"),  # the end of a block download out of nowhere
+        ("A4 34 12 00 7F 00 00 00", "0602 0000"),  # block upload: no such object
+        ("A4 08 10 00 00 00 00 00", "0504 0002"),  # in blocks of 0
+        ("A4 08 10 00 80 00 00 00", "0504 0002"),  # in blocks of 128
+        ("A3 00 00 00 00 00 00 00", "0504 0001"),  # the start of one that has not begun
+        ("A2 00 00 00 00 00 00 00", "0504 0001"),
         ("E0 08 10 00 00 00 00 00", "0504 0001"),  # no command specifier at all
         ("60 00 00 00 00 00 00 00", "0504 0001"),  # a segment out of nowhere
         ("00 41 20 6C 6F 6E 67 20", "0504 0001"),
