@@ -10,7 +10,7 @@ dictionary is the one place where a setting lives.
 
 Frames reach their part by one look into a dict keyed by the four identifier bytes. The dict holds
 what the present NMT state lets through, so no part asks for the state. Remote frames and 29-bit
-identifiers find no entry. Places left free: node guarding (a remote frame with 700h + node-ID), LSS
+identifiers find no entry, but for the remote frame that guards this node. Places left free: LSS
 (7E5h), TIME (100h).
 """
 
@@ -19,6 +19,7 @@ from typing import Final, final
 
 from emulators.canopen.access import DictionaryAccess
 from emulators.canopen.emcy import HEARTBEAT_LOST, EmcyProducer
+from emulators.canopen.guarding import NodeGuarding
 from emulators.canopen.heartbeat import HeartbeatConsumer, HeartbeatProducer
 from emulators.canopen.nmt import TRANSITIONS, NmtCommand, NmtState, commanded
 from emulators.canopen.object_dictionary import ObjectDictionary
@@ -61,6 +62,7 @@ class CanopenNode:
         self._pdos = PdoService(od, node_id, self._emcy, self.outbox, host)
         self._producer = HeartbeatProducer(od, node_id, self.outbox)
         self._consumer = HeartbeatConsumer(od, self.outbox)
+        self._guarding = NodeGuarding(od, node_id, self.outbox)
         self._boot_ns: int = NEVER
         self._deadline_ns: int = NEVER
         self._pdos_deadline_ns: int = NEVER
@@ -113,6 +115,8 @@ class CanopenNode:
         if self._consumer.deadline_ns <= now_ns:
             for node_id in self._consumer.expire(now_ns):
                 self._lose(node_id, now_ns)
+        if self._guarding.deadline_ns <= now_ns:
+            self._lose_guard(now_ns)
         if self._pdos_deadline_ns <= now_ns:
             self._pdos.expire(now_ns)
 
@@ -177,6 +181,9 @@ class CanopenNode:
         elif index == 0x1016:
             for node_id in self._consumer.configure():
                 self._emcy.repair(_HEARTBEAT_KEY + node_id)
+        elif index in (0x100C, 0x100D):
+            self._guarding.configure(now_ns)
+            return
         elif index == 0x1017:
             self._producer.configure(now_ns)
             return
@@ -195,6 +202,8 @@ class CanopenNode:
             deadline_ns = self._producer.deadline_ns
         if self._consumer.deadline_ns < deadline_ns:
             deadline_ns = self._consumer.deadline_ns
+        if self._guarding.deadline_ns < deadline_ns:
+            deadline_ns = self._guarding.deadline_ns
         self._deadline_ns = deadline_ns
 
     # --- NMT
@@ -219,6 +228,8 @@ class CanopenNode:
         else:
             self.od.reset(0x1000, 0x1FFF)
         self._emcy.reset(whole)
+        self._guarding.reset()
+        self._guarding.configure(now_ns)
         self._configure_all()
         timing = self._timing
         delay_ns = timing.boot_up_ns if whole else timing.reset_communication_ns
@@ -268,6 +279,7 @@ class CanopenNode:
             (0x000, self._on_nmt_frame, state != NmtState.INITIALISING),
             (self._sync.can_id, self._on_sync, is_operational),
             (self._sdo_can_id(1, 0x600), self._sdo.receive, can_talk),
+            (self._guarding.can_id, self._on_guard, state != NmtState.INITIALISING),
         ]
         for can_id in self._consumer.can_ids():
             routes.append((can_id, self._on_heartbeat, state != NmtState.INITIALISING))
@@ -305,13 +317,29 @@ class CanopenNode:
         """A heartbeat is lost: EMCY, the reaction that 1029h asks for, then the device."""
         self.outbox.events.append(("warning", f"heartbeat of node {node_id} lost"))
         self._emcy.find(_HEARTBEAT_KEY + node_id, HEARTBEAT_LOST, bytes((node_id,)))
+        self._react(now_ns)
+        self._host.on_heartbeat_lost(node_id, now_ns)
+
+    def _on_guard(self, _frame: bytes, now_ns: int) -> None:
+        if self._guarding.receive(self.state, now_ns):
+            self._emcy.repair(_HEARTBEAT_KEY)
+
+    def _lose_guard(self, now_ns: int) -> None:
+        """Nobody guards this node any more: as when a heartbeat is lost."""
+        life_ms = self._guarding.expire()
+        self.outbox.events.append(("warning", f"not guarded for {life_ms} ms"))
+        self._emcy.find(_HEARTBEAT_KEY, HEARTBEAT_LOST, b"")
+        self._react(now_ns)
+        self._host.on_heartbeat_lost(0, now_ns)
+
+    def _react(self, now_ns: int) -> None:
+        """A communication error: what 1029h:1 asks for."""
         if self.state == NmtState.OPERATIONAL:
             reaction = self.od.integer(0x1029, 1, 0)
             if reaction == 0:
                 self._enter(NmtState.PRE_OPERATIONAL, now_ns)
             elif reaction == 2:
                 self._enter(NmtState.STOPPED, now_ns)
-        self._host.on_heartbeat_lost(node_id, now_ns)
 
 
 @final

@@ -50,7 +50,10 @@ class NodeHost(Protocol):
         """Values are about to be read (SDO upload, TPDO): readers must now answer as of now."""
 
     def on_heartbeat_lost(self, node_id: int, now_ns: int) -> None:
-        """A node of 1016h fell silent; EMCY 8130h and what 1029h asks for have been done."""
+        """A node of 1016h fell silent, or nobody guards this one any more (node 0).
+
+        EMCY 8130h and what 1029h asks for have been done.
+        """
 
 
 @final

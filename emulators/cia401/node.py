@@ -171,7 +171,7 @@ class IoNode:
 
     def on_heartbeat_lost(self, node_id: int, now_ns: int) -> None:
         """The host is gone."""
-        self._fall_back(f"node {node_id} is lost", now_ns)
+        self._fall_back(f"node {node_id} is lost" if node_id else "it is guarded no more", now_ns)
 
     # --- inside
 

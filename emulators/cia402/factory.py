@@ -23,6 +23,8 @@ _ABSENT: Final = -(1 << 70)
 # Communication objects whose behaviour a rig may set although the file lacks them.
 _COMMUNICATION: Final[dict[tuple[int, int], DataType]] = {
     (0x1005, 0): DataType.UNSIGNED32,
+    (0x100C, 0): DataType.UNSIGNED16,
+    (0x100D, 0): DataType.UNSIGNED8,
     (0x1014, 0): DataType.UNSIGNED32,
     (0x1016, 1): DataType.UNSIGNED32,
     (0x1017, 0): DataType.UNSIGNED16,

@@ -144,3 +144,25 @@ def test_one_command_to_all_reaches_every_node_at_once():
     wire.tell("000#0100")
     wire.run(20 * MS)
     assert set(wire.since()[-3:]) == {"701#05", "702#05", "77F#05"}
+
+
+def test_a_drive_is_guarded_over_its_bus_and_stops_when_it_is_no_longer():
+    """7.2.8.2.1: the toggle bit; 100Ch x 100Dh = 100 ms; 6007h = 1: a fault signal."""
+    wire = Wire().boot()
+    wire.enable()
+    for index, value, size in ((0x6007, 1, 2), (0x1017, 0, 2), (0x100C, 50, 2), (0x100D, 2, 1)):
+        wire.set(index, 0, value, size)
+    answers = []
+    for _ in range(3):
+        count = len(wire.log)
+        wire.tell("705#R1")
+        wire.run(50 * MS)
+        answers += [text for text in wire.since(count) if text.startswith("705#")]
+    assert answers == ["705#05", "705#85", "705#05"]
+    count = len(wire.log)
+    wire.run(60 * MS)
+    emergencies = [text for text in wire.since(count) if text.startswith("085#")]
+    assert emergencies[0].startswith("085#3081")
+    wire.run(1_000 * MS)
+    assert wire.statusword() & 0x4F == 0x08  # fault
+    assert wire.read(0x603F) == 0x8130
