@@ -10,8 +10,8 @@ dictionary is the one place where a setting lives.
 
 Frames reach their part by one look into a dict keyed by the four identifier bytes. The dict holds
 what the present NMT state lets through, so no part asks for the state. Remote frames and 29-bit
-identifiers find no entry, but for the remote frame that guards this node. Places left free: LSS
-(7E5h), TIME (100h).
+identifiers find no entry, but for the remote frames that guard this node and that ask for its
+TPDOs. Places left free: LSS (7E5h), TIME (100h).
 """
 
 from collections.abc import Callable, Sequence
@@ -30,6 +30,7 @@ from emulators.canopen.shared import NEVER, Outbox
 from emulators.canopen.shared import NodeHost as NodeHost
 from emulators.canopen.shared import NodeTiming as NodeTiming
 from emulators.canopen.sync import SyncConsumer
+from emulators.media.can_frame import RTR_FLAG
 
 _Handler = Callable[[bytes, int], None]
 
@@ -286,6 +287,9 @@ class CanopenNode:
         for rpdo in self._pdos.rpdos:
             if rpdo.can_id:
                 routes.append((rpdo.can_id, rpdo.receive, is_operational))
+        for tpdo in self._pdos.tpdos:
+            if tpdo.may_be_asked:
+                routes.append((tpdo.can_id | RTR_FLAG, tpdo.requested, is_operational))
         for can_id, handler, is_active in routes:
             wanted.append(can_id)
             if is_active:

@@ -9,7 +9,9 @@ types 254 and 255 at an event, at most once per inhibit time and at least once p
 TPDO does not go into the bus's queue twice: as long as the one before has not left, the next one
 waits (254, 255) or is left out and told (synchronous ones; the bus is too full then).
 
-Types 252 and 253 (on remote request) are not built.
+A remote frame asks for a TPDO whose COB-ID allows it (bit 30 is 0); nothing else does for types
+252 and 253. 252 answers with what the last SYNC sampled, 253 and all others with the values of now.
+What is on its way already is the answer.
 """
 
 from typing import Final, final
@@ -17,10 +19,11 @@ from typing import Final, final
 from emulators.canopen.emcy import PDO_LENGTH_EXCEEDED, PDO_NOT_PROCESSED, EmcyProducer
 from emulators.canopen.object_dictionary import ObjectDictionary
 from emulators.canopen.pdo_mapping import PdoMapping, load
-from emulators.canopen.pdo_parameters import INVALID, PdoParameters
+from emulators.canopen.pdo_parameters import INVALID, NO_REMOTE, PdoParameters
 from emulators.canopen.shared import MS, NEVER, NodeHost, Outbox
 
 _LONG_AGO: Final = -NEVER
+_SAMPLED_ON_REQUEST: Final = 252
 
 
 @final
@@ -90,6 +93,7 @@ class Tpdo:
         self.number = number  # 1..512
         self.can_id = 0  # 0: it does not exist
         self.transmission_type = 0xFF
+        self.may_be_asked = False  # by a remote frame
         self.mapping = PdoMapping([])
         self.deadline_ns: int = NEVER
         self._outbox = outbox
@@ -102,6 +106,7 @@ class Tpdo:
         self._is_in_flight = False
         self._overrun_told = False
         self._syncs = 0
+        self._sample = b""  # of the last SYNC, for whoever asks
 
     def configure(self, od: ObjectDictionary) -> list[tuple[int, int]]:
         """It is what the dictionary says now; answers with mapping entries that cannot be."""
@@ -111,6 +116,7 @@ class Tpdo:
         exists = not cob_id & INVALID and self.mapping.length_bytes
         self.can_id = cob_id & 0x7FF if exists else 0
         self.transmission_type = parameters.transmission_type()
+        self.may_be_asked = exists != 0 and not cob_id & NO_REMOTE
         self._inhibit_ns = parameters.inhibit_100us() * 100_000
         self._event_ns = parameters.event_timer_ms() * MS
         self.stop()
@@ -126,6 +132,7 @@ class Tpdo:
         self._is_in_flight = False
         self._overrun_told = False
         self._syncs = 0
+        self._sample = b""
         self._sent_ns = _LONG_AGO
         self._event_due_ns = NEVER
         self.deadline_ns = NEVER
@@ -184,6 +191,21 @@ class Tpdo:
             self.deadline_ns = self._event_due_ns
             self._outbox.deadlines_moved = True
 
+    def sample(self) -> None:
+        """SYNC: what it holds now is kept for whoever asks; `before_read` has made it ready."""
+        self._sample = self.mapping.build(self.can_id)
+
+    def requested(self, _frame: bytes, now_ns: int) -> None:
+        """A remote frame asks for it."""
+        if self._is_in_flight:
+            return
+        if self.transmission_type != _SAMPLED_ON_REQUEST:
+            self._host.before_read(now_ns)
+            self.transmit(now_ns)
+        elif self._sample:
+            self._outbox.frames.append(self._sample)
+            self._is_in_flight = True
+
     def _send_if_allowed(self, now_ns: int) -> None:
         deadline_ns = self._event_due_ns
         if self._is_in_flight:
@@ -230,6 +252,7 @@ class PdoService:
                 self.tpdos.append(Tpdo(parameters, number + 1, outbox, host))
         self._latching: list[Rpdo] = []  # RPDOs that take effect at SYNC
         self._sampled: list[Tpdo] = []  # TPDOs that SYNC may ask for
+        self._kept: list[Tpdo] = []  # TPDOs that SYNC samples for whoever asks later
         self._timed: list[Tpdo] = []  # TPDOs that may have a deadline
         self._watchers: dict[int, list[Tpdo]] = {}  # event-driven TPDOs by what they map
         self._by_can_id: dict[bytes, list[Tpdo]] = {}
@@ -290,6 +313,11 @@ class PdoService:
                     is_fresh = True
                     host.before_read(now_ns)
                 tpdo.transmit(now_ns)
+        if self._kept:
+            if not is_fresh:
+                host.before_read(now_ns)
+            for tpdo in self._kept:
+                tpdo.sample()
 
     def changed(self, index: int, subindex: int, now_ns: int) -> None:
         """A variable has changed: an event for the event-driven TPDOs that map it."""
@@ -320,6 +348,7 @@ class PdoService:
         existing = [tpdo for tpdo in self.tpdos if tpdo.can_id]
         self._latching = [rpdo for rpdo in self.rpdos if rpdo.can_id and rpdo.is_synchronous]
         self._sampled = [tpdo for tpdo in existing if tpdo.transmission_type <= 240]
+        self._kept = [tpdo for tpdo in existing if tpdo.transmission_type == _SAMPLED_ON_REQUEST]
         self._timed = [tpdo for tpdo in existing if tpdo.transmission_type >= 254]
         self._watchers = {}
         self._by_can_id = {}

@@ -13,6 +13,7 @@ from emulators.canopen.pdo_mapping import MAX_BITS, MAX_ENTRIES, entry_refusal
 from emulators.canopen.sync import is_restricted
 
 INVALID: Final = 1 << 31
+NO_REMOTE: Final = 1 << 30
 _UPPER_BITS: Final = 0x3FFF_F800  # the 29-bit frame flag and what only such identifiers use
 _PREDEFINED: Final = ((0x180, 0x280, 0x380, 0x480), (0x200, 0x300, 0x400, 0x500))
 
@@ -93,8 +94,9 @@ class PdoParameters:
         return 0
 
     def _check_transmission_type(self, value: int) -> int:
-        # 252 and 253 (on remote request) are not built; 241..251 are reserved
-        return AbortCode.INVALID_VALUE if 240 < value < 254 else 0
+        # 241..251 are reserved, 252 and 253 (on remote request) are for TPDOs
+        lowest = 254 if self._receive else 252
+        return AbortCode.INVALID_VALUE if 240 < value < lowest else 0
 
     def _check_inhibit_time(self, value: int) -> int:
         if self._receive or not self.is_valid():

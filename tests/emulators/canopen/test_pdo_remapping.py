@@ -165,14 +165,17 @@ def test_the_same_cob_id_again_is_accepted():
 
 
 @pytest.mark.parametrize(
-    ("transmission_type", "code"),
-    [(0, ""), (1, ""), (240, ""), (241, "0609 0030"), (251, "0609 0030"), (252, "0609 0030"),
-     (253, "0609 0030"), (254, ""), (255, "")],
-)  # fmt: skip
-def test_transmission_types_reserved_or_not_built_are_refused(transmission_type, code):
+    ("transmission_type", "tpdo", "rpdo"),
+    [
+        *((kind, "", "") for kind in (0, 1, 240, 254, 255)),
+        *((kind, "0609 0030", "0609 0030") for kind in (241, 251)),  # reserved
+        *((kind, "", "0609 0030") for kind in (252, 253)),  # on request: nobody asks for an RPDO
+    ],
+)
+def test_transmission_types_that_are_reserved_are_refused(transmission_type, tpdo, rpdo):
     bench = bench_with_both()
-    assert bench.download(0x1800, 2, transmission_type, 1) == code
-    assert bench.download(0x1400, 2, transmission_type, 1) == code
+    assert bench.download(0x1800, 2, transmission_type, 1) == tpdo
+    assert bench.download(0x1400, 2, transmission_type, 1) == rpdo
 
 
 def test_the_inhibit_time_is_not_changed_while_the_tpdo_exists():

@@ -255,3 +255,78 @@ def test_a_vendor_s_mapping_of_another_length_is_sign_extended_or_cut():
     bench.od.get(0x2006).value = 7
     bench.tell(0x080)
     assert bench.frames() == ["182 07 00 00 00 FE FF FF FF"]
+
+
+# --- on request (CiA 301, 7.2.2.5.2: transmission types 252, 253; bit 30 of the COB-ID)
+
+ASK = 0x4000_0182  # the remote frame, as Linux has it
+
+
+def test_type_252_answers_with_what_the_last_sync_sampled():
+    bench = bench_with(252)
+    assert start(bench) == []
+    bench.tell(ASK)
+    assert bench.frames() == []  # no SYNC has come yet
+    place = [1000]
+    bench.od.get(0x6064).reader = lambda: place[0]
+    bench.tell(0x080)
+    place[0] = 2000
+    assert bench.frames() == []
+    bench.tell(ASK)
+    bench.tell(ASK)
+    assert bench.frames() == ["182 40 02 E8 03 00 00"] * 2
+    bench.tell(0x080)
+    bench.tell(ASK)
+    assert bench.frames() == ["182 40 02 D0 07 00 00"]
+
+
+def test_type_253_answers_with_the_values_of_now_and_is_not_sent_otherwise():
+    bench = bench_with(253, event_ms=5)
+    assert start(bench) == []
+    change(bench)
+    bench.tell(0x080)
+    bench.wait(100 * MS)
+    assert bench.frames() == []
+    bench.od.get(0x6064).reader = lambda: 3
+    bench.tell(ASK)
+    assert bench.frames() == ["182 40 02 03 00 00 00"]
+
+
+def test_any_tpdo_answers_unless_its_cob_id_says_that_it_does_not():
+    bench = bench_with(255)
+    start(bench)
+    bench.tell(ASK)
+    assert bench.frames() == ["182 40 02 00 00 00 00"]
+    assert bench.download(0x1800, 1, 0x4000_0182, 4) == ""
+    bench.frames()
+    bench.tell(ASK)
+    assert bench.frames() == []
+    assert ASK not in bench.node.identifiers()
+
+
+def test_what_is_on_its_way_is_the_answer():
+    bench = bench_with(253)
+    start(bench)
+    bench.is_bus_stuck = True
+    for _ in range(3):
+        bench.tell(ASK)
+    assert len(bench.frames()) == 1
+
+
+@pytest.mark.parametrize("command", [0x80, 0x02])
+def test_outside_operational_nobody_answers(command):
+    bench = bench_with(253)
+    start(bench)
+    bench.tell(0x000, bytes((command, 0)))
+    bench.tell(ASK)
+    assert bench.frames() == []
+
+
+def test_a_sample_does_not_outlive_operational():
+    bench = bench_with(252)
+    start(bench)
+    bench.tell(0x080)
+    bench.tell(0x000, b"\x80\x00")
+    start(bench)
+    bench.tell(ASK)
+    assert bench.frames() == []
