@@ -22,12 +22,13 @@ from traces.tape import START, Key, Role, Sent, Step, Tape, Turn, period_ns
 from traces.traffic import EFF, ERR, RTR, Frame, classic
 
 _NMT: Final = 0x000
-_SYNC: Final = 0x080
 _SYNCHRONOUS_MAX: Final = 240
 _SYNCS_MIN: Final = 8
 """So many SYNCs it takes to say that a PDO comes behind them."""
 _NEAR_NS: Final = 2_000_000
 _RESETS: Final = (0x81, 0x82)
+_NAMING: Final = (2, 3, 4)
+"""SDO command specifiers of a server's frames that name their object."""
 _OUTPUTS: Final = (0x6411,)
 """Analogue outputs of I/O nodes (CiA 401): set-points where the servo is on the host."""
 
@@ -43,6 +44,8 @@ class _Node:
         self.sdo = SdoReader()
         self.dialogue: Step | None = None
         self.asked_ns = begin_ns
+        self.late: tuple[Step, int] | None = None  # what a dialogue before was asked, and when
+        self.commands = 1
         self.set_points: dict[int, bytes] = {}
         self.sync: Step | None = None
         self.syncs = 0
@@ -57,6 +60,7 @@ class _Node:
         """It was told this."""
         self.tape.steps.append(step)
         if step.role is Role.COMMAND:
+            self.commands += 1
             self.command = step
             self.is_commanded = True
 
@@ -84,6 +88,7 @@ class CanopenTapes:
         self._begin_ns = begin_ns
         self._numbers = {name: number for number, name in (names or {}).items()}
         self._nodes: dict[int, _Node] = {}
+        self._told_all: list[Step] = []  # whoever has sent nothing yet was told it, too
 
     def take(self, time_ns: int, frame: bytes, direction: Direction, sender: str) -> None:
         """This frame was complete at that time."""
@@ -95,8 +100,8 @@ class CanopenTapes:
         function, number = identifier >> 7, identifier & 0x7F
         if can_id & RTR:
             self._remote(time_ns, identifier, frame)
-        elif identifier == _SYNC:
-            self._sync(time_ns, self._numbers.get(sender))
+        elif len(data) < 2 and self.decoder.maps.is_sync(identifier):
+            self._sync(time_ns, frame, self._numbers.get(sender))
         elif sender in self._numbers:
             self._sent(self._numbers[sender], time_ns, identifier, frame)
         elif function == 11 and number:
@@ -132,6 +137,8 @@ class CanopenTapes:
         node = self._nodes.get(number)
         if node is None:
             node = self._nodes[number] = _Node(self._bus, number, self._begin_ns)
+            for step in self._told_all:
+                node.add(replace(step, reactions=[]))
         return node
 
     # ------------------------------------------------------------------- what it was told
@@ -141,13 +148,17 @@ class CanopenTapes:
         node = self._node(number)
         step = node.sdo.read(data, False)
         said = self.decoder.decode(frame)
-        node.asked_ns = time_ns
+        before_ns, node.asked_ns = node.asked_ns, time_ns
         if step.begins and step.index is not None:
             told = Step(
                 Role.POLL if step.upload else Role.COMMAND, sdo_key(data), time_ns, said.text
             )
             told.turns.append(Turn(frame))
             node.add(told)
+            before = node.dialogue
+            node.late = None
+            if before is not None and not before.turns[-1].answers:
+                node.late = before, before_ns
             node.dialogue = told
         elif node.dialogue is not None:
             node.dialogue.turns.append(Turn(frame))
@@ -156,18 +167,25 @@ class CanopenTapes:
         text = self.decoder.decode(frame).text
         if len(data) < 2:
             return
+        step = Step(Role.COMMAND, nmt_key(data), time_ns, text)
         whom = [self._node(data[1])] if data[1] else list(self._nodes.values())
+        if not data[1]:
+            self._told_all.append(step)
         for node in whom:
-            node.add(Step(Role.COMMAND, nmt_key(data), time_ns, text))
+            node.add(replace(step, reactions=[]))
             if data[0] in _RESETS:
                 node.set_points.clear()
 
-    def _sync(self, time_ns: int, producer: int | None) -> None:
+    def _sync(self, time_ns: int, frame: bytes, producer: int | None) -> None:
         """SYNC: it fires what a node was told before, or only asks."""
+        identifier = int.from_bytes(frame[:4], "little")
         for number, node in self._nodes.items():
             if number == producer:
-                node.command.reactions.append(Sent(time_ns - node.command.time_ns, SYNC_FRAME))
+                node.command.reactions.append(Sent(time_ns - node.command.time_ns, frame))
                 continue
+            if self.decoder.maps.sync_of(number) != identifier:
+                continue
+            node.tape.syncs.add(identifier)
             role = Role.COMMAND if node.is_commanded else Role.POLL
             node.sync = Step(role, SYNC_KEY, time_ns, "SYNC")
             node.syncs += 1
@@ -200,7 +218,10 @@ class CanopenTapes:
             node = self._node(key[0])
             told = frame
             if self._any_set_point:
-                mask = node.tape.masks[identifier] = self._mask(key)
+                mask = self._mask(key)
+                masks = node.tape.masks.setdefault(identifier, [])
+                if not masks or masks[-1][1] != mask:
+                    masks.append((node.commands, mask))
                 told = masked(frame, mask)
             if node.set_points.get(identifier) != told:
                 node.set_points[identifier] = told
@@ -227,6 +248,7 @@ class CanopenTapes:
         if function == 14 and low == number and frame[4] == 1 and frame[8] == 0:
             self.decoder.decode(frame)  # it has booted, and forgotten what it was told
             node.set_points.clear()
+            node.remote.clear()  # it answers nothing that it was asked before
         asked = node.remote.pop(identifier, None)
         if asked is not None:
             asked.answers.append(Sent(time_ns - asked.time_ns, frame))
@@ -248,9 +270,16 @@ class CanopenTapes:
     @staticmethod
     def _answered(node: _Node, time_ns: int, said: Said, frame: bytes) -> None:
         """A frame of its SDO server."""
-        node.sdo.read(frame[8:16], True)
         if node.dialogue is None:  # it answers what was not recorded
             return
+        told_of = int.from_bytes(frame[9:12], "little")
+        if node.late is not None and frame[8] >> 5 in _NAMING and told_of != node.dialogue.key[1]:
+            late, asked_ns = node.late
+            if told_of == late.key[1]:  # the host had given it up
+                late.turns[-1].answers.append(Sent(time_ns - asked_ns, frame))
+                late.answer_text = said.text
+                return
+        node.sdo.read(frame[8:16], True)
         node.dialogue.turns[-1].answers.append(Sent(time_ns - node.asked_ns, frame))
         node.dialogue.answer_text = said.text
 
@@ -294,7 +323,6 @@ def _mark_periodic(node: _Node) -> None:
 
 
 SYNC_KEY: Final[Key] = ("sync", 0, b"")
-SYNC_FRAME: Final = classic(_SYNC, b"")
 
 
 def masked(frame: bytes, mask: bytes) -> bytes:
@@ -305,7 +333,25 @@ def masked(frame: bytes, mask: bytes) -> bytes:
 
 def sdo_key(data: bytes) -> Key:
     """Of the request that begins an SDO transfer: its object, and all it says."""
-    return ("sdo", int.from_bytes(data[1:4], "little"), bytes(data))
+    return ("sdo", int.from_bytes(data[1:4], "little"), meant(bytes(data)))
+
+
+def meant(data: bytes) -> bytes:
+    """An SDO client's frame without what of it is reserved, or carries no data.
+
+    Some clients fill these bytes with zeros, some leave there what was there. Not for the segments
+    of a block download, which begin with a number.
+    """
+    kind, unused = data[0] >> 5, 0
+    if kind == 2:
+        unused = 4
+    elif kind == 3:
+        unused = 7
+    elif kind == 1 and data[0] & 0x03 == 0x03:
+        unused = data[0] >> 2 & 3
+    elif kind == 0:
+        unused = data[0] >> 1 & 7
+    return data[: len(data) - unused] + bytes(unused) if unused < len(data) else data
 
 
 def nmt_key(data: bytes) -> Key:

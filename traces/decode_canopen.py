@@ -104,7 +104,7 @@ class CanopenDecoder:
             return self._nmt(data)
         for key in self.maps.of(identifier):  # a PDO's identifier is its own wherever it was put
             return self._pdo(identifier, key, data)
-        if identifier == 0x080:
+        if len(data) < 2 and self.maps.is_sync(identifier):
             counter = f" {data[0]}" if data else ""
             return Said(Kind.SYNC, None, f"SYNC{counter}")
         if identifier == 0x100:

@@ -1,9 +1,12 @@
 """Which objects a PDO carries: learned from the SDO traffic of a recording, or told by an EDS.
 
+And by which identifier each node hears SYNC, which is learned alike.
+
 Where neither tells it, the COB-ID is that of the pre-defined connection set and the objects are
 not known: nothing is guessed.
 
-Source: CiA 301, PDO communication parameter and mapping parameter, pre-defined connection set.
+Source: CiA 301, PDO communication parameter and mapping parameter, pre-defined connection set,
+COB-ID SYNC message (1005h).
 """
 
 from typing import Final, final
@@ -16,6 +19,7 @@ Entry = tuple[int, int, int]
 
 _INVALID: Final = 0x8000_0000
 _ID_MASK: Final = 0x1FFF_FFFF
+_SYNC: Final = 0x080
 
 
 @final
@@ -28,9 +32,12 @@ class PdoMaps:
         self._counts: dict[PdoKey, int] = {}
         self._types: dict[PdoKey, int] = {}
         self._by_identifier: dict[int, list[PdoKey]] = {}
+        self._syncs: dict[int, int] = {}  # by node, where it was told
 
     def learn(self, node: int, index: int, subindex: int, value: int) -> None:
-        """An object of the PDO parameters has this value; any other object tells nothing."""
+        """An object of the PDO parameters, or 1005h, has this value; any other tells nothing."""
+        if index == 0x1005 and subindex == 0:
+            self._syncs[node] = value & _ID_MASK
         if not 0x1400 <= index < 0x1C00:
             return
         key = (node, index >= 0x1800, (index & 0x1FF) + 1)
@@ -50,6 +57,7 @@ class PdoMaps:
         for known in (self._identifiers, self._entries, self._counts, self._types):
             for key in [key for key in known if key[0] == node]:
                 del known[key]
+        self._syncs.pop(node, None)
         self._by_identifier.clear()
 
     def of(self, identifier: int) -> list[PdoKey]:
@@ -64,6 +72,25 @@ class PdoMaps:
                 self._by_identifier.clear()
             self._by_identifier[identifier] = found
         return found
+
+    def sync_of(self, node: int) -> int:
+        """The identifier of the SYNC that this node hears."""
+        return self._syncs.get(node, _SYNC)
+
+    def is_sync(self, identifier: int) -> bool:
+        """Whether it is that of SYNC, for any node."""
+        return identifier == _SYNC or identifier in self._syncs.values()
+
+    def received_by(self, node: int) -> list[int]:
+        """The identifiers of the PDOs that a node receives, as far as that is known."""
+        own = [
+            identifier
+            for (number, is_sent, _), identifier in self._identifiers.items()
+            if number == node and not is_sent and identifier is not None
+        ]
+        usual = [(function << 7) + node for function in (4, 6, 8, 10)]
+        heard = [one for one in usual if any(key[:2] == (node, False) for key in self.of(one))]
+        return sorted({*own, *heard})
 
     def transmission_type(self, key: PdoKey) -> int | None:
         """When it is sent, or acted on: 0 to 240 by SYNC; None: not known."""

@@ -91,14 +91,17 @@ class Tape:
         number: node-ID or unit.
         steps: in their order; the first is the recording's beginning (`START`).
         periods_ns: of what it sends periodically by itself, by identifier.
-        masks: of PDOs to it, what of their 8 data bytes counts, by identifier; else all does.
+        masks: of PDOs to it, what of their 8 data bytes counts, by identifier; else all does. Each
+            with how many commands it was told before the first that it holds for.
+        syncs: the identifiers of SYNCs that it heard.
     """
 
     bus: str
     number: int
     steps: list[Step] = field(default_factory=list)
     periods_ns: dict[int, int] = field(default_factory=dict)
-    masks: dict[int, bytes] = field(default_factory=dict)
+    masks: dict[int, list[tuple[int, bytes]]] = field(default_factory=dict)
+    syncs: set[int] = field(default_factory=set)
 
     def commands(self) -> int:
         """How many commands it was told."""

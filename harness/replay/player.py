@@ -10,7 +10,7 @@ identifier only the last is sent then, at once.
 
 from collections import deque
 from dataclasses import dataclass
-from heapq import heappop, heappush
+from heapq import heapify, heappop, heappush
 from typing import Final, final
 
 from traces.tape import Key, Role, Sent, Step, Tape
@@ -66,6 +66,7 @@ class TapePlayer:
         self._told: dict[Key, Step] = {}
         self._polls: dict[Key, list[Step]] = {}  # of the epoch, those still to come
         self._answered: dict[Key, Step] = {}  # of the epoch
+        self._latest: dict[Key, Step] = {}  # what has no dialogue: SYNC, remote frames
         self._constants = _constants(self._steps)
         self._anchor_ns = 0
         self._epoch_ns = 0  # when the command that is furthest was told
@@ -107,8 +108,9 @@ class TapePlayer:
         """What is answered to this now; None: the recording does not tell.
 
         Within an epoch, what was asked in it, in order, and then the last of it again; besides,
-        what never has another answer. That nothing was answered (it had not booted yet) holds only
-        until the time, behind the command, at which it sent something, or was asked again.
+        what never has another answer; to a SYNC or a remote frame, what it got last. That nothing
+        was answered (it had not booted yet) holds only until the time, behind the command, at which
+        it sent something, or was asked again.
         """
         waiting = self._polls.get(key)
         while waiting and len(waiting) > 1 and _is_silent(waiting[0]):
@@ -116,11 +118,28 @@ class TapePlayer:
                 break
             del waiting[0]
         step = waiting.pop(0) if waiting else self._answered.get(key, self._constants.get(key))
+        if step is None:
+            step = self._latest.get(key)
         if step is not None:
             self._answered[key] = step
+            if not step.turns:
+                self._latest[key] = step
             if step.answer_text:
                 self._before.append(step)
         return step
+
+    def forget(self) -> None:
+        """It has begun anew: what it was told before is nothing that it knows."""
+        self._values.clear()
+        self.forget_latest()
+
+    def forget_latest(self) -> None:
+        """What a SYNC or a remote frame got last is not what it would get now."""
+        self._latest.clear()
+
+    def commands_gone(self) -> int:
+        """How many commands of the recording are not behind the last one found."""
+        return self._next
 
     def is_next(self, key: Key) -> bool:
         """Whether the recording's next command is this."""
@@ -182,9 +201,11 @@ class TapePlayer:
             else:
                 out.append(self._take_own(own_ns))
 
-    def forget_answers(self) -> None:
-        """What was to be answered is not: the transfer has been given up."""
-        self._due.clear()
+    def forget_answers(self, identifier: int) -> None:
+        """What was to be answered by this identifier is not: the transfer has been given up."""
+        can_id = identifier.to_bytes(4, "little")
+        self._due = [one for one in self._due if one[2][:4] != can_id]
+        heapify(self._due)
 
     # -------------------------------------------------------------------------------- inside
 
@@ -221,6 +242,7 @@ class TapePlayer:
             self._polls.setdefault(poll.key, []).append(poll)
         if step.answers:  # asked once more, a SYNC that fired something only asks
             self._answered[step.key] = step
+            self._latest[step.key] = step
 
     def _cut_short(self, now_ns: int) -> None:
         """Of what was still to come by itself, the last of each identifier is sent now."""

@@ -3,21 +3,33 @@
 It answers a live host as the recorded node answered the recorded host; see `harness.replay.player`.
 What the recording cannot answer is refused by an SDO abort, and told as an error of this node.
 
-Source: CiA 301, SDO abort transfer protocol.
+Source: CiA 301, SDO abort transfer protocol, node guarding protocol (toggle bit).
 """
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from itertools import pairwise
 from typing import Final, final
 
 from emulators.media.can_bits import INTERMISSION_BITS, KEY_SHIFT, measure
 from harness.replay.player import Mismatch, TapePlayer
-from traces.canopen_tapes import SYNC_KEY, masked, nmt_key, pdo_key, remote_key, sdo_key, sentence
+from traces.canopen_tapes import (
+    SYNC_KEY,
+    masked,
+    meant,
+    nmt_key,
+    pdo_key,
+    remote_key,
+    sdo_key,
+    sentence,
+)
 from traces.decode_canopen import CanopenDecoder
 from traces.tape import Key, Sent, Step, Tape
-from traces.traffic import RTR, classic
+from traces.traffic import EFF, ERR, RTR, classic
 
 _SYNC: Final = 0x080
+_TOGGLE: Final = 0x80
+_NAMED: Final = 0x7FF
 _RESETS: Final = (0x81, 0x82)
 _BITS: Final = (1 << KEY_SHIFT) - 1
 NO_DATA: Final = 0x0800_0024
@@ -47,8 +59,12 @@ class RecordedNode:
         self._dialogue: Step | None = None
         self._turn = 0
         self._set_points: dict[int, bytes] = {}
-        self._pdos = frozenset(step.key[1] for step in tape.steps if step.key[0] == "pdo")
+        self._syncs = frozenset(tape.syncs or {_SYNC})
+        told = {step.key[1] for step in tape.steps if step.key[0] == "pdo"}
+        self._pdos = frozenset({*told, *decoder.maps.received_by(node_id)})
         self._remotes = frozenset(step.key[1] for step in tape.steps if step.key[0] == "remote")
+        self._toggles = _toggles(tape, node_id)
+        self._toggle: int | None = None  # of its last answer to node guarding
         self._output: list[bytes] = []
         self._events: list[tuple[str, str]] = []
 
@@ -61,18 +77,24 @@ class RecordedNode:
     def receive(self, data: bytes, now_ns: int) -> None:
         """A frame was on the bus."""
         can_id = int.from_bytes(data[:4], "little")
-        identifier = can_id & 0x7FF
+        identifier = can_id & _NAMED
+        if can_id & (EFF | ERR):
+            return
         if can_id & RTR:
-            self._answer(self.player.poll(remote_key(identifier), now_ns), now_ns)
+            step = self.player.poll(remote_key(identifier), now_ns)
+            if step is not None and identifier == 0x700 + self.node_id and self._toggles:
+                self.player.answer([self._toggled(one) for one in step.answers], now_ns)
+            else:
+                self._answer(step, now_ns)
         elif identifier == 0:
             self._nmt(data, now_ns)
-        elif identifier == _SYNC:
+        elif identifier in self._syncs and data[4] < 2:
             self._sync(now_ns)
         elif identifier == 0x600 + self.node_id:
             self._request(data, now_ns)
         else:
             self._set_point(identifier, data, now_ns)
-        self._output += self.player.take(now_ns)
+        self._take(now_ns)
 
     def sent(self, data: bytes, now_ns: int) -> bool | None:
         """Nothing comes of it."""
@@ -88,7 +110,7 @@ class RecordedNode:
 
     def expire(self, now_ns: int) -> None:
         """What is due is sent."""
-        self._output += self.player.take(now_ns)
+        self._take(now_ns)
 
     def take_output(self) -> Sequence[bytes]:
         """The frames to send now."""
@@ -114,7 +136,7 @@ class RecordedNode:
 
     def identifiers(self) -> Sequence[int] | None:
         """What the recorded node was told, and its SDO server's."""
-        plain = {0, _SYNC, 0x600 + self.node_id, *self._pdos}
+        plain = {0, *self._syncs, 0x600 + self.node_id, *self._pdos}
         return sorted(plain | {RTR | identifier for identifier in self._remotes})
 
     def identifiers_revision(self) -> int:
@@ -130,12 +152,43 @@ class RecordedNode:
         if data[4] < 2 or data[9] not in (0, self.node_id):
             return
         if data[8] in _RESETS:
-            self._set_points.clear()
-            self._dialogue = None
+            self._begin_anew()
+        before = self.player.matched
         self._command(nmt_key(data[8:10]), data, now_ns)
+        if self.player.matched > before:
+            self.player.forget_latest()
+
+    def _take(self, now_ns: int) -> None:
+        """What is due goes out; behind its boot-up a node knows nothing of what it was told."""
+        boot_up = (0x700 + self.node_id).to_bytes(4, "little")
+        for frame in self.player.take(now_ns):
+            self._output.append(frame)
+            if frame[:4] == boot_up and frame[4] == 1 and not frame[8]:
+                self._begin_anew()
+                self.player.forget()
+
+    def _begin_anew(self) -> None:
+        self._set_points.clear()
+        self._dialogue = None
+        self._toggle = None
+
+    def _toggled(self, one: Sent) -> Sent:
+        """An answer to node guarding, its toggle bit the other one than the last time."""
+        state = one.data[8]
+        self._toggle = state & _TOGGLE if self._toggle is None else self._toggle ^ _TOGGLE
+        data = bytes([state & ~_TOGGLE | self._toggle])
+        return replace(one, data=one.data[:8] + data + one.data[9:])
+
+    def _mask(self, identifier: int) -> bytes | None:
+        """What counts of a PDO, as it is mapped where the recording is now."""
+        masks = self.player.tape.masks.get(identifier)
+        if not masks:
+            return None
+        gone = self.player.commands_gone()
+        return next((mask for first, mask in reversed(masks) if first <= gone), masks[0][1])
 
     def _set_point(self, identifier: int, frame: bytes, now_ns: int) -> None:
-        mask = self.player.tape.masks.get(identifier)
+        mask = self._mask(identifier)
         told = frame if mask is None else masked(frame, mask)
         if self._set_points.get(identifier) != told:
             self._set_points[identifier] = told
@@ -163,14 +216,14 @@ class RecordedNode:
         step = self._dialogue
         if step is not None and self._turn < len(step.turns):
             turn = step.turns[self._turn]
-            if turn.asked == frame:
+            if _is_same(step, turn.asked, frame):
                 self._turn += 1
                 self.player.answer(turn.answers, now_ns)
                 return
         data = frame[8:16]
         if data[0] == 0x80:
             self._dialogue = None
-            self.player.forget_answers()
+            self.player.forget_answers(0x580 + self.node_id)
             return
         key = sdo_key(data)
         step = self._find(key, data, now_ns)
@@ -198,6 +251,22 @@ class RecordedNode:
         if expected is not None:
             expected.text = sentence(expected, self._decoder)
         self._events.append(("error", told(mismatch)))
+
+
+def _toggles(tape: Tape, node_id: int) -> bool:
+    """Whether its answers to node guarding alternate, as they should."""
+    key = remote_key(0x700 + node_id)
+    bits = [one.data[8] & _TOGGLE for step in tape.steps if step.key == key for one in step.answers]
+    return 2 * sum(a != b for a, b in pairwise(bits)) >= len(bits) - 1
+
+
+def _is_same(step: Step, recorded: bytes, frame: bytes) -> bool:
+    """Whether a frame goes on with a transfer as recorded, in all that counts of it."""
+    if recorded == frame:
+        return True
+    is_block_download = step.turns[0].asked[8] >> 5 == 6
+    same_head = recorded[:8] == frame[:8]
+    return not is_block_download and same_head and meant(recorded[8:]) == meant(frame[8:])
 
 
 def told(mismatch: Mismatch) -> str:
