@@ -15,18 +15,24 @@ from traces.modbus import Adu
 from traces.tape import START, Key, Role, Sent, Step, Tape, Turn
 
 WRITES: Final = (0x05, 0x06, 0x0F, 0x10, 0x15, 0x16, 0x17)
+_BITS_EACH: Final = {0x01: 1, 0x02: 1, 0x03: 16, 0x04: 16, 0x17: 16}
+"""Functions that read, and how many bits each coil or register is."""
 _GATEWAYS: Final = (b"\x0a", b"\x0b")
 """Exceptions that a gateway tells of itself (path unavailable, no response), not its units."""
 
 
 @final
 class LineAdu(NamedTuple):
-    """An ADU: when the line knew it was complete, when its first bit began and its last ended."""
+    """An ADU: when the line knew it was complete, when its first bit began and its last ended.
+
+    On TCP it has a transaction, which may be 0; and unit 0 may be the server itself.
+    """
 
     complete_ns: int
     start_ns: int
     end_ns: int
     adu: Adu
+    is_tcp: bool = False
 
 
 def request_key(pdu: bytes) -> Key:
@@ -43,17 +49,22 @@ def modbus_tapes(line: str, adus: Iterable[LineAdu], begin_ns: int) -> dict[int,
     """The tapes of the units that have answered anything on this line, by unit."""
     decoder = ModbusDecoder()
     units: dict[int, _Unit] = {}
-    for complete_ns, start_ns, end_ns, adu in adus:
+    to_all: list[tuple[int, Adu, str]] = []  # who has not been asked yet was told it, too
+    for complete_ns, start_ns, end_ns, adu, is_tcp in adus:
         text = decoder.decode(adu).text
         if not adu.to_server:
             unit = units.get(adu.unit)
             if unit is not None:
                 unit.answered(start_ns, end_ns, adu, text)
             continue
+        if adu.unit not in units:
+            unit = units[adu.unit] = _Unit(line, adu.unit, begin_ns)
+            for when_ns, one, words in to_all:
+                unit.asked(when_ns, one, words, is_tcp)
         for number in list(units) if adu.unit == 0 else [adu.unit]:
-            if number not in units:
-                units[number] = _Unit(line, number, begin_ns)
-            units[number].asked(complete_ns, adu, text)
+            units[number].asked(complete_ns, adu, text, is_tcp)
+        if adu.unit == 0:
+            to_all.append((complete_ns, adu, text))
     return {number: one.clear_up() for number, one in sorted(units.items()) if one.has_answered}
 
 
@@ -75,33 +86,43 @@ class _Unit:
         self._delays_ns: list[int] = []
         self._unclear: list[Step] = []
 
-    def asked(self, complete_ns: int, adu: Adu, text: str) -> None:
+    def asked(self, complete_ns: int, adu: Adu, text: str, is_tcp: bool = False) -> None:
         step = Step(role_of(adu.pdu), request_key(adu.pdu), complete_ns, text)
         step.turns.append(Turn(bytes([adu.unit]) + adu.pdu))
         self.tape.steps.append(step)
-        if not adu.transaction:  # a serial line: what was not answered will not be
+        if not (adu.transaction or is_tcp):  # a serial line: what was not answered will not be
             self._pending.clear()
         at_once = not self._pending and not self._is_held_up
         self._pending.append((adu.transaction, step, complete_ns, at_once))
 
     def answered(self, start_ns: int, end_ns: int, adu: Adu, text: str) -> None:
-        for place, (transaction, step, asked_ns, at_once) in enumerate(self._pending):
-            if transaction != adu.transaction:
-                continue
-            del self._pending[place]
-            if adu.is_exception and adu.pdu[1:] in _GATEWAYS:
-                self._is_held_up = True
-                return
-            self._is_held_up = self._is_held_up and bool(self._pending)
-            frame = bytes([adu.unit]) + adu.pdu
-            step.turns[0].answers.append(Sent(end_ns - asked_ns, frame, end_ns - start_ns))
-            step.answer_text = text
-            self.has_answered = True
-            if at_once:
-                self._delays_ns.append(end_ns - asked_ns)
-            else:
-                self._unclear.append(step)
+        place = self._place_of(adu)
+        if place is None:
             return
+        _, step, asked_ns, at_once = self._pending.pop(place)
+        if adu.is_exception and adu.pdu[1:] in _GATEWAYS:
+            self._is_held_up = True
+            return
+        self._is_held_up = self._is_held_up and bool(self._pending)
+        frame = bytes([adu.unit]) + adu.pdu
+        step.turns[0].answers.append(Sent(end_ns - asked_ns, frame, end_ns - start_ns))
+        step.answer_text = text
+        self.has_answered = True
+        if at_once:
+            self._delays_ns.append(end_ns - asked_ns)
+        else:
+            self._unclear.append(step)
+
+    def _place_of(self, adu: Adu) -> int | None:
+        """Which pending request a response answers: the last of its transaction that it fits.
+
+        A transaction used again leaves the request before it unanswered for good; that of another
+        connection is told apart by function and length, where these differ.
+        """
+        places = [n for n, one in enumerate(self._pending) if one[0] == adu.transaction]
+        fitting = [n for n in places if _fits(self._pending[n][1].key[2], adu.pdu)]
+        found = fitting or places
+        return found[-1] if found else None
 
     def clear_up(self) -> Tape:
         """Its tape, with the usual delay where none is in the recording."""
@@ -112,3 +133,12 @@ class _Unit:
                 replace(sent, delay_ns=min(sent.delay_ns, usual_ns)) for sent in turn.answers
             ]
         return self.tape
+
+
+def _fits(asked: bytes, told: bytes) -> bool:
+    """Whether a response PDU can be to that request: its function; of a read, how much it tells."""
+    if not told or told[0] & 0x7F != asked[0]:
+        return False
+    if told[0] & 0x80 or asked[0] not in _BITS_EACH or len(asked) < 5 or len(told) < 2:
+        return True
+    return told[1] == (int.from_bytes(asked[3:5], "big") * _BITS_EACH[asked[0]] + 7) // 8

@@ -26,10 +26,12 @@ class RecordedTapes:
     Attributes:
         tapes: by bus or line, and node-ID or unit.
         decoders: of CAN buses, by name; they have seen the whole recording.
+        tcp: the lines that are Modbus/TCP.
     """
 
     tapes: dict[tuple[str, int], Tape]
     decoders: dict[str, CanopenDecoder]
+    tcp: frozenset[str] = frozenset()
 
 
 def tapes_of(trace: Trace, any_set_point: bool = False) -> RecordedTapes:
@@ -63,7 +65,9 @@ def tapes_of(trace: Trace, any_set_point: bool = False) -> RecordedTapes:
                 start_ns, end_ns = values.get("start_ns", 0), values.get("end_ns", 0)
                 adu = adu_in(values)
                 if adu is not None and isinstance(start_ns, int) and isinstance(end_ns, int):
-                    lines.setdefault(place, []).append(LineAdu(time_ns, start_ns, end_ns, adu))
+                    is_tcp = bool(values.get("tcp"))
+                    one = LineAdu(time_ns, start_ns, end_ns, adu, is_tcp)
+                    lines.setdefault(place, []).append(one)
         except ValueError:  # a message that is none tells nothing
             continue
     found: dict[tuple[str, int], Tape] = {}
@@ -72,7 +76,8 @@ def tapes_of(trace: Trace, any_set_point: bool = False) -> RecordedTapes:
     for line, adus in lines.items():
         units = modbus_tapes(line, adus, begin_ns)
         found |= {(line, unit): tape for unit, tape in units.items()}
-    return RecordedTapes(found, {bus: cutter.decoder for bus, cutter in buses.items()})
+    tcp = frozenset(line for line, adus in lines.items() if any(one.is_tcp for one in adus))
+    return RecordedTapes(found, {bus: cutter.decoder for bus, cutter in buses.items()}, tcp)
 
 
 def _cutter(bus: str, begin_ns: int, names: RecordedNames, any_set_point: bool) -> CanopenTapes:

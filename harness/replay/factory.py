@@ -6,6 +6,7 @@ bus = "can0"
 node_id = 1                     # on a line: unit
 recording = "bench.mcap"        # starts at the rig's folder
 recorded_bus = "can0"           # where the recording has it on more than one bus
+recorded_unit = 255             # on a line: where the recording has it as another unit
 bitrate_bit_s = 1_000_000       # of the recorded bus
 """
 
@@ -25,7 +26,11 @@ from traces.recorded_tapes import RecordedTapes, tapes_of
 from traces.tape import Tape
 
 KIND: Final = "recorded"
-_KEYS: Final = ("node_id", "unit", "recording", "recorded_bus", "bitrate_bit_s", "set_points")
+_KEYS: Final = (
+    *("node_id", "unit", "recording", "recorded_bus", "recorded_unit"),
+    *("bitrate_bit_s", "set_points"),
+)
+_BYTE_MAX: Final = 255
 SET_POINTS: Final = ("exact", "any")
 _RATE_MAX: Final = 1_000_000
 
@@ -47,7 +52,10 @@ def build(settings: Mapping[str, object], context: ControllerContext) -> Control
         raise SettingError((key,), "is missing", "node_id = 1, or on a line unit = 1")
     number = whole(settings[key], (key,), 1, UNIT_MAX if is_unit else NODE_MAX)
     path, found = _recording(settings, context.folder)
-    tape = _tape(path, found, settings.get("recorded_bus"), number, is_unit)
+    recorded = number
+    if is_unit and "recorded_unit" in settings:  # on TCP servers may be 0 or 255
+        recorded = whole(settings["recorded_unit"], ("recorded_unit",), 0, _BYTE_MAX)
+    tape = _tape(path, found, settings.get("recorded_bus"), recorded, is_unit)
     if is_unit:
         return RecordedUnit(tape, number)
     rate = whole(settings.get("bitrate_bit_s", _RATE_MAX), ("bitrate_bit_s",), 1000, _RATE_MAX)

@@ -4,23 +4,24 @@ A recording without a rig (imported, or of real hardware) has its buses and whoe
 and no motors.
 """
 
+import re
 import tempfile
 import tomllib
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path, PurePosixPath
 from typing import TYPE_CHECKING, Final
 
 from harness.replay.factory import KIND, SET_POINTS, recorded_tapes
-from harness.rig_buses import CAN, address_key
+from harness.rig_buses import CAN, MODBUS_RTU, MODBUS_TCP, UNIT_MAX, address_key
 from harness.rig_file import Known, parse_rig, read_rig
 from harness.settings import RigError, Source
 from traces.errors import TraceError
 from traces.reader import read_trace
 from traces.recorded_names import rig_in as rig_of
+from traces.recorded_tapes import RecordedTapes
 from traces.records import MAGIC
 from traces.structure import Attachment
-from traces.tape import Tape
 
 if TYPE_CHECKING:
     from harness.rig_file import RigDescription
@@ -40,12 +41,16 @@ def is_recording(path: Path) -> bool:
 
 
 def with_recorded(
-    description: "RigDescription", recording: Path, set_points: str = SET_POINTS[0]
+    description: "RigDescription",
+    recording: Path,
+    set_points: str = SET_POINTS[0],
+    places: Mapping[str, Mapping[str, object]] | None = None,
 ) -> "RigDescription":
     """The rig with its controllers out of the recording, and without its faults.
 
     What faults did is in the recording; and what nobody heard is not. `set_points` is "exact", or
-    "any" if their values in PDOs may be others than recorded.
+    "any" if their values in PDOs may be others than recorded; `places` tells by controller where
+    the recording has it (`recorded_bus`, `recorded_unit`), where it is elsewhere in the rig.
     """
     controllers = {}
     for name, controller in description.controllers.items():
@@ -59,6 +64,7 @@ def with_recorded(
         if bus.kind == CAN:
             settings["bitrate_bit_s"] = bus.bitrate_bit_s
             settings["set_points"] = set_points
+        settings |= (places or {}).get(name, {})
         controllers[name] = replace(controller, kind=KIND, settings=settings, plants_from_model=())
     return replace(description, controllers=controllers, faults=())
 
@@ -70,13 +76,14 @@ def rig_in(recording: Path, known: Known) -> "RigDescription":
         RigError: the recording cannot be read, or its rig not be used.
     """
     found = own_rig(recording, known)
+    places: dict[str, dict[str, object]] = {}
     if found is None:
         try:
-            text = _generated(recorded_tapes(recording).tapes)
+            text, places = _generated(recorded_tapes(recording))
         except TraceError as error:
             raise RigError(error.path, error.what, error.remedy) from None
         found = parse_rig(Source(recording / "generated.toml", text), known)
-    return with_recorded(found, recording)
+    return with_recorded(found, recording, places=places)
 
 
 def own_rig(recording: Path, known: Known) -> "RigDescription | None":
@@ -141,27 +148,39 @@ def _write(path: Path, data: bytes) -> Path:
     return path
 
 
-def _generated(tapes: Mapping[tuple[str, int], Tape]) -> str:
-    """A rig file of buses and whoever answers there."""
-    buses = list(dict.fromkeys(bus for bus, _ in tapes))
+def _generated(recorded: RecordedTapes) -> tuple[str, dict[str, dict[str, object]]]:
+    """A rig file of buses and whoever answers there; and where the recording has these."""
+    places: dict[str, dict[str, object]] = {}
     lines = ["[rig]"]
-    for bus in buses:
-        is_line = any(
-            step.turns and step.key[0] == "modbus"
-            for (where, _), tape in tapes.items()
-            for step in tape.steps
-            if where == bus
-        )
-        kind = 'kind = "modbus_rtu"' if is_line else f"bitrate_bit_s = {_BITRATE_BIT_S}"
-        lines += ["", f"[bus.{_key(bus)}]", kind]
-        for where, number in tapes:
-            if where == bus:
-                key, word = ("unit", "unit") if is_line else ("node_id", "node")
-                name = f"{word}_{number}" if len(buses) == 1 else f"{bus}_{word}_{number}"
-                lines += ["", f"[controller.{_key(name)}]", f'kind = "{KIND}"']
-                lines += [f'bus = "{bus}"', f"{key} = {number}", 'recording = "it"']
-    return "\n".join(lines) + "\n"
+    names = _plain_names([bus for bus, _ in recorded.tapes])
+    for bus, plain in names.items():
+        is_line = bus not in recorded.decoders
+        kind = f"bitrate_bit_s = {_BITRATE_BIT_S}"
+        if is_line:
+            kind = f'kind = "{MODBUS_TCP if bus in recorded.tcp else MODBUS_RTU}"'
+        lines += ["", f"[bus.{plain}]", kind]
+        numbers = [number for where, number in recorded.tapes if where == bus]
+        free = (number for number in range(1, UNIT_MAX + 1) if number not in numbers)
+        key, word = ("unit", "unit") if is_line else ("node_id", "node")
+        for number in numbers:
+            name = f"{word}_{number}" if len(names) == 1 else f"{plain}_{word}_{number}"
+            own = number if not is_line or 0 < number <= UNIT_MAX else next(free)
+            places[name] = {"recorded_bus": bus}
+            if own != number:
+                places[name]["recorded_unit"] = number
+            lines += ["", f"[controller.{name}]", f'kind = "{KIND}"']
+            lines += [f'bus = "{plain}"', f"{key} = {own}", 'recording = "it"']
+    return "\n".join(lines) + "\n", places
 
 
-def _key(name: str) -> str:
-    return f'"{name}"'
+def _plain_names(buses: Sequence[str]) -> dict[str, str]:
+    """What a rig can call these buses, by name: of an address, `line_192_168_0_20`."""
+    found: dict[str, str] = {}
+    for bus in dict.fromkeys(buses):
+        plain = re.sub(r"[^A-Za-z0-9_-]", "_", bus)
+        if not plain[:1].isalpha():
+            plain = f"line_{plain}"
+        while plain in found.values():
+            plain += "_"
+        found[bus] = plain
+    return found

@@ -28,7 +28,7 @@ class RecordedUnit:
 
     Args:
         tape: of the unit.
-        unit: its server address on this line, as in the recording.
+        unit: its server address on this line.
 
     Attributes:
         player: what was found, and what was not.
@@ -80,7 +80,8 @@ class RecordedUnit:
 
     def expire(self, now_ns: int) -> None:
         """What is due is sent."""
-        self._output += [with_crc(frame) for frame in self.player.take(now_ns)]
+        address = bytes([self.unit])  # the recording may have another
+        self._output += [with_crc(address + frame[1:]) for frame in self.player.take(now_ns)]
 
     def take_output(self) -> Sequence[bytes]:
         """The frames to send now."""

@@ -5,10 +5,13 @@ from collections import Counter
 
 import pytest
 
+from harness.cli import main
 from traces.canopen_tapes import canopen_tapes
 from traces.formats import open_source
 from traces.modbus import Adu
 from traces.modbus_tapes import LineAdu, modbus_tapes
+from traces.reader import read_trace
+from traces.recorded_tapes import tapes_of
 from traces.schema import Direction
 from traces.tape import START, Role
 from traces.traffic import EFF, ERR, RTR, Findings, Frame, classic
@@ -248,3 +251,61 @@ def test_a_broadcast_is_told_to_all_and_a_gateways_exception_is_nobodys_answer()
     assert list(tapes) == [1]
     assert [step.key[0] for step in tapes[1].steps] == ["start", "modbus", "modbus"]
     assert tapes[1].steps[-1].turns[0].asked == bytes.fromhex("000600010003")
+
+
+def on_tcp(*told):
+    """(ms, PDU in hex, whether it is a request, transaction) of unit 2."""
+    return [
+        adu(time_ms, bytes.fromhex(pdu), 2, to_server, transaction)._replace(is_tcp=True)
+        for time_ms, pdu, to_server, transaction in told
+    ]
+
+
+def answered(tape):
+    return [
+        (step.turns[0].asked[1:].hex(), [one.data[1:].hex() for one in step.turns[0].answers])
+        for step in tape.steps[1:]
+    ]
+
+
+def test_a_transaction_used_again_leaves_the_request_before_it_unanswered():
+    """As of the gateway whose client begins with transaction 0 each time it connects."""
+    tapes = modbus_tapes(
+        "plant",
+        on_tcp(
+            *((1, "0400000001", True, 0), (2, "0400010001", True, 1), (9, "0402aaaa", False, 1)),
+            *((2000, "0400050001", True, 0), (2001, "0400060002", True, 0)),
+            *((2010, "04020055", False, 0), (2011, "040400660066", False, 0)),
+        ),
+        0,
+    )
+    assert answered(tapes[2]) == [
+        ("0400000001", []),
+        ("0400010001", ["0402aaaa"]),
+        ("0400050001", ["04020055"]),
+        ("0400060002", ["040400660066"]),
+    ]
+
+
+def test_answers_of_a_real_gateway_are_those_of_its_requests(shared, tmp_path):
+    """1592 of its answers have a request, none later than 5.1 s: traffic/INDEX.md."""
+    source = shared / "data" / "traffic" / "modbus_gateway_units1237_pipelined.pcap"
+    assert main(["convert", str(source), "-o", str(tmp_path / "plant.mcap")]) == 0
+    with read_trace(tmp_path / "plant.mcap") as trace:
+        tapes = tapes_of(trace).tapes.values()
+    turns = [step.turns[0] for tape in tapes for step in tape.steps[1:]]
+    assert sum(len(turn.answers) for turn in turns) == 1592
+    assert max(one.delay_ns for turn in turns for one in turn.answers) < 5_100 * MS
+
+
+def test_a_broadcast_was_told_to_who_had_not_been_asked_before():
+    tapes = modbus_tapes(
+        "rs485",
+        [
+            adu(1, bytes.fromhex("0600010003"), unit=0),
+            adu(10, bytes.fromhex("03006B0001"), unit=4),
+            adu(13, bytes.fromhex("0302022B"), unit=4, to_server=False),
+        ],
+        0,
+    )
+    assert [step.turns[0].asked[0] for step in tapes[4].steps[1:]] == [0, 4]
