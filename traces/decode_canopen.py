@@ -16,7 +16,7 @@ from traces.decode_cia402 import controlword_text, mode_text, statusword_text
 from traces.decode_sdo import SdoReader, SdoStep, Step
 from traces.object_names import ObjectName, ObjectNames, axis_of, value_of, value_text
 from traces.pdo_maps import PdoKey, PdoMaps
-from traces.said import Fact, Kind, Said
+from traces.said import FOREIGN, Fact, Kind, Said
 
 _EFF: Final = 0x8000_0000
 _RTR: Final = 0x4000_0000
@@ -329,7 +329,7 @@ def _bus_error(can_id: int, data: bytes) -> Said:
 
 def _other(identifier: int, data: bytes, can_id: int) -> Said:
     width = 8 if can_id & _EFF else 3
-    what = f"id {identifier:0{width}X}h"
+    what = f"{FOREIGN}{identifier:0{width}X}h"
     if can_id & _RTR:
         return Said(Kind.OTHER, None, f"{what} remote frame")
     told = data.hex(" ").upper() or "no data"

@@ -4,7 +4,8 @@ Both recordings have the same host: one is of a device, the other of what is to 
 agree where both tell the same ones in the same order; a measured or demanded quantity agrees at a
 sample where it is within the tolerance of `traces.semantic_diff`. Before, the first recording's
 times are made the second's, by frames of the host that are in both: a device that answers later is
-not different in all that follows.
+not different in all that follows. Measured quantities that differ from run to run (velocities,
+currents, what takes on many values in no order that is due) are not compared, which is told.
 """
 
 from bisect import bisect_right
@@ -14,6 +15,7 @@ from difflib import SequenceMatcher
 from typing import final
 
 from traces.meaning import COMMANDS, Key, Meaning
+from traces.said import FOREIGN
 from traces.semantic_diff import Series, Tolerance, allowed_of, apart, is_measured
 
 
@@ -29,6 +31,7 @@ class ObjectFidelity:
         agreeing: how many of them agree.
         worst: the largest distance of a quantity, in its own unit; None: it is a state.
         worst_ns: when that is.
+        is_compared: whether anything is said of it; else it is only there.
     """
 
     key: Key
@@ -38,25 +41,38 @@ class ObjectFidelity:
     agreeing: int
     worst: float | None = None
     worst_ns: int = 0
+    is_compared: bool = True
+
+    @property
+    def of(self) -> int:
+        """How many could agree: of a quantity the first recording's samples, where it has any."""
+        if not self.is_compared:
+            return 0
+        is_there = self.worst is not None and self.first
+        return self.first if is_there else max(self.first, self.second)
 
     @property
     def share(self) -> float:
         """How much of it agrees, 0 to 1."""
-        of = self.first if self.worst is not None else max(self.first, self.second)
-        return self.agreeing / of if of else 1.0
+        return self.agreeing / self.of if self.of else 1.0
 
 
 def told_by_nodes(meaning: Meaning) -> Meaning:
-    """What devices tell, without what they were told, and without what else is recorded."""
+    """What devices tell, without what they were told, and without what else is recorded.
+
+    Frames that are of no protocol here are nobody's by their identifier, and a device's too: what
+    the host sends of them is in both recordings.
+    """
     kept = Meaning()
     kept.messages = meaning.messages
     kept.labels = meaning.labels
     kept.items = {
         key: items
         for key, items in meaning.items.items()
-        if key[1] is not None and key[2] != COMMANDS
+        if key[2] != COMMANDS and (key[1] is not None or key[2].startswith(FOREIGN))
     }
     kept.motions = {key: series for key, series in meaning.motions.items() if key[1] is not None}
+    kept.unheeded = {key: count for key, count in meaning.unheeded.items() if count}
     return kept
 
 
@@ -71,6 +87,7 @@ def retimed(meaning: Meaning, pairs: Sequence[tuple[int, int]]) -> Meaning:
     change = _change(sorted(pairs))
     moved = Meaning()
     moved.messages, moved.labels = meaning.messages, meaning.labels
+    moved.unheeded = meaning.unheeded
     for key, items in meaning.items.items():
         moved.items[key] = [replace(item, time_ns=change(item.time_ns)) for item in items]
     for key, (times, values) in meaning.motions.items():
@@ -93,26 +110,38 @@ def _change(pairs: list[tuple[int, int]]) -> Callable[[int], int]:
 
 
 def fidelity(first: Meaning, second: Meaning, tolerance: Tolerance) -> list[ObjectFidelity]:
-    """Of each object that the first recording's devices tell, in the order they first tell it."""
+    """Of each object that devices tell, those of the first recording in the order it tells them."""
     found: list[ObjectFidelity] = []
-    for key, items in first.items.items():
-        others = second.items.get(key, [])
+    labels = {**second.labels, **first.labels}
+    for key in {**first.items, **second.items}:
+        items, others = first.items.get(key, []), second.items.get(key, [])
         if is_measured(items) and is_measured(others):
+            found.append(_not_compared(key, labels[key], len(items), len(others)))
             continue
         mine, theirs = [item.what for item in items], [item.what for item in others]
         blocks = SequenceMatcher(None, mine, theirs, autojunk=False).get_matching_blocks()
         agreeing = sum(block.size for block in blocks)
-        found.append(ObjectFidelity(key, first.labels[key], len(items), len(others), agreeing))
-    for key, series in first.motions.items():
-        found.append(_of_motion(key, first.labels[key], series, second.motions.get(key), tolerance))
+        found.append(ObjectFidelity(key, labels[key], len(items), len(others), agreeing))
+    for key in {**first.motions, **second.motions}:
+        series, other = first.motions.get(key), second.motions.get(key)
+        found.append(_of_motion(key, labels[key], series, other, tolerance))
+    for key in {**first.unheeded, **second.unheeded}:
+        counts = first.unheeded.get(key, 0), second.unheeded.get(key, 0)
+        found.append(_not_compared(key, labels[key], *counts))
     return found
 
 
+def _not_compared(key: Key, label: str, first: int, second: int) -> ObjectFidelity:
+    return ObjectFidelity(key, label, first, second, 0, is_compared=False)
+
+
 def _of_motion(
-    key: Key, label: str, series: Series, other: Series | None, tolerance: Tolerance
+    key: Key, label: str, series: Series | None, other: Series | None, tolerance: Tolerance
 ) -> ObjectFidelity:
-    if other is None:
-        return ObjectFidelity(key, label, len(series[0]), 0, 0, float("inf"), series[0][0])
+    if series is None or other is None:
+        (times, _), is_first = series or other or ([0], []), series is not None
+        counts = (len(times), 0) if is_first else (0, len(times))
+        return ObjectFidelity(key, label, *counts, 0, float("inf"), times[0])
     allowed = allowed_of(key, series, other, tolerance)
     agreeing, worst, worst_ns = 0, 0.0, series[0][0]
     for time_ns, distance in apart(series, other, tolerance.time_ns):

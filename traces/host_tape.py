@@ -21,7 +21,7 @@ from traces.modbus import Adu
 from traces.object_names import axis_of
 from traces.said import Kind, Said
 from traces.schema import Direction
-from traces.traffic import ERR
+from traces.traffic import ERR, RTR
 
 Subject = tuple[str, int, str]
 """Bus, node, what of it."""
@@ -125,8 +125,9 @@ class HostCutter:
     def take_frame(self, time_ns: int, bus: str, frame: bytes, direction: Direction) -> None:
         """A frame was complete on a CAN bus."""
         said = self._listener.decode(bus, frame)
+        is_remote = bool(int.from_bytes(frame[:4], "little") & RTR)
         is_hosts = direction is Direction.TRANSMITTED or (
-            direction is Direction.UNKNOWN and said.kind in _FROM_HOST
+            direction is Direction.UNKNOWN and (is_remote or said.kind in _FROM_HOST)
         )
         if not is_hosts:
             self._told += self._listener.told(time_ns, bus, said)

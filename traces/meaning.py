@@ -42,6 +42,7 @@ class Meaning:
     Attributes:
         items: what was told, by key, in order.
         motions: (times [ns], values) of quantities, by key.
+        unheeded: how often measured quantities are told that nothing is made of, by key.
         labels: how a key is called, which depends on the names that the recording knows.
         messages: how many were read.
     """
@@ -49,6 +50,7 @@ class Meaning:
     def __init__(self) -> None:
         self.items: dict[Key, list[Item]] = {}
         self.motions: dict[Key, tuple[list[int], list[float]]] = {}
+        self.unheeded: dict[Key, int] = {}
         self.labels: dict[Key, str] = {}
         self.messages = 0
         self._last: dict[tuple[Key, str], object] = {}
@@ -90,10 +92,11 @@ class Meaning:
 
     def _take_motion(self, line: Line, said: Said, fact: Fact, label: str) -> None:
         _, index = axis_of(int(fact.subject[:4], 16))
-        if index not in _QUANTITIES or isinstance(fact.value, str | bytes):
-            return
         key: Key = (line.place, said.node, fact.subject)
         self.labels.setdefault(key, label.replace(COMMANDS, fact.subject))
+        if index not in _QUANTITIES or isinstance(fact.value, str | bytes):
+            self.unheeded[key] = self.unheeded.get(key, 0) + (not fact.told_to)
+            return
         self._move(key, line.time_ns, float(fact.value))
 
     def _is_news(self, key: Key, fact: Fact, said: Said) -> bool:

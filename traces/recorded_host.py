@@ -12,6 +12,7 @@ from traces.reader import Trace
 from traces.schema import CAN_FRAME, MODBUS_ADU
 
 _RTU_REST: Final = 2
+_OBJECTS_AT: Final = 8
 
 
 def host_of(
@@ -61,7 +62,23 @@ def answer_size(data: bytes, tcp: bool) -> int | None:
     function = data[1]
     if function & 0x80:
         return 3 + _RTU_REST
+    if function == 0x2B:
+        return _identification_size(data)
+    if function == 0x18:
+        return 4 + int.from_bytes(data[2:4], "big") + _RTU_REST if len(data) >= 4 else None
     if function in (0x01, 0x02, 0x03, 0x04, 0x0C, 0x11, 0x14, 0x15, 0x17):
         return 3 + data[2] + _RTU_REST
     fixed = {0x05: 6, 0x06: 6, 0x07: 3, 0x08: 6, 0x0B: 6, 0x0F: 6, 0x10: 6, 0x16: 8}
     return fixed[function] + _RTU_REST if function in fixed else None
+
+
+def _identification_size(data: bytes) -> int | None:
+    """Of an answer to read device identification (2Bh, 0Eh): its objects tell how long each is."""
+    if len(data) < _OBJECTS_AT:
+        return None
+    at = _OBJECTS_AT
+    for _ in range(data[_OBJECTS_AT - 1]):
+        if len(data) < at + 2:
+            return None
+        at += 2 + data[at + 1]
+    return at + _RTU_REST

@@ -30,6 +30,10 @@ class Kind(Enum):
 PERIODIC: Final = (Kind.SYNC, Kind.TIME, Kind.HEARTBEAT, Kind.TPDO, Kind.RPDO)
 
 
+FOREIGN: Final = "id "
+"""How the subject begins of a frame that is of no service: its identifier follows."""
+
+
 @final
 @dataclass(frozen=True, slots=True)
 class Fact:

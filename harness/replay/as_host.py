@@ -127,6 +127,7 @@ class DrivenRig:
         self.lines: Sequence[str] = rig.world.line_names()
         self.what = str(rig.description.source.path)
         self._rig = rig
+        self._rests: dict[str, bytearray] = {}  # of answers that are not whole, by line
 
     def bit_ns(self, bus: str) -> int:
         """How long a bit is on a bus [ns]."""
@@ -135,7 +136,10 @@ class DrivenRig:
     def send(self, bus: str, frame: bytes) -> None:
         """It waits its turn, or goes out."""
         if bus in self.lines:
-            self._rig.line(bus).send(frame)
+            line = self._rig.line(bus)
+            if line.framing == "rtu":  # what no answer was made of will not be one
+                self._rests.setdefault(bus, bytearray()).clear()
+            line.send(frame)
         else:
             self.runtime.send(self._rig.bus(bus), frame)
 
@@ -152,15 +156,16 @@ class DrivenRig:
 
     def _listen_to_line(self, name: str, player: HostPlayer) -> None:
         line = self._rig.line(name)
-        rest = bytearray()
+        rest = self._rests.setdefault(name, bytearray())
         is_tcp = line.framing == "tcp"
+        unit_at = 6 if is_tcp else 0
 
         def hear(data: bytes, time_ns: int) -> None:
             rest.extend(data)
-            size = answer_size(bytes(rest), is_tcp)
-            if size is not None and len(rest) >= size:
-                player.answered(name, rest[6 if is_tcp else 0], time_ns)
-                rest.clear()
+            while (size := answer_size(bytes(rest), is_tcp)) is not None and len(rest) >= size:
+                if size > unit_at:
+                    player.answered(name, rest[unit_at], time_ns)
+                del rest[:size]
 
         line.listen(hear)
 

@@ -13,6 +13,7 @@ from typing import Final, final
 from traces.host_tape import ANSWER, HostStep, Listener, Subject, Told
 
 PATIENCE_NS: Final = 2_000_000_000
+_SDO_REQUEST: Final = 12  # function code of the pre-defined connection set
 
 
 @final
@@ -103,6 +104,7 @@ class HostPlayer:
         self._anchor = (begin_ns, 0)  # the last that is known of: when recorded, when live
         self._lines = frozenset(lines)
         self._waiting_since_ns = 0
+        self._given_up: set[Subject] = set()  # answers that may yet come, late
         self._in_flight: list[HostStep] = []
         self._waits: list[Told] = []
         self._begin()
@@ -160,6 +162,7 @@ class HostPlayer:
             if self._due_ns() > now_ns:
                 break
             step = self._steps[self.sent]
+            self._forget_late(step)
             out.append((step.bus, step.frame))
             if step.bus in self._lines:  # nobody tells when it is out: it is a moment later
                 self._is_out(step, now_ns + step.end_ns - step.start_ns)
@@ -204,6 +207,7 @@ class HostPlayer:
         heard = self._told.get(awaited.subject, [])
         if awaited.subject[2] == ANSWER:
             instead = "no answer"
+            self._given_up.add(awaited.subject)
         elif heard:
             instead = f"last told: {heard[-1].text}"
         else:
@@ -211,6 +215,18 @@ class HostPlayer:
         self.missed.append(Missed(now_ns, awaited, self._steps[self.sent], instead))
         self._waiting_since_ns = now_ns
         self._know(awaited.time_ns, now_ns)
+
+    def _forget_late(self, step: HostStep) -> None:
+        """An answer that came after it had been given up is none to what is asked now."""
+        can_id = int.from_bytes(step.frame[:4], "little")
+        if step.bus in self._lines or can_id >> 7 != _SDO_REQUEST:
+            return  # on lines several requests may be on their way to one unit
+        subject = (step.bus, can_id & 0x7F, ANSWER)
+        if subject in self._given_up and len(self._told.get(subject, [])) > self._seen.get(
+            subject, 0
+        ):
+            self._seen[subject] = len(self._told[subject])
+            self._given_up.discard(subject)
 
     def _know(self, recorded_ns: int, live_ns: int) -> None:
         """What was recorded then was so now: pauses are counted from here."""

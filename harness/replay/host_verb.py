@@ -110,7 +110,7 @@ def _tell(
             one.label,
             f"{one.first}",
             f"{one.second}",
-            f"{100 * one.share:.1f} %",
+            f"{100 * one.share:.1f} %" if one.is_compared else "not compared",
             "" if one.worst is None or not math.isfinite(one.worst) else f"{one.worst:g}",
             f"{one.worst_ns / 1e9:.3f}" if one.worst else "",
         )
@@ -126,9 +126,11 @@ def _tell(
     for difference in differing[: None if options.all else _SHOWN]:
         print(f"{difference.time_ns / 1e9:12.6f} s  {difference}")
     whole = sum(one.agreeing for one in found)
-    of = sum(one.first if one.worst is not None else max(one.first, one.second) for one in found)
+    of = sum(one.of for one in found)
+    compared = sum(one.is_compared for one in found)
+    others = f" and {len(found) - compared} not compared" if compared < len(found) else ""
     print(
-        f"\n{done.sent} frames of the host sent; {len(found)} objects, "
+        f"\n{done.sent} frames of the host sent; {compared} objects{others}, "
         f"{100 * whole / max(1, of):.2f} % of what they tell agrees; "
         f"{len(differing)} differences, {len(missed)} times waited in vain"
     )
@@ -144,7 +146,7 @@ def _facts(
                 "object": one.label,
                 "recorded": one.first,
                 "now": one.second,
-                "share": one.share,
+                "share": one.share if one.is_compared else None,
                 "worst": one.worst if one.worst is None or math.isfinite(one.worst) else None,
                 "worst_ns": one.worst_ns,
             }
