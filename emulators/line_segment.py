@@ -13,7 +13,7 @@ from emulators.media.byte_pipe import BytePipe
 from emulators.media.serial_faults import SerialFaultPlan
 from emulators.media.serial_line import CHARACTERS, SENT, SPOILED, SerialLine
 from emulators.modbus.crc import with_crc
-from emulators.modbus.tcp import GONE, MbapStream, TcpGateway
+from emulators.modbus.tcp import GATEWAY_TIMEOUT_NS, GONE, MbapStream, TcpGateway
 from emulators.modbus.tcp import adu as adu_of
 from emulators.segment import ControllerSlot, Endpoint, HostListener, Overseer, Segment
 
@@ -148,9 +148,15 @@ class SerialSegment(LineSegment):
 class TcpSegment(LineSegment):
     """Controllers behind a gateway, and the connections to it. Ports count both."""
 
-    def __init__(self, pipe: BytePipe, overseer: Overseer, plan: SerialFaultPlan | None) -> None:
+    def __init__(
+        self,
+        pipe: BytePipe,
+        overseer: Overseer,
+        plan: SerialFaultPlan | None,
+        timeout_ns: int = GATEWAY_TIMEOUT_NS,
+    ) -> None:
         super().__init__(pipe.name, overseer, plan)
-        self.gateway: Final = TcpGateway()
+        self.gateway: Final = TcpGateway(timeout_ns)
         self._pipe = pipe
         self._slots: dict[int, ControllerSlot] = {}  # by unit
         self._units: dict[int, int] = {}  # by port

@@ -18,6 +18,7 @@ from emulators.media.can_bus import CanBus
 from emulators.media.faults import FaultRule
 from emulators.media.serial_faults import SerialFaultPlan
 from emulators.media.serial_line import SerialLine
+from emulators.modbus.tcp import GATEWAY_TIMEOUT_NS
 from emulators.segment import ControllerSlot, HostListener, HostPort, Overseer
 
 EventTap = Callable[[int, str, str, str], None]
@@ -57,9 +58,11 @@ class World(Overseer):
         """The line exists, with nobody on it. `plan` is the one that the line has."""
         self._lines[line.name] = SerialSegment(line, self, plan)
 
-    def add_tcp(self, pipe: BytePipe, plan: SerialFaultPlan | None) -> None:
+    def add_tcp(
+        self, pipe: BytePipe, plan: SerialFaultPlan | None, timeout_ns: int = GATEWAY_TIMEOUT_NS
+    ) -> None:
         """The gateway exists, with nobody behind it. `plan` is the one that the pipe has."""
-        self._lines[pipe.name] = TcpSegment(pipe, self, plan)
+        self._lines[pipe.name] = TcpSegment(pipe, self, plan, timeout_ns)
 
     def line(self, name: str) -> LineSegment:
         """A line, for its faults."""

@@ -2,7 +2,7 @@
 
 kind = "can"          bitrate_bit_s, [[bus.NAME.message]]
 kind = "modbus_rtu"   a serial line: baud_bit_s, parity, stop_bits
-kind = "modbus_tcp"   a gateway: latency_s
+kind = "modbus_tcp"   a gateway: latency_s, timeout_s
 """
 
 from dataclasses import dataclass
@@ -24,13 +24,13 @@ PARITIES: Final = ("E", "O", "N")
 NODE_MAX: Final = 127
 UNIT_MAX: Final = 247
 
+_SECOND_NS: Final = 1_000_000_000
 _KEYS: Final = {
     CAN: ("bitrate_bit_s", "message"),
     MODBUS_RTU: ("baud_bit_s", "parity", "stop_bits"),
-    MODBUS_TCP: ("latency_s",),
+    MODBUS_TCP: ("latency_s", "timeout_s"),
 }
 BUS_KEYS: Final = ("kind", *(key for keys in _KEYS.values() for key in keys))
-_SECOND_NS: Final = 1_000_000_000
 _BAUD: Final = 19_200
 _LATENCY_S: Final = 50e-6
 
@@ -47,6 +47,7 @@ class BusDescription:
         messages: what others send there (CAN); None: its traffic is not declared.
         parity, stop_bits: of a serial line.
         latency_ns: of a gateway: from sending to arriving [ns].
+        timeout_ns: how long a gateway waits for a unit before it answers itself (0Bh) [ns].
     """
 
     name: str
@@ -56,6 +57,7 @@ class BusDescription:
     parity: str = "E"
     stop_bits: int = 1
     latency_ns: int = 0
+    timeout_ns: int = _SECOND_NS
 
     @property
     def is_line(self) -> bool:
@@ -85,7 +87,9 @@ def read_bus(name: str, table: Table) -> BusDescription:
         )
     if kind == MODBUS_TCP:
         latency_s = table.number("latency_s", _LATENCY_S, low=0.0, high=10.0, unit="s")
-        return BusDescription(name, kind, 0, latency_ns=round(latency_s * 1e9))
+        timeout_s = table.number("timeout_s", 1.0, low=0.01, high=3600.0, unit="s")
+        latency_ns, timeout_ns = round(latency_s * 1e9), round(timeout_s * 1e9)
+        return BusDescription(name, kind, 0, latency_ns=latency_ns, timeout_ns=timeout_ns)
     return _can(name, table)
 
 

@@ -34,4 +34,4 @@ def add_bus(
         line = SerialLine(bus.name, bus.bitrate_bit_s, bus.parity, bus.stop_bits, plan)
         world.add_serial_line(line, plan)
     else:
-        world.add_tcp(BytePipe(bus.name, bus.latency_ns, plan), plan)
+        world.add_tcp(BytePipe(bus.name, bus.latency_ns, plan), plan, bus.timeout_ns)

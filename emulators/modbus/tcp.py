@@ -24,6 +24,7 @@ from emulators.modbus.codes import (
     PDU_MAX,
 )
 
+GATEWAY_TIMEOUT_NS: Final = 1_000_000_000
 _HEAD: Final = 7
 _WAITING_MAX: Final = 64  # requests to one unit
 _NOT_SIGNIFICANT: Final = (0x00, 0xFF)
@@ -104,7 +105,7 @@ class TcpGateway:
         requests, timeouts: counted.
     """
 
-    def __init__(self, timeout_ns: int = 1_000_000_000) -> None:
+    def __init__(self, timeout_ns: int = GATEWAY_TIMEOUT_NS) -> None:
         self.requests = 0
         self.timeouts = 0
         self._timeout_ns: Final = timeout_ns

@@ -28,6 +28,7 @@ if TYPE_CHECKING:
 
 _DEPTH: Final = 8
 """Folders above the rig's in which files that it names as ../x can be put."""
+_PATIENCE_MAX_S: Final = 3600
 _BITRATE_BIT_S: Final = 1_000_000
 
 
@@ -157,7 +158,9 @@ def _generated(recorded: RecordedTapes) -> tuple[str, dict[str, dict[str, object
         is_line = bus not in recorded.decoders
         kind = f"bitrate_bit_s = {_BITRATE_BIT_S}"
         if is_line:
-            kind = f'kind = "{MODBUS_TCP if bus in recorded.tcp else MODBUS_RTU}"'
+            kind = f'kind = "{MODBUS_RTU}"'
+        if bus in recorded.tcp:
+            kind = f'kind = "{MODBUS_TCP}"\ntimeout_s = {_patience_s(recorded, bus)}'
         lines += ["", f"[bus.{plain}]", kind]
         numbers = [number for where, number in recorded.tapes if where == bus]
         free = (number for number in range(1, UNIT_MAX + 1) if number not in numbers)
@@ -171,6 +174,19 @@ def _generated(recorded: RecordedTapes) -> tuple[str, dict[str, dict[str, object
             lines += ["", f"[controller.{name}]", f'kind = "{KIND}"']
             lines += [f'bus = "{plain}"', f"{key} = {own}", 'recording = "it"']
     return "\n".join(lines) + "\n", places
+
+
+def _patience_s(recorded: RecordedTapes, line: str) -> int:
+    """How long a gateway has to wait for its units to answer as late as they did [s]."""
+    turns = [
+        turn
+        for (where, _), tape in recorded.tapes.items()
+        if where == line
+        for step in tape.steps
+        for turn in step.turns
+    ]
+    latest_ns = max((one.delay_ns for turn in turns for one in turn.answers), default=0)
+    return min(_PATIENCE_MAX_S, 1 + latest_ns // 1_000_000_000 + 1)
 
 
 def _plain_names(buses: Sequence[str]) -> dict[str, str]:

@@ -31,3 +31,22 @@ def test_servers_that_are_addresses_answer_behind_lines_of_their_own(plant):
     told = turn.answers[0].data
     assert told[0] == 255
     assert b"".join(heard) == b"\0\7\0\0" + len(told).to_bytes(2, "big") + told
+
+
+def test_units_that_took_seconds_answer_behind_a_gateway_that_waits(shared, tmp_path):
+    """The slowest answer took 5.1 s (traffic/INDEX.md); a gateway's own patience is 1 s."""
+    path = tmp_path / "plant.mcap"
+    source = shared / "data" / "traffic" / "modbus_gateway_units1237_pipelined.pcap"
+    assert main(["convert", str(source), "-o", str(path)]) == 0
+    with Rig.open(path) as rig:
+        line = rig.line("line_192_168_0_20")
+        heard = []
+        line.listen(lambda data, now_ns: heard.append((data[:2], data[7] & 0x80)))
+        steps = rig.controllers["unit_1"].core.player.tape.steps
+        first = {step.key: step.turns[0] for step in reversed(steps) if step.turns}
+        delays = {key: turn.answers[0].delay_ns for key, turn in first.items() if turn.answers}
+        slow = first[max(delays, key=lambda key: delays[key])]
+        assert slow.answers[0].delay_ns > 1_000_000_000
+        line.send(bytes(4) + len(slow.asked).to_bytes(2, "big") + slow.asked)
+        rig.runtime.run_for(10.0)
+    assert heard == [(b"\0\0", 0)]
