@@ -28,6 +28,7 @@ from traces.tape import Key, Sent, Step, Tape
 from traces.traffic import EFF, ERR, RTR, classic
 
 _SYNC: Final = 0x080
+_SEGMENTS: Final = (0, 3)  # SDO command specifiers of a client
 _TOGGLE: Final = 0x80
 _NAMED: Final = 0x7FF
 _RESETS: Final = (0x81, 0x82)
@@ -225,12 +226,14 @@ class RecordedNode:
             self._dialogue = None
             self.player.forget_answers(0x580 + self.node_id)
             return
-        key = sdo_key(data)
+        key, place = sdo_key(data), data[1:4]
+        if step is not None and data[0] >> 5 in _SEGMENTS:  # they do not name their object
+            place = step.key[2][1:4]
         step = self._find(key, data, now_ns)
         if step is None or not step.turns:
             self._dialogue = None
             self._refuse(key, frame, now_ns)
-            abort = b"\x80" + data[1:4] + NO_DATA.to_bytes(4, "little")
+            abort = b"\x80" + place + NO_DATA.to_bytes(4, "little")
             self.player.answer([Sent(0, classic(0x580 + self.node_id, abort))], now_ns)
             return
         self._dialogue, self._turn = step, 1

@@ -198,3 +198,13 @@ def test_giving_up_a_transfer_leaves_what_else_is_on_its_way():
     abort = bytes.fromhex("8041600000000405")
     told = (*asked(frames)[:1], (50, 0x601, READ_STATUSWORD), (51, 0x80, b""), (53, 0x601, abort))
     assert played(node(*frames), *told)[2:] == [(0x181, "07")]
+
+
+def test_a_segment_that_was_not_recorded_is_refused_with_the_object_it_is_of():
+    """CiA 301: an abort names index and sub-index of the transfer."""
+    frames = (
+        *(BOOT_UP, (10, 0x601, bytes.fromhex("4008100000000000"))),
+        (11, 0x581, bytes.fromhex("4108100009000000")),
+    )
+    told = played(node(*frames), frames[1], (20, 0x601, b"\x60" + bytes(7)))
+    assert told[-1] == (0x581, "8008100024000008")
