@@ -7,6 +7,7 @@ from collections import deque
 from collections.abc import Sequence
 
 from harness.exit_status import FAILED, PASSED
+from harness.number_options import real, whole
 from harness.verbs.show import text_of
 from traces.compare import first_mismatch
 from traces.meaning import Meaning, meaning_of
@@ -28,20 +29,24 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument(
         "--tolerance",
-        type=float,
+        type=real(0.0, 1e9),
         default=usual.position,
         metavar="X",
         help=f"how far motors may be apart, rad or m (default {usual.position:g})",
     )
     parser.add_argument(
         "--tolerance-s",
-        type=float,
+        type=real(0.0, 1e9, "s"),
         default=usual.time_ns / _NS,
         metavar="S",
         help=f"how far motion may be apart in time (default {usual.time_ns / _NS:g})",
     )
     parser.add_argument(
-        "--context", type=int, default=3, metavar="N", help="lines around it (default 3)"
+        "--context",
+        type=whole(0, 1_000_000, "lines"),
+        default=3,
+        metavar="N",
+        help="lines around it (default 3)",
     )
     parser.add_argument("--json", action="store_true", help="answer for a machine")
 
