@@ -4,9 +4,10 @@ A recording without a rig (imported, or of real hardware) has its buses and whoe
 and no motors.
 """
 
+import re
 import tempfile
 import tomllib
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import replace
 from pathlib import Path, PurePosixPath
 from typing import TYPE_CHECKING, Final
@@ -29,6 +30,8 @@ if TYPE_CHECKING:
 _DEPTH: Final = 8
 """Folders above the rig's in which files that it names as ../x can be put."""
 _BITRATE_BIT_S: Final = 1_000_000
+_NAME: Final = re.compile(r"[A-Za-z][A-Za-z0-9_-]*")
+_NO_NAME: Final = re.compile(r"[^A-Za-z0-9_-]")
 
 
 def is_recording(path: Path) -> bool:
@@ -43,19 +46,24 @@ def is_recording(path: Path) -> bool:
 
 
 def with_recorded(
-    description: "RigDescription", recording: Path, set_points: str = SET_POINTS[0]
+    description: "RigDescription",
+    recording: Path,
+    set_points: str = SET_POINTS[0],
+    recorded_as: Mapping[str, str] | None = None,
 ) -> "RigDescription":
     """The rig with its controllers out of the recording, and without its faults.
 
     What faults did is in the recording; and what nobody heard is not. `set_points` is "exact", or
-    "any" if their values in PDOs may be others than recorded.
+    "any" if their values in PDOs may be others than recorded. `recorded_as` has what buses are
+    called in the recording, where that is another name.
     """
+    names = recorded_as or {}
     controllers = {}
     for name, controller in description.controllers.items():
         bus = description.buses[controller.bus]
         settings: dict[str, object] = {
             "recording": str(recording.absolute()),
-            "recorded_bus": controller.bus,
+            "recorded_bus": names.get(controller.bus, controller.bus),
         }
         if controller.node_id is not None:
             settings[address_key(bus)] = controller.node_id
@@ -73,13 +81,19 @@ def rig_in(recording: Path, known: Known) -> "RigDescription":
         RigError: the recording cannot be read, or its rig not be used.
     """
     found = own_rig(recording, known)
-    if found is None:
-        try:
-            text = _generated(recorded_tapes(recording).tapes)
-        except TraceError as error:
-            raise RigError(error.path, error.what, error.remedy) from None
-        found = parse_rig(Source(recording / "generated.toml", text), known)
-    return with_recorded(found, recording)
+    if found is not None:
+        return with_recorded(found, recording)
+    try:
+        tapes = recorded_tapes(recording).tapes
+    except TraceError as error:
+        raise RigError(error.path, error.what, error.remedy) from None
+    if not tapes:
+        what = "holds nothing that a device told, of CANopen or Modbus"
+        raise RigError(recording, what, "give a recording with devices in it")
+    names = _bus_names(dict.fromkeys(bus for bus, _ in tapes))
+    text = _generated(tapes, names)
+    found = parse_rig(Source(recording / "generated.toml", text), known)
+    return with_recorded(found, recording, recorded_as={name: bus for bus, name in names.items()})
 
 
 def own_rig(recording: Path, known: Known, folder: Path | None = None) -> "RigDescription | None":
@@ -167,11 +181,21 @@ def _write(path: Path, data: bytes) -> Path:
     return path
 
 
-def _generated(tapes: Mapping[tuple[str, int], Tape]) -> str:
-    """A rig file of buses and whoever answers there."""
-    buses = list(dict.fromkeys(bus for bus, _ in tapes))
-    lines = ["[rig]"]
+def _bus_names(buses: Iterable[str]) -> dict[str, str]:
+    """What each recorded bus is called in a rig: as it was, or a word made of an address."""
+    names: dict[str, str] = {}
     for bus in buses:
+        name = bus if _NAME.fullmatch(bus) else "bus_" + _NO_NAME.sub("_", bus)
+        while name in names.values():
+            name += "_"
+        names[bus] = name
+    return names
+
+
+def _generated(tapes: Mapping[tuple[str, int], Tape], names: Mapping[str, str]) -> str:
+    """A rig file of buses and whoever answers there."""
+    lines = ["[rig]"]
+    for bus, called in names.items():
         is_line = any(
             step.turns and step.key[0] == "modbus"
             for (where, _), tape in tapes.items()
@@ -179,13 +203,13 @@ def _generated(tapes: Mapping[tuple[str, int], Tape]) -> str:
             if where == bus
         )
         kind = 'kind = "modbus_rtu"' if is_line else f"bitrate_bit_s = {_BITRATE_BIT_S}"
-        lines += ["", f"[bus.{_key(bus)}]", kind]
+        lines += ["", f"[bus.{_key(called)}]", kind]
         for where, number in tapes:
             if where == bus:
                 key, word = ("unit", "unit") if is_line else ("node_id", "node")
-                name = f"{word}_{number}" if len(buses) == 1 else f"{bus}_{word}_{number}"
+                name = f"{word}_{number}" if len(names) == 1 else f"{called}_{word}_{number}"
                 lines += ["", f"[controller.{_key(name)}]", f'kind = "{KIND}"']
-                lines += [f'bus = "{bus}"', f"{key} = {number}", 'recording = "it"']
+                lines += [f'bus = "{called}"', f"{key} = {number}", 'recording = "it"']
     return "\n".join(lines) + "\n"
 
 

@@ -7,8 +7,13 @@ import stat
 import pytest
 
 from tests.golden import FOLDER
+from tests.harness.recorded import Recorded
 from traces.errors import TraceError
 from traces.reader import read_trace
+from traces.schema import CAN_FRAME, MODBUS_ADU, Direction, Schema
+from traces.writer import TraceWriter
+
+TABLES = {"/can": CAN_FRAME, "/mod": MODBUS_ADU}
 
 ASK = """\
 import can
@@ -24,7 +29,8 @@ with can.Bus() as bus:
 EARLY = """\
 import can
 with can.Bus() as bus:
-    bus.send(can.Message(arbitration_id=0x601, data=bytes(8), is_extended_id=False))
+    ask = bytes.fromhex("4000100000000000")
+    bus.send(can.Message(arbitration_id=0x601, data=ask, is_extended_id=False))
     while bus.recv(1.0) is not None:
         pass
 """
@@ -35,6 +41,7 @@ def folder(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     shutil.copy(FOLDER / "cia402.mcap", tmp_path / "bench.mcap")
     (tmp_path / "ask.py").write_text(ASK)
+    (tmp_path / "nothing.py").write_text("")
     return tmp_path
 
 
@@ -158,7 +165,6 @@ def test_a_file_that_a_recorded_rig_names_and_that_did_not_come_with_it_is_told(
     from harness.replay.recorded_rig import own_rig
     from harness.rig import installed_plugins
     from harness.settings import RigError
-    from traces.writer import TraceWriter
 
     with read_trace("bench.mcap") as trace:
         rig = next(one for one in trace.attachments if one.name.endswith(".toml"))
@@ -219,3 +225,51 @@ def test_what_devices_say_after_the_last_word_of_the_host_is_heard(folder, say):
     status, out, _ = say("replay", "early.mcap", "--as", "host")
     assert "but nothing" not in out
     assert status == 0
+
+
+def test_lines_that_are_named_by_addresses_stand_in_as_well(folder, say):
+    """So are those of imported Modbus/TCP; names of a rig's buses are words."""
+    for number in (1, 2):
+        place = f"/modbus/10.0.0.{number}"
+        made = Recorded(f"{number}.mcap")
+        for time_ns, data, asked in (
+            (10, "000100000006010600000007", True),
+            (20, "000100000006010600000007", False),
+        ):
+            direction = Direction.TRANSMITTED if asked else Direction.RECEIVED
+            values = {"direction": direction, "data": bytes.fromhex(data), "tcp": True}
+            made.message(time_ns, place, MODBUS_ADU, values)
+        made.writer.close()
+        bare(f"{number}.mcap")
+    status, out, err = say("check", "2.mcap")
+    assert (status, err) == (0, "")
+    assert out == "2.mcap: generated: 1 bus, 1 controller\n"
+    status, _, err = say("run", "2.mcap", "nothing.py")
+    assert (status, "the recording goes on: 1 more command" in err) == (0, True), err
+
+
+def test_a_recording_without_devices_is_told_to_have_none(folder, say):
+    Recorded("free.mcap").frame(1, 0x7FF, "00").close()
+    bare("free.mcap")
+    for words in (("check", "free.mcap"), ("run", "free.mcap", "ask.py")):
+        status, out, err = say(*words)
+        assert (status, out) == (2, "")
+        assert err == (
+            "free.mcap: holds nothing that a device told, of CANopen or Modbus; "
+            "give a recording with devices in it\n"
+        )
+
+
+def bare(path):
+    """The recording without its attachments: as if imported."""
+    content = path.replace(".mcap", ".bare")
+    with read_trace(path) as trace:
+        writer = TraceWriter(content, {})
+        for channel, time_ns, payload in trace.messages():
+            writer.write(
+                writer.channel(channel.topic, Schema.of(TABLES[channel.topic[:4]])),
+                time_ns,
+                payload,
+            )
+        writer.close()
+    os.replace(content, path)
