@@ -5,6 +5,7 @@ import json
 import sys
 from collections import deque
 from collections.abc import Sequence
+from typing import Final
 
 from harness.exit_status import FAILED, PASSED
 from harness.number_options import real, whole
@@ -17,6 +18,9 @@ from traces.story import Line, Story
 
 _NS = 1_000_000_000
 _AROUND_NS = 2 * _NS
+
+
+_SAYS_NOTHING: Final = "nothing in it has a meaning known here; --exact compares bytes"
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -62,6 +66,9 @@ def run(options: argparse.Namespace) -> int:
     first, second = _meaning(options.first), _meaning(options.second)
     tolerance = Tolerance(options.tolerance, round(options.tolerance_s * _NS))
     found = differences(first, second, tolerance)
+    for path, meaning in ((options.first, first), (options.second, second)):
+        if not meaning.items and not meaning.motions:
+            print(f"motorhil diff: {path}: {_SAYS_NOTHING}", file=sys.stderr)
     if options.json:
         print(json.dumps({"same": not found, "differences": [_facts(one) for one in found]}))
         return FAILED if found else PASSED

@@ -273,3 +273,14 @@ def bare(path):
             )
         writer.close()
     os.replace(content, path)
+
+
+def test_recordings_that_say_nothing_are_not_the_same_in_silence(folder, say):
+    for name in ("a.mcap", "b.mcap"):
+        TraceWriter(name, {}).close()
+    status, _, err = say("diff", "a.mcap", "b.mcap")
+    assert status == 0
+    assert [line.split(": ")[1:3] for line in err.splitlines()] == [
+        [name, "nothing in it has a meaning known here; --exact compares bytes"]
+        for name in ("a.mcap", "b.mcap")
+    ]
