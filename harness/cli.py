@@ -15,9 +15,8 @@ from importlib import import_module
 from importlib.util import find_spec
 from typing import Final, final
 
-from harness.exit_status import FAILED, PASSED, WRONG_USAGE
+from harness.exit_status import FAILED, INTERRUPTED, PASSED, WRONG_USAGE
 
-INTERRUPTED: Final = 130
 _NO_PLACE: Final = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO)
 
 

@@ -2,11 +2,11 @@
 
 import os
 from collections.abc import Iterator, Mapping
-from contextlib import contextmanager, suppress
+from contextlib import suppress
 from dataclasses import dataclass
 from itertools import chain
 from pathlib import Path
-from typing import BinaryIO, Final, final
+from typing import Final, final
 
 from traces.errors import TraceError
 from traces.formats import WRITABLE, Feature, Format, Source, Survey, open_source
@@ -14,6 +14,7 @@ from traces.modbus_export import AduFeature, ModbusExport
 from traces.modbus_pcap import captured_adus, record_adus
 from traces.modbus_records import RecordedAdu, all_adus
 from traces.reader import read_trace
+from traces.regular_file import whole_file
 from traces.traffic import Findings
 from traces.traffic_mcap import record_frames
 
@@ -89,7 +90,7 @@ def convert(source_path: str, target: str, name: str, overwrite: bool = False) -
         survey = Survey()
         for frame in frames:
             survey.add(frame)
-        with _whole(target) as file:
+        with whole_file(target) as file:
             format_.write(file, survey, source.frames(Findings()))
         buses = tuple(survey.buses)
         lost = {what: n for what, n in survey.counts.items() if what not in format_.holds}
@@ -112,7 +113,7 @@ def _convert_modbus(source: Source, target: str, name: str) -> Conversion:
     if name not in ("pcapng", MODBUS_PCAPNG):
         remedy = "convert it to mcap or pcapng"
         raise TraceError(source.path, f"holds Modbus, which {name} cannot", remedy=remedy)
-    with _whole(target) as file:
+    with whole_file(target) as file:
         export = ModbusExport(file, findings)
         export.add(adus)
     return Conversion(source, target, MODBUS_PCAPNG, findings, export.lines, export.lost, True)
@@ -128,19 +129,3 @@ def _adus(source: Source, findings: Findings) -> Iterator[RecordedAdu]:
                 yield adu
             if trace.cut is not None and trace.cut.messages_missing:
                 findings.problem(0, str(trace.cut))
-
-
-@contextmanager
-def _whole(target: str) -> Iterator[BinaryIO]:
-    """A file that will be the target: it is there whole, or not at all."""
-    part = f"{target}.part"
-    try:
-        with open(part, "wb") as file:
-            yield file
-        os.replace(part, target)
-    except OSError as error:
-        what = f"cannot be written: {(error.strerror or str(error)).lower()}"
-        raise TraceError(target, what) from error
-    finally:
-        with suppress(OSError):
-            os.remove(part)

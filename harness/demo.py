@@ -21,7 +21,7 @@ from harness.demo_mast import MASTS, with_modbus_mast
 from harness.exit_status import FAILED, PASSED, WRONG_USAGE
 from harness.scaffold import EXAMPLES
 from harness.seed_option import add_seed
-from harness.settings import RigError
+from harness.settings import RigError, refuse_source
 from harness.text_table import print_table
 
 if TYPE_CHECKING:
@@ -181,8 +181,7 @@ def _against(description: "RigDescription", options: argparse.Namespace) -> "Rig
 
     if not options.against.is_file():
         raise RigError(options.against, "no such recording", "make one: motorhil demo")
-    if options.output.exists() and options.against.samefile(options.output):
-        raise RigError(options.output, "is the recording itself", "record elsewhere with -o")
+    refuse_source(options.against, options.output)
     return with_recorded(description, options.against)
 
 

@@ -5,3 +5,4 @@ from typing import Final
 PASSED: Final = 0
 FAILED: Final = 1  # the thing under test did
 WRONG_USAGE: Final = 2
+INTERRUPTED: Final = 130

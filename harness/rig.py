@@ -36,7 +36,7 @@ from harness.rig_media import add_bus
 from harness.rig_models import read_models
 from harness.rig_parts import Named, RigController, RigFaults
 from harness.rig_traffic import traffic_of
-from harness.settings import RigError
+from harness.settings import RigError, refuse_source
 from harness.timing_from_controller import with_timing
 from harness.virtual_time import VirtualRuntime
 from motorapi.errors import UsageError
@@ -264,6 +264,10 @@ class Rig:
         from harness.rig_recording import end_recording, start_recording
         from traces.errors import TraceError
 
+        for controller in self.description.controllers.values():
+            source = controller.settings.get("recording")
+            if isinstance(source, str):
+                refuse_source(self.description.folder / source, target)
         try:
             recorder = start_recording(target, self.description, self.seed, self.world, started)
         except TraceError as error:

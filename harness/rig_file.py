@@ -99,7 +99,10 @@ class GroupDescription:
 @final
 @dataclass(frozen=True, slots=True)
 class RigDescription:
-    """A rig file that was found right in itself; all names in it refer to something."""
+    """A rig file that was found right in itself; all names in it refer to something.
+
+    `attached`, of a rig out of a recording: (name, media type, contents) of what came with it.
+    """
 
     name: str
     seed: int
@@ -109,6 +112,7 @@ class RigDescription:
     groups: Mapping[str, GroupDescription]
     faults: tuple[FaultDescription, ...]
     source: Source
+    attached: tuple[tuple[str, str, bytes], ...] = ()
 
     @property
     def folder(self) -> Path:

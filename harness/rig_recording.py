@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, final
 from emulators.line_segment import SerialSegment
 from harness.ownership_tap import LockWriter, MotorNames, MotorTap, OwnershipTap
 from harness.recorder import PERIOD_NS, Reading, Recorder, run_metadata
+from harness.rig_attachments import files_of
 from harness.rig_file import MotorDescription, RigDescription
 from traces.errors import TraceError
 from traces.protobuf import Value
@@ -21,7 +22,6 @@ if TYPE_CHECKING:
     from motorapi.motor import Motor
     from motorapi.synchronization import SyncQuality
 
-_TOML: str = "application/toml"
 _ON_ITS_WAY = 8  # frames, and silences behind them
 _START, _END = 1, 2  # motorhil.GroupSync.Phase
 
@@ -45,7 +45,7 @@ def start_recording(
     Raises:
         TraceError: the file cannot be written.
     """
-    files = _files_of(description)
+    files = files_of(description)
     digest = hashlib.sha256()
     for name, _, data in files:
         digest.update(f"{name}\0{len(data)}\0".encode() + data)
@@ -156,20 +156,3 @@ class _Reader:
         if latest is None:
             return None
         return latest.position, latest.velocity, latest.torque
-
-
-def _files_of(description: RigDescription) -> list[tuple[str, str, bytes]]:
-    """(name, media type, contents) of the rig and of every file it names, each once."""
-    source = description.source
-    files = [(source.path.name, _TOML, source.text.encode())]
-    paths = [(motor.model, _TOML) for motor in description.motors.values()]
-    for controller in description.controllers.values():
-        eds = controller.settings.get("eds")
-        if isinstance(eds, str):
-            paths.append((description.folder / eds, "text/plain"))
-    seen: list[Path] = []
-    for path, media_type in paths:
-        if isinstance(path, Path) and path not in seen and path.is_file():
-            seen.append(path)
-            files.append((path.name, media_type, path.read_bytes()))
-    return files

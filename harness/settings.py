@@ -9,6 +9,7 @@ import math
 import re
 import tomllib
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from pathlib import Path
 from typing import Final, final
 
@@ -48,6 +49,17 @@ class RigError(Exception):
         place = f"{file}:{line}" if line is not None else str(file)
         text = ": ".join(part for part in (place, key, message) if part)
         super().__init__(one_line(f"{text}; {remedy}" if remedy else text))
+
+
+def refuse_source(source: Path, target: Path) -> None:
+    """A recording is not written over while it is read.
+
+    Raises:
+        RigError: the target is the source, by whatever name.
+    """
+    with suppress(OSError):
+        if target.samefile(source):
+            raise RigError(target, "is the recording itself", "record elsewhere with -o")
 
 
 @final

@@ -16,6 +16,7 @@ from traces import asc, blf, blf_writing, candump, csv_traffic, sd_rows, socketc
 from traces.errors import TraceError
 from traces.reader import read_trace
 from traces.records import MAGIC
+from traces.regular_file import refuse_pipe
 from traces.schema import Direction
 from traces.traffic import (
     ERR,
@@ -235,6 +236,7 @@ def open_source(path: str | os.PathLike[str]) -> Source:
         TraceError: it cannot be read, or is of no format known here.
     """
     name = os.fspath(path)
+    refuse_pipe(name)
     try:
         with Path(path).open("rb") as file:
             head = file.read(_HEAD_BYTES)

@@ -16,6 +16,7 @@ from traces import records
 from traces.chunk_places import Chunk, read_summary
 from traces.compression import CompressionError, decompress, salvage
 from traces.errors import TraceError
+from traces.regular_file import refuse_pipe
 from traces.schema import Schema
 from traces.structure import Attachment, Channel, attachment_in, channel_in, schema_in
 
@@ -68,6 +69,7 @@ def read_trace(path: str | os.PathLike[str]) -> "Trace":
         TraceError: it cannot be read, is no MCAP file, or is damaged before its first chunk.
     """
     name = os.fspath(path)
+    refuse_pipe(name)
     try:
         file = open(name, "rb")  # noqa: SIM115  # the Trace closes it
     except OSError as error:

@@ -29,6 +29,7 @@ from traces.record_checks import (
     next_record,
     record_at,
 )
+from traces.regular_file import place_to_replace, refuse_pipe
 
 _LOOSE_MAX: Final = 1 << 20
 _NAMES: Final = {
@@ -115,6 +116,7 @@ def recover(source: str, target: str, overwrite: bool = False) -> Recovery:
             raise TraceError(target, "is the source itself", remedy="name another file")
     if os.path.exists(target) and not overwrite:
         raise TraceError(target, "exists", remedy="name another file, or say --force")
+    refuse_pipe(source)
     try:
         with open(source, "rb") as file:
             if not os.fstat(file.fileno()).st_size:
@@ -128,11 +130,12 @@ def recover(source: str, target: str, overwrite: bool = False) -> Recovery:
 
 
 def _recover_into(target: str, data: mmap) -> Recovery:
-    part = f"{target}.part"
+    place = place_to_replace(target)
+    part = f"{place}.part"
     out = create(part)
     try:
         done = recover_bytes(data, out)  # type: ignore[arg-type]  # FileIO is a BinaryIO in all but name
-        os.replace(part, target)
+        os.replace(part, place)
     except OSError as error:
         what = f"cannot be written: {reason(error)}"
         raise TraceError(target, what, remedy="free space there, or name another place") from error

@@ -23,7 +23,7 @@ _BITS: Final = (1 << KEY_SHIFT) - 1
 _RESET_ALL: Final = classic(0, b"\x81\x00")
 """NMT: reset node, to all (CiA 301)."""
 _TAIL_S: Final = 0.1
-"""How long what the last frame brings about is heard [s]."""
+"""How long is listened beyond the end of the recording [s]: devices may be slower now."""
 
 
 class Driven(Protocol):
@@ -78,7 +78,8 @@ def drive(
 
     with read_trace(recording) as trace:
         steps = host_of(trace, Listener({}), length_ns)
-        begin_ns = 0 if "run" in trace.metadata else (trace.span_ns() or (0, 0))[0]
+        first_ns, end_ns = trace.span_ns() or (0, 0)
+        begin_ns = 0 if "run" in trace.metadata else first_ns
     if not steps:
         raise RigError(
             recording, "holds no frame of a host", "give a recording with commands to devices"
@@ -105,7 +106,7 @@ def drive(
         if due_ns is not None:
             left_s = max(0, due_ns - runtime.now_ns()) / 1e9
             runtime.wait_until(_changed(player, due_ns), left_s)
-    runtime.wait_until(_never, _TAIL_S)
+    runtime.wait_until(_never, max(0, end_ns - steps[-1].end_ns) / 1e9 + _TAIL_S)
     return player
 
 

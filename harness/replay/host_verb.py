@@ -36,7 +36,7 @@ def run(options: argparse.Namespace) -> int:
     with tempfile.TemporaryDirectory(prefix="motorhil-") as folder:
         live = options.output or Path(folder, "live.mcap")
         try:
-            done = _on_buses(options, live) if options.on else _on_rig(options, live)
+            done = _on_buses(options, live) if options.on else _on_rig(options, live, Path(folder))
         except PlaceError as error:
             print(f"motorhil replay: {error}", file=sys.stderr)
             return WRONG_USAGE
@@ -53,12 +53,12 @@ def run(options: argparse.Namespace) -> int:
     return FAILED if differing or done.missed else PASSED
 
 
-def _on_rig(options: argparse.Namespace, live: Path) -> "HostPlayer":
+def _on_rig(options: argparse.Namespace, live: Path, folder: Path) -> "HostPlayer":
     """Emulated devices, in virtual time or no faster than the wall's."""
     from harness.replay.as_host import DrivenRig, drive
     from harness.rig import Rig
 
-    description = _described(options)
+    description = _described(options, folder)
     with Rig(description, seed=options.seed, realtime=options.realtime, record=live) as rig:
         for note in rig.notes:
             print(note, file=sys.stderr)
@@ -86,14 +86,14 @@ def _pace(options: argparse.Namespace) -> tuple[float, int, bool]:
     return options.speed or 1.0, round(options.patience * 1e9), options.reset
 
 
-def _described(options: argparse.Namespace) -> "RigDescription":
+def _described(options: argparse.Namespace, folder: Path) -> "RigDescription":
     """The rig that is named, or the one that the recording was made with."""
     from harness.replay.recorded_rig import own_rig
     from harness.rig import describe, installed_plugins
 
     if options.rig is not None:
         return describe(options.rig)
-    found = own_rig(options.file, installed_plugins())
+    found = own_rig(options.file, installed_plugins(), folder)
     if found is None:
         raise RigError(options.file, "holds no rig file", "name a rig to drive: --rig RIG")
     return found

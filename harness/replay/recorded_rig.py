@@ -13,6 +13,7 @@ from pathlib import Path, PurePosixPath
 from typing import TYPE_CHECKING, Final
 
 from harness.replay.factory import KIND, SET_POINTS, recorded_tapes
+from harness.rig_attachments import named_files
 from harness.rig_buses import CAN, MODBUS_RTU, MODBUS_TCP, UNIT_MAX, address_key
 from harness.rig_file import Known, parse_rig, read_rig
 from harness.settings import RigError, Source
@@ -33,7 +34,9 @@ _BITRATE_BIT_S: Final = 1_000_000
 
 
 def is_recording(path: Path) -> bool:
-    """Whether it is a recording, and no rig file."""
+    """Whether it is a recording, and no rig file; what a pipe gives is left in it."""
+    if not path.is_file():
+        return False
     try:
         with path.open("rb") as file:
             return file.read(len(MAGIC)) == MAGIC
@@ -77,18 +80,27 @@ def rig_in(recording: Path, known: Known) -> "RigDescription":
         RigError: the recording cannot be read, or its rig not be used.
     """
     found = own_rig(recording, known)
-    places: dict[str, dict[str, object]] = {}
-    if found is None:
-        try:
-            text, places = _generated(recorded_tapes(recording))
-        except TraceError as error:
-            raise RigError(error.path, error.what, error.remedy) from None
-        found = parse_rig(Source(recording / "generated.toml", text), known)
+    if found is not None:
+        return with_recorded(found, recording)
+    try:
+        recorded = recorded_tapes(recording)
+    except TraceError as error:
+        raise RigError(error.path, error.what, error.remedy) from None
+    if not recorded.tapes:
+        what = "holds nothing that a device told, of CANopen or Modbus"
+        raise RigError(recording, what, "give a recording with devices in it")
+    text, places = _generated(recorded)
+    found = parse_rig(Source(recording / "generated.toml", text), known)
     return with_recorded(found, recording, places=places)
 
 
-def own_rig(recording: Path, known: Known) -> "RigDescription | None":
+def own_rig(recording: Path, known: Known, folder: Path | None = None) -> "RigDescription | None":
     """The rig that a recording was made with, as it was; None: the recording holds none.
+
+    Args:
+        recording: the file.
+        known: the plugins that the rig may name.
+        folder: where the EDS files that it names are put, to be built from; None: nobody builds.
 
     Raises:
         RigError: the recording cannot be read, or its rig not be used.
@@ -98,30 +110,51 @@ def own_rig(recording: Path, known: Known) -> "RigDescription | None":
             attachments = trace.attachments
     except TraceError as error:
         raise RigError(error.path, error.what, error.remedy) from None
-    return _own_rig(recording, attachments, known)
+    if folder is not None:
+        return _own_rig(recording, attachments, known, folder)
+    with tempfile.TemporaryDirectory(prefix="motorhil-") as passing:
+        return _own_rig(recording, attachments, known, Path(passing))
 
 
 def _own_rig(
-    recording: Path, attachments: list[Attachment], known: Known
+    recording: Path, attachments: list[Attachment], known: Known, folder: Path
 ) -> "RigDescription | None":
-    """Of the first attached file that is one; what it names stays as tables, not as files."""
-    files = {one.name.rpartition("/")[2]: one.data for one in attachments}
-    for name, data in files.items():
-        rig = rig_of(data)
-        if rig is not None:
-            with tempfile.TemporaryDirectory(prefix="motorhil-") as folder:
-                home = Path(folder, *(["in"] * _DEPTH))
-                for place, contents in _places(rig, files).items():
-                    _write(home / place, contents)
-                found = read_rig(_write(home / name, data), known)
-                motors = {
-                    motor.name: replace(motor, model=_table(motor.model))
-                    for motor in found.motors.values()
-                }
-            source = Source(recording / name, data.decode())
-            source.root()
-            return replace(found, motors=motors, source=source)
+    """Of the first attached file that is one; its motor models stay as tables, not as files."""
+    files = {one.name.rpartition("/")[2]: one for one in attachments}
+    for name, attached in files.items():
+        rig = rig_of(attached.data)
+        if rig is None:
+            continue
+        home = Path(folder, *(["in"] * _DEPTH))
+        for place, contents in _places(rig, files).items():
+            _write(home / place, contents)
+        try:
+            found = read_rig(_write(home / name, attached.data), known)
+        except RigError as error:
+            what = error.message.replace(f"{home}/", "")
+            raise RigError(
+                recording / name, what, "give a rig file instead", line=error.line, key=error.key
+            ) from None
+        source = Source(recording / name, attached.data.decode())
+        source.root()
+        motors = {
+            motor.name: replace(motor, model=_table(motor.model)) for motor in found.motors.values()
+        }
+        controllers = {
+            one.name: replace(one, settings=_with_eds(one.settings, home))
+            for one in found.controllers.values()
+        }
+        others = [(one.name, one.media_type, one.data) for one in files.values() if one != attached]
+        return replace(
+            found, motors=motors, controllers=controllers, source=source, attached=tuple(others)
+        )
     return None
+
+
+def _with_eds(settings: Mapping[str, object], home: Path) -> Mapping[str, object]:
+    """The EDS file where it has been put: the rig's own place of it is none."""
+    eds = settings.get("eds")
+    return settings if not isinstance(eds, str) else {**settings, "eds": str(home / eds)}
 
 
 def _table(model: Path | Mapping[str, object]) -> Mapping[str, object]:
@@ -129,17 +162,14 @@ def _table(model: Path | Mapping[str, object]) -> Mapping[str, object]:
     return tomllib.loads(model.read_text("utf-8")) if isinstance(model, Path) else model
 
 
-def _places(rig: Mapping[str, object], files: Mapping[str, bytes]) -> dict[str, bytes]:
+def _places(rig: Mapping[str, object], files: Mapping[str, Attachment]) -> dict[str, bytes]:
     """Where the rig looks for files that came with it."""
     found: dict[str, bytes] = {}
-    for kind, key in (("motor", "model"), ("controller", "eds")):
-        tables = rig.get(kind)
-        for table in tables.values() if isinstance(tables, dict) else ():
-            named = table.get(key) if isinstance(table, dict) else None
-            if isinstance(named, str) and not PurePosixPath(named).is_absolute():
-                data = files.get(PurePosixPath(named).name)
-                if data is not None and PurePosixPath(named).parts.count("..") <= _DEPTH:
-                    found[named] = data
+    for named, _ in named_files(rig):
+        place = PurePosixPath(named)
+        attached = files.get(place.name)
+        if not place.is_absolute() and attached is not None and place.parts.count("..") <= _DEPTH:
+            found[named] = attached.data
     return found
 
 

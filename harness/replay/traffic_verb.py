@@ -8,7 +8,7 @@ from contextlib import ExitStack
 from fractions import Fraction
 from typing import TYPE_CHECKING, Final
 
-from harness.exit_status import FAILED, PASSED, WRONG_USAGE
+from harness.exit_status import FAILED, INTERRUPTED, PASSED, WRONG_USAGE
 from harness.settings import RigError
 
 if TYPE_CHECKING:
@@ -24,7 +24,7 @@ _TELL_NS: Final = 250_000_000
 
 
 def run(options: argparse.Namespace) -> int:
-    """Exit status: 0 all was sent, 1 a bus did not take it, 2 it could not begin.
+    """Exit status: 0 all was sent, 1 a bus did not take it, 2 it could not begin, 130 Ctrl-C.
 
     Raises:
         RigError: the recording or the rig cannot be used for it.
@@ -58,7 +58,7 @@ def run(options: argparse.Namespace) -> int:
             status = FAILED
         except KeyboardInterrupt:
             print("motorhil replay: interrupted", file=sys.stderr)
-            status = FAILED
+            status = INTERRUPTED
         replay.done.ended_ns = runtime.now_ns()
         _tell(options, replay.done, found, sinks, scale)
     return status
@@ -74,8 +74,8 @@ def _choice(options: argparse.Namespace) -> "Choice":
         buses=chosen(options.bus),  # type: ignore[arg-type]  # argparse has made them so
         identifiers=chosen(options.id),  # type: ignore[arg-type]
         nodes=chosen(options.node),  # type: ignore[arg-type]
-        from_ns=None if options.from_s is None else round(options.from_s * _NS),
-        to_ns=None if options.to_s is None else round(options.to_s * _NS),
+        from_ns=options.from_ns,
+        to_ns=options.to_ns,
     )
 
 

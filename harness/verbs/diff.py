@@ -5,8 +5,10 @@ import json
 import sys
 from collections import deque
 from collections.abc import Sequence
+from typing import Final
 
 from harness.exit_status import FAILED, PASSED
+from harness.number_options import real, whole
 from harness.verbs.show import text_of
 from traces.compare import first_mismatch
 from traces.meaning import Meaning, meaning_of
@@ -16,6 +18,9 @@ from traces.story import Line, Story
 
 _NS = 1_000_000_000
 _AROUND_NS = 2 * _NS
+
+
+_SAYS_NOTHING: Final = "nothing in it has a meaning known here; --exact compares bytes"
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -28,20 +33,24 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument(
         "--tolerance",
-        type=float,
+        type=real(0.0, 1e9),
         default=usual.position,
         metavar="X",
         help=f"how far motors may be apart, rad or m (default {usual.position:g})",
     )
     parser.add_argument(
         "--tolerance-s",
-        type=float,
+        type=real(0.0, 1e9, "s"),
         default=usual.time_ns / _NS,
         metavar="S",
         help=f"how far motion may be apart in time (default {usual.time_ns / _NS:g})",
     )
     parser.add_argument(
-        "--context", type=int, default=3, metavar="N", help="lines around it (default 3)"
+        "--context",
+        type=whole(0, 1_000_000, "lines"),
+        default=3,
+        metavar="N",
+        help="lines around it (default 3)",
     )
     parser.add_argument("--json", action="store_true", help="answer for a machine")
 
@@ -57,6 +66,9 @@ def run(options: argparse.Namespace) -> int:
     first, second = _meaning(options.first), _meaning(options.second)
     tolerance = Tolerance(options.tolerance, round(options.tolerance_s * _NS))
     found = differences(first, second, tolerance)
+    for path, meaning in ((options.first, first), (options.second, second)):
+        if not meaning.items and not meaning.motions:
+            print(f"motorhil diff: {path}: {_SAYS_NOTHING}", file=sys.stderr)
     if options.json:
         print(json.dumps({"same": not found, "differences": [_facts(one) for one in found]}))
         return FAILED if found else PASSED

@@ -7,6 +7,7 @@ from contextlib import ExitStack
 from typing import TYPE_CHECKING, Final
 
 from harness.exit_status import FAILED, PASSED, WRONG_USAGE
+from harness.number_options import real, whole
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -33,18 +34,26 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "-o", "--output", required=True, metavar="FILE", help="file to write (MCAP)"
     )
-    parser.add_argument("--duration", type=_positive, metavar="S", help="stop after S seconds")
+    parser.add_argument(
+        "--duration", type=real(1e-9, 1e9, "s"), metavar="S", help="stop after S seconds"
+    )
     parser.add_argument(
         "--rotate-mib",
-        type=_positive,
+        type=real(1e-6, 1e9, "MiB"),
         metavar="N",
         help="begin another file after N MiB: FILE-0001.mcap, FILE-0002.mcap, ...",
     )
     parser.add_argument(
-        "--rotate-s", type=_positive, metavar="S", help="begin another file after S seconds"
+        "--rotate-s",
+        type=real(1e-9, 1e9, "s"),
+        metavar="S",
+        help="begin another file after S seconds",
     )
     parser.add_argument(
-        "--bitrate", type=int, metavar="N", help="bit/s, where a python-can interface needs it"
+        "--bitrate",
+        type=whole(1, 10**8, "bit/s"),
+        metavar="N",
+        help="bit/s, where a python-can interface needs it",
     )
     parser.add_argument(
         "--fd", action="store_true", help="CAN FD, where a python-can interface must be told"
@@ -205,13 +214,6 @@ def _summarize(
     each = each.replace(" of", " frames of", 1)
     lost = sum(pump.dropped)
     print(f"{files}: {each} in {span_ns / _NS:.3f} s, {lost or 'none'} lost", flush=True)
-
-
-def _positive(text: str) -> float:
-    value = float(text)
-    if not 0.0 < value < 1e9:
-        raise ValueError(text)
-    return value
 
 
 def _scaled(value: float | None, unit: int) -> int | None:

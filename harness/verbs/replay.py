@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Final
 
 from harness.exit_status import WRONG_USAGE
+from harness.number_options import identifier, real, time_ns, whole
 from harness.seed_option import add_seed
 
 _MODES: Final = {
@@ -15,6 +16,9 @@ _MODES: Final = {
     "host": "harness.replay.host_verb",
     "traffic": "harness.replay.traffic_verb",
 }
+
+
+_FACTOR: Final = real(1e-3, 1e6)
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -50,14 +54,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument(
         "--patience",
-        type=float,
+        type=real(0.0, 1e6, "s"),
         default=2.0,
         metavar="S",
         help="how long the host waits for what was told in the recording (default 2)",
     )
     parser.add_argument(
         "--tolerance",
-        type=float,
+        type=real(0.0, 1e9),
         default=0.01,
         metavar="X",
         help="how far a motor may be off, rad or m (default 0.01)",
@@ -80,23 +84,29 @@ def _add_traffic(parser: argparse.ArgumentParser) -> None:
         help="where a recorded bus is sent: as of `motorhil record`, or a bus of --rig",
     )
     traffic.add_argument("--bus", action="append", metavar="NAME", help="only this bus")
-    traffic.add_argument("--id", action="append", type=_hex, metavar="HEX", help="only this one")
-    traffic.add_argument("--node", action="append", type=int, metavar="N", help="only this node")
-    traffic.add_argument("--from", type=float, dest="from_s", metavar="S", help="from this time")
-    traffic.add_argument("--to", type=float, dest="to_s", metavar="S", help="before this time")
-    traffic.add_argument("--bitrate", type=int, metavar="N", help="bit/s, of python-can's")
+    traffic.add_argument(
+        "--id", action="append", type=identifier, metavar="HEX", help="only this one"
+    )
+    traffic.add_argument(
+        "--node",
+        action="append",
+        type=whole(1, 127),
+        metavar="N",
+        help="only this node",
+    )
+    traffic.add_argument("--from", type=time_ns, dest="from_ns", metavar="S", help="from this time")
+    traffic.add_argument("--to", type=time_ns, dest="to_ns", metavar="S", help="before this time")
+    traffic.add_argument(
+        "--bitrate", type=whole(1, 10**8, "bit/s"), metavar="N", help="bit/s, of python-can's"
+    )
     traffic.add_argument("--fd", action="store_true", help="CAN FD, of python-can's")
 
 
 def _speed(text: str) -> float:
-    value = math.inf if text == "max" else float(text)
-    if not value > 0.0:
-        raise ValueError(text)
-    return value
-
-
-def _hex(text: str) -> int:
-    return int(text.lower().removesuffix("h"), 16)
+    try:
+        return math.inf if text == "max" else _FACTOR(text)
+    except argparse.ArgumentTypeError as error:
+        raise argparse.ArgumentTypeError(f"{error}, nor max") from None
 
 
 def run(options: argparse.Namespace) -> int:
@@ -105,8 +115,12 @@ def run(options: argparse.Namespace) -> int:
     Raises:
         RigError, TraceError: a file cannot be used.
     """
+    from harness.settings import refuse_source
+
     if options.mode != "traffic" and options.speed == math.inf:
         print("motorhil replay: --speed max is for --as traffic; say a number", file=sys.stderr)
         return WRONG_USAGE
+    if options.output is not None:
+        refuse_source(options.file, options.output)
     status: int = import_module(_MODES[options.mode]).run(options)
     return status

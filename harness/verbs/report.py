@@ -11,6 +11,7 @@ from typing import Final
 from harness.exit_status import PASSED
 from traces.errors import TraceError
 from traces.reader import Trace, read_trace
+from traces.regular_file import whole_file
 
 _KILO: Final = {"k": 1_000, "M": 1_000_000}
 
@@ -54,7 +55,7 @@ def run(options: argparse.Namespace) -> int:
 
     target = options.output or Path(options.file).with_suffix(".html")
     with read_trace(options.file) as trace:
-        _refuse_source(options.file, target, options.foxglove_layout)
+        _refuse_lost(options.file, target, options.foxglove_layout)
         found = collect(trace, dict(options.bitrate), _progress())
         title = options.title or Path(options.file).name
         document, packed = document_of(trace, found, title)
@@ -78,25 +79,18 @@ def _write_layout(trace: Trace, target: Path) -> None:
     print(f"{target}: a layout for Foxglove")
 
 
-def _refuse_source(source: str, *targets: Path | None) -> None:
-    for target in targets:
+def _refuse_lost(source: str, page: Path, layout: Path | None) -> None:
+    if layout is not None and os.path.realpath(page) == os.path.realpath(layout):
+        raise TraceError(str(layout), "is the page already", remedy="name another file")
+    for target in (page, layout):
         with suppress(OSError):
             if target is not None and os.path.samefile(source, target):
                 raise TraceError(str(target), "is the recording itself", remedy="name another file")
 
 
 def _write(target: Path, text: str) -> None:
-    """The file is there whole, or not at all."""
-    part = target.with_name(target.name + ".part")
-    try:
-        part.write_text(text, "utf-8")
-        os.replace(part, target)
-    except OSError as error:
-        reason = (error.strerror or str(error)).lower()
-        raise TraceError(str(target), f"cannot be written: {reason}") from error
-    finally:
-        with suppress(OSError):
-            part.unlink()
+    with whole_file(str(target)) as file:
+        file.write(text.encode())
 
 
 def _progress() -> Callable[[int], None] | None:

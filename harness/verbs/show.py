@@ -9,6 +9,7 @@ from contextlib import nullcontext, suppress
 from typing import Final, final
 
 from harness.exit_status import PASSED
+from harness.number_options import identifier, time_ns, whole
 from traces.protobuf import Value
 from traces.reader import Trace, read_trace
 from traces.said import PERIODIC, Fact, Kind
@@ -21,10 +22,10 @@ _LOOK_AGAIN_S: Final = 0.2  # a recorder writes once a second
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """What `show` can be told."""
     parser.add_argument("file", metavar="FILE", help="a recording (MCAP)")
-    parser.add_argument("--from", type=_time_ns, dest="from_ns", metavar="S", help="from this time")
-    parser.add_argument("--to", type=_time_ns, dest="to_ns", metavar="S", help="before this time")
+    parser.add_argument("--from", type=time_ns, dest="from_ns", metavar="S", help="from this time")
+    parser.add_argument("--to", type=time_ns, dest="to_ns", metavar="S", help="before this time")
     parser.add_argument(
-        "--last", type=_time_ns, dest="last_ns", metavar="S", help="only the last S seconds"
+        "--last", type=time_ns, dest="last_ns", metavar="S", help="only the last S seconds"
     )
     parser.add_argument(
         "--bus", action="append", metavar="NAME", help="only this bus or line; may be repeated"
@@ -32,12 +33,16 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--id",
         action="append",
-        type=_hex,
+        type=identifier,
         metavar="HEX",
         help="only CAN frames with this identifier",
     )
     parser.add_argument(
-        "--node", action="append", type=int, metavar="N", help="only this node or Modbus unit"
+        "--node",
+        action="append",
+        type=whole(0, 255),
+        metavar="N",
+        help="only this node or Modbus unit",
     )
     parser.add_argument("--motor", action="append", metavar="NAME", help="only this motor")
     parser.add_argument(
@@ -216,22 +221,3 @@ def _warn(trace: Trace) -> None:
 
 def _plain(value: "Value | Fact") -> object:
     return value.hex() if isinstance(value, bytes) else value
-
-
-def _time_ns(text: str) -> int:
-    """Seconds, exactly as they are written.
-
-    Raises:
-        ValueError: they are no number, or negative.
-    """
-    whole, _, part = text.partition(".")
-    if not (whole or part) or len(part) > 9:
-        raise ValueError(text)
-    seconds = int(whole or "0")
-    if seconds < 0 or not (part or "0").isdigit():
-        raise ValueError(text)
-    return seconds * _NS + int(part.ljust(9, "0"))
-
-
-def _hex(text: str) -> int:
-    return int(text.lower().removesuffix("h"), 16)

@@ -4,6 +4,7 @@ import json
 import pytest
 
 from harness.cli import main
+from harness.number_options import time_ns
 from harness.verbs import show
 from tests.harness.recorded import MS, Recorded, S
 from traces.reader import Trace
@@ -141,10 +142,10 @@ def test_who_was_not_met_and_what_is_cut_is_told(capsys, recording, tmp_path):
 
 @pytest.mark.parametrize("text", ["x", "1.x", "-1", "", ".", "1.0000000001"])
 def test_times_are_seconds_or_refused(text, capsys, recording):
-    assert show._time_ns("1.000000001") == S + 1
+    assert time_ns("1.000000001") == S + 1
     with pytest.raises(SystemExit):
         shown(capsys, recording, f"--from={text}")
-    assert "invalid" in capsys.readouterr().err
+    assert f"{text!r} is no time; say 0 to 18446744074 s" in capsys.readouterr().err
 
 
 def test_the_command_line_knows_it(capsys, recording, tmp_path):

@@ -1,0 +1,74 @@
+"""What is read and written here stays put: files, and no pipes; devices are not replaced."""
+
+import os
+import stat
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
+from typing import BinaryIO, Final
+
+from traces.errors import TraceError
+
+_KINDS: Final[tuple[tuple[Callable[[int], bool], str], ...]] = (
+    (stat.S_ISFIFO, "a pipe"),
+    (stat.S_ISSOCK, "a socket"),
+    (stat.S_ISCHR, "a device"),
+    (stat.S_ISBLK, "a device"),
+)
+_STREAMS: Final = _KINDS[:2]
+
+
+def refuse_pipe(path: str | os.PathLike[str]) -> None:
+    """A recording is read here and there in it, and more than once; a pipe gives it once.
+
+    Raises:
+        TraceError: it is a pipe or a socket. It has not been opened, so nobody waits for it.
+    """
+    kind = _kind_of(path, _STREAMS)
+    if kind is not None:
+        what = f"is {kind}, and read from its beginning to its end only"
+        raise TraceError(os.fspath(path), what, remedy="write it to a file first")
+
+
+def place_to_replace(target: str | os.PathLike[str]) -> str:
+    """Where a file stands that is to be replaced: behind its symbolic links.
+
+    Raises:
+        TraceError: what stands there is no file, and would be gone for everybody.
+    """
+    kind = _kind_of(target, _KINDS)
+    if kind is not None:
+        what = f"is {kind}, and would be replaced by a file"
+        raise TraceError(os.fspath(target), what, remedy="name a file")
+    return os.path.realpath(target)
+
+
+@contextmanager
+def whole_file(target: str) -> Iterator[BinaryIO]:
+    """A file that will be the target: it is there whole, or not at all.
+
+    Raises:
+        TraceError: it cannot be written, or what stands there is no file.
+    """
+    place = place_to_replace(target)
+    part = f"{place}.part"
+    try:
+        with open(part, "wb") as file:
+            yield file
+        os.replace(part, place)
+    except OSError as error:
+        what = f"cannot be written: {(error.strerror or str(error)).lower()}"
+        raise TraceError(target, what) from error
+    finally:
+        with suppress(OSError):
+            os.remove(part)
+
+
+def _kind_of(
+    path: str | os.PathLike[str],
+    kinds: tuple[tuple[Callable[[int], bool], str], ...],
+) -> str | None:
+    try:
+        mode = os.stat(path).st_mode
+    except (OSError, ValueError):  # whoever opens it tells why
+        return None
+    return next((words for is_it, words in kinds if is_it(mode)), None)
