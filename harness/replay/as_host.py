@@ -4,7 +4,7 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Final, Protocol, final
 
-from emulators.media.can_bits import INTERMISSION_BITS, KEY_SHIFT, measure
+from emulators.media.can_bits import length_bits
 from harness.replay.host_player import PATIENCE_NS, HostPlayer
 from harness.settings import RigError
 from motorapi.runtime import Runtime
@@ -19,7 +19,6 @@ from traces.traffic import classic
 if TYPE_CHECKING:
     from harness.rig import Rig
 
-_BITS: Final = (1 << KEY_SHIFT) - 1
 _RESET_ALL: Final = classic(0, b"\x81\x00")
 """NMT: reset node, to all (CiA 301)."""
 _TAIL_S: Final = 0.1
@@ -74,7 +73,7 @@ def drive(
     bits_ns = {bus: driven.bit_ns(bus) for bus in buses}
 
     def length_ns(bus: str, frame: bytes) -> int:
-        return ((measure(frame) & _BITS) - INTERMISSION_BITS) * bits_ns.get(bus, 1000)
+        return length_bits(frame) * bits_ns.get(bus, 1000)
 
     with read_trace(recording) as trace:
         steps = host_of(trace, Listener({}), length_ns)

@@ -10,7 +10,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Final, final
 
-from emulators.media.can_bits import INTERMISSION_BITS, KEY_SHIFT, measure
+from emulators.media.can_bits import length_bits
 from harness.replay.player import Mismatch, TapePlayer
 from traces.canopen_tapes import SYNC_KEY, masked, nmt_key, pdo_key, remote_key, sdo_key, sentence
 from traces.decode_canopen import CanopenDecoder
@@ -19,7 +19,6 @@ from traces.traffic import RTR, classic
 
 _SYNC: Final = 0x080
 _RESETS: Final = (0x81, 0x82)
-_BITS: Final = (1 << KEY_SHIFT) - 1
 NO_DATA: Final = 0x0800_0024
 """SDO abort code: no data available."""
 
@@ -214,8 +213,7 @@ def _with_durations(tape: Tape, bit_ns: int) -> Tape:
     """The tape with what each frame takes on a bus of this bit time."""
 
     def timed(one: Sent) -> Sent:
-        bits = (measure(one.data) & _BITS) - INTERMISSION_BITS
-        return replace(one, duration_ns=bits * bit_ns)
+        return replace(one, duration_ns=length_bits(one.data) * bit_ns)
 
     for step in tape.steps:
         step.reactions = [timed(one) for one in step.reactions]
