@@ -41,9 +41,9 @@ class ObjectFidelity:
 
     @property
     def share(self) -> float:
-        """How much of it agrees, 0 to 1."""
+        """How much of it agrees, 0 to 1; `first` is at least 1."""
         of = self.first if self.worst is not None else max(self.first, self.second)
-        return self.agreeing / of if of else 1.0
+        return self.agreeing / of
 
 
 def told_by_nodes(meaning: Meaning) -> Meaning:

@@ -100,10 +100,6 @@ class Tape:
     periods_ns: dict[int, int] = field(default_factory=dict)
     masks: dict[int, bytes] = field(default_factory=dict)
 
-    def commands(self) -> int:
-        """How many commands it was told."""
-        return sum(1 for step in self.steps if step.role is Role.COMMAND) - 1
-
 
 REGULAR_MIN: Final = 4
 """So many intervals alike make something periodic."""

@@ -74,7 +74,7 @@ class TapePlayer:
         self._due: list[tuple[int, int, bytes]] = []  # answers, by time and order
         self._asked = 0
         self._periodic: dict[int, tuple[int, bytes]] = {}  # identifier: when next, frame
-        self._before: deque[Step] = deque(maxlen=_KEPT)
+        self._before: deque[str] = deque(maxlen=_KEPT)
 
     def start(self, now_ns: int) -> None:
         """The recording begins."""
@@ -98,7 +98,7 @@ class TapePlayer:
         self._used[number] = True
         self._told[key] = step
         self._values[key[:2]] = key[2]
-        self._before.append(step)
+        self._has_answered(step)
         self.matched += 1
         self._go_to(number, now_ns)
         return step
@@ -118,8 +118,7 @@ class TapePlayer:
         step = waiting.pop(0) if waiting else self._answered.get(key, self._constants.get(key))
         if step is not None:
             self._answered[key] = step
-            if step.answer_text:
-                self._before.append(step)
+            self._has_answered(step)
         return step
 
     def is_next(self, key: Key) -> bool:
@@ -136,7 +135,7 @@ class TapePlayer:
 
     def answered_last(self) -> tuple[str, ...]:
         """What it has answered last, as sentences, oldest first."""
-        return tuple(step.answer_text for step in self._before if step.answer_text)
+        return tuple(self._before)
 
     def left(self) -> list[Step]:
         """Commands of the recording, up to the last one found, that were never told."""
@@ -187,6 +186,11 @@ class TapePlayer:
         self._due.clear()
 
     # -------------------------------------------------------------------------------- inside
+
+    def _has_answered(self, step: Step) -> None:
+        """What it said is kept; a PDO or a SYNC, which say nothing, push nothing out."""
+        if step.answer_text:
+            self._before.append(step.answer_text)
 
     def _silent_for_ns(self, step: Step, later: Step) -> int:
         """How long behind the epoch's command what was told nothing to `step` stayed so."""
