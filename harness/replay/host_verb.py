@@ -44,7 +44,7 @@ def run(options: argparse.Namespace) -> int:
             print(f"motorhil replay: {error}", file=sys.stderr)
             return FAILED
         found, differing = compared(
-            options.file, live, done.pairs, Tolerance(options.tolerance, 50_000_000)
+            options.file, live, done.pairs, Tolerance(share=options.tolerance)
         )
     if options.json:
         print(json.dumps(_facts(done, found, differing)))
