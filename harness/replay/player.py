@@ -39,6 +39,14 @@ class Mismatch:
     expected: Step | None
     before: tuple[str, ...] = ()
 
+    def __str__(self) -> str:
+        if self.expected is None:
+            place = "it is at its end, or has nothing of the kind"
+        else:
+            at_s = self.expected.time_ns / 1e9
+            place = f"expected, as at {at_s:.6f} s of it: {self.expected.text}"
+        return f"the recording cannot answer: {self.came}; {place}"
+
 
 @final
 class TapePlayer:

@@ -11,7 +11,7 @@ from dataclasses import replace
 from typing import Final, final
 
 from emulators.media.can_bits import length_bits
-from harness.replay.player import Mismatch, TapePlayer
+from harness.replay.player import TapePlayer
 from traces.canopen_tapes import SYNC_KEY, masked, nmt_key, pdo_key, remote_key, sdo_key, sentence
 from traces.decode_canopen import CanopenDecoder
 from traces.tape import Key, Sent, Step, Tape
@@ -196,17 +196,7 @@ class RecordedNode:
         expected = mismatch.expected
         if expected is not None:
             expected.text = sentence(expected, self._decoder)
-        self._events.append(("error", told(mismatch)))
-
-
-def told(mismatch: Mismatch) -> str:
-    """A mismatch in one line."""
-    expected = mismatch.expected
-    if expected is None:
-        place = "it is at its end, or has nothing of the kind"
-    else:
-        place = f"expected, as at {expected.time_ns / 1e9:.6f} s of it: {expected.text}"
-    return f"the recording cannot answer: {mismatch.came}; {place}"
+        self._events.append(("error", str(mismatch)))
 
 
 def _with_durations(tape: Tape, bit_ns: int) -> Tape:
