@@ -5,12 +5,12 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Final, Protocol, final
 
 from emulators.media.can_bits import length_bits
+from harness.recorded_meaning import meaning_in
 from harness.replay.host_player import PATIENCE_NS, HostPlayer
 from harness.settings import RigError
 from motorapi.runtime import Runtime
 from traces.fidelity import ObjectFidelity, fidelity, retimed, told_by_nodes
 from traces.host_tape import Listener
-from traces.meaning import Meaning, meaning_of
 from traces.reader import read_trace
 from traces.recorded_host import answer_size, host_of
 from traces.semantic_diff import Difference, Tolerance, differences
@@ -172,11 +172,7 @@ def compared(
     Raises:
         TraceError: one of the files cannot be read.
     """
-    first = retimed(_meaning(recording), pairs) if pairs else _meaning(recording)
-    second = _meaning(live)
+    first, second = (told_by_nodes(meaning_in(path, "replay")) for path in (recording, live))
+    if pairs:
+        first = retimed(first, pairs)
     return fidelity(first, second, tolerance), differences(first, second, tolerance)
-
-
-def _meaning(path: Path) -> Meaning:
-    with read_trace(path) as trace:
-        return told_by_nodes(meaning_of(trace))

@@ -209,3 +209,12 @@ def test_a_rig_may_be_named_for_its_devices_too(folder, say):
         "again: motorhil replay bench.mcap --as device check.py --seed 5 --rig one.toml "
         "--set-points any"
     )
+
+
+def test_that_a_recording_is_cut_is_told(folder, say):
+    """Of its end alone, here: everything else is there, and agrees."""
+    (folder / "cut.mcap").write_bytes((folder / "bench.mcap").read_bytes()[:-20])
+    status, _, err = say("replay", "cut.mcap", "--as", "host")
+    assert status == 0
+    assert err.startswith("motorhil replay: cut.mcap: cut at byte ")
+    assert say("replay", "bench.mcap", "--as", "host")[2] == ""
