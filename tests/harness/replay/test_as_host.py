@@ -11,6 +11,8 @@ from tests.golden import FOLDER
 from tests.harness.recorded import MS, Recorded, S
 from tests.harness.replay.altered import copied, traffic
 from traces.fields import decode_can_frame
+from traces.reader import read_trace
+from traces.recorded_tapes import tapes_of
 from traces.schema import CAN_FRAME, Direction, Schema
 from traces.semantic_diff import Tolerance
 from traces.traffic import classic
@@ -218,3 +220,27 @@ def test_that_a_recording_is_cut_is_told(folder, say):
     assert status == 0
     assert err.startswith("motorhil replay: cut.mcap: cut at byte ")
     assert say("replay", "bench.mcap", "--as", "host")[2] == ""
+
+
+STREAM = """\
+import can
+with can.Bus() as bus:
+    bus.send(can.Message(arbitration_id={identifier}, data=bytes.fromhex("{data}"),
+                         is_extended_id=False))
+    bus.recv(0.01)
+"""
+
+
+def test_other_set_points_pass_if_that_is_said(folder, say):
+    """The first PDO to the I/O node, its set-points turned over."""
+    path = FOLDER / "software.mcap"
+    with read_trace(path) as trace:
+        (tape,) = tapes_of(trace, any_set_point=True).tapes.values()
+    (identifier, mask), *_ = tape.masks.items()
+    frames = [one for one in hosts_frames(path) if one[:2] == identifier.to_bytes(2, "little")]
+    size = frames[0][4]
+    data = bytes(a ^ b ^ 0xFF for a, b in zip(frames[0][8 : 8 + size], mask, strict=False))
+    (folder / "stream.py").write_text(STREAM.format(identifier=identifier, data=data.hex()))
+    words = ("replay", str(path), "--as", "device", "stream.py")
+    assert say(*words)[0] == 1
+    assert say(*words, "--set-points", "any")[0] == 0
