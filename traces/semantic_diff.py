@@ -36,15 +36,13 @@ class Tolerance:
 class Difference:
     """The first difference of one order or quantity; None: that recording tells nothing there.
 
-    Attributes: key, label (what it is about), first and second (what each tells), after (the last
-    that both tell).
+    Attributes: key, label (what it is about), first and second (what each tells).
     """
 
     key: Key
     label: str
     first: Item | None
     second: Item | None
-    after: Item | None = None
 
     @property
     def time_ns(self) -> int:
@@ -82,13 +80,11 @@ def is_measured(items: list[Item]) -> bool:
 
 
 def _of_items(key: Key, label: str, one: list[Item], other: list[Item]) -> Difference | None:
-    after: Item | None = None
     for number in range(max(len(one), len(other))):
         first = one[number] if number < len(one) else None
         second = other[number] if number < len(other) else None
         if first is None or second is None or first.what != second.what:
-            return Difference(key, label, first, second, after)
-        after = first
+            return Difference(key, label, first, second)
     return None
 
 

@@ -103,10 +103,6 @@ class Tape:
     masks: dict[int, list[tuple[int, bytes]]] = field(default_factory=dict)
     syncs: set[int] = field(default_factory=set)
 
-    def commands(self) -> int:
-        """How many commands it was told."""
-        return sum(1 for step in self.steps if step.role is Role.COMMAND) - 1
-
 
 REGULAR_MIN: Final = 4
 """So many intervals alike make something periodic."""

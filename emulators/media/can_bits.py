@@ -82,6 +82,15 @@ _headers: Final[dict[bytes, tuple[int, int, int, int, int]]] = {}
 _frames: Final[dict[bytes, int]] = {}
 
 
+def length_bits(frame: bytes) -> int:
+    """Exact bits of a classical frame from its first to its last, without the intermission.
+
+    Raises:
+        ValueError: as of `measure`.
+    """
+    return (measure(frame) & _BITS) - INTERMISSION_BITS
+
+
 def measure(frame: bytes) -> int:
     """Arbitration key << KEY_SHIFT | exact bits incl. intermission, of a classical frame.
 

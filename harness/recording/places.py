@@ -71,6 +71,28 @@ def parse_place(text: str) -> Place:
     return Place(text, Kind.SOCKETCAN, "", where, name)
 
 
+def places_of_buses(texts: Sequence[str], buses: Sequence[str]) -> dict[str, Place]:
+    """Where recorded buses are sent: the places of `[BUS=]WHERE`, by bus; one bus needs no name.
+
+    Args:
+        texts: what `--on` was told.
+        buses: of the recording, at least one.
+
+    Raises:
+        PlaceError: one names nothing, or it is not clear for which bus it is.
+    """
+    found: dict[str, Place] = {}
+    for place in map(parse_place, texts):
+        name = place.name or (buses[0] if len(buses) == 1 else "")
+        if name not in buses or name in found:
+            what = f"{name} is sent elsewhere already"
+            if name not in found:
+                what = f"there are frames of {', '.join(buses)}"
+            raise PlaceError(f"--on {place.text}: {what}; write --on {buses[0]}=WHERE")
+        found[name] = place
+    return found
+
+
 def topic_name(text: str) -> str:
     """The text as a bus may be called in a recording: letters, digits, `_`, `-` and `.` only."""
     return "_".join(_NAME.findall(text)) or "can"

@@ -4,13 +4,13 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Final, Protocol, final
 
-from emulators.media.can_bits import INTERMISSION_BITS, KEY_SHIFT, measure
+from emulators.media.can_bits import length_bits
+from harness.recorded_meaning import meaning_in
 from harness.replay.host_player import PATIENCE_NS, HostPlayer
 from harness.settings import RigError
 from motorapi.runtime import Runtime
 from traces.fidelity import ObjectFidelity, fidelity, retimed, told_by_nodes
 from traces.host_tape import Listener
-from traces.meaning import Meaning, meaning_of
 from traces.reader import read_trace
 from traces.recorded_host import answer_size, host_of
 from traces.semantic_diff import Difference, Tolerance, differences
@@ -19,7 +19,6 @@ from traces.traffic import classic
 if TYPE_CHECKING:
     from harness.rig import Rig
 
-_BITS: Final = (1 << KEY_SHIFT) - 1
 _RESET_ALL: Final = classic(0, b"\x81\x00")
 """NMT: reset node, to all (CiA 301)."""
 _TAIL_S: Final = 0.1
@@ -74,7 +73,7 @@ def drive(
     bits_ns = {bus: driven.bit_ns(bus) for bus in buses}
 
     def length_ns(bus: str, frame: bytes) -> int:
-        return ((measure(frame) & _BITS) - INTERMISSION_BITS) * bits_ns.get(bus, 1000)
+        return length_bits(frame) * bits_ns.get(bus, 1000)
 
     with read_trace(recording) as trace:
         steps = host_of(trace, Listener({}), length_ns)
@@ -179,11 +178,7 @@ def compared(
     Raises:
         TraceError: one of the files cannot be read.
     """
-    first = retimed(_meaning(recording), pairs) if pairs else _meaning(recording)
-    second = _meaning(live)
+    first, second = (told_by_nodes(meaning_in(path, "replay")) for path in (recording, live))
+    if pairs:
+        first = retimed(first, pairs)
     return fidelity(first, second, tolerance), differences(first, second, tolerance)
-
-
-def _meaning(path: Path) -> Meaning:
-    with read_trace(path) as trace:
-        return told_by_nodes(meaning_of(trace))

@@ -44,7 +44,7 @@ def run(options: argparse.Namespace) -> int:
             print(f"motorhil replay: {error}", file=sys.stderr)
             return FAILED
         found, differing = compared(
-            options.file, live, done.pairs, Tolerance(options.tolerance, 50_000_000)
+            options.file, live, done.pairs, Tolerance(share=options.tolerance)
         )
     if options.json:
         print(json.dumps(_facts(done, found, differing)))
@@ -67,9 +67,9 @@ def _on_rig(options: argparse.Namespace, live: Path, folder: Path) -> "HostPlaye
 
 def _on_buses(options: argparse.Namespace, live: Path) -> "HostPlayer":
     """Devices on buses of the wall's world."""
-    from harness.recording.places import PlaceError
+    from harness.recording.places import PlaceError, places_of_buses
     from harness.replay.as_host import drive
-    from harness.replay.real_buses import DrivenBuses, places_for
+    from harness.replay.real_buses import DrivenBuses
     from traces.reader import read_trace
 
     if options.rig is not None:
@@ -77,7 +77,7 @@ def _on_buses(options: argparse.Namespace, live: Path) -> "HostPlayer":
     with read_trace(options.file) as trace:
         topics = sorted({channel.topic for channel in trace.channels.values()})
     buses = [topic.removeprefix("/can/") for topic in topics if topic.startswith("/can/")]
-    places = places_for(options.on, buses or ["can0"])
+    places = places_of_buses(options.on, buses or ["can0"])
     with DrivenBuses(places, options.bitrate, live, options.file) as driven:
         return drive(driven, options.file, *_pace(options))
 

@@ -39,6 +39,14 @@ class Mismatch:
     expected: Step | None
     before: tuple[str, ...] = ()
 
+    def __str__(self) -> str:
+        if self.expected is None:
+            place = "it is at its end, or has nothing of the kind"
+        else:
+            at_s = self.expected.time_ns / 1e9
+            place = f"expected, as at {at_s:.6f} s of it: {self.expected.text}"
+        return f"the recording cannot answer: {self.came}; {place}"
+
 
 @final
 class TapePlayer:
@@ -75,7 +83,7 @@ class TapePlayer:
         self._due: list[tuple[int, int, bytes]] = []  # answers, by time and order
         self._asked = 0
         self._periodic: dict[int, tuple[int, bytes]] = {}  # identifier: when next, frame
-        self._before: deque[Step] = deque(maxlen=_KEPT)
+        self._before: deque[str] = deque(maxlen=_KEPT)
 
     def start(self, now_ns: int) -> None:
         """The recording begins."""
@@ -99,7 +107,7 @@ class TapePlayer:
         self._used[number] = True
         self._told[key] = step
         self._values[key[:2]] = key[2]
-        self._before.append(step)
+        self._has_answered(step)
         self.matched += 1
         self._go_to(number, now_ns)
         return step
@@ -124,8 +132,7 @@ class TapePlayer:
             self._answered[key] = step
             if not step.turns:
                 self._latest[key] = step
-            if step.answer_text:
-                self._before.append(step)
+            self._has_answered(step)
         return step
 
     def forget(self) -> None:
@@ -155,7 +162,7 @@ class TapePlayer:
 
     def answered_last(self) -> tuple[str, ...]:
         """What it has answered last, as sentences, oldest first."""
-        return tuple(step.answer_text for step in self._before if step.answer_text)
+        return tuple(self._before)
 
     def left(self) -> list[Step]:
         """Commands of the recording, up to the last one found, that were never told."""
@@ -208,6 +215,11 @@ class TapePlayer:
         heapify(self._due)
 
     # -------------------------------------------------------------------------------- inside
+
+    def _has_answered(self, step: Step) -> None:
+        """What it said is kept; a PDO or a SYNC, which say nothing, push nothing out."""
+        if step.answer_text:
+            self._before.append(step.answer_text)
 
     def _silent_for_ns(self, step: Step, later: Step) -> int:
         """How long behind the epoch's command what was told nothing to `step` stayed so."""

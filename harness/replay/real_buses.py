@@ -6,7 +6,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Final, Self, final
 
-from harness.recording.places import Kind, Place, PlaceError
+from harness.recording.places import Kind, Place
 from harness.recording.python_can import open_bus
 from motorapi.runtime import Runtime
 from motorapi.wall_runtime import WallRuntime
@@ -51,6 +51,8 @@ class DrivenBuses:
         self._bit_ns = 1_000_000_000 // (bitrate_bit_s or _BITRATE_BIT_S)
         options = {"bitrate": bitrate_bit_s} if bitrate_bit_s else {}
         with ExitStack() as cleanup:
+            # Closed last: as long as the runtime hears, there is something to record.
+            self._writer = cleanup.enter_context(TraceWriter(live))
             self._open: dict[str, can.BusABC] = {}
             for name, place in places.items():
                 interface = _INTERFACES.get(place.kind, place.interface)
@@ -61,7 +63,6 @@ class DrivenBuses:
             runtime = WallRuntime()
             cleanup.callback(runtime.close)
             self.runtime: Runtime = runtime
-            self._writer = cleanup.enter_context(TraceWriter(live))
             with read_trace(recording) as trace:
                 for one in trace.attachments:
                     self._writer.attach(one.name, one.data, one.media_type)
@@ -98,25 +99,3 @@ class DrivenBuses:
             self._writer.source(channel, "", Direction.RECEIVED),
             self._writer.source(channel, "host", Direction.TRANSMITTED),
         )
-
-
-def places_for(texts: Sequence[str], buses: Sequence[str]) -> dict[str, Place]:
-    """The places that `--on` names, by the recorded bus that each is for.
-
-    Raises:
-        PlaceError: one names nothing, or it is not clear for which bus.
-    """
-    from harness.recording.places import parse_place
-
-    found: dict[str, Place] = {}
-    for place in map(parse_place, texts):
-        name = place.name or (buses[0] if len(buses) == 1 else "")
-        if name not in buses or name in found:
-            what = (
-                f"{name} is driven elsewhere already"
-                if name in found
-                else (f"the recording has buses {', '.join(buses)}")
-            )
-            raise PlaceError(f"--on {place.text}: {what}; write --on {buses[0]}=WHERE")
-        found[name] = place
-    return found

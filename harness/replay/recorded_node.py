@@ -11,8 +11,8 @@ from dataclasses import replace
 from itertools import pairwise
 from typing import Final, final
 
-from emulators.media.can_bits import INTERMISSION_BITS, KEY_SHIFT, measure
-from harness.replay.player import Mismatch, TapePlayer
+from emulators.media.can_bits import length_bits
+from harness.replay.player import TapePlayer
 from traces.canopen_tapes import (
     SYNC_KEY,
     masked,
@@ -32,7 +32,6 @@ _SEGMENTS: Final = (0, 3)  # SDO command specifiers of a client
 _TOGGLE: Final = 0x80
 _NAMED: Final = 0x7FF
 _RESETS: Final = (0x81, 0x82)
-_BITS: Final = (1 << KEY_SHIFT) - 1
 NO_DATA: Final = 0x0800_0024
 """SDO abort code: no data available."""
 
@@ -253,7 +252,7 @@ class RecordedNode:
         expected = mismatch.expected
         if expected is not None:
             expected.text = sentence(expected, self._decoder)
-        self._events.append(("error", told(mismatch)))
+        self._events.append(("error", str(mismatch)))
 
 
 def _toggles(tape: Tape, node_id: int) -> bool:
@@ -272,22 +271,11 @@ def _is_same(step: Step, recorded: bytes, frame: bytes) -> bool:
     return not is_block_download and same_head and meant(recorded[8:]) == meant(frame[8:])
 
 
-def told(mismatch: Mismatch) -> str:
-    """A mismatch in one line."""
-    expected = mismatch.expected
-    if expected is None:
-        place = "it is at its end, or has nothing of the kind"
-    else:
-        place = f"expected, as at {expected.time_ns / 1e9:.6f} s of it: {expected.text}"
-    return f"the recording cannot answer: {mismatch.came}; {place}"
-
-
 def _with_durations(tape: Tape, bit_ns: int) -> Tape:
     """The tape with what each frame takes on a bus of this bit time."""
 
     def timed(one: Sent) -> Sent:
-        bits = (measure(one.data) & _BITS) - INTERMISSION_BITS
-        return replace(one, duration_ns=bits * bit_ns)
+        return replace(one, duration_ns=length_bits(one.data) * bit_ns)
 
     for step in tape.steps:
         step.reactions = [timed(one) for one in step.reactions]

@@ -11,7 +11,6 @@ from typing import Final, final
 
 from emulators.modbus.crc import crc16, with_crc
 from harness.replay.player import TapePlayer
-from harness.replay.recorded_node import told
 from traces.decode_modbus import ModbusDecoder
 from traces.modbus import Adu
 from traces.modbus_tapes import request_key, role_of
@@ -60,7 +59,7 @@ class RecordedUnit:
         else:
             adu = Adu(now_ns, None, True, 0, data[0], pdu)
             mismatch = self.player.refuse(key, ModbusDecoder().decode(adu).text, now_ns)
-            self._events.append(("error", told(mismatch)))
+            self._events.append(("error", str(mismatch)))
             if data[0]:
                 refusal = bytes([self.unit, pdu[0] | 0x80, DEVICE_FAILURE])
                 self.player.answer([Sent(0, refusal)], now_ns)

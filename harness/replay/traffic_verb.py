@@ -92,7 +92,7 @@ def _open(
     options: argparse.Namespace, buses: list[str], cleanup: ExitStack
 ) -> "tuple[dict[str, Sink], Runtime]":
     """(where each recorded bus is sent, whose time it is); raises PlaceError, RigError."""
-    from harness.recording.places import PlaceError, parse_place
+    from harness.recording.places import PlaceError, places_of_buses
     from harness.replay.sinks import RigSink, open_sink
 
     rig = _rig(options, cleanup) if options.rig is not None else None
@@ -102,13 +102,7 @@ def _open(
     if options.fd:
         interface["fd"] = True
     sinks: dict[str, Sink] = {}
-    for place in [parse_place(text) for text in options.on]:
-        name = place.name or (buses[0] if len(buses) == 1 else "")
-        if name not in buses or name in sinks:
-            what = f"{name} is sent elsewhere already"
-            if name not in sinks:
-                what = f"there are frames of {', '.join(buses)}"
-            raise PlaceError(f"--on {place.text}: {what}; write --on {buses[0]}=WHERE")
+    for name, place in places_of_buses(options.on, buses).items():
         sinks[name] = RigSink(rig, place.channel) if rig else open_sink(place, interface)
         cleanup.callback(sinks[name].close)
     if rig is not None:

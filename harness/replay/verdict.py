@@ -5,7 +5,7 @@ from collections.abc import Iterator
 from typing import TYPE_CHECKING, NamedTuple, final
 
 from harness.replay.player import Mismatch, TapePlayer
-from harness.replay.recorded_node import RecordedNode, told
+from harness.replay.recorded_node import RecordedNode
 from harness.replay.recorded_unit import RecordedUnit
 
 if TYPE_CHECKING:
@@ -20,7 +20,7 @@ class Unanswered(NamedTuple):
     mismatch: Mismatch
 
     def __str__(self) -> str:
-        return f"{self.controller} at {self.mismatch.time_ns / 1e9:.6f} s: {told(self.mismatch)}"
+        return f"{self.controller} at {self.mismatch.time_ns / 1e9:.6f} s: {self.mismatch}"
 
 
 def players(rig: "Rig") -> dict[str, TapePlayer]:

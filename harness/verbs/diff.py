@@ -9,9 +9,10 @@ from typing import Final
 
 from harness.exit_status import FAILED, PASSED
 from harness.number_options import real, whole
+from harness.recorded_meaning import meaning_in
 from harness.verbs.show import text_of
 from traces.compare import first_mismatch
-from traces.meaning import Meaning, meaning_of
+from traces.meaning import Meaning
 from traces.reader import read_trace
 from traces.semantic_diff import Difference, Tolerance, differences
 from traces.story import Line, Story
@@ -63,7 +64,7 @@ def run(options: argparse.Namespace) -> int:
     """
     if options.exact:
         return _exact(options)
-    first, second = _meaning(options.first), _meaning(options.second)
+    first, second = (meaning_in(path, "diff") for path in (options.first, options.second))
     tolerance = Tolerance(options.tolerance, round(options.tolerance_s * _NS))
     found = differences(first, second, tolerance)
     for path, meaning in ((options.first, first), (options.second, second)):
@@ -86,14 +87,6 @@ def _exact(options: argparse.Namespace) -> int:
     else:
         print("every message is the same" if mismatch is None else mismatch)
     return PASSED if mismatch is None else FAILED
-
-
-def _meaning(path: str) -> Meaning:
-    with read_trace(path) as trace:
-        meaning = meaning_of(trace)
-        if trace.cut is not None:
-            print(f"motorhil diff: {path}: {trace.cut}", file=sys.stderr)
-    return meaning
 
 
 def _tell(options: argparse.Namespace, difference: Difference) -> None:

@@ -64,7 +64,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         type=real(0.0, 1e9),
         default=0.01,
         metavar="X",
-        help="how far a motor may be off, rad or m (default 0.01)",
+        help="how far a quantity may be off, as a share of its own range (host; default 0.01)",
     )
     parser.add_argument(
         "--reset", action="store_true", help="reset all nodes first: they boot again (host)"

@@ -144,6 +144,19 @@ PLANTS = [
     ),
     ("report", "harness/report/novelty.py", "", "novelty"),
     (
+        "replay",
+        "harness/replay/recorded_node.py",
+        "import harness.replay.verdict",
+        "harness.replay.recorded_node -> harness.replay.verdict",
+    ),
+    ("replay", "harness/replay/novelty.py", "", "novelty"),
+    (
+        "players",
+        "harness/replay/host_player.py",
+        "import motorapi.runtime",
+        "harness.replay.host_player -> motorapi.runtime",
+    ),
+    (
         "judges",
         "harness/sharing/linearizability.py",
         "import hypothesis",

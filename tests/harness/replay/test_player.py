@@ -169,6 +169,67 @@ def test_a_period_is_what_most_intervals_are():
     assert period_ns([5] * 9) is None
 
 
+def test_of_the_same_words_left_out_twice_the_later_ones_are_meant():
+    again = command(1, (MS, b"again"))
+    player = played(command(1, (MS, b"first")), again, command(3))
+    player.command(key(3), 0)
+    assert player.command(key(1), 10 * MS) is again
+
+
+def test_what_is_told_again_and_was_never_answered_is_no_repetition():
+    player = played(command(1))
+    assert player.command(key(7), 0) is None
+    assert player.command(key(7), 0) is None
+    assert (player.matched, player.repeated) == (0, 0)
+
+
+def test_a_drive_that_never_answered_does_not_now():
+    silent = poll(7, b"")
+    silent.turns[0].answers.clear()
+    assert answers(played(silent).poll(("read", 7, b""), 10_000 * MS)) == []
+
+
+def test_what_was_answered_before_a_command_is_not_the_answer_behind_it():
+    player = played(poll(7, b"a"), command(1), poll(8, b"x"), command(2), poll(7, b"b"))
+    read = ("read", 7, b"")
+    assert answers(player.poll(read, 0)) == [b"a"]
+    player.command(key(1), MS)
+    assert player.poll(read, MS) is None
+
+
+def test_of_two_things_due_at_once_the_answer_comes_first():
+    player = played(command(1, (MS, b"by itself")))
+    step = player.command(key(1), 0)
+    player.answer(step.turns[0].answers, 0)
+    assert player.take(MS) == [b"ok1", b"by itself"]
+
+
+def test_the_last_eight_answers_are_kept_and_what_says_nothing_pushes_none_out():
+    steps = [poll(number, b"x") for number in range(10)]
+    for number, step in enumerate(steps):
+        step.answer_text = f"answer {number}"
+    silent, written = poll(100, b"x"), command(1)
+    player = played(*steps, silent, written)
+    for number in range(10):
+        player.poll(("read", number, b""), 0)
+    for _ in range(9):
+        player.poll(silent.key, 0)
+    player.command(written.key, 0)
+    assert player.answered_last() == tuple(f"answer {number}" for number in range(2, 10))
+
+
+def test_a_period_that_is_cut_short_goes_on_behind_what_is_sent_at_once():
+    """Half a period late, as behind the last one recorded."""
+    beat = b"\x01\7\0\0\5"
+    first = command(1)
+    first.reactions += [Sent(n * 100 * MS, beat, goes_on=True) for n in range(1, 4)]
+    player = played(first, command(2), periods_ns={0x701: 100 * MS})
+    player.command(key(1), 0)
+    player.command(key(2), 50 * MS)
+    assert player.take(50 * MS) == [beat]
+    assert player.next_deadline_ns() == 200 * MS
+
+
 HOSTS = st.lists(st.tuples(st.sampled_from("NRPS"), st.integers(0, 30)), max_size=40)
 
 

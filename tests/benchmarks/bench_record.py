@@ -35,7 +35,7 @@ def moving_drives() -> list[Entry]:
 
 def full_buses() -> list[Entry]:
     """The shortest frames on eight full buses, identifiers of 40 nodes each."""
-    draw = random.Random("bench_recording")
+    draw = random.Random("bench_record")
     pack = struct.Struct("<IB3x8s").pack
     step_ns = 10**9 / FULL_FRAMES_S
     return [

@@ -1,0 +1,246 @@
+"""A recorded host drives a rig: when its frames are there, what is refused, what is compared."""
+
+import json
+import shutil
+
+import pytest
+
+from harness.replay.as_host import DrivenRig, compared, drive
+from harness.rig import Rig
+from tests.golden import FOLDER
+from tests.harness.recorded import MS, Recorded, S
+from tests.harness.replay.altered import copied, traffic
+from traces.fields import decode_can_frame
+from traces.reader import read_trace
+from traces.recorded_tapes import tapes_of
+from traces.schema import CAN_FRAME, Direction, Schema
+from traces.semantic_diff import Tolerance
+from traces.traffic import classic
+from traces.writer import TraceWriter
+
+SET_POINT = classic(0x205, b"\x0f\0")
+RESET_ALL = classic(0x000, b"\x81\0")  # CiA 301, NMT: reset node, to all
+
+
+@pytest.fixture
+def folder(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    shutil.copy(FOLDER / "cia402.mcap", tmp_path / "bench.mcap")
+    return tmp_path
+
+
+def recording(path, times_ns, metadata):
+    """Its host has sent this at these times."""
+    with TraceWriter(path, metadata) as writer:
+        channel = writer.channel("/can/can0", Schema.of(CAN_FRAME))
+        source = writer.source(channel, "host", Direction.TRANSMITTED)
+        writer.extend([(source, time_ns, SET_POINT) for time_ns in times_ns])
+    return path
+
+
+def driven(folder, path, bitrate_bit_s, **options):
+    (folder / "empty.toml").write_text(f"bus.can0.bitrate_bit_s = {bitrate_bit_s}\n")
+    with Rig.open(folder / "empty.toml") as rig:
+        return drive(DrivenRig(rig), path, **options)
+
+
+@pytest.mark.parametrize("bitrate_bit_s", [125_000, 1_000_000])
+def test_frames_are_on_their_bus_when_they_were_whatever_its_bit_rate(folder, bitrate_bit_s):
+    times_ns = [10 * MS, 20 * MS, 400 * MS]
+    path = recording(folder / "a.mcap", times_ns, {"run": {}})
+    assert driven(folder, path, bitrate_bit_s).pairs == [(at, at) for at in times_ns]
+
+
+def test_a_recording_without_a_rig_begins_with_its_first_frame(folder):
+    """A frame of 2 bytes at 1 Mbit/s is 60 to 74 us long; the first one is not waited for."""
+    path = recording(folder / "a.mcap", [1_000 * S, 1_000 * S + 10 * MS], {})
+    (_, first), (_, second) = driven(folder, path, 1_000_000).pairs
+    assert 60_000 <= first <= 74_000
+    assert second - first == 10 * MS
+
+
+def test_a_bus_that_is_not_there_is_named_with_those_that_are(folder, say):
+    (folder / "empty.toml").write_text("bus.arm.bitrate_bit_s = 1_000_000\n")
+    status, out, err = say("replay", "bench.mcap", "--as", "host", "--rig", "empty.toml")
+    assert (status, out) == (2, "")
+    assert "the recorded host sends on 'can0', and empty.toml has no such bus or line" in err
+    assert "it has arm" in err
+
+
+def hosts_frames(path):
+    told = [decode_can_frame(payload) for _, payload in traffic(path, "/can/can0")]
+    return [one.frame for one in told if one.direction is Direction.TRANSMITTED]
+
+
+def test_a_reset_comes_first_if_it_is_asked_for(folder, say):
+    words = ("replay", "bench.mcap", "--as", "host", "-o", "live.mcap")
+    say(*words)
+    assert RESET_ALL not in hosts_frames("live.mcap")
+    say(*words, "--reset")
+    assert hosts_frames("live.mcap")[0] == RESET_ALL
+    assert hosts_frames("live.mcap")[1:] == hosts_frames("bench.mcap")
+
+
+def altered(folder, node, head, byte, flip):
+    """The recording but for one answer of a node: in the value behind `head` a byte is flipped."""
+    done = []
+
+    def change(number, topic, time_ns, payload):
+        is_it = payload[1:5] == bytes([0x80 + node, 5, 0, 0]) and payload[-8:-4] == head
+        if topic != "/can/can0" or not is_it or done:
+            return payload
+        done.append(number)
+        at = len(payload) - 4 + byte
+        return payload[:at] + bytes([payload[at] ^ flip]) + payload[at + 1 :]
+
+    copied(folder / "bench.mcap", folder / "altered.mcap", change)
+    assert done
+
+
+def test_one_answer_that_differs_fails_and_is_a_share_of_its_object(folder, say):
+    """Of node 2, supported drive modes, read once; all else is as recorded."""
+    altered(folder, 2, b"\x43\x02\x65\x00", 0, 0x01)
+    words = ("replay", "altered.mcap", "--as", "host")
+    status, out, _ = say(*words)
+    assert status == 1
+    assert out.rstrip().endswith("1 differences, 0 times waited in vain")
+    (row,) = [line for line in out.splitlines() if " 0.0 %" in line]
+    assert "node 2 (right), 6502h supported drive modes" in row
+    assert "100.0 %" in out
+    status, out, _ = say(*words, "--json")
+    told = json.loads(out)
+    assert (status, len(told["differences"])) == (1, 1)
+    assert [one["share"] for one in told["objects"] if one["share"] < 1.0] == [0.0]
+
+
+def test_how_far_a_quantity_may_be_off_is_a_share_of_its_range(folder, say):
+    """Position demand value of node 1, of 42017 increments in all: 1024 of them."""
+    altered(folder, 1, b"\x43\x62\x60\x00", 1, 0x04)
+    words = ("replay", "altered.mcap", "--as", "host")
+    assert say(*words)[0] == 1
+    assert say(*words, "--tolerance", "0.2")[0] == 0
+
+
+def test_pauses_can_be_shorter(folder, say):
+    recording(folder / "a.mcap", [10 * MS, 1_010 * MS], {"run": {}})
+    (folder / "empty.toml").write_text("bus.can0.bitrate_bit_s = 1_000_000\n")
+    words = ("replay", "a.mcap", "--as", "host", "--rig", "empty.toml", "-o", "live.mcap")
+    assert say(*words, "--speed", "10")[0] == 0
+    first, second = (time_ns for time_ns, _ in traffic("live.mcap", "/can/can0"))
+    assert 99 * MS < second - first < 101 * MS
+
+
+def test_a_rig_and_buses_are_not_driven_both(folder, say):
+    (folder / "empty.toml").write_text("bus.can0.bitrate_bit_s = 1_000_000\n")
+    words = ("--rig", "empty.toml", "--on", "virtual:1")
+    status, out, err = say("replay", "bench.mcap", "--as", "host", *words)
+    assert (status, out) == (2, "")
+    assert err == "motorhil replay: --on names buses, and --rig a rig to drive: say one of them\n"
+
+
+SINGLE = """\
+bus.can0.bitrate_bit_s = 1_000_000
+[controller.single]
+kind = "cia402"
+bus = "can0"
+node_id = 1
+plant = { preset = "wheel_60w" }
+"""
+
+
+def test_who_waits_in_vain_fails_though_the_same_is_told(folder, say):
+    """With no patience at all; each answer comes, later than it is waited for."""
+    (folder / "single.toml").write_text(SINGLE)
+    ask, kind = (classic(0x601, bytes.fromhex("4000100000000000")), "4300100092010200")
+    with TraceWriter(folder / "a.mcap", {"run": {}}) as writer:
+        channel = writer.channel("/can/can0", Schema.of(CAN_FRAME))
+        host = writer.source(channel, "host", Direction.TRANSMITTED)
+        node = writer.source(channel, "", Direction.RECEIVED)
+        answer = classic(0x581, bytes.fromhex(kind))
+        for source, time_ms, frame in (
+            (node, 300, classic(0x701, b"\0")),
+            (host, 2_000, ask),
+            (node, 2_001, answer),
+            (host, 2_100, ask),
+        ):
+            writer.extend([(source, time_ms * MS, frame)])
+    words = ("replay", "a.mcap", "--as", "host", "--rig", "single.toml")
+    status, out, _ = say(*words)
+    assert (status, out.rstrip()[-37:]) == (0, "0 differences, 0 times waited in vain"), out
+    status, out, _ = say(*words, "--patience", "0")
+    assert "0 differences, 2 times waited in vain" in out
+    assert status == 1
+
+
+def test_a_device_that_does_the_same_later_is_not_different(folder):
+    def moved(name, late_ns):
+        one = Recorded(folder / name)
+        for number in range(20):
+            value = (number * number * 50).to_bytes(4, "little").hex()
+            one.sdo(number * 100 * MS + late_ns, 1, "40646000", f"43646000{value}")
+        one.close()
+        return folder / name
+
+    early, late = moved("early.mcap", 0), moved("late.mcap", S)
+    objects, differing = compared(early, late, [(0, S), (3 * S, 4 * S)], Tolerance())
+    assert differing == []
+    assert [one.share for one in objects] == [1.0]
+    assert compared(early, late, [], Tolerance())[1] != []
+
+
+CHECK = """\
+import can
+with can.Bus() as bus:
+    bus.send(can.Message(arbitration_id=0x601, data=bytes.fromhex("4018100700000000"),
+                         is_extended_id=False))
+    bus.recv(1.0)
+"""
+
+
+def test_a_rig_may_be_named_for_its_devices_too(folder, say):
+    """Of the two in the recording, one."""
+    (folder / "check.py").write_text(CHECK)
+    (folder / "one.toml").write_text(SINGLE)
+    words = ("replay", "bench.mcap", "--as", "device", "check.py", "--rig", "one.toml")
+    status, _, err = say(*words, "--seed", "5", "--set-points", "any")
+    assert status == 1
+    assert "1 recorded controller: 1 of 1 commands not in the recording" in err
+    assert "single at " in err
+    again = err.splitlines()[-1]
+    assert again == (
+        "again: motorhil replay bench.mcap --as device check.py --seed 5 --rig one.toml "
+        "--set-points any"
+    )
+
+
+def test_that_a_recording_is_cut_is_told(folder, say):
+    """Of its end alone, here: everything else is there, and agrees."""
+    (folder / "cut.mcap").write_bytes((folder / "bench.mcap").read_bytes()[:-20])
+    status, _, err = say("replay", "cut.mcap", "--as", "host")
+    assert status == 0
+    assert err.startswith("motorhil replay: cut.mcap: cut at byte ")
+    assert say("replay", "bench.mcap", "--as", "host")[2] == ""
+
+
+STREAM = """\
+import can
+with can.Bus() as bus:
+    bus.send(can.Message(arbitration_id={identifier}, data=bytes.fromhex("{data}"),
+                         is_extended_id=False))
+    bus.recv(0.01)
+"""
+
+
+def test_other_set_points_pass_if_that_is_said(folder, say):
+    """The first PDO to the I/O node, its set-points turned over."""
+    path = FOLDER / "software.mcap"
+    with read_trace(path) as trace:
+        (tape,) = tapes_of(trace, any_set_point=True).tapes.values()
+    (identifier, [(_, mask), *_]), *_ = tape.masks.items()
+    frames = [one for one in hosts_frames(path) if one[:2] == identifier.to_bytes(2, "little")]
+    size = frames[0][4]
+    data = bytes(a ^ b ^ 0xFF for a, b in zip(frames[0][8 : 8 + size], mask, strict=False))
+    (folder / "stream.py").write_text(STREAM.format(identifier=identifier, data=data.hex()))
+    words = ("replay", str(path), "--as", "device", "stream.py")
+    assert say(*words)[0] == 1
+    assert say(*words, "--set-points", "any")[0] == 0

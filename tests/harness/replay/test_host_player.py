@@ -1,0 +1,182 @@
+"""When a recorded host sends what: behind what it waited for, never longer than its patience."""
+
+import pytest
+
+from harness.replay.host_player import HostPlayer
+from traces.host_tape import ANSWER, HostStep, Listener, Told
+from traces.traffic import classic
+
+MS = 1_000_000
+PATIENCE = 2_000 * MS  # what `replay --patience` is by default
+ANSWERED = classic(0x585, bytes.fromhex("6040600000000000"))
+BOOTED, STOPPED, OPERATIONAL = (classic(0x705, bytes([state])) for state in (0, 4, 5))
+
+
+def step(start_ms, *waits, bus="can0", number=0, is_free=False):
+    """A frame of the host, on its bus for 1 ms."""
+    frame = classic(0x77F, b"\5") if is_free else classic(0x205, bytes([number]))
+    begin = start_ms * MS
+    return HostStep(begin, begin + MS, bus, frame, "a set-point", list(waits), is_free)
+
+
+def answer(time_ms, bus="can0"):
+    return Told(time_ms * MS, (bus, 5, ANSWER), True, "it has answered")
+
+
+def state(time_ms, frame):
+    """What the recorded host heard, and now waits for."""
+    listener = Listener({})
+    (told,) = listener.told(time_ms * MS, "can0", listener.decode("can0", frame))
+    return told
+
+
+def started(*steps, now_ms=0, **options):
+    player = HostPlayer(steps, Listener({}), **options)
+    player.start(now_ms * MS)
+    return player
+
+
+def test_the_first_frame_keeps_its_distance_from_the_beginning():
+    player = started(step(30), now_ms=100, begin_ns=20 * MS)
+    assert player.next_deadline_ns() == 110 * MS
+    assert player.take(110 * MS - 1) == []
+    assert player.take(110 * MS) == [("can0", step(30).frame)]
+    assert player.is_over()
+    assert player.next_deadline_ns() is None
+
+
+@pytest.mark.parametrize(("speed", "pause_ns"), [(1.0, 8 * MS), (2.0, 4 * MS), (0.5, 16 * MS)])
+def test_a_frame_comes_as_long_behind_the_live_answer_as_behind_the_recorded_one(speed, pause_ns):
+    player = started(step(0), step(20, answer(12)), speed=speed)
+    assert len(player.take(0)) == 1
+    player.heard("can0", ANSWERED, 500 * MS, False)
+    assert player.next_deadline_ns() == 500 * MS + pause_ns
+    assert player.take(500 * MS + pause_ns - 1) == []
+    assert len(player.take(500 * MS + pause_ns)) == 1
+
+
+def test_a_frame_that_waits_for_nothing_comes_behind_the_one_before_it_was_out():
+    """Recorded out at 1 ms, the next one 4 ms later; now out at 7 ms."""
+    player = started(step(0), step(5))
+    player.take(0)
+    player.heard("can0", step(0).frame, 7 * MS, True)
+    assert player.next_deadline_ns() == 11 * MS
+    assert player.pairs == [(1 * MS, 7 * MS)]
+
+
+def test_of_two_things_known_the_later_one_recorded_counts():
+    """The answer (12 ms) came behind the request (out at 1 ms), which is told last today."""
+    player = started(step(0), step(20, answer(12)))
+    player.take(0)
+    player.heard("can0", ANSWERED, 50 * MS, False)
+    assert player.next_deadline_ns() == 58 * MS
+    player.heard("can0", step(0).frame, 55 * MS, True)
+    assert player.next_deadline_ns() == 58 * MS
+
+
+def test_a_frame_that_was_out_is_told_apart_by_its_bus():
+    player = started(step(0, bus="can0"), step(0, bus="can1"))
+    assert len(player.take(0)) == 2
+    player.heard("can1", step(0).frame, 3 * MS, True)
+    player.heard("can1", step(0).frame, 4 * MS, True)  # nobody's
+    assert player.pairs == [(1 * MS, 3 * MS)]
+    player.heard("can0", step(0).frame, 5 * MS, True)
+    assert player.pairs == [(1 * MS, 3 * MS), (1 * MS, 5 * MS)]
+
+
+def test_what_does_not_come_is_missed_when_patience_ends_and_pauses_count_from_there():
+    player = started(step(0), step(20, answer(12)), now_ms=5)
+    player.take(5 * MS)
+    assert player.next_deadline_ns() == 5 * MS + PATIENCE
+    assert player.take(5 * MS + PATIENCE - 1) == []
+    assert player.missed == []
+    assert player.take(5 * MS + PATIENCE) == []
+    (missed,) = player.missed
+    assert (missed.time_ns, missed.awaited, missed.instead) == (
+        5 * MS + PATIENCE,
+        answer(12),
+        "no answer",
+    )
+    assert missed.step.start_ns == 20 * MS
+    assert player.next_deadline_ns() == 5 * MS + PATIENCE + 8 * MS
+    assert len(player.take(5 * MS + PATIENCE + 8 * MS)) == 1
+
+
+def test_each_thing_is_waited_for_with_the_same_patience():
+    player = started(step(0), step(20, answer(8), answer(12)), patience_ns=100 * MS)
+    player.take(10 * MS)
+    player.take(110 * MS)
+    assert [one.time_ns for one in player.missed] == [110 * MS]
+    assert player.next_deadline_ns() == 210 * MS
+    player.take(210 * MS)
+    assert [one.time_ns for one in player.missed] == [110 * MS, 210 * MS]
+
+
+def test_patience_begins_with_the_recording_whatever_the_time_is():
+    player = started(step(20, state(10, BOOTED)), now_ms=60_000)
+    player.take(60_000 * MS)
+    assert player.missed == []
+    assert player.next_deadline_ns() == 60_000 * MS + PATIENCE
+
+
+def test_a_state_is_waited_for_by_its_value_and_what_came_instead_is_told():
+    def waiting():
+        return started(step(0, state(0, OPERATIONAL)), patience_ns=100 * MS)
+
+    player = waiting()
+    player.heard("can0", BOOTED, 10 * MS, False)
+    player.heard("can0", STOPPED, 20 * MS, False)
+    assert player.take(99 * MS) == []
+    assert len(player.take(100 * MS)) == 1
+    assert player.missed[0].instead == "last told: node 5 is stopped"
+    player = waiting()
+    player.take(100 * MS)
+    assert player.missed[0].instead == "it has told nothing of it"
+    player = waiting()
+    player.heard("can0", OPERATIONAL, 20 * MS, False)
+    assert len(player.take(20 * MS)) == 1
+    assert player.missed == []
+
+
+def test_what_was_told_twice_has_to_be_told_twice():
+    player = started(step(0, answer(0)), step(20, answer(12)))
+    player.heard("can0", ANSWERED, 1 * MS, False)
+    assert len(player.take(1 * MS)) == 1
+    assert player.take(500 * MS) == []
+    player.heard("can0", ANSWERED, 500 * MS, False)
+    assert len(player.take(508 * MS)) == 1
+
+
+def test_of_a_line_a_units_answer_is_waited_for_and_a_request_is_out_after_its_own_length():
+    player = started(
+        step(0, bus="rs485"), step(20, answer(12, "rs485"), bus="rs485"), lines=["rs485"]
+    )
+    player.take(3 * MS)
+    assert player.pairs == [(1 * MS, 4 * MS)]
+    player.answered("rs485", 6, 50 * MS)  # another unit
+    assert player.take(60 * MS) == []
+    player.answered("rs485", 5, 70 * MS)
+    assert player.take(78 * MS - 1) == []
+    assert len(player.take(78 * MS)) == 1
+
+
+@pytest.mark.parametrize(
+    ("speed", "due_ms"), [(1.0, [5, 105, 205, 305]), (2.0, [2.5, 52.5, 102.5])]
+)
+def test_the_hosts_heartbeat_waits_for_nothing_and_goes_on_until_all_is_sent(speed, due_ms):
+    beats = [step(5, is_free=True), step(105, is_free=True)]
+    player = started(*beats, step(400, answer(390)), speed=speed)
+    for due in due_ms:
+        assert player.next_deadline_ns() == due * MS
+        assert player.take(round(due * MS) - 1) == []
+        assert player.take(round(due * MS)) == [("can0", beats[0].frame)]
+    player.heard("can0", ANSWERED, 310 * MS, False)
+    assert step(400).frame in [frame for _, frame in player.take(330 * MS)]
+    assert (player.sent, player.next_deadline_ns()) == (1, None)
+    assert player.take(10_000 * MS) == []
+
+
+def test_a_heartbeat_that_came_once_comes_once():
+    player = started(step(5, is_free=True), step(400, answer(390)))
+    assert len(player.take(5 * MS)) == 1
+    assert player.take(1_000 * MS) == []

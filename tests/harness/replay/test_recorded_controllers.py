@@ -1,0 +1,265 @@
+"""A recorded node and a recorded unit as controllers, frame by frame."""
+
+import pytest
+
+from harness.replay.recorded_node import NO_DATA, RecordedNode
+from harness.replay.recorded_unit import RecordedUnit
+from tests.traces.test_tapes import MS, adu, cut, frame
+from traces.decode_canopen import CanopenDecoder
+from traces.modbus_tapes import modbus_tapes
+from traces.traffic import RTR, Frame, classic, remote
+
+BOOT = frame(0, 0x706, b"\0")
+READ, KIND = bytes.fromhex("4000100000000000"), bytes.fromhex("4300100092010200")
+READ_NAME = bytes.fromhex("4008100000000000")
+NAMED = (
+    bytes.fromhex("4108100009000000"),
+    b"\x00motorhi",
+    b"\x1bl!\0\0\0\0\0",
+)  # CiA 301: segments
+NEXT, LAST = bytes.fromhex("6000000000000000"), bytes.fromhex("7000000000000000")
+ABORT = bytes.fromhex("8008100000000405")
+
+
+def asked(data):
+    return classic(0x606, data)
+
+
+def node(*frames, boots=True):
+    """Node 6 out of these frames; started, and its boot-up taken."""
+    tape = cut(*([BOOT] if boots else []), *frames)[6]
+    made = RecordedNode(tape, CanopenDecoder(), 6)
+    made.start(0)
+    made.expire(0)
+    made.take_output()
+    return made
+
+
+def told(one, data, now_ms, wait_ms=5):
+    """What it sends within `wait_ms` of being told this: data, or what is left of it."""
+    one.receive(data, now_ms * MS)
+    one.expire((now_ms + wait_ms) * MS)
+    return [sent[8 : 8 + sent[4]] for sent in one.take_output()]
+
+
+def exchange(time_ms, request, response):
+    return frame(time_ms, 0x606, request), frame(time_ms + 1, 0x586, response)
+
+
+def name_upload(time_ms):
+    requests = (READ_NAME, NEXT, LAST)
+    both = zip(requests, NAMED, strict=True)
+    return [
+        one
+        for number, (request, response) in enumerate(both)
+        for one in exchange(time_ms + 2 * number, request, response)
+    ]
+
+
+def test_an_answer_begins_so_much_earlier_as_it_is_long():
+    """Complete 1 ms behind its request: at 1 Mbit/s it began a frame of 8 bytes before that."""
+    one = node(*exchange(10, READ, KIND))
+    one.receive(asked(READ), 100 * MS)
+    begins_ns = one.next_deadline_ns()
+    # ISO 11898-1: 47 bits and 64 of data less 3 of intermission, and at most 24 stuffed ones.
+    assert 101 * MS - 132_000 <= begins_ns <= 101 * MS - 108_000
+
+
+def test_a_segmented_upload_goes_turn_by_turn():
+    one = node(*name_upload(10))
+    got = [told(one, asked(data), ms) for ms, data in ((10, READ_NAME), (20, NEXT), (30, LAST))]
+    assert got == [[data] for data in NAMED]
+
+
+def test_a_transfer_that_is_given_up_is_not_gone_on_with():
+    one = node(*name_upload(10), *exchange(50, READ, KIND))
+    assert told(one, asked(READ_NAME), 100) == [NAMED[0]]
+    one.receive(asked(NEXT), 110 * MS)
+    assert told(one, asked(ABORT), 110) == []  # nor is the segment sent that was on its way
+    assert told(one, asked(LAST), 130)[0][:1] == b"\x80"  # there is no transfer to go on with
+    assert told(one, asked(READ), 140) == [KIND]
+    assert told(one, asked(READ_NAME), 150) == [NAMED[0]]
+
+
+def test_a_reset_ends_a_transfer():
+    one = node(*name_upload(10), frame(40, 0x000, b"\x81\x06"))
+    assert told(one, asked(READ_NAME), 100) == [NAMED[0]]
+    told(one, classic(0x000, b"\x81\x06"), 110)
+    assert told(one, asked(NEXT), 120)[0][:1] == b"\x80"
+
+
+def test_what_is_not_recorded_is_aborted_with_no_data_available_and_told_once():
+    one = node(*exchange(10, READ, KIND))
+    request = bytes.fromhex("4018100100000000")
+    assert told(one, asked(request), 100) == [bytes.fromhex("8018100124000008")]
+    assert NO_DATA == 0x0800_0024
+    ((level, text),) = one.take_events()
+    assert (level, one.snapshot(0)["mismatches"]) == ("error", 1.0)
+    assert "the recording cannot answer" in text
+    assert one.take_events() == []
+
+
+@pytest.mark.parametrize(
+    "request_", ["a0080000 00000000", "c0080000 00000000"], ids=["block upload", "block download"]
+)
+def test_a_block_transfer_begins_as_any_other_does(request_):
+    """CiA 301: initiate block upload (ccs 5, cs 0), block download (ccs 6, cs 0) of 1008h."""
+    begins = bytes.fromhex(request_[:2] + "081000" + "7f000000")
+    answered = bytes.fromhex("c0081000 09000000")
+    one = node(*exchange(10, begins, answered))
+    assert told(one, asked(begins), 100) == [answered]
+
+
+@pytest.mark.parametrize(
+    ("data", "is_told"),
+    [
+        (b"\x80\x06", True),
+        (b"\x80\x00", True),
+        (b"\x80\x05", False),
+        (b"\x80", False),
+        (b"", False),
+    ],
+)
+def test_an_nmt_command_is_for_the_node_it_names_or_all(data, is_told):
+    one = node()
+    one.receive(classic(0x000, data), 10 * MS)
+    assert len(one.take_events()) == is_told
+
+
+def test_a_set_point_that_cannot_be_answered_is_told_once_however_often_it_comes():
+    one = node(frame(10, 0x206, b"\x0f"))
+    for ms in (100, 120, 140):
+        one.receive(classic(0x206, b"\x1f"), ms * MS)
+    ((_, text),) = one.take_events()
+    assert "expected, as at 0.010000 s of it: " in text
+    assert not text.endswith(": ")
+    one.receive(classic(0x206, b"\x0f"), 160 * MS)
+    assert one.take_events() == []
+    assert one.snapshot(0) == {"matched": 1.0, "mismatches": 1.0}
+
+
+def test_behind_a_reset_a_set_point_tells_something_again():
+    beat = b"\x05"
+    one = node(
+        frame(10, 0x206, b"\x0f"),
+        frame(20, 0x000, b"\x81\x06"),
+        frame(30, 0x206, b"\x0f"),
+        frame(31, 0x706, beat),
+    )
+    one.receive(classic(0x206, b"\x0f"), 10 * MS)
+    one.receive(classic(0x000, b"\x81\x06"), 20 * MS)
+    assert told(one, classic(0x206, b"\x0f"), 30) == [beat]
+    assert one.snapshot(0)["matched"] == 3.0
+
+
+def test_a_sync_fires_once_what_it_fired_and_only_asks_otherwise():
+    """As recorded: the TPDO of type 1 answers each SYNC, the heartbeat came of the first."""
+    typed = exchange(1, bytes.fromhex("2f001802 01000000"), bytes.fromhex("60001802 00000000"))
+    one = node(
+        *typed,
+        frame(10, 0x206, b"\x0f"),
+        frame(20, 0x080),
+        frame(21, 0x186, b"\1"),
+        frame(25, 0x706, b"\x05"),
+        frame(40, 0x080),
+        frame(41, 0x186, b"\2"),
+    )
+    told(one, asked(bytes.fromhex("2f00180201000000")), 1)
+    told(one, classic(0x206, b"\x0f"), 10)
+    got = [told(one, classic(0x080, b""), ms, 10) for ms in (100, 200, 300)]
+    assert got == [[b"\1", b"\x05"], [b"\2"], [b"\2"]]
+    assert one.snapshot(0) == {"matched": 3.0, "mismatches": 0.0}
+
+
+def test_a_sync_that_came_again_without_a_set_point_is_answered_as_the_one_that_fired():
+    typed = exchange(1, bytes.fromhex("2f001802 01000000"), bytes.fromhex("60001802 00000000"))
+    one = node(*typed, frame(10, 0x206, b"\x0f"), frame(20, 0x080), frame(21, 0x186, b"\1"))
+    told(one, asked(bytes.fromhex("2f00180201000000")), 1)
+    told(one, classic(0x206, b"\x0f"), 10)
+    assert [told(one, classic(0x080, b""), ms) for ms in (100, 200)] == [[b"\1"], [b"\1"]]
+
+
+def test_a_remote_frame_is_answered_and_listened_for():
+    one = node(
+        Frame(10 * MS, "can0", remote(0x186, 1)),
+        frame(11, 0x186, b"\1"),
+        frame(20, 0x206, b"\x0f"),
+    )
+    set_points = {0x206, 0x306, 0x406, 0x506}  # those of the pre-defined connection set, too
+    assert one.identifiers() == sorted({0x000, 0x080, 0x606, *set_points, RTR | 0x186})
+    assert told(one, remote(0x186, 1), 100) == [b"\1"]
+
+
+WRITE, ASK = bytes.fromhex("0600010003"), bytes.fromhex("03006B0001")
+
+
+def with_crc(data):
+    """MODBUS over Serial Line V1.02, section 6.2.2, bit by bit."""
+    crc = 0xFFFF
+    for byte in data:
+        crc ^= byte
+        for _ in range(8):
+            crc = crc >> 1 ^ (0xA001 if crc & 1 else 0)
+    return data + crc.to_bytes(2, "little")
+
+
+@pytest.fixture
+def unit():
+    tape = modbus_tapes(
+        "rs485",
+        [
+            adu(1, ASK),
+            adu(4, bytes.fromhex("0302022B"), to_server=False),
+            adu(10, WRITE, unit=0),
+            adu(20, WRITE),
+            adu(23, WRITE, to_server=False),
+            adu(30, b"\x07"),
+            adu(33, b"\x07\x6d", to_server=False),
+        ],
+        0,
+    )[1]
+    made = RecordedUnit(tape, 1)
+    made.start(0)
+    return made
+
+
+def answer(unit, frame_, now_ms=100):
+    unit.receive(frame_, now_ms * MS)
+    unit.expire((now_ms + 10) * MS)
+    return list(unit.take_output())
+
+
+def test_a_request_to_the_unit_is_answered_with_its_check_sum(unit):
+    assert answer(unit, with_crc(b"\1" + ASK)) == [with_crc(bytes.fromhex("010302022B"))]
+    assert unit.take_events() == []
+
+
+def test_the_shortest_request_there_is_has_four_bytes(unit):
+    answer(unit, with_crc(b"\0" + WRITE), 50)
+    answer(unit, with_crc(b"\1" + WRITE), 70)
+    assert answer(unit, with_crc(b"\1\7")) == [with_crc(b"\1\7\x6d")]
+
+
+@pytest.mark.parametrize(
+    "spoiled", [b"", b"\xff\xff", with_crc(b"\1"), with_crc(b"\1" + ASK)[:-1] + b"\0", b"\2" + ASK]
+)
+def test_what_is_spoiled_is_not_answered_and_not_told(unit, spoiled):
+    assert (answer(unit, spoiled), unit.take_events()) == ([], [])
+    assert answer(unit, with_crc(b"\2" + ASK)) == []
+
+
+def test_a_broadcast_is_taken_and_not_answered(unit):
+    assert answer(unit, with_crc(b"\0" + WRITE)) == []
+    assert unit.snapshot(0)["matched"] == 1.0
+    assert answer(unit, with_crc(b"\0" + WRITE), 150) == []  # recorded to the unit alone
+    assert unit.snapshot(0)["matched"] == 2.0
+    unknown = with_crc(b"\0" + WRITE[:-1] + b"\4")
+    assert answer(unit, unknown, 200) == []  # no exception either, but it is told
+    assert len(unit.take_events()) == 1
+
+
+def test_a_request_that_is_not_recorded_is_refused_as_a_failure_of_the_device(unit):
+    """MODBUS Application Protocol V1.1b3, section 7: function code and 80h, exception 04h."""
+    refused = with_crc(bytes.fromhex("018604"))
+    assert answer(unit, with_crc(b"\1" + WRITE[:-1] + b"\4")) == [refused]
+    assert unit.snapshot(0)["mismatches"] == 1.0

@@ -1,0 +1,124 @@
+"""The buses of the wall's world that a recorded host drives, and the record of what is there."""
+
+from threading import Event
+from uuid import uuid4
+
+import can
+import pytest
+
+from harness.recording.places import PlaceError, parse_place, places_of_buses
+from harness.replay.real_buses import DrivenBuses
+from tests.golden import golden
+from traces.reader import read_trace
+from traces.records import MAGIC
+from traces.schema import Direction
+from traces.traffic import Findings, classic
+from traces.traffic_mcap import recorded_frames
+
+pytestmark = pytest.mark.wall
+
+
+class Hearing:
+    """Stands where the player does; `then` is what it does with a frame."""
+
+    def __init__(self, then=lambda: None):
+        self.frames = []
+        self.has_heard = Event()
+        self.then = then
+
+    def heard(self, bus, frame, now_ns, transmitted):
+        self.frames.append((bus, frame, transmitted))
+        self.has_heard.set()
+        self.then()
+
+
+@pytest.fixture
+def channel():
+    return f"test-{uuid4()}"
+
+
+@pytest.fixture
+def peer(channel):
+    with can.Bus(interface="virtual", channel=channel) as bus:
+        yield bus
+
+
+def opened(channel, live, recording, bitrate_bit_s=None):
+    return DrivenBuses({"can0": parse_place(f"virtual:{channel}")}, bitrate_bit_s, live, recording)
+
+
+def told(data):
+    return can.Message(arbitration_id=0x185, data=data, is_extended_id=False)
+
+
+def test_what_is_sent_and_heard_is_recorded_with_whose_it_is(channel, peer, tmp_path):
+    live = tmp_path / "live.mcap"
+    with golden("cia402") as path, opened(channel, live, path) as driven:
+        hearing = Hearing()
+        driven.listen("can0", hearing)
+        driven.send("can0", classic(0x205, b"\x0f"))
+        assert peer.recv(10.0).arbitration_id == 0x205
+        driven.runtime.wait_until(hearing.has_heard.is_set, 10.0)
+        hearing.has_heard.clear()
+        peer.send(told(b"\x37"))
+        driven.runtime.wait_until(hearing.has_heard.is_set, 10.0)
+    ours, theirs = classic(0x205, b"\x0f"), classic(0x185, b"\x37")
+    assert hearing.frames == [("can0", ours, True), ("can0", theirs, False)]
+    with read_trace(live) as trace, golden("cia402") as path, read_trace(path) as before:
+        assert [(one.frame, one.direction) for one in recorded_frames(trace, Findings())] == [
+            (ours, Direction.TRANSMITTED),
+            (theirs, Direction.RECEIVED),
+        ]
+        assert [one.name for one in trace.attachments] == [one.name for one in before.attachments]
+        assert before.attachments
+
+
+def test_the_record_is_complete_only_when_nobody_hears_any_more(channel, peer, tmp_path):
+    """What comes while all is closed would else be told as a recording that is closed."""
+    live = tmp_path / "live.mcap"
+    is_leaving = Event()
+    completed = []
+
+    def stay():
+        is_leaving.wait(10.0)
+        Event().wait(0.2)  # in good order nothing comes of it
+        completed.append(live.read_bytes().endswith(MAGIC) and live.stat().st_size > len(MAGIC))
+
+    with golden("cia402") as path, opened(channel, live, path) as driven:
+        hearing = Hearing(stay)
+        driven.listen("can0", hearing)
+        peer.send(told(b"\x37"))
+        assert hearing.has_heard.wait(10.0)
+        is_leaving.set()
+    assert completed == [False]
+    assert live.read_bytes().endswith(MAGIC)
+
+
+@pytest.mark.parametrize(
+    ("bitrate_bit_s", "bit_ns"), [(None, 1_000), (125_000, 8_000), (500_000, 2_000)]
+)
+def test_how_long_a_bit_is_the_bit_rate_tells(channel, tmp_path, bitrate_bit_s, bit_ns):
+    with (
+        golden("cia402") as path,
+        opened(channel, tmp_path / "live.mcap", path, bitrate_bit_s) as driven,
+    ):
+        assert driven.bit_ns("can0") == bit_ns
+
+
+def test_places_are_for_the_bus_that_they_name_and_the_only_bus_needs_no_name():
+    two = places_of_buses(["can1=vcan3", "can0=./hub"], ["can0", "can1"])
+    assert {bus: place.channel for bus, place in two.items()} == {"can1": "vcan3", "can0": "./hub"}
+    assert places_of_buses(["vcan3"], ["can0"])["can0"].channel == "vcan3"
+
+
+@pytest.mark.parametrize(
+    ("texts", "why"),
+    [
+        (["vcan3"], "there are frames of can0, can1; write --on can0=WHERE"),
+        (["can7=vcan3"], "there are frames of can0, can1; write --on can0=WHERE"),
+        (["can0=vcan3", "can0=vcan4"], "--on can0=vcan4: can0 is sent elsewhere already"),
+    ],
+)
+def test_a_place_for_no_bus_or_a_second_one_is_refused(texts, why):
+    with pytest.raises(PlaceError, match=why):
+        places_of_buses(texts, ["can0", "can1"])
