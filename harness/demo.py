@@ -10,13 +10,12 @@ import math
 import shlex
 import sys
 import time
-import tomllib
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final, final
+from typing import TYPE_CHECKING, Final, final
 
 from emulators.line_segment import SerialSegment
+from harness.demo_eds import with_eds
 from harness.demo_mast import MASTS, with_modbus_mast
 from harness.exit_status import FAILED, PASSED, WRONG_USAGE
 from harness.scaffold import EXAMPLES
@@ -34,7 +33,6 @@ RIGS: Final = ("rover", "rocky8", "fido")
 RIG: Final = EXAMPLES / "rover.toml"
 POINT_M: Final = (6.0, 1.5, 0.4)
 SAMPLE_NS: Final = 20_000_000
-INCREMENTS_PER_TURN: Final = 2000  # of the motors in RIG
 PEAK_WINDOW_NS: Final = 100_000_000
 ERROR_MAX_RAD: Final = 0.002  # a motor that ends further off has not done its job
 
@@ -104,7 +102,8 @@ def run(options: argparse.Namespace) -> int:
     description = read_rig(rig_file, known)
     if options.mast == "modbus":
         description = with_modbus_mast(description, known)
-    description = _with_eds(description, options.eds)
+    if options.eds:
+        description = with_eds(description, options.eds, known)
     if options.against is not None:
         description = _against(description, options)
     _make_folder(options.output.parent)
@@ -214,51 +213,6 @@ def _make_folder(folder: Path) -> None:
     except OSError as error:
         reason = error.strerror or str(error)
         raise RigError(folder, f"cannot be made: {reason}", "record elsewhere with -o") from None
-
-
-def _with_eds(description: "RigDescription", files: Sequence[Path]) -> "RigDescription":
-    """The rig with these files dealt out: one each to wheels, steering and mast, in turn.
-
-    Drives and motor models are told one set of units, whatever a file says: increments, and rpm of
-    the motor, which is what most vendors mean by limits such as 607Fh.
-    """
-    if not files:
-        return description
-    for file in files:
-        if not file.is_file():
-            raise RigError(file, "no such EDS file", "check the path given with --eds")
-    if any(controller.kind != "cia402" for controller in description.controllers.values()):
-        raise RigError(description.source.path, "has no drives", "use --eds with another --rig")
-    kinds = list(dict.fromkeys(name.split("_")[0] for name in description.controllers))
-    given = {kind: files[place % len(files)] for place, kind in enumerate(kinds)}
-    unit_inc_s = INCREMENTS_PER_TURN / 60.0
-    controllers = {
-        name: replace(
-            controller,
-            settings={
-                **controller.settings,
-                "eds": str(given[name.split("_")[0]].absolute()),
-                "units": {
-                    "position_unit_inc": 1.0,
-                    "velocity_unit_inc_s": unit_inc_s,
-                    "acceleration_unit_inc_s2": unit_inc_s,
-                },
-            },
-        )
-        for name, controller in description.controllers.items()
-    }
-    motors = {
-        name: replace(motor, model=_model_in_rpm(motor.model, unit_inc_s))
-        for name, motor in description.motors.items()
-    }
-    return replace(description, controllers=controllers, motors=motors)
-
-
-def _model_in_rpm(model: Path | Mapping[str, Any], unit_inc_s: float) -> dict[str, Any]:
-    """The same motor model (a TOML table, hence Any) for a drive that counts in rpm."""
-    table = tomllib.loads(model.read_text("utf-8")) if isinstance(model, Path) else dict(model)
-    unit_rad_s = unit_inc_s / table["increments_per_rad"]
-    return {**table, "velocity_unit_rad_s": unit_rad_s, "acceleration_unit_rad_s2": unit_rad_s}
 
 
 @final

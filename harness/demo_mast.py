@@ -1,10 +1,10 @@
 """The demo's mast on Modbus: two PR-mode drives on a serial line, in place of those on CAN."""
 
-import re
 from typing import TYPE_CHECKING, Final
 
 from harness.rig_file import Known, parse_rig
 from harness.settings import RigError, Source
+from harness.toml_text import with_table
 
 if TYPE_CHECKING:
     from harness.rig_file import RigDescription
@@ -36,21 +36,7 @@ def with_modbus_mast(description: "RigDescription", known: Known) -> "RigDescrip
             problem = f"{name} is no drive of its own"
             raise RigError(path, problem, "use --mast with --rig rover")
         drive = f'kind = "leadshine_pr"\nbus = "{LINE}"\nunit = {unit}\n'
-        text = _with_table(text, f"controller.{name}", drive)
-        text = _with_table(text, f"motor.{name}", 'adaptation = "leadshine"\n')
+        text = with_table(text, f"controller.{name}", drive, _ON_CAN)
+        text = with_table(text, f"motor.{name}", 'adaptation = "leadshine"\n', _ON_CAN)
     source = Source(path, text + _LINE)
     return parse_rig(source, known)
-
-
-def _with_table(text: str, table: str, lines: str) -> str:
-    """The text with these lines in that table, in place of what it says of a drive on CAN."""
-    head = f"[{table}]\n"
-    before, _, rest = text.partition(head)
-    end = re.search(r"^\[", rest, re.MULTILINE)
-    body, behind = (rest[: end.start()], rest[end.start() :]) if end else (rest, "")
-    kept = [
-        line
-        for line in body.splitlines(keepends=True)
-        if line.partition("=")[0].strip() not in _ON_CAN
-    ]
-    return before + head + lines + "".join(kept) + behind

@@ -365,7 +365,11 @@ def describe(path: Path) -> RigDescription:
     from harness.replay.recorded_rig import is_recording, rig_in
 
     known = installed_plugins()
-    return rig_in(path, known) if is_recording(path) else read_rig(path, known)
+    if is_recording(path):
+        return rig_in(path, known)
+    if path.suffix == ".mcap" and path.exists():
+        raise RigError(path, "is no recording (MCAP)", "give a recording, or a rig file (TOML)")
+    return read_rig(path, known)
 
 
 def installed_plugins() -> Known:

@@ -27,11 +27,13 @@ class RecordedTapes:
         tapes: by bus or line, and node-ID or unit.
         decoders: of CAN buses, by name; they have seen the whole recording.
         tcp: the lines that are Modbus/TCP.
+        cut: where the recording ends too early, in words; "": it is whole.
     """
 
     tapes: dict[tuple[str, int], Tape]
     decoders: dict[str, CanopenDecoder]
     tcp: frozenset[str] = frozenset()
+    cut: str = ""
 
 
 def tapes_of(trace: Trace, any_set_point: bool = False) -> RecordedTapes:
@@ -77,7 +79,9 @@ def tapes_of(trace: Trace, any_set_point: bool = False) -> RecordedTapes:
         units = modbus_tapes(line, adus, begin_ns)
         found |= {(line, unit): tape for unit, tape in units.items()}
     tcp = frozenset(line for line, adus in lines.items() if any(one.is_tcp for one in adus))
-    return RecordedTapes(found, {bus: cutter.decoder for bus, cutter in buses.items()}, tcp)
+    decoders = {bus: cutter.decoder for bus, cutter in buses.items()}
+    cut = "" if trace.cut is None else str(trace.cut)
+    return RecordedTapes(found, decoders, tcp, cut)
 
 
 def _cutter(bus: str, begin_ns: int, names: RecordedNames, any_set_point: bool) -> CanopenTapes:

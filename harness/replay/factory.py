@@ -56,10 +56,13 @@ def build(settings: Mapping[str, object], context: ControllerContext) -> Control
     if is_unit and "recorded_unit" in settings:  # on TCP servers may be 0 or 255
         recorded = whole(settings["recorded_unit"], ("recorded_unit",), 0, _BYTE_MAX)
     tape = _tape(path, found, settings.get("recorded_bus"), recorded, is_unit)
+    note = ""
+    if found.cut and tape is next(iter(found.tapes.values())):  # told once
+        note = f"{path} is {found.cut}; commands behind that are not in it"
     if is_unit:
-        return RecordedUnit(tape, number)
+        return RecordedUnit(tape, number, note)
     rate = whole(settings.get("bitrate_bit_s", _RATE_MAX), ("bitrate_bit_s",), 1000, _RATE_MAX)
-    return RecordedNode(tape, found.decoders[tape.bus], number, 1_000_000_000 // rate)
+    return RecordedNode(tape, found.decoders[tape.bus], number, 1_000_000_000 // rate, note)
 
 
 build.bus_kinds = BUS_KINDS  # type: ignore[attr-defined]  # how a plugin says where it can be

@@ -45,13 +45,19 @@ class RecordedNode:
         decoder: that has seen the recording; what came is told in its words.
         node_id: on this bus, as in the recording.
         bit_ns: of the bus [ns]; recorded frames began so much before they were complete.
+        note: what is to be known of the recording; it is told at power-on.
 
     Attributes:
         player: what was found, and what was not.
     """
 
     def __init__(
-        self, tape: Tape, decoder: CanopenDecoder, node_id: int, bit_ns: int = 1000
+        self,
+        tape: Tape,
+        decoder: CanopenDecoder,
+        node_id: int,
+        bit_ns: int = 1000,
+        note: str = "",
     ) -> None:
         self.player: Final = TapePlayer(_with_durations(tape, bit_ns))
         self.node_id: Final = node_id
@@ -66,7 +72,7 @@ class RecordedNode:
         self._toggles = _toggles(tape, node_id)
         self._toggle: int | None = None  # of its last answer to node guarding
         self._output: list[bytes] = []
-        self._events: list[tuple[str, str]] = []
+        self._events: list[tuple[str, str]] = [("warning", note)] if note else []
 
     # ------------------------------------------------------------------------- Controller
 

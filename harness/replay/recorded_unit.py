@@ -33,11 +33,11 @@ class RecordedUnit:
         player: what was found, and what was not.
     """
 
-    def __init__(self, tape: Tape, unit: int) -> None:
+    def __init__(self, tape: Tape, unit: int, note: str = "") -> None:
         self.player: Final = TapePlayer(tape)
         self.unit: Final = unit
         self._output: list[bytes] = []
-        self._events: list[tuple[str, str]] = []
+        self._events: list[tuple[str, str]] = [("warning", note)] if note else []
 
     def start(self, now_ns: int) -> None:
         """The recording begins."""

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Final
 
 from harness.exit_status import FAILED, INTERRUPTED, PASSED, WRONG_USAGE
 from harness.settings import RigError
+from traces.traffic import Findings
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
@@ -21,6 +22,7 @@ if TYPE_CHECKING:
 
 _NS: Final = 1_000_000_000
 _TELL_NS: Final = 250_000_000
+_SHOWN: Final = 3
 
 
 def run(options: argparse.Namespace) -> int:
@@ -34,7 +36,10 @@ def run(options: argparse.Namespace) -> int:
     from harness.replay.traffic import SendError, TrafficReplay, refuse_long, survey
 
     choice = _choice(options)
-    found = survey(_frames(options, choice))
+    findings = Findings()
+    found = survey(_frames(options, choice, findings))
+    for _, problem in findings.problems[:_SHOWN]:
+        print(f"{options.file}: {problem}", file=sys.stderr)
     if not found.frames:
         raise RigError(options.file, "holds no CAN frame to send", "choose others, or none")
     with ExitStack() as cleanup:
@@ -79,13 +84,14 @@ def _choice(options: argparse.Namespace) -> "Choice":
     )
 
 
-def _frames(options: argparse.Namespace, choice: "Choice") -> "Iterator[Frame]":
+def _frames(
+    options: argparse.Namespace, choice: "Choice", findings: Findings | None = None
+) -> "Iterator[Frame]":
     from traces.reader import read_trace
-    from traces.traffic import Findings
     from traces.traffic_mcap import recorded_frames
 
     with read_trace(options.file) as trace:
-        yield from choice.of(recorded_frames(trace, Findings()))
+        yield from choice.of(recorded_frames(trace, findings or Findings()))
 
 
 def _open(

@@ -18,6 +18,22 @@ _MODES: Final = {
 }
 
 
+_OF_MODES: Final = {
+    "SCRIPT": ("script", ("device",)),
+    "--on": ("on", ("host", "traffic")),
+    "--bitrate": ("bitrate", ("host", "traffic")),
+    "--speed": ("speed", ("host", "traffic")),
+    "--json": ("json", ("host", "traffic")),
+    "--reset": ("reset", ("host",)),
+    "--all": ("all", ("host",)),
+    "--bus": ("bus", ("traffic",)),
+    "--id": ("id", ("traffic",)),
+    "--node": ("node", ("traffic",)),
+    "--from": ("from_ns", ("traffic",)),
+    "--to": ("to_ns", ("traffic",)),
+    "--fd": ("fd", ("traffic",)),
+}
+"""Where an option is kept, and which modes do anything with it; others all do."""
 _FACTOR: Final = real(1e-3, 1e6)
 
 
@@ -119,6 +135,15 @@ def run(options: argparse.Namespace) -> int:
 
     if options.mode != "traffic" and options.speed == math.inf:
         print("motorhil replay: --speed max is for --as traffic; say a number", file=sys.stderr)
+        return WRONG_USAGE
+    idle = [
+        word
+        for word, (name, modes) in _OF_MODES.items()
+        if options.mode not in modes and getattr(options, name)
+    ]
+    if idle:
+        told = f"{', '.join(idle)}: not of --as {options.mode}"
+        print(f"motorhil replay: {told}; leave out what it does not do", file=sys.stderr)
         return WRONG_USAGE
     if options.output is not None:
         refuse_source(options.file, options.output)

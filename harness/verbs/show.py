@@ -74,11 +74,16 @@ def run(options: argparse.Namespace) -> int:
         lines = story.lines(from_ns, options.to_ns)
         if options.follow:
             lines = followed(trace, story, from_ns, options.to_ns, _wait)
+        told = seen = 0
         with suppress(KeyboardInterrupt) if options.follow else nullcontext():
             for line in lines:
+                seen += 1
                 if wanted.takes(line):
+                    told += 1
                     print(json.dumps(facts_of(line)) if options.json else text_of(line))
         _warn(trace)
+        if not told:
+            print(f"motorhil show: {trace.path}: {_nothing(trace, seen)}", file=sys.stderr)
         for name in options.motor or ():
             if name not in wanted.met:
                 print(f"motorhil show: nothing was told of a motor {name}", file=sys.stderr)
@@ -211,6 +216,14 @@ class _Filter:
                 self._known[key] = fact.value
                 news = True
         return news
+
+
+def _nothing(trace: Trace, seen: int) -> str:
+    """Why no line was told."""
+    if seen:
+        return f"none of {seen} lines is what was asked for"
+    topics = ", ".join(sorted({channel.topic for channel in trace.channels.values()}))
+    return f"holds nothing to tell at that time; its topics: {topics or 'none'}"
 
 
 def _warn(trace: Trace) -> None:

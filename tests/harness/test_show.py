@@ -155,3 +155,10 @@ def test_the_command_line_knows_it(capsys, recording, tmp_path):
     (tmp_path / "none.mcap").write_bytes(b"candump?")
     assert main(["show", str(tmp_path / "none.mcap")]) == 2
     assert "no MCAP file" in capsys.readouterr().err
+
+
+def test_that_there_is_nothing_to_tell_is_told_and_why(capsys, recording, tmp_path):
+    assert main(["show", str(recording), "--motor", "nobody", "--id", "7FF", "--bus", "can9"]) == 0
+    out, err = capsys.readouterr()
+    assert out == ""
+    assert "lines is what was asked for" in err

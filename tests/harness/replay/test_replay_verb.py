@@ -223,3 +223,53 @@ def test_devices_out_of_somebody_elses_recording_answer(tmp_path, say, monkeypat
     Path("ask.py").write_text(CAN_SCRIPT)
     status, out, err = say("replay", "amr.mcap", "--as", "device", "ask.py")
     assert (status, out) == (0, "4300100000000000\n"), err  # its line 5
+
+
+@pytest.mark.parametrize(
+    ("words", "told"),
+    [
+        (("--as", "device", "--on", "vcan0"), "--on: not of --as device"),
+        (("--as", "device", "--speed", "2", "--json"), "--speed, --json: not of --as device"),
+        (("--as", "host", "move.py"), "SCRIPT: not of --as host"),
+        (("--as", "traffic", "--reset"), "--reset: not of --as traffic"),
+        (("--as", "host", "--node", "3"), "--node: not of --as host"),
+    ],
+)
+def test_an_option_that_would_do_nothing_is_refused(folder, say, words, told):
+    status, out, err = say("replay", "bench.mcap", *words)
+    assert (status, out) == (2, "")
+    assert told in err
+
+
+def test_that_a_recording_is_cut_is_told_before_its_devices_fall_silent(folder, say):
+    whole = (folder / "bench.mcap").read_bytes()
+    (folder / "cut.mcap").write_bytes(whole[: len(whole) // 3])
+    _, _, err = say("run", "cut.mcap", program(folder, 1.0))
+    (line,) = [line for line in err.splitlines() if "cut at byte" in line]
+    assert "commands behind that are not in it" in line
+
+
+def test_a_file_that_is_called_a_recording_and_is_none_is_not_read_as_a_rig(folder, say):
+    (folder / "empty.mcap").write_bytes(b"")
+    status, out, err = say("check", "empty.mcap")
+    assert (status, out) == (2, "")
+    assert "empty.mcap: is no recording (MCAP); give a recording, or a rig file" in err
+
+
+def test_a_record_of_vendors_drives_holds_the_rig_that_ran(tmp_path, say, monkeypatch, shared):
+    """The recorded host drives drives with the same EDS file to the same."""
+    monkeypatch.chdir(tmp_path)
+    eds = shared / "data" / "eds" / "technosoft_ipos.eds"
+    assert say("demo", "--eds", str(eds), "-o", "e.mcap")[0] == 0
+    status, out, _ = say("replay", "e.mcap", "--as", "host")
+    assert status == 0
+    assert "0 differences, 0 times waited in vain" in out
+
+
+def test_that_traffic_is_cut_is_told(folder, say):
+    whole = (folder / "bench.mcap").read_bytes()
+    (folder / "cut.mcap").write_bytes(whole[: len(whole) // 3])
+    rig = other_rig(folder, ("node_id = 2", "node_id = 2"))
+    status, _, err = say("replay", "cut.mcap", "--as", "traffic", "--rig", rig)
+    assert status == 0
+    assert "cut at byte" in err
