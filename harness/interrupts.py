@@ -10,6 +10,27 @@ if TYPE_CHECKING:
     from harness.virtual_time import VirtualRuntime
 
 
+_TERMINATED = 128 + signal.SIGTERM
+
+
+@contextmanager
+def ends_by_signal() -> Iterator[None]:
+    """Within it, SIGTERM ends the program as Ctrl-C does, by way of what cleans up behind it."""
+
+    def handle(number: int, frame: FrameType | None) -> None:
+        raise SystemExit(_TERMINATED)
+
+    try:
+        before = signal.signal(signal.SIGTERM, handle)
+    except ValueError:  # another thread than the main one
+        yield
+        return
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGTERM, before)
+
+
 @contextmanager
 def interrupts_between_events(runtime: "VirtualRuntime") -> Iterator[None]:
     """Within it, Ctrl-C lets the event that runs come to its end; a second one does not.

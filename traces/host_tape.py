@@ -113,12 +113,16 @@ class HostCutter:
 
     Args:
         listener: that hears the recording.
-        length_ns: how long a frame is on a CAN bus [ns].
+        length_ns: how long a frame is on a CAN bus [ns]; ValueError: it cannot be on one.
+
+    Attributes:
+        unsent: how many frames of the host cannot be sent again.
     """
 
     def __init__(self, listener: Listener, length_ns: Callable[[str, bytes], int]) -> None:
         self._listener = listener
         self._length_ns = length_ns
+        self.unsent = 0
         self._sent: list[HostStep] = []
         self._told: list[Told] = []
 
@@ -132,7 +136,11 @@ class HostCutter:
         if not is_hosts:
             self._told += self._listener.told(time_ns, bus, said)
         elif not int.from_bytes(frame[:4], "little") & ERR:
-            start_ns = time_ns - self._length_ns(bus, frame)
+            try:
+                start_ns = time_ns - self._length_ns(bus, frame)
+            except ValueError:  # CAN FD, or no frame that a node could send
+                self.unsent += 1
+                return
             free = said.kind in (Kind.HEARTBEAT, Kind.BOOT)
             self._sent.append(HostStep(start_ns, time_ns, bus, frame, said.text, is_free=free))
 

@@ -1,7 +1,7 @@
 """The host of a recording: all that it sent, on all buses and lines."""
 
 from collections.abc import Callable
-from typing import Final
+from typing import Final, NamedTuple, final
 
 from traces.decode_modbus import ModbusDecoder
 from traces.frame_decoder import FrameDecoder
@@ -15,15 +15,23 @@ _RTU_REST: Final = 2
 _OBJECTS_AT: Final = 8
 
 
+@final
+class RecordedHost(NamedTuple):
+    """What a host sent, in order; and how many of its frames no classical bus can carry."""
+
+    steps: list[HostStep]
+    unsent: int
+
+
 def host_of(
     trace: Trace, listener: Listener, length_ns: Callable[[str, bytes], int]
-) -> list[HostStep]:
-    """What the host sent, in order; of a cut recording, as far as it goes.
+) -> RecordedHost:
+    """What the host sent; of a cut recording, as far as it goes.
 
     Args:
         trace: the recording.
         listener: that hears it.
-        length_ns: how long a frame is on a CAN bus [ns].
+        length_ns: how long a frame is on a CAN bus [ns]; ValueError: it cannot be on one.
 
     Raises:
         TraceError: the recording is damaged.
@@ -47,7 +55,7 @@ def host_of(
                     cutter.take_adu(start_ns, place, data, adu, text)
         except ValueError:  # a message that is none tells nothing
             continue
-    return cutter.steps()
+    return RecordedHost(cutter.steps(), cutter.unsent)
 
 
 def answer_size(data: bytes, tcp: bool) -> int | None:

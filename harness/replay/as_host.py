@@ -76,7 +76,7 @@ def drive(
         return length_bits(frame) * bits_ns.get(bus, 1000)
 
     with read_trace(recording) as trace:
-        steps = host_of(trace, Listener({}), length_ns)
+        steps, unsent = host_of(trace, Listener({}), length_ns)
         first_ns, end_ns = trace.span_ns() or (0, 0)
         begin_ns = 0 if "run" in trace.metadata else first_ns
     if not steps:
@@ -92,6 +92,7 @@ def drive(
             )
             raise RigError(recording, problem, f"it has {known}")
     player = HostPlayer(steps, Listener({}), begin_ns, lines, speed, patience_ns)
+    player.unsent = unsent
     runtime = driven.runtime
     for bus in (one for one in used if reset and one in buses):
         driven.send(bus, _RESET_ALL)  # before anybody listens: what was told before is no answer

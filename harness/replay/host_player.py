@@ -74,6 +74,7 @@ class HostPlayer:
 
     Attributes:
         sent: how many frames were sent, without heartbeats.
+        unsent: how many frames of the recorded host cannot be sent (CAN FD, malformed).
         missed: what was waited for in vain.
         pairs: (time in the recording, live time) of frames that were on their bus [ns].
     """
@@ -88,6 +89,7 @@ class HostPlayer:
         patience_ns: int = PATIENCE_NS,
     ) -> None:
         self.sent = 0
+        self.unsent = 0
         self.missed: list[Missed] = []
         self.pairs: list[tuple[int, int]] = []
         self._steps = [step for step in steps if not step.is_free]

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from harness.exit_status import FAILED, PASSED, WRONG_USAGE
+from harness.interrupts import ends_by_signal
 from harness.settings import RigError
 from harness.text_table import print_table
 from motorapi.errors import MotorError
@@ -33,7 +34,7 @@ def run(options: argparse.Namespace) -> int:
     from harness.replay.as_host import compared
     from traces.semantic_diff import Tolerance
 
-    with tempfile.TemporaryDirectory(prefix="motorhil-") as folder:
+    with ends_by_signal(), tempfile.TemporaryDirectory(prefix="motorhil-") as folder:
         live = options.output or Path(folder, "live.mcap")
         try:
             done = _on_buses(options, live) if options.on else _on_rig(options, live, Path(folder))
@@ -46,6 +47,9 @@ def run(options: argparse.Namespace) -> int:
         found, differing = compared(
             options.file, live, done.pairs, Tolerance(share=options.tolerance)
         )
+    if done.unsent:
+        what = "cannot be sent on a classical bus (CAN FD, or malformed)"
+        print(f"{options.file}: {done.unsent} frames of the host {what}", file=sys.stderr)
     if options.json:
         print(json.dumps(_facts(done, found, differing)))
     else:
@@ -141,6 +145,7 @@ def _facts(
 ) -> dict[str, object]:
     return {
         "sent": done.sent,
+        "unsent": done.unsent,
         "objects": [
             {
                 "object": one.label,

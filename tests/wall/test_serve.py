@@ -204,3 +204,22 @@ def test_threads_that_share_a_drive_are_each_as_if_alone():
     done = motorhil("serve", RIG, "--", sys.executable, script, SCRIPT[1])
     assert (done.returncode, done.stderr) == (0, "")
     assert done.stdout == "0.24 12 ['done']\n"  # 4 threads, 3 moves of 0.02 rad
+
+
+def test_replay_that_is_terminated_leaves_no_folder(tmp_path):
+    record = str(GOLDEN / "cia402.mcap")
+    left = tmp_path / "left"
+    left.mkdir()
+    with subprocess.Popen(
+        [*MOTORHIL, "replay", record, "--as", "host", "--realtime"],
+        env={**os.environ, "TMPDIR": str(left)},
+        stderr=subprocess.PIPE,
+        text=True,
+    ) as process:
+        while not list(left.glob("motorhil-*/live.mcap")):
+            assert process.poll() is None
+        process.terminate()
+        _, err = process.communicate(timeout=60)
+    assert process.returncode == 143, err
+    assert "Traceback" not in err
+    assert list(left.iterdir()) == []

@@ -273,3 +273,18 @@ def test_that_traffic_is_cut_is_told(folder, say):
     status, _, err = say("replay", "cut.mcap", "--as", "traffic", "--rig", rig)
     assert status == 0
     assert "cut at byte" in err
+
+
+def test_frames_of_the_host_that_no_classical_bus_carries_are_counted(folder, say):
+    """One of its SDO requests is a CAN FD frame."""
+    done = []
+
+    def change(number, topic, time_ns, payload):
+        if topic == "/can/can0" and payload[1:5] == b"\x01\x06\0\0" and not done:
+            done.append(number)
+            return payload[:5] + b"\x28\x01" + payload[5:]  # field 5, fd = true
+        return payload
+
+    copied(folder / "bench.mcap", folder / "fd.mcap", change)
+    _, _, err = say("replay", "fd.mcap", "--as", "host")
+    assert "fd.mcap: 1 frames of the host cannot be sent on a classical bus" in err
