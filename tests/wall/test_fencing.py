@@ -203,7 +203,8 @@ def test_not_one_frame_of_a_resumed_stream_reaches_the_bus(stage):
     assert re.match(f"interrupted {ended}", stage.owner.ask("wait"))
     stage.heir.move()
     assert stage.others(since, since_sent) == Counter()
-    assert not any("refused" in event for event in stage.events)  # it did not even get so far
+    # It does not even get so far, but for what it had handed over in the instant it was stopped.
+    assert sum("refused" in event for event in stage.events) <= 1
     assert stage.owner.ask("again").startswith("busy owner was taken over (on demand) by pid ")
     assert stage.owner.ask("write").startswith("busy ")
     assert stage.owner.ask("renew").startswith("busy ")
