@@ -134,6 +134,7 @@ class Stage:
         """The heir has reserved it; the owner is paused, and not in the middle of a write."""
         while True:
             self.pause()
+            self.settle()  # what it had handed over before is the hub's to carry, not to refuse
             try:
                 self.reserved.enter_context(self.heir.motor.reserve("rescue", **how))
             except MotorBusyError as error:
@@ -203,8 +204,7 @@ def test_not_one_frame_of_a_resumed_stream_reaches_the_bus(stage):
     assert re.match(f"interrupted {ended}", stage.owner.ask("wait"))
     stage.heir.move()
     assert stage.others(since, since_sent) == Counter()
-    # It does not even get so far, but for what it had handed over in the instant it was stopped.
-    assert sum("refused" in event for event in stage.events) <= 1
+    assert not any("refused" in event for event in stage.events)  # it did not even get so far
     assert stage.owner.ask("again").startswith("busy owner was taken over (on demand) by pid ")
     assert stage.owner.ask("write").startswith("busy ")
     assert stage.owner.ask("renew").startswith("busy ")
