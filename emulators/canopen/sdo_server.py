@@ -157,15 +157,20 @@ class SdoServer:
                 self._abort(code, now_ns)
             return
         expected = int.from_bytes(frame[12:16], "little") if is_sized else None
+        if self._refuses(index, subindex, expected, now_ns):
+            return
+        self._state = _DOWNLOAD_SEGMENT
+        self._expected = expected
+        self._accept(now_ns)
+
+    def _refuses(self, index: int, subindex: int, expected: int | None, now_ns: int) -> bool:
+        """Whether a download of so many bytes (None: not told) cannot begin; then it is aborted."""
         code = self._access.refusal(index, subindex, expected)
         if code == 0 and expected is not None and expected > MAX_DOWNLOAD_BYTES:
             code = AbortCode.OUT_OF_MEMORY
         if code:
             self._abort(code, now_ns)
-            return
-        self._state = _DOWNLOAD_SEGMENT
-        self._expected = expected
-        self._accept(now_ns)
+        return code != 0
 
     def _download_segment(self, command: int, frame: bytes, now_ns: int) -> None:
         if self._state != _DOWNLOAD_SEGMENT:
@@ -201,11 +206,7 @@ class SdoServer:
         index, subindex = frame[9] | frame[10] << 8, frame[11]
         self._begin(index, subindex)
         expected = int.from_bytes(frame[12:16], "little") if command & _HAS_SIZE else None
-        code = self._access.refusal(index, subindex, expected)
-        if code == 0 and expected is not None and expected > MAX_DOWNLOAD_BYTES:
-            code = AbortCode.OUT_OF_MEMORY
-        if code:
-            self._abort(code, now_ns)
+        if self._refuses(index, subindex, expected, now_ns):
             return
         self._state = _BLOCK_SEGMENTS
         self._incoming = BlockDownload(expected, command & _HAS_CRC != 0, MAX_DOWNLOAD_BYTES)
