@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Final, Self, final
 
 from harness.rig_parts import NoSuchName
 from harness.settings import RigError
+from traces.errors import TraceError
 
 if TYPE_CHECKING:
     from harness.rig import Rig
@@ -88,6 +89,31 @@ def run_script(rig: "Rig", script: Script, words: Sequence[str]) -> int:
             status = 1
         threads.join()
     return status or int(threads.failed)
+
+
+def run_judged(rig: "Rig", script: Script | None, words: Sequence[str], verb: str) -> int:
+    """The program, or a prompt, has run with the rig open around it; the rig is closed.
+
+    Returns:
+        The program's exit status; 1 if it raised, or told recorded controllers what their
+        recording cannot answer. That is told on stderr, as what `verb` says.
+
+    Raises:
+        RigError, TraceError, BrokenPipeError: of the rig, its record, the output.
+    """
+    from harness.replay.verdict import summary, unanswered
+
+    try:
+        with rig:
+            status = run_prompt(rig) if script is None else run_script(rig, script, words)
+            for line in summary(rig):
+                print(f"motorhil {verb}: {line}", file=sys.stderr)
+            return status or int(bool(unanswered(rig)))
+    except (RigError, TraceError, BrokenPipeError):
+        raise
+    except Exception as error:  # of a party that nobody joined, or while closing what is in use
+        print_error(error, "<prompt>" if script is None else script.name)
+        return 1
 
 
 @final

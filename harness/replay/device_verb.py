@@ -5,8 +5,7 @@ import shlex
 import sys
 from typing import TYPE_CHECKING
 
-from harness.exit_status import FAILED, PASSED
-from harness.settings import RigError
+from harness.exit_status import PASSED
 
 if TYPE_CHECKING:
     from harness.rig import Rig
@@ -19,28 +18,15 @@ def run(options: argparse.Namespace) -> int:
     Raises:
         RigError: the recording, the rig or the script cannot be used.
     """
-    from harness.replay.verdict import summary, unanswered
     from harness.rig import Rig
-    from harness.script import print_error, read_script, run_prompt, run_script
-    from traces.errors import TraceError
+    from harness.script import read_script, run_judged
 
     words = [*options.args, *(options.rest or ())]
     script = None if options.script is None else read_script(options.script)
-    status = PASSED
     rig = Rig(
         _described(options), seed=options.seed, realtime=options.realtime, record=options.output
     )
-    try:
-        with rig:
-            status = run_prompt(rig) if script is None else run_script(rig, script, words)
-            for line in summary(rig):
-                print(f"motorhil replay: {line}", file=sys.stderr)
-            status = status or (FAILED if unanswered(rig) else PASSED)
-    except (RigError, TraceError, BrokenPipeError):
-        raise
-    except Exception as error:  # of a party that nobody joined, or while closing what is in use
-        print_error(error, "<prompt>" if script is None else script.name)
-        status = FAILED
+    status = run_judged(rig, script, words, "replay")
     if status != PASSED and script is not None:
         print(f"again: {_again(options, rig, words)}", file=sys.stderr)
     return status

@@ -6,7 +6,7 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from harness.exit_status import FAILED, PASSED
+from harness.exit_status import PASSED
 from harness.seed_option import add_seed
 from harness.settings import RigError
 
@@ -47,10 +47,8 @@ def run(options: argparse.Namespace) -> int:
     Raises:
         RigError: the rig, the script or the output file cannot be used; nothing was run.
     """
-    from harness.replay.verdict import summary, unanswered
     from harness.rig import Rig
-    from harness.script import print_error, read_script, run_prompt, run_script
-    from traces.errors import TraceError
+    from harness.script import read_script, run_judged
 
     words = [*options.args, *(options.rest or ())]
     script = None if options.script is None else read_script(options.script)
@@ -59,19 +57,7 @@ def run(options: argparse.Namespace) -> int:
     rig = Rig.open(options.rig, seed=options.seed, realtime=options.realtime, record=options.output)
     for note in rig.notes:
         print(note, file=sys.stderr)
-    name = "<prompt>" if script is None else script.name
-    status = PASSED
-    try:
-        with rig:
-            status = run_prompt(rig) if script is None else run_script(rig, script, words)
-            for line in summary(rig):
-                print(f"motorhil run: {line}", file=sys.stderr)
-            status = status or (FAILED if unanswered(rig) else PASSED)
-    except (RigError, TraceError, BrokenPipeError):
-        raise
-    except Exception as error:  # of a party that nobody joined, or while closing what is in use
-        print_error(error, name)
-        status = FAILED
+    status = run_judged(rig, script, words, "run")
     if status != PASSED and script is not None:
         print(f"again: {_again(options, rig, words)}", file=sys.stderr)
     return status
