@@ -6,13 +6,14 @@ What the recording cannot answer is refused by an SDO abort, and told as an erro
 Source: CiA 301, SDO abort transfer protocol, node guarding protocol (toggle bit).
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from itertools import pairwise
 from typing import Final, final
 
 from emulators.media.can_bits import length_bits
 from harness.replay.player import TapePlayer
+from harness.replay.recorded_controller import RecordedController
 from traces.canopen_tapes import (
     SYNC_KEY,
     masked,
@@ -37,7 +38,7 @@ NO_DATA: Final = 0x0800_0024
 
 
 @final
-class RecordedNode:
+class RecordedNode(RecordedController):
     """Implements `emulators.controller.Controller`.
 
     Args:
@@ -59,7 +60,7 @@ class RecordedNode:
         bit_ns: int = 1000,
         note: str = "",
     ) -> None:
-        self.player: Final = TapePlayer(_with_durations(tape, bit_ns))
+        super().__init__(TapePlayer(_with_durations(tape, bit_ns)), "drive", note)
         self.node_id: Final = node_id
         self._decoder = decoder
         self._dialogue: Step | None = None
@@ -71,14 +72,8 @@ class RecordedNode:
         self._remotes = frozenset(step.key[1] for step in tape.steps if step.key[0] == "remote")
         self._toggles = _toggles(tape, node_id)
         self._toggle: int | None = None  # of its last answer to node guarding
-        self._output: list[bytes] = []
-        self._events: list[tuple[str, str]] = [("warning", note)] if note else []
 
     # ------------------------------------------------------------------------- Controller
-
-    def start(self, now_ns: int) -> None:
-        """The recording begins."""
-        self.player.start(now_ns)
 
     def receive(self, data: bytes, now_ns: int) -> None:
         """A frame was on the bus."""
@@ -102,57 +97,16 @@ class RecordedNode:
             self._set_point(identifier, data, now_ns)
         self._take(now_ns)
 
-    def sent(self, data: bytes, now_ns: int) -> bool | None:
-        """Nothing comes of it."""
-        return False
-
-    def wants_sent(self) -> bool:
-        """Nothing comes of it."""
-        return False
-
-    def next_deadline_ns(self) -> int | None:
-        """When it sends something."""
-        return self.player.next_deadline_ns()
-
     def expire(self, now_ns: int) -> None:
         """What is due is sent."""
         self._take(now_ns)
-
-    def take_output(self) -> Sequence[bytes]:
-        """The frames to send now."""
-        output, self._output = self._output, []
-        return output
-
-    def take_events(self) -> Sequence[tuple[str, str]]:
-        """What could not be answered."""
-        events, self._events = self._events, []
-        return events
-
-    def stimulate(self, name: str, value: float, now_ns: int) -> None:
-        """Nothing can happen to it but what was recorded.
-
-        Raises:
-            ValueError: always.
-        """
-        raise ValueError(f"stimulus {name!r}: a recorded drive has no inputs")
-
-    def snapshot(self, now_ns: int) -> Mapping[str, float]:
-        """How much of the recording has been told."""
-        return {"matched": float(self.player.matched), "mismatches": self._mismatches()}
 
     def identifiers(self) -> Sequence[int] | None:
         """What the recorded node was told, and its SDO server's."""
         plain = {0, *self._syncs, 0x600 + self.node_id, *self._pdos}
         return sorted(plain | {RTR | identifier for identifier in self._remotes})
 
-    def identifiers_revision(self) -> int:
-        """Never changes."""
-        return 0
-
     # ------------------------------------------------------------------------------ inside
-
-    def _mismatches(self) -> float:
-        return float(len(self.player.mismatches))
 
     def _nmt(self, data: bytes, now_ns: int) -> None:
         if data[4] < 2 or data[9] not in (0, self.node_id):

@@ -6,11 +6,12 @@ A request that the recording cannot answer is refused with an exception, and tol
 Source: MODBUS over Serial Line V1.02, section 2; Application Protocol V1.1b3, section 7.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from typing import Final, final
 
 from emulators.modbus.crc import crc16, with_crc
 from harness.replay.player import TapePlayer
+from harness.replay.recorded_controller import RecordedController
 from traces.decode_modbus import ModbusDecoder
 from traces.modbus import Adu
 from traces.modbus_tapes import request_key, role_of
@@ -22,7 +23,7 @@ DEVICE_FAILURE: Final = 4
 
 
 @final
-class RecordedUnit:
+class RecordedUnit(RecordedController):
     """Implements `emulators.controller.Controller`.
 
     Args:
@@ -34,14 +35,8 @@ class RecordedUnit:
     """
 
     def __init__(self, tape: Tape, unit: int, note: str = "") -> None:
-        self.player: Final = TapePlayer(tape)
+        super().__init__(TapePlayer(tape), "unit", note)
         self.unit: Final = unit
-        self._output: list[bytes] = []
-        self._events: list[tuple[str, str]] = [("warning", note)] if note else []
-
-    def start(self, now_ns: int) -> None:
-        """The recording begins."""
-        self.player.start(now_ns)
 
     def receive(self, data: bytes, now_ns: int) -> None:
         """What was on the line between two silences; b"": it was spoiled."""
@@ -65,50 +60,11 @@ class RecordedUnit:
                 self.player.answer([Sent(0, refusal)], now_ns)
         self.expire(now_ns)
 
-    def sent(self, data: bytes, now_ns: int) -> bool | None:
-        """Nothing comes of it."""
-        return False
-
-    def wants_sent(self) -> bool:
-        """Nothing comes of it."""
-        return False
-
-    def next_deadline_ns(self) -> int | None:
-        """When it answers."""
-        return self.player.next_deadline_ns()
-
     def expire(self, now_ns: int) -> None:
         """What is due is sent."""
         address = bytes([self.unit])  # the recording may have another
         self._output += [with_crc(address + frame[1:]) for frame in self.player.take(now_ns)]
 
-    def take_output(self) -> Sequence[bytes]:
-        """The frames to send now."""
-        output, self._output = self._output, []
-        return output
-
-    def take_events(self) -> Sequence[tuple[str, str]]:
-        """What could not be answered."""
-        events, self._events = self._events, []
-        return events
-
-    def stimulate(self, name: str, value: float, now_ns: int) -> None:
-        """Nothing can happen to it but what was recorded.
-
-        Raises:
-            ValueError: always.
-        """
-        raise ValueError(f"stimulus {name!r}: a recorded unit has no inputs")
-
-    def snapshot(self, now_ns: int) -> Mapping[str, float]:
-        """How much of the recording has been told."""
-        mismatches = len(self.player.mismatches)
-        return {"matched": float(self.player.matched), "mismatches": float(mismatches)}
-
     def identifiers(self) -> Sequence[int] | None:
         """On a line everybody hears everything."""
         return None
-
-    def identifiers_revision(self) -> int:
-        """Never changes."""
-        return 0
