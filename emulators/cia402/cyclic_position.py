@@ -8,9 +8,10 @@ the last two targets: with a SYNC, its period.
 from typing import Final, final
 
 from emulators.cia402.mode import Mode
-from emulators.cia402.objects import TARGET_POSITION, DriveObjects
+from emulators.cia402.objects import DriveObjects
 from emulators.cia402.pds_fsa import CW_HALT
 from emulators.cia402.statusword import FOLLOWING_ERROR, FOLLOWS_COMMAND
+from emulators.cia402.written import TARGET_POSITION
 from emulators.firmware import flags as f
 from emulators.firmware.axis import Axis
 
@@ -32,7 +33,7 @@ class CyclicPosition(Mode):
         self.halted = word & CW_HALT != 0
         self._last_target_ns = _NONE_YET
         self._period_ns = self.tick_ns
-        self.axis.ramp_to_rest(self.objects.deceleration_inc_s2())
+        self.axis.ramp_to_rest(self.objects.motion.deceleration_inc_s2())
 
     def leave(self) -> None:
         """Nothing is kept."""
@@ -43,7 +44,7 @@ class CyclicPosition(Mode):
         """Bit 8, halt; afterwards the next target counts again."""
         halt = word & CW_HALT != 0
         if halt and not self.halted:
-            self.axis.ramp_to_rest(self.objects.halt_deceleration_inc_s2())
+            self.axis.ramp_to_rest(self.objects.options.halt_deceleration_inc_s2())
         self.halted = halt
 
     def written(self, what: int, now_ns: int) -> None:
@@ -54,10 +55,10 @@ class CyclicPosition(Mode):
         if self.halted:
             return
         objects = self.objects
-        target = objects.target_position_inc()
-        allowed = objects.within_limits_inc(target)
+        target = objects.motion.target_position_inc()
+        allowed = objects.motion.within_limits_inc(target)
         self.limited = allowed != target
-        period_ns = objects.interpolation_ns()
+        period_ns = objects.motion.interpolation_ns()
         self.axis.follow(allowed, period_ns if period_ns > 0 else self._period_ns)
 
     def status_bits(self) -> int:

@@ -239,10 +239,10 @@ class Cia402Drive:
     def on_write(self, now_ns: int) -> None:
         """Objects were written."""
         objects = self._objects
-        written = objects.written
+        written = objects.written.kinds
         if not written:
             return
-        objects.written = 0
+        objects.written.kinds = 0
         self._happens()
         self.axis.at(now_ns)
         self._power_drive.settle(now_ns)

@@ -17,8 +17,9 @@ from enum import IntEnum
 from typing import Final, final
 
 from emulators.canopen.shared import NEVER
+from emulators.cia402.homing_objects import HOMING_METHODS
 from emulators.cia402.mode import Mode
-from emulators.cia402.objects import HOMING_METHODS, DriveObjects
+from emulators.cia402.objects import DriveObjects
 from emulators.cia402.pds_fsa import CW_HALT
 from emulators.cia402.statusword import HOMING_ATTAINED, HOMING_ERROR, TARGET_REACHED
 from emulators.firmware.axis import Axis
@@ -49,7 +50,7 @@ class Homing(Mode):
         """The motor stands, or comes to rest; what was attained stays attained."""
         self.leave()
         self.halted = word & CW_HALT != 0
-        self.axis.ramp_to_rest(self.objects.deceleration_inc_s2())
+        self.axis.ramp_to_rest(self.objects.motion.deceleration_inc_s2())
 
     def leave(self) -> None:
         """A homing still in progress is interrupted."""
@@ -73,7 +74,7 @@ class Homing(Mode):
         """A tick later the position has its new zero."""
         if self.state is HomingState.IN_PROGRESS and now_ns >= self._wake_ns:
             self._wake_ns = NEVER
-            self.axis.set_position(self.objects.home_offset_inc())
+            self.axis.set_position(self.objects.homing.home_offset_inc())
             self.state = HomingState.ATTAINED
 
     def wake_ns(self) -> int:
@@ -96,7 +97,7 @@ class Homing(Mode):
         return HOMING_ATTAINED | TARGET_REACHED if self.state is HomingState.ATTAINED else 0
 
     def _begin(self, now_ns: int) -> None:
-        method = self.objects.homing_method()
+        method = self.objects.homing.method()
         if method not in HOMING_METHODS or self._moves():
             self.state = HomingState.FAILED
             return

@@ -11,15 +11,7 @@ from emulators.canopen.shared import NEVER
 from emulators.cia402.cyclic_position import CyclicPosition
 from emulators.cia402.homing import Homing
 from emulators.cia402.mode import Mode
-from emulators.cia402.objects import (
-    CONTROLWORD,
-    FACTORS,
-    GAINS,
-    MODE,
-    TORQUE_LIMIT,
-    WINDOWS,
-    DriveObjects,
-)
+from emulators.cia402.objects import DriveObjects
 from emulators.cia402.pds_fsa import (
     NO_TRANSITION,
     Command,
@@ -32,6 +24,14 @@ from emulators.cia402.profile_torque import ProfileTorque
 from emulators.cia402.profile_velocity import ProfileVelocity
 from emulators.cia402.settings import EMULATED_MODES
 from emulators.cia402.statusword import TARGET_REACHED, compose
+from emulators.cia402.written import (
+    CONTROLWORD,
+    FACTORS,
+    GAINS,
+    MODE,
+    TORQUE_LIMIT,
+    WINDOWS,
+)
 from emulators.firmware import flags as f
 from emulators.firmware.axis import Axis
 from emulators.firmware.gains import ServoGains
@@ -178,7 +178,7 @@ class PowerDrive:
         state = self.fsa.state
         if state not in _POWERED_STATES:
             return
-        option = self._objects.abort_connection_option()
+        option = self._objects.options.abort_connection()
         if option == ABORT_FAULT:
             self._react(code, now_ns)
         elif option == ABORT_DISABLE_VOLTAGE:
@@ -247,13 +247,15 @@ class PowerDrive:
         if transition == 15:
             return self.voltage or self.error_code != UNDERVOLTAGE
         if transition == 16:
-            return objects.quick_stop_option() >= 5
-        ramps = objects.disable_ramps() if transition == 5 else objects.shutdown_ramps()
+            return objects.options.quick_stop() >= 5
+        ramps = (
+            objects.options.disable_ramps() if transition == 5 else objects.options.shutdown_ramps()
+        )
         if transition not in (5, 8) or not ramps:
             return True
         if self._at_rest not in (5, 8):
             self._active.leave()
-            self._axis.ramp_to_rest(objects.deceleration_inc_s2())
+            self._axis.ramp_to_rest(objects.motion.deceleration_inc_s2())
         self._at_rest = transition
         return False
 
@@ -282,7 +284,7 @@ class PowerDrive:
         self.error_code = code
         self._active.leave()
         self._take(13, now_ns)
-        deceleration = self._objects.fault_deceleration_inc_s2()
+        deceleration = self._objects.options.fault_deceleration_inc_s2()
         if running and self.voltage and deceleration is not None:
             self._axis.ramp_to_rest(deceleration)
             self._at_rest = 14
@@ -291,14 +293,14 @@ class PowerDrive:
 
     def _quick_stop(self, now_ns: int) -> None:
         """605Ah: 0 coasts, 1 and 5 brake on the slow-down ramp, all others on the quick stop's."""
-        option = self._objects.quick_stop_option()
+        option = self._objects.options.quick_stop()
         if option == 0:
             self._take(12, now_ns)
             return
         if option in (1, 5):
-            self._axis.ramp_to_rest(self._objects.deceleration_inc_s2())
+            self._axis.ramp_to_rest(self._objects.motion.deceleration_inc_s2())
         else:
-            self._axis.ramp_to_rest(self._objects.quick_stop_deceleration_inc_s2())
+            self._axis.ramp_to_rest(self._objects.motion.quick_stop_deceleration_inc_s2())
         if option < 5:
             self._at_rest = 12
 
@@ -311,7 +313,7 @@ class PowerDrive:
         self._select(self._objects.mode)
         if self.fsa.state is PdsState.OPERATION_ENABLED and self._at_rest == NO_TRANSITION:
             if self._active is self._no_mode:
-                self._axis.ramp_to_rest(self._objects.deceleration_inc_s2())
+                self._axis.ramp_to_rest(self._objects.motion.deceleration_inc_s2())
             self._active.enter(self.fsa.controlword, now_ns)
 
     def _apply_servo(self) -> None:
@@ -326,7 +328,7 @@ class PowerDrive:
             self._axis.set_gains(gains)
 
     def _apply_windows(self) -> None:
-        windows = self._objects.windows()
+        windows = self._objects.windows.read()
         self._axis.set_windows(
             target_window_inc=windows[0],
             target_window_ns=windows[1],

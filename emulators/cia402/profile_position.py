@@ -58,7 +58,7 @@ class ProfilePosition(Mode):
         """The motor stands, or comes to rest; nothing has been offered yet."""
         self.leave()
         self.halted = word & CW_HALT != 0
-        self.axis.ramp_to_rest(self.objects.deceleration_inc_s2())
+        self.axis.ramp_to_rest(self.objects.motion.deceleration_inc_s2())
 
     def leave(self) -> None:
         """Set-points not yet reached are forgotten."""
@@ -77,7 +77,7 @@ class ProfilePosition(Mode):
         if halt and not self.halted:
             self.halted = True
             self._wake_ns = NEVER
-            self.axis.ramp_to_rest(self.objects.halt_deceleration_inc_s2())
+            self.axis.ramp_to_rest(self.objects.options.halt_deceleration_inc_s2())
         self._offered = word & NEW_SET_POINT != 0
         if rising & NEW_SET_POINT:
             self._take(word, now_ns)
@@ -146,22 +146,22 @@ class ProfilePosition(Mode):
 
     def _offered_set_point(self, word: int) -> SetPoint:
         objects = self.objects
-        target = objects.target_position_inc()
+        target = objects.motion.target_position_inc()
         if word & RELATIVE:
             target += self._origin_inc()
-        allowed = objects.within_limits_inc(target)
+        allowed = objects.motion.within_limits_inc(target)
         self.limited = allowed != target
         self._last_target_inc = allowed
         return SetPoint(
             allowed,
-            max(SLOWEST_INC_S, objects.profile_velocity_inc_s()),
-            objects.acceleration_inc_s2(),
-            objects.deceleration_inc_s2(),
+            max(SLOWEST_INC_S, objects.motion.profile_velocity_inc_s()),
+            objects.motion.acceleration_inc_s2(),
+            objects.motion.deceleration_inc_s2(),
         )
 
     def _origin_inc(self) -> int:
         """Where a relative set-point counts from (60F2h)."""
-        option = self.objects.relative_to()
+        option = self.objects.motion.relative_to()
         if option == 2:
             return self.axis.position_inc()
         if option == 1 or self._last_target_inc is None:

@@ -3,9 +3,9 @@
 from typing import final
 
 from emulators.cia402.mode import Mode
-from emulators.cia402.objects import FACTORS, TORQUE
 from emulators.cia402.pds_fsa import CW_HALT
 from emulators.cia402.statusword import TARGET_REACHED
+from emulators.cia402.written import FACTORS, TORQUE
 from emulators.firmware import flags as f
 
 
@@ -50,6 +50,6 @@ class ProfileTorque(Mode):
     def _run(self) -> None:
         objects = self.objects
         if self.halted:
-            self.axis.ramp_to_rest(objects.halt_deceleration_inc_s2())
+            self.axis.ramp_to_rest(objects.options.halt_deceleration_inc_s2())
         else:
             self.axis.apply_current(objects.torque.target_a(), objects.torque.slope_a_s())

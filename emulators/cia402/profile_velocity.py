@@ -3,9 +3,9 @@
 from typing import final
 
 from emulators.cia402.mode import Mode
-from emulators.cia402.objects import RAMPS, TARGET_VELOCITY
 from emulators.cia402.pds_fsa import CW_HALT
 from emulators.cia402.statusword import SPEED_IS_ZERO, TARGET_REACHED
+from emulators.cia402.written import RAMPS, TARGET_VELOCITY
 from emulators.firmware import flags as f
 
 
@@ -48,10 +48,10 @@ class ProfileVelocity(Mode):
     def _run(self) -> None:
         objects = self.objects
         if self.halted:
-            self.axis.ramp_to_rest(objects.halt_deceleration_inc_s2())
+            self.axis.ramp_to_rest(objects.options.halt_deceleration_inc_s2())
             return
         self.axis.run_at(
-            objects.target_velocity_inc_s(),
-            objects.acceleration_inc_s2(),
-            objects.deceleration_inc_s2(),
+            objects.motion.target_velocity_inc_s(),
+            objects.motion.acceleration_inc_s2(),
+            objects.motion.deceleration_inc_s2(),
         )

@@ -16,6 +16,7 @@ from fractions import Fraction
 from typing import Final, final
 
 from emulators.canopen.object_dictionary import ObjectDictionary
+from emulators.cia402.settings import DriveSettings
 from emulators.plant.dc_motor import PI, MotorPlant
 
 RPM_DIMENSION: Final = 0xA4  # 608Ch, 608Eh: turns per minute (and second), as maxon's files have it
@@ -66,6 +67,30 @@ class Units:
     def velocity_raw(self, velocity_inc_s: float) -> int:
         """A velocity as velocity units, rounded to the nearest; limited to signed 32 bit."""
         return limited(velocity_inc_s / self.velocity_unit_inc_s, 0x7FFF_FFFF)
+
+
+@final
+class FactorGroup:
+    """`units`: what the numbers mean, as of the last `reload`."""
+
+    def __init__(self, od: ObjectDictionary, settings: DriveSettings) -> None:
+        self._od = od
+        self._settings = settings
+        self.units: Units = self._read()
+
+    def reload(self) -> None:
+        """A factor object was written."""
+        self.units = self._read()
+
+    def _read(self) -> Units:
+        settings = self._settings
+        return units_of(
+            self._od,
+            settings.plant,
+            position_unit_inc=settings.position_unit_inc,
+            velocity_unit_inc_s=settings.velocity_unit_inc_s,
+            acceleration_unit_inc_s2=settings.acceleration_unit_inc_s2,
+        )
 
 
 def limited(value: float, size_max: int) -> int:

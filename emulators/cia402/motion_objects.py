@@ -1,0 +1,152 @@
+"""The objects of motion: targets, speeds, ramps and limits, in increments and seconds.
+
+A value of 0 in a ramp means "not set", not "never": 6085h falls back to 6084h, and that to 6083h.
+"""
+
+from typing import Final, final
+
+from emulators.canopen.abort_code import OK
+from emulators.canopen.object_dictionary import DataType, ObjectDictionary, Variable
+from emulators.cia402.factors import DriveDefaults
+from emulators.cia402.units import FactorGroup
+from emulators.cia402.written import TARGET_POSITION, TARGET_VELOCITY, Written
+from emulators.plant.dc_motor import MotorPlant
+
+_UNLIMITED: Final = 0xFFFF_FFFF
+_D = DataType
+
+
+@final
+class MotionObjects:
+    """What a host asks of the motion.
+
+    Attributes:
+        target_position_raw, target_velocity_raw: 607Ah and 60FFh as last written.
+    """
+
+    def __init__(
+        self,
+        od: ObjectDictionary,
+        plant: MotorPlant,
+        factors: FactorGroup,
+        defaults: DriveDefaults,
+        written: Written,
+    ) -> None:
+        ensure = od.ensure
+        self._factors = factors
+        self._written = written
+        self._encoder_increments_rev = plant.encoder_increments_rev
+        self.target_position_raw: int = 0
+        self.target_velocity_raw: int = 0
+        self._target_position = ensure(0x607A, 0, _D.INTEGER32, 0)
+        self._target_position.writer = self._write_target_position
+        self._target_velocity = ensure(0x60FF, 0, _D.INTEGER32, 0)
+        self._target_velocity.writer = self._write_target_velocity
+        self._limit_min = ensure(0x607D, 1, _D.INTEGER32, 0)
+        self._limit_max = ensure(0x607D, 2, _D.INTEGER32, 0)
+        self._velocity_max = ensure(0x607F, 0, _D.UNSIGNED32, _UNLIMITED)
+        self._motor_rpm_max = ensure(0x6080, 0, _D.UNSIGNED32, defaults.motor_rpm_max)
+        self._velocity = ensure(0x6081, 0, _D.UNSIGNED32, defaults.velocity)
+        self._acceleration = ensure(0x6083, 0, _D.UNSIGNED32, defaults.acceleration)
+        self._deceleration = self._ramp(od, 0x6084)
+        self._quick_deceleration = self._ramp(od, 0x6085)
+        self._acceleration_max = ensure(0x60C5, 0, _D.UNSIGNED32, 0)
+        self._deceleration_max = ensure(0x60C6, 0, _D.UNSIGNED32, 0)
+        self._period = ensure(0x60C2, 1, _D.UNSIGNED8, 0)
+        self._period_exponent = ensure(0x60C2, 2, _D.INTEGER8, -3)
+        self._positioning_option = ensure(0x60F2, 0, _D.UNSIGNED16, 0)
+        self._acceleration_fallback_inc_s2 = defaults.acceleration_inc_s2
+        self._velocity_physical_inc_s = defaults.no_load_inc_s
+
+    def reload(self) -> None:
+        """Values have become their defaults (reset node)."""
+        self.target_position_raw = self._target_position.integer()
+        self.target_velocity_raw = self._target_velocity.integer()
+
+    def target_position_inc(self) -> int:
+        """607Ah."""
+        return self._factors.units.position_inc(self.target_position_raw)
+
+    def target_velocity_inc_s(self) -> float:
+        """60FFh, within what the motor may do."""
+        limit = self.velocity_max_inc_s()
+        velocity = self.target_velocity_raw * self._factors.units.velocity_unit_inc_s
+        return max(-limit, min(limit, velocity))
+
+    def velocity_max_inc_s(self) -> float:
+        """The least of 607Fh, 6080h [motor rpm] and what the supply can turn the motor at."""
+        limit = self._velocity_physical_inc_s
+        profile_max = self._velocity_max.integer()
+        if profile_max > 0:
+            limit = min(limit, profile_max * self._factors.units.velocity_unit_inc_s)
+        rpm = self._motor_rpm_max.integer()
+        if rpm > 0:
+            limit = min(limit, rpm * self._encoder_increments_rev / 60.0)
+        return limit
+
+    def profile_velocity_inc_s(self) -> float:
+        """6081h, within what the motor may do."""
+        velocity = self._velocity.integer() * self._factors.units.velocity_unit_inc_s
+        return min(velocity, self.velocity_max_inc_s())
+
+    def acceleration_inc_s2(self) -> float:
+        """6083h, within 60C5h; always > 0."""
+        raw = self._acceleration.integer()
+        if raw <= 0:
+            return self._acceleration_fallback_inc_s2
+        limit = self._acceleration_max.integer()
+        unit = self._factors.units.acceleration_unit_inc_s2
+        return (min(raw, limit) if limit > 0 else raw) * unit
+
+    def deceleration_inc_s2(self) -> float:
+        """6084h, within 60C6h; 6083h where it is 0 or absent; always > 0."""
+        raw = self._deceleration.integer()
+        if raw <= 0:
+            return self.acceleration_inc_s2()
+        limit = self._deceleration_max.integer()
+        unit = self._factors.units.acceleration_unit_inc_s2
+        return (min(raw, limit) if limit > 0 else raw) * unit
+
+    def quick_stop_deceleration_inc_s2(self) -> float:
+        """6085h; as 6084h where it is 0 or absent; always > 0."""
+        raw = self._quick_deceleration.integer()
+        if raw <= 0:
+            return self.deceleration_inc_s2()
+        return raw * self._factors.units.acceleration_unit_inc_s2
+
+    def within_limits_inc(self, position_inc: int) -> int:
+        """The nearest position that 607Dh allows; minimum and maximum 0 mean no limit."""
+        low = self._limit_min.integer()
+        high = self._limit_max.integer()
+        if low == 0 and high == 0:
+            return position_inc
+        low_inc = self._factors.units.position_inc(low)
+        high_inc = self._factors.units.position_inc(high)
+        return max(low_inc, min(high_inc, position_inc))
+
+    def interpolation_ns(self) -> int:
+        """60C2h; 0 where it is 0 or absent."""
+        exponent = 9 + self._period_exponent.integer()
+        value = self._period.integer()
+        return value * int(10**exponent) if exponent >= 0 else value // int(10 ** (-exponent))
+
+    def relative_to(self) -> int:
+        """60F2h bits 0 and 1: 0 the set-point before, 1 the demand, 2 the actual position."""
+        return self._positioning_option.integer() & 3
+
+    # --- inside
+
+    def _ramp(self, od: ObjectDictionary, index: int) -> Variable:
+        """A deceleration: as 6083h by default; hidden, it follows 6083h."""
+        visible = od.get(index) is not None
+        return od.ensure(index, 0, _D.UNSIGNED32, self._acceleration.integer() if visible else 0)
+
+    def _write_target_position(self, value: int) -> int:
+        self.target_position_raw = value
+        self._written.kinds |= TARGET_POSITION
+        return OK
+
+    def _write_target_velocity(self, value: int) -> int:
+        self.target_velocity_raw = value
+        self._written.kinds |= TARGET_VELOCITY
+        return OK

@@ -1,0 +1,104 @@
+"""What a host has written since the drive last looked: one bit for each kind of object."""
+
+from typing import Final, final
+
+from emulators.canopen.abort_code import OK
+from emulators.canopen.object_dictionary import ObjectDictionary
+
+CONTROLWORD: Final = 1
+MODE: Final = 2
+TARGET_POSITION: Final = 4
+TARGET_VELOCITY: Final = 8
+RAMPS: Final = 16
+WINDOWS: Final = 32
+FACTORS: Final = 64
+TORQUE: Final = 128  # target or slope
+TORQUE_LIMIT: Final = 256
+GAINS: Final = 512
+
+# index, sub-index, what it counts as when written
+_WATCHED: Final = (
+    (0x6065, 0, WINDOWS),
+    (0x6066, 0, WINDOWS),
+    (0x6067, 0, WINDOWS),
+    (0x6068, 0, WINDOWS),
+    (0x606D, 0, WINDOWS),
+    (0x606E, 0, WINDOWS),
+    (0x606F, 0, WINDOWS),
+    (0x6070, 0, WINDOWS),
+    (0x6071, 0, TORQUE),
+    *((index, 0, TORQUE_LIMIT) for index in (0x6072, 0x60E0, 0x60E1)),
+    (0x6075, 0, FACTORS | TORQUE_LIMIT),
+    (0x6076, 0, FACTORS | TORQUE_LIMIT),
+    (0x6087, 0, TORQUE),
+    (0x607F, 0, RAMPS),
+    (0x6080, 0, RAMPS),
+    (0x6083, 0, RAMPS),
+    (0x6084, 0, RAMPS),
+    (0x60C5, 0, RAMPS),
+    (0x60C6, 0, RAMPS),
+    (0x608C, 0, FACTORS),
+    (0x608E, 0, FACTORS),
+    (0x608F, 1, FACTORS),
+    (0x608F, 2, FACTORS),
+    (0x6091, 1, FACTORS),
+    (0x6091, 2, FACTORS),
+    (0x6092, 1, FACTORS),
+    (0x6092, 2, FACTORS),
+    (0x6096, 1, FACTORS),
+    (0x6096, 2, FACTORS),
+    (0x6097, 1, FACTORS),
+    (0x6097, 2, FACTORS),
+    (0x60A8, 0, FACTORS),
+    (0x60A9, 0, FACTORS),
+)
+
+
+@final
+class Written:
+    """`kinds`: the bits; whoever looks clears them."""
+
+    def __init__(self) -> None:
+        self.kinds: int = 0
+
+
+@final
+class Watch:
+    """A writer that allows every value and notes that there was one."""
+
+    def __init__(self, written: Written, kind: int) -> None:
+        self._written = written
+        self._kind = kind
+
+    def write(self, value: int) -> int:
+        """Called before the value is stored; always allowed."""
+        self._written.kinds |= self._kind
+        return OK
+
+
+@final
+class Choice:
+    """A writer that allows only what has a behaviour, and notes that there was one."""
+
+    def __init__(
+        self, written: Written, kind: int, allowed: frozenset[int], refused_with: int
+    ) -> None:
+        self._written = written
+        self._kind = kind
+        self._allowed = allowed
+        self._refused_with = refused_with
+
+    def write(self, value: int) -> int:
+        """Called before the value is stored."""
+        if value not in self._allowed:
+            return self._refused_with
+        self._written.kinds |= self._kind
+        return OK
+
+
+def watch(od: ObjectDictionary, written: Written) -> None:
+    """Every visible object of the table notes when it is written."""
+    for index, subindex, kind in _WATCHED:
+        variable = od.get(index, subindex)
+        if variable is not None:
+            variable.writer = Watch(written, kind).write
