@@ -3,12 +3,14 @@
 import os
 from collections.abc import Generator
 from pathlib import Path
+from typing import Any
 
 import pytest
 from hypothesis import HealthCheck, settings
 
 import emulators
 from harness.build_info import cores_are_compiled
+from tests.dissector import collect_sent, complaints, tshark
 
 settings.register_profile(
     "ci",
@@ -78,8 +80,45 @@ def pytest_runtest_makereport(
     return report
 
 
+DISSECTED: dict[str, str] = {}
+"""By worker: what came of the frames that its nodes sent."""
+
+
+@pytest.fixture(scope="session", autouse=True)
+def every_frame_sent_is_canopen(
+    request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory
+) -> Generator[None]:
+    """Wireshark reads what emulated nodes have sent in this session (`tests/dissector.py`)."""
+    sent: set[bytes] = set()
+    end = collect_sent(sent)
+    yield
+    end()
+    if not sent:
+        return
+    program = tshark()
+    wrong = complaints(program, sent, tmp_path_factory.mktemp("sent")) if program else []
+    told = f"{len(sent)} different frames read" if program else "tshark is not installed: none read"
+    config = request.config
+    if hasattr(config, "workeroutput"):
+        config.workeroutput["dissected"] = told
+    else:
+        DISSECTED["this process"] = told
+    if wrong:
+        pytest.fail(f"{len(wrong)} frames sent are no good CANopen:\n" + "\n".join(wrong[:20]))
+
+
+@pytest.hookimpl(optionalhook=True)
+def pytest_testnodedown(node: Any) -> None:
+    """What a worker says of its frames is told at the end."""
+    output: dict[str, str] = getattr(node, "workeroutput", {})
+    if "dissected" in output:
+        DISSECTED[node.gateway.id] = output["dissected"]
+
+
 def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:
     """What a test that passed tells people: how many of its own ran, and were skipped, on vcan."""
+    for worker, told in DISSECTED.items():
+        terminalreporter.write_line(f"CANopen dissector ({worker}): {told}")
     for report in terminalreporter.getreports("passed"):
         for name, value in report.user_properties:
             if name == "on real vcan":

@@ -4,22 +4,24 @@ Needs `tshark` (Debian package of that name) in PATH. Record, mcap's own reader,
 code of ours touches the frames between the bus and the dissector but the recorder.
 """
 
-import shutil
 import struct
-import subprocess
 from collections import Counter
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 from mcap.reader import make_reader
 from mcap_protobuf.decoder import DecoderFactory
 
+from harness.build_info import cores_are_compiled
 from harness.rig import Rig
 from harness.scaffold import EXAMPLES
 from motorapi import ControlMode, Motor, TrapezoidalTrajectory
+from tests.dissector import COLUMNS, capture, collect_sent, complaints, dissected
+from tests.dissector import tshark as program
+from tests.emulators.cia402.bench import Bench
 
 FIELDS = (
-    "canopen.function_code",
     "canopen.node_id",
     "canopen.nmt_ctrl.cd",
     "canopen.nmt_guard.state",
@@ -28,12 +30,11 @@ FIELDS = (
     "canopen.sdo.main_idx",
     "canopen.sdo.abort_code",
 )
-LINKTYPE_CAN_SOCKETCAN = 227  # identifier in network byte order, see pcap-linktype
 
 
 @pytest.fixture(scope="module")
 def tshark() -> str:
-    found = shutil.which("tshark")
+    found = program()
     if found is None:
         pytest.skip("tshark is not installed: apt-get install tshark")
     return found
@@ -58,30 +59,17 @@ def run(tmp_path_factory: pytest.TempPathFactory, tshark: str) -> list[dict[str,
         left.reset_fault()
         left.hardware.link.nmt(0x81, 2)
         rig.runtime.run_for(0.5)
-    to_pcap(folder / "run.mcap", folder / "run.pcap")
-    return dissected(tshark, folder / "run.pcap")
+    (folder / "run.pcap").write_bytes(capture(frames_of(folder / "run.mcap")))
+    return dissected(tshark, folder / "run.pcap", (*COLUMNS, *FIELDS))
 
 
-def to_pcap(record: Path, target: Path) -> None:
-    rows = [struct.pack("<IHHiIII", 0xA1B23C4D, 2, 4, 0, 0, 65535, LINKTYPE_CAN_SOCKETCAN)]
+def frames_of(record: Path) -> Iterator[bytes]:
     with record.open("rb") as file:
         reader = make_reader(file, decoder_factories=[DecoderFactory()])
-        for _, _, message, can in reader.iter_decoded_messages(topics=["/can/can0"]):
+        for _, _, _, can in reader.iter_decoded_messages(topics=["/can/can0"]):
             assert not can.extended
             assert not can.remote
-            packet = struct.pack(">IB3x", can.id, len(can.data)) + can.data
-            seconds, rest_ns = divmod(message.log_time, 1_000_000_000)
-            rows.append(struct.pack("<IIII", seconds, rest_ns, len(packet), len(packet)) + packet)
-    target.write_bytes(b"".join(rows))
-
-
-def dissected(tshark: str, path: Path) -> list[dict[str, str]]:
-    columns = ("_ws.malformed", "_ws.expert.message", *FIELDS)
-    command = [tshark, "-n", "-r", str(path), "-d", "can.subdissector,canopen", "-T", "fields"]
-    for column in columns:
-        command += ["-e", column]
-    done = subprocess.run(command, capture_output=True, text=True, timeout=60, check=True)
-    return [dict(zip(columns, line.split("\t"), strict=True)) for line in done.stdout.splitlines()]
+            yield struct.pack("<IB3x8s", can.id, len(can.data), can.data)
 
 
 def test_every_frame_is_canopen_and_none_is_malformed(run):
@@ -90,13 +78,39 @@ def test_every_frame_is_canopen_and_none_is_malformed(run):
     assert [row for row in run if row["_ws.malformed"] or row["_ws.expert.message"]] == []
 
 
-def test_the_planted_fault_a_cut_off_frame_is_malformed(tshark, tmp_path):
-    cut = struct.pack(">IB3x", 0x601, 2) + bytes.fromhex("4000")
-    head = struct.pack("<IHHiIII", 0xA1B23C4D, 2, 4, 0, 0, 65535, LINKTYPE_CAN_SOCKETCAN)
-    path = tmp_path / "cut.pcap"
-    path.write_bytes(head + struct.pack("<IIII", 0, 0, len(cut), len(cut)) + cut)
-    (row,) = dissected(tshark, path)
-    assert row["_ws.malformed"]
+@pytest.mark.parametrize(
+    ("frame", "fault"),
+    [
+        ((0x581, b"\x43\x00"), "Malformed"),  # an SDO of two bytes
+        ((0x081, b"\x10\x81\x11"), "Malformed"),  # an EMCY of three
+        ((0x701, b"\x05\x00"), "error control of 2 bytes"),
+        ((0x7A1, bytes(8)), "not CANopen"),
+    ],
+)
+def test_a_planted_frame_that_is_none_of_canopen_s_is_found_among_good_ones(
+    tshark, tmp_path, frame, fault
+):
+    good = [(0x581, bytes.fromhex("4300100092010200")), (0x181, b"\x50\x02"), (0x701, b"\x00")]
+    sent = [struct.pack("<IB3x8s", can_id, len(data), data) for can_id, data in (*good, frame)]
+    (told,) = complaints(tshark, sent, tmp_path)
+    assert told.startswith(f"{frame[0]:03X}#{frame[1].hex().upper()}: ")
+    assert fault in told
+
+
+@pytest.mark.skipif(cores_are_compiled(), reason="compiled cores cannot be tapped")
+def test_whatever_a_node_sends_is_collected():
+    sent: set[bytes] = set()
+    end = collect_sent(sent)
+    bench = Bench()
+    bench.operational()
+    end()
+    assert sent >= {
+        struct.pack("<IB3x8s", can_id, len(data), data) for _, can_id, data in bench.sent
+    }
+    assert len(sent) > 1
+    before = len(sent)
+    bench.enable()
+    assert len(sent) == before
 
 
 def values(run: list[dict[str, str]], field: str, node: int) -> list[int]:
