@@ -2,8 +2,7 @@
 
 Waiting is what lets time pass. Whoever waits runs the world's events, one by one in the order
 (time, order of asking), until somebody's condition holds or somebody's time is up; then that party
-goes on, and everybody else stands still. So ordinary blocking code is deterministic, and an hour of
-motion takes as long as its events take to compute.
+goes on, and everybody else stands still. So ordinary blocking code is deterministic.
 
 The rules of turn:
     1. At any moment exactly one thread runs: the party that has the baton.
@@ -26,6 +25,7 @@ if TYPE_CHECKING:
     from motorapi.runtime import FrameListener, Registration
 
 _NEVER: Final = -1
+_END_NS: Final = 2 * 10**18  # 63 years: to controllers, what is later (2**61 ns) never comes
 _POLLS_MAX: Final = 1_000_000
 _LOOK_UP_TURNS: Final = 256  # compiled code must look for signals now and then
 GRACE_S: Final = 1.0  # wall time that a party has to wait next, or to end, once the run is over
@@ -117,12 +117,9 @@ class VirtualRuntime:
         first = VirtualParty("main", self)
         self._parties: dict[int, VirtualParty] = {threading.get_ident(): first}
         self._spawned: list[VirtualParty] = []
-        self._in_callback = False
-        self._closing = False
-        self._polls = 0
-        self._turns = 0
-        self._pumping = False
-        self._interrupted = False
+        self._in_callback = self._pumping = False
+        self._closing = self._interrupted = False
+        self._polls = self._turns = 0
 
     # --- Runtime ---------------------------------------------------------------------------
 
@@ -135,7 +132,8 @@ class VirtualRuntime:
 
         Raises:
             UsageError: in a callback, or in a thread that this runtime did not start; or nothing
-                will ever happen that could end the wait; or a million polls let no time pass.
+                will ever happen that could end the wait, or only beyond the end of virtual time;
+                or a million polls let no time pass.
         """
         party = self._party_here()
         self._in_callback = True
@@ -149,6 +147,8 @@ class VirtualRuntime:
             if not timeout_s >= 0.0:
                 raise UsageError(f"timeout_s = {timeout_s}: must be a number of seconds >= 0")
             deadline_ns = self.queue.now_ns + round(min(timeout_s, 1e9) * 1e9)
+            if deadline_ns > _END_NS:
+                raise UsageError(f"timeout_s = {timeout_s}: virtual time ends at {_END_NS / 1e9} s")
             if deadline_ns == self.queue.now_ns:
                 self._count_poll()
         waiter = _Waiter(party, done, deadline_ns)
@@ -199,9 +199,9 @@ class VirtualRuntime:
         self.wait_until(_never, duration_s)
 
     def interrupt(self) -> bool:
-        """Whether the first party will be interrupted (KeyboardInterrupt) after this event.
+        """Whether the first party gets a KeyboardInterrupt after this event; for signal handlers.
 
-        False: no event runs just now, or that was asked before. Signal handlers may call it.
+        False: no event runs just now, or that was asked before.
         """
         if not self._pumping or self._interrupted:
             return False

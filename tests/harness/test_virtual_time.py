@@ -7,6 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from emulators.canopen.shared import NEVER
 from emulators.event_queue import EventQueue
 from harness.virtual_time import VirtualRuntime
 from motorapi.errors import UsageError
@@ -24,6 +25,16 @@ def runtime():
 def test_a_wait_takes_exactly_its_timeout_and_no_wall_time_matters(runtime):
     assert runtime.wait_until(lambda: False, timeout_s=3600.0) is False
     assert runtime.now_ns() == 3600 * 10**9
+
+
+def test_virtual_time_ends_before_what_controllers_take_for_never(runtime):
+    """A drive waits for nothing until NEVER; a replay 1e30 times slower once took it there, where
+    it enabled itself out of SWITCH ON DISABLED."""
+    for _ in range(2):
+        runtime.run_for(1e9)
+    assert runtime.now_ns() < NEVER
+    with pytest.raises(UsageError, match="virtual time ends at 2000000000"):
+        runtime.run_for(1e-9)
 
 
 def test_a_wait_ends_at_the_event_that_fulfils_it(runtime):
