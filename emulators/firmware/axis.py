@@ -10,17 +10,19 @@ Positions are increments of the encoder. Tick k is at k * tick_ns.
 from typing import Final, final
 
 from emulators.firmware import profile, servo
+from emulators.firmware.axis_readings import AxisReadings
 from emulators.firmware.flags import (
     CURRENT_REACHED,
     IN_TARGET_WINDOW,
     IN_VELOCITY_WINDOW,
+    OUTSIDE_GATE,
     PROFILE_ACTIVE,
 )
 from emulators.firmware.gains import ServoGains
 from emulators.firmware.servo_tables import tables_of
 from emulators.firmware.timeline import RESTS, Timeline
-from emulators.firmware.windows import default_windows, in_a_row
-from emulators.plant.dc_motor import PI, MotorPlant
+from emulators.firmware.windows import default_windows, in_a_row, with_gate
+from emulators.plant.dc_motor import MotorPlant
 
 _NEVER: Final = -1.0
 _CURRENT_WINDOW: Final = 0.05  # of the plant's current: as near as it must come to be reached
@@ -29,13 +31,11 @@ NEVER_NS: Final = 1 << 61  # a small int to the compiler
 
 
 @final
-class Axis:
+class Axis(AxisReadings):
     """One motor with everything a drive's firmware does to it; sans-I/O, no clock.
 
-    `flags` (see emulators.firmware.flags) are those at the last `at`, except that a command which
-    starts a profile shows at once: PROFILE_ACTIVE comes, the two target windows go.
-
-    How it stays lazy and exact is told in emulators.firmware.timeline.
+    What it shows is told in emulators.firmware.axis_readings; how it stays lazy and exact, in
+    emulators.firmware.timeline.
     """
 
     def __init__(
@@ -49,35 +49,25 @@ class Axis:
     ) -> None:
         if tick_ns < 1 or current_steps < 1 or tick_ns % current_steps:
             raise ValueError(f"tick_ns = {tick_ns} does not hold {current_steps} equal steps")
-        self._plant: Final = plant
         self._current_steps: Final = current_steps
         self._clock_rate: Final = clock_rate
-        self._tick_ns: Final = tick_ns
-        self._tick_s: Final = tick_ns / 1e9
-        self._torque_n_m_a: Final = plant.torque_constant_n_m_a * plant.gear_ratio
-        self._output_rad_inc: Final = 2.0 * PI / (plant.encoder_increments_rev * plant.gear_ratio)
-        self._gear_ratio: Final = plant.gear_ratio
         self._current_max_a: Final = plant.current_max_a
-
-        self._offset_inc = 0
-        self._load_torque_n_m = plant.load_torque_n_m
         self._limits_a = (plant.current_max_a, plant.current_max_a)  # forwards, backwards
         self._windows: servo.Windows = default_windows(tick_ns)
-        self._mode = servo.OFF
         self._profile_tick = 0  # at which the profile's time is 0
-        self._profile = profile.hold(float(initial_position_inc))
-        self._orders: servo.Orders = (
-            *(servo.OFF, 0, _NEVER, self._profile),
+        standing: servo.Orders = (
+            *(servo.OFF, 0, _NEVER, profile.hold(float(initial_position_inc))),
             *(False, 0.0, 0.0, plant.current_max_a, plant.current_max_a),
         )
-        self._time = Timeline(
+        self._orders: servo.Orders = standing
+        time = Timeline(
             tables_of(plant, gains, tick_ns, current_steps, clock_rate),
             plant.load_torque_n_m,
             self._windows,
-            self._orders,
+            standing,
             servo.standing(float(initial_position_inc)),
         )
-        self.flags = self._time.state[servo.I_FLAGS]
+        super().__init__(plant, tick_ns, time, standing[3])
 
     # --- time -------------------------------------------------------------------------------------
 
@@ -121,58 +111,6 @@ class Axis:
         As long as it stays the same, so does every reading.
         """
         return self._time.commands if self._time.resting else -1
-
-    # --- readings, at the time of the last at() ---------------------------------------------------
-
-    def position_inc(self) -> int:
-        """What the encoder counts, from the zero that was set."""
-        return int(self._time.state[servo.I_COUNT]) + self._offset_inc
-
-    def velocity_inc_s(self) -> float:
-        """Velocity as measured by the firmware from the encoder; exactly 0.0 at standstill."""
-        return self._time.state[servo.I_VELOCITY] / self._tick_s
-
-    def demand_inc(self) -> int:
-        """Where the axis should be now; the actual position where no position is controlled."""
-        return int(self._time.state[servo.I_DEMAND]) + self._offset_inc
-
-    def demand_velocity_inc_s(self) -> float:
-        """How fast the axis should be now."""
-        return self._time.state[servo.I_DEMAND_VELOCITY] / self._tick_s
-
-    def following_error_inc(self) -> int:
-        """Demand minus actual position; 0 where no position is controlled."""
-        return int(self._time.state[servo.I_DEMAND] - self._time.state[servo.I_COUNT])
-
-    def target_inc(self) -> int:
-        """Where the present move, ramp or hold ends; the actual position where there is no end."""
-        if self._mode != servo.POSITION:
-            return self.position_inc()
-        return int(self._profile[-1][2]) + self._offset_inc
-
-    def current_a(self) -> float:
-        """Motor current."""
-        return self._time.state[servo.I_CURRENT]
-
-    def current_demand_a(self) -> float:
-        """Current asked for by the velocity loop or `apply_current`, after the limit."""
-        return self._time.state[servo.I_WANTED]
-
-    def torque_n_m(self) -> float:
-        """Torque of the motor times the gear ratio: friction and inertia not taken off."""
-        return self._time.state[servo.I_CURRENT] * self._torque_n_m_a
-
-    def output_position_rad(self) -> float:
-        """The truth behind the gear, not quantised; `set_position` does not change it."""
-        return (self._time.state[servo.I_POSITION] - 0.5) * self._output_rad_inc
-
-    def output_velocity_rad_s(self) -> float:
-        """The truth behind the gear, not quantised."""
-        return self._time.state[servo.I_SPEED] / self._gear_ratio
-
-    def load_torque_n_m(self) -> float:
-        """The load's torque at the output, as set."""
-        return self._load_torque_n_m
 
     # --- commands, from the tick after the last at() ----------------------------------------------
 
@@ -307,19 +245,36 @@ class Axis:
         window off, make it huge.
         """
         w = self._windows
+        tick_ns, tick_s = self._tick_ns, self._tick_s
         windows = (
             w[0] if target_window_inc is None else float(target_window_inc),
             w[1] if following_window_inc is None else float(following_window_inc),
-            w[2] if velocity_threshold_inc_s is None else velocity_threshold_inc_s * self._tick_s,
-            w[3] if velocity_window_inc_s is None else velocity_window_inc_s * self._tick_s,
-            in_a_row(target_window_ns, w[4], self._tick_ns),
-            in_a_row(following_window_ns, w[5], self._tick_ns),
-            in_a_row(velocity_threshold_ns, w[6], self._tick_ns),
-            in_a_row(velocity_window_ns, w[7], self._tick_ns),
+            w[2] if velocity_threshold_inc_s is None else velocity_threshold_inc_s * tick_s,
+            w[3] if velocity_window_inc_s is None else velocity_window_inc_s * tick_s,
+            in_a_row(target_window_ns, w[4], tick_ns),
+            in_a_row(following_window_ns, w[5], tick_ns),
+            in_a_row(velocity_threshold_ns, w[6], tick_ns),
+            in_a_row(velocity_window_ns, w[7], tick_ns),
+            *w[8:],
         )
         if windows != w:
             self._windows = windows
             self._time.set_windows(windows)
+
+    def set_gate(self, low: float, high: float, output_low: float, output_high: float) -> None:
+        """From now on OUTSIDE_GATE says that a count has left its range, and at which tick.
+
+        Inside is low <= count() < high together with output_low <= output_count() < output_high.
+        At the present tick the flag is off; it is exact from the next one on.
+        """
+        time = self._time
+        windows = with_gate(self._windows, max(low, output_low), min(high, output_high))
+        if windows == self._windows and not self.flags & OUTSIDE_GATE:
+            return
+        self._windows = windows
+        time.set_windows(windows)
+        self.flags &= ~OUTSIDE_GATE
+        time.order(self._orders, (*time.state[:14], self.flags, *time.state[15:]))
 
     def set_load(self, torque_n_m: float) -> None:
         """The load's torque at the output; positive turns towards negative positions."""
@@ -349,10 +304,13 @@ class Axis:
         self._orders = (*self._orders[:7], *self._limits_a)
         self._time.order(self._orders, self._time.state)
 
-    def set_position(self, position_inc: int) -> None:
-        """The present position is called `position_inc` from now on; nothing moves (homing)."""
+    def set_position(self, position_inc: int, count: int | None = None) -> None:
+        """This count (None: the present one) is called `position_inc` from now on (homing).
+
+        Nothing moves.
+        """
         self._time.commands += 1
-        self._offset_inc = position_inc - int(self._time.state[servo.I_COUNT])
+        self._offset_inc = position_inc - (self.count() if count is None else count)
 
     # --- inside ----------------------------------------------------------------------------------
 

@@ -10,3 +10,4 @@ SPEED_ZERO: Final = 16  # |velocity| within its threshold long enough
 IN_VELOCITY_WINDOW: Final = 32  # run_at only: actual within the window of the wanted velocity
 CURRENT_SATURATED: Final = 64  # the velocity loop asks for more current than is allowed
 CURRENT_REACHED: Final = 128  # apply_current only: ramp over, current near the one wanted
+OUTSIDE_GATE: Final = 256  # a count has left the range set_gate named; with power or without

@@ -34,6 +34,7 @@ from emulators.firmware.flags import (
     FOLLOWING_ERROR,
     IN_TARGET_WINDOW,
     IN_VELOCITY_WINDOW,
+    OUTSIDE_GATE,
     POWERED,
     PROFILE_ACTIVE,
     SPEED_ZERO,
@@ -88,8 +89,9 @@ I_FLAGS: Final = 14
 Orders = tuple[int, int, float, Profile, bool, float, float, float, float]
 
 # Half widths: target and following [increments], speed threshold and velocity [increments/tick];
-# then for how many ticks in a row each must hold, this one included.
-Windows = tuple[float, float, float, float, int, int, int, int]
+# then for how many ticks in a row each must hold, this one included; the gate: the least count that
+# is inside, and the least beyond it that is not.
+Windows = tuple[float, float, float, float, int, int, int, int, float, float]
 
 
 # Added to a number whose size is below _EXACT it leaves no room for a fraction, and so rounds it.
@@ -141,7 +143,8 @@ def run(
      supply, friction, coast_w, coast_x, kp, feed_v, kp_v, ki_v, feed_a) = table
     (load, volts_max, bend_least,
      fi, fu, fw, fx, fcw, fcx, bi, bu, bw, bx, bcw, bcx) = load_table
-    target_window, following_window, slow, velocity_window, need_t, need_f, need_z, need_v = windows
+    (target_window, following_window, slow, velocity_window, need_t, need_f, need_z, need_v,
+     gate_low, gate_high) = windows
     mode, origin, active, profile, has_target, target, run_velocity, limit, back = orders
     (on, i, u, w, x, hold_a, wanted, c0, c1, c2, c3, demand, demand_v, velocity,
      flags, in_target, behind, still, in_velocity) = state
@@ -322,6 +325,8 @@ def run(
                 flags |= SPEED_ZERO
         else:
             still = 0
+        if c0 < gate_low or c0 >= gate_high:  # a chain is slower, compiled
+            flags |= OUTSIDE_GATE
         if watch and flags != watched:
             break
         if w == 0.0 and c0 == c4 and (mode == OFF or index == last):

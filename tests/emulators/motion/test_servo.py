@@ -15,7 +15,7 @@ from emulators.plant.presets import PRESETS, WHEEL_60W
 from tests.emulators.motion.reference import ReferenceAxis
 
 MS = 1_000_000
-WINDOWS = (10.0, 1e300, 0.5, 2.0, 1, 1, 11, 11)
+WINDOWS = (10.0, 1e300, 0.5, 2.0, 1, 1, 11, 11, -1e300, 1e300)
 TABLES = {name: ServoTables(p, ServoGains.tuned(p, MS, 10), MS, 10) for name, p in PRESETS.items()}
 
 

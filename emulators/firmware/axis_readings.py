@@ -1,0 +1,93 @@
+"""What an axis shows of itself, at the time of its last `at`."""
+
+from typing import Final
+
+from emulators.firmware import profile, servo
+from emulators.firmware.timeline import Timeline
+from emulators.plant.dc_motor import PI, MotorPlant
+
+
+class AxisReadings:
+    """The readings of an axis; positions are increments of its encoder.
+
+    `flags` (see emulators.firmware.flags) are those at the last `at`, except that a command which
+    starts a profile shows at once: PROFILE_ACTIVE comes, the two target windows go.
+    """
+
+    def __init__(
+        self, plant: MotorPlant, tick_ns: int, time: Timeline, pieces: profile.Profile
+    ) -> None:
+        self._plant: Final = plant
+        self._tick_ns: Final = tick_ns
+        self._tick_s: Final = tick_ns / 1e9
+        self._torque_n_m_a: Final = plant.torque_constant_n_m_a * plant.gear_ratio
+        self._output_rad_inc: Final = 2.0 * PI / (plant.encoder_increments_rev * plant.gear_ratio)
+        self._gear_ratio: Final = plant.gear_ratio
+        self._time: Final = time
+        self._offset_inc = 0
+        self._load_torque_n_m = plant.load_torque_n_m
+        self._mode = servo.OFF
+        self._profile = pieces
+        self.flags: int = time.state[servo.I_FLAGS]
+
+    def position_inc(self) -> int:
+        """What the encoder counts, from the zero that was set."""
+        return int(self._time.state[servo.I_COUNT]) + self._offset_inc
+
+    def count(self) -> int:
+        """What the encoder counts from the output's zero; `set_position` does not change it."""
+        return int(self._time.state[servo.I_COUNT])
+
+    def output_count(self) -> int:
+        """Where the output is, in whole increments as `count`: what switches there feel."""
+        return int(self._time.state[servo.I_COUNT])
+
+    def count_when_output_was(self, output_count: int) -> int:
+        """What the encoder counted when, within the last tick, the output passed this place."""
+        return output_count
+
+    def velocity_inc_s(self) -> float:
+        """Velocity as measured by the firmware from the encoder; exactly 0.0 at standstill."""
+        return self._time.state[servo.I_VELOCITY] / self._tick_s
+
+    def demand_inc(self) -> int:
+        """Where the axis should be now; the actual position where no position is controlled."""
+        return int(self._time.state[servo.I_DEMAND]) + self._offset_inc
+
+    def demand_velocity_inc_s(self) -> float:
+        """How fast the axis should be now."""
+        return self._time.state[servo.I_DEMAND_VELOCITY] / self._tick_s
+
+    def following_error_inc(self) -> int:
+        """Demand minus actual position; 0 where no position is controlled."""
+        return int(self._time.state[servo.I_DEMAND] - self._time.state[servo.I_COUNT])
+
+    def target_inc(self) -> int:
+        """Where the present move, ramp or hold ends; the actual position where there is no end."""
+        if self._mode != servo.POSITION:
+            return self.position_inc()
+        return int(self._profile[-1][2]) + self._offset_inc
+
+    def current_a(self) -> float:
+        """Motor current."""
+        return self._time.state[servo.I_CURRENT]
+
+    def current_demand_a(self) -> float:
+        """Current asked for by the velocity loop or `apply_current`, after the limit."""
+        return self._time.state[servo.I_WANTED]
+
+    def torque_n_m(self) -> float:
+        """Torque of the motor times the gear ratio: friction and inertia not taken off."""
+        return self._time.state[servo.I_CURRENT] * self._torque_n_m_a
+
+    def output_position_rad(self) -> float:
+        """The truth behind the gear, not quantised; `set_position` does not change it."""
+        return (self._time.state[servo.I_POSITION] - 0.5) * self._output_rad_inc
+
+    def output_velocity_rad_s(self) -> float:
+        """The truth behind the gear, not quantised."""
+        return self._time.state[servo.I_SPEED] / self._gear_ratio
+
+    def load_torque_n_m(self) -> float:
+        """The load's torque at the output, as set."""
+        return self._load_torque_n_m
