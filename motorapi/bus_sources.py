@@ -27,6 +27,7 @@ Heard = tuple[bytes, int, bool]
 
 _FRAME: Final = struct.Struct("<IB3x8s")
 _FRAME_SIZE: Final = 16
+_NEVER_NS: Final = -1
 _EFF: Final = 0x8000_0000
 _RTR: Final = 0x4000_0000
 _ERR: Final = 0x2000_0000
@@ -110,13 +111,23 @@ class _FrameBusSource:
         self.reports_own = True
         self._bus = bus
         self._frames: _FrameBus = bus  # type: ignore[assignment]  # source_of has looked
+        self._lead_ns = 0  # this clock over the bus' own, by the frame that took the least time
+        self._last_ns = _NEVER_NS
 
     def open(self) -> None:
         _refuse_second_reader(self._bus)
 
     def receive(self, timeout_s: float) -> Heard | None:
+        """Its age is by the bus' own clock: how late this process gets to it does not count."""
         heard = self._frames.receive_frame(timeout_s)
-        return None if heard is None else (heard[0], 0, heard[2])
+        if heard is None:
+            return None
+        frame, bus_ns, transmitted = heard
+        now_ns = time.monotonic_ns()
+        if self._last_ns == _NEVER_NS or now_ns - bus_ns < self._lead_ns:
+            self._lead_ns = now_ns - bus_ns
+        self._last_ns = max(self._last_ns, bus_ns + self._lead_ns)
+        return frame, now_ns - self._last_ns, transmitted
 
     def send(self, frame: bytes) -> None:
         from can import CanError

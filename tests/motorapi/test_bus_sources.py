@@ -1,0 +1,62 @@
+"""Sources of frames: what a frame's age is, where the bus tells its own time."""
+
+import struct
+from types import SimpleNamespace
+
+from hypothesis import given
+from hypothesis import strategies as st
+
+from motorapi import bus_sources
+
+FRAME = struct.pack("<IB3x8s", 0x181, 1, b"\x07")
+CLOCK_NS = 7_000_000_000  # this process's clock over the bus' own
+
+delays = st.lists(
+    st.tuples(st.integers(0, 50_000_000), st.integers(0, 50_000_000)), min_size=1, max_size=20
+)
+
+
+class TimedBus:
+    """Frames that were on it at their own times, and are got to later."""
+
+    channel_info = "timed"
+
+    def __init__(self, rows):
+        self.rows = rows
+
+    def receive_frame(self, timeout_s):
+        return (FRAME, self.rows.pop(0), False) if self.rows else None
+
+    def transmit(self, frame):
+        raise NotImplementedError
+
+
+@given(delays)
+def test_a_frame_is_as_old_as_the_bus_says_however_late_it_is_got_to(gaps_and_delays):
+    bus_ns, now_ns, rows, arrivals = 0, 0, [], []
+    for gap_ns, delay_ns in gaps_and_delays:
+        bus_ns += gap_ns
+        now_ns = max(now_ns, CLOCK_NS + bus_ns + delay_ns)  # in order, whatever the delay
+        rows.append(bus_ns)
+        arrivals.append(now_ns)
+    clock = iter(arrivals)
+    source = bus_sources.source_of(TimedBus(list(rows)))
+    told = []
+    real, bus_sources.time = bus_sources.time, SimpleNamespace(monotonic_ns=lambda: next(clock))
+    try:
+        for arrival_ns in arrivals:
+            _, age_ns, _ = source.receive(0.0)
+            assert age_ns >= 0
+            told.append(arrival_ns - age_ns)
+    finally:
+        bus_sources.time = real
+    assert told == sorted(told)
+    least_ns = [
+        min(a - b for a, b in zip(arrivals[: k + 1], rows, strict=False)) for k in range(len(rows))
+    ]
+    place = least_ns.index(least_ns[-1])  # from here on nothing came with less delay
+    settled = next(
+        (k for k in range(place, len(rows)) if rows[k] + least_ns[-1] >= max(told[: k + 1])), None
+    )
+    if settled is not None:
+        assert told[settled:] == [row + least_ns[-1] for row in rows[settled:]]
