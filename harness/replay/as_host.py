@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Final, Protocol, final
 
 from emulators.media.can_bits import length_bits
 from harness.recorded_meaning import meaning_in
+from harness.replay.ears import Ears
 from harness.replay.host_player import PATIENCE_NS, HostPlayer
 from harness.settings import RigError
 from motorapi.runtime import Runtime
@@ -45,8 +46,8 @@ class Driven(Protocol):
     def send(self, bus: str, frame: bytes) -> None:
         """A can_frame waits its turn on a bus, or an ADU goes out on a line."""
 
-    def listen(self, bus: str, player: HostPlayer) -> None:
-        """The player hears what is on it."""
+    def listen(self, bus: str, player: HostPlayer, opening: bytes | None) -> None:
+        """The player hears what is on it, from this frame of its own on; None: at once."""
 
 
 def drive(
@@ -94,10 +95,11 @@ def drive(
     player = HostPlayer(steps, Listener({}), begin_ns, lines, speed, patience_ns)
     player.unsent = unsent
     runtime = driven.runtime
-    for bus in (one for one in used if reset and one in buses):
-        driven.send(bus, _RESET_ALL)  # before anybody listens: what was told before is no answer
-    for name in used:
-        driven.listen(name, player)
+    resets = [one for one in used if reset and one in buses]
+    for name in used:  # what was told before the reset is no answer
+        driven.listen(name, player, _RESET_ALL if name in resets else None)
+    for bus in resets:
+        driven.send(bus, _RESET_ALL)
     player.start(runtime.now_ns())
     while not player.is_over():
         for bus, frame in player.take(runtime.now_ns()):
@@ -144,8 +146,8 @@ class DrivenRig:
         else:
             self.runtime.send(self._rig.bus(bus), frame)
 
-    def listen(self, bus: str, player: HostPlayer) -> None:
-        """The player hears what is on it."""
+    def listen(self, bus: str, player: HostPlayer, opening: bytes | None) -> None:
+        """The player hears what is on it, from this frame on."""
         if bus in self.lines:
             self._listen_to_line(bus, player)
             return
@@ -153,7 +155,7 @@ class DrivenRig:
         def hear(frame: bytes, time_ns: int, transmitted: bool) -> None:
             player.heard(bus, frame, time_ns, transmitted)
 
-        self.runtime.listen(self._rig.bus(bus), hear)
+        self.runtime.listen(self._rig.bus(bus), Ears(hear, opening).heard)
 
     def _listen_to_line(self, name: str, player: HostPlayer) -> None:
         line = self._rig.line(name)

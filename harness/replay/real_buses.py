@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Final, Self, final
 
 from harness.recording.places import Kind, Place
 from harness.recording.python_can import open_bus
+from harness.replay.ears import Ears
 from motorapi.runtime import Runtime
 from motorapi.wall_runtime import WallRuntime
 from traces.reader import read_trace
@@ -83,15 +84,15 @@ class DrivenBuses:
         """The frame waits its turn."""
         self.runtime.send(self._open[bus], frame)
 
-    def listen(self, bus: str, player: "HostPlayer") -> None:
-        """The player hears what is on it, and the record."""
+    def listen(self, bus: str, player: "HostPlayer", opening: bytes | None) -> None:
+        """The player hears what is on it, from this frame on, and the record does."""
         heard, sent = self._sources[bus]
 
         def hear(frame: bytes, time_ns: int, transmitted: bool) -> None:
             self._writer.can_frame(sent if transmitted else heard, time_ns, frame)
             player.heard(bus, frame, time_ns, transmitted)
 
-        self.runtime.listen(self._open[bus], hear)
+        self.runtime.listen(self._open[bus], Ears(hear, opening).heard)
 
     def _sources_on(self, bus: str) -> tuple[int, int]:
         channel = self._writer.channel(f"/can/{bus}", Schema.of(CAN_FRAME))
