@@ -35,6 +35,7 @@ from harness.rig_file import (
 from harness.rig_media import add_bus
 from harness.rig_models import read_models
 from harness.rig_parts import Named, RigController, RigFaults
+from harness.rig_stimuli import schedule
 from harness.rig_traffic import traffic_of
 from harness.settings import RigError, refuse_source
 from harness.timing_from_controller import with_timing
@@ -87,6 +88,7 @@ class Rig:
             self.world.tap_events(lambda *event: started.append(event))
             self._add_buses()
             self._add_controllers()
+            schedule(description, self.world, self._build_controller)
             self.notes += [f"{name}: {level}: {text}" for _, level, name, text in started]
             if record is not None:
                 self._record(record, started, cleanup)
@@ -198,7 +200,7 @@ class Rig:
     def _build_controller(self, controller: ControllerDescription) -> Controller:
         place = ("controller", controller.name)
         settings, notes = settings_with_model(self.description, controller, self._models)
-        self.notes += notes
+        self.notes += [note for note in notes if note not in self.notes]
         context = ControllerContext(controller.name, self.description.folder, self.seed)
         plugin = self._plugins[CONTROLLERS][controller.kind]
         build = self._load(plugin, (*place, "kind"))

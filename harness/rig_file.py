@@ -12,6 +12,7 @@ and a motor's own settings are checked by whoever builds them, and told with the
                                 node_id, or nothing, if its adaptation needs no bus
     [group.NAME]                motors
     [[fault]]                   bus, kind, what it hits and when
+    [[stimulus]]                controller, name, value, at_s
 """
 
 import re
@@ -30,13 +31,14 @@ from harness.rig_buses import (
     read_bus,
 )
 from harness.rig_faults import HOST, FaultDescription, read_faults
+from harness.rig_stimuli import StimulusDescription, read_stimuli
 from harness.settings import RigError, Source, Table, read_source
 from harness.toml_lines import KeyPath
 from harness.wording import listed, one_line
 
 RIG_KEYS: Final = ("name", "seed")
 GROUP_KEYS: Final = ("motors",)
-TOP_KEYS: Final = ("rig", "bus", "controller", "motor", "group", "fault")
+TOP_KEYS: Final = ("rig", "bus", "controller", "motor", "group", "fault", "stimulus")
 
 NAME: Final = re.compile(r"[A-Za-z][A-Za-z0-9_-]*")
 SEED_MAX: Final = 2**32 - 1
@@ -111,6 +113,7 @@ class RigDescription:
     motors: Mapping[str, MotorDescription]
     groups: Mapping[str, GroupDescription]
     faults: tuple[FaultDescription, ...]
+    stimuli: tuple[StimulusDescription, ...]
     source: Source
     attached: tuple[tuple[str, str, bytes], ...] = ()
 
@@ -182,6 +185,7 @@ def parse_rig(source: Source, known: Known) -> RigDescription:
         motors=MappingProxyType(motors),
         groups=MappingProxyType(groups),
         faults=read_faults(root, _on_each(buses, controllers), buses),
+        stimuli=read_stimuli(root, list(controllers)),
         source=source,
     )
 

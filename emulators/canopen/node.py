@@ -36,6 +36,7 @@ _Handler = Callable[[bytes, int], None]
 
 _INVALID: Final = 1 << 31
 _HEARTBEAT_KEY: Final = 0x1_0000  # EMCY: above all RPDO numbers
+_BUS_KEY: Final = 0x2_0000
 
 
 @final
@@ -163,6 +164,16 @@ class CanopenNode:
     def errors_stand(self, error_register: int, now_ns: int) -> None:
         """The device's own bits of 1001h are these from now on; no EMCY tells so."""
         self._emcy.stand(error_register)
+        self._pdos.changed(0x1001, 0, now_ns)
+
+    def bus_error(self, code: int, now_ns: int) -> None:
+        """CAN itself fails (8120h) or did (8140h): told, and stands until `bus_repaired`."""
+        self._emcy.find(_BUS_KEY, code, b"")
+        self._pdos.changed(0x1001, 0, now_ns)
+
+    def bus_repaired(self, now_ns: int) -> None:
+        """CAN works."""
+        self._emcy.repair(_BUS_KEY)
         self._pdos.changed(0x1001, 0, now_ns)
 
     def object_changed(self, index: int, subindex: int, now_ns: int) -> None:

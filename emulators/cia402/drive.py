@@ -11,42 +11,17 @@ from emulators.canopen.nmt import NmtState
 from emulators.canopen.node import CanopenNode, NodeTiming
 from emulators.canopen.object_dictionary import ObjectDictionary
 from emulators.canopen.shared import NEVER
+from emulators.cia402.faults import COMMUNICATION_LOST, HEARTBEAT_LOST, error_register, told
 from emulators.cia402.objects import DriveObjects
 from emulators.cia402.power_drive import NO_FAULT, PowerDrive
+from emulators.cia402.protection import STIMULI as PROTECTION_STIMULI
+from emulators.cia402.protection import Protection
 from emulators.cia402.readings import Readings
 from emulators.cia402.settings import DriveSettings
 from emulators.firmware.axis import Axis
 from emulators.plant.dc_motor import RANGES
 
-COMMUNICATION: Final = 0x8100
-HEARTBEAT: Final = 0x8130
-STIMULI: Final = ("load_torque_n_m", "fault", "power")
-
-# 1001h by the error code's first digits (CiA 301, 7.5.2.2; CiA 402-2, error codes).
-_REGISTER_GENERIC: Final = 0x01
-_REGISTER: Final[dict[int, int]] = {0x2: 0x02, 0x3: 0x04, 0x4: 0x08, 0xF: 0x80}
-_REGISTER_COMMUNICATION: Final = 0x10  # 81xxh, 82xxh
-_REGISTER_PROFILE: Final = 0x20  # 83xxh to 87xxh: torque, velocity, position, following error
-_FAULT_TEXT: Final[dict[int, str]] = {
-    0x2310: "continuous over-current",
-    0x3210: "DC-link over-voltage",
-    0x3220: "DC-link under-voltage",
-    0x4310: "drive too hot",
-    0x7300: "sensor",
-    0x8100: "communication",
-    0x8130: "heartbeat lost",
-    0x8611: "following error",
-}
-
-
-def error_register(code: int) -> int:
-    """The bits of 1001h that go with an error code; generic (bit 0) always does."""
-    group = code >> 12
-    if group == 0x8:
-        bits = _REGISTER_COMMUNICATION if code < 0x8300 else _REGISTER_PROFILE
-    else:
-        bits = _REGISTER.get(group, 0)
-    return _REGISTER_GENERIC | bits
+STIMULI: Final = ("load_torque_n_m", "fault", "power", *PROTECTION_STIMULI)
 
 
 @final
@@ -81,6 +56,9 @@ class Cia402Drive:
             settings.node_id,
             NodeTiming(boot_up_ns=settings.boot_up_ns, sdo_reply_ns=settings.sdo_reply_ns),
             self,
+        )
+        self._protection = Protection(
+            self.axis, od, self._node, self._power_drive, settings.protection
         )
         self._outbox = self._node.outbox
         self._events: list[tuple[str, str]] = list(events)
@@ -161,7 +139,9 @@ class Cia402Drive:
         return [*self._node.take_events(), *own]
 
     def stimulate(self, name: str, value: float, now_ns: int) -> None:
-        """The load at the output [N m], an error code to fail with, or the power stage's supply.
+        """The load at the output [N m], an error code to fail with, the power stage's supply.
+
+        Or one of `emulators.cia402.protection`.
 
         Raises:
             ValueError: there is no such stimulus, or the value is none.
@@ -181,6 +161,8 @@ class Cia402Drive:
             if value not in (0, 1):
                 raise ValueError(f"power is 0 or 1, not {value}")
             self._power_drive.set_voltage(value == 1, now_ns)
+        elif name in PROTECTION_STIMULI:
+            self._protection.stimulate(name, value, now_ns)
         else:
             raise ValueError(f"there is no stimulus {name!r}; known: {', '.join(STIMULI)}")
         self._publish(now_ns)
@@ -224,12 +206,12 @@ class Cia402Drive:
             self.axis.at(now_ns)
             self._power_drive.initialised(now_ns)
         elif state == NmtState.STOPPED:
-            self._abort(COMMUNICATION, now_ns)
+            self._abort(COMMUNICATION_LOST, now_ns)
 
     def on_reset(self, whole: bool, now_ns: int) -> None:
         """Reset node starts the firmware afresh; reset communication takes the host away."""
         if not whole:
-            self._abort(COMMUNICATION, now_ns)
+            self._abort(COMMUNICATION_LOST, now_ns)
             return
         self._happens()
         self.axis.at(now_ns)
@@ -262,7 +244,7 @@ class Cia402Drive:
 
     def on_heartbeat_lost(self, node_id: int, now_ns: int) -> None:
         """6007h."""
-        self._abort(HEARTBEAT, now_ns)
+        self._abort(HEARTBEAT_LOST, now_ns)
 
     # --- inside
 
@@ -313,8 +295,7 @@ class Cia402Drive:
         if code == NO_FAULT:
             self._events.append(("info", "fault reset"))
             return
-        text = _FAULT_TEXT.get(code)
-        self._events.append(("error", f"fault {code:04X}h" + (f" ({text})" if text else "")))
+        self._events.append(("error", told(code)))
 
     def _find_deadline(self) -> None:
         """The earliest of the node's, the power drive's and the axis' next event."""

@@ -9,6 +9,13 @@ from typing import Final, final
 
 from emulators.canopen.shared import NEVER
 from emulators.cia402.cyclic_position import CyclicPosition
+from emulators.cia402.faults import (
+    FOLLOWING_ERROR,
+    UNDER_VOLTAGE,
+    Standing,
+    is_at_once,
+    is_resettable,
+)
 from emulators.cia402.homing import Homing
 from emulators.cia402.mode import Mode
 from emulators.cia402.objects import DriveObjects
@@ -36,8 +43,6 @@ from emulators.firmware import flags as f
 from emulators.firmware.axis import Axis
 from emulators.firmware.gains import ServoGains
 
-FOLLOWING_ERROR: Final = 0x8611
-UNDERVOLTAGE: Final = 0x3220
 NO_FAULT: Final = 0x0000
 
 # 6007h, 605Ah
@@ -61,6 +66,7 @@ class PowerDrive:
         told: error codes since last cleared by the caller, in order; 0 says that a fault was reset.
         voltage: whether the power stage has its supply.
         mode: 6061h.
+        standing: what keeps a fault from being reset, or the drive from being readied; warnings.
     """
 
     def __init__(self, axis: Axis, objects: DriveObjects, tick_ns: int, enable_ns: int) -> None:
@@ -69,6 +75,7 @@ class PowerDrive:
         self.told: list[int] = []
         self.voltage: bool = True
         self.mode: int = 0
+        self.standing: Standing = Standing()
         self._axis = axis
         self._objects = objects
         self._enable_ns = enable_ns
@@ -109,6 +116,8 @@ class PowerDrive:
         """Transition 1: the firmware has started."""
         if self.fsa.state is PdsState.NOT_READY_TO_SWITCH_ON:
             self._take(1, now_ns)
+            for code in self.standing.causes:
+                self.fault(code, now_ns)
             self._obey_level(now_ns)
 
     def written(self, what: int, now_ns: int) -> None:
@@ -132,7 +141,7 @@ class PowerDrive:
             if self.voltage:
                 self._take(4, now_ns)
             else:
-                self.fault(UNDERVOLTAGE, now_ns)
+                self.fault(UNDER_VOLTAGE, now_ns)
         flags = self._axis.flags
         state = self.fsa.state
         if flags & f.FOLLOWING_ERROR and state in _RUNNING_STATES:
@@ -154,10 +163,28 @@ class PowerDrive:
         return wake_ns if wake_ns < self._enable_due_ns else self._enable_due_ns
 
     def fault(self, code: int, now_ns: int) -> None:
-        """Transition 13 with this error code (603Fh), and the reaction 605Eh asks for."""
+        """Transition 13 with this error code (603Fh), and the reaction of the table of faults."""
         self.told.append(code)
-        if self.fsa.state not in (PdsState.FAULT, PdsState.FAULT_REACTION_ACTIVE):
+        state = self.fsa.state
+        if state is PdsState.FAULT_REACTION_ACTIVE:
+            if is_at_once(code):
+                self._take(14, now_ns)
+        elif state is not PdsState.FAULT:
             self._react(code, now_ns)
+
+    def lose_reference(self) -> None:
+        """The position no longer means what homing made it mean."""
+        self._homing.forget()
+
+    def take_torque_off(self, code: int, now_ns: int) -> None:
+        """Safe torque off: a fault with this code where the power stage was on; 0 disables only."""
+        state = self.fsa.state
+        if state is PdsState.FAULT_REACTION_ACTIVE:
+            self._take(14, now_ns)
+        elif code and state in _POWERED_STATES:
+            self.fault(code, now_ns)
+        else:
+            self._advance(Command.DISABLE_VOLTAGE, now_ns)
 
     def set_voltage(self, present: bool, now_ns: int) -> None:
         """The power stage's supply comes or goes; without it a motor cannot even be braked."""
@@ -168,7 +195,7 @@ class PowerDrive:
         if state is PdsState.FAULT_REACTION_ACTIVE:
             self._take(14, now_ns)
         elif state in _RUNNING_STATES:
-            self.fault(UNDERVOLTAGE, now_ns)
+            self.fault(UNDER_VOLTAGE, now_ns)
 
     def abort_connection(self, code: int, now_ns: int) -> None:
         """The host is gone: 6007h says what follows while the power stage is on.
@@ -204,7 +231,7 @@ class PowerDrive:
             voltage=self.voltage,
             remote=state is not PdsState.NOT_READY_TO_SWITCH_ON,
             limit=active.limited,
-            warning=False,
+            warning=self.standing.warnings != 0,
         )
 
     # --- inside
@@ -244,8 +271,13 @@ class PowerDrive:
             if self._enable_due_ns == NEVER:
                 self._enable_due_ns = now_ns + self._enable_ns
             return False
+        if transition == 2:
+            return not self.standing.torque_off
         if transition == 15:
-            return self.voltage or self.error_code != UNDERVOLTAGE
+            is_gone = not self.standing.causes and (
+                self.voltage or self.error_code != UNDER_VOLTAGE
+            )
+            return is_gone and is_resettable(self.error_code)
         if transition == 16:
             return objects.options.quick_stop() >= 5
         ramps = (
@@ -285,7 +317,7 @@ class PowerDrive:
         self._active.leave()
         self._take(13, now_ns)
         deceleration = self._objects.options.fault_deceleration_inc_s2()
-        if running and self.voltage and deceleration is not None:
+        if running and self.voltage and deceleration is not None and not is_at_once(code):
             self._axis.ramp_to_rest(deceleration)
             self._at_rest = 14
         else:

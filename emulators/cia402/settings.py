@@ -14,6 +14,11 @@ from emulators.firmware.gains import ServoGains
 from emulators.plant.dc_motor import MotorPlant
 from emulators.plant.oscillator import IDEAL, Oscillator
 from emulators.plant.presets import PRESETS
+from emulators.protection_settings import (
+    DEFAULT_PROTECTION,
+    ProtectionSettings,
+    protection_of,
+)
 from emulators.servo_settings import servo_of
 from emulators.setting_tables import (
     DEFAULT_PRESET,
@@ -52,6 +57,7 @@ _KEYS: Final = (
     "objects",
     "supported_modes",
     "initial_position_rad",
+    "protection",
 )
 _TIMING_KEYS: Final = ("boot_up_s", "sdo_reply_s", "enable_s")
 _UNIT_KEYS: Final = ("position_unit_inc", "velocity_unit_inc_s", "acceleration_unit_inc_s2")
@@ -76,6 +82,7 @@ class DriveSettings:
         objects: power-on values that replace what the file says.
         supported_modes: names; None: what the file says, else all emulated ones.
         initial_position_rad: at the output, at power-on.
+        protection: when it takes itself off, and how.
     """
 
     node_id: int
@@ -94,6 +101,7 @@ class DriveSettings:
     objects: tuple[ObjectValue, ...] = ()
     supported_modes: tuple[str, ...] | None = None
     initial_position_rad: float = 0.0
+    protection: ProtectionSettings = DEFAULT_PROTECTION
 
 
 def read_settings(table: Mapping[str, object], folder: Path, stream: str = "") -> DriveSettings:
@@ -128,6 +136,7 @@ def read_settings(table: Mapping[str, object], folder: Path, stream: str = "") -
         objects=objects_of(table_in(table, "objects")),
         supported_modes=_modes(table),
         initial_position_rad=initial_position_rad(table, plant),
+        protection=protection_of(table_in(table, "protection")),
     )
 
 

@@ -50,9 +50,9 @@ def with_recorded(
     set_points: str = SET_POINTS[0],
     places: Mapping[str, Mapping[str, object]] | None = None,
 ) -> "RigDescription":
-    """The rig with its controllers out of the recording, and without its faults.
+    """The rig with its controllers out of the recording, and without its faults and stimuli.
 
-    What faults did is in the recording; and what nobody heard is not. `set_points` is "exact", or
+    What they did is in the recording; and what nobody heard is not. `set_points` is "exact", or
     "any" if their values in PDOs may be others than recorded; `places` tells by controller where
     the recording has it (`recorded_bus`, `recorded_unit`), where it is elsewhere in the rig.
     """
@@ -70,7 +70,7 @@ def with_recorded(
             settings["set_points"] = set_points
         settings |= (places or {}).get(name, {})
         controllers[name] = replace(controller, kind=KIND, settings=settings, plants_from_model=())
-    return replace(description, controllers=controllers, faults=())
+    return replace(description, controllers=controllers, faults=(), stimuli=())
 
 
 def rig_in(recording: Path, known: Known) -> "RigDescription":

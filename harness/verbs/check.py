@@ -33,6 +33,7 @@ def run(options: argparse.Namespace) -> int:
                 "motors": len(rig.description.motors),
                 "groups": len(rig.description.groups),
                 "faults": len(rig.description.faults),
+                "stimuli": len(rig.description.stimuli),
             }
             name = rig.description.name
     except RigError as error:
@@ -63,4 +64,4 @@ def _facts(error: RigError) -> dict[str, object]:
 def _form(plural: str, count: int) -> str:
     if count != 1:
         return plural
-    return "bus" if plural == "buses" else plural.removesuffix("s")
+    return {"buses": "bus", "stimuli": "stimulus"}.get(plural, plural.removesuffix("s"))

@@ -16,8 +16,15 @@ from emulators.cia402 import settings as drive_settings
 from emulators.media.faults import FaultKind
 from emulators.plant.dc_motor import RANGES, MotorPlant
 from emulators.plant.presets import PRESETS
+from emulators.protection_settings import (
+    DEFAULT_PROTECTION,
+    PROTECTION_KEYS,
+    STO_ERROR,
+    STO_REACTIONS,
+    TEMPERATURE_RANGE_C,
+)
 from emulators.setting_tables import OSCILLATOR_KEYS, PHASE_MAX_S, PPM_MAX
-from harness import rig_buses, rig_faults, rig_file, rig_line_faults
+from harness import rig_buses, rig_faults, rig_file, rig_line_faults, rig_stimuli
 from harness.plugins import ADAPTATIONS, installed
 from harness.rig import installed_plugins
 from harness.scaffold import EXAMPLES
@@ -69,6 +76,7 @@ def test_the_schema_knows_the_keys_that_the_readers_know():
     assert tuple(DEFS["group"]["properties"]) == rig_file.GROUP_KEYS
     fault = DEFS["fault"]["properties"]
     assert tuple(fault) == (*rig_faults.FAULT_KEYS, *rig_line_faults.LINE_KEYS)
+    assert tuple(DEFS["stimulus"]["properties"]) == rig_stimuli.STIMULUS_KEYS
     kinds = [kind.value for kind in FaultKind]
     kinds += [kind for kind in rig_line_faults.KINDS if kind not in kinds]
     assert fault["kind"]["enum"] == kinds
@@ -82,6 +90,14 @@ def test_the_schema_knows_the_drives_own_keys():
     assert set(drive) == {"kind", "bus", *drive_settings._KEYS}
     assert set(drive["timing"]["properties"]) == set(drive_settings._TIMING_KEYS)
     assert set(drive["units"]["properties"]) == set(drive_settings._UNIT_KEYS)
+    protection = drive["protection"]["properties"]
+    assert tuple(protection) == PROTECTION_KEYS
+    assert protection["sto"]["enum"] == list(STO_REACTIONS)
+    assert protection["sto_error_code"]["default"] == STO_ERROR
+    for key in ("device_temperature_warning_c", "device_temperature_max_c"):
+        assert protection[key]["default"] == getattr(DEFAULT_PROTECTION, key)
+        limits = (protection[key]["minimum"], protection[key]["maximum"])
+        assert limits == TEMPERATURE_RANGE_C
     assert drive["plant"] == {"$ref": "#/$defs/plant"}
     assert drive["supported_modes"]["items"]["enum"] == list(drive_settings.EMULATED_MODES)
 

@@ -4,7 +4,7 @@ import struct
 
 import pytest
 
-from emulators.cia402.drive import error_register
+from emulators.cia402.faults import error_register
 from emulators.cia402.pds_fsa import PdsState
 from tests.emulators.cia402.bench import MS, NODE, Bench
 

@@ -132,6 +132,23 @@ def test_numbers_arrive():
         ({"supported_modes": []}, "supported_modes: [] is no list of modes"),
         ({"supported_modes": ["ip"]}, "supported_modes: mode ip is not emulated; known: pp, pv"),
         ({"supported_modes": ["p"]}, "supported_modes: there is no mode 'p'; known: pp, pv"),
+        ({"protection": {"stop": 1}}, "protection.stop: is not known; "),
+        (
+            {"protection": {"sto": 1}},
+            'protection.sto: 1 is no reaction; write "disable" or "fault"',
+        ),
+        (
+            {"protection": {"sto_error_code": 0x5441}},
+            'protection.sto_error_code: there is no fault to tell; write sto = "fault", too',
+        ),
+        (
+            {"protection": {"sto": "fault", "sto_error_code": 0}},
+            "protection.sto_error_code: 0 is outside 4096..65535",
+        ),
+        (
+            {"protection": {"device_temperature_max_c": 60.0}},
+            "protection.device_temperature_warning_c: 75.0 C is above the maximum, 60.0 C; lower",
+        ),
         ({"initial_position_rad": "x"}, "initial_position_rad: 'x' is no number"),
         ({"initial_position_rad": float("nan")}, "initial_position_rad: nan is outside -1e+09.."),
         (

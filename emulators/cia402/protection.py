@@ -1,0 +1,173 @@
+"""The drive protects itself: physical inputs that take torque away, and what stands in their way.
+
+Every input is a stimulus. What a switch says stands until the switch is moved back, and as long as
+it stands the fault it has caused cannot be reset. `sto` takes the torque away without the firmware;
+whether that is a fault is the vendor's choice (table `protection`).
+
+An incremental encoder that is lost counts no more: what a host reads of the position stays where it
+was, whatever the motor does. Once it is back it counts on from there, and the drive's reference is
+lost.
+"""
+
+from typing import Final, final
+
+from emulators.canopen.node import CanopenNode
+from emulators.canopen.object_dictionary import ObjectDictionary, Reader, Variable
+from emulators.cia402.faults import (
+    BUS_OFF_RECOVERED,
+    COMMUNICATION_LOST,
+    DEVICE_TEMPERATURE,
+    ENCODER,
+    ERROR_PASSIVE,
+    MAINS_OVER_VOLTAGE,
+    MAINS_UNDER_VOLTAGE,
+    SHORT_CIRCUIT,
+)
+from emulators.cia402.pds_fsa import PdsState
+from emulators.cia402.power_drive import PowerDrive
+from emulators.firmware.axis import Axis
+from emulators.protection_settings import TEMPERATURE_RANGE_C, ProtectionSettings
+
+# Switches whose 1 is the cause of a fault.
+CAUSES: Final[dict[str, int]] = {
+    "short_circuit": SHORT_CIRCUIT,
+    "mains_over_voltage": MAINS_OVER_VOLTAGE,
+    "mains_under_voltage": MAINS_UNDER_VOLTAGE,
+}
+_SWITCHES: Final = ("sto", "encoder", *CAUSES, "error_passive", "bus_off")
+STIMULI: Final = (*_SWITCHES, "device_temperature_c")
+
+_DEVICE_IS_WARM: Final = 1  # a bit of PowerDrive.warnings
+
+# What a host reads of the encoder.
+_POSITIONS: Final = (0x6063, 0x6064)
+_VELOCITIES: Final = (0x6069, 0x606C, 0x60F4)
+
+
+@final
+class Held:
+    """A reader that answers one value for ever."""
+
+    def __init__(self, value: int) -> None:
+        self._value = value
+
+    def read(self) -> int:
+        """The value."""
+        return self._value
+
+
+@final
+class Protection:
+    """The physical inputs of one drive. All calls come after `axis.at(now_ns)`."""
+
+    def __init__(
+        self,
+        axis: Axis,
+        od: ObjectDictionary,
+        node: CanopenNode,
+        power_drive: PowerDrive,
+        settings: ProtectionSettings,
+    ) -> None:
+        self._axis = axis
+        self._od = od
+        self._node = node
+        self._power_drive = power_drive
+        self._settings = settings
+        self._has_encoder: bool = True
+        self._position_inc: int = 0  # where the encoder was lost
+        self._held: list[tuple[Variable, Reader]] = []  # with the reader that each had
+        self._is_passive: bool = False
+        self._is_off: bool = False
+
+    def stimulate(self, name: str, value: float, now_ns: int) -> None:
+        """An input of STIMULI has this value from now on.
+
+        Raises:
+            ValueError: the value is none.
+        """
+        if name == "device_temperature_c":
+            self._heat(value, now_ns)
+            return
+        if value not in (0, 1):
+            raise ValueError(f"{name} is 0 or 1, not {value}")
+        is_set = value == 1
+        if name == "sto":
+            self._take_torque_off(is_set, now_ns)
+        elif name == "encoder":
+            self._connect(is_set, now_ns)
+        elif name == "error_passive":
+            self._be_passive(is_set, now_ns)
+        elif name == "bus_off":
+            self._be_off(is_set, now_ns)
+        else:
+            self._stand(CAUSES[name], is_set, now_ns)
+
+    def _stand(self, code: int, stands: bool, now_ns: int) -> None:
+        """The cause of a fault is there, or no longer; a drive that starts looks for none yet."""
+        drive = self._power_drive
+        if not stands:
+            drive.standing.remove(code)
+        elif drive.standing.add(code) and drive.fsa.state is not PdsState.NOT_READY_TO_SWITCH_ON:
+            drive.fault(code, now_ns)
+
+    def _take_torque_off(self, off: bool, now_ns: int) -> None:
+        drive, code = self._power_drive, self._settings.sto_error_code
+        standing = drive.standing
+        if off == standing.torque_off:
+            return
+        standing.torque_off = off
+        if not off:
+            standing.remove(code)
+            return
+        drive.take_torque_off(code, now_ns)
+        if drive.error_code == code != 0:
+            standing.add(code)
+
+    def _heat(self, celsius: float, now_ns: int) -> None:
+        low, high = TEMPERATURE_RANGE_C
+        if not low <= celsius <= high:
+            raise ValueError(f"device_temperature_c is {low:g}..{high:g} C, not {celsius}")
+        settings = self._settings
+        is_warm = celsius >= settings.device_temperature_warning_c
+        self._power_drive.standing.warn(_DEVICE_IS_WARM, is_warm)
+        self._stand(DEVICE_TEMPERATURE, celsius >= settings.device_temperature_max_c, now_ns)
+
+    def _connect(self, there: bool, now_ns: int) -> None:
+        if there == self._has_encoder:
+            return
+        self._has_encoder = there
+        if there:
+            for held, reader in self._held:
+                held.reader = reader
+            self._held.clear()
+            self._axis.set_position(self._position_inc)
+            self._power_drive.lose_reference()
+            self._stand(ENCODER, False, now_ns)
+            return
+        self._position_inc = self._axis.position_inc()
+        for index in (*_POSITIONS, *_VELOCITIES):
+            variable = self._od.get(index)
+            read = None if variable is None else variable.reader
+            if variable is not None and read is not None:
+                self._held.append((variable, read))
+                variable.reader = Held(read() if index in _POSITIONS else 0).read
+        self._stand(ENCODER, True, now_ns)
+
+    def _be_passive(self, passive: bool, now_ns: int) -> None:
+        if passive != self._is_passive:
+            self._is_passive = passive
+            if passive:
+                self._node.bus_error(ERROR_PASSIVE, now_ns)
+            else:
+                self._node.bus_repaired(now_ns)
+
+    def _be_off(self, off: bool, now_ns: int) -> None:
+        """Off the bus nobody can be told; that it was is told afterwards (CiA 301: 8140h)."""
+        if off == self._is_off:
+            return
+        self._is_off = off
+        if off:
+            self._power_drive.abort_connection(COMMUNICATION_LOST, now_ns)
+        else:
+            self._node.bus_error(BUS_OFF_RECOVERED, now_ns)
+            self._node.bus_repaired(now_ns)

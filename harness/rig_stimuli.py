@@ -1,0 +1,93 @@
+"""The `[[stimulus]]` tables of a rig: what happens to a controller physically, and when."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Final, final
+
+from emulators.controller import Controller
+from emulators.world import World
+from harness.settings import Table
+from harness.toml_lines import KeyPath
+
+if TYPE_CHECKING:
+    from harness.rig_file import ControllerDescription, RigDescription
+
+STIMULUS_KEYS: Final = ("controller", "name", "value", "at_s")
+_VALUE_MAX: Final = 1e12
+_TIME_MAX_S: Final = 1e9
+
+
+@final
+@dataclass(frozen=True, slots=True)
+class StimulusDescription:
+    """From `at_ns` on the controller's physical input `name` has this value.
+
+    `path` leads to its table in the rig file.
+    """
+
+    controller: str
+    name: str
+    value: float
+    at_ns: int
+    path: KeyPath
+
+
+def read_stimuli(root: Table, controllers: Sequence[str]) -> tuple[StimulusDescription, ...]:
+    """The stimuli of a rig, in the order of the file.
+
+    Raises:
+        RigError: the first thing wrong in them, short of what only the controller knows.
+    """
+    return tuple(_stimulus(table, controllers) for table in root.listed_tables("stimulus"))
+
+
+def _stimulus(table: Table, controllers: Sequence[str]) -> StimulusDescription:
+    table.refuse_unknown(STIMULUS_KEYS)
+    at_s = table.number("at_s", low=0.0, high=_TIME_MAX_S, unit="s", example="1.5")
+    return StimulusDescription(
+        controller=table.name_of("controller", controllers, "controller"),
+        name=table.text("name", example='"sto"'),
+        value=table.number("value", low=-_VALUE_MAX, high=_VALUE_MAX, example="1"),
+        at_ns=round(at_s * 1e9),
+        path=table.path,
+    )
+
+
+@final
+class _Occurrence:
+    """One stimulus on the agenda."""
+
+    def __init__(self, world: World, stimulus: StimulusDescription) -> None:
+        self._world = world
+        self._stimulus = stimulus
+
+    def happen(self, now_ns: int) -> None:
+        """It is told, and comes."""
+        one = self._stimulus
+        self._world.report(now_ns, "info", one.controller, f"stimulus {one.name} = {one.value:g}")
+        self._world.stimulate(one.controller, one.name, one.value)
+
+
+def schedule(
+    description: "RigDescription",
+    world: World,
+    build: "Callable[[ControllerDescription], Controller]",
+) -> None:
+    """Every stimulus will come at its time.
+
+    A controller like the one that is meant, built for this alone, says now what it would refuse.
+
+    Raises:
+        RigError: there is no such stimulus, or it has no such value.
+    """
+    twins: dict[str, Controller] = {}
+    for stimulus in description.stimuli:
+        name = stimulus.controller
+        if name not in twins:
+            twins[name] = build(description.controllers[name])
+            twins[name].start(0)
+        try:
+            twins[name].stimulate(stimulus.name, stimulus.value, 0)
+        except ValueError as error:
+            raise description.error(stimulus.path, str(error), "write another one") from None
+        world.queue.alarm(_Occurrence(world, stimulus).happen).set(stimulus.at_ns)
