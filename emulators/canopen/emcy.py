@@ -3,40 +3,76 @@
 A device reports its own errors with `report`. What the node finds itself (an RPDO too short, a
 heartbeat lost) is kept by key until it is repaired, so that the error register tells the truth:
 bit 0 (generic error) and bit 4 (communication error) stand while any such error stands.
+
+Between two EMCYs lies at least the inhibit time (1015h, in 100 us); those that must wait go out in
+their order. The last `WAITING_MAX` wait, older ones are left out and told as an event.
 """
 
-from typing import Final, final
+from collections import deque
+from typing import Final, Protocol, final
 
 from emulators.canopen.abort_code import AbortCode
+from emulators.canopen.cob_id import INVALID, is_restricted
 from emulators.canopen.object_dictionary import DataType, ObjectDictionary
-from emulators.canopen.shared import Outbox
-from emulators.canopen.sync import is_restricted
+from emulators.canopen.shared import NEVER, Outbox
 from emulators.media.can_frame import pack
 
+# Error codes (CiA 301, table 26)
 ERROR_RESET: Final = 0x0000
+COMMUNICATION: Final = 0x8100
+HEARTBEAT_LOST: Final = 0x8130
 PDO_NOT_PROCESSED: Final = 0x8210  # due to length error
 PDO_LENGTH_EXCEEDED: Final = 0x8220
-HEARTBEAT_LOST: Final = 0x8130
+SYNC_LENGTH: Final = 0x8240
+RPDO_TIMEOUT: Final = 0x8250
+
+# Keys of what the node finds: the number of an RPDO for its length, and above all of those
+RPDO_TIMEOUT_KEY: Final = 0x1000  # + number
+SYNC_LENGTH_KEY: Final = 0x2000
+WINDOW_KEY: Final = 0x2001
+HEARTBEAT_KEY: Final = 0x1_0000  # + node-ID; + 0: node guarding
+BUS_KEY: Final = 0x2_0000
+
+WAITING_MAX: Final = 32
 
 _GENERIC: Final = 0x01
 _COMMUNICATION: Final = 0x10
-_INVALID: Final = 1 << 31
 _UPPER_BITS: Final = 0x7FFF_F800
 _VENDOR_BYTES: Final = 5
+_LONG_AGO: Final = -NEVER
+
+
+class ChangeListener(Protocol):
+    """Who must know that a value has changed by itself."""
+
+    def object_changed(self, index: int, subindex: int, now_ns: int) -> None:
+        """The variable has another value."""
 
 
 @final
 class EmcyProducer:
-    """Keeps 1001h and 1003h and sends EMCY while `may_send` (PRE-OPERATIONAL, OPERATIONAL)."""
+    """Keeps 1001h and 1003h and sends EMCY while `may_send` (PRE-OPERATIONAL, OPERATIONAL).
 
-    def __init__(self, od: ObjectDictionary, node_id: int, outbox: Outbox) -> None:
+    Attributes:
+        deadline_ns: when the next one that waits may go out.
+    """
+
+    def __init__(
+        self, od: ObjectDictionary, node_id: int, outbox: Outbox, listener: ChangeListener
+    ) -> None:
         self._od = od
         self._outbox = outbox
+        self._listener = listener
         self._can_id = 0  # 0: EMCY does not exist
         self._device_register = 0
+        self._register = 0  # as last told
         self._standing: dict[int, int] = {}  # key -> error code
         self._history = tuple(sub for sub in od.subindices(0x1003) if sub)
-        self.may_send = False
+        self._inhibit_ns = 0
+        self._waiting: deque[bytes] = deque()
+        self._sent_ns: int = _LONG_AGO
+        self._may_send = False
+        self.deadline_ns: int = NEVER
         self._cob_id = od.ensure(0x1014, 0, DataType.UNSIGNED32, 0x80 + node_id)
         self._cob_id.writer = self.check_cob_id
         count = od.get(0x1003)
@@ -44,38 +80,56 @@ class EmcyProducer:
             count.writer = self.check_history
 
     def configure(self) -> None:
-        """The identifier is what 1014h says now."""
+        """Identifier and inhibit time are what 1014h and 1015h say now."""
         cob_id = self._cob_id.integer()
-        self._can_id = 0 if cob_id & _INVALID else cob_id & 0x7FF
+        self._can_id = 0 if cob_id & INVALID else cob_id & 0x7FF
+        self._inhibit_ns = self._od.integer(0x1015, 0, 0) * 100_000
+        if self._waiting:
+            self._move()
+
+    def allow(self, may_send: bool) -> None:
+        """The NMT state lets EMCY out, or not: then what waits is forgotten."""
+        self._may_send = may_send
+        if not may_send and self._waiting:
+            self._waiting.clear()
+            self._move()
 
     def reset(self, whole: bool) -> None:
         """The node's own findings are forgotten; the device's too after reset node."""
         self._standing.clear()
+        self._sent_ns = _LONG_AGO
         if whole:
             self._device_register = 0
-        self._keep_register()
+        self._register = self._keep_register()
 
-    def report(self, code: int, register: int, vendor: bytes) -> None:
+    def report(self, code: int, register: int, vendor: bytes, now_ns: int) -> None:
         """The device has this error; `register` are its own bits of 1001h from now on."""
         self._device_register = register
-        self._emit(code, vendor)
+        self._emit(code, vendor, now_ns)
 
-    def stand(self, register: int) -> None:
+    def stand(self, register: int, now_ns: int) -> None:
         """The device has these errors from now on, which nobody could be told or was told."""
         self._device_register = register
-        self._keep_register()
+        self._tell_register(now_ns)
 
-    def find(self, key: int, code: int, vendor: bytes) -> None:
+    def find(self, key: int, code: int, vendor: bytes, now_ns: int) -> None:
         """The node has found a communication error; found again, it is not told again."""
         if self._standing.get(key) != code:
             self._standing[key] = code
-            self._emit(code, vendor)
+            self._emit(code, vendor, now_ns)
 
-    def repair(self, key: int) -> None:
+    def repair(self, key: int, now_ns: int) -> None:
         """What was found under this key is no longer so."""
         if key in self._standing:
             del self._standing[key]
-            self._emit(ERROR_RESET, b"")
+            self._emit(ERROR_RESET, b"", now_ns)
+
+    def expire(self, now_ns: int) -> None:
+        """The inhibit time is over: the next one that waits goes out."""
+        if self._waiting:
+            self._outbox.frames.append(self._waiting.popleft())
+            self._sent_ns = now_ns
+        self._move()
 
     def history_length(self) -> int:
         """How many entries of 1003h hold an error."""
@@ -86,10 +140,10 @@ class EmcyProducer:
         old = self._cob_id.integer()
         if value & _UPPER_BITS:
             return AbortCode.INVALID_VALUE
-        if not value & _INVALID:
+        if not value & INVALID:
             if is_restricted(value & 0x7FF):
                 return AbortCode.INVALID_VALUE
-            if not old & _INVALID and (old ^ value) & 0x7FF:
+            if not old & INVALID and (old ^ value) & 0x7FF:
                 return AbortCode.INVALID_VALUE  # set it invalid first
         return 0
 
@@ -108,14 +162,43 @@ class EmcyProducer:
             variable.value = register
         return register
 
-    def _emit(self, code: int, vendor: bytes) -> None:
+    def _tell_register(self, now_ns: int) -> int:
+        register = self._keep_register()
+        if register != self._register:
+            self._register = register
+            self._listener.object_changed(0x1001, 0, now_ns)
+        return register
+
+    def _emit(self, code: int, vendor: bytes, now_ns: int) -> None:
         register = self._keep_register()
         if code != ERROR_RESET:
             self._remember(code | int.from_bytes(vendor[:2], "little") << 16)
-        if self.may_send and self._can_id:
+        if self._may_send and self._can_id:
             head = bytes((code & 0xFF, code >> 8 & 0xFF, register))
             tail = vendor[:_VENDOR_BYTES].ljust(_VENDOR_BYTES, b"\0")
-            self._outbox.frames.append(pack(self._can_id, head + tail))
+            self._send(pack(self._can_id, head + tail), now_ns)
+        self._tell_register(now_ns)
+
+    def _send(self, frame: bytes, now_ns: int) -> None:
+        if not self._inhibit_ns:
+            self._outbox.frames.append(frame)
+            return
+        if not self._waiting and self._sent_ns + self._inhibit_ns <= now_ns:
+            self._sent_ns = now_ns
+            self._outbox.frames.append(frame)
+            return
+        self._waiting.append(frame)
+        if len(self._waiting) > WAITING_MAX:
+            self._waiting.popleft()
+            text = (
+                f"more than {WAITING_MAX} EMCYs wait for the inhibit time: the oldest is left out"
+            )
+            self._outbox.events.append(("warning", text))
+        self._move()
+
+    def _move(self) -> None:
+        self.deadline_ns = self._sent_ns + self._inhibit_ns if self._waiting else NEVER
+        self._outbox.deadlines_moved = True
 
     def _remember(self, entry: int) -> None:
         """Newest first, the oldest falls out."""

@@ -11,16 +11,16 @@ dictionary is the one place where a setting lives.
 Frames reach their part by one look into a dict keyed by the four identifier bytes. The dict holds
 what the present NMT state lets through, so no part asks for the state. Remote frames and 29-bit
 identifiers find no entry, but for the remote frames that guard this node and that ask for its
-TPDOs. Places left free: LSS (7E5h), TIME (100h).
+TPDOs.
 """
 
 from collections.abc import Callable, Sequence
 from typing import Final, final
 
 from emulators.canopen.access import DictionaryAccess
-from emulators.canopen.emcy import HEARTBEAT_LOST, EmcyProducer
-from emulators.canopen.guarding import NodeGuarding
-from emulators.canopen.heartbeat import HeartbeatConsumer, HeartbeatProducer
+from emulators.canopen.cob_id import INVALID
+from emulators.canopen.emcy import BUS_KEY, EmcyProducer
+from emulators.canopen.error_control import ErrorControl
 from emulators.canopen.nmt import TRANSITIONS, NmtCommand, NmtState, commanded
 from emulators.canopen.object_dictionary import ObjectDictionary
 from emulators.canopen.pdo import PdoService
@@ -29,14 +29,12 @@ from emulators.canopen.shared import MS as MS
 from emulators.canopen.shared import NEVER, Outbox
 from emulators.canopen.shared import NodeHost as NodeHost
 from emulators.canopen.shared import NodeTiming as NodeTiming
-from emulators.canopen.sync import SyncConsumer
+from emulators.canopen.sync import SyncService
 from emulators.media.can_frame import RTR_FLAG
 
 _Handler = Callable[[bytes, int], None]
 
-_INVALID: Final = 1 << 31
-_HEARTBEAT_KEY: Final = 0x1_0000  # EMCY: above all RPDO numbers
-_BUS_KEY: Final = 0x2_0000
+_NO_CHANGE: Final = 1  # 1029h
 
 
 @final
@@ -58,14 +56,12 @@ class CanopenNode:
         self._timing = timing
         self._host = host
         self.outbox = Outbox()
-        self._emcy = EmcyProducer(od, node_id, self.outbox)
-        self._sync = SyncConsumer(od)
+        self._emcy = EmcyProducer(od, node_id, self.outbox, self)
+        self._sync = SyncService(od, self._emcy, self.outbox)
         self._sdo = SdoServer(DictionaryAccess(od, host, self), timing.sdo_reply_ns, self.outbox)
-        self._pdos = PdoService(od, node_id, self._emcy, self.outbox, host)
-        self._producer = HeartbeatProducer(od, node_id, self.outbox)
-        self._consumer = HeartbeatConsumer(od, self.outbox)
-        self._guarding = NodeGuarding(od, node_id, self.outbox)
-        self._boot_ns: int = NEVER
+        self._pdos = PdoService(od, node_id, self._emcy, self._sync, self.outbox, host)
+        self._error_control = ErrorControl(od, node_id, self._emcy, self.outbox)
+        self._due_ns: int = NEVER  # boot-up; else what a device error does to the NMT state
         self._deadline_ns: int = NEVER
         self._pdos_deadline_ns: int = NEVER
         self._handlers: dict[bytes, _Handler] = {}
@@ -108,17 +104,22 @@ class CanopenNode:
         """What is due at `now_ns` is done."""
         if self.outbox.deadlines_moved:
             self._find_deadline()
-        if self._boot_ns <= now_ns:
-            self._boot_up(now_ns)
+        if self._due_ns <= now_ns:
+            self._due_ns = NEVER
+            self.outbox.deadlines_moved = True
+            if self.state == NmtState.INITIALISING:
+                self._boot_up(now_ns)
+            else:
+                self._react(2, now_ns)
         if self._sdo.deadline_ns <= now_ns:
             self._sdo.expire(now_ns)
-        if self._producer.deadline_ns <= now_ns:
-            self._producer.expire(self.state, now_ns)
-        if self._consumer.deadline_ns <= now_ns:
-            for node_id in self._consumer.expire(now_ns):
+        if self._error_control.deadline_ns <= now_ns:
+            for node_id in self._error_control.expire(now_ns):
                 self._lose(node_id, now_ns)
-        if self._guarding.deadline_ns <= now_ns:
-            self._lose_guard(now_ns)
+        if self._emcy.deadline_ns <= now_ns:
+            self._emcy.expire(now_ns)
+        if self._sync.deadline_ns <= now_ns:
+            self._send_sync(now_ns)
         if self._pdos_deadline_ns <= now_ns:
             self._pdos.expire(now_ns)
 
@@ -158,23 +159,23 @@ class CanopenNode:
             vendor: up to 5 manufacturer-specific bytes.
             now_ns: the time [ns].
         """
-        self._emcy.report(code, error_register, vendor)
-        self._pdos.changed(0x1001, 0, now_ns)
+        self._emcy.report(code, error_register, vendor, now_ns)
+        is_of_device = code != 0 and not 0x8100 <= code < 0x8300
+        if is_of_device and self._reaction(2) != _NO_CHANGE and self._due_ns == NEVER:
+            self._due_ns = now_ns  # not from within the host's call
+            self.outbox.deadlines_moved = True
 
     def errors_stand(self, error_register: int, now_ns: int) -> None:
         """The device's own bits of 1001h are these from now on; no EMCY tells so."""
-        self._emcy.stand(error_register)
-        self._pdos.changed(0x1001, 0, now_ns)
+        self._emcy.stand(error_register, now_ns)
 
     def bus_error(self, code: int, now_ns: int) -> None:
         """CAN itself fails (8120h) or did (8140h): told, and stands until `bus_repaired`."""
-        self._emcy.find(_BUS_KEY, code, b"")
-        self._pdos.changed(0x1001, 0, now_ns)
+        self._emcy.find(BUS_KEY, code, b"", now_ns)
 
     def bus_repaired(self, now_ns: int) -> None:
         """CAN works."""
-        self._emcy.repair(_BUS_KEY)
-        self._pdos.changed(0x1001, 0, now_ns)
+        self._emcy.repair(BUS_KEY, now_ns)
 
     def object_changed(self, index: int, subindex: int, now_ns: int) -> None:
         """An event for the TPDOs that map it: types 254, 255 at once (inhibit time), 0 at SYNC."""
@@ -186,19 +187,15 @@ class CanopenNode:
         """A client has written a sub-index of 1000h..1FFFh: that part takes its settings afresh."""
         if 0x1400 <= index <= 0x1BFF:
             self._pdos.configure(index, now_ns)
-        elif index == 0x1005:
-            self._sync.configure()
-        elif index == 0x1014:
+        elif index in (0x1005, 0x1006, 0x1007, 0x1019):
+            self._sync.configure(index, now_ns)
+            if index == 0x1019:
+                self._pdos.configure_counter(now_ns)
+        elif index in (0x1014, 0x1015):
             self._emcy.configure()
-        elif index == 0x1016:
-            for node_id in self._consumer.configure():
-                self._emcy.repair(_HEARTBEAT_KEY + node_id)
-        elif index in (0x100C, 0x100D):
-            self._guarding.configure(now_ns)
             return
-        elif index == 0x1017:
-            self._producer.configure(now_ns)
-            return
+        elif index in (0x100C, 0x100D, 0x1016, 0x1017):
+            self._error_control.configure(index, now_ns)
         else:
             return
         self._listen()
@@ -206,16 +203,16 @@ class CanopenNode:
     def _find_deadline(self) -> None:
         self.outbox.deadlines_moved = False
         deadline_ns = self._pdos_deadline_ns = self._pdos.deadline_ns()
-        if self._boot_ns < deadline_ns:
-            deadline_ns = self._boot_ns
+        if self._due_ns < deadline_ns:
+            deadline_ns = self._due_ns
         if self._sdo.deadline_ns < deadline_ns:
             deadline_ns = self._sdo.deadline_ns
-        if self._producer.deadline_ns < deadline_ns:
-            deadline_ns = self._producer.deadline_ns
-        if self._consumer.deadline_ns < deadline_ns:
-            deadline_ns = self._consumer.deadline_ns
-        if self._guarding.deadline_ns < deadline_ns:
-            deadline_ns = self._guarding.deadline_ns
+        if self._error_control.deadline_ns < deadline_ns:
+            deadline_ns = self._error_control.deadline_ns
+        if self._sync.deadline_ns < deadline_ns:
+            deadline_ns = self._sync.deadline_ns
+        if self._emcy.deadline_ns < deadline_ns:
+            deadline_ns = self._emcy.deadline_ns
         self._deadline_ns = deadline_ns
 
     # --- NMT
@@ -232,34 +229,30 @@ class CanopenNode:
 
     def _reset(self, whole: bool, now_ns: int) -> None:
         self._sdo.stop()
-        self._producer.stop()
-        self._consumer.stop()
+        self._error_control.stop()
         self._enter(NmtState.INITIALISING, now_ns)
         if whole:
             self.od.reset()
         else:
             self.od.reset(0x1000, 0x1FFF)
         self._emcy.reset(whole)
-        self._guarding.reset()
-        self._guarding.configure(now_ns)
-        self._configure_all()
+        self._configure_all(now_ns)
         timing = self._timing
         delay_ns = timing.boot_up_ns if whole else timing.reset_communication_ns
-        self._boot_ns = now_ns + delay_ns
+        self._due_ns = now_ns + delay_ns
         self.outbox.deadlines_moved = True
         self._host.on_reset(whole, now_ns)
 
-    def _configure_all(self) -> None:
-        self._sync.configure()
+    def _configure_all(self, now_ns: int) -> None:
+        self._sync.configure(0x1005, now_ns)
         self._emcy.configure()
-        self._consumer.configure()
-        self._pdos.configure_all()
+        self._error_control.reset(now_ns)
+        self._pdos.configure_all(now_ns)
         self._sdo.configure(self._sdo_can_id(2, 0x580))
         self._listen()
 
     def _boot_up(self, now_ns: int) -> None:
-        self._boot_ns = NEVER
-        self._producer.boot_up(now_ns)
+        self._error_control.boot_up(now_ns)
         self._enter(NmtState.PRE_OPERATIONAL, now_ns)  # transition 2
 
     def _enter(self, state: int, now_ns: int) -> None:
@@ -268,8 +261,11 @@ class CanopenNode:
         if state == before:
             return
         self.state = state
-        self._emcy.may_send = state in (NmtState.PRE_OPERATIONAL, NmtState.OPERATIONAL)
-        if not self._emcy.may_send:
+        self._error_control.state = state
+        can_talk = state in (NmtState.PRE_OPERATIONAL, NmtState.OPERATIONAL)
+        self._emcy.allow(can_talk)
+        self._sync.enter(can_talk, now_ns)
+        if not can_talk:
             self._sdo.stop()
         if before == NmtState.OPERATIONAL:
             self._pdos.stop()
@@ -287,17 +283,19 @@ class CanopenNode:
         state = self.state
         can_talk = state in (NmtState.PRE_OPERATIONAL, NmtState.OPERATIONAL)
         is_operational = state == NmtState.OPERATIONAL
+        is_initialised = state != NmtState.INITIALISING
         routes: list[tuple[int, _Handler, bool]] = [
-            (0x000, self._on_nmt_frame, state != NmtState.INITIALISING),
-            (self._sync.can_id, self._on_sync, is_operational),
+            (0x000, self._on_nmt_frame, is_initialised),
+            (self._sync.can_id, self._sync_handler(), can_talk),
             (self._sdo_can_id(1, 0x600), self._sdo.receive, can_talk),
-            (self._guarding.can_id, self._on_guard, state != NmtState.INITIALISING),
+            (self._error_control.guard_id(), self._error_control.guard, is_initialised),
         ]
-        for can_id in self._consumer.can_ids():
-            routes.append((can_id, self._on_heartbeat, state != NmtState.INITIALISING))
+        for can_id in self._error_control.heartbeat_ids():
+            routes.append((can_id, self._error_control.heartbeat, is_initialised))
         for rpdo in self._pdos.rpdos:
             if rpdo.can_id:
-                routes.append((rpdo.can_id, rpdo.receive, is_operational))
+                receive = rpdo.receive if rpdo.is_plain() else rpdo.receive_watched
+                routes.append((rpdo.can_id, receive, is_operational))
         for tpdo in self._pdos.tpdos:
             if tpdo.may_be_asked:
                 routes.append((tpdo.can_id | RTR_FLAG, tpdo.requested, is_operational))
@@ -316,45 +314,63 @@ class CanopenNode:
     def _sdo_can_id(self, subindex: int, base: int) -> int:
         """The identifier of 1200h; without a valid one there the default SDO channel."""
         cob_id = self.od.integer(0x1200, subindex, 0)
-        if not cob_id & 0x7FF or cob_id & _INVALID:
+        if not cob_id & 0x7FF or cob_id & INVALID:
             return base + self.node_id
         return cob_id & 0x7FF
 
-    def _on_sync(self, _frame: bytes, now_ns: int) -> None:
+    def _sync_handler(self) -> _Handler:
+        """What a SYNC does: the less, the less it is asked for."""
+        if self.state != NmtState.OPERATIONAL:
+            return self._on_idle_sync
+        return self._on_sync if self._sync.is_plain() else self._on_watched_sync
+
+    def _on_sync(self, frame: bytes, now_ns: int) -> None:
+        """OPERATIONAL, with neither counter nor window, and the last one was right."""
+        if frame[4] == 0:
+            self._pdos.sync(now_ns)
+        else:
+            self._sync.is_right(frame, now_ns)
+            self._listen()
+
+    def _on_idle_sync(self, frame: bytes, now_ns: int) -> None:
+        """PRE-OPERATIONAL: there are no PDOs."""
+        self._sync.is_right(frame, now_ns)
+
+    def _on_watched_sync(self, frame: bytes, now_ns: int) -> None:
+        if self._sync.is_right(frame, now_ns):
+            self._sync_now(frame[8], now_ns)
+            if self._sync.is_plain():
+                self._listen()
+
+    def _sync_now(self, counter: int, now_ns: int) -> None:
+        self._sync.open_window(now_ns)
+        if self._sync.overflow:
+            self._pdos.count(counter)
         self._pdos.sync(now_ns)
 
-    def _on_heartbeat(self, frame: bytes, now_ns: int) -> None:
-        can_id = frame[0] | frame[1] << 8
-        if frame[4] and self._consumer.receive(can_id, now_ns):
-            self._emcy.repair(_HEARTBEAT_KEY + (can_id & 0x7F))
+    def _send_sync(self, now_ns: int) -> None:
+        """The own SYNC goes out, and the own PDOs go by it."""
+        self._sync.expire(now_ns)
+        if self.state == NmtState.OPERATIONAL:
+            self._sync_now(self._sync.counter, now_ns)
 
     def _lose(self, node_id: int, now_ns: int) -> None:
-        """A heartbeat is lost: EMCY, the reaction that 1029h asks for, then the device."""
-        self.outbox.events.append(("warning", f"heartbeat of node {node_id} lost"))
-        self._emcy.find(_HEARTBEAT_KEY + node_id, HEARTBEAT_LOST, bytes((node_id,)))
-        self._react(now_ns)
+        """Somebody is lost: EMCY, the reaction that 1029h asks for, then the device."""
+        self._error_control.tell_lost(node_id, now_ns)
+        self._react(1, now_ns)
         self._host.on_heartbeat_lost(node_id, now_ns)
 
-    def _on_guard(self, _frame: bytes, now_ns: int) -> None:
-        if self._guarding.receive(self.state, now_ns):
-            self._emcy.repair(_HEARTBEAT_KEY)
-
-    def _lose_guard(self, now_ns: int) -> None:
-        """Nobody guards this node any more: as when a heartbeat is lost."""
-        life_ms = self._guarding.expire()
-        self.outbox.events.append(("warning", f"not guarded for {life_ms} ms"))
-        self._emcy.find(_HEARTBEAT_KEY, HEARTBEAT_LOST, b"")
-        self._react(now_ns)
-        self._host.on_heartbeat_lost(0, now_ns)
-
-    def _react(self, now_ns: int) -> None:
-        """A communication error: what 1029h:1 asks for."""
+    def _react(self, kind: int, now_ns: int) -> None:
+        """What 1029h asks for: its sub-index 1 at communication errors, 2 at the device's own."""
         if self.state == NmtState.OPERATIONAL:
-            reaction = self.od.integer(0x1029, 1, 0)
+            reaction = self._reaction(kind)
             if reaction == 0:
                 self._enter(NmtState.PRE_OPERATIONAL, now_ns)
             elif reaction == 2:
                 self._enter(NmtState.STOPPED, now_ns)
+
+    def _reaction(self, kind: int) -> int:
+        return self.od.integer(0x1029, kind, 0 if kind == 1 else _NO_CHANGE)
 
 
 @final

@@ -8,13 +8,13 @@ refused with 0601 0000h; what cannot be mapped with 0604 0041h, what does not fi
 from typing import Final, final
 
 from emulators.canopen.abort_code import AbortCode
+from emulators.canopen.cob_id import INVALID, UPPER_BITS, is_restricted
 from emulators.canopen.object_dictionary import DataType, ObjectDictionary
 from emulators.canopen.pdo_mapping import MAX_BITS, MAX_ENTRIES, entry_refusal
-from emulators.canopen.sync import is_restricted
 
-INVALID: Final = 1 << 31
 NO_REMOTE: Final = 1 << 30
-_UPPER_BITS: Final = 0x3FFF_F800  # the 29-bit frame flag and what only such identifiers use
+SYNC_START_MAX: Final = 240
+
 _PREDEFINED: Final = ((0x180, 0x280, 0x380, 0x480), (0x200, 0x300, 0x400, 0x500))
 
 
@@ -54,6 +54,11 @@ class PdoParameters:
         """Event timer [ms]."""
         return self._od.integer(self.communication, 5, 0)
 
+    def sync_start(self) -> int:
+        """SYNC start value, 1..240; 0: there is none."""
+        value = 0 if self._receive else self._od.integer(self.communication, 6, 0)
+        return value if value <= SYNC_START_MAX else 0
+
     def _stated_entries(self) -> int:
         """How many mapping entries have values: the count where none is stated (some DCFs)."""
         od = self._od
@@ -76,6 +81,9 @@ class PdoParameters:
         inhibit_time = self._od.get(self.communication, 3)
         if inhibit_time is not None:
             inhibit_time.writer = self._check_inhibit_time
+        sync_start = self._od.get(self.communication, 6)
+        if sync_start is not None and not self._receive:
+            sync_start.writer = self._check_sync_start
         self._count.writer = self._check_count
         for subindex in self._od.subindices(self.mapping):
             variable = self._od.get(self.mapping, subindex)
@@ -83,7 +91,7 @@ class PdoParameters:
                 variable.writer = self._check_entry
 
     def _check_cob_id(self, value: int) -> int:
-        if value & _UPPER_BITS:
+        if value & UPPER_BITS:
             return AbortCode.INVALID_VALUE
         if value & INVALID:
             return 0
@@ -103,6 +111,11 @@ class PdoParameters:
             return 0
         changed = value != self.inhibit_100us()
         return AbortCode.INVALID_VALUE if changed else 0  # not while the PDO exists
+
+    def _check_sync_start(self, value: int) -> int:
+        if value > SYNC_START_MAX or (self.is_valid() and value != self.sync_start()):
+            return AbortCode.INVALID_VALUE  # not while the PDO exists
+        return 0
 
     def _check_count(self, value: int) -> int:
         if self.is_valid():

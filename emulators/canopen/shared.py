@@ -2,6 +2,7 @@
 
 from typing import Final, Protocol, final
 
+US: Final = 1_000  # [ns]
 MS: Final = 1_000_000  # [ns]
 NEVER: Final = 1 << 61  # a deadline that does not come [ns]; a small int to the compiler
 

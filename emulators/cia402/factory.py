@@ -23,12 +23,17 @@ _ABSENT: Final = -(1 << 70)
 # Communication objects whose behaviour a rig may set although the file lacks them.
 _COMMUNICATION: Final[dict[tuple[int, int], DataType]] = {
     (0x1005, 0): DataType.UNSIGNED32,
+    (0x1006, 0): DataType.UNSIGNED32,
+    (0x1007, 0): DataType.UNSIGNED32,
     (0x100C, 0): DataType.UNSIGNED16,
     (0x100D, 0): DataType.UNSIGNED8,
     (0x1014, 0): DataType.UNSIGNED32,
+    (0x1015, 0): DataType.UNSIGNED16,
     (0x1016, 1): DataType.UNSIGNED32,
     (0x1017, 0): DataType.UNSIGNED16,
+    (0x1019, 0): DataType.UNSIGNED8,
     (0x1029, 1): DataType.UNSIGNED8,
+    (0x1029, 2): DataType.UNSIGNED8,
 }
 
 

@@ -1,6 +1,17 @@
 """EMCY (CiA 301, 7.2.7): the message, the error register 1001h and the history 1003h."""
 
-from tests.emulators.canopen.bench_node import Bench
+import pytest
+
+from emulators.canopen.nmt import NmtState
+from tests.emulators.canopen.bench_node import (
+    MS,
+    UNSIGNED8,
+    UNSIGNED16,
+    Bench,
+    dictionary,
+    put,
+    put_pdo,
+)
 
 
 def report(bench: Bench, code: int, register: int, vendor: bytes = b"") -> list[str]:
@@ -91,3 +102,99 @@ def test_reset_node_forgets_errors_reset_communication_keeps_the_device_s():
     bench.wait(50_000_000)
     bench.tell(0x000, b"\x81\x00")
     assert bench.od.integer(0x1001, 0, 1) == 0
+
+
+# --- inhibit time (1015h, in 100 us)
+
+
+def inhibited(units: int) -> Bench:
+    od = dictionary()
+    put(od, 0x1015, 0, UNSIGNED16, units)
+    return Bench(od).boot()
+
+
+def errors(bench: Bench, *codes: int) -> None:
+    for code in codes:
+        bench.node.emergency(code, 0x20, b"", bench.now_ns)
+    bench.drain()
+
+
+def test_between_two_emcys_lies_the_inhibit_time_and_none_is_lost():
+    bench = inhibited(100)  # 10 ms
+    errors(bench, 0x8611, 0x7300, 0x3210)
+    began_at = bench.now_ns
+    bench.wait(100 * MS)
+    assert [(at - began_at, text[:9]) for at, text in bench.heard()] == [
+        (0, "082 11 86"),
+        (10 * MS, "082 00 73"),
+        (20 * MS, "082 10 32"),
+    ]
+    errors(bench, 0x8611)  # long after: at once
+    assert bench.frames() == ["082 11 86 21 00 00 00 00 00"]
+    errors(bench, 0x8611)  # at the exact end of it
+    bench.wait(10 * MS - 1)
+    assert bench.frames() == []
+    bench.wait(1)
+    assert len(bench.frames()) == 1
+
+
+def test_emcys_that_wait_are_forgotten_when_the_node_is_stopped():
+    bench = inhibited(100)
+    errors(bench, 0x8611, 0x7300)
+    bench.tell(0x000, b"\x02\x00")
+    bench.frames()
+    bench.wait(100 * MS)
+    assert bench.frames() == []
+    assert bench.node.next_deadline_ns() is None
+
+
+def test_of_too_many_that_wait_the_oldest_are_left_out_and_that_is_told():
+    bench = inhibited(10)
+    errors(bench, *range(0x1001, 0x1023))  # 34: one leaves, 33 would wait
+    bench.wait(100 * MS)
+    codes = [int(text[7:9] + text[4:6], 16) for text in bench.frames()]
+    assert codes == [0x1001, *range(0x1003, 0x1023)]
+    assert [level for level, _ in bench.node.take_events()] == ["warning"]
+
+
+# --- what an error does to the NMT state (1029h)
+
+
+@pytest.mark.parametrize(
+    ("reaction", "state"),
+    [
+        (None, NmtState.OPERATIONAL),  # no 1029h:2
+        (0, NmtState.PRE_OPERATIONAL),
+        (1, NmtState.OPERATIONAL),
+        (2, NmtState.STOPPED),
+    ],
+)
+def test_1029h_2_says_what_a_device_error_does_to_the_nmt_state(reaction, state):
+    od = dictionary()
+    if reaction is not None:
+        put(od, 0x1029, 2, UNSIGNED8, reaction)
+    bench = Bench(od).operate()
+    errors(bench, 0x8611)
+    bench.wait(0)
+    assert bench.frames() == ["082 11 86 21 00 00 00 00 00"]  # told before it is left
+    assert bench.node.state == state
+
+
+def test_communication_errors_and_repairs_are_not_1029h_2_s_affair():
+    od = dictionary()
+    put(od, 0x1029, 2, UNSIGNED8, 2)
+    bench = Bench(od).operate()
+    errors(bench, 0x8130, 0x8210, 0x0000)
+    bench.wait(0)
+    assert bench.node.state == NmtState.OPERATIONAL
+
+
+def test_1001h_is_an_event_for_the_tpdo_that_maps_it_whoever_found_the_error():
+    od = dictionary()
+    put_pdo(od, 0x1400, (0x6040_0010,), 255)
+    put_pdo(od, 0x1800, (0x1001_0008,), 255)
+    bench = Bench(od).operate()
+    bench.tell(0x202, "0F")  # too short
+    assert bench.frames() == ["082 10 82 11 01 01 02 00 00", "182 11"]
+    bench.tell(0x202, "0F 00")
+    assert bench.frames() == ["082 00 00 00 00 00 00 00 00", "182 00"]
