@@ -192,13 +192,18 @@ def test_remote_and_29_bit_frames_are_no_pdo(wire):
     assert wire.statusword() & 0x6F == 0x40
 
 
-def test_sync_with_a_counter_is_a_sync(wire):
+def test_sync_with_a_counter_is_a_sync_where_1019h_asks_for_one_and_told_elsewhere(wire):
     wire.operational()
     wire.run(6 * MS)
     count = len(wire.log)
     wire.tell("080#01")
     wire.run(2 * MS)
-    assert [text[:3] for text in wire.since(count)] == ["385", "485"]
+    assert wire.since(count) == ["085#4082110100000000"]  # CiA 301: unexpected SYNC data length
+    wire.set(0x1019, 0, 2, 1)
+    count = len(wire.log)
+    wire.tell("080#01")
+    wire.run(2 * MS)
+    assert [text[:3] for text in wire.since(count)] == ["085", "385", "485"]
 
 
 def test_a_tpdo_of_eight_objects_fills_a_frame_exactly_and_no_more_fits(wire):

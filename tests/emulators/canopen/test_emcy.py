@@ -131,7 +131,10 @@ def test_between_two_emcys_lies_the_inhibit_time_and_none_is_lost():
     ]
     errors(bench, 0x8611)  # long after: at once
     assert bench.frames() == ["082 11 86 21 00 00 00 00 00"]
-    errors(bench, 0x8611)  # at the exact end of it
+    bench.wait(10 * MS)
+    errors(bench, 0x8611)  # at the exact end of it: at once too
+    assert len(bench.frames()) == 1
+    errors(bench, 0x8611)
     bench.wait(10 * MS - 1)
     assert bench.frames() == []
     bench.wait(1)

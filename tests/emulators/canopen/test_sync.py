@@ -106,6 +106,10 @@ def test_an_rpdo_after_the_window_is_left_out_until_the_next_sync():
     assert bench.od.integer(0x607A, 0, 0) == 2
     late = [text for _, text in bench.node.take_events()]
     assert late == ["RPDO 1 came 0.001 us after its window: left out"]
+    bench.tell(0x202, "05 00 00 00")
+    bench.wait(1000 * US + 2)
+    bench.tell(0x202, "06 00 00 00")  # late again, after one that was not
+    assert len(bench.node.take_events()) == 1
 
 
 def test_a_window_of_0_never_closes():
@@ -249,6 +253,7 @@ def test_an_rpdo_that_stays_away_is_told_once_by_emcy_8250h_until_it_comes(kind)
     assert bench.heard() == []
     bench.wait(50 * MS)
     assert bench.heard() == [(started_at + 20 * MS, "082 50 82 11 01 00 00 00 00")]
+    assert bench.node.take_events() == [("warning", "RPDO 1 did not come for 20 ms")]
     bench.tell(0x202, "02 00 00 00")
     assert bench.frames() == ["082 00 00 00 00 00 00 00 00"]
     bench.tell(0x000, b"\x80\x00")  # without PDOs nobody waits
