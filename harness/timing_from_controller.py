@@ -10,6 +10,7 @@ from collections.abc import Mapping
 from typing import Final
 
 from emulators.cia402.drive import Cia402Drive
+from emulators.cia402.quirky_wire import QuirkyWire
 from emulators.cia402.settings import DriveSettings
 from emulators.controller import Controller
 from emulators.firmware.own_time import OwnTime
@@ -39,7 +40,9 @@ def with_timing(
         raise description.error(path, f"must be true or false, but is {asked!r}", f"{ASKED} = true")
     if not asked:
         return settings, ""
-    core = controller.inner if isinstance(controller, OwnTime) else controller
+    core = controller
+    while isinstance(core, OwnTime | QuirkyWire):
+        core = core.inner
     if motor.adaptation != _KIND or motor.controller is None or not isinstance(core, Cia402Drive):
         raise description.error(
             path, "its controller is no emulated CiA 402 drive of this rig", "take it out"

@@ -16,6 +16,7 @@ from emulators.cia402.objects import DriveObjects
 from emulators.cia402.power_drive import NO_FAULT, PowerDrive
 from emulators.cia402.protection import STIMULI as PROTECTION_STIMULI
 from emulators.cia402.protection import Protection
+from emulators.cia402.quirks import deviate
 from emulators.cia402.readings import Readings
 from emulators.cia402.settings import DriveSettings
 from emulators.firmware.axis import Axis
@@ -50,6 +51,7 @@ class Cia402Drive:
         self._power_drive = PowerDrive(
             self.axis, self._objects, settings.tick_ns, settings.enable_ns
         )
+        deviate(self._power_drive, self._objects, od, settings.quirks)
         Readings(self.axis, self._objects, self._power_drive).bind(od)
         self._node = CanopenNode(
             od,

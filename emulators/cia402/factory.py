@@ -14,6 +14,9 @@ from emulators.canopen.object_dictionary import (
 )
 from emulators.cia402.drive import Cia402Drive
 from emulators.cia402.objects import DriveObjects
+from emulators.cia402.quirk_catalogue import told
+from emulators.cia402.quirks import wire_quirks
+from emulators.cia402.quirky_wire import QuirkyWire
 from emulators.cia402.settings import EMULATED_MODES, MODES, DriveSettings, read_settings
 from emulators.controller import Controller, ControllerContext, SettingError
 from emulators.firmware.own_time import on_own_time
@@ -48,7 +51,11 @@ def build(settings: Mapping[str, object], context: ControllerContext) -> Control
         SettingError: a key or value is wrong, or the EDS cannot be read; names the keys.
     """
     read = read_settings(settings, context.folder, context.stream())
-    return on_own_time(build_drive(read), read.oscillator)
+    drive: Controller = build_drive(read)
+    wire = wire_quirks(read.quirks)
+    if wire.are_any():
+        drive = QuirkyWire(drive, read.node_id, wire, context.stream())
+    return on_own_time(drive, read.oscillator)
 
 
 def build_drive(settings: DriveSettings) -> Cia402Drive:
@@ -72,6 +79,7 @@ def build_drive(settings: DriveSettings) -> Cia402Drive:
     events = [("warning", f"{path}:{line}: {text}") for path, line, text in description.warnings]
     if not settings.oscillator.is_ideal():
         events.append(("info", settings.oscillator.told()))
+    events += [("info", line) for line in told(settings.quirks)]
     stated = od.integer(0x6502, 0, 0)
     _set_objects(od, settings)
     if settings.supported_modes is None:

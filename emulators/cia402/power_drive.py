@@ -66,6 +66,7 @@ class PowerDrive:
         told: error codes since last cleared by the caller, in order; 0 says that a fault was reset.
         voltage: whether the power stage has its supply.
         mode: 6061h.
+        modes: by 6061h; a quirk may put another one in a place before power comes on.
         standing: what keeps a fault from being reset, or the drive from being readied; warnings.
     """
 
@@ -86,7 +87,7 @@ class PowerDrive:
         axis.set_current_limit(*self._limits_a)
         self._apply_servo()
         self._homing = Homing(axis, objects, tick_ns)
-        self._modes: dict[int, Mode] = {
+        self.modes: dict[int, Mode] = {
             EMULATED_MODES["pp"]: ProfilePosition(axis, objects, tick_ns),
             EMULATED_MODES["pv"]: ProfileVelocity(axis, objects, tick_ns),
             EMULATED_MODES["tq"]: ProfileTorque(axis, objects, tick_ns),
@@ -338,7 +339,7 @@ class PowerDrive:
 
     def _select(self, mode: int) -> None:
         self.mode = mode
-        self._active = self._modes.get(mode, self._no_mode)
+        self._active = self.modes.get(mode, self._no_mode)
 
     def _switch_mode(self, now_ns: int) -> None:
         self._active.leave()

@@ -5,10 +5,11 @@ whoever read the file adds file and line.
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Final, final
 
+from emulators.cia402.quirk_catalogue import Quirks, boot_up_later_ns, quirks_of
 from emulators.controller import SettingError
 from emulators.firmware.gains import ServoGains
 from emulators.plant.dc_motor import MotorPlant
@@ -58,6 +59,7 @@ _KEYS: Final = (
     "supported_modes",
     "initial_position_rad",
     "protection",
+    "quirks",
 )
 _TIMING_KEYS: Final = ("boot_up_s", "sdo_reply_s", "enable_s")
 _UNIT_KEYS: Final = ("position_unit_inc", "velocity_unit_inc_s", "acceleration_unit_inc_s2")
@@ -83,6 +85,7 @@ class DriveSettings:
         supported_modes: names; None: what the file says, else all emulated ones.
         initial_position_rad: at the output, at power-on.
         protection: when it takes itself off, and how.
+        quirks: how it deviates from the standards.
     """
 
     node_id: int
@@ -102,6 +105,7 @@ class DriveSettings:
     supported_modes: tuple[str, ...] | None = None
     initial_position_rad: float = 0.0
     protection: ProtectionSettings = DEFAULT_PROTECTION
+    quirks: Quirks = field(default_factory=dict)
 
 
 def read_settings(table: Mapping[str, object], folder: Path, stream: str = "") -> DriveSettings:
@@ -119,6 +123,8 @@ def read_settings(table: Mapping[str, object], folder: Path, stream: str = "") -
     refuse_unknown(timing, _TIMING_KEYS, ("timing",))
     units = table_in(table, "units")
     refuse_unknown(units, _UNIT_KEYS, ("units",))
+    quirks = quirks_of(table.get("quirks", []))
+    boot_up_ns = duration_ns(timing, "boot_up_s", 0.3, ("timing",))
     return DriveSettings(
         node_id=node_id,
         eds=eds_in(table, folder, OWN_EDS),
@@ -127,7 +133,7 @@ def read_settings(table: Mapping[str, object], folder: Path, stream: str = "") -
         tick_ns=tick_ns,
         current_steps=current_steps,
         oscillator=oscillator_in(table, stream),
-        boot_up_ns=duration_ns(timing, "boot_up_s", 0.3, ("timing",)),
+        boot_up_ns=boot_up_ns + boot_up_later_ns(quirks),
         sdo_reply_ns=duration_ns(timing, "sdo_reply_s", 0.001, ("timing",)),
         enable_ns=duration_ns(timing, "enable_s", 0.02, ("timing",)),
         position_unit_inc=_positive(units, "position_unit_inc"),
@@ -137,6 +143,7 @@ def read_settings(table: Mapping[str, object], folder: Path, stream: str = "") -
         supported_modes=_modes(table),
         initial_position_rad=initial_position_rad(table, plant),
         protection=protection_of(table_in(table, "protection")),
+        quirks=quirks,
     )
 
 

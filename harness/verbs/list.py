@@ -23,7 +23,8 @@ _ARMED: Final = "-armed-"
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """What `list` can be told."""
     parser.add_argument(
-        "what", choices=("controllers", "adaptations", "examples", "motors", "registers")
+        "what",
+        choices=("controllers", "adaptations", "examples", "motors", "quirks", "registers"),
     )
     parser.add_argument(
         "name", nargs="?", metavar="CONTROLLER", help="whose registers (list registers NAME)"
@@ -42,6 +43,10 @@ def run(options: argparse.Namespace) -> int:
         return WRONG_USAGE
     if options.what == "registers":
         return list_registers(options.name, as_json=options.json)
+    if options.what == "quirks":
+        from harness.verbs.list_quirks import list_quirks
+
+        return list_quirks(as_json=options.json)
     listings = {
         "controllers": lambda: _plugins(CONTROLLERS),
         "adaptations": lambda: _plugins(ADAPTATIONS),

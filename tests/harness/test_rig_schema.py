@@ -13,6 +13,7 @@ import harness
 from emulators import modbus_drive
 from emulators.cia401 import settings as node_settings
 from emulators.cia402 import settings as drive_settings
+from emulators.cia402.quirk_catalogue import CATALOGUE
 from emulators.media.faults import FaultKind
 from emulators.plant.dc_motor import RANGES, MotorPlant
 from emulators.plant.presets import PRESETS
@@ -90,6 +91,12 @@ def test_the_schema_knows_the_drives_own_keys():
     assert set(drive) == {"kind", "bus", *drive_settings._KEYS}
     assert set(drive["timing"]["properties"]) == set(drive_settings._TIMING_KEYS)
     assert set(drive["units"]["properties"]) == set(drive_settings._UNIT_KEYS)
+    listed, tabled = drive["quirks"]["oneOf"]
+    assert listed["items"]["enum"] == [quirk.name for quirk in CATALOGUE]
+    assert tuple(tabled["properties"]) == tuple(quirk.name for quirk in CATALOGUE)
+    for quirk in CATALOGUE:
+        parameters = tabled["properties"][quirk.name]["oneOf"][1]["properties"]
+        assert {key: one["default"] for key, one in parameters.items()} == quirk.parameters
     protection = drive["protection"]["properties"]
     assert tuple(protection) == PROTECTION_KEYS
     assert protection["sto"]["enum"] == list(STO_REACTIONS)

@@ -149,6 +149,25 @@ def test_numbers_arrive():
             {"protection": {"device_temperature_max_c": 60.0}},
             "protection.device_temperature_warning_c: 75.0 C is above the maximum, 60.0 C; lower",
         ),
+        ({"quirks": "slow_sdo"}, "quirks: 'slow_sdo' is no list of names"),
+        (
+            {"quirks": ["slow"]},
+            "quirks: there is no quirk 'slow'; known: inverted_set_point_acknowledge, single_",
+        ),
+        ({"quirks": [["a"]]}, "quirks: there is no quirk \"['a']\"; known: "),
+        ({"quirks": {"slow_sdo": 3}}, "quirks.slow_sdo: 3 says nothing; true, or a table of: mean"),
+        (
+            {"quirks": {"slow_sdo": {"mean": 1}}},
+            "quirks.slow_sdo.mean: is not known; did you mean mean_s?",
+        ),
+        (
+            {"quirks": {"slow_sdo": {"mean_s": -1}}},
+            "quirks.slow_sdo.mean_s: -1 is outside 0..3600",
+        ),
+        (
+            {"quirks": {"stray_emcy": {"for_s": 1}}},
+            "quirks.stray_emcy.for_s: is not known; ",
+        ),
         ({"initial_position_rad": "x"}, "initial_position_rad: 'x' is no number"),
         ({"initial_position_rad": float("nan")}, "initial_position_rad: nan is outside -1e+09.."),
         (

@@ -1,0 +1,169 @@
+"""Quirks: named deviations from the standards that real drives show, each with where it was seen.
+
+A rig asks for them by name, with the parameters stated here or with its own:
+
+    quirks = ["single_set_point_only"]
+    quirks = { slow_sdo = { mean_s = 0.02 }, single_set_point_only = true }
+
+None is on unless asked for. They are put together when the drive is built, around what they change:
+a drive without quirks is the same object as if there were none.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Final, final
+
+from emulators.controller import SettingError
+from emulators.setting_tables import number, refuse_unknown
+
+_NS_PER_S: Final = 1_000_000_000
+_PATH: Final = ("quirks",)
+_TIME_MAX_S: Final = 3600.0
+
+Quirks = Mapping[str, Mapping[str, float]]
+"""The quirks that are on, each with all its parameters."""
+
+
+@final
+@dataclass(frozen=True, slots=True)
+class Quirk:
+    """One row of the catalogue.
+
+    Attributes:
+        name: as a rig writes it.
+        what: what the drive does.
+        seen: where.
+        parameters: names with their units, and their values unless a rig gives others.
+    """
+
+    name: str
+    what: str
+    seen: str
+    parameters: Mapping[str, float]
+
+
+CATALOGUE: Final = (
+    Quirk(
+        "inverted_set_point_acknowledge",
+        "pp: statusword bit 12 is 1 from enabling on and 0 while a set-point is acknowledged",
+        "canopen-python/canopen issue 678",
+        {},
+    ),
+    Quirk(
+        "single_set_point_only",
+        "pp: a set-point without change immediately (controlword bit 5) is not executed",
+        "Synapticon's documentation of profile position: single set-point only",
+        {},
+    ),
+    Quirk(
+        "edge_only_bits",
+        "pp: controlword bit 5 left at 1 since the set-point before makes the next one unheard",
+        "nasa-jpl/jsd issue 103 (Elmo Gold)",
+        {},
+    ),
+    Quirk(
+        "stale_target_reached",
+        "pp: target reached of the motion before stands for a while after a new set-point",
+        "delmic/odemis pull request 1846 (Trinamic)",
+        {"for_s": 0.01},
+    ),
+    Quirk(
+        "halt_holds_mode",
+        "6060h written while controlword bit 8 (halt) is 1 changes nothing",
+        "ros-industrial/ros2_canopen issue 234 (Engel HBI)",
+        {},
+    ),
+    Quirk(
+        "stray_emcy",
+        "EMCY goes out as node 1's, on 081h, whatever the node-ID",
+        "ros-industrial/ros2_canopen issue 214, recorded (Roboteq, node 12)",
+        {},
+    ),
+    Quirk(
+        "misplaced_error_register",
+        "EMCY carries the error register in its fourth byte, behind a 0",
+        "CANopenNode/CANopenNode issue 402",
+        {},
+    ),
+    Quirk(
+        "slow_sdo",
+        "SDO responses come later: by mean_s, give or take spread_s",
+        "ros-industrial/ros2_canopen issue 194: some 10 ms after a master's timeout of 20 ms",
+        {"mean_s": 0.02, "spread_s": 0.01},
+    ),
+    Quirk(
+        "deaf_after_boot_up",
+        "SDO requests are not answered for a while after the boot-up message",
+        "canopen-python/canopen issue 401 (Nanotec CL4-E)",
+        {"for_s": 2.0},
+    ),
+    Quirk(
+        "late_boot_up",
+        "the boot-up message comes this much later",
+        "ros-industrial/ros2_canopen issue 370: masters that wait too briefly for it",
+        {"by_s": 5.0},
+    ),
+    Quirk(
+        "heartbeat_jitter",
+        "each heartbeat comes up to max_s late",
+        "a recorded machine: node 63h, period 1.4 s, heartbeats 1.402 to 1.495 s apart",
+        {"max_s": 0.095},
+    ),
+)
+_BY_NAME: Final = {quirk.name: quirk for quirk in CATALOGUE}
+
+
+def quirks_of(value: object) -> Quirks:
+    """The quirks a rig asks for: a list of names, or a table of names with their parameters.
+
+    Raises:
+        SettingError: there is no such quirk or parameter, or its value is wrong.
+    """
+    if isinstance(value, list):
+        asked: Mapping[object, object] = dict.fromkeys(map(_hashable, value), True)
+    elif isinstance(value, Mapping):
+        asked = value
+    else:
+        raise SettingError(_PATH, f"{value!r} is no list of names", f'["{CATALOGUE[0].name}"]')
+    on: dict[str, Mapping[str, float]] = {}
+    for name, given in asked.items():
+        quirk = _BY_NAME.get(name) if isinstance(name, str) else None
+        if quirk is None:
+            remedy = f"known: {', '.join(_BY_NAME)}; motorhil list quirks tells them"
+            raise SettingError(_PATH, f"there is no quirk {name!r}", remedy)
+        path = (*_PATH, quirk.name)
+        if given is False:
+            continue
+        if given is not True and not isinstance(given, Mapping):
+            remedy = "true, or a table of: " + (", ".join(quirk.parameters) or "nothing")
+            raise SettingError(path, f"{given!r} says nothing", remedy)
+        own = given if isinstance(given, Mapping) else {}
+        refuse_unknown(own, tuple(quirk.parameters), path)
+        on[quirk.name] = {
+            key: number(own.get(key, default), (*path, key), 0, _TIME_MAX_S)
+            for key, default in quirk.parameters.items()
+        }
+    return on
+
+
+def _hashable(name: object) -> object:
+    return name if isinstance(name, str) else repr(name)
+
+
+def told(quirks: Quirks) -> list[str]:
+    """The quirks that are on, one line each, for the record."""
+    lines = []
+    for name, values in quirks.items():
+        given = ", ".join(f"{key} = {value:g}" for key, value in values.items())
+        lines.append(f"quirk {name}" + (f" ({given})" if given else ""))
+    return lines
+
+
+def boot_up_later_ns(quirks: Quirks) -> int:
+    """How much later the boot-up message comes [ns]."""
+    return parameter_ns(quirks, "late_boot_up", "by_s")
+
+
+def parameter_ns(quirks: Quirks, name: str, key: str) -> int:
+    """A parameter of a quirk; 0 where the quirk is not on."""
+    return round(quirks.get(name, {}).get(key, 0.0) * _NS_PER_S)

@@ -1,0 +1,194 @@
+"""How real drives deviate on the wire: a controller around the drive, which knows nothing of it.
+
+Frames are held back or altered on their way out, or not heard on their way in. A drive without such
+quirks hangs on the bus itself. Where each was seen stands in `emulators.cia402.quirks`.
+"""
+
+import hashlib
+from collections.abc import Mapping, Sequence
+from typing import Final, final
+
+from emulators.canopen.shared import NEVER
+from emulators.controller import Controller
+
+_EMCY: Final = 0x080
+_SDO_RESPONSE: Final = 0x580
+_SDO_REQUEST: Final = 0x600
+_ERROR_CONTROL: Final = 0x700
+_STRAY_EMCY: Final = (0x081).to_bytes(4, "little")
+
+
+@final
+class WireQuirks:
+    """What deviates; 0 and False: nothing does. Times [ns].
+
+    Attributes:
+        sdo_mean_ns, sdo_spread_ns: by how much SDO responses come later: mean -+ spread.
+        heartbeat_ns: by how much a heartbeat comes later at most.
+        deaf_ns: for how long after its boot-up message SDO requests are not heard.
+        has_stray_emcy: EMCY goes out on 081h, whatever the node-ID.
+        has_misplaced_register: 1001h stands one byte too far right in EMCY.
+    """
+
+    def __init__(self) -> None:
+        self.sdo_mean_ns: int = 0
+        self.sdo_spread_ns: int = 0
+        self.heartbeat_ns: int = 0
+        self.deaf_ns: int = 0
+        self.has_stray_emcy: bool = False
+        self.has_misplaced_register: bool = False
+
+    def are_any(self) -> bool:
+        """Whether anything deviates."""
+        delays_ns = self.sdo_mean_ns + self.sdo_spread_ns + self.heartbeat_ns + self.deaf_ns
+        return delays_ns > 0 or self.has_stray_emcy or self.has_misplaced_register
+
+
+@final
+class Draws:
+    """Numbers from a stream of this name: the same ones in every run with its seed."""
+
+    def __init__(self, stream: str) -> None:
+        self._stream = stream
+        self._count = 0
+
+    def draw_ns(self, low_ns: int, high_ns: int) -> int:
+        """The next one, `low_ns` to `high_ns` [ns], evenly."""
+        self._count += 1
+        digest = hashlib.sha256(f"{self._stream}:{self._count}".encode()).digest()
+        return low_ns + int.from_bytes(digest[:8], "big") % (high_ns - low_ns + 1)
+
+
+@final
+class QuirkyWire:
+    """Implements `emulators.controller.Controller` around a drive.
+
+    Attributes:
+        inner: the drive.
+    """
+
+    def __init__(self, inner: Controller, node_id: int, quirks: WireQuirks, stream: str) -> None:
+        self.inner: Controller = inner
+        self._quirks = quirks
+        self._response_id = _SDO_RESPONSE + node_id
+        self._request_id = _SDO_REQUEST + node_id
+        self._error_control_id = _ERROR_CONTROL + node_id
+        self._emcy_id = _EMCY + node_id
+        self._responses = Draws(f"{stream}:quirk:slow_sdo")
+        self._heartbeats = Draws(f"{stream}:quirk:heartbeat_jitter")
+        self._now_ns: int = 0
+        self._deaf_until_ns: int = -1
+        self._held: list[tuple[int, bytes]] = []  # when each goes out
+        self._response_due_ns: int = 0  # of the last one: they keep their order
+        self._ready: list[bytes] = []
+
+    def start(self, now_ns: int) -> None:
+        """Power comes on."""
+        self._now_ns = now_ns
+        self.inner.start(now_ns)
+
+    def receive(self, data: bytes, now_ns: int) -> None:
+        """A frame was on the bus; heard or not."""
+        self._now_ns = now_ns
+        if now_ns < self._deaf_until_ns and _identifier(data) == self._request_id:
+            return
+        self.inner.receive(data, now_ns)
+
+    def sent(self, data: bytes, now_ns: int) -> bool | None:
+        """An own frame left the bus."""
+        self._now_ns = now_ns
+        return self.inner.sent(data, now_ns)
+
+    def wants_sent(self) -> bool:
+        """As the drive does."""
+        return self.inner.wants_sent()
+
+    def next_deadline_ns(self) -> int | None:
+        """The drive's, or when the first frame that is held goes out."""
+        first_ns = NEVER
+        for due_ns, _ in self._held:
+            if due_ns < first_ns:
+                first_ns = due_ns
+        inner_ns = self.inner.next_deadline_ns()
+        if inner_ns is not None and inner_ns < first_ns:
+            return inner_ns
+        return None if first_ns == NEVER else first_ns
+
+    def expire(self, now_ns: int) -> None:
+        """What is due goes out, and the drive does what is due."""
+        self._now_ns = now_ns
+        self._ready.extend(frame for due_ns, frame in self._held if due_ns <= now_ns)
+        self._held = [one for one in self._held if one[0] > now_ns]
+        inner_ns = self.inner.next_deadline_ns()
+        if inner_ns is not None and inner_ns <= now_ns:
+            self.inner.expire(now_ns)
+
+    def take_output(self) -> Sequence[bytes]:
+        """The drive's frames, held back and altered."""
+        frames = self._ready
+        self._ready = []
+        for frame in self.inner.take_output():
+            can_id = _identifier(frame)
+            if can_id == self._response_id:
+                self._hold_response(frame, frames)
+            elif can_id == self._error_control_id:
+                self._hold_heartbeat(frame, frames)
+            elif can_id == self._emcy_id:
+                frames.append(self._altered(frame))
+            else:
+                frames.append(frame)
+        return frames
+
+    def take_events(self) -> Sequence[tuple[str, str]]:
+        """The drive's events."""
+        return self.inner.take_events()
+
+    def stimulate(self, name: str, value: float, now_ns: int) -> None:
+        """A physical input of the drive has this value; ValueError as from it."""
+        self._now_ns = now_ns
+        self.inner.stimulate(name, value, now_ns)
+
+    def snapshot(self, now_ns: int) -> Mapping[str, float]:
+        """The truth inside."""
+        return self.inner.snapshot(now_ns)
+
+    def identifiers(self) -> Sequence[int] | None:
+        """As the drive's."""
+        return self.inner.identifiers()
+
+    def identifiers_revision(self) -> int:
+        """As the drive's."""
+        return self.inner.identifiers_revision()
+
+    # --- inside
+
+    def _hold_response(self, frame: bytes, frames: list[bytes]) -> None:
+        quirks = self._quirks
+        if quirks.sdo_mean_ns + quirks.sdo_spread_ns == 0:
+            frames.append(frame)
+            return
+        low_ns = max(0, quirks.sdo_mean_ns - quirks.sdo_spread_ns)
+        delay_ns = self._responses.draw_ns(low_ns, quirks.sdo_mean_ns + quirks.sdo_spread_ns)
+        self._response_due_ns = max(self._response_due_ns, self._now_ns + delay_ns)
+        self._held.append((self._response_due_ns, frame))
+
+    def _hold_heartbeat(self, frame: bytes, frames: list[bytes]) -> None:
+        """A boot-up message is not held; after it the drive is deaf for a while."""
+        if frame[8] == 0:
+            self._deaf_until_ns = self._now_ns + self._quirks.deaf_ns
+        elif self._quirks.heartbeat_ns:
+            delay_ns = self._heartbeats.draw_ns(0, self._quirks.heartbeat_ns)
+            self._held.append((self._now_ns + delay_ns, frame))
+            return
+        frames.append(frame)
+
+    def _altered(self, frame: bytes) -> bytes:
+        if self._quirks.has_stray_emcy:
+            frame = _STRAY_EMCY + frame[4:]
+        if self._quirks.has_misplaced_register:
+            frame = frame[:10] + b"\0" + frame[10:15]
+        return frame
+
+
+def _identifier(frame: bytes) -> int:
+    return int.from_bytes(frame[:4], "little")

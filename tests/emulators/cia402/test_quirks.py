@@ -1,0 +1,220 @@
+"""Each quirk on the wire: what a drive with it does otherwise than one without."""
+
+import struct
+
+import pytest
+
+from emulators.canopen.abort_code import OK
+from emulators.cia402.factory import build
+from emulators.cia402.quirk_catalogue import CATALOGUE
+from emulators.controller import ControllerContext
+from tests.emulators.cia402.bench import BOOT_UP, MS, NODE, Bench, Path
+
+ACKNOWLEDGE, REACHED = 0x1000, 0x0400
+
+
+def quirky(*names: str, seed: int = 1, **table: object) -> Bench:
+    """A drive on its bench, with the parameters in `table` or the catalogue's."""
+    quirks: dict[str, object] = {**dict.fromkeys(names, True), **table}
+    settings = {"node_id": NODE, "quirks": quirks, "plant": {"preset": "wheel_60w"}}
+    drive = build(settings, ControllerContext(name="drive", folder=Path(), seed=seed))
+    return Bench(drive)  # type: ignore[arg-type]  # it, or what stands around it
+
+
+def word(bench: Bench) -> int:
+    return int.from_bytes(bench.last(0x180 + NODE), "little")
+
+
+def go(bench: Bench, target: int, controlword: int) -> None:
+    """A set-point, offered and withdrawn."""
+    bench.set(0x607A, 0, target, 4)
+    bench.controlword(controlword)
+    bench.run(10 * MS)
+
+
+def test_without_quirks_a_drive_is_the_same_object():
+    assert type(quirky().drive).__name__ == "Cia402Drive"
+    position = quirky("single_set_point_only").drive
+    assert type(position).__name__ == "Cia402Drive"
+    assert type(quirky("slow_sdo").drive).__name__ == "QuirkyWire"
+    assert type(quirky(slow_sdo=False).drive).__name__ == "Cia402Drive"
+
+
+@pytest.mark.parametrize("name", [quirk.name for quirk in CATALOGUE])
+def test_a_quirk_is_told_in_the_record(name):
+    assert any(text.startswith(f"quirk {name}") for _, text in quirky(name).events)
+
+
+def test_inverted_set_point_acknowledge():
+    """canopen-python/canopen issue 678: set once enabled, clear when bit 4 was set."""
+    bench = quirky("inverted_set_point_acknowledge")
+    bench.enable(mode=1)
+    bench.run(20 * MS)
+    assert word(bench) & ACKNOWLEDGE
+    go(bench, 5000, 0x1F)
+    assert not word(bench) & ACKNOWLEDGE
+    bench.controlword(0x0F)
+    bench.run(1000 * MS)
+    assert word(bench) & (ACKNOWLEDGE | REACHED) == ACKNOWLEDGE | REACHED
+    assert bench.read(0x6064) == pytest.approx(5000, abs=10)  # position window
+    bench.controlword(0x06)
+    bench.run(10 * MS)
+    assert not word(bench) & ACKNOWLEDGE
+
+
+def test_single_set_point_only():
+    bench = quirky("single_set_point_only")
+    bench.enable(mode=1)
+    go(bench, 5000, 0x1F)
+    assert not bench.statusword() & ACKNOWLEDGE
+    bench.run(500 * MS)
+    assert bench.read(0x6064) == 0
+    bench.controlword(0x0F)
+    go(bench, 5000, 0x3F)
+    assert bench.statusword() & ACKNOWLEDGE
+    bench.run(1000 * MS)
+    assert bench.read(0x6064) == pytest.approx(5000, abs=10)
+
+
+def test_edge_only_bits():
+    """nasa-jpl/jsd issue 103: bits 4 and 5 must have been 0 before."""
+    bench = quirky("edge_only_bits")
+    bench.enable(mode=1)
+    go(bench, 3000, 0x3F)
+    assert bench.statusword() & ACKNOWLEDGE
+    bench.run(1000 * MS)
+    bench.controlword(0x2F)  # bit 5 left set
+    go(bench, 6000, 0x3F)
+    assert not bench.statusword() & ACKNOWLEDGE
+    bench.run(1000 * MS)
+    assert bench.read(0x6064) == pytest.approx(3000, abs=10)
+    bench.controlword(0x0F)
+    go(bench, 6000, 0x3F)
+    bench.run(1000 * MS)
+    assert bench.read(0x6064) == pytest.approx(6000, abs=10)
+
+
+def test_stale_target_reached():
+    bench = quirky(stale_target_reached={"for_s": 0.05})
+    bench.enable(mode=1)
+    go(bench, 3000, 0x3F)
+    assert not bench.statusword() & REACHED  # nothing was reached before
+    bench.run(1000 * MS)
+    bench.controlword(0x0F)
+    bench.run(20 * MS)
+    bench.set(0x607A, 0, 60_000, 4)
+    bench.controlword(0x3F)
+    offered = bench.now
+    bench.run_until(offered + 50 * MS - 1)
+    assert word(bench) & (ACKNOWLEDGE | REACHED) == ACKNOWLEDGE | REACHED
+    assert bench.read(0x6064) > 3020  # on its way for long
+    bench.run_until(offered + 55 * MS)
+    assert not word(bench) & REACHED
+    assert offered + 50 * MS in bench.times(0x180 + NODE)
+    bench.run(5000 * MS)
+    assert word(bench) & REACHED
+
+
+def test_halt_holds_mode():
+    bench = quirky("halt_holds_mode")
+    bench.enable(mode=1)
+    bench.controlword(0x10F)
+    assert bench.write(0x6060, 0, 3, 1) == OK
+    bench.run(10 * MS)
+    assert bench.read(0x6061) == 1
+    bench.controlword(0x0F)
+    bench.set(0x6060, 0, 3, 1)
+    assert bench.read(0x6061) == 3
+
+
+@pytest.mark.parametrize(
+    ("names", "frame"),
+    [
+        (["stray_emcy"], (0x081, "1186210000000000")),
+        (["misplaced_error_register"], (0x085, "1186002100000000")),
+        (["stray_emcy", "misplaced_error_register"], (0x081, "1186002100000000")),
+    ],
+)
+def test_emcy_as_some_send_it(names, frame):
+    bench = quirky(*names)
+    bench.operational()
+    bench.drive.stimulate("fault", 0x8611, bench.now)
+    bench._drain()
+    assert [(can_id, data.hex()) for _, can_id, data in bench.sent if data[:2] == b"\x11\x86"] == [
+        frame
+    ]
+
+
+def answers_ms(bench: Bench, count: int = 40) -> list[float]:
+    """How long each SDO upload takes [ms]."""
+    took = []
+    for _ in range(count):
+        asked = bench.now
+        bench.read(0x6041)
+        took.append((bench.now - asked) / MS)
+    return took
+
+
+def test_slow_sdo_is_drawn_from_the_seed():
+    bench = quirky("slow_sdo")
+    bench.boot()
+    took = answers_ms(bench)
+    assert min(took) >= 1 + 10  # 1 ms as every drive; mean 20 ms, spread 10
+    assert max(took) <= 1 + 30
+    assert max(took) - min(took) > 10
+    same, other = quirky("slow_sdo"), quirky("slow_sdo", seed=2)
+    same.boot()
+    other.boot()
+    assert answers_ms(same) == took
+    assert answers_ms(other) != took
+
+
+def test_slow_sdo_answers_keep_their_order_while_all_else_goes_on():
+    bench = quirky(slow_sdo={"mean_s": 0.05, "spread_s": 0.05})
+    bench.operational()
+    for index in (0x1000, 0x1001, 0x1018, 0x6041, 0x6060):
+        bench.send(0x600 + NODE, struct.pack("<BHB4x", 0x40, index, 0))
+        bench.run(2 * MS)
+    bench.controlword(0x06)
+    assert bench.last(0x180 + NODE)[0] & 0x6F == 0x21  # at once
+    bench.run(200 * MS)
+    replies = [data[1] | data[2] << 8 for _, can_id, data in bench.sent if can_id == 0x580 + NODE]
+    assert replies == [0x1000, 0x1001, 0x1018, 0x6041, 0x6060]
+
+
+def test_deaf_after_boot_up():
+    bench = quirky(deaf_after_boot_up={"for_s": 0.5})
+    bench.boot()
+    request = struct.pack("<BHB4x", 0x40, 0x1000, 0)
+    for _ in range(2):
+        bench.send(0x600 + NODE, request)
+        bench.run(250 * MS - 1)
+    assert bench.times(0x580 + NODE) == []
+    bench.run(2)
+    bench.send(0x600 + NODE, request)
+    bench.run(2 * MS)
+    assert len(bench.times(0x580 + NODE)) == 1
+    bench.nmt(0x81)
+    bench.run(BOOT_UP + 10 * MS)
+    bench.send(0x600 + NODE, request)
+    bench.run(100 * MS)
+    assert len(bench.times(0x580 + NODE)) == 1
+
+
+def test_late_boot_up():
+    bench = quirky(late_boot_up={"by_s": 2.0})
+    bench.run(3000 * MS)
+    assert bench.times(0x700 + NODE) == [BOOT_UP + 2000 * MS]
+
+
+def test_heartbeat_jitter():
+    bench = quirky(heartbeat_jitter={"max_s": 0.04})
+    bench.boot()
+    written = bench.now
+    bench.set(0x1017, 0, 100, 2)
+    bench.run(10_000 * MS)
+    beats = bench.times(0x700 + NODE)[1:]
+    late = [beat - written - number * 100 * MS for number, beat in enumerate(beats)]
+    assert len(late) >= 99
+    assert 0 <= min(late) < 5 * MS  # of 100 even draws: 0.6 % of seeds have none below 5 ms
+    assert 35 * MS < max(late) <= 40 * MS
