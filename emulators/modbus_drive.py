@@ -9,7 +9,8 @@ from dataclasses import dataclass
 from typing import Final
 
 from emulators.controller import ControllerContext, SettingError
-from emulators.firmware.axis import NEVER_NS, Axis
+from emulators.firmware.axis import Axis
+from emulators.firmware.axis_readings import NEVER_NS
 from emulators.firmware.gains import ServoGains
 from emulators.modbus.codes import UNITS
 from emulators.modbus.diagnostics import Diagnostics

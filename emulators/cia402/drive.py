@@ -233,7 +233,9 @@ class Cia402Drive:
         self._power_drive.written(written, now_ns)
 
     def on_sync(self, now_ns: int) -> None:
-        """Targets of synchronous RPDOs have come by `on_write`."""
+        """What synchronous RPDOs brought into force has come by `on_write`."""
+        if self._power_drive.synced(now_ns):
+            self._happens()
 
     def before_read(self, now_ns: int) -> None:
         """Readers answer as of now."""

@@ -16,7 +16,8 @@ class Mode:
         self.objects = objects
         self.tick_ns = tick_ns
         self.halted: bool = False
-        self.limited: bool = False  # a 607Dh limit holds it back: statusword bit 11
+        self.limited: bool = False  # a limit holds it back: statusword bit 11
+        self.lost: bool = False  # SYNC has stayed away too long for it to go on
 
     def enter(self, word: int, now_ns: int) -> None:
         """The mode gets the axis; `word` is the present controlword."""
@@ -29,6 +30,13 @@ class Mode:
 
     def written(self, what: int, now_ns: int) -> None:
         """Objects were written (see objects.py)."""
+
+    def synced(self, now_ns: int) -> bool:
+        """SYNC was on the bus, and what it brought into force has been told.
+
+        True: something is to be done, or waited for, that was not before.
+        """
+        return False
 
     def settle(self, now_ns: int) -> None:
         """The axis' flags have changed, or `wake_ns` has come."""

@@ -13,6 +13,7 @@ from emulators.cia402.written import TARGET_POSITION, TARGET_VELOCITY, Written
 from emulators.plant.dc_motor import MotorPlant
 
 _UNLIMITED: Final = 0xFFFF_FFFF
+_NO_SPEED: Final = 1e300
 _D = DataType
 
 
@@ -70,8 +71,17 @@ class MotionObjects:
     def target_velocity_inc_s(self) -> float:
         """60FFh, within what the motor may do."""
         limit = self.velocity_max_inc_s()
-        velocity = self.target_velocity_raw * self._factors.units.velocity_unit_inc_s
-        return max(-limit, min(limit, velocity))
+        return max(-limit, min(limit, self.target_velocity_raw_inc_s()))
+
+    def target_velocity_raw_inc_s(self) -> float:
+        """60FFh, whatever the motor may do."""
+        return self.target_velocity_raw * self._factors.units.velocity_unit_inc_s
+
+    def torque_speed_max_inc_s(self) -> float:
+        """6080h where it is less than the supply can turn the motor at: torque modes heed it."""
+        rpm = self._motor_rpm_max.integer()
+        limit = rpm * self._encoder_increments_rev / 60.0
+        return limit if rpm > 0 and limit < self._velocity_physical_inc_s - 1.0 else _NO_SPEED
 
     def velocity_max_inc_s(self) -> float:
         """The least of 607Fh, 6080h [motor rpm] and what the supply can turn the motor at."""

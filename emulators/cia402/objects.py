@@ -13,6 +13,7 @@ from emulators.cia402.control_parameters import ControlParameters
 from emulators.cia402.factors import DriveDefaults, fill_factors
 from emulators.cia402.homing_objects import HomingObjects
 from emulators.cia402.motion_objects import MotionObjects
+from emulators.cia402.offset_objects import OffsetObjects
 from emulators.cia402.option_codes import OptionCodes
 from emulators.cia402.settings import EMULATED_MODES, DriveSettings
 from emulators.cia402.supported_modes import honest_modes, modes_with_target
@@ -51,7 +52,7 @@ class DriveObjects:
         error_code: 603Fh.
         supported_modes: 6502h.
         units: what the numbers mean.
-        motion, torque, windows, homing, options: the objects that belong together.
+        motion, torque, offsets, windows, homing, options: the objects that belong together.
         control: the servo's gains.
     """
 
@@ -77,6 +78,7 @@ class DriveObjects:
 
         self.motion: MotionObjects = MotionObjects(od, plant, self._factors, defaults, self.written)
         self.torque: TorqueObjects = TorqueObjects(od, plant, defaults)
+        self.offsets: OffsetObjects = OffsetObjects(od, self._factors, self.torque)
         self.windows: WindowObjects = WindowObjects(od, self._factors, defaults)
         self.homing: HomingObjects = HomingObjects(od, self._factors, self.written)
         self.options: OptionCodes = OptionCodes(od, self.motion, self.written)

@@ -6,6 +6,7 @@ from emulators.canopen.abort_code import AbortCode
 from emulators.canopen.object_dictionary import DataType, ObjectDictionary
 from emulators.cia402.motion_objects import MotionObjects
 from emulators.cia402.written import Choice, Written
+from emulators.firmware.axis import Axis
 
 _QUICK_STOPS: Final = frozenset((0, 1, 2, 5, 6))
 _D = DataType
@@ -44,6 +45,10 @@ class OptionCodes:
         if self._halt.integer() == 2:
             return self._motion.quick_stop_deceleration_inc_s2()
         return self._motion.deceleration_inc_s2()
+
+    def halt(self, axis: Axis) -> None:
+        """The motion that 605Dh asks for begins; it ends at standstill, held there."""
+        axis.ramp_to_rest(self.halt_deceleration_inc_s2())
 
     def fault_deceleration_inc_s2(self) -> float | None:
         """605Eh: how a fault brakes; None: it does not, the motor coasts."""

@@ -9,6 +9,8 @@ from typing import Final, final
 
 from emulators.canopen.shared import NEVER
 from emulators.cia402.cyclic_position import CyclicPosition
+from emulators.cia402.cyclic_torque import CyclicTorque
+from emulators.cia402.cyclic_velocity import CyclicVelocity
 from emulators.cia402.faults import (
     FOLLOWING_ERROR,
     UNDER_VOLTAGE,
@@ -93,6 +95,8 @@ class PowerDrive:
             EMULATED_MODES["tq"]: ProfileTorque(axis, objects, tick_ns),
             EMULATED_MODES["hm"]: self._homing,
             EMULATED_MODES["csp"]: CyclicPosition(axis, objects, tick_ns),
+            EMULATED_MODES["csv"]: CyclicVelocity(axis, objects, tick_ns),
+            EMULATED_MODES["cst"]: CyclicTorque(axis, objects, tick_ns),
         }
         self._no_mode = Mode(axis, objects, tick_ns)
         self._active: Mode = self._no_mode
@@ -152,6 +156,12 @@ class PowerDrive:
             self._obey_level(now_ns)
         elif state is PdsState.OPERATION_ENABLED:
             self._active.settle(now_ns)
+            if self._active.lost:
+                self.fault(self._objects.settings.sync_lost_code, now_ns)
+
+    def synced(self, now_ns: int) -> bool:
+        """SYNC was on the bus; True: the mode does something about it."""
+        return self.fsa.state is PdsState.OPERATION_ENABLED and self._active.synced(now_ns)
 
     def is_powered(self) -> bool:
         """Whether the motor has current: only then do the axis' flags matter."""

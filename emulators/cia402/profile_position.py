@@ -77,7 +77,7 @@ class ProfilePosition(Mode):
         if halt and not self.halted:
             self.halted = True
             self._wake_ns = NEVER
-            self.axis.ramp_to_rest(self.objects.options.halt_deceleration_inc_s2())
+            self.objects.options.halt(self.axis)
         self._offered = word & NEW_SET_POINT != 0
         if rising & NEW_SET_POINT:
             self._take(word, now_ns)

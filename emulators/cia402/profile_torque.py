@@ -50,6 +50,6 @@ class ProfileTorque(Mode):
     def _run(self) -> None:
         objects = self.objects
         if self.halted:
-            self.axis.ramp_to_rest(objects.options.halt_deceleration_inc_s2())
+            objects.options.halt(self.axis)
         else:
             self.axis.apply_current(objects.torque.target_a(), objects.torque.slope_a_s())

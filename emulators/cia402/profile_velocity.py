@@ -48,7 +48,7 @@ class ProfileVelocity(Mode):
     def _run(self) -> None:
         objects = self.objects
         if self.halted:
-            self.axis.ramp_to_rest(objects.options.halt_deceleration_inc_s2())
+            objects.options.halt(self.axis)
             return
         self.axis.run_at(
             objects.motion.target_velocity_inc_s(),

@@ -34,6 +34,7 @@ from emulators.setting_tables import (
     plant_of,
     refuse_unknown,
     table_in,
+    whole,
 )
 
 OWN_EDS: Final = Path(__file__).parents[1] / "eds" / "motorhil_cia402.eds"
@@ -44,8 +45,11 @@ MODES: Final[dict[str, int]] = {
     **{"ip": 7, "csp": 8, "csv": 9, "cst": 10},
 }
 EMULATED_MODES: Final[dict[str, int]] = {
-    name: MODES[name] for name in ("pp", "pv", "tq", "hm", "csp")
+    name: MODES[name] for name in ("pp", "pv", "tq", "hm", "csp", "csv", "cst")
 }
+
+SYNC_LOST_PERIODS: Final = 0
+SYNC_LOST_CODE: Final = 0xFF64
 
 _KEYS: Final = (
     "node_id",
@@ -60,8 +64,10 @@ _KEYS: Final = (
     "initial_position_rad",
     "protection",
     "quirks",
+    "cyclic",
 )
 _TIMING_KEYS: Final = ("boot_up_s", "sdo_reply_s", "enable_s")
+_CYCLIC_KEYS: Final = ("sync_lost_periods", "sync_lost_code")
 _UNIT_KEYS: Final = ("position_unit_inc", "velocity_unit_inc_s", "acceleration_unit_inc_s2")
 
 
@@ -86,6 +92,9 @@ class DriveSettings:
         initial_position_rad: at the output, at power-on.
         protection: when it takes itself off, and how.
         quirks: how it deviates from the standards.
+        sync_lost_periods: interpolation periods (60C2h) without SYNC that are a fault in a cyclic
+            mode; 0: none are (many hosts let SYNC rest between two streams).
+        sync_lost_code: its error code; FF64h is Kollmorgen's (MKD and P7000, "Sync not received").
     """
 
     node_id: int
@@ -106,6 +115,8 @@ class DriveSettings:
     initial_position_rad: float = 0.0
     protection: ProtectionSettings = DEFAULT_PROTECTION
     quirks: Quirks = field(default_factory=dict)
+    sync_lost_periods: int = SYNC_LOST_PERIODS
+    sync_lost_code: int = SYNC_LOST_CODE
 
 
 def read_settings(table: Mapping[str, object], folder: Path, stream: str = "") -> DriveSettings:
@@ -125,6 +136,8 @@ def read_settings(table: Mapping[str, object], folder: Path, stream: str = "") -
     refuse_unknown(units, _UNIT_KEYS, ("units",))
     quirks = quirks_of(table.get("quirks", []))
     boot_up_ns = duration_ns(timing, "boot_up_s", 0.3, ("timing",))
+    cyclic = table_in(table, "cyclic")
+    refuse_unknown(cyclic, _CYCLIC_KEYS, ("cyclic",))
     return DriveSettings(
         node_id=node_id,
         eds=eds_in(table, folder, OWN_EDS),
@@ -144,6 +157,8 @@ def read_settings(table: Mapping[str, object], folder: Path, stream: str = "") -
         initial_position_rad=initial_position_rad(table, plant),
         protection=protection_of(table_in(table, "protection")),
         quirks=quirks,
+        sync_lost_periods=_whole(cyclic, "sync_lost_periods", SYNC_LOST_PERIODS, 0, 1000),
+        sync_lost_code=_whole(cyclic, "sync_lost_code", SYNC_LOST_CODE, 1, 0xFFFF),
     )
 
 
@@ -163,6 +178,10 @@ def _modes(table: Mapping[str, object]) -> tuple[str, ...] | None:
             raise SettingError(path, f"mode {name} is not emulated", known)
         names.append(name)
     return tuple(names)
+
+
+def _whole(table: Mapping[str, object], key: str, default: int, low: int, high: int) -> int:
+    return whole(table[key], ("cyclic", key), low, high) if key in table else default
 
 
 def _positive(table: Mapping[str, object], key: str) -> float | None:

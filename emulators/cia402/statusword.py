@@ -22,7 +22,7 @@ MAX_SLIPPAGE_ERROR: Final = MODE_BIT_13
 # hm
 HOMING_ATTAINED: Final = MODE_BIT_12
 HOMING_ERROR: Final = MODE_BIT_13
-# csp
+# csp, csv, cst
 FOLLOWS_COMMAND: Final = MODE_BIT_12
 
 # Bits 0 to 3, 5 and 6, in the order of PdsState's numbers. CiA 402-2, table of state coding: where

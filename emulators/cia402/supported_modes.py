@@ -11,7 +11,14 @@ from emulators.cia402.settings import EMULATED_MODES
 
 _STANDARD: Final = 0xFFFF
 _EMULATED: Final = sum(1 << (code - 1) for code in EMULATED_MODES.values())
-_TARGETS: Final = (("pp", 0x607A), ("pv", 0x60FF), ("tq", 0x6071), ("csp", 0x607A))
+_TARGETS: Final = (
+    ("pp", 0x607A),
+    ("pv", 0x60FF),
+    ("tq", 0x6071),
+    ("csp", 0x607A),
+    ("csv", 0x60FF),
+    ("cst", 0x6071),
+)
 
 
 def modes_with_target(od: ObjectDictionary) -> int:

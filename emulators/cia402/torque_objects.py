@@ -52,7 +52,11 @@ class TorqueObjects:
 
     def target_a(self) -> float:
         """The current that makes the torque 6071h."""
-        return self.target.integer() * self._per_permille_a()
+        return self.current_of_a(self.target.integer())
+
+    def current_of_a(self, torque_raw: int) -> float:
+        """The current that makes this torque [1/1000 of 6076h]."""
+        return torque_raw * self._per_permille_a()
 
     def limits_a(self) -> tuple[float, float]:
         """The currents that make the most torque allowed: 6072h within 60E0h, and within 60E1h."""

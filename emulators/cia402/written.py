@@ -15,6 +15,8 @@ FACTORS: Final = 64
 TORQUE: Final = 128  # target or slope
 TORQUE_LIMIT: Final = 256
 GAINS: Final = 512
+OFFSETS: Final = 1024
+IP_DATA: Final = 2048
 
 # index, sub-index, what it counts as when written
 _WATCHED: Final = (
@@ -31,6 +33,7 @@ _WATCHED: Final = (
     (0x6075, 0, FACTORS | TORQUE_LIMIT),
     (0x6076, 0, FACTORS | TORQUE_LIMIT),
     (0x6087, 0, TORQUE),
+    *((index, 0, OFFSETS) for index in (0x60B0, 0x60B1, 0x60B2)),
     (0x607F, 0, RAMPS),
     (0x6080, 0, RAMPS),
     (0x6083, 0, RAMPS),

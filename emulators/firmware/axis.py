@@ -20,22 +20,22 @@ from emulators.firmware.flags import (
 )
 from emulators.firmware.gains import ServoGains
 from emulators.firmware.servo_tables import tables_of
-from emulators.firmware.timeline import RESTS, Timeline
+from emulators.firmware.timeline import Timeline
 from emulators.firmware.windows import default_windows, in_a_row, with_gate
 from emulators.plant.dc_motor import MotorPlant
 
 _NEVER: Final = -1.0
 _CURRENT_WINDOW: Final = 0.05  # of the plant's current: as near as it must come to be reached
 
-NEVER_NS: Final = 1 << 61  # a small int to the compiler
+_NO_SPEED: Final = 1e300  # a velocity that no motor has
 
 
 @final
 class Axis(AxisReadings):
     """One motor with everything a drive's firmware does to it; sans-I/O, no clock.
 
-    What it shows is told in emulators.firmware.axis_readings; how it stays lazy and exact, in
-    emulators.firmware.timeline.
+    What it shows, and when, is told in emulators.firmware.axis_readings; how it stays lazy and
+    exact, in emulators.firmware.timeline.
     """
 
     def __init__(
@@ -68,49 +68,8 @@ class Axis(AxisReadings):
             servo.standing(float(initial_position_inc)),
         )
         super().__init__(plant, tick_ns, time, standing[3])
-
-    # --- time -------------------------------------------------------------------------------------
-
-    def at(self, now_ns: int) -> None:
-        """Readings and flags are now those of tick now_ns // tick_ns. Changes no behaviour.
-
-        Raises:
-            ValueError: now_ns is before the tick of the last `at`.
-        """
-        tick = now_ns // self._tick_ns
-        time = self._time
-        if tick == time.tick:
-            return
-        if tick < time.tick:
-            raise ValueError(f"{now_ns} ns is before tick {time.tick}: time runs forward only")
-        time.reach(tick)
-        self.flags = time.state[servo.I_FLAGS]
-
-    def next_event_ns(self, limit_ns: int | None = None) -> int | None:
-        """When to call `at` and look again [ns], counted from the last `at`.
-
-        It is the next tick at which the flags change, or an earlier time at which work must go on,
-        never later than `limit_ns`; None: the flags will never change without a command, and the
-        axis comes to rest by itself.
-        """
-        limit = NEVER_NS if limit_ns is None else limit_ns
-        next_ns = self.event_ns(limit)
-        return None if next_ns >= NEVER_NS else next_ns
-
-    def event_ns(self, limit_ns: int) -> int:
-        """As `next_event_ns`, with NEVER_NS for None."""
-        next_tick = self._time.next_tick(limit_ns // self._tick_ns)
-        if next_tick == RESTS:
-            return NEVER_NS
-        next_ns = next_tick * self._tick_ns
-        return next_ns if next_ns < limit_ns else limit_ns
-
-    def rest(self) -> int:
-        """A number while the axis rests, another one after each command; -1 in motion.
-
-        As long as it stays the same, so does every reading.
-        """
-        return self._time.commands if self._time.resting else -1
+        self._gains: ServoGains = gains
+        self._fed_a: float = 0.0  # of the velocity loop's integrator, what `feed_current` put there
 
     # --- commands, from the tick after the last at() ----------------------------------------------
 
@@ -122,6 +81,7 @@ class Axis(AxisReadings):
         if on == (self._mode != servo.OFF):
             return
         self._mode = servo.POSITION if on else servo.OFF
+        self._fed_a = 0.0
         self._hold(self._time.state[servo.I_COUNT])
 
     def move_to(
@@ -184,11 +144,13 @@ class Axis(AxisReadings):
         self._mode = servo.POSITION
         self._begin(pieces, profile.duration_ticks(pieces), True, 0.0)
 
-    def apply_current(self, target_a: float, slope_a_s: float) -> None:
+    def apply_current(
+        self, target_a: float, slope_a_s: float, speed_max_inc_s: float = _NO_SPEED
+    ) -> None:
         """Ramp the current from its present demand to this one and keep it, whatever moves.
 
-        The first step of the ramp is in the next tick. No loop but the current's is closed, and
-        nothing limits the speed but the supply.
+        The first step of the ramp is in the next tick. No loop but the current's is closed; what
+        would carry the motor beyond `speed_max_inc_s` either way is held back.
 
         Raises:
             ValueError: the slope is not > 0 (it may be infinite), or the target is no number.
@@ -198,24 +160,77 @@ class Axis(AxisReadings):
         if not slope_a_s > 0.0 or target_a != target_a:
             raise ValueError(f"current {target_a} A at {slope_a_s} A/s: the slope must be > 0")
         start_a = self._time.state[servo.I_WANTED]
-        pieces = profile.current(start_a, target_a, slope_a_s * self._tick_s)
-        self._mode = servo.TORQUE
+        pieces = profile.current(
+            start_a, target_a, slope_a_s * self._tick_s, speed_max_inc_s * self._tick_s
+        )
         near_a = _CURRENT_WINDOW * self._current_max_a
+        self._mode = servo.TORQUE
+        self._fed_a = 0.0
         self._begin(pieces, profile.duration_ticks(pieces), False, near_a)
 
-    def follow(self, position_inc: int, over_ns: int) -> None:
+    # --- cyclic demands: no profiles, so PROFILE_ACTIVE and the target windows stay off;
+    # --- RuntimeError where power is off
+
+    def follow(self, position_inc: int, over_ns: int, fed_velocity_inc_s: float = 0.0) -> None:
         """Go evenly from the present demand to this one in `over_ns`, then hold (csp).
 
-        It is no profile: PROFILE_ACTIVE and IN_TARGET_WINDOW stay off.
-
-        Raises:
-            RuntimeError: power is off.
+        `fed_velocity_inc_s` is fed forward besides what the gains say of the demand's own.
         """
         position, _ = self._start()
         target = float(position_inc - self._offset_inc)
         pieces = profile.line(position, target, over_ns / self._tick_ns)
         self._mode = servo.POSITION
         self._begin(pieces, _NEVER, False, 0.0)
+        if fed_velocity_inc_s != 0.0:
+            fed = profile.fed(
+                pieces, self._gains.velocity_feedforward, fed_velocity_inc_s * self._tick_s
+            )
+            self._orders = (servo.FED, *self._orders[1:3], fed, *self._orders[4:])
+            self._time.order(self._orders, self._time.state)
+
+    def follow_velocity(self, velocity_inc_s: float, over_ns: int) -> None:
+        """Go evenly from the present velocity demand to this one, then keep it (csv)."""
+        _, velocity = self._start()
+        wanted = velocity_inc_s * self._tick_s
+        pieces = profile.velocity_line(velocity, wanted, over_ns / self._tick_ns)
+        self._mode = servo.VELOCITY
+        self._begin(pieces, _NEVER, False, _NO_SPEED)
+
+    def follow_current(
+        self, current_a: float, over_ns: int, speed_max_inc_s: float = _NO_SPEED
+    ) -> None:
+        """Go evenly from the present current demand to this one, then keep it (cst)."""
+        self._start()
+        start_a = self._time.state[servo.I_WANTED]
+        if self._mode == servo.TORQUE:  # where the last one ends: its next tick's demand
+            t = float(self._time.tick + 1 - self._profile_tick)
+            start_a = profile.demand_at(self._profile, t)[0]
+        speed_max = speed_max_inc_s * self._tick_s
+        pieces = profile.current_line(start_a, current_a, over_ns / self._tick_ns, speed_max)
+        self._mode = servo.TORQUE
+        self._fed_a = 0.0
+        self._begin(pieces, _NEVER, False, 0.0)
+
+    def feed_current(self, current_a: float) -> None:
+        """From the next tick on the velocity loop's current is more by this; 0.0 ends it.
+
+        It goes into the loop's integrator, which is what a constant more makes of it.
+        """
+        if current_a == self._fed_a:
+            return
+        state = self._time.state
+        hold_a = state[servo.I_HELD] + (current_a - self._fed_a)
+        self._fed_a = current_a
+        self._time.order(self._orders, (*state[:5], hold_a, *state[6:]))
+
+    def brake(self) -> None:
+        """Stop as hard as the current's limits allow, then stand; SPEED_ZERO says when."""
+        self._start()
+        self._mode = servo.VELOCITY
+        self._begin(profile.hold(0.0), _NEVER, False, _NO_SPEED)
+        state = self._time.state
+        self._fed_a = 0.0
+        self._time.order(self._orders, (*state[:5], 0.0, *state[6:]))
 
     def hold(self) -> None:
         """Stand at the present demand at once, without a ramp.
@@ -289,6 +304,7 @@ class Axis(AxisReadings):
             ValueError: the gains make the current loop unstable; the old ones stay.
         """
         tables = tables_of(self._plant, gains, self._tick_ns, self._current_steps, self._clock_rate)
+        self._gains = gains
         self._time.set_tables(tables, self._load_torque_n_m)
 
     def set_current_limit(self, current_a: float, backward_a: float | None = None) -> None:

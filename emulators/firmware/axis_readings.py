@@ -1,10 +1,12 @@
-"""What an axis shows of itself, at the time of its last `at`."""
+"""What an axis shows of itself, at the time of its last `at`, and when to look again."""
 
 from typing import Final
 
 from emulators.firmware import profile, servo
-from emulators.firmware.timeline import Timeline
+from emulators.firmware.timeline import RESTS, Timeline
 from emulators.plant.dc_motor import PI, MotorPlant
+
+NEVER_NS: Final = 1 << 61  # a small int to the compiler
 
 
 class AxisReadings:
@@ -29,6 +31,51 @@ class AxisReadings:
         self._mode = servo.OFF
         self._profile = pieces
         self.flags: int = time.state[servo.I_FLAGS]
+
+    # --- time -------------------------------------------------------------------------------------
+
+    def at(self, now_ns: int) -> None:
+        """Readings and flags are now those of tick now_ns // tick_ns. Changes no behaviour.
+
+        Raises:
+            ValueError: now_ns is before the tick of the last `at`.
+        """
+        tick = now_ns // self._tick_ns
+        time = self._time
+        if tick == time.tick:
+            return
+        if tick < time.tick:
+            raise ValueError(f"{now_ns} ns is before tick {time.tick}: time runs forward only")
+        time.reach(tick)
+        self.flags = time.state[servo.I_FLAGS]
+
+    def next_event_ns(self, limit_ns: int | None = None) -> int | None:
+        """When to call `at` and look again [ns], counted from the last `at`.
+
+        It is the next tick at which the flags change, or an earlier time at which work must go on,
+        never later than `limit_ns`; None: the flags will never change without a command, and the
+        axis comes to rest by itself.
+        """
+        limit = NEVER_NS if limit_ns is None else limit_ns
+        next_ns = self.event_ns(limit)
+        return None if next_ns >= NEVER_NS else next_ns
+
+    def event_ns(self, limit_ns: int) -> int:
+        """As `next_event_ns`, with NEVER_NS for None."""
+        next_tick = self._time.next_tick(limit_ns // self._tick_ns)
+        if next_tick == RESTS:
+            return NEVER_NS
+        next_ns = next_tick * self._tick_ns
+        return next_ns if next_ns < limit_ns else limit_ns
+
+    def rest(self) -> int:
+        """A number while the axis rests, another one after each command; -1 in motion.
+
+        As long as it stays the same, so does every reading.
+        """
+        return self._time.commands if self._time.resting else -1
+
+    # --- readings, at the time of the last at() ---------------------------------------------------
 
     def position_inc(self) -> int:
         """What the encoder counts, from the zero that was set."""

@@ -1,6 +1,6 @@
 """The servo's gains (P position, PI velocity, PI current, feedforward), tuned from the plant."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import final
 
 from emulators.plant.dc_motor import MotorPlant
@@ -56,4 +56,15 @@ class ServoGains:
             current_kp_v_a=0.4 * plant.resistance_ohm / (1.0 - decay),
             current_ki_v_a_s=0.4 * plant.resistance_ohm / step_s,
             acceleration_feedforward_a_s2_inc=a_s2_inc,
+        )
+
+    def shorted(self, plant: MotorPlant) -> "ServoGains":
+        """The velocity loop brakes to standstill as a short circuit of the motor would.
+
+        The current is that which the motor's own voltage drives through its resistance: none of
+        its energy goes back into the supply, whose voltage does not rise.
+        """
+        kp = plant.torque_constant_n_m_a / (plant.resistance_ohm * plant.increments_per_rad())
+        return replace(
+            self, velocity_kp_a_s_inc=min(kp, self.velocity_kp_a_s_inc), velocity_ki_a_inc=0.0
         )

@@ -23,6 +23,7 @@ Piece = tuple[float, float, float, float, float, float, float]
 Profile = tuple[Piece, ...]
 
 FOREVER: Final = 1e300
+UNLIMITED: Final = 1e300  # a speed that no motor passes
 
 
 def hold(position: float) -> Profile:
@@ -46,15 +47,43 @@ def line(start: float, end: float, ticks: float) -> Profile:
     )
 
 
-def current(start: float, target: float, slope: float) -> Profile:
+def fed(pieces: Profile, share: float, added: float) -> Profile:
+    """The same demands; fed forward are `share` of their velocity, and `added`."""
+    return tuple(
+        (end, start, p, slope, half, share * v + added, share * change)
+        for end, start, p, slope, half, v, change in pieces
+    )
+
+
+def velocity_line(start: float, end: float, ticks: float) -> Profile:
+    """A velocity that goes evenly from `start` to `end` in `ticks`, then stays; no position."""
+    if ticks < 1.0:
+        ticks = 1.0
+    return (
+        (ticks, 0.0, 0.0, 0.0, 0.0, start, (end - start) / ticks),
+        (FOREVER, ticks, 0.0, 0.0, 0.0, end, 0.0),
+    )
+
+
+def current(start: float, target: float, slope: float, speed_max: float = UNLIMITED) -> Profile:
     """A current from `start` to `target` by `slope` > 0 in each tick, the first one included."""
     ticks = (target - start if target > start else start - target) / slope
     if ticks <= 1.0:
-        return hold(target)
+        return ((FOREVER, 0.0, target, 0.0, 0.0, speed_max, 0.0),)
     change = slope if target > start else -slope
     return (
-        (ticks - 1.0, -1.0, start, change, 0.0, 0.0, 0.0),
-        (FOREVER, ticks - 1.0, target, 0.0, 0.0, 0.0, 0.0),
+        (ticks - 1.0, -1.0, start, change, 0.0, speed_max, 0.0),
+        (FOREVER, ticks - 1.0, target, 0.0, 0.0, speed_max, 0.0),
+    )
+
+
+def current_line(start: float, end: float, ticks: float, speed_max: float = UNLIMITED) -> Profile:
+    """A current that goes evenly from `start` to `end` in `ticks`, then stays."""
+    if ticks < 1.0:
+        ticks = 1.0
+    return (
+        (ticks, 0.0, start, (end - start) / ticks, 0.0, speed_max, 0.0),
+        (FOREVER, ticks, end, 0.0, 0.0, speed_max, 0.0),
     )
 
 

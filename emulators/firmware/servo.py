@@ -10,8 +10,8 @@ A tick of the servo (1 kHz, say), in this order:
 3. Position loop (P, with the profile's velocity fed forward), velocity loop (PI, with the
    profile's acceleration fed forward), limit of the current, conditional integration. Or, where
    torque is controlled, none of these: the profile is one of current (position and slope of its
-   pieces are amperes, and amperes per tick), and the velocity loop's integrator goes along, so
-   that it takes over without a jump.
+   pieces are amperes, and amperes per tick; velocity is the speed that may not be passed), and the
+   velocity loop's integrator goes along, so that it takes over without a jump.
 4. Flags.
 
 Standstill is exact. The rotor sticks with speed 0.0 while the torque on it is within the Coulomb
@@ -39,13 +39,14 @@ from emulators.firmware.flags import (
     PROFILE_ACTIVE,
     SPEED_ZERO,
 )
-from emulators.firmware.profile import Profile
+from emulators.firmware.profile import UNLIMITED, Profile
 from emulators.firmware.servo_tables import LoadTable, StepTable, TickTable
 
 OFF: Final = 0
 POSITION: Final = 1
 VELOCITY: Final = 2
 TORQUE: Final = 3
+FED: Final = 4  # POSITION, whose pieces' velocities are fed forward as they are
 
 # powered; current, integrator of the current loop, speed [rad/s], position; integrator of the
 # velocity loop, wanted current; counts of this tick and the three before; position and velocity
@@ -75,6 +76,7 @@ State = tuple[
 I_CURRENT: Final = 1
 I_SPEED: Final = 3
 I_POSITION: Final = 4
+I_HELD: Final = 5
 I_WANTED: Final = 6
 I_COUNT: Final = 7
 I_DEMAND: Final = 11
@@ -156,6 +158,9 @@ def run(
     last = len(profile) - 1
     end, start, p, slope, half, v, change = profile[0]
     if mode == VELOCITY:
+        feed_v = 1.0
+    elif mode == FED:
+        mode = POSITION
         feed_v = 1.0
     made = 0
     resting = False
@@ -248,6 +253,15 @@ def run(
                 index += 1
                 end, start, p, slope, half, v, change = profile[index]
             wanted = p + (t - start) * slope
+            if v < UNLIMITED:  # the speed may not pass v: no more current than brings it there
+                most = kp_v * (v - (c0 - c2) * 0.5)
+                least = kp_v * (-v - (c0 - c2) * 0.5)
+                if wanted > most:
+                    wanted = most
+                    flags |= CURRENT_SATURATED
+                elif wanted < least:
+                    wanted = least
+                    flags |= CURRENT_SATURATED
             if wanted > limit:
                 wanted = limit
                 flags |= CURRENT_SATURATED

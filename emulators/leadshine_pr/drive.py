@@ -9,7 +9,7 @@ from collections.abc import Callable, Mapping
 from typing import Final, final
 
 from emulators.firmware import flags as f
-from emulators.firmware.axis import NEVER_NS
+from emulators.firmware.axis_readings import NEVER_NS
 from emulators.leadshine_pr import register_map as r
 from emulators.leadshine_pr.homing import Homing
 from emulators.modbus.identification import Identification

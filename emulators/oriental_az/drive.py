@@ -11,7 +11,7 @@ from collections.abc import Callable, Mapping
 from typing import Final, final
 
 from emulators.firmware import flags as f
-from emulators.firmware.axis import NEVER_NS
+from emulators.firmware.axis_readings import NEVER_NS
 from emulators.modbus.identification import Identification
 from emulators.modbus.registers import RegisterBank
 from emulators.modbus_drive import (

@@ -104,6 +104,39 @@ def test_it_reads_and_writes_the_gains(client, index, subindex):
     assert gain.raw == before // 2
 
 
+@pytest.mark.parametrize(
+    "mode",
+    [
+        "PROFILED POSITION",
+        "PROFILED VELOCITY",
+        "PROFILED TORQUE",
+        "CYCLIC SYNCHRONOUS POSITION",
+        "CYCLIC SYNCHRONOUS VELOCITY",
+        "CYCLIC SYNCHRONOUS TORQUE",
+    ],
+)
+def test_each_mode_it_knows_moves_the_motor(client, bench, mode):
+    network, node = client
+    assert node.is_op_mode_supported(mode)
+    node.op_mode = mode
+    assert node.op_mode == mode
+    node.state = "OPERATION ENABLED"
+    node.sdo[0x607A].raw = 2_000
+    node.sdo[0x60FF].raw = 8_000
+    node.sdo[0x6071].raw = 60
+    node.controlword = State402.CW_OPERATION_ENABLED | 0x10
+    network.pump(300 * MS)
+    assert node.sdo[0x6064].raw > 1_000
+    bits = node.check_statusword()
+    assert bits & 0x1000 or mode.startswith("PROFILED")  # bit 12: the command is followed
+    if "POSITION" in mode:
+        assert node.sdo[0x6064].raw == pytest.approx(2_000, abs=10)
+    elif "VELOCITY" in mode:
+        assert node.sdo[0x606C].raw == pytest.approx(8_000, rel=0.1)
+    else:
+        assert node.sdo[0x6077].raw > 10
+
+
 def test_it_homes(client, bench):
     network, node = client
     node.op_mode = "PROFILED POSITION"

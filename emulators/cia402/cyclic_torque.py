@@ -1,0 +1,38 @@
+"""Cyclic synchronous torque mode (cst): all loops are the host's but that of the current."""
+
+from typing import final
+
+from emulators.cia402.cyclic import CyclicMode
+from emulators.cia402.written import FACTORS, OFFSETS, TORQUE
+from emulators.firmware import flags as f
+
+
+@final
+class CyclicTorque(CyclicMode):
+    """Mode 10: 6071h + 60B2h. Bit 11: a limit of current, torque or speed holds it back."""
+
+    def enter(self, word: int, now_ns: int) -> None:
+        """6071h counts as it stands there."""
+        super().enter(word, now_ns)
+        if self.halted:
+            self.axis.ramp_to_rest(self.objects.motion.deceleration_inc_s2())
+        else:
+            self._follow()
+
+    def written(self, what: int, now_ns: int) -> None:
+        """A torque or an offset has come into force."""
+        if not what & (TORQUE | OFFSETS | FACTORS):
+            return
+        self.measure(now_ns)
+        if not self.halted:
+            self._follow()
+
+    def settle(self, now_ns: int) -> None:
+        """Whether a limit holds the torque back, and whether SYNC has stayed away."""
+        super().settle(now_ns)
+        self.limited = not self.halted and self.axis.flags & f.CURRENT_SATURATED != 0
+
+    def _follow(self) -> None:
+        objects = self.objects
+        current_a = objects.torque.target_a() + objects.offsets.current_a()
+        self.axis.follow_current(current_a, self.over_ns(), objects.motion.torque_speed_max_inc_s())

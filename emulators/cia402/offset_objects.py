@@ -1,0 +1,33 @@
+"""The offsets of the cyclic modes: what is added to a set-point, or fed forward beneath it."""
+
+from typing import Final, final
+
+from emulators.canopen.object_dictionary import DataType, ObjectDictionary
+from emulators.cia402.torque_objects import TorqueObjects
+from emulators.cia402.units import FactorGroup
+
+_D: Final = DataType
+
+
+@final
+class OffsetObjects:
+    """60B0h, 60B1h and 60B2h (CiA 402-2, cyclic synchronous modes)."""
+
+    def __init__(self, od: ObjectDictionary, factors: FactorGroup, torque: TorqueObjects) -> None:
+        self._factors = factors
+        self._torque = torque
+        self._position = od.ensure(0x60B0, 0, _D.INTEGER32, 0)
+        self._velocity = od.ensure(0x60B1, 0, _D.INTEGER32, 0)
+        self._torque_offset = od.ensure(0x60B2, 0, _D.INTEGER16, 0)
+
+    def position_inc(self) -> int:
+        """60B0h."""
+        return self._factors.units.position_inc(self._position.integer())
+
+    def velocity_inc_s(self) -> float:
+        """60B1h."""
+        return self._velocity.integer() * self._factors.units.velocity_unit_inc_s
+
+    def current_a(self) -> float:
+        """60B2h, as the current that makes this torque."""
+        return self._torque.current_of_a(self._torque_offset.integer())
