@@ -16,6 +16,7 @@ from emulators.cia402.mode import Mode
 from emulators.cia402.objects import DriveObjects
 from emulators.cia402.pds_fsa import CW_HALT
 from emulators.cia402.statusword import FOLLOWING_ERROR, SET_POINT_ACKNOWLEDGE, TARGET_REACHED
+from emulators.cia402.written import MOTION_LIMITS
 from emulators.firmware import flags as f
 from emulators.firmware.axis import Axis
 
@@ -86,6 +87,11 @@ class ProfilePosition(Mode):
         if self.halted and not halt:
             self.halted = False
             self._start(now_ns)  # "positioning shall be executed or continued"
+
+    def written(self, what: int, now_ns: int) -> None:
+        """A limit counts for the move under way, too."""
+        if what & MOTION_LIMITS and not self.halted and self.axis.flags & f.PROFILE_ACTIVE:
+            self._start(now_ns)
 
     def settle(self, now_ns: int) -> None:
         """A target was reached, or driven through: on to the one that waits."""
@@ -190,9 +196,10 @@ class ProfilePosition(Mode):
         if self._passing and self._waiting is not None:
             target_inc = self._waiting.target_inc
             self._wake_ns = (now_ns // self.tick_ns + 1) * self.tick_ns
+        speed = min(running.velocity_inc_s, self.objects.motion.velocity_max_inc_s())
         self.axis.move_to(
             target_inc,
-            running.velocity_inc_s,
+            max(SLOWEST_INC_S, speed),
             running.acceleration_inc_s2,
             running.deceleration_inc_s2,
         )

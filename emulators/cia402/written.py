@@ -17,6 +17,7 @@ TORQUE_LIMIT: Final = 256
 GAINS: Final = 512
 OFFSETS: Final = 1024
 IP_DATA: Final = 2048
+MOTION_LIMITS: Final = 4096
 
 # index, sub-index, what it counts as when written
 _WATCHED: Final = (
@@ -34,12 +35,9 @@ _WATCHED: Final = (
     (0x6076, 0, FACTORS | TORQUE_LIMIT),
     (0x6087, 0, TORQUE),
     *((index, 0, OFFSETS) for index in (0x60B0, 0x60B1, 0x60B2)),
-    (0x607F, 0, RAMPS),
-    (0x6080, 0, RAMPS),
+    *((index, 0, RAMPS | MOTION_LIMITS) for index in (0x607F, 0x6080, 0x60C5, 0x60C6)),
     (0x6083, 0, RAMPS),
     (0x6084, 0, RAMPS),
-    (0x60C5, 0, RAMPS),
-    (0x60C6, 0, RAMPS),
     (0x608C, 0, FACTORS),
     (0x608E, 0, FACTORS),
     (0x608F, 1, FACTORS),

@@ -33,6 +33,7 @@ RAMPS = (0x6083, 0x6084, 0x6085, 0x60C5, 0x60C6)
 ROUNDED = 2
 """Whole increments of one tick, against those of the tick before."""
 
+BRAKING = (By.SWITCH_ON, By.SHUTDOWN)  # 605Ch and 605Bh may have the motor braked first
 LOST_CONNECTION = {1: By.FAULT, 2: By.DISABLE_VOLTAGE, 3: By.QUICK_STOP}  # 6007h
 
 
@@ -59,6 +60,7 @@ class Watched(Bench):
         drive = new_drive(**settings)
         self._od = drive.od
         self.controlword_now = drive.od.integer(0x6040, 0, 0)
+        self._given: By | None = None  # the last command of a controlword that held one
         self._listen_to_controlwords(drive)
         statusword, error_code = drive.od.get(0x6041), drive.od.get(0x603F)
         assert statusword is not None
@@ -186,8 +188,12 @@ class Watched(Bench):
             self._expected = []
         commands = commands_of(self.controlword_now, arrived)
         standing = command_in(self.controlword_now)
+        if standing is None and before is State.OPERATION_ENABLED and self._given in BRAKING:
+            standing = self._given  # bit 7 commands nothing here: what brakes first goes on
         if arrived:
             self.controlword_now = arrived[-1]
+            for word in arrived:
+                self._given = command_in(word) or self._given
         if before is state and not (self._is_reset or commands):
             return
         error_code = self._error_code.read()
