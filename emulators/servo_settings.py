@@ -5,6 +5,7 @@ from dataclasses import fields, replace
 from typing import Final
 
 from emulators.controller import SettingError
+from emulators.firmware.extras_tables import substeps_for
 from emulators.firmware.gains import ServoGains
 from emulators.plant.dc_motor import MotorPlant
 from emulators.setting_tables import duration_ns, number, refuse_unknown, whole
@@ -32,5 +33,10 @@ def servo_of(table: Mapping[str, object], plant: MotorPlant) -> tuple[int, int, 
         raise SettingError(
             ("servo", "current_steps"), f"{message} each", "a longer tick_s, or fewer steps"
         )
+    try:
+        substeps_for(plant, tick_ns / (1e9 * steps))
+    except ValueError as error:
+        name, _, text = str(error).partition(" = ")
+        raise SettingError(("plant", name), text) from error
     given = {name: number(table[name], ("servo", name), 0, 1e12) for name in names if name in table}
     return tick_ns, steps, replace(ServoGains.tuned(plant, tick_ns, steps), **given)

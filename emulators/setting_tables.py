@@ -14,6 +14,8 @@ from typing import Final, final
 
 from emulators.controller import SettingError
 from emulators.plant.dc_motor import PI, RANGES, MotorPlant
+from emulators.plant.extras import EXTRAS, PlantExtras
+from emulators.plant.extras import RANGES as EXTRAS_RANGES
 from emulators.plant.oscillator import Oscillator
 from emulators.plant.presets import PRESETS
 
@@ -29,7 +31,9 @@ _OPTIONAL: Final[dict[str, float]] = {
     "load_inertia_kg_m2": 0.0,
     "load_torque_n_m": 0.0,
 }
-_DATA_SHEET: Final = tuple(f.name for f in fields(MotorPlant) if f.name not in _OPTIONAL)
+_LINEAR: Final = tuple(f.name for f in fields(MotorPlant) if f.name != "extras")
+_DATA_SHEET: Final = tuple(name for name in _LINEAR if name not in _OPTIONAL)
+_WHOLE: Final = ("encoder_increments_rev", "cogging_periods_rev")
 _OBJECT: Final = re.compile("([0-9A-Fa-f]{4})[hH]?(?::(?:([0-9]{1,3})|([0-9A-Fa-f]{1,2})[hH]))?")
 
 KeyPath = tuple[str, ...]
@@ -146,23 +150,15 @@ def eds_in(table: Mapping[str, object], folder: Path, own: Path) -> Path:
 
 def plant_of(table: Mapping[str, object], path: KeyPath = ("plant",)) -> MotorPlant:
     """The motor a plant table describes: a preset, all its numbers, or a preset and some."""
-    names = tuple(field.name for field in fields(MotorPlant))
-    refuse_unknown(table, ("preset", *names), path)
+    refuse_unknown(table, ("preset", *_LINEAR, *EXTRAS), path)
     preset = table.get("preset")
     if preset is not None and (not isinstance(preset, str) or preset not in PRESETS):
         raise SettingError(
             (*path, "preset"), f"there is no preset {preset!r}", f"known: {', '.join(PRESETS)}"
         )
-    numbers: dict[str, float] = {}
-    for name in names:
-        if name in table:
-            numbers[name] = (
-                whole(table[name], (*path, name), 1, 1 << 31)
-                if name == "encoder_increments_rev"
-                else number(table[name], (*path, name), *RANGES[name])
-            )
+    numbers = _numbers(table, RANGES, path)
     base = PRESETS[preset] if isinstance(preset, str) else PRESETS[DEFAULT_PRESET]
-    needed = [name for name in names if name not in numbers and name in _DATA_SHEET]
+    needed = [name for name in _DATA_SHEET if name not in numbers]
     if preset is None and numbers and needed:
         raise SettingError(
             path,
@@ -172,10 +168,25 @@ def plant_of(table: Mapping[str, object], path: KeyPath = ("plant",)) -> MotorPl
     if preset is None and numbers:
         base = replace(base, **_OPTIONAL)  # type: ignore[arg-type]  # names of its own fields
     try:
-        return replace(base, **numbers)  # type: ignore[arg-type]  # checked above, name by name
+        more = _numbers(table, EXTRAS_RANGES, path)
+        extras: PlantExtras = replace(base.extras, **more)  # type: ignore[arg-type]  # likewise
+        return replace(base, **numbers, extras=extras)  # type: ignore[arg-type]  # checked above
     except ValueError as error:
-        name = str(error).split(" ", 1)[0]
-        raise SettingError((*path, name), str(error).partition(": ")[2]) from error
+        name, _, text = str(error).partition(" = ")
+        raise SettingError((*path, name), text) from error
+
+
+def _numbers(
+    table: Mapping[str, object], ranges: Mapping[str, tuple[float, float]], path: KeyPath
+) -> dict[str, float]:
+    """What the table says of these keys."""
+    return {
+        name: whole(table[name], (*path, name), int(low), int(high))
+        if name in _WHOLE
+        else number(table[name], (*path, name), low, high)
+        for name, (low, high) in ranges.items()
+        if name in table
+    }
 
 
 def initial_position_rad(
@@ -184,6 +195,10 @@ def initial_position_rad(
     """Where the output stands at power-on; within 32 bits of increments."""
     path = (*path, "initial_position_rad")
     position_rad = number(table.get("initial_position_rad", 0.0), path, -1e9, 1e9)
+    low_rad, high_rad = plant.extras.stop_low_rad, plant.extras.stop_high_rad
+    if not low_rad <= position_rad <= high_rad:
+        message = f"{position_rad} rad is beyond an end of the plant's way"
+        raise SettingError(path, message, f"{low_rad:g}..{high_rad:g} rad")
     inc_rad = plant.encoder_increments_rev * plant.gear_ratio / (2.0 * PI)
     if abs(position_rad * inc_rad) >= 1 << 31:
         message = f"{position_rad * inc_rad:.0f} increments do not fit 32 bits"

@@ -9,8 +9,9 @@ Positions are increments of the encoder. Tick k is at k * tick_ns.
 
 from typing import Final, final
 
-from emulators.firmware import profile, servo
+from emulators.firmware import extras_servo, profile, servo
 from emulators.firmware.axis_readings import AxisReadings
+from emulators.firmware.extras_tables import Conditions, extras_tables
 from emulators.firmware.flags import (
     CURRENT_REACHED,
     IN_TARGET_WINDOW,
@@ -25,6 +26,7 @@ from emulators.firmware.windows import default_windows, in_a_row, with_gate
 from emulators.plant.dc_motor import MotorPlant
 
 _NEVER: Final = -1.0
+_NONE: Final = 1e300  # a threshold that is never reached
 _CURRENT_WINDOW: Final = 0.05  # of the plant's current: as near as it must come to be reached
 
 _NO_SPEED: Final = 1e300  # a velocity that no motor has
@@ -60,14 +62,19 @@ class Axis(AxisReadings):
             *(False, 0.0, 0.0, plant.current_max_a, plant.current_max_a),
         )
         self._orders: servo.Orders = standing
-        time = Timeline(
-            tables_of(plant, gains, tick_ns, current_steps, clock_rate),
-            plant.load_torque_n_m,
-            self._windows,
-            standing,
-            servo.standing(float(initial_position_inc)),
+        tables = tables_of(plant, gains, tick_ns, current_steps, clock_rate)
+        extras = extras_tables(plant, gains, tables.tick, tick_ns, current_steps, clock_rate)
+        state = servo.standing(float(initial_position_inc))
+        if extras is not None:
+            state = extras_servo.standing(extras, float(initial_position_inc), plant.supply_v)
+        conditions: Conditions = (
+            *(plant.load_torque_n_m / plant.gear_ratio, plant.supply_v),
+            *(_NONE, -_NONE, _NONE, _NONE, _NONE, -_NONE, _NONE),
         )
-        super().__init__(plant, tick_ns, time, standing[3])
+        time = Timeline(
+            *(tables, plant.load_torque_n_m, self._windows, standing, state, extras, conditions)
+        )
+        super().__init__(plant, tick_ns, time, standing[3], conditions)
         self._gains: ServoGains = gains
         self._fed_a: float = 0.0  # of the velocity loop's integrator, what `feed_current` put there
 
@@ -283,9 +290,19 @@ class Axis(AxisReadings):
         At the present tick the flag is off; it is exact from the next one on.
         """
         time = self._time
-        windows = with_gate(self._windows, max(low, output_low), min(high, output_high))
-        if windows == self._windows and not self.flags & OUTSIDE_GATE:
+        conditions = self._conditions
+        if self._has_extras:
+            windows = with_gate(self._windows, low, high)
+            conditions = (*conditions[:7], output_low, output_high)
+        else:
+            windows = with_gate(self._windows, max(low, output_low), min(high, output_high))
+        if (
+            windows == self._windows
+            and conditions == self._conditions
+            and not self.flags & OUTSIDE_GATE
+        ):
             return
+        self._set_conditions(conditions)
         self._windows = windows
         time.set_windows(windows)
         self.flags &= ~OUTSIDE_GATE
@@ -295,7 +312,50 @@ class Axis(AxisReadings):
         """The load's torque at the output; positive turns towards negative positions."""
         if torque_n_m != self._load_torque_n_m:
             self._load_torque_n_m = torque_n_m
-            self._time.set_load(torque_n_m)
+            if self._has_extras:
+                self._set_conditions((torque_n_m / self._gear_ratio, *self._conditions[1:]))
+            else:
+                self._time.set_load(torque_n_m)
+
+    def set_supply(self, supply_v: float) -> None:
+        """The supply's own voltage from now on; it needs a plant with extras.
+
+        Raises:
+            ValueError: the plant has none, or the voltage is not > 0.
+        """
+        if not self._has_extras or not supply_v > 0.0:
+            raise ValueError(
+                f"supply_v = {supply_v} V: must be > 0, and the plant's source_resistance_ohm too"
+            )
+        self._set_conditions((self._conditions[0], supply_v, *self._conditions[2:]))
+
+    def set_thresholds(
+        self,
+        *,
+        over_voltage_v: float | None = None,
+        under_voltage_v: float | None = None,
+        over_temperature_c: float | None = None,
+        temperature_warning_c: float | None = None,
+        i2t_warning: float | None = None,
+    ) -> None:
+        """Where the flags of a plant with extras come; None leaves one as it was (first: never).
+
+        They come and go at the tick at which it is so; nothing is latched, and nothing happens to
+        the motor. Voltage is looked at in every tick, heat and I2t every 20 ms. Without the part of
+        the plant that a threshold is about its flag never comes.
+        """
+        c = self._conditions
+        self._set_conditions(
+            (
+                *(c[0], c[1]),
+                c[2] if over_voltage_v is None else over_voltage_v,
+                c[3] if under_voltage_v is None else under_voltage_v,
+                c[4] if over_temperature_c is None else over_temperature_c,
+                c[5] if temperature_warning_c is None else temperature_warning_c,
+                c[6] if i2t_warning is None else i2t_warning,
+                *(c[7], c[8]),
+            )
+        )
 
     def set_gains(self, gains: ServoGains) -> None:
         """The servo's gains from the next tick on; currents and voltages go on without a jump.
@@ -304,8 +364,12 @@ class Axis(AxisReadings):
             ValueError: the gains make the current loop unstable; the old ones stay.
         """
         tables = tables_of(self._plant, gains, self._tick_ns, self._current_steps, self._clock_rate)
+        extras = extras_tables(
+            *(self._plant, gains, tables.tick, self._tick_ns, self._current_steps),
+            self._clock_rate,
+        )
+        self._time.set_tables(tables, self._load_torque_n_m, extras)
         self._gains = gains
-        self._time.set_tables(tables, self._load_torque_n_m)
 
     def set_current_limit(self, current_a: float, backward_a: float | None = None) -> None:
         """No loop asks for more than this (None: either way), nor than the plant's current_max_a.
@@ -361,9 +425,14 @@ class Axis(AxisReadings):
             flags |= PROFILE_ACTIVE
         else:
             flags &= ~PROFILE_ACTIVE
-        state = (*state[:14], flags, 0, state[16], state[17], 0)
+        state = (*state[:14], flags, 0, state[16], state[17], 0, state[19])
         self._time.order(self._orders, state)
         self.flags = flags
+
+    def _set_conditions(self, conditions: Conditions) -> None:
+        if conditions != self._conditions:
+            self._conditions = conditions
+            self._time.set_conditions(conditions)
 
     def _per_tick2(self, size_inc_s2: float) -> float:
         if not size_inc_s2 > 0.0:

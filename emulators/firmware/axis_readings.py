@@ -2,7 +2,8 @@
 
 from typing import Final
 
-from emulators.firmware import profile, servo
+from emulators.firmware import extras_servo, profile, servo
+from emulators.firmware.extras_tables import Conditions
 from emulators.firmware.timeline import RESTS, Timeline
 from emulators.plant.dc_motor import PI, MotorPlant
 
@@ -17,7 +18,12 @@ class AxisReadings:
     """
 
     def __init__(
-        self, plant: MotorPlant, tick_ns: int, time: Timeline, pieces: profile.Profile
+        self,
+        plant: MotorPlant,
+        tick_ns: int,
+        time: Timeline,
+        pieces: profile.Profile,
+        conditions: Conditions,
     ) -> None:
         self._plant: Final = plant
         self._tick_ns: Final = tick_ns
@@ -26,6 +32,8 @@ class AxisReadings:
         self._output_rad_inc: Final = 2.0 * PI / (plant.encoder_increments_rev * plant.gear_ratio)
         self._gear_ratio: Final = plant.gear_ratio
         self._time: Final = time
+        self._has_extras: Final[bool] = plant.extras.is_any()
+        self._conditions: Conditions = conditions
         self._offset_inc = 0
         self._load_torque_n_m = plant.load_torque_n_m
         self._mode = servo.OFF
@@ -87,10 +95,15 @@ class AxisReadings:
 
     def output_count(self) -> int:
         """Where the output is, in whole increments as `count`: what switches there feel."""
+        if self._has_extras:
+            return int(servo.whole(self._extra(extras_servo.E_LOAD_POSITION)))
         return int(self._time.state[servo.I_COUNT])
 
     def count_when_output_was(self, output_count: int) -> int:
         """What the encoder counted when, within the last tick, the output passed this place."""
+        if self._has_extras:
+            ahead = self._time.state[servo.I_POSITION] - self._extra(extras_servo.E_LOAD_POSITION)
+            return output_count + int(servo.whole(ahead))
         return output_count
 
     def velocity_inc_s(self) -> float:
@@ -129,12 +142,41 @@ class AxisReadings:
 
     def output_position_rad(self) -> float:
         """The truth behind the gear, not quantised; `set_position` does not change it."""
+        if self._has_extras:
+            return (self._extra(extras_servo.E_LOAD_POSITION) - 0.5) * self._output_rad_inc
         return (self._time.state[servo.I_POSITION] - 0.5) * self._output_rad_inc
 
     def output_velocity_rad_s(self) -> float:
         """The truth behind the gear, not quantised."""
+        if self._has_extras:
+            return self._extra(extras_servo.E_LOAD_SPEED) / self._gear_ratio
         return self._time.state[servo.I_SPEED] / self._gear_ratio
 
     def load_torque_n_m(self) -> float:
         """The load's torque at the output, as set."""
         return self._load_torque_n_m
+
+    def dc_link_v(self) -> float:
+        """Voltage that the power stage has; the supply's, where it does not depend on the load."""
+        if self._plant.extras.has_dc_link():
+            return self._extra(extras_servo.E_DC_LINK)
+        return self._conditions[1]
+
+    def winding_temperature_c(self) -> float:
+        """Temperature of the winding; the air's, where the plant has no thermal model."""
+        if self._has_extras:
+            return self._extra(extras_servo.E_WINDING)
+        return self._plant.extras.ambient_c
+
+    def housing_temperature_c(self) -> float:
+        """Temperature of the motor's housing, likewise."""
+        if self._has_extras:
+            return self._extra(extras_servo.E_HOUSING)
+        return self._plant.extras.ambient_c
+
+    def i2t_level(self) -> float:
+        """How full the I2t integrator is, 0..1; 0 without one."""
+        return self._extra(extras_servo.E_I2T) if self._has_extras else 0.0
+
+    def _extra(self, index: int) -> float:
+        return self._time.state[servo.I_EXTRAS][index]

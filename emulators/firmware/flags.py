@@ -11,3 +11,20 @@ IN_VELOCITY_WINDOW: Final = 32  # run_at only: actual within the window of the w
 CURRENT_SATURATED: Final = 64  # the velocity loop asks for more current than is allowed
 CURRENT_REACHED: Final = 128  # apply_current only: ramp over, current near the one wanted
 OUTSIDE_GATE: Final = 256  # a count has left the range set_gate named; with power or without
+# Of plants with extras only, power on or off; none of them is latched (see Axis.set_thresholds).
+OVER_VOLTAGE: Final = 1 << 16  # the DC link is above its threshold
+UNDER_VOLTAGE: Final = 1 << 17  # the DC link is below its threshold
+OVER_TEMPERATURE: Final = 1 << 18  # the winding has reached its limit
+TEMPERATURE_WARNING: Final = 1 << 19  # the winding has reached the temperature to warn at
+I2T_LIMIT: Final = 1 << 20  # the I2t integrator is full
+I2T_WARNING: Final = 1 << 21  # it has reached the level to warn at
+AT_STOP: Final = 1 << 22  # the load touches an end of its way
+OF_EXTRAS: Final = (
+    OVER_VOLTAGE
+    | UNDER_VOLTAGE
+    | OVER_TEMPERATURE
+    | TEMPERATURE_WARNING
+    | I2T_LIMIT
+    | I2T_WARNING
+    | AT_STOP
+)

@@ -51,7 +51,8 @@ FED: Final = 4  # POSITION, whose pieces' velocities are fed forward as they are
 # powered; current, integrator of the current loop, speed [rad/s], position; integrator of the
 # velocity loop, wanted current; counts of this tick and the three before; position and velocity
 # demand; measured velocity; flags; ticks in the target window, beyond the following window, below
-# the speed threshold, in the velocity window (each counts up to what is needed).
+# the speed threshold, in the velocity window (each counts up to what is needed); what a plant with
+# extras has besides (see rich_servo; empty without any).
 State = tuple[
     bool,
     float,
@@ -72,6 +73,7 @@ State = tuple[
     int,
     int,
     int,
+    tuple[float, ...],
 ]
 I_CURRENT: Final = 1
 I_SPEED: Final = 3
@@ -83,6 +85,7 @@ I_DEMAND: Final = 11
 I_DEMAND_VELOCITY: Final = 12
 I_VELOCITY: Final = 13
 I_FLAGS: Final = 14
+I_EXTRAS: Final = 19
 
 # What was commanded: mode; the tick at which the profile starts; until which time in it
 # PROFILE_ACTIVE (below 0: never); the profile; whether there is a target, and where (or which
@@ -114,7 +117,7 @@ def standing(count: float) -> State:
     return (
         *(False, 0.0, 0.0, 0.0, count + 0.5, 0.0, 0.0),
         *(count, count, count, count, count, 0.0, 0.0),
-        *(SPEED_ZERO, 0, 0, 1 << 30, 0),
+        *(SPEED_ZERO, 0, 0, 1 << 30, 0, ()),
     )
 
 
@@ -149,7 +152,7 @@ def run(
      gate_low, gate_high) = windows
     mode, origin, active, profile, has_target, target, run_velocity, limit, back = orders
     (on, i, u, w, x, hold_a, wanted, c0, c1, c2, c3, demand, demand_v, velocity,
-     flags, in_target, behind, still, in_velocity) = state
+     flags, in_target, behind, still, in_velocity, extras) = state
     # fmt: on
     before = state
     watched = flags
@@ -346,7 +349,7 @@ def run(
         if w == 0.0 and c0 == c4 and (mode == OFF or index == last):
             # fmt: off
             after = (on, i, u, w, x, hold_a, wanted, c0, c1, c2, c3, demand, demand_v, velocity,
-                     flags, in_target, behind, still, in_velocity)
+                     flags, in_target, behind, still, in_velocity, extras)
             # fmt: on
             if after == before and repr(after) == repr(before):  # repr: 0.0 is not -0.0
                 resting = True
@@ -354,5 +357,5 @@ def run(
             before = after
     # fmt: off
     return (on, i, u, w, x, hold_a, wanted, c0, c1, c2, c3, demand, demand_v, velocity,
-            flags, in_target, behind, still, in_velocity), made, resting
+            flags, in_target, behind, still, in_velocity, extras), made, resting
     # fmt: on

@@ -84,8 +84,8 @@ class ServoTables:
         self._motor = sample(plant, step_s / clock_rate)
         self._kp = gains.current_kp_v_a
         self._ki = gains.current_ki_v_a_s * step_s
-        self._powers = _powers(self._closed_step(), current_steps)
-        self._blocked_powers = _powers(self._blocked_step(), current_steps)
+        self._powers = powers(self._closed_step(), current_steps)
+        self._blocked_powers = powers(self._blocked_step(), current_steps)
         self._coasting = sample(plant, tick_ns / 1e9 / clock_rate).coasting
         self._voltage_guard, self._speed_guard = self._moving_guards()
         self.tick = self._tick_table(gains, tick_ns / 1e9)
@@ -194,7 +194,7 @@ class ServoTables:
             self._speed_guard[0],
             *blocked[0],
             *blocked[1],
-            *_shrinking_norm(blocked),
+            *shrinking_norm(blocked),
             volts_e,
             volts_s,
             plant.torque_constant_n_m_a * amperes,
@@ -229,7 +229,7 @@ class ServoTables:
         )
 
 
-def _shrinking_norm(matrix: Matrix) -> tuple[float, float, float]:
+def shrinking_norm(matrix: Matrix) -> tuple[float, float, float]:
     """a, b, c: a e^2 + b e s + c s^2 shrinks by e^2 + s^2 when (e, s) is mapped (Lyapunov).
 
     The sum over all n of the squared size after n maps, added up by doubling n.
@@ -246,9 +246,9 @@ def _shrinking_norm(matrix: Matrix) -> tuple[float, float, float]:
     return total[0][0], total[0][1] + total[1][0], total[1][1]
 
 
-def _powers(matrix: Matrix, count: int) -> list[Matrix]:
+def powers(matrix: Matrix, count: int) -> list[Matrix]:
     """The matrix to the powers 0..count."""
-    powers = [identity(len(matrix))]
+    found = [identity(len(matrix))]
     for _ in range(count):
-        powers.append(product(matrix, powers[-1]))
-    return powers
+        found.append(product(matrix, found[-1]))
+    return found

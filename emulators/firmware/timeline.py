@@ -16,13 +16,16 @@ commanded, but not on who looks.
 
 from typing import Final, final
 
-from emulators.firmware import servo
+from emulators.firmware import extras_servo, servo
+from emulators.firmware.extras_tables import Conditions, ExtrasTables
 from emulators.firmware.servo_tables import LoadTable, ServoTables, StepTable, TickTable
 
 _BUDGET_MAX: Final = 64  # ticks run ahead at most
 _PATIENCE_MAX: Final = 64  # undisturbed ticks waited for, at most, before running ahead again
+_STILL_AHEAD: Final = 10_000  # the same where only heat changes, for then hardly any is computed
 
 RESTS: Final = -1
+NO_CONDITIONS: Final[Conditions] = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 
 
 @final
@@ -39,7 +42,11 @@ class Timeline:
         windows: servo.Windows,
         orders: servo.Orders,
         state: servo.State,
+        extras: ExtrasTables | None = None,
+        conditions: Conditions = NO_CONDITIONS,
     ) -> None:
+        self._extras: ExtrasTables | None = extras
+        self._conditions: Conditions = conditions
         self._tables: ServoTables = tables
         self._tick_table: TickTable = tables.tick
         self._step_table: StepTable = tables.step
@@ -98,7 +105,10 @@ class Timeline:
             if not self._commanded:
                 self._learn()
             self._commanded = False
-            self._run_ahead(min(self.tick + self._budget, limit_tick))
+            budget = self._budget
+            if self._extras is not None and extras_servo.is_still(self.state):
+                budget = _STILL_AHEAD
+            self._run_ahead(min(self.tick + budget, limit_tick))
         if self._ahead_resting:  # and it got there without a change of flags
             return RESTS
         return self._ahead_tick if self._ahead_tick > self.tick else self.tick + 1
@@ -116,9 +126,17 @@ class Timeline:
         self._drop_ahead()
         self._load = self._tables.load(torque_n_m)
 
-    def set_tables(self, tables: ServoTables, load_torque_n_m: float) -> None:
+    def set_conditions(self, conditions: Conditions) -> None:
+        """From now on these hold for a plant with extras."""
+        self._drop_ahead()
+        self._conditions = conditions
+
+    def set_tables(
+        self, tables: ServoTables, load_torque_n_m: float, extras: ExtrasTables | None = None
+    ) -> None:
         """From the next tick on the servo steps with these (other gains), the load as it was."""
         self._drop_ahead()
+        self._extras = extras
         self._tables = tables
         self._tick_table = tables.tick
         self._step_table = tables.step
@@ -134,6 +152,17 @@ class Timeline:
     def _run(
         self, tick: int, state: servo.State, ticks: int, watch: bool
     ) -> tuple[servo.State, int, bool]:
+        if self._extras is not None:
+            return extras_servo.run(
+                self._extras,
+                self._conditions,
+                self._windows,
+                self._orders,
+                state,
+                tick,
+                ticks,
+                watch,
+            )
         return servo.run(
             self._tick_table,
             self._step_table,

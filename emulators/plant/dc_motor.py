@@ -14,6 +14,8 @@ then the speed is exactly 0.0.
 from dataclasses import dataclass
 from typing import Final, final
 
+from emulators.plant.extras import NO_EXTRAS, PlantExtras
+
 PI: Final = 3.141592653589793
 
 
@@ -35,6 +37,7 @@ class MotorPlant:
         supply_v: what the power stage can put on the motor, in either direction, > 0.
         current_max_a: what the power stage allows, in either direction, > 0.
         load_torque_n_m: at the output, constant; positive turns towards negative positions.
+        extras: what it has besides; NO_EXTRAS: these equations are all.
     """
 
     resistance_ohm: float
@@ -49,6 +52,7 @@ class MotorPlant:
     gear_ratio: float = 1.0
     load_inertia_kg_m2: float = 0.0
     load_torque_n_m: float = 0.0
+    extras: PlantExtras = NO_EXTRAS
 
     def __post_init__(self) -> None:
         """Refuse numbers no motor has.

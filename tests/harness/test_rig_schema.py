@@ -16,6 +16,8 @@ from emulators.cia402 import settings as drive_settings
 from emulators.cia402.quirk_catalogue import CATALOGUE
 from emulators.media.faults import FaultKind
 from emulators.plant.dc_motor import RANGES, MotorPlant
+from emulators.plant.extras import EXTRAS, NO_EXTRAS
+from emulators.plant.extras import RANGES as EXTRAS_RANGES
 from emulators.plant.presets import PRESETS
 from emulators.protection_settings import (
     DEFAULT_PROTECTION,
@@ -111,10 +113,12 @@ def test_the_schema_knows_the_drives_own_keys():
 
 def test_the_schema_knows_the_plants_own_keys():
     plant = DEFS["plant"]["properties"]
-    names = {"preset", "from_motor_model", *(field.name for field in fields(MotorPlant))}
-    assert set(plant) == names
-    for name, limits in RANGES.items():
+    linear = [field.name for field in fields(MotorPlant) if field.name != "extras"]
+    assert set(plant) == {"preset", "from_motor_model", *linear, *EXTRAS}
+    for name, limits in (*RANGES.items(), *EXTRAS_RANGES.items()):
         assert (plant[name]["minimum"], plant[name]["maximum"]) == limits
+    for name in EXTRAS:
+        assert plant[name]["default"] == getattr(NO_EXTRAS, name)
     assert plant["preset"]["examples"] == list(PRESETS)
 
 

@@ -1,0 +1,290 @@
+"""One servo tick of a plant with extras: current loop, supply, and the one or two bodies.
+
+Passive by construction. Between the substeps' ends each body moves exactly under a torque that is
+held; so the energy that a torque takes out of a body is the torque by the way. Then:
+
+- Friction is against the motion, and where it would turn the motion round the body stops.
+- The coupling's torque is the spring's mean over the substep while it touches at both ends (the
+  trapezoidal rule: neither gains nor loses), the spring's at the end when it begins to touch (it
+  takes more than it stores), and only as much as brings the flanks apart when it ceases to.
+- An end of the way takes the load's speed, and gives back `restitution` of it.
+
+A body at rest whose torques are within its friction stays where it is, to the last bit.
+"""
+
+from typing import Final
+
+from emulators.firmware.extras_tables import ExtrasTables, StepNumbers
+from emulators.firmware.servo import whole
+
+_DC_LINK_MIN_V: Final = 1e-3
+
+
+def wave(p: float) -> float:
+    """A sine's likeness, to 0.1 %, with period 1: two parabolas, and a fifth of their square."""
+    p -= whole(p)
+    y = 16.0 * p * (0.5 - p) if p < 0.5 else -16.0 * (p - 0.5) * (1.0 - p)
+    return y * (0.775 + 0.225 * (y if y > 0.0 else -y))
+
+
+def one_body(
+    t: StepNumbers, on: bool, load: float, v: float, i: float, w: float, x: float
+) -> tuple[float, float, float, bool]:
+    """Current, speed, position after a substep, and whether nothing moved (then i is as before)."""
+    outer = -load
+    if t.cogging != 0.0:
+        outer += t.cogging * wave((x - 0.5) * t.cogging_inc)
+    if t.gravity != 0.0:
+        outer -= t.gravity * wave((x - 0.5) * t.gravity_inc - t.gravity_zero)
+    friction = t.coulomb + t.more / (1.0 + w * w * t.stribeck)
+    if w == 0.0:
+        net = t.k * i + outer
+        if -friction <= net <= friction:
+            return i, w, x, True
+        forward = net > 0.0
+        if x >= t.high if forward else x <= t.low:
+            return i, w, x, True
+    else:
+        forward = w > 0.0
+    outer += -friction if forward else friction
+    if on:
+        i1 = t.ii * i + t.iw * w + t.iv * v + t.it * outer
+        w1 = t.wi * i + t.ww * w + t.wv * v
+        way = t.xi * i + t.xw * w + t.xv * v
+        wt, xt = t.wt, t.xt
+    else:
+        i1 = i
+        w1 = t.coast_w * w
+        way = t.coast_x * w
+        wt, xt = t.coast_wt, t.coast_xt
+    end = w1 + wt * outer
+    if end < 0.0 if forward else end > 0.0:
+        if w == 0.0:
+            return i, w, x, True
+        x1 = x + (way - xt * w1 / wt)
+        end = 0.0
+    else:
+        x1 = x + (way + xt * outer)
+    if x1 > t.high:
+        x1 = t.high
+        end = 0.0 - t.restitution * positive(end if end < w else w)
+    elif x1 < t.low:
+        x1 = t.low
+        end = t.restitution * positive(-(end if end > w else w))
+    return i1, end, x1, False
+
+
+def positive(value: float) -> float:
+    """The value, or 0.0 where it is below."""
+    return value if value > 0.0 else 0.0
+
+
+def coupling(t: StepNumbers, twist: float, free: float, give: float) -> float:
+    """The torque from rotor to load over a substep [N m].
+
+    Rotor minus load [increments] is `twist` before it, and after it `free` without a torque, by
+    `give` less for each newton metre.
+    """
+    half = 0.5 * t.spring + t.damper
+    gap = t.gap
+    if gap == 0.0:
+        return (half * free + (0.5 * t.spring - t.damper) * twist) / (1.0 + give * half)
+    if free < 0.0:
+        return -coupling(t, -twist, -free, give)
+    if free <= gap:
+        return 0.0
+    if twist <= gap:  # it begins to touch
+        both = t.spring + t.damper
+        return both * (free - gap) / (1.0 + give * both)
+    torque = half * (free - gap) + (0.5 * t.spring - t.damper) * (twist - gap)
+    torque = positive(torque / (1.0 + give * half))  # flanks do not pull
+    if free - give * torque < gap:
+        torque = (free - gap) / give
+    return torque
+
+
+def two_bodies(
+    t: StepNumbers,
+    on: bool,
+    load: float,
+    v: float,
+    i: float,
+    w: float,
+    x: float,
+    wl: float,
+    xl: float,
+) -> tuple[float, float, float, float, float, bool]:
+    """Current, rotor, load after a substep, and whether the rotor stood (then i is as before).
+
+    Both are first taken to go on as they begin. Whoever is found to stop in between does, and the
+    torque between them is found again; that happens at most twice.
+
+    One function, and long, because a call for each body would cost as much again.
+    """
+    twist = x - xl
+    torque = 0.0
+    if twist > t.gap:
+        torque = t.spring * (twist - t.gap)
+    elif twist < -t.gap:
+        torque = t.spring * (twist + t.gap)
+    # the rotor, on its own
+    outer = 0.0
+    if t.cogging != 0.0:
+        outer = t.cogging * wave((x - 0.5) * t.cogging_inc)
+    friction = t.coulomb + t.more / (1.0 + w * w * t.stribeck)
+    forward = w > 0.0
+    stands = False
+    if w == 0.0:
+        net = t.k * i + outer - torque
+        forward = net > 0.0
+        stands = -friction <= net <= friction
+    outer += -friction if forward else friction
+    wt = xt = w1 = way = 0.0
+    if not stands:
+        if on:
+            wt, xt = t.wt, t.xt
+            w1 = t.wi * i + t.ww * w + t.wv * v + wt * outer
+            way = t.xi * i + t.xw * w + t.xv * v + xt * outer
+        else:
+            wt, xt = t.coast_wt, t.coast_xt
+            w1 = t.coast_w * w + wt * outer
+            way = t.coast_x * w + xt * outer
+    # the load, on its own
+    push = -load
+    if t.gravity != 0.0:
+        push -= t.gravity * wave((xl - 0.5) * t.gravity_inc - t.gravity_zero)
+    load_forward = wl > 0.0
+    load_stands = False
+    if wl == 0.0:
+        net = torque + push
+        load_forward = net > 0.0
+        load_stands = -t.load_coulomb <= net <= t.load_coulomb or (
+            xl >= t.high if load_forward else xl <= t.low
+        )
+    lt = lxt = wl1 = load_way = 0.0
+    if not load_stands:
+        push += -t.load_coulomb if load_forward else t.load_coulomb
+        lt, lxt = t.load_wt, t.load_xt
+        wl1 = t.load_w * wl + lt * push
+        load_way = t.load_x * wl + lxt * push
+    # both
+    while True:
+        torque = coupling(t, twist, twist + way - load_way, xt + lxt)
+        if wt != 0.0:
+            end = w1 - wt * torque
+            if end < 0.0 if forward else end > 0.0:
+                stands = w == 0.0
+                way = 0.0 if stands else way - xt * w1 / wt
+                w1 = wt = xt = 0.0
+                continue
+        if lt != 0.0:
+            end = wl1 + lt * torque
+            if end < 0.0 if load_forward else end > 0.0:
+                load_way = 0.0 if wl == 0.0 else load_way - lxt * wl1 / lt
+                wl1 = lt = lxt = 0.0
+                continue
+        xl1 = xl + (load_way + lxt * torque)
+        if t.low <= xl1 <= t.high or (lxt == 0.0 and load_way in (t.high - xl, t.low - xl)):
+            break
+        end = wl1 + lt * torque  # an end of the way
+        if xl1 > t.high:
+            load_way = t.high - xl
+            wl1 = 0.0 - t.restitution * positive(end if end < wl else wl)
+        else:
+            load_way = t.low - xl
+            wl1 = t.restitution * positive(-(end if end > wl else wl))
+        lt = lxt = 0.0
+    i1 = i if stands or not on else t.ii * i + t.iw * w + t.iv * v + t.it * (outer - torque)
+    xl1 = xl + (load_way + lxt * torque)
+    if xl1 > t.high:
+        xl1 = t.high
+    elif xl1 < t.low:
+        xl1 = t.low
+    return i1, w1 - wt * torque, x + (way - xt * torque), wl1 + lt * torque, xl1, stands
+
+
+def dc_link(t: ExtrasTables, v: float, source: float, power: float) -> float:
+    """The DC link's voltage a step later, implicitly: the motor takes `power` [W] from it."""
+    leak = t.bleed_1_ohm + (t.chopper_1_ohm if v > t.chopper_v else 0.0)
+    alone = v - t.per_farad * power / v
+    v1 = alone / (1.0 + t.per_farad * leak)
+    if v1 < source:  # the rectifier conducts
+        g = t.source_1_ohm
+        v1 = (alone + t.per_farad * g * source) / (1.0 + t.per_farad * (leak + g))
+    return v1 if v1 > _DC_LINK_MIN_V else _DC_LINK_MIN_V
+
+
+def tick(
+    tables: ExtrasTables,
+    index: int,
+    on: bool,
+    load: float,
+    source: float,
+    wanted: float,
+    i: float,
+    u: float,
+    w: float,
+    x: float,
+    wl: float,
+    xl: float,
+    supply: float,
+) -> tuple[float, float, float, float, float, float, float, float]:
+    """Current, integrator, rotor, load, DC link a tick later; and the mean of the current squared.
+
+    The voltage is clipped to the DC link's, and then the integrator grows only towards the inside,
+    as in current_loop.steps; a standing motor's current goes as deviations from its steady state.
+
+    One function, and long, because it hands everything on to `two_bodies` as it is.
+    """
+    t = tables.at(index)
+    if not on:
+        i = u = wanted = 0.0
+    base = t.resistance * wanted
+    error = wanted - i
+    s = u - base
+    began_e = error
+    began_s = s
+    stood = on
+    squares = 0.0
+    if not tables.has_dc_link:
+        supply = source
+    for _ in range(tables.count):
+        deviation = tables.kp * error + s
+        v = deviation + base
+        grows = on
+        if v > supply:
+            v = supply
+            deviation = v - base
+            grows = error < 0.0
+            stood = False
+        elif v < -supply:
+            v = -supply
+            deviation = v - base
+            grows = error > 0.0
+            stood = False
+        first_error = error
+        for _ in range(tables.substeps):
+            i = wanted - error
+            if t.two_bodies:
+                i1, w, x, wl, xl, stands = two_bodies(t, on, load, v, i, w, x, wl, xl)
+            else:
+                i1, w, x, stands = one_body(t, on, load, v, i, w, x)
+                wl = w
+                xl = x
+            if not stands:
+                stood = False
+                error = wanted - i1
+            elif on:
+                error = t.decay * error - t.gain * deviation
+        if grows:
+            s += tables.ki * first_error
+        i = wanted - error
+        squares += i * i
+        if tables.has_dc_link:
+            supply = dc_link(tables, supply, source, v * i)
+    if stood:
+        ee, es, ss = tables.norm(index)
+        m = ee * began_e * began_e + es * began_e * began_s + ss * began_s * began_s
+        if ee * error * error + es * error * s + ss * s * s >= m:
+            error = s = 0.0  # only rounding keeps the deviation from shrinking
+    return wanted - error, s + base, w, x, wl, xl, supply, squares / tables.count

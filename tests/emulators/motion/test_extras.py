@@ -1,0 +1,222 @@
+"""A plant with extras behind the axis: who looks makes no difference, and rest is exact."""
+
+from dataclasses import replace
+
+import pytest
+from hypothesis import event, given, settings
+from hypothesis import strategies as st
+
+from emulators.firmware.axis import Axis
+from emulators.firmware.flags import (
+    I2T_LIMIT,
+    I2T_WARNING,
+    OVER_TEMPERATURE,
+    SPEED_ZERO,
+    TEMPERATURE_WARNING,
+    UNDER_VOLTAGE,
+)
+from emulators.firmware.gains import ServoGains
+from emulators.plant.extras import PlantExtras
+from emulators.plant.presets import WHEEL_60W
+
+MS = 1_000_000
+HEAT = {
+    "thermal_resistance_winding_housing_k_w": 1.7,
+    "thermal_resistance_housing_ambient_k_w": 6.0,
+    "thermal_time_constant_winding_s": 1.62,
+    "thermal_time_constant_motor_s": 20.0,
+}
+FEATURES = {
+    "supply": {"source_resistance_ohm": 0.2, "dc_link_bleed_ohm": 1000.0},
+    "heat": {**HEAT, "copper_coefficient_1_k": 0.0039},
+    "i2t": {"i2t_continuous_a": 0.1, "i2t_peak_a": 1.0, "i2t_peak_s": 0.5},
+    "stops": {"stop_low_rad": -0.2, "stop_high_rad": 0.3, "stop_restitution": 0.4},
+    "friction": {"static_friction_n_m": 6e-3, "stribeck_speed_rad_s": 2.0},
+    "cogging": {"cogging_torque_n_m": 2e-3, "cogging_periods_rev": 14},
+    "gravity": {"gravity_torque_n_m": 1.5, "gravity_zero_rad": -0.1},
+    "elastic": {
+        "coupling_stiffness_n_m_rad": 500.0,
+        "coupling_damping_n_m_s_rad": 2.0,
+        "output_coulomb_friction_n_m": 0.02,
+    },
+    "backlash": {"backlash_rad": 0.01, "output_coulomb_friction_n_m": 0.02},
+}
+SETS = st.lists(st.sampled_from(sorted(FEATURES)), min_size=1, max_size=4, unique=True)
+
+
+def plant_with(*names, **more):
+    numbers = {key: value for name in names for key, value in FEATURES[name].items()}
+    return replace(WHEEL_60W, extras=PlantExtras(**numbers, **more))
+
+
+def axis_with(plant):
+    return Axis(plant, ServoGains.tuned(plant, MS, 10), MS, 10)
+
+
+def readings(axis):
+    return (
+        *(axis.flags, axis.position_inc(), axis.demand_inc(), axis.velocity_inc_s()),
+        *(axis.current_a(), axis.output_position_rad(), axis.output_velocity_rad_s()),
+        *(axis.dc_link_v(), axis.winding_temperature_c(), axis.housing_temperature_c()),
+        axis.i2t_level(),
+    )
+
+
+def thresholds(axis):
+    axis.set_thresholds(
+        over_voltage_v=24.5,
+        under_voltage_v=23.5,
+        temperature_warning_c=25.3,
+        over_temperature_c=25.6,
+        i2t_warning=0.5,
+    )
+
+
+def day(axis, looks):
+    """Readings after each command; in between somebody looks, or asks when to come back."""
+    seen = []
+    commands = (
+        (10, lambda: axis.power(True)),
+        (50, lambda: thresholds(axis)),
+        (60, lambda: axis.move_to(9_000, 90_000.0, 600_000.0, 600_000.0)),
+        (260, lambda: axis.set_load(0.8)),
+        (400, lambda: axis.run_at(-40_000.0, 300_000.0, 300_000.0)),
+        (500, lambda: axis.apply_current(0.9, 50.0)),
+        (640, lambda: axis.move_to(0, 40_000.0, 500_000.0, 500_000.0)),
+        (900, lambda: axis.power(False)),
+        (1_300, lambda: axis.power(True)),
+    )
+    for k, command in (*commands, (1_600, lambda: None)):
+        for look, ask in looks:
+            if axis._time.tick < look < k:
+                axis.at(look * MS)
+                if ask:
+                    axis.next_event_ns(None if ask == 1 else (look + ask) * MS)
+        axis.at(k * MS)
+        seen.append(readings(axis))
+        command()
+    return seen
+
+
+@settings(max_examples=20)
+@given(
+    SETS,
+    st.lists(st.tuples(st.integers(1, 1_600), st.sampled_from([0, 1, 7, 90])), max_size=40),
+)
+def test_what_a_plant_with_extras_does_is_the_same_whoever_looks(names, looks):
+    plant = plant_with(*names)
+    alone = day(axis_with(plant), ())
+    assert day(axis_with(plant), sorted(looks)) == alone
+    event(f"{len(names)} features")
+
+
+def run_to_rest(axis, limit_ms):
+    wakes = 0
+    wake = axis.next_event_ns()
+    while wake is not None:
+        assert wake <= limit_ms * MS
+        axis.at(wake)
+        wakes += 1
+        wake = axis.next_event_ns()
+    return wakes
+
+
+@settings(max_examples=12)
+@given(SETS, st.integers(-15_000, 15_000), st.booleans())
+def test_a_plant_with_extras_comes_to_exact_rest(names, target, has_power):
+    axis = axis_with(plant_with(*names))
+    axis.power(True)
+    axis.at(50 * MS)
+    axis.move_to(target, 60_000.0, 400_000.0, 400_000.0)
+    axis.at(900 * MS)
+    if not has_power or {"stops", "friction"} & set(names):  # held short of it, or hunting for it
+        axis.power(False)
+        has_power = False
+    run_to_rest(axis, 100_000_000)
+    seen = readings(axis)
+    assert axis.output_velocity_rad_s() == axis.velocity_inc_s() == 0.0
+    assert axis.flags & SPEED_ZERO
+    axis.at((axis._time.tick + 10**9) * MS)
+    assert axis.rest() >= 0
+    assert readings(axis) == seen
+    event("held" if has_power else "without power")
+
+
+def test_rest_is_a_state_that_the_step_maps_onto_itself():
+    axis = axis_with(plant_with(*FEATURES))
+    axis.power(True)
+    axis.at(50 * MS)
+    axis.move_to(3_000, 60_000.0, 400_000.0, 400_000.0)
+    axis.at(2_000 * MS)
+    axis.power(False)
+    run_to_rest(axis, 100_000_000)
+    axis.at(10**9 * MS)
+    time = axis._time
+    state = time.state
+    for tick in range(time.tick, time.tick + 100):
+        state, made, _ = time._run(tick, state, 1, False)
+        assert made == 1
+        assert repr(state[:19]) == repr(time.state[:19])
+        assert repr(state[19][:6]) == repr(time.state[19][:6])
+
+
+def test_a_motor_that_cools_at_rest_is_hardly_worked_for():
+    """An hour of it: one wake-up every ten seconds, until the temperature stands."""
+    axis = axis_with(plant_with("heat"))
+    axis.power(True)
+    axis.at(10 * MS)
+    axis.apply_current(3.0, 1e3)
+    axis.at(2_000 * MS)
+    axis.power(False)
+    axis.at(2_100 * MS)
+    assert axis.winding_temperature_c() > 27.0
+    wakes = 0
+    while axis._time.tick < 3_600_000:
+        axis.at(axis.next_event_ns())
+        wakes += 1
+    assert wakes < 400
+    assert 25.0 <= axis.winding_temperature_c() < 25.1
+
+
+@pytest.mark.parametrize("looks", [False, True])
+def test_thresholds_wake_the_drive_at_their_tick(looks):
+    """Every flag comes at a wake-up that the axis asked for, and at the same one for all."""
+    axis = axis_with(plant_with("heat", "i2t", "supply"))
+    axis.power(True)
+    axis.at(50 * MS)
+    thresholds(axis)
+    axis.apply_current(4.0, 1e3)
+    came = {}
+    while axis._time.tick < 2_000:
+        wake = axis.next_event_ns()
+        if looks:
+            for ns in range(axis._time.tick * MS, wake, 3 * MS):
+                axis.at(ns)
+        before = axis.flags
+        axis.at(wake)
+        for flag in (
+            UNDER_VOLTAGE,
+            TEMPERATURE_WARNING,
+            OVER_TEMPERATURE,
+            I2T_WARNING,
+            I2T_LIMIT,
+        ):
+            if axis.flags & ~before & flag:
+                came.setdefault(flag, axis._time.tick)
+    # 0.495 A^2 s of room, filled by 16 A^2 since 55 ms: half in 15 ms, and told every 20 ms
+    assert came[I2T_WARNING] == 80
+    assert came[I2T_LIMIT] == 100
+    assert came[TEMPERATURE_WARNING] % 20 == came[OVER_TEMPERATURE] % 20 == 0
+    assert came[TEMPERATURE_WARNING] < came[OVER_TEMPERATURE]
+    assert came[UNDER_VOLTAGE] == 126
+
+
+def test_a_plain_plant_answers_for_what_it_has_not():
+    axis = axis_with(WHEEL_60W)
+    axis.power(True)
+    axis.at(100 * MS)
+    assert axis.dc_link_v() == WHEEL_60W.supply_v
+    assert axis.winding_temperature_c() == axis.housing_temperature_c() == 25.0
+    assert axis.i2t_level() == 0.0
+    with pytest.raises(ValueError, match="supply_v = 20"):
+        axis.set_supply(20.0)
