@@ -5,6 +5,8 @@ before `now_ns`; commands take effect at the tick after it; `next_event_ns` says
 What the readings are never depends on who looked, or when, or how often.
 
 Positions are increments of the encoder. Tick k is at k * tick_ns.
+
+One module, and long, because everything that can be done to an axis is on one page.
 """
 
 from typing import Final, final
