@@ -5,7 +5,7 @@ happens in it that anybody could see: `next_deadline_ns` says when it wants to b
 Times are int nanoseconds on one timeline that starts at 0.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Protocol, final
@@ -55,6 +55,49 @@ class Controller(Protocol):
         """Grows whenever `identifiers` would answer something new."""
 
 
+class NonvolatileMemory(Protocol):
+    """What a controller keeps without power: bytes, as a whole."""
+
+    def load(self) -> bytes:
+        """What was saved last; b"" if nothing ever was."""
+
+    def save(self, data: bytes) -> bool:
+        """From now on this is kept, whole; False: it could not be, and what was kept still is."""
+
+    def where(self) -> str:
+        """What to call it to a person."""
+
+
+@final
+class RigMemory:
+    """Keeps as long as the rig is there. Implements `NonvolatileMemory`."""
+
+    def __init__(self) -> None:
+        self._data = b""
+
+    def load(self) -> bytes:
+        """What was saved last."""
+        return self._data
+
+    def save(self, data: bytes) -> bool:
+        """It is kept."""
+        self._data = data
+        return True
+
+    def where(self) -> str:
+        """What to call it."""
+        return "the rig's own memory"
+
+
+def no_files(file: str) -> NonvolatileMemory:
+    """Where nobody keeps files there is none to open.
+
+    Raises:
+        SettingError: always.
+    """
+    raise SettingError(("nonvolatile_memory",), f"nobody here keeps {file}", "leave it out")
+
+
 @final
 @dataclass(frozen=True, slots=True)
 class ControllerContext:
@@ -64,11 +107,21 @@ class ControllerContext:
         name: the controller's name in the rig.
         folder: relative paths in the table start here.
         seed: the run's seed; draw only from streams named after the controller.
+        memory_file: opens the file that the table names for what is kept without power.
     """
 
     name: str
     folder: Path
     seed: int
+    memory_file: Callable[[str], NonvolatileMemory] = no_files
+
+    def memory(self, file: str | None) -> NonvolatileMemory:
+        """What is kept without power: in a file, or (None) as long as the rig is there.
+
+        Raises:
+            SettingError: the file cannot be used.
+        """
+        return RigMemory() if file is None else self.memory_file(file)
 
     def stream(self) -> str:
         """Where everything drawn for the controller starts from: the seed and its name."""

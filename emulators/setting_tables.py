@@ -148,6 +148,15 @@ def eds_in(table: Mapping[str, object], folder: Path, own: Path) -> Path:
     return path
 
 
+def memory_file_in(table: Mapping[str, object]) -> str | None:
+    """The file of what is kept without power, as the table names it; None: it names none."""
+    value = table.get("nonvolatile_memory")
+    if value is not None and (not isinstance(value, str) or not value):
+        remedy = 'a file name: nonvolatile_memory = "drive.parameters"'
+        raise SettingError(("nonvolatile_memory",), f"{value!r} is no path", remedy)
+    return value
+
+
 def plant_of(table: Mapping[str, object], path: KeyPath = ("plant",)) -> MotorPlant:
     """The motor a plant table describes: a preset, all its numbers, or a preset and some."""
     refuse_unknown(table, ("preset", *_LINEAR, *EXTRAS), path)

@@ -12,6 +12,7 @@ A program written for python-can joins the same buses while the rig is open:
 import traceback
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager
+from functools import partial
 from pathlib import Path
 from random import Random
 from types import TracebackType
@@ -21,6 +22,7 @@ from emulators.controller import Controller, ControllerContext, SettingError
 from emulators.event_queue import EventQueue
 from emulators.world import World
 from harness.interrupts import interrupts_between_events
+from harness.memory_files import MemoryFiles
 from harness.pace import WallPace
 from harness.plant_from_model import settings_with_model
 from harness.plugins import ADAPTATIONS, CONTROLLERS, Plugin, installed
@@ -80,6 +82,7 @@ class Rig:
         self.notes: list[str] = []
         self.recording: Recorder | None = None
         self._models = read_models(description)
+        self._memory_files = MemoryFiles(description.folder)
         self._plugins = {group: installed(group) for group in (CONTROLLERS, ADAPTATIONS)}
         with ExitStack() as cleanup:
             queue = EventQueue()
@@ -201,7 +204,12 @@ class Rig:
         place = ("controller", controller.name)
         settings, notes = settings_with_model(self.description, controller, self._models)
         self.notes += [note for note in notes if note not in self.notes]
-        context = ControllerContext(controller.name, self.description.folder, self.seed)
+        context = ControllerContext(
+            controller.name,
+            self.description.folder,
+            self.seed,
+            partial(self._memory_files.open, controller.name),
+        )
         plugin = self._plugins[CONTROLLERS][controller.kind]
         build = self._load(plugin, (*place, "kind"))
         kind = f'controller kind "{controller.kind}"'

@@ -9,7 +9,11 @@ if TYPE_CHECKING:
     from harness.rig_file import RigDescription
 
 _TOML: Final = "application/toml"
-_NAMING: Final = (("motor", "model", _TOML), ("controller", "eds", "text/plain"))
+_NAMING: Final = (
+    ("motor", "model", _TOML),
+    ("controller", "eds", "text/plain"),
+    ("controller", "nonvolatile_memory", "text/plain"),
+)
 
 
 def named_files(rig: Mapping[str, object]) -> list[tuple[str, str]]:

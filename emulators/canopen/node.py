@@ -14,7 +14,7 @@ identifiers find no entry, but for the remote frames that guard this node and th
 TPDOs.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from typing import Final, final
 
 from emulators.canopen.access import DictionaryAccess
@@ -23,16 +23,17 @@ from emulators.canopen.emcy import BUS_KEY, EmcyProducer
 from emulators.canopen.error_control import ErrorControl
 from emulators.canopen.nmt import TRANSITIONS, NmtCommand, NmtState, commanded
 from emulators.canopen.object_dictionary import ObjectDictionary
+from emulators.canopen.parameter_store import ParameterStore
 from emulators.canopen.pdo import PdoService
+from emulators.canopen.routing import Handler, Routes
 from emulators.canopen.sdo_server import SdoServer
 from emulators.canopen.shared import MS as MS
 from emulators.canopen.shared import NEVER, Outbox
 from emulators.canopen.shared import NodeHost as NodeHost
 from emulators.canopen.shared import NodeTiming as NodeTiming
 from emulators.canopen.sync import SyncService
+from emulators.controller import NonvolatileMemory, RigMemory
 from emulators.media.can_frame import RTR_FLAG
-
-_Handler = Callable[[bytes, int], None]
 
 _NO_CHANGE: Final = 1  # 1029h
 
@@ -46,7 +47,12 @@ class CanopenNode:
     """
 
     def __init__(
-        self, od: ObjectDictionary, node_id: int, timing: NodeTiming, host: NodeHost
+        self,
+        od: ObjectDictionary,
+        node_id: int,
+        timing: NodeTiming,
+        host: NodeHost,
+        memory: NonvolatileMemory | None = None,
     ) -> None:
         if not 1 <= node_id <= 127:
             raise ValueError(f"a node-ID is 1..127, not {node_id}")
@@ -56,6 +62,7 @@ class CanopenNode:
         self._timing = timing
         self._host = host
         self.outbox = Outbox()
+        self._store = ParameterStore(od, RigMemory() if memory is None else memory, self.outbox)
         self._emcy = EmcyProducer(od, node_id, self.outbox, self)
         self._sync = SyncService(od, self._emcy, self.outbox)
         self._sdo = SdoServer(DictionaryAccess(od, host, self), timing.sdo_reply_ns, self.outbox)
@@ -64,15 +71,16 @@ class CanopenNode:
         self._due_ns: int = NEVER  # boot-up; else what a device error does to the NMT state
         self._deadline_ns: int = NEVER
         self._pdos_deadline_ns: int = NEVER
-        self._handlers: dict[bytes, _Handler] = {}
+        self._handlers: dict[bytes, Handler] = {}
         self._identifiers: tuple[int, ...] = ()
         self._identifiers_revision = 0
 
     # --- what a Controller (emulators/controller.py) hands through
 
     def start(self, now_ns: int) -> None:
-        """Power comes on: all values are defaults; boot-up after `boot_up_ns`."""
+        """Power comes on: all values are defaults, or as stored; boot-up after `boot_up_ns`."""
         self.outbox.frames.clear()
+        self._store.load()
         self._reset(True, now_ns)
 
     def receive(self, data: bytes, now_ns: int) -> None:
@@ -231,10 +239,9 @@ class CanopenNode:
         self._sdo.stop()
         self._error_control.stop()
         self._enter(NmtState.INITIALISING, now_ns)
-        if whole:
-            self.od.reset()
-        else:
-            self.od.reset(0x1000, 0x1FFF)
+        first, last = (0, 0xFFFF) if whole else (0x1000, 0x1FFF)
+        self.od.reset(first, last)
+        self._store.apply(first, last)
         self._emcy.reset(whole)
         self._configure_all(now_ns)
         timing = self._timing
@@ -278,35 +285,26 @@ class CanopenNode:
 
     def _listen(self) -> None:
         """The handlers are those of the present state and settings."""
-        handlers: dict[bytes, _Handler] = {}
-        wanted: list[int] = []
+        routes = Routes()
         state = self.state
         can_talk = state in (NmtState.PRE_OPERATIONAL, NmtState.OPERATIONAL)
         is_operational = state == NmtState.OPERATIONAL
         is_initialised = state != NmtState.INITIALISING
-        routes: list[tuple[int, _Handler, bool]] = [
-            (0x000, self._on_nmt_frame, is_initialised),
-            (self._sync.can_id, self._sync_handler(), can_talk),
-            (self._sdo_can_id(1, 0x600), self._sdo.receive, can_talk),
-            (self._error_control.guard_id(), self._error_control.guard, is_initialised),
-        ]
+        routes.add(0x000, self._on_nmt_frame, is_initialised)
+        routes.add(self._sync.can_id, self._sync_handler(), can_talk)
+        routes.add(self._sdo_can_id(1, 0x600), self._sdo.receive, can_talk)
+        routes.add(self._error_control.guard_id(), self._error_control.guard, is_initialised)
         for can_id in self._error_control.heartbeat_ids():
-            routes.append((can_id, self._error_control.heartbeat, is_initialised))
+            routes.add(can_id, self._error_control.heartbeat, is_initialised)
         for rpdo in self._pdos.rpdos:
             if rpdo.can_id:
                 receive = rpdo.receive if rpdo.is_plain() else rpdo.receive_watched
-                routes.append((rpdo.can_id, receive, is_operational))
+                routes.add(rpdo.can_id, receive, is_operational)
         for tpdo in self._pdos.tpdos:
             if tpdo.may_be_asked:
-                routes.append((tpdo.can_id | RTR_FLAG, tpdo.requested, is_operational))
-        for can_id, handler, is_active in routes:
-            wanted.append(can_id)
-            if is_active:
-                key = can_id.to_bytes(4, "little")
-                taken = handlers.get(key)
-                handlers[key] = handler if taken is None else _Both(taken, handler).receive
-        self._handlers = handlers
-        identifiers = tuple(sorted(dict.fromkeys(wanted)))
+                routes.add(tpdo.can_id | RTR_FLAG, tpdo.requested, is_operational)
+        self._handlers = routes.handlers
+        identifiers = routes.identifiers()
         if identifiers != self._identifiers:
             self._identifiers = identifiers
             self._identifiers_revision += 1
@@ -318,7 +316,7 @@ class CanopenNode:
             return base + self.node_id
         return cob_id & 0x7FF
 
-    def _sync_handler(self) -> _Handler:
+    def _sync_handler(self) -> Handler:
         """What a SYNC does: the less, the less it is asked for."""
         if self.state != NmtState.OPERATIONAL:
             return self._on_idle_sync
@@ -371,16 +369,3 @@ class CanopenNode:
 
     def _reaction(self, kind: int) -> int:
         return self.od.integer(0x1029, kind, 0 if kind == 1 else _NO_CHANGE)
-
-
-@final
-class _Both:
-    """Two parts of the node listen to one identifier."""
-
-    def __init__(self, first: _Handler, second: _Handler) -> None:
-        self._first = first
-        self._second = second
-
-    def receive(self, frame: bytes, now_ns: int) -> None:
-        self._first(frame, now_ns)
-        self._second(frame, now_ns)

@@ -9,7 +9,7 @@ from emulators.canopen.object_dictionary import ObjectDictionary, is_integer, le
 from emulators.cia401.io_objects import ANALOGUE_OUTPUT, POSITION, PRESET
 from emulators.cia401.node import IoNode
 from emulators.cia401.settings import CHANNELS_MAX, NodeSettings, read_settings
-from emulators.controller import Controller, ControllerContext, SettingError
+from emulators.controller import Controller, ControllerContext, NonvolatileMemory, SettingError
 from emulators.firmware.own_time import on_own_time
 from emulators.setting_tables import ObjectValue
 
@@ -29,10 +29,11 @@ def build(settings: Mapping[str, object], context: ControllerContext) -> Control
         SettingError: a key or value is wrong, or the EDS cannot be read; names the keys.
     """
     read = read_settings(settings, context.folder, context.stream())
-    return on_own_time(build_node(read), read.oscillator)
+    built = build_node(read, context.memory(read.nonvolatile_memory))
+    return on_own_time(built, read.oscillator)
 
 
-def build_node(settings: NodeSettings) -> IoNode:
+def build_node(settings: NodeSettings, memory: NonvolatileMemory | None = None) -> IoNode:
     """The node with these settings; all it is told must be by its own clock.
 
     Raises:
@@ -57,7 +58,7 @@ def build_node(settings: NodeSettings) -> IoNode:
     events = [("warning", f"{path}:{line}: {text}") for path, line, text in description.warnings]
     if not settings.oscillator.is_ideal():
         events.append(("info", settings.oscillator.told()))
-    return IoNode(od, settings, events)
+    return IoNode(od, settings, events, memory)
 
 
 def _dictionary(description: DeviceDescription, channels: int) -> ObjectDictionary:

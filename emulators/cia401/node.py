@@ -15,6 +15,7 @@ from emulators.canopen.shared import NEVER
 from emulators.cia401.channel import FAULT, READY, STIMULI, Channel
 from emulators.cia401.io_objects import INPUTS, IoObjects
 from emulators.cia401.settings import NodeSettings
+from emulators.controller import NonvolatileMemory
 
 _PREFIX: Final = ("", "channel_2_", "channel_3_", "channel_4_")
 
@@ -28,6 +29,7 @@ class IoNode:
         od: ObjectDictionary,
         settings: NodeSettings,
         events: Sequence[tuple[str, str]] = (),
+        memory: NonvolatileMemory | None = None,
     ) -> None:
         self.od = od
         self.settings = settings
@@ -39,6 +41,7 @@ class IoNode:
             settings.node_id,
             NodeTiming(boot_up_ns=settings.boot_up_ns, sdo_reply_ns=settings.sdo_reply_ns),
             self,
+            memory,
         )
         self._events: list[tuple[str, str]] = list(events)
         self._inputs: int = 0  # as last told to the node's TPDOs

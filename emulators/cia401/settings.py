@@ -19,6 +19,7 @@ from emulators.setting_tables import (
     duration_ns,
     eds_in,
     initial_position_rad,
+    memory_file_in,
     node_id_in,
     number,
     objects_of,
@@ -33,7 +34,7 @@ OWN_EDS: Final = Path(__file__).parents[1] / "eds" / "motorhil_cia401.eds"
 CHANNELS_MAX: Final = 4
 
 KEYS: Final = (
-    *("node_id", "eds", "channels", "plant", "amplifier", "channel"),
+    *("node_id", "eds", "nonvolatile_memory", "channels", "plant", "amplifier", "channel"),
     *("oscillator", "timing", "objects", "initial_position_rad"),
 )
 TIMING_KEYS: Final = ("boot_up_s", "sdo_reply_s")
@@ -83,6 +84,7 @@ class NodeSettings:
 
     node_id: int
     eds: Path
+    nonvolatile_memory: str | None
     channels: tuple[ChannelSettings, ...]
     oscillator: Oscillator
     boot_up_ns: int
@@ -107,6 +109,7 @@ def read_settings(table: Mapping[str, object], folder: Path, stream: str = "") -
     return NodeSettings(
         node_id=node_id,
         eds=eds_in(table, folder, OWN_EDS),
+        nonvolatile_memory=memory_file_in(table),
         channels=tuple(_channel(table, several, name) for name in names),
         oscillator=oscillator_in(table, stream),
         boot_up_ns=duration_ns(timing, "boot_up_s", 0.3, ("timing",)),

@@ -19,6 +19,7 @@ from emulators.cia402.protection import Protection
 from emulators.cia402.quirks import deviate
 from emulators.cia402.readings import Readings
 from emulators.cia402.settings import DriveSettings
+from emulators.controller import NonvolatileMemory
 from emulators.firmware.axis import Axis
 from emulators.plant.dc_motor import RANGES
 
@@ -34,6 +35,7 @@ class Cia402Drive:
         od: ObjectDictionary,
         settings: DriveSettings,
         events: Sequence[tuple[str, str]] = (),
+        memory: NonvolatileMemory | None = None,
     ) -> None:
         plant = settings.plant
         radians = plant.gear_ratio * plant.increments_per_rad()
@@ -58,6 +60,7 @@ class Cia402Drive:
             settings.node_id,
             NodeTiming(boot_up_ns=settings.boot_up_ns, sdo_reply_ns=settings.sdo_reply_ns),
             self,
+            memory,
         )
         self._protection = Protection(
             self.axis, od, self._node, self._power_drive, settings.protection

@@ -18,7 +18,7 @@ from emulators.cia402.quirk_catalogue import told
 from emulators.cia402.quirks import wire_quirks
 from emulators.cia402.quirky_wire import QuirkyWire
 from emulators.cia402.settings import EMULATED_MODES, MODES, DriveSettings, read_settings
-from emulators.controller import Controller, ControllerContext, SettingError
+from emulators.controller import Controller, ControllerContext, NonvolatileMemory, SettingError
 from emulators.firmware.own_time import on_own_time
 
 _ABSENT: Final = -(1 << 70)
@@ -51,14 +51,14 @@ def build(settings: Mapping[str, object], context: ControllerContext) -> Control
         SettingError: a key or value is wrong, or the EDS cannot be read; names the keys.
     """
     read = read_settings(settings, context.folder, context.stream())
-    drive: Controller = build_drive(read)
+    drive: Controller = build_drive(read, context.memory(read.nonvolatile_memory))
     wire = wire_quirks(read.quirks)
     if wire.are_any():
         drive = QuirkyWire(drive, read.node_id, wire, context.stream())
     return on_own_time(drive, read.oscillator)
 
 
-def build_drive(settings: DriveSettings) -> Cia402Drive:
+def build_drive(settings: DriveSettings, memory: NonvolatileMemory | None = None) -> Cia402Drive:
     """The drive with these settings; all it is told must be by its own clock.
 
     Raises:
@@ -92,7 +92,7 @@ def build_drive(settings: DriveSettings) -> Cia402Drive:
             text = f"6502h of {settings.eds.name} also names {', '.join(left_out)}: not emulated"
             events.append(("info", text))
     try:
-        return Cia402Drive(od, settings, events)
+        return Cia402Drive(od, settings, events, memory)
     except ValueError as error:
         raise SettingError(("servo",), str(error), "smaller gains of the current loop") from error
 

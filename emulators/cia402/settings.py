@@ -27,6 +27,7 @@ from emulators.setting_tables import (
     duration_ns,
     eds_in,
     initial_position_rad,
+    memory_file_in,
     node_id_in,
     number,
     objects_of,
@@ -62,6 +63,7 @@ _KEYS: Final = (
     "objects",
     "supported_modes",
     "initial_position_rad",
+    "nonvolatile_memory",
     "protection",
     "quirks",
     "cyclic",
@@ -79,6 +81,8 @@ class DriveSettings:
     Attributes:
         node_id: 1..127.
         eds: where its object dictionary comes from.
+        nonvolatile_memory: the file of what it keeps without power, as the rig names it; None: it
+            keeps it as long as the rig is there.
         plant, gains: the motor, and the servo that drives it.
         tick_ns, current_steps: servo period, and current loop steps in each.
         oscillator: what its own clock shows; all its other times are by that clock.
@@ -99,6 +103,7 @@ class DriveSettings:
 
     node_id: int
     eds: Path = OWN_EDS
+    nonvolatile_memory: str | None = None
     plant: MotorPlant = PRESETS[DEFAULT_PRESET]
     gains: ServoGains
     tick_ns: int = 1_000_000
@@ -141,6 +146,7 @@ def read_settings(table: Mapping[str, object], folder: Path, stream: str = "") -
     return DriveSettings(
         node_id=node_id,
         eds=eds_in(table, folder, OWN_EDS),
+        nonvolatile_memory=memory_file_in(table),
         plant=plant,
         gains=gains,
         tick_ns=tick_ns,

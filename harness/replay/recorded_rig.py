@@ -27,6 +27,7 @@ from traces.structure import Attachment
 if TYPE_CHECKING:
     from harness.rig_file import RigDescription
 
+_FILES: Final = ("eds", "nonvolatile_memory")  # of a controller
 _DEPTH: Final = 8
 """Folders above the rig's in which files that it names as ../x can be put."""
 _PATIENCE_MAX_S: Final = 3600
@@ -100,7 +101,7 @@ def own_rig(recording: Path, known: Known, folder: Path | None = None) -> "RigDe
     Args:
         recording: the file.
         known: the plugins that the rig may name.
-        folder: where the EDS files that it names are put, to be built from; None: nobody builds.
+        folder: where controllers' files are put, to be built from; None: nobody builds.
 
     Raises:
         RigError: the recording cannot be read, or its rig not be used.
@@ -141,7 +142,7 @@ def _own_rig(
             motor.name: replace(motor, model=_table(motor.model)) for motor in found.motors.values()
         }
         controllers = {
-            one.name: replace(one, settings=_with_eds(one.settings, home))
+            one.name: replace(one, settings=_with_files(one.settings, home))
             for one in found.controllers.values()
         }
         others = [(one.name, one.media_type, one.data) for one in files.values() if one != attached]
@@ -151,10 +152,10 @@ def _own_rig(
     return None
 
 
-def _with_eds(settings: Mapping[str, object], home: Path) -> Mapping[str, object]:
-    """The EDS file where it has been put: the rig's own place of it is none."""
-    eds = settings.get("eds")
-    return settings if not isinstance(eds, str) else {**settings, "eds": str(home / eds)}
+def _with_files(settings: Mapping[str, object], home: Path) -> Mapping[str, object]:
+    """The controller's files where they have been put: the rig's own places of them are none."""
+    named = {key: settings[key] for key in _FILES if isinstance(settings.get(key), str)}
+    return {**settings, **{key: str(home / str(file)) for key, file in named.items()}}
 
 
 def _table(model: Path | Mapping[str, object]) -> Mapping[str, object]:

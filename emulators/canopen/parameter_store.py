@@ -1,0 +1,172 @@
+"""Storing and restoring parameters (CiA 301, 7.5.2.13 and 7.5.2.14: 1010h, 1011h).
+
+"save" written to 1010h:n keeps the values of now: of everything (1), of communication (2: 1000h to
+1FFFh), of the application (3: 6000h to 9FFFh), of the manufacturer (4 and above: 2000h to 5FFFh).
+They are the power-on values from then on. "load" written to 1011h:n forgets what is kept there, and
+what that changes is seen after the next reset of the node, or of communication for what belongs to
+it. Anything else than the signature is refused with 0800 0020h, and nothing happens.
+
+Only what differs from the device's own defaults is kept, so that a COB-ID that nobody has changed
+still follows the node-ID. Set-points and commands are no parameters and are not kept.
+"""
+
+import zlib
+from typing import Final, final
+
+from emulators.canopen.abort_code import AbortCode
+from emulators.canopen.object_dictionary import DataType, ObjectDictionary, Variable, decode, encode
+from emulators.canopen.parameter_text import StoredParameters
+from emulators.canopen.shared import Outbox
+from emulators.controller import NonvolatileMemory
+
+SAVE: Final = 0x6576_6173  # "save", little-endian
+LOAD: Final = 0x6461_6F6C  # "load"
+ON_COMMAND: Final = 1  # what 1010h and 1011h answer: stored (restored) when asked to
+
+_ALL: Final = (0x1000, 0xFFFF)
+_RANGES: Final = (_ALL, (0x1000, 0x1FFF), (0x6000, 0x9FFF))  # of sub-indices 1 to 3
+_MANUFACTURER: Final = (0x2000, 0x5FFF)
+_LAST: Final = 0x7F
+
+# Errors, commands, set-points of CiA 402, outputs of CiA 401, counters' presets.
+_NO_PARAMETERS: Final = (
+    *(0x1001, 0x1003, 0x1010, 0x1011),
+    *(0x6040, 0x6042, 0x6071, 0x607A, 0x60B0, 0x60B1, 0x60B2, 0x60C1, 0x60FE, 0x60FF),
+    *(0x6200, 0x6411, 0x6810),
+)
+
+
+@final
+class ParameterStore:
+    """What a device keeps without power."""
+
+    def __init__(self, od: ObjectDictionary, memory: NonvolatileMemory, outbox: Outbox) -> None:
+        self._od = od
+        self._memory = memory
+        self._outbox = outbox
+        self.stored = StoredParameters((0, 0))
+        for index, signature in ((0x1010, SAVE), (0x1011, LOAD)):
+            for subindex in od.subindices(index):
+                variable = od.get(index, subindex)
+                is_only = len(od.subindices(index)) == 1
+                if variable is not None and (subindex or is_only):
+                    command = _Command(self, signature, subindex)
+                    variable.reader = command.read
+                    variable.writer = command.write
+
+    def load(self) -> None:
+        """Power comes on: what is kept is known, and told; what cannot be read is left out."""
+        identity = (self._od.integer(0x1018, 1, 0), self._od.integer(0x1018, 2, 0))
+        self.stored = StoredParameters(identity)
+        data = self._memory.load()
+        if not data:
+            return
+        where = self._memory.where()
+        wrong = self.stored.read(data)
+        if wrong:
+            self._tell("warning", f"{where} is left out, {wrong}; save again (1010h)")
+            self.stored = StoredParameters(identity)
+            return
+        self._drop_what_does_not_fit(where)
+        count, crc = len(self.stored.values), zlib.crc32(data)
+        self._tell("info", f"{count} stored values, of {where} (CRC {crc:08X})")
+
+    def apply(self, first: int, last: int) -> None:
+        """The indices `first`..`last` have just become defaults: what is kept stands instead."""
+        for place, data in self.stored.values.items():
+            variable = self._od.get(place >> 8, place & 0xFF)
+            if variable is not None and first <= variable.index <= last:
+                variable.value = decode(variable.data_type, data)
+
+    def save(self, subindex: int) -> int:
+        """1010h: what belongs to it is kept as it is now; 0 or the abort code."""
+        return self._change(subindex, keep=True)
+
+    def restore(self, subindex: int) -> int:
+        """1011h: what belongs to it is kept no longer; 0 or the abort code."""
+        return self._change(subindex, keep=False)
+
+    def save_lss(self, node_id: int, bit_timing: int) -> bool:
+        """What LSS has configured is kept; False: it cannot be."""
+        self.stored.node_id = node_id
+        self.stored.bit_timing = bit_timing
+        return self._memory.save(self.stored.write())
+
+    def _change(self, subindex: int, keep: bool) -> int:
+        first, last = _range_of(subindex)
+        before = self.stored.values
+        values = {place: data for place, data in before.items() if not first <= place >> 8 <= last}
+        if keep:
+            for variable in self._od:
+                is_meant = first <= variable.index <= last and _is_parameter(variable)
+                if is_meant and variable.value != variable.default:
+                    data = encode(variable.data_type, variable.value)
+                    values[variable.index << 8 | variable.subindex] = data
+        self.stored.values = values
+        if not self._memory.save(self.stored.write()):
+            self.stored.values = before
+            return AbortCode.HARDWARE_ERROR
+        return 0
+
+    def _drop_what_does_not_fit(self, where: str) -> None:
+        fitting: dict[int, bytes] = {}
+        for place, data in self.stored.values.items():
+            variable = self._od.get(place >> 8, place & 0xFF)
+            if variable is not None and _fits(variable, data):
+                fitting[place] = data
+            else:
+                name = f"{place >> 8:04X}h:{place & 0xFF:02X}h"
+                self._tell(
+                    "warning", f"{where}: {name} = {data.hex()} does not fit and is left out"
+                )
+        self.stored.values = fitting
+
+    def _tell(self, level: str, text: str) -> None:
+        self._outbox.events.append((level, text))
+
+
+@final
+class _Command:
+    """One sub-index of 1010h or 1011h."""
+
+    def __init__(self, store: ParameterStore, signature: int, subindex: int) -> None:
+        self._store = store
+        self._signature = signature
+        self._subindex = subindex
+
+    def read(self) -> int:
+        return ON_COMMAND
+
+    def write(self, value: int) -> int:
+        if value != self._signature:
+            return AbortCode.NOT_STORED
+        if self._signature == SAVE:
+            return self._store.save(self._subindex)
+        return self._store.restore(self._subindex)
+
+
+def _range_of(subindex: int) -> tuple[int, int]:
+    """First and last index that belong to a sub-index of 1010h and 1011h."""
+    if subindex > _LAST or subindex == 0:
+        return _ALL
+    return _RANGES[subindex - 1] if subindex <= len(_RANGES) else _MANUFACTURER
+
+
+def _is_parameter(variable: Variable) -> bool:
+    return (
+        variable.is_writable()
+        and variable.is_readable()
+        and variable.data_type != DataType.DOMAIN
+        and variable.index not in _NO_PARAMETERS
+    )
+
+
+def _fits(variable: Variable, data: bytes) -> bool:
+    if variable.bits and len(data) != (variable.bits + 7) // 8:
+        return False
+    value = decode(variable.data_type, data)
+    if not isinstance(value, int):
+        return _is_parameter(variable)
+    is_low = variable.low is not None and value < variable.low
+    is_high = variable.high is not None and value > variable.high
+    return _is_parameter(variable) and not is_low and not is_high

@@ -1,0 +1,271 @@
+"""Store and restore (CiA 301, 1010h and 1011h): signatures, what belongs to what, and when."""
+
+import canopen
+import pytest
+from canopen.sdo.exceptions import SdoAbortedError
+
+from emulators.canopen.node import CanopenNode, NodeTiming
+from emulators.canopen.object_dictionary import ObjectDictionary
+from emulators.controller import RigMemory
+from tests.emulators.canopen.bench_node import (
+    INTEGER32,
+    MS,
+    NODE_ID,
+    UNSIGNED8,
+    UNSIGNED16,
+    UNSIGNED32,
+    Bench,
+    dictionary,
+    put,
+)
+from tests.emulators.canopen.canopen_loop import Loop
+
+# The signatures as bytes on the wire: ISO 8859-1 "save" and "load" (CiA 301, 7.5.2.13, 7.5.2.14).
+SAVE = "73 61 76 65"
+LOAD = "6C 6F 61 64"
+ACCEPTED, NOT_STORED, HARDWARE = "", "0800 0020", "0606 0000"
+
+
+def whole() -> ObjectDictionary:
+    """1010h and 1011h with four sub-indices; a parameter of each range."""
+    od = dictionary()
+    for index in (0x1010, 0x1011):
+        put(od, index, 0, UNSIGNED8, 4, "ro")
+        for subindex in (1, 2, 3, 4):
+            put(od, index, subindex, UNSIGNED32, 1)
+    put(od, 0x2100, 0, UNSIGNED16, 10)
+    put(od, 0x6083, 0, UNSIGNED32, 20)
+    put(od, 0x60FF, 0, INTEGER32, 0)
+    return od
+
+
+class Powered(Bench):
+    """A bench whose node can lose its power; what it has stored stays."""
+
+    def __init__(self, memory: RigMemory | None = None, od: ObjectDictionary | None = None) -> None:
+        self.memory = RigMemory() if memory is None else memory
+        super().__init__(whole() if od is None else od)
+        self.plug_in()
+
+    def plug_in(self) -> None:
+        timing = NodeTiming(300 * MS, 1 * MS, 20 * MS)
+        self.node = CanopenNode(self.od, NODE_ID, timing, self.host, self.memory)
+        self.node.start(self.now_ns)
+        self.wait(301 * MS)
+        self.frames()
+
+    def command(self, index: int, subindex: int, signature: str) -> str:
+        return self.download(index, subindex, int.from_bytes(bytes.fromhex(signature), "little"), 4)
+
+    def nmt(self, specifier: int) -> None:
+        self.tell(0x000, bytes((specifier, NODE_ID)))
+        self.wait(400 * MS)
+
+    def change(self) -> None:
+        assert self.download(0x1017, 0, 500, 2) == ""
+        assert self.download(0x2100, 0, 11, 2) == ""
+        assert self.download(0x6083, 0, 21, 4) == ""
+
+    def values(self) -> list[int]:
+        return [self.od.integer(index, 0, -1) for index in (0x1017, 0x2100, 0x6083)]
+
+
+BEFORE, CHANGED = [0, 10, 20], [500, 11, 21]
+
+
+@pytest.mark.parametrize(
+    ("subindex", "kept"),
+    [
+        (1, CHANGED),
+        (2, [500, 10, 20]),  # communication
+        (3, [0, 10, 21]),  # application
+        (4, [0, 11, 20]),  # manufacturer
+    ],
+)
+def test_what_is_saved_are_the_power_on_values_from_then_on(subindex, kept):
+    bench = Powered()
+    bench.change()
+    assert bench.command(0x1010, subindex, SAVE) == ACCEPTED
+    bench.nmt(129)
+    assert bench.values() == kept
+    bench.plug_in()
+    assert bench.values() == kept
+
+
+def test_what_was_never_saved_is_gone_after_a_reset():
+    bench = Powered()
+    bench.change()
+    bench.nmt(129)
+    assert bench.values() == BEFORE
+
+
+def test_reset_communication_brings_back_what_is_saved_of_communication_only():
+    bench = Powered()
+    bench.change()
+    assert bench.command(0x1010, 1, SAVE) == ACCEPTED
+    assert bench.download(0x1017, 0, 700, 2) == ""
+    assert bench.download(0x6083, 0, 99, 4) == ""
+    bench.nmt(130)
+    assert bench.values() == [500, 11, 99]
+
+
+@pytest.mark.parametrize(
+    ("subindex", "left"),
+    [(1, BEFORE), (2, [0, 11, 21]), (3, [500, 11, 20]), (4, [500, 10, 21])],
+)
+def test_restoring_shows_after_the_next_reset_not_before(subindex, left):
+    bench = Powered()
+    bench.change()
+    assert bench.command(0x1010, 1, SAVE) == ACCEPTED
+    assert bench.command(0x1011, subindex, LOAD) == ACCEPTED
+    assert bench.values() == CHANGED
+    bench.nmt(129)
+    assert bench.values() == left
+    bench.plug_in()
+    assert bench.values() == left
+
+
+@pytest.mark.parametrize("index", [0x1010, 0x1011])
+@pytest.mark.parametrize("signature", ["73 61 76 66", "65 76 61 73", "00 00 00 00", "01 00 00 00"])
+def test_another_signature_is_refused_and_does_nothing(index, signature):
+    bench = Powered()
+    bench.change()
+    assert bench.command(0x1010, 1, SAVE) == ACCEPTED
+    kept = bench.memory.load()
+    assert bench.command(index, 1, signature) == NOT_STORED
+    assert bench.memory.load() == kept
+
+
+def test_the_one_signature_is_not_the_other_s():
+    bench = Powered()
+    assert bench.command(0x1010, 1, LOAD) == NOT_STORED
+    assert bench.command(0x1011, 1, SAVE) == NOT_STORED
+
+
+@pytest.mark.parametrize("index", [0x1010, 0x1011])
+def test_reading_says_that_it_is_done_on_command(index):
+    bench = Powered()
+    assert bench.command(index, 1, SAVE if index == 0x1010 else LOAD) == ACCEPTED
+    mux = f"{index & 0xFF:02X} 10 01"
+    assert bench.ask(f"40 {mux} 00 00 00 00") == f"43 {mux} 01 00 00 00"  # bit 0: on command
+
+
+def test_a_memory_that_fails_is_a_hardware_error():
+    bench = Powered()
+    bench.memory = Failing()
+    bench.plug_in()
+    bench.change()
+    assert bench.command(0x1010, 1, SAVE) == HARDWARE
+    bench.nmt(129)
+    assert bench.values() == BEFORE
+
+
+def test_set_points_commands_and_errors_are_no_parameters():
+    bench = Powered()
+    for index, value, size in ((0x6040, 0x0F, 2), (0x607A, 5, 4), (0x60FF, 6, 4)):
+        assert bench.download(index, 0, value, size) == ""
+    bench.node.emergency(0x8611, 0x20, b"", bench.now_ns)
+    assert bench.command(0x1010, 1, SAVE) == ACCEPTED
+    bench.plug_in()
+    assert [bench.od.integer(index, 0, -1) for index in (0x6040, 0x607A, 0x60FF)] == [0, 0, 0]
+    assert bench.od.integer(0x1003, 0, -1) == 0
+
+
+def test_canopen_s_client_stores_and_restores():
+    """Its own idea of the signatures (`BaseNode402`, `RemoteNode.store`, `.restore`)."""
+    bench = Powered()
+    remote = Loop(bench).remote
+    remote.sdo[0x6083].raw = 21
+    remote.store()
+    bench.plug_in()
+    assert remote.sdo[0x6083].raw == 21
+    remote.restore()
+    bench.plug_in()
+    assert remote.sdo[0x6083].raw == 20
+    with pytest.raises(SdoAbortedError) as refused:
+        remote.sdo[0x1010][1].raw = 0x1234
+    assert refused.value.code == 0x08000020
+    assert isinstance(remote, canopen.RemoteNode)
+
+
+# --- what another rig has stored
+
+
+def stored() -> bytes:
+    bench = Powered()
+    bench.change()
+    assert bench.command(0x1010, 1, SAVE) == ACCEPTED
+    return bench.memory.load()
+
+
+def with_memory(data: bytes, od: ObjectDictionary | None = None) -> Powered:
+    memory = RigMemory()
+    memory.save(data)
+    return Powered(memory, od)
+
+
+def test_what_was_loaded_is_told_with_its_checksum():
+    bench = with_memory(stored())
+    assert bench.values() == CHANGED
+    ((level, text),) = bench.node.take_events()
+    assert level == "info"
+    assert text.startswith("3 stored values, of the rig's own memory (CRC ")
+    assert with_memory(stored()).node.take_events() == [(level, text)]  # and always the same
+
+
+@pytest.mark.parametrize(
+    ("spoil", "reason"),
+    [
+        (lambda data: data[:-20], "it ends early"),
+        (lambda data: data[:-1], "it ends early"),
+        (lambda data: data.replace(b"6083:00 15", b"6083:00 16"), "its CRC is wrong"),
+        (lambda data: b"\x00" * 100, "it does not begin with"),
+        (lambda data: b"motorhil parameters 1\n", "it ends early"),
+        (lambda data: bytes(range(256)), "it does not begin with"),
+    ],
+)
+def test_what_is_torn_or_no_such_text_is_told_and_left_out(spoil, reason):
+    bench = with_memory(spoil(stored()))
+    assert bench.values() == BEFORE
+    ((level, text),) = bench.node.take_events()
+    assert level == "warning"
+    assert reason in text
+    assert text.endswith("; save again (1010h)")
+
+
+def test_no_prefix_of_a_text_is_taken_for_a_whole_one():
+    data = stored()
+    for length in range(1, len(data)):
+        assert with_memory(data[:length]).values() == BEFORE
+
+
+def test_another_device_s_parameters_are_left_out():
+    od = whole()
+    od.get(0x1018, 1).default = 5
+    bench = with_memory(stored(), od)
+    assert bench.values() == BEFORE
+    ((level, text),) = bench.node.take_events()
+    assert (level, "another device's" in text) == ("warning", True)
+
+
+def test_a_value_that_no_longer_fits_is_told_and_the_others_count():
+    od = whole()
+    od.get(0x6083).high = 20
+    put(od, 0x2100, 0, UNSIGNED8, 10)
+    bench = with_memory(stored(), od)
+    assert bench.values() == [500, 10, 20]
+    warnings = [text for level, text in bench.node.take_events() if level == "warning"]
+    assert [text.split(": ")[1][:10] for text in warnings] == ["2100h:00h ", "6083h:00h "]
+
+
+class Failing:
+    """A memory that cannot be written."""
+
+    def load(self) -> bytes:
+        return b""
+
+    def save(self, data: bytes) -> bool:
+        return False
+
+    def where(self) -> str:
+        return "a broken memory"
