@@ -16,6 +16,8 @@ the next reset node only.
 
 from typing import Final, final
 
+from emulators.firmware import flags as f
+
 GENERIC: Final = 0x01
 CURRENT: Final = 0x02
 VOLTAGE: Final = 0x04
@@ -40,6 +42,16 @@ HEARTBEAT_LOST: Final = 0x8130
 BUS_OFF_RECOVERED: Final = 0x8140
 FOLLOWING_ERROR: Final = 0x8611
 SAFE_TORQUE_OFF: Final = 0x8A88
+
+# What the axis says of itself, and the fault that it is while it says so; in any state.
+OF_FLAGS: Final = (
+    (f.OVER_VOLTAGE, OVER_VOLTAGE),
+    (f.OVER_TEMPERATURE, DRIVE_TEMPERATURE),
+    (f.I2T_LIMIT, CONTINUOUS_OVER_CURRENT),
+)
+WARNING_FLAGS: Final = f.TEMPERATURE_WARNING | f.I2T_WARNING
+WARNED_BY_FLAGS: Final = 1  # bits of Standing.warnings
+WARNED_BY_INPUT: Final = 2
 
 # What the standards leave to the reader: the bits by the code's first digits.
 _CLASSES: Final[dict[int, int]] = {
@@ -127,12 +139,14 @@ class Standing:
         causes: error codes whose cause is there; meanwhile no fault can be reset.
         torque_off: the input "safe torque off" is demanded; meanwhile transition 2 is not taken.
         warnings: a bit for each thing that warns; any is statusword bit 7.
+        seen: what the axis last said of a plant with extras, in its flags.
     """
 
     def __init__(self) -> None:
         self.causes: list[int] = []
         self.torque_off: bool = False
         self.warnings: int = 0
+        self.seen: int = 0
 
     def add(self, code: int) -> bool:
         """The cause of this fault has come; whether that is news."""
@@ -149,3 +163,18 @@ class Standing:
     def warn(self, bit: int, warns: bool) -> None:
         """Whoever has this bit warns, or no longer."""
         self.warnings = self.warnings | bit if warns else self.warnings & ~bit
+
+    def see(self, seen: int, is_on: bool) -> list[int]:
+        """What the axis says of its plant has changed; the error codes of the faults it comes to.
+
+        Too little voltage is one only while the motor has current (`is_on`).
+        """
+        self.seen = seen
+        self.warn(WARNED_BY_FLAGS, seen & WARNING_FLAGS != 0)
+        codes = [UNDER_VOLTAGE] if is_on and seen & f.UNDER_VOLTAGE else []
+        for flag, code in OF_FLAGS:
+            if not seen & flag:
+                self.remove(code)
+            elif self.add(code):
+                codes.append(code)
+        return codes

@@ -69,6 +69,7 @@ class PowerDrive:
         voltage: whether the power stage has its supply.
         mode: 6061h.
         modes: by 6061h; a quirk may put another one in a place before power comes on.
+        is_watched: whether the plant may do something to a drive that is off.
         standing: what keeps a fault from being reset, or the drive from being readied; warnings.
     """
 
@@ -79,6 +80,7 @@ class PowerDrive:
         self.voltage: bool = True
         self.mode: int = 0
         self.standing: Standing = Standing()
+        self.is_watched: bool = objects.settings.plant.extras.is_any()
         self._axis = axis
         self._objects = objects
         self._enable_ns = enable_ns
@@ -142,12 +144,17 @@ class PowerDrive:
 
     def settle(self, now_ns: int) -> None:
         """Whatever has become due by now, or shows in the axis' flags, is done."""
+        flags = self._axis.flags
+        if flags & f.OF_EXTRAS != self.standing.seen:
+            is_on = self.fsa.state in _RUNNING_STATES
+            for code in self.standing.see(flags & f.OF_EXTRAS, is_on):
+                if self.fsa.state is not PdsState.NOT_READY_TO_SWITCH_ON:
+                    self.fault(code, now_ns)
         if now_ns >= self._enable_due_ns:
-            if self.voltage:
+            if self._has_supply():
                 self._take(4, now_ns)
             else:
                 self.fault(UNDER_VOLTAGE, now_ns)
-        flags = self._axis.flags
         state = self.fsa.state
         if flags & f.FOLLOWING_ERROR and state in _RUNNING_STATES:
             self.fault(FOLLOWING_ERROR, now_ns)
@@ -164,9 +171,10 @@ class PowerDrive:
         return self.fsa.state is PdsState.OPERATION_ENABLED and self._active.synced(now_ns)
 
     def is_powered(self) -> bool:
-        """Whether the motor has current: only then do the axis' flags matter."""
+        """Whether the axis' flags matter: the motor has current, or the plant is watched."""
         state = self.fsa.state
-        return state in _RUNNING_STATES or state is PdsState.FAULT_REACTION_ACTIVE
+        is_on = state in _RUNNING_STATES or state is PdsState.FAULT_REACTION_ACTIVE
+        return is_on or self.is_watched
 
     def deadline_ns(self) -> int:
         """When `settle` must be called at the latest [ns], flags aside; or NEVER."""
@@ -277,7 +285,7 @@ class PowerDrive:
         """Whether the transition may be taken at once; if not, what it waits for is under way."""
         objects = self._objects
         if transition == 4:
-            if self._enable_ns == 0 and self.voltage:
+            if self._enable_ns == 0 and self._has_supply():
                 return True
             if self._enable_due_ns == NEVER:
                 self._enable_due_ns = now_ns + self._enable_ns
@@ -285,10 +293,9 @@ class PowerDrive:
         if transition == 2:
             return not self.standing.torque_off
         if transition == 15:
-            is_gone = not self.standing.causes and (
-                self.voltage or self.error_code != UNDER_VOLTAGE
-            )
-            return is_gone and is_resettable(self.error_code)
+            if self.error_code == UNDER_VOLTAGE and not self._has_supply():
+                return False
+            return not self.standing.causes and is_resettable(self.error_code)
         if transition == 16:
             return objects.options.quick_stop() >= 5
         ramps = (
@@ -333,6 +340,9 @@ class PowerDrive:
             self._at_rest = 14
         else:
             self._take(14, now_ns)
+
+    def _has_supply(self) -> bool:
+        return self.voltage and not self._axis.flags & f.UNDER_VOLTAGE
 
     def _quick_stop(self, now_ns: int) -> None:
         """605Ah: 0 coasts, 1 and 5 brake on the slow-down ramp, all others on the quick stop's."""

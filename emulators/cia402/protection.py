@@ -1,8 +1,10 @@
 """The drive protects itself: physical inputs that take torque away, and what stands in their way.
 
-Every input is a stimulus. What a switch says stands until the switch is moved back, and as long as
-it stands the fault it has caused cannot be reset. `sto` takes the torque away without the firmware;
-whether that is a fault is the vendor's choice (table `protection`).
+What physics can do (winding temperature, I2t, the DC link) the axis says in its flags, at the very
+tick, and the power drive sees. All else is a stimulus. What a switch says stands until the switch
+is moved back, and as long as it stands the fault it has caused cannot be reset. `sto` takes the
+torque away without the firmware; whether that is a fault is the vendor's choice (table
+`protection`).
 
 An incremental encoder that is lost counts no more: what a host reads of the position stays where it
 was, whatever the motor does. Once it is back it counts on from there, and the drive's reference is
@@ -22,10 +24,12 @@ from emulators.cia402.faults import (
     MAINS_OVER_VOLTAGE,
     MAINS_UNDER_VOLTAGE,
     SHORT_CIRCUIT,
+    WARNED_BY_INPUT,
 )
 from emulators.cia402.pds_fsa import PdsState
 from emulators.cia402.power_drive import PowerDrive
 from emulators.firmware.axis import Axis
+from emulators.plant.dc_motor import RANGES
 from emulators.protection_settings import TEMPERATURE_RANGE_C, ProtectionSettings
 
 # Switches whose 1 is the cause of a fault.
@@ -35,9 +39,7 @@ CAUSES: Final[dict[str, int]] = {
     "mains_under_voltage": MAINS_UNDER_VOLTAGE,
 }
 _SWITCHES: Final = ("sto", "encoder", *CAUSES, "error_passive", "bus_off")
-STIMULI: Final = (*_SWITCHES, "device_temperature_c")
-
-_DEVICE_IS_WARM: Final = 1  # a bit of PowerDrive.warnings
+STIMULI: Final = (*_SWITCHES, "device_temperature_c", "supply_v")
 
 # What a host reads of the encoder.
 _POSITIONS: Final = (0x6063, 0x6064)
@@ -78,6 +80,14 @@ class Protection:
         self._held: list[tuple[Variable, Reader]] = []  # with the reader that each had
         self._is_passive: bool = False
         self._is_off: bool = False
+        if power_drive.is_watched:
+            axis.set_thresholds(
+                over_voltage_v=settings.over_voltage_v,
+                under_voltage_v=settings.under_voltage_v,
+                over_temperature_c=settings.winding_temperature_max_c,
+                temperature_warning_c=settings.winding_temperature_warning_c,
+                i2t_warning=settings.i2t_warning,
+            )
 
     def stimulate(self, name: str, value: float, now_ns: int) -> None:
         """An input of STIMULI has this value from now on.
@@ -87,6 +97,9 @@ class Protection:
         """
         if name == "device_temperature_c":
             self._heat(value, now_ns)
+            return
+        if name == "supply_v":
+            self._supply(value)
             return
         if value not in (0, 1):
             raise ValueError(f"{name} is 0 or 1, not {value}")
@@ -129,8 +142,14 @@ class Protection:
             raise ValueError(f"device_temperature_c is {low:g}..{high:g} C, not {celsius}")
         settings = self._settings
         is_warm = celsius >= settings.device_temperature_warning_c
-        self._power_drive.standing.warn(_DEVICE_IS_WARM, is_warm)
+        self._power_drive.standing.warn(WARNED_BY_INPUT, is_warm)
         self._stand(DEVICE_TEMPERATURE, celsius >= settings.device_temperature_max_c, now_ns)
+
+    def _supply(self, volts: float) -> None:
+        low, high = RANGES["supply_v"]
+        if not low <= volts <= high:
+            raise ValueError(f"supply_v is {low:g}..{high:g} V, not {volts}")
+        self._axis.set_supply(volts)
 
     def _connect(self, there: bool, now_ns: int) -> None:
         if there == self._has_encoder:

@@ -94,7 +94,7 @@ class Readings:
 
     def supply(self) -> int:
         """6079h [mV]."""
-        volts = self._objects.settings.plant.supply_v if self._power_drive.voltage else 0.0
+        volts = self._axis.dc_link_v() if self._power_drive.voltage else 0.0
         return int(volts * 1000.0)
 
     def following_error(self) -> int:

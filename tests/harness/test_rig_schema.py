@@ -25,6 +25,7 @@ from emulators.protection_settings import (
     STO_ERROR,
     STO_REACTIONS,
     TEMPERATURE_RANGE_C,
+    VOLTAGE_RANGE_V,
 )
 from emulators.setting_tables import OSCILLATOR_KEYS, PHASE_MAX_S, PPM_MAX
 from harness import rig_buses, rig_faults, rig_file, rig_line_faults, rig_stimuli
@@ -103,7 +104,10 @@ def test_the_schema_knows_the_drives_own_keys():
     assert tuple(protection) == PROTECTION_KEYS
     assert protection["sto"]["enum"] == list(STO_REACTIONS)
     assert protection["sto_error_code"]["default"] == STO_ERROR
-    for key in ("device_temperature_warning_c", "device_temperature_max_c"):
+    assert protection["i2t_warning"]["default"] == DEFAULT_PROTECTION.i2t_warning
+    for key in ("over_voltage_v", "under_voltage_v"):
+        assert (protection[key]["minimum"], protection[key]["maximum"]) == VOLTAGE_RANGE_V
+    for key in (key for key in PROTECTION_KEYS if "temperature" in key):
         assert protection[key]["default"] == getattr(DEFAULT_PROTECTION, key)
         limits = (protection[key]["minimum"], protection[key]["maximum"])
         assert limits == TEMPERATURE_RANGE_C

@@ -37,6 +37,7 @@ VALUES: Final = {
     "fault": (0x2310, 0x8611, 0xFF01),
     "power": (0, 1, 1, 1),
     "device_temperature_c": (25.0, 80.0, 95.0),
+    "supply_v": (),  # this plant's is as it is
 }
 """What physical inputs may be; those not named here are off or on."""
 NORMAL: Final = {"power": 1, "encoder": 1, "device_temperature_c": 25.0}

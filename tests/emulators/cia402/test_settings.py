@@ -149,6 +149,25 @@ def test_numbers_arrive():
             {"protection": {"device_temperature_max_c": 60.0}},
             "protection.device_temperature_warning_c: 75.0 C is above the maximum, 60.0 C; lower",
         ),
+        (
+            {"protection": {"winding_temperature_max_c": 100}},
+            "protection.winding_temperature_max_c: the plant has nothing of the kind; give the ",
+        ),
+        (
+            {"protection": {"i2t_warning": 0.5}},
+            "give the plant i2t_continuous_a, i2t_peak_a and i2t_peak_s",
+        ),
+        (
+            {"protection": {"over_voltage_v": 30.0}},
+            "protection.over_voltage_v: the plant has nothing of the kind; give the plant source_",
+        ),
+        (
+            {
+                "plant": {"preset": "wheel_60w", "source_resistance_ohm": 1.0},
+                "protection": {"under_voltage_v": 40.0},
+            },
+            "protection.under_voltage_v: 40.0 V is not below 30.0 V; part them",
+        ),
         ({"quirks": "slow_sdo"}, "quirks: 'slow_sdo' is no list of names"),
         (
             {"quirks": ["slow"]},

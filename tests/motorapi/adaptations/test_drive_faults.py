@@ -47,6 +47,33 @@ def test_a_motion_ends_with_the_fault_that_the_rig_file_plans(
     motor.wait_until_done(timeout_s=5)
 
 
+PHYSICS = [
+    ("i2t_continuous_a = 2.0\ni2t_peak_a = 8.0\ni2t_peak_s = 0.3", 0x2310, "continuous over-curr"),
+    (
+        "thermal_resistance_winding_housing_k_w = 1.7\n"
+        "thermal_resistance_housing_ambient_k_w = 6.0\n"
+        "thermal_time_constant_winding_s = 0.2\nthermal_time_constant_motor_s = 20.0",
+        *(0x4310, "drive temperature"),
+    ),
+]
+
+
+@pytest.mark.parametrize(("plant", "code", "text"), PHYSICS)
+def test_a_motor_that_pushes_against_a_wall_ends_with_the_fault_that_comes_first(
+    open_rig, plant, code, text
+):
+    wall = f'[controller.left.plant]\npreset = "wheel_60w"\nstop_high_rad = 0.5\n{plant}'
+    rig = open_rig(drive("left", 1, controller='objects = { "6065h" = 0 }\n' + wall))
+    motor = motor_of(rig)
+    go_to(motor, 3.0)
+    with pytest.raises(DeviceFault, match=f"{code:04X}h.*{text}"):
+        motor.wait_until_done(timeout_s=10)
+    assert motor.position() == pytest.approx(0.5, abs=0.01)  # at the wall
+    rig.runtime.run_for(5.0)
+    motor.reset_fault()
+    assert motor.fault() is None
+
+
 def test_safe_torque_off_ends_a_motion_and_nothing_moves_until_it_is_released(open_rig):
     rig = open_rig(drive("left", 1), STIMULUS.format("sto", 1, 0.9))
     motor = motor_of(rig)
