@@ -59,13 +59,21 @@ class CyclicMode(Mode):
         self._last_sync_ns = now_ns
         return is_first
 
+    def hears_sync(self) -> bool:
+        """Whether a SYNC has come since the mode got the axis."""
+        return self._last_sync_ns != _NONE_YET
+
     def settle(self, now_ns: int) -> None:
         """Whether SYNC has stayed away for too long."""
-        if now_ns >= self.wake_ns():
+        if now_ns >= self.sync_due_ns():
             self._last_sync_ns = _NONE_YET
             self.lost = True
 
     def wake_ns(self) -> int:
+        """When SYNC will have stayed away for too long."""
+        return self.sync_due_ns()
+
+    def sync_due_ns(self) -> int:
         """When SYNC will have stayed away for too long."""
         if self._last_sync_ns == _NONE_YET or self._patience == 0:
             return NEVER

@@ -12,6 +12,7 @@ from emulators.canopen.object_dictionary import DataType, ObjectDictionary
 from emulators.cia402.control_parameters import ControlParameters
 from emulators.cia402.factors import DriveDefaults, fill_factors
 from emulators.cia402.homing_objects import HomingObjects
+from emulators.cia402.ip_objects import IpObjects
 from emulators.cia402.motion_objects import MotionObjects
 from emulators.cia402.offset_objects import OffsetObjects
 from emulators.cia402.option_codes import OptionCodes
@@ -52,7 +53,7 @@ class DriveObjects:
         error_code: 603Fh.
         supported_modes: 6502h.
         units: what the numbers mean.
-        motion, torque, offsets, windows, homing, options: the objects that belong together.
+        motion, torque, offsets, ip, windows, homing, options: the objects that belong together.
         control: the servo's gains.
     """
 
@@ -79,6 +80,7 @@ class DriveObjects:
         self.motion: MotionObjects = MotionObjects(od, plant, self._factors, defaults, self.written)
         self.torque: TorqueObjects = TorqueObjects(od, plant, defaults)
         self.offsets: OffsetObjects = OffsetObjects(od, self._factors, self.torque)
+        self.ip: IpObjects = IpObjects(od, self._factors, self.written)
         self.windows: WindowObjects = WindowObjects(od, self._factors, defaults)
         self.homing: HomingObjects = HomingObjects(od, self._factors, self.written)
         self.options: OptionCodes = OptionCodes(od, self.motion, self.written)
@@ -101,6 +103,7 @@ class DriveObjects:
         self.controlword = self._controlword.integer()
         self.mode = self._mode.integer()
         self.motion.reload()
+        self.ip.reload()
         self.reload_units()
 
     def reload_units(self) -> None:

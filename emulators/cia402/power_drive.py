@@ -19,6 +19,7 @@ from emulators.cia402.faults import (
     is_resettable,
 )
 from emulators.cia402.homing import Homing
+from emulators.cia402.interpolated_position import InterpolatedPosition
 from emulators.cia402.mode import Mode
 from emulators.cia402.objects import DriveObjects
 from emulators.cia402.pds_fsa import (
@@ -96,6 +97,7 @@ class PowerDrive:
             EMULATED_MODES["pv"]: ProfileVelocity(axis, objects, tick_ns),
             EMULATED_MODES["tq"]: ProfileTorque(axis, objects, tick_ns),
             EMULATED_MODES["hm"]: self._homing,
+            EMULATED_MODES["ip"]: InterpolatedPosition(axis, objects, tick_ns),
             EMULATED_MODES["csp"]: CyclicPosition(axis, objects, tick_ns),
             EMULATED_MODES["csv"]: CyclicVelocity(axis, objects, tick_ns),
             EMULATED_MODES["cst"]: CyclicTorque(axis, objects, tick_ns),
@@ -158,7 +160,10 @@ class PowerDrive:
         state = self.fsa.state
         if flags & f.FOLLOWING_ERROR and state in _RUNNING_STATES:
             self.fault(FOLLOWING_ERROR, now_ns)
-        if self._at_rest != NO_TRANSITION and not self._axis.flags & f.PROFILE_ACTIVE:
+        stands = self._axis.stands()
+        if stands and self._axis.is_braking and self._at_rest == NO_TRANSITION:
+            self._axis.ramp_to_rest(self._objects.motion.deceleration_inc_s2())  # and holds
+        if self._at_rest != NO_TRANSITION and stands:
             self._take(self._at_rest, now_ns)
             self._obey_level(now_ns)
         elif state is PdsState.OPERATION_ENABLED:
@@ -241,7 +246,7 @@ class PowerDrive:
         if state is PdsState.OPERATION_ENABLED:
             mode_bits = active.status_bits()
         elif state is PdsState.QUICK_STOP_ACTIVE:
-            mode_bits = 0 if self._axis.flags & f.PROFILE_ACTIVE else TARGET_REACHED
+            mode_bits = TARGET_REACHED if self._axis.stands() else 0
         else:
             mode_bits = active.idle_bits()
         return compose(
@@ -297,7 +302,7 @@ class PowerDrive:
                 return False
             return not self.standing.causes and is_resettable(self.error_code)
         if transition == 16:
-            return objects.options.quick_stop() >= 5
+            return objects.options.quick_stops_and_stays()
         ramps = (
             objects.options.disable_ramps() if transition == 5 else objects.options.shutdown_ramps()
         )
@@ -334,9 +339,8 @@ class PowerDrive:
         self.error_code = code
         self._active.leave()
         self._take(13, now_ns)
-        deceleration = self._objects.options.fault_deceleration_inc_s2()
-        if running and self.voltage and deceleration is not None and not is_at_once(code):
-            self._axis.ramp_to_rest(deceleration)
+        can_brake = running and self.voltage and not is_at_once(code)
+        if can_brake and self._objects.options.react(self._axis):
             self._at_rest = 14
         else:
             self._take(14, now_ns)
@@ -345,16 +349,11 @@ class PowerDrive:
         return self.voltage and not self._axis.flags & f.UNDER_VOLTAGE
 
     def _quick_stop(self, now_ns: int) -> None:
-        """605Ah: 0 coasts, 1 and 5 brake on the slow-down ramp, all others on the quick stop's."""
-        option = self._objects.options.quick_stop()
-        if option == 0:
+        """605Ah."""
+        options = self._objects.options
+        if not options.quick_stop(self._axis):
             self._take(12, now_ns)
-            return
-        if option in (1, 5):
-            self._axis.ramp_to_rest(self._objects.motion.deceleration_inc_s2())
-        else:
-            self._axis.ramp_to_rest(self._objects.motion.quick_stop_deceleration_inc_s2())
-        if option < 5:
+        elif not options.quick_stops_and_stays():
             self._at_rest = 12
 
     def _select(self, mode: int) -> None:

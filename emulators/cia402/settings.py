@@ -46,7 +46,7 @@ MODES: Final[dict[str, int]] = {
     **{"ip": 7, "csp": 8, "csv": 9, "cst": 10},
 }
 EMULATED_MODES: Final[dict[str, int]] = {
-    name: MODES[name] for name in ("pp", "pv", "tq", "hm", "csp", "csv", "cst")
+    name: MODES[name] for name in ("pp", "pv", "tq", "hm", "ip", "csp", "csv", "cst")
 }
 
 SYNC_LOST_PERIODS: Final = 0

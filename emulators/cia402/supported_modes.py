@@ -15,6 +15,7 @@ _TARGETS: Final = (
     ("pp", 0x607A),
     ("pv", 0x60FF),
     ("tq", 0x6071),
+    ("ip", 0x60C1),
     ("csp", 0x607A),
     ("csv", 0x60FF),
     ("cst", 0x6071),
@@ -25,7 +26,7 @@ def modes_with_target(od: ObjectDictionary) -> int:
     """What is emulated, and can be told its target: 6502h where the file does not state it."""
     modes = _EMULATED
     for name, index in _TARGETS:
-        if od.get(index) is None:
+        if not od.has_index(index):
             modes &= ~(1 << (EMULATED_MODES[name] - 1))
     return modes
 

@@ -78,6 +78,7 @@ class Axis(AxisReadings):
         )
         super().__init__(plant, tick_ns, time, standing[3], conditions)
         self._gains: ServoGains = gains
+        self._is_shorted: bool = False
         self._fed_a: float = 0.0  # of the velocity loop's integrator, what `feed_current` put there
 
     # --- commands, from the tick after the last at() ----------------------------------------------
@@ -89,6 +90,8 @@ class Axis(AxisReadings):
         """
         if on == (self._mode != servo.OFF):
             return
+        if self.is_braking:
+            self._end_braking()
         self._mode = servo.POSITION if on else servo.OFF
         self._fed_a = 0.0
         self._hold(self._time.state[servo.I_COUNT])
@@ -180,16 +183,23 @@ class Axis(AxisReadings):
     # --- cyclic demands: no profiles, so PROFILE_ACTIVE and the target windows stay off;
     # --- RuntimeError where power is off
 
-    def follow(self, position_inc: int, over_ns: int, fed_velocity_inc_s: float = 0.0) -> None:
+    def follow(
+        self,
+        position_inc: int,
+        over_ns: int,
+        fed_velocity_inc_s: float = 0.0,
+        has_target: bool = False,
+    ) -> None:
         """Go evenly from the present demand to this one in `over_ns`, then hold (csp).
 
-        `fed_velocity_inc_s` is fed forward besides what the gains say of the demand's own.
+        `fed_velocity_inc_s` is fed forward besides what the gains say of the demand's own. With
+        `has_target` IN_TARGET_WINDOW is about this position.
         """
         position, _ = self._start()
         target = float(position_inc - self._offset_inc)
         pieces = profile.line(position, target, over_ns / self._tick_ns)
         self._mode = servo.POSITION
-        self._begin(pieces, _NEVER, False, 0.0)
+        self._begin(pieces, _NEVER, has_target, 0.0)
         if fed_velocity_inc_s != 0.0:
             fed = profile.fed(
                 pieces, self._gains.velocity_feedforward, fed_velocity_inc_s * self._tick_s
@@ -232,14 +242,21 @@ class Axis(AxisReadings):
         self._fed_a = current_a
         self._time.order(self._orders, (*state[:5], hold_a, *state[6:]))
 
-    def brake(self) -> None:
-        """Stop as hard as the current's limits allow, then stand; SPEED_ZERO says when."""
+    def brake(self, shorted: bool) -> None:
+        """Stop as hard as the current's limits allow, or as if the motor were shorted.
+
+        `stands` says when; until the next command the velocity loop then keeps it there.
+        """
         self._start()
         self._mode = servo.VELOCITY
         self._begin(profile.hold(0.0), _NEVER, False, _NO_SPEED)
         state = self._time.state
         self._fed_a = 0.0
         self._time.order(self._orders, (*state[:5], 0.0, *state[6:]))
+        self.is_braking = True
+        if shorted:
+            self._is_shorted = True
+            self._step_with(self._gains.shorted(self._plant))
 
     def hold(self) -> None:
         """Stand at the present demand at once, without a ramp.
@@ -365,12 +382,7 @@ class Axis(AxisReadings):
         Raises:
             ValueError: the gains make the current loop unstable; the old ones stay.
         """
-        tables = tables_of(self._plant, gains, self._tick_ns, self._current_steps, self._clock_rate)
-        extras = extras_tables(
-            *(self._plant, gains, tables.tick, self._tick_ns, self._current_steps),
-            self._clock_rate,
-        )
-        self._time.set_tables(tables, self._load_torque_n_m, extras)
+        self._step_with(gains.shorted(self._plant) if self._is_shorted else gains)
         self._gains = gains
 
     def set_current_limit(self, current_a: float, backward_a: float | None = None) -> None:
@@ -396,8 +408,24 @@ class Axis(AxisReadings):
 
     # --- inside ----------------------------------------------------------------------------------
 
+    def _step_with(self, gains: ServoGains) -> None:
+        tables = tables_of(self._plant, gains, self._tick_ns, self._current_steps, self._clock_rate)
+        extras = extras_tables(
+            *(self._plant, gains, tables.tick, self._tick_ns, self._current_steps),
+            self._clock_rate,
+        )
+        self._time.set_tables(tables, self._load_torque_n_m, extras)
+
+    def _end_braking(self) -> None:
+        self.is_braking = False
+        if self._is_shorted:
+            self._is_shorted = False
+            self._step_with(self._gains)
+
     def _start(self) -> tuple[float, float]:
         """Position and velocity demand at the next tick, where a new profile takes over."""
+        if self.is_braking:
+            self._end_braking()
         if self._mode == servo.OFF:
             raise RuntimeError("the power stage is off: call power(True) first")
         t = float(self._time.tick + 1 - self._profile_tick)

@@ -4,6 +4,7 @@ from typing import Final
 
 from emulators.firmware import extras_servo, profile, servo
 from emulators.firmware.extras_tables import Conditions
+from emulators.firmware.flags import PROFILE_ACTIVE, SPEED_ZERO
 from emulators.firmware.timeline import RESTS, Timeline
 from emulators.plant.dc_motor import PI, MotorPlant
 
@@ -38,6 +39,7 @@ class AxisReadings:
         self._load_torque_n_m = plant.load_torque_n_m
         self._mode = servo.OFF
         self._profile = pieces
+        self.is_braking: bool = False  # by `brake`, until the next command
         self.flags: int = time.state[servo.I_FLAGS]
 
     # --- time -------------------------------------------------------------------------------------
@@ -84,6 +86,12 @@ class AxisReadings:
         return self._time.commands if self._time.resting else -1
 
     # --- readings, at the time of the last at() ---------------------------------------------------
+
+    def stands(self) -> bool:
+        """Whether the ramp, or the braking, that was to stop the motor is over."""
+        if self.flags & PROFILE_ACTIVE:
+            return False
+        return not self.is_braking or self.flags & SPEED_ZERO != 0
 
     def position_inc(self) -> int:
         """What the encoder counts, from the zero that was set."""

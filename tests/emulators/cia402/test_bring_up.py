@@ -146,7 +146,7 @@ def test_reads_what_the_standard_names():
     bench = Bench()
     bench.boot()
     assert bench.read(0x1000) == 0x00020192
-    assert bench.read(0x6502) == 0x3AD  # pp, pv, tq, hm, csp, csv, cst
+    assert bench.read(0x6502) == 0x3ED  # pp, pv, tq, hm, ip, csp, csv, cst
     assert bench.read(0x6061) == 1
     assert bench.read(0x603F) == 0
     assert bench.read(0x6064) == 0
@@ -158,7 +158,7 @@ def test_reads_what_the_standard_names():
 def test_modes_that_are_not_named_are_refused():
     bench = Bench()
     bench.boot()
-    for mode in (2, 7, 11, -1, 5, 127):
+    for mode in (2, 11, -1, 5, 127):
         assert bench.write(0x6060, 0, mode, 1) == 0x0609_0030  # invalid value (CiA 301)
     assert bench.read(0x6061) == 1
 

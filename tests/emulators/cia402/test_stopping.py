@@ -80,8 +80,8 @@ def test_transition_16_is_for_options_from_5_on(bench, option, leads):
 
 
 def test_quick_stop_codes_that_have_no_behaviour_are_refused(bench):
-    for code in (3, 4, 7, -1):
-        assert bench.write(0x605A, 0, code, 2) != 0
+    for code in (-1, 9):
+        assert bench.write(0x605A, 0, code, 2) == 0x0609_0030
     assert bench.read(0x605A) == 2
 
 

@@ -55,7 +55,7 @@ def test_it_comes_up_enables_and_moves_in_every_mode_it_names(shared, file):
     if bench.drive.od.has_index(0x6502):
         named = bench.read(0x6502, signed=False)
         assert {name for name, mode in MODES.items() if named >> (mode - 1) & 1} == modes
-        assert named & 0xFFFF & ~0x3AD == 0  # nothing is named that has no behaviour
+        assert named & 0xFFFF & ~0x3ED == 0  # nothing is named that has no behaviour
 
     switch(bench, "pp")
     target = round(20_000 / position_unit)
