@@ -3,7 +3,8 @@
 Passive by construction. Between the substeps' ends each body moves exactly under a torque that is
 held; so the energy that a torque takes out of a body is the torque by the way. Then:
 
-- Friction is against the motion, and where it would turn the motion round the body stops.
+- Friction is against the motion. Where the body would be turned round by friction, it stops; where
+  by other torques, it is turned without friction in that substep.
 - The coupling's torque is the spring's mean over the substep while it touches at both ends (the
   trapezoidal rule: neither gains nor loses), the spring's at the end when it begins to touch (it
   takes more than it stores), and only as much as brings the flanks apart when it ceases to.
@@ -51,9 +52,10 @@ def one_body(
         i1 = t.ii * i + t.iw * w + t.iv * v + t.it * outer
         w1 = t.wi * i + t.ww * w + t.wv * v
         way = t.xi * i + t.xw * w + t.xv * v
-        wt, xt = t.wt, t.xt
+        wt, xt, it = t.wt, t.xt, t.it
     else:
         i1 = i
+        it = 0.0
         w1 = t.coast_w * w
         way = t.coast_x * w
         wt, xt = t.coast_wt, t.coast_xt
@@ -61,8 +63,16 @@ def one_body(
     if end < 0.0 if forward else end > 0.0:
         if w == 0.0:
             return i, w, x, True
-        x1 = x + (way - xt * w1 / wt)
-        end = 0.0
+        free = outer + friction if forward else outer - friction
+        turned = w1 + wt * free
+        if turned < 0.0 if forward else turned > 0.0:
+            x1 = x + (way + xt * free)
+            end = turned
+            i1 += it * (free - outer)
+        else:
+            x1 = x + (way - xt * w1 / wt)
+            end = 0.0
+            i1 -= it * (w1 / wt + outer)
     else:
         x1 = x + (way + xt * outer)
     if x1 > t.high:
@@ -116,31 +126,33 @@ def two_bodies(
 ) -> tuple[float, float, float, float, float, bool]:
     """Current, rotor, load after a substep, and whether the rotor stood (then i is as before).
 
-    Both are first taken to go on as they begin. Whoever is found to stop in between does, and the
-    torque between them is found again; that happens at most twice.
+    A body at rest is first taken to stay there, one in motion to go on; the torque between them
+    follows. Then whoever it sets free moves, whoever is found to stop in between does, and the
+    torque is found again; each of that happens once at most to each.
 
     One function, and long, because a call for each body would cost as much again.
     """
     twist = x - xl
-    torque = 0.0
-    if twist > t.gap:
-        torque = t.spring * (twist - t.gap)
-    elif twist < -t.gap:
-        torque = t.spring * (twist + t.gap)
     # the rotor, on its own
     outer = 0.0
     if t.cogging != 0.0:
         outer = t.cogging * wave((x - 0.5) * t.cogging_inc)
     friction = t.coulomb + t.more / (1.0 + w * w * t.stribeck)
     forward = w > 0.0
-    stands = False
-    if w == 0.0:
-        net = t.k * i + outer - torque
-        forward = net > 0.0
-        stands = -friction <= net <= friction
-    outer += -friction if forward else friction
-    wt = xt = w1 = way = 0.0
+    stands = w == 0.0
+    may_leave = stands
+    wt = xt = w1 = way = stopping = 0.0
+    has_stopped = False
+    # the load, on its own
+    push = -load
+    if t.gravity != 0.0:
+        push -= t.gravity * wave((xl - 0.5) * t.gravity_inc - t.gravity_zero)
+    load_forward = wl > 0.0
+    rubs = t.load_coulomb
+    load_may_leave = wl == 0.0
+    lt = lxt = wl1 = load_way = 0.0
     if not stands:
+        outer += -friction if forward else friction
         if on:
             wt, xt = t.wt, t.xt
             w1 = t.wi * i + t.ww * w + t.wv * v + wt * outer
@@ -149,57 +161,89 @@ def two_bodies(
             wt, xt = t.coast_wt, t.coast_xt
             w1 = t.coast_w * w + wt * outer
             way = t.coast_x * w + xt * outer
-    # the load, on its own
-    push = -load
-    if t.gravity != 0.0:
-        push -= t.gravity * wave((xl - 0.5) * t.gravity_inc - t.gravity_zero)
-    load_forward = wl > 0.0
-    load_stands = False
-    if wl == 0.0:
-        net = torque + push
-        load_forward = net > 0.0
-        load_stands = -t.load_coulomb <= net <= t.load_coulomb or (
-            xl >= t.high if load_forward else xl <= t.low
-        )
-    lt = lxt = wl1 = load_way = 0.0
-    if not load_stands:
-        push += -t.load_coulomb if load_forward else t.load_coulomb
+    if not load_may_leave:
+        push += -rubs if load_forward else rubs
         lt, lxt = t.load_wt, t.load_xt
         wl1 = t.load_w * wl + lt * push
         load_way = t.load_x * wl + lxt * push
     # both
     while True:
         torque = coupling(t, twist, twist + way - load_way, xt + lxt)
+        if may_leave:
+            net = t.k * i + outer - torque
+            if not -friction <= net <= friction:
+                may_leave = stands = False
+                forward = net > 0.0
+                outer += -friction if forward else friction
+                if on:
+                    wt, xt = t.wt, t.xt
+                    w1 = t.wi * i + t.wv * v + wt * outer
+                    way = t.xi * i + t.xv * v + xt * outer
+                else:
+                    wt, xt = t.coast_wt, t.coast_xt
+                    w1 = wt * outer
+                    way = xt * outer
+                continue
+        if load_may_leave:
+            net = torque + push
+            load_forward = net > 0.0
+            if not -rubs <= net <= rubs and (xl < t.high if load_forward else xl > t.low):
+                load_may_leave = False
+                push += -rubs if load_forward else rubs
+                lt, lxt = t.load_wt, t.load_xt
+                wl1 = lt * push
+                load_way = lxt * push
+                continue
         if wt != 0.0:
             end = w1 - wt * torque
             if end < 0.0 if forward else end > 0.0:
-                stands = w == 0.0
-                way = 0.0 if stands else way - xt * w1 / wt
-                w1 = wt = xt = 0.0
+                turned = end + wt * friction if forward else end - wt * friction
+                if w != 0.0 and (turned < 0.0 if forward else turned > 0.0):
+                    free = friction if forward else -friction
+                    outer += free
+                    w1 += wt * free
+                    way += xt * free
+                    friction = 0.0
+                    forward = not forward
+                else:
+                    stands = w == 0.0
+                    way = 0.0 if stands else way - xt * w1 / wt
+                    stopping = outer - w1 / wt
+                    has_stopped = True
+                    w1 = wt = xt = 0.0
                 continue
         if lt != 0.0:
             end = wl1 + lt * torque
             if end < 0.0 if load_forward else end > 0.0:
-                load_way = 0.0 if wl == 0.0 else load_way - lxt * wl1 / lt
-                wl1 = lt = lxt = 0.0
+                turned = end + lt * rubs if load_forward else end - lt * rubs
+                if wl != 0.0 and (turned < 0.0 if load_forward else turned > 0.0):
+                    free = rubs if load_forward else -rubs
+                    wl1 += lt * free
+                    load_way += lxt * free
+                    rubs = 0.0
+                    load_forward = not load_forward
+                else:
+                    load_way = 0.0 if wl == 0.0 else load_way - lxt * wl1 / lt
+                    wl1 = lt = lxt = 0.0
                 continue
-        xl1 = xl + (load_way + lxt * torque)
-        if t.low <= xl1 <= t.high or (lxt == 0.0 and load_way in (t.high - xl, t.low - xl)):
-            break
-        end = wl1 + lt * torque  # an end of the way
-        if xl1 > t.high:
-            load_way = t.high - xl
-            wl1 = 0.0 - t.restitution * positive(end if end < wl else wl)
-        else:
-            load_way = t.low - xl
-            wl1 = t.restitution * positive(-(end if end > wl else wl))
-        lt = lxt = 0.0
-    i1 = i if stands or not on else t.ii * i + t.iw * w + t.iv * v + t.it * (outer - torque)
+            xl1 = xl + (load_way + lxt * torque)
+            if xl1 > t.high:
+                load_way = t.high - xl
+                wl1 = 0.0 - t.restitution * positive(end if end < wl else wl)
+                lt = lxt = 0.0
+                continue
+            if xl1 < t.low:
+                load_way = t.low - xl
+                wl1 = t.restitution * positive(-(end if end > wl else wl))
+                lt = lxt = 0.0
+                continue
+        break
+    i1 = i
+    if on and not stands:
+        i1 = t.ii * i + t.iw * w + t.iv * v
+        i1 += t.it * (stopping if has_stopped else outer - torque)
     xl1 = xl + (load_way + lxt * torque)
-    if xl1 > t.high:
-        xl1 = t.high
-    elif xl1 < t.low:
-        xl1 = t.low
+    xl1 = t.high if xl1 > t.high else t.low if xl1 < t.low else xl1
     return i1, w1 - wt * torque, x + (way - xt * torque), wl1 + lt * torque, xl1, stands
 
 

@@ -1,7 +1,8 @@
-"""Plants of plausible size under a name, for rigs that do not care about the exact motor."""
+"""Plants under a name: some of plausible size, and motors that can be bought (data_sheets)."""
 
 from typing import Final
 
+from emulators.plant.data_sheets import DATA_SHEETS
 from emulators.plant.dc_motor import MotorPlant
 
 # A 24 V, 60 W brushed motor of 30 mm, as several makers have one: about 8,800 rpm, 1 N m at stall,
@@ -50,8 +51,9 @@ MAST_20W: Final = MotorPlant(
     load_inertia_kg_m2=0.01,
 )
 
-PRESETS: Final[dict[str, MotorPlant]] = {
+PLAUSIBLE: Final[dict[str, MotorPlant]] = {
     "wheel_60w": WHEEL_60W,
     "steering_60w": STEERING_60W,
     "mast_20w": MAST_20W,
 }
+PRESETS: Final[dict[str, MotorPlant]] = {**PLAUSIBLE, **DATA_SHEETS}

@@ -4,7 +4,7 @@ from hashlib import sha256
 
 from emulators.firmware.axis import Axis
 from emulators.firmware.gains import ServoGains
-from emulators.plant.presets import PRESETS
+from emulators.plant.presets import PLAUSIBLE
 
 MS = 1_000_000
 
@@ -12,7 +12,7 @@ MS = 1_000_000
 def digest() -> str:
     """SHA-256 over every tick's readings, in full precision."""
     total = sha256()
-    for name, plant in PRESETS.items():
+    for name, plant in PLAUSIBLE.items():
         axis = Axis(plant, ServoGains.tuned(plant, MS, 10), MS, 10)
         for k in range(6_000):
             axis.at(k * MS)

@@ -12,7 +12,7 @@ from emulators.firmware.flags import PROFILE_ACTIVE, SPEED_ZERO
 from emulators.firmware.gains import ServoGains
 from emulators.firmware.servo_tables import ServoTables
 from emulators.plant.dc_motor import MotorPlant
-from emulators.plant.presets import PRESETS, WHEEL_60W
+from emulators.plant.presets import PLAUSIBLE, WHEEL_60W
 
 MS = 1_000_000
 
@@ -65,7 +65,7 @@ MOVES = st.integers(-30_000, 30_000) | st.integers(-30, 30)
 
 
 @given(
-    st.sampled_from(sorted(PRESETS)),
+    st.sampled_from(sorted(PLAUSIBLE)),
     st.sampled_from([(MS, 10), (MS, 10), (MS, 1), (500_000, 4), (2 * MS, 5)]),
     st.sampled_from([400, 2000, 8192]),
     st.floats(0.3, 4.0),
@@ -77,7 +77,7 @@ MOVES = st.integers(-30_000, 30_000) | st.integers(-30, 30)
 def test_after_any_move_a_powered_axis_comes_to_exact_rest(
     name, clock, increments, friction_share, load_share, distance, speed_share, acceleration_share
 ):
-    preset = PRESETS[name]
+    preset = PLAUSIBLE[name]
     plant = replace(
         preset,
         encoder_increments_rev=increments,
@@ -106,12 +106,12 @@ def test_after_any_move_a_powered_axis_comes_to_exact_rest(
     event("moved" if distance else "stayed")
 
 
-@pytest.mark.parametrize("name", PRESETS)
+@pytest.mark.parametrize("name", PLAUSIBLE)
 def test_the_default_motors_rest_soon(name):
     """Ticks: a few for the encoder's averages, some for the current, more if friction holds it an
     increment short until the integrator has pushed it over.
     """
-    plant = PRESETS[name]
+    plant = PLAUSIBLE[name]
     for distance in (100_000, -20_000, 1_000, 7, 1):
         axis = make(plant)
         axis.move_to(distance, 100_000.0, 300_000.0, 300_000.0)

@@ -11,12 +11,14 @@ from emulators.firmware import current_loop, profile, servo
 from emulators.firmware.axis import Axis
 from emulators.firmware.gains import ServoGains
 from emulators.firmware.servo_tables import ServoTables
-from emulators.plant.presets import PRESETS, WHEEL_60W
+from emulators.plant.presets import PLAUSIBLE, WHEEL_60W
 from tests.emulators.motion.reference import ReferenceAxis
 
 MS = 1_000_000
 WINDOWS = (10.0, 1e300, 0.5, 2.0, 1, 1, 11, 11, -1e300, 1e300)
-TABLES = {name: ServoTables(p, ServoGains.tuned(p, MS, 10), MS, 10) for name, p in PRESETS.items()}
+TABLES = {
+    name: ServoTables(p, ServoGains.tuned(p, MS, 10), MS, 10) for name, p in PLAUSIBLE.items()
+}
 
 
 def one_tick(tables, load_table, state):
@@ -46,7 +48,7 @@ def test_the_encoder_counts_whole_increments_as_floor_division_does(x):
 
 
 def check_one_tick(name, current, error, speed, mismatch, load):
-    plant, tables = PRESETS[name], TABLES[name]
+    plant, tables = PLAUSIBLE[name], TABLES[name]
     wanted = max(-8.0, min(8.0, current + error))
     u = plant.resistance_ohm * wanted + plant.torque_constant_n_m_a * speed + mismatch
     u = max(-24.0, min(24.0, u))
@@ -62,7 +64,7 @@ def check_one_tick(name, current, error, speed, mismatch, load):
     return "step by step" if got == singly else "mapped"
 
 
-NAMES = st.sampled_from(sorted(PRESETS))
+NAMES = st.sampled_from(sorted(PLAUSIBLE))
 LOADS_N_M = st.floats(-0.01, 0.01)
 
 
@@ -92,7 +94,7 @@ def test_ten_steps_of_a_rotor_that_sticks_are_one_map_too(name, current, error, 
 @pytest.mark.parametrize("sign", [1.0, -1.0])
 def test_a_rotor_that_dips_through_standstill_within_a_tick_is_stepped(sign):
     """Both ends of such a tick turn the same way; friction changes its sign in between."""
-    plant, tables = PRESETS["wheel_60w"], TABLES["wheel_60w"]
+    plant, tables = PLAUSIBLE["wheel_60w"], TABLES["wheel_60w"]
     dips = 0
     for hundredths in range(2, 150, 2):
         speed = 0.01 * hundredths
@@ -130,7 +132,7 @@ def test_a_clipped_voltage_does_not_wind_the_current_loop_up():
 
 def test_a_rotor_that_is_about_to_leave_does_not_creep_the_other_way():
     """Its torque exceeds the friction only at the end of the step: not enough to leave in it."""
-    plant, table = PRESETS["wheel_60w"], TABLES["wheel_60w"].step
+    plant, table = PLAUSIBLE["wheel_60w"], TABLES["wheel_60w"].step
     gains = ServoGains.tuned(plant, MS, 10)
     breakaway_a = plant.coulomb_friction_n_m / plant.torque_constant_n_m_a
     for sign in (1.0, -1.0):
@@ -143,10 +145,10 @@ def test_a_rotor_that_is_about_to_leave_does_not_creep_the_other_way():
         assert state[2:] == (0.0, 0.5)
 
 
-@pytest.mark.parametrize("name", PRESETS)
+@pytest.mark.parametrize("name", PLAUSIBLE)
 def test_an_axis_in_motion_is_mapped_and_not_stepped(name, monkeypatch):
     """Or the map would be no use: only starting, stopping and clipping are worth single steps."""
-    plant = PRESETS[name]
+    plant = PLAUSIBLE[name]
     axis = Axis(plant, ServoGains.tuned(plant, MS, 10), MS, 10)
     stepped = 0
     steps = servo.steps

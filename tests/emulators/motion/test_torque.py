@@ -17,7 +17,7 @@ from emulators.firmware.flags import (
     SPEED_ZERO,
 )
 from emulators.firmware.gains import ServoGains
-from emulators.plant.presets import PRESETS, WHEEL_60W
+from emulators.plant.presets import PLAUSIBLE, WHEEL_60W
 from tests.emulators.motion.reference import ReferenceAxis
 
 MS = 1_000_000
@@ -81,9 +81,9 @@ def test_the_flags_of_a_ramp_change_at_its_exact_ticks():
     assert now == 60 * MS
 
 
-@pytest.mark.parametrize("name", PRESETS)
+@pytest.mark.parametrize("name", PLAUSIBLE)
 def test_the_motor_moves_as_its_equations_say(name):
-    plant = PRESETS[name]
+    plant = PLAUSIBLE[name]
     axis = powered_axis(plant)
     reference = ReferenceAxis(plant, ServoGains.tuned(plant, MS, 10))
     peak = plant.current_max_a

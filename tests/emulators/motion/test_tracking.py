@@ -8,7 +8,7 @@ import pytest
 from emulators.firmware.axis import Axis
 from emulators.firmware.flags import PROFILE_ACTIVE
 from emulators.firmware.gains import ServoGains
-from emulators.plant.presets import PRESETS, WHEEL_60W
+from emulators.plant.presets import PLAUSIBLE, WHEEL_60W
 
 MS = 1_000_000
 
@@ -37,11 +37,11 @@ def follow_a_move(plant, distance, v, a, load_n_m=0.0):
     return moving, settled, overshoot
 
 
-@pytest.mark.parametrize("name", PRESETS)
+@pytest.mark.parametrize("name", PLAUSIBLE)
 @pytest.mark.parametrize("distance", [200_000, -30_000, 2_000])
 @pytest.mark.parametrize("load_share", [0.0, 0.3, -0.3])
 def test_a_trapezoid_is_followed_within_a_few_increments(name, distance, load_share):
-    plant = PRESETS[name]
+    plant = PLAUSIBLE[name]
     load = load_share * plant.torque_constant_n_m_a * plant.current_max_a * plant.gear_ratio
     moving, settled, overshoot = follow_a_move(plant, distance, 150_000.0, 500_000.0, load)
     assert moving <= 30  # of 2000 per turn of the motor: 0.08 degrees behind the gear
