@@ -21,9 +21,15 @@ from emulators.cia402.readings import Readings
 from emulators.cia402.settings import DriveSettings
 from emulators.controller import NonvolatileMemory
 from emulators.firmware.axis import Axis
+from emulators.firmware.digital_inputs import STIMULI as INPUT_STIMULI
+from emulators.firmware.digital_inputs import DigitalInputs
 from emulators.plant.dc_motor import RANGES
 
-STIMULI: Final = ("load_torque_n_m", "fault", "power", *PROTECTION_STIMULI)
+STIMULI: Final = (
+    *("load_torque_n_m", "fault", "power"),
+    *PROTECTION_STIMULI,
+    *INPUT_STIMULI,
+)
 
 
 @final
@@ -50,8 +56,11 @@ class Cia402Drive:
             settings.oscillator.rate(),
         )
         self._objects = DriveObjects(od, settings)
+        inputs = DigitalInputs(
+            self.axis, settings.switches, settings.index_count, plant.encoder_increments_rev
+        )
         self._power_drive = PowerDrive(
-            self.axis, self._objects, settings.tick_ns, settings.enable_ns
+            self.axis, self._objects, inputs, settings.tick_ns, settings.enable_ns
         )
         deviate(self._power_drive, self._objects, od, settings.quirks)
         Readings(self.axis, self._objects, self._power_drive).bind(od)
@@ -69,6 +78,8 @@ class Cia402Drive:
         self._events: list[tuple[str, str]] = list(events)
         self._statusword: int = 0  # as last told to the node's TPDOs
         self._mode: int = 0
+        self._inputs: int = self._power_drive.inputs.bits
+        self._probes: int = 0
         self._error_code: int = NO_FAULT
         self._errors: int = 0  # the classes (1001h) of all errors since the last fault reset
         self._touched: bool = False  # something other than time may have changed what shows
@@ -76,7 +87,7 @@ class Cia402Drive:
         self._deadline_ns: int = NEVER
         self._motor_due_ns: int = NEVER  # the same without the node's
         self._power_due_ns: int = NEVER  # the power drive's alone; found again when it has moved
-        self._is_powered: bool = False
+        self._flags_matter: bool = False
         self._power_moved: bool = True
         self._deadline_moved: bool = True
         self._truth: dict[str, float] = {}  # as last shown, of this state, mode and rest:
@@ -146,7 +157,7 @@ class Cia402Drive:
     def stimulate(self, name: str, value: float, now_ns: int) -> None:
         """The load at the output [N m], an error code to fail with, the power stage's supply.
 
-        Or one of `emulators.cia402.protection`.
+        Or one of `emulators.cia402.protection`, or a digital input.
 
         Raises:
             ValueError: there is no such stimulus, or the value is none.
@@ -168,6 +179,8 @@ class Cia402Drive:
             self._power_drive.set_voltage(value == 1, now_ns)
         elif name in PROTECTION_STIMULI:
             self._protection.stimulate(name, value, now_ns)
+        elif name in INPUT_STIMULI:
+            self._power_drive.saw(self._power_drive.inputs.stimulate(name, value))
         else:
             raise ValueError(f"there is no stimulus {name!r}; known: {', '.join(STIMULI)}")
         self._publish(now_ns)
@@ -289,6 +302,13 @@ class Cia402Drive:
         if power_drive.mode != self._mode:
             self._mode = power_drive.mode
             node.object_changed(0x6061, 0, now_ns)
+        if power_drive.inputs.bits != self._inputs:
+            self._inputs = power_drive.inputs.bits
+            node.object_changed(0x60FD, 0, now_ns)
+        probes = power_drive.touch_probe.status
+        if probes != self._probes:
+            self._probes = probes
+            node.object_changed(0x60B9, 0, now_ns)
         statusword = power_drive.statusword()
         if statusword != self._statusword:
             self._statusword = statusword
@@ -310,10 +330,10 @@ class Cia402Drive:
         if self._power_moved:
             self._power_moved = False
             self._power_due_ns = self._power_drive.deadline_ns()
-            self._is_powered = self._power_drive.is_powered()
+            self._flags_matter = self._power_drive.flags_matter()
         motor_ns = self._power_due_ns
         node_ns = self._node.deadline_ns()
-        if self._is_powered:  # otherwise no flag matters
+        if self._flags_matter:
             event_ns = self.axis.event_ns(node_ns if node_ns < motor_ns else motor_ns)
             if event_ns < motor_ns:
                 motor_ns = event_ns

@@ -1,4 +1,4 @@
-"""Homing mode (hm). Methods 35 and 37: the present position is the home position.
+"""Homing mode (hm): home is found over switches and index pulse, exactly where they are.
 
 Statusword bits 10, 12 and 13 (CiA 402-2, homing mode):
 
@@ -7,24 +7,43 @@ Statusword bits 10, 12 and 13 (CiA 402-2, homing mode):
 ====  ====  ====  ==========================================
 0     0     0     in progress
 0     0     1     interrupted, or not started
+0     1     0     attained, still moving
 0     1     1     attained, and at rest
 1     0     0     error, still moving
 1     0     1     error, at rest
 ====  ====  ====  ==========================================
+
+The switch is searched for at 6099h:1; on it, towards its edge and the index pulse, 6099h:2 is used.
+Home is what was latched there; the drive then brakes with 609Ah and does not go back. Errors: a
+method there is none of, or one of its speeds 0; a start in motion; both limit switches active; the
+way barred by a limit switch that the method does not turn round at, or, having turned round, by the
+other one; no index pulse within a turn of the motor. There is no timeout: without any switch the
+motor runs until the host, or a following error, ends it. A new start (bit 4) begins afresh.
 """
 
 from enum import IntEnum
 from typing import Final, final
 
 from emulators.canopen.shared import NEVER
-from emulators.cia402.homing_objects import HOMING_METHODS
+from emulators.cia402.homing_methods import HOMING_METHODS, HomingMethod
+from emulators.cia402.limit_guard import LimitGuard
 from emulators.cia402.mode import Mode
 from emulators.cia402.objects import DriveObjects
 from emulators.cia402.pds_fsa import CW_HALT
 from emulators.cia402.statusword import HOMING_ATTAINED, HOMING_ERROR, TARGET_REACHED
+from emulators.firmware import flags as f
 from emulators.firmware.axis import Axis
+from emulators.firmware.digital_inputs import (
+    INDEX_PULSE,
+    LIMITS,
+    NEGATIVE_LIMIT,
+    POSITIVE_LIMIT,
+    DigitalInputs,
+    Edge,
+)
 
 HOMING_START: Final = 0x0010
+_FAR_INC: Final = 1 << 44  # further than any axis goes
 
 
 @final
@@ -41,9 +60,23 @@ class HomingState(IntEnum):
 class Homing(Mode):
     """Mode 6."""
 
-    def __init__(self, axis: Axis, objects: DriveObjects, tick_ns: int) -> None:
+    def __init__(
+        self,
+        axis: Axis,
+        objects: DriveObjects,
+        tick_ns: int,
+        inputs: DigitalInputs,
+        guard: LimitGuard,
+    ) -> None:
         super().__init__(axis, objects, tick_ns)
         self.state: HomingState = HomingState.NOT_STARTED
+        self._inputs = inputs
+        self._guard = guard
+        self._method: HomingMethod = HOMING_METHODS[37]
+        self._way: int = 0  # in which the motor is sent
+        self._searching: bool = False  # for the switch, in the first direction
+        self._turned: bool = False  # round, at a limit switch
+        self._past_edge: bool = False  # the index pulse is next
         self._wake_ns: int = NEVER
 
     def enter(self, word: int, now_ns: int) -> None:
@@ -55,39 +88,63 @@ class Homing(Mode):
     def leave(self) -> None:
         """A homing still in progress is interrupted."""
         self.halted = False
-        self._interrupt()
+        if self.state is HomingState.IN_PROGRESS:
+            self._end(HomingState.NOT_STARTED)
 
     def forget(self) -> None:
         """Power-on: nothing is attained."""
-        self.state = HomingState.NOT_STARTED
-        self._wake_ns = NEVER
+        self._end(HomingState.NOT_STARTED)
 
     def obey(self, word: int, rising: int, now_ns: int) -> None:
         """Bit 4 starts and, when it falls, interrupts; so does bit 8."""
-        self.halted = word & CW_HALT != 0
-        if self.halted or not word & HOMING_START:
-            self._interrupt()
+        halt = word & CW_HALT != 0
+        objects = self.objects
+        if halt and not self.halted and self.state is HomingState.IN_PROGRESS:
+            objects.options.halt(self.axis)
+            self._end(HomingState.NOT_STARTED)
+        self.halted = halt
+        if halt:
+            return
+        if not word & HOMING_START:
+            if self.state is HomingState.IN_PROGRESS:
+                self.axis.ramp_to_rest(objects.homing.acceleration_inc_s2())
+                self._end(HomingState.NOT_STARTED)
         elif rising & HOMING_START:
             self._begin(now_ns)
 
     def settle(self, now_ns: int) -> None:
-        """A tick later the position has its new zero."""
-        if self.state is HomingState.IN_PROGRESS and now_ns >= self._wake_ns:
-            self._wake_ns = NEVER
-            self.axis.set_position(self.objects.homing.home_offset_inc())
-            self.state = HomingState.ATTAINED
+        """On the present position: a tick later it has its new name. Else: has the way ended?"""
+        if self.state is not HomingState.IN_PROGRESS:
+            return
+        if now_ns >= self._wake_ns:
+            self._attain(self.axis.count())
+        elif self._wake_ns == NEVER and not self.axis.flags & f.PROFILE_ACTIVE:
+            self._fail()
+
+    def sees(self, edges: list[Edge]) -> None:
+        """Inputs have changed."""
+        for edge in edges:
+            if self.state is not HomingState.IN_PROGRESS or self._wake_ns != NEVER:
+                return
+            if edge.bit == INDEX_PULSE:
+                if self._past_edge and edge.forward == (self._method.direction > 0):
+                    self._attain(edge.count)
+            elif edge.bit == self._method.switch:
+                self._meet_switch(edge)
+            elif edge.active and edge.bit == self._limit_in_the_way():
+                self._meet_limit()
 
     def wake_ns(self) -> int:
-        """One tick after the start."""
+        """One tick after the start, on the present position."""
         return self._wake_ns
 
     def status_bits(self) -> int:
         """Bits 10, 12 and 13."""
         if self.state is HomingState.IN_PROGRESS:
             return 0
-        if self.state is HomingState.ATTAINED:
-            return HOMING_ATTAINED | TARGET_REACHED
         bits = 0 if self._moves() else TARGET_REACHED
+        if self.state is HomingState.ATTAINED:
+            return bits | HOMING_ATTAINED
         if self.state is HomingState.FAILED:
             return bits | HOMING_ERROR
         return TARGET_REACHED
@@ -96,18 +153,114 @@ class Homing(Mode):
         """What was attained shows when the power stage is off, too."""
         return HOMING_ATTAINED | TARGET_REACHED if self.state is HomingState.ATTAINED else 0
 
+    # --- inside
+
     def _begin(self, now_ns: int) -> None:
-        method = self.objects.homing.method()
-        if method not in HOMING_METHODS or self._moves():
+        objects = self.objects.homing
+        method = HOMING_METHODS.get(objects.method())
+        bits = self._inputs.bits
+        if self.state is HomingState.IN_PROGRESS:
+            self._end(HomingState.NOT_STARTED)
+        if method is None or self._moves():
+            self.state = HomingState.FAILED
+            return
+        self._method = method
+        self._turned = self._past_edge = self._searching = False
+        if method.direction == 0:
+            self.state = HomingState.IN_PROGRESS
+            self._wake_ns = (now_ns // self.tick_ns + 1) * self.tick_ns
+            return
+        stuck = objects.zero_speed_inc_s() <= 0.0
+        stuck = stuck or (method.switch != 0 and objects.switch_speed_inc_s() <= 0.0)
+        if stuck or bits & LIMITS == LIMITS:
             self.state = HomingState.FAILED
             return
         self.state = HomingState.IN_PROGRESS
-        self._wake_ns = (now_ns // self.tick_ns + 1) * self.tick_ns
+        self._guard.homes(True)
+        if method.index:
+            self._inputs.watch_index(True)
+        if not method.switch:
+            self._seek_index(self.axis.count())
+        elif not bits & method.switch:
+            self._searching = True
+            self._go(method.search, objects.switch_speed_inc_s())
+        elif method.before:
+            self._go(method.direction, objects.zero_speed_inc_s())
+        else:
+            self._go(-method.direction, objects.switch_speed_inc_s())
+
+    def _meet_switch(self, edge: Edge) -> None:
+        """An edge of the method's switch: the one that is home, or one on the way there."""
+        method = self._method
+        objects = self.objects.homing
+        if self._past_edge:
+            return
+        forward = method.direction > 0
+        if edge.forward == forward and edge.active != method.before:
+            if method.index:
+                self._seek_index(edge.count)
+            else:
+                self._attain(edge.count)
+        elif edge.active == method.before:  # now it is in the state it must be left in
+            self._searching = False
+            self._go(method.direction, objects.zero_speed_inc_s())
+        elif self._searching:  # past it, to come back
+            self._searching = False
+            self._go(-method.direction, objects.switch_speed_inc_s())
+
+    def _meet_limit(self) -> None:
+        """The way ends here: back, if the method says so and it is the first time."""
+        if self._searching and self._method.turns and not self._turned:
+            self._turned = True
+            self._go(-self._way, self.objects.homing.switch_speed_inc_s())
+        else:
+            self._fail()
+
+    def _seek_index(self, start_count: int) -> None:
+        """On, to the first index pulse; beyond a turn from `start_count` there is none."""
+        objects = self.objects.homing
+        speed = objects.zero_speed_inc_s()
+        acceleration = objects.acceleration_inc_s2()
+        self._past_edge = True
+        self._searching = False
+        turn = self.objects.settings.plant.encoder_increments_rev
+        reach = turn + turn // 50 + int(speed * speed / (2.0 * acceleration)) + 1
+        offset_inc = self.axis.position_inc() - self.axis.count()
+        way = self._method.direction
+        self._send(way, start_count + way * reach + offset_inc, speed)
+
+    def _go(self, way: int, speed_inc_s: float) -> None:
+        self._send(way, way * _FAR_INC, speed_inc_s)
+
+    def _send(self, way: int, target_inc: int, speed_inc_s: float) -> None:
+        self._way = way
+        if self._inputs.bits & self._limit_in_the_way() & ~self._method.switch:
+            self._meet_limit()
+            return
+        acceleration = self.objects.homing.acceleration_inc_s2()
+        self.axis.move_to(target_inc, speed_inc_s, acceleration, acceleration)
+
+    def _limit_in_the_way(self) -> int:
+        return POSITIVE_LIMIT if self._way > 0 else NEGATIVE_LIMIT
+
+    def _attain(self, count: int) -> None:
+        self.axis.set_position(self.objects.homing.home_offset_inc(), count)
+        self._end(HomingState.ATTAINED)
+        if self._method.direction:
+            self.axis.ramp_to_rest(self.objects.homing.acceleration_inc_s2())
+
+    def _fail(self) -> None:
+        self.axis.ramp_to_rest(self.objects.homing.acceleration_inc_s2())
+        self._end(HomingState.FAILED)
+
+    def _end(self, state: HomingState) -> None:
+        """However it ended: inputs and limits are as without a homing."""
+        if self.state is HomingState.IN_PROGRESS and self._method.index:
+            self._inputs.watch_index(False)
+        self.state = state
+        self._wake_ns = NEVER
+        self._guard.homes(False)
 
     def _moves(self) -> bool:
-        return self.axis.demand_velocity_inc_s() != 0.0
-
-    def _interrupt(self) -> None:
-        if self.state is HomingState.IN_PROGRESS:
-            self.state = HomingState.NOT_STARTED
-            self._wake_ns = NEVER
+        axis = self.axis
+        return axis.demand_velocity_inc_s() != 0.0 or (axis.is_braking and not axis.stands())

@@ -3,6 +3,7 @@
 from emulators.canopen.shared import NEVER
 from emulators.cia402.objects import DriveObjects
 from emulators.firmware.axis import Axis
+from emulators.firmware.digital_inputs import Edge
 
 
 class Mode:
@@ -30,6 +31,9 @@ class Mode:
 
     def written(self, what: int, now_ns: int) -> None:
         """Objects were written (see objects.py)."""
+
+    def sees(self, edges: list[Edge]) -> None:
+        """Digital inputs have changed."""
 
     def synced(self, now_ns: int) -> bool:
         """SYNC was on the bus, and what it brought into force has been told.

@@ -52,7 +52,7 @@ class DriveObjects:
         controlword, mode: as last written.
         error_code: 603Fh.
         supported_modes: 6502h.
-        units: what the numbers mean.
+        factors, units: what the numbers mean.
         motion, torque, offsets, ip, windows, homing, options: the objects that belong together.
         control: the servo's gains.
     """
@@ -65,8 +65,8 @@ class DriveObjects:
         self.mode: int = 0
         plant = settings.plant
         fill_factors(od, plant)
-        self._factors: FactorGroup = FactorGroup(od, settings)
-        self.units: Units = self._factors.units
+        self.factors: FactorGroup = FactorGroup(od, settings)
+        self.units: Units = self.factors.units
         defaults = DriveDefaults(plant, self.units)
         ensure = od.ensure
         self._controlword = ensure(0x6040, 0, _D.UNSIGNED16, 0)
@@ -77,12 +77,14 @@ class DriveObjects:
         self._supported = ensure(0x6502, 0, _D.UNSIGNED32, modes_with_target(od))
         self.supported_modes: int = self._honest_modes()
 
-        self.motion: MotionObjects = MotionObjects(od, plant, self._factors, defaults, self.written)
+        self.motion: MotionObjects = MotionObjects(od, plant, self.factors, defaults, self.written)
         self.torque: TorqueObjects = TorqueObjects(od, plant, defaults)
-        self.offsets: OffsetObjects = OffsetObjects(od, self._factors, self.torque)
-        self.ip: IpObjects = IpObjects(od, self._factors, self.written)
-        self.windows: WindowObjects = WindowObjects(od, self._factors, defaults)
-        self.homing: HomingObjects = HomingObjects(od, self._factors, self.written)
+        self.offsets: OffsetObjects = OffsetObjects(od, self.factors, self.torque)
+        self.ip: IpObjects = IpObjects(od, self.factors, self.written)
+        self.windows: WindowObjects = WindowObjects(od, self.factors, defaults)
+        self.homing: HomingObjects = HomingObjects(
+            od, self.factors, self.motion, defaults, self.written
+        )
         self.options: OptionCodes = OptionCodes(od, self.motion, self.written)
         self.control: ControlParameters = ControlParameters(
             od,
@@ -108,8 +110,8 @@ class DriveObjects:
 
     def reload_units(self) -> None:
         """A factor object was written: what the numbers mean has changed."""
-        self._factors.reload()
-        self.units = self._factors.units
+        self.factors.reload()
+        self.units = self.factors.units
 
     def supports(self, mode: int) -> bool:
         """Whether 6502h names the mode."""

@@ -20,6 +20,7 @@ from emulators.cia402.faults import (
 )
 from emulators.cia402.homing import Homing
 from emulators.cia402.interpolated_position import InterpolatedPosition
+from emulators.cia402.limit_guard import LimitGuard
 from emulators.cia402.mode import Mode
 from emulators.cia402.objects import DriveObjects
 from emulators.cia402.pds_fsa import (
@@ -32,19 +33,22 @@ from emulators.cia402.pds_fsa import (
 from emulators.cia402.profile_position import ProfilePosition
 from emulators.cia402.profile_torque import ProfileTorque
 from emulators.cia402.profile_velocity import ProfileVelocity
+from emulators.cia402.servo_objects import ServoObjects
 from emulators.cia402.settings import EMULATED_MODES
 from emulators.cia402.statusword import TARGET_REACHED, compose
+from emulators.cia402.touch_probe import TouchProbe
 from emulators.cia402.written import (
     CONTROLWORD,
     FACTORS,
     GAINS,
     MODE,
     TORQUE_LIMIT,
+    TOUCH_PROBE,
     WINDOWS,
 )
 from emulators.firmware import flags as f
 from emulators.firmware.axis import Axis
-from emulators.firmware.gains import ServoGains
+from emulators.firmware.digital_inputs import LIMITS, DigitalInputs, Edge
 
 NO_FAULT: Final = 0x0000
 
@@ -72,9 +76,18 @@ class PowerDrive:
         modes: by 6061h; a quirk may put another one in a place before power comes on.
         is_watched: whether the plant may do something to a drive that is off.
         standing: what keeps a fault from being reset, or the drive from being readied; warnings.
+        inputs: 60FDh.
+        touch_probe: 60B8h and what comes of it.
     """
 
-    def __init__(self, axis: Axis, objects: DriveObjects, tick_ns: int, enable_ns: int) -> None:
+    def __init__(
+        self,
+        axis: Axis,
+        objects: DriveObjects,
+        inputs: DigitalInputs,
+        tick_ns: int,
+        enable_ns: int,
+    ) -> None:
         self.fsa = PdsFsa(PdsState.NOT_READY_TO_SWITCH_ON)
         self.error_code: int = NO_FAULT
         self.told: list[int] = []
@@ -87,11 +100,14 @@ class PowerDrive:
         self._enable_ns = enable_ns
         self._enable_due_ns: int = NEVER
         self._at_rest: int = NO_TRANSITION  # the transition to take when the motor has come to rest
-        self._gains: ServoGains = objects.settings.gains  # as the axis has them
-        self._limits_a: tuple[float, float] = objects.torque.limits_a()
-        axis.set_current_limit(*self._limits_a)
-        self._apply_servo()
-        self._homing = Homing(axis, objects, tick_ns)
+        self._servo: ServoObjects = ServoObjects(axis, objects)
+        self.inputs: DigitalInputs = inputs
+        self.touch_probe: TouchProbe = TouchProbe(
+            objects.od, axis, inputs, objects.factors, objects.written
+        )
+        self._guard = LimitGuard(axis, inputs, objects.motion)
+        self._guard.apply()
+        self._homing = Homing(axis, objects, tick_ns, inputs, self._guard)
         self.modes: dict[int, Mode] = {
             EMULATED_MODES["pp"]: ProfilePosition(axis, objects, tick_ns),
             EMULATED_MODES["pv"]: ProfileVelocity(axis, objects, tick_ns),
@@ -117,8 +133,9 @@ class PowerDrive:
         self.error_code = NO_FAULT
         self.fsa.controlword = self._objects.controlword
         self.fsa.take(0)
-        self._apply_windows()
-        self._apply_servo()
+        self._servo.apply_windows()
+        self._servo.apply_limits_and_gains()
+        self.touch_probe.configure()
         self._select(self._objects.mode)
 
     def initialised(self, now_ns: int) -> None:
@@ -134,9 +151,11 @@ class PowerDrive:
         if what & FACTORS:
             self._objects.reload_units()
         if what & (WINDOWS | FACTORS):
-            self._apply_windows()
+            self._servo.apply_windows()
         if what & (GAINS | TORQUE_LIMIT):
-            self._apply_servo()
+            self._servo.apply_limits_and_gains()
+        if what & TOUCH_PROBE:
+            self.touch_probe.configure()
         if what & MODE and self._objects.mode != self.mode:
             self._switch_mode(now_ns)
         if self.fsa.state is PdsState.OPERATION_ENABLED and self._at_rest == NO_TRANSITION:
@@ -157,6 +176,9 @@ class PowerDrive:
                 self._take(4, now_ns)
             else:
                 self.fault(UNDER_VOLTAGE, now_ns)
+        if self._axis.flags & f.OUTSIDE_GATE:
+            self.saw(self.inputs.look())
+            flags = self._axis.flags
         state = self.fsa.state
         if flags & f.FOLLOWING_ERROR and state in _RUNNING_STATES:
             self.fault(FOLLOWING_ERROR, now_ns)
@@ -175,11 +197,18 @@ class PowerDrive:
         """SYNC was on the bus; True: the mode does something about it."""
         return self.fsa.state is PdsState.OPERATION_ENABLED and self._active.synced(now_ns)
 
-    def is_powered(self) -> bool:
-        """Whether the axis' flags matter: the motor has current, or the plant is watched."""
+    def saw(self, edges: list[Edge]) -> None:
+        """Digital inputs have changed."""
+        self.touch_probe.sees(edges)
+        if self.fsa.state is PdsState.OPERATION_ENABLED and self._at_rest == NO_TRANSITION:
+            self._active.sees(edges)
+        self._guard.sees(edges)
+
+    def flags_matter(self) -> bool:
+        """Whether the motor has current, the plant is watched, or an input waits for the axis."""
         state = self.fsa.state
         is_on = state in _RUNNING_STATES or state is PdsState.FAULT_REACTION_ACTIVE
-        return is_on or self.is_watched
+        return is_on or self.is_watched or self.inputs.is_gated
 
     def deadline_ns(self) -> int:
         """When `settle` must be called at the latest [ns], flags aside; or NEVER."""
@@ -254,7 +283,7 @@ class PowerDrive:
             mode_bits=mode_bits,
             voltage=self.voltage,
             remote=state is not PdsState.NOT_READY_TO_SWITCH_ON,
-            limit=active.limited,
+            limit=active.limited or self.inputs.bits & LIMITS != 0,
             warning=self.standing.warnings != 0,
         )
 
@@ -367,27 +396,3 @@ class PowerDrive:
             if self._active is self._no_mode:
                 self._axis.ramp_to_rest(self._objects.motion.deceleration_inc_s2())
             self._active.enter(self.fsa.controlword, now_ns)
-
-    def _apply_servo(self) -> None:
-        """The current's limit, and the gains: both count in every mode."""
-        limits_a = self._objects.torque.limits_a()
-        if limits_a != self._limits_a:
-            self._limits_a = limits_a
-            self._axis.set_current_limit(limits_a[0], limits_a[1])
-        gains = self._objects.control.gains()
-        if gains != self._gains:
-            self._gains = gains
-            self._axis.set_gains(gains)
-
-    def _apply_windows(self) -> None:
-        windows = self._objects.windows.read()
-        self._axis.set_windows(
-            target_window_inc=windows[0],
-            target_window_ns=windows[1],
-            following_window_inc=windows[2],
-            following_window_ns=windows[3],
-            velocity_window_inc_s=windows[4],
-            velocity_window_ns=windows[5],
-            velocity_threshold_inc_s=windows[6],
-            velocity_threshold_ns=windows[7],
-        )

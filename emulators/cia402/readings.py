@@ -39,6 +39,7 @@ class Readings:
             (0x6079, self.supply),
             (0x60F4, self.following_error),
             (0x60FC, self.position_demand_internal),
+            (0x60FD, self.digital_inputs),
         ):
             variable = od.get(index)
             if variable is not None:
@@ -104,6 +105,10 @@ class Readings:
     def position_demand_internal(self) -> int:
         """60FCh [increments], signed 32 bit, wrapping round."""
         return _wrapped(self._axis.demand_inc())
+
+    def digital_inputs(self) -> int:
+        """60FDh."""
+        return self._power_drive.inputs.bits
 
 
 def _wrapped(value: int) -> int:

@@ -10,7 +10,9 @@ from pathlib import Path
 from typing import Final, final
 
 from emulators.cia402.quirk_catalogue import Quirks, boot_up_later_ns, quirks_of
+from emulators.cia402.switch_settings import switches_in
 from emulators.controller import SettingError
+from emulators.firmware.digital_inputs import Switch
 from emulators.firmware.gains import ServoGains
 from emulators.plant.dc_motor import MotorPlant
 from emulators.plant.oscillator import IDEAL, Oscillator
@@ -67,6 +69,7 @@ _KEYS: Final = (
     "protection",
     "quirks",
     "cyclic",
+    "switches",
 )
 _TIMING_KEYS: Final = ("boot_up_s", "sdo_reply_s", "enable_s")
 _CYCLIC_KEYS: Final = ("sync_lost_periods", "sync_lost_code")
@@ -99,6 +102,8 @@ class DriveSettings:
         sync_lost_periods: interpolation periods (60C2h) without SYNC that are a fault in a cyclic
             mode; 0: none are (many hosts let SYNC rest between two streams).
         sync_lost_code: its error code; FF64h is Kollmorgen's (MKD and P7000, "Sync not received").
+        switches: digital inputs along the output, in increments of the encoder.
+        index_count: where, within a turn, its index pulse is; None: nowhere.
     """
 
     node_id: int
@@ -122,6 +127,8 @@ class DriveSettings:
     quirks: Quirks = field(default_factory=dict)
     sync_lost_periods: int = SYNC_LOST_PERIODS
     sync_lost_code: int = SYNC_LOST_CODE
+    switches: tuple[Switch, ...] = ()
+    index_count: int | None = 0
 
 
 def read_settings(table: Mapping[str, object], folder: Path, stream: str = "") -> DriveSettings:
@@ -143,6 +150,7 @@ def read_settings(table: Mapping[str, object], folder: Path, stream: str = "") -
     boot_up_ns = duration_ns(timing, "boot_up_s", 0.3, ("timing",))
     cyclic = table_in(table, "cyclic")
     refuse_unknown(cyclic, _CYCLIC_KEYS, ("cyclic",))
+    switches, index_count = switches_in(table_in(table, "switches"), plant)
     return DriveSettings(
         node_id=node_id,
         eds=eds_in(table, folder, OWN_EDS),
@@ -165,6 +173,8 @@ def read_settings(table: Mapping[str, object], folder: Path, stream: str = "") -
         quirks=quirks,
         sync_lost_periods=_whole(cyclic, "sync_lost_periods", SYNC_LOST_PERIODS, 0, 1000),
         sync_lost_code=_whole(cyclic, "sync_lost_code", SYNC_LOST_CODE, 1, 0xFFFF),
+        switches=switches,
+        index_count=index_count,
     )
 
 

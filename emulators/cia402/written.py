@@ -18,6 +18,7 @@ GAINS: Final = 512
 OFFSETS: Final = 1024
 IP_DATA: Final = 2048
 MOTION_LIMITS: Final = 4096
+TOUCH_PROBE: Final = 1 << 20
 
 # index, sub-index, what it counts as when written
 _WATCHED: Final = (

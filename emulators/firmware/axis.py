@@ -5,37 +5,30 @@ before `now_ns`; commands take effect at the tick after it; `next_event_ns` says
 What the readings are never depends on who looked, or when, or how often.
 
 Positions are increments of the encoder. Tick k is at k * tick_ns.
-
-One module, and long, because everything that can be done to an axis is on one page.
 """
 
 from typing import Final, final
 
-from emulators.firmware import extras_servo, profile, servo
-from emulators.firmware.axis_readings import AxisReadings
-from emulators.firmware.extras_tables import Conditions, extras_tables
+from emulators.firmware import profile, servo
+from emulators.firmware.axis_settings import NEVER, AxisSettings
 from emulators.firmware.flags import (
     CURRENT_REACHED,
     IN_TARGET_WINDOW,
     IN_VELOCITY_WINDOW,
-    OUTSIDE_GATE,
     PROFILE_ACTIVE,
 )
 from emulators.firmware.gains import ServoGains
-from emulators.firmware.servo_tables import tables_of
-from emulators.firmware.timeline import Timeline
-from emulators.firmware.windows import default_windows, in_a_row, with_gate
 from emulators.plant.dc_motor import MotorPlant
 
-_NEVER: Final = -1.0
-_NONE: Final = 1e300  # a threshold that is never reached
+_BACKWARD: Final = 1
+_FORWARD: Final = 2
 _CURRENT_WINDOW: Final = 0.05  # of the plant's current: as near as it must come to be reached
 
 _NO_SPEED: Final = 1e300  # a velocity that no motor has
 
 
 @final
-class Axis(AxisReadings):
+class Axis(AxisSettings):
     """One motor with everything a drive's firmware does to it; sans-I/O, no clock.
 
     What it shows, and when, is told in emulators.firmware.axis_readings; how it stays lazy and
@@ -51,34 +44,11 @@ class Axis(AxisReadings):
         initial_position_inc: int = 0,
         clock_rate: float = 1.0,
     ) -> None:
-        if tick_ns < 1 or current_steps < 1 or tick_ns % current_steps:
-            raise ValueError(f"tick_ns = {tick_ns} does not hold {current_steps} equal steps")
-        self._current_steps: Final = current_steps
-        self._clock_rate: Final = clock_rate
-        self._current_max_a: Final = plant.current_max_a
-        self._limits_a = (plant.current_max_a, plant.current_max_a)  # forwards, backwards
-        self._windows: servo.Windows = default_windows(tick_ns)
+        super().__init__(plant, gains, tick_ns, current_steps, initial_position_inc, clock_rate)
         self._profile_tick = 0  # at which the profile's time is 0
-        standing: servo.Orders = (
-            *(servo.OFF, 0, _NEVER, profile.hold(float(initial_position_inc))),
-            *(False, 0.0, 0.0, plant.current_max_a, plant.current_max_a),
-        )
-        self._orders: servo.Orders = standing
-        tables = tables_of(plant, gains, tick_ns, current_steps, clock_rate)
-        extras = extras_tables(plant, gains, tables.tick, tick_ns, current_steps, clock_rate)
-        state = servo.standing(float(initial_position_inc))
-        if extras is not None:
-            state = extras_servo.standing(extras, float(initial_position_inc), plant.supply_v)
-        conditions: Conditions = (
-            *(plant.load_torque_n_m / plant.gear_ratio, plant.supply_v),
-            *(_NONE, -_NONE, _NONE, _NONE, _NONE, -_NONE, _NONE),
-        )
-        time = Timeline(
-            *(tables, plant.load_torque_n_m, self._windows, standing, state, extras, conditions)
-        )
-        super().__init__(plant, tick_ns, time, standing[3], conditions)
-        self._gains: ServoGains = gains
-        self._is_shorted: bool = False
+        self._way = 0.0  # its sign says where the last command leads
+        self._barred = 0  # ways in which no command may lead
+        self._bar_slower = 0.0
         self._fed_a: float = 0.0  # of the velocity loop's integrator, what `feed_current` put there
 
     # --- commands, from the tick after the last at() ----------------------------------------------
@@ -123,6 +93,8 @@ class Axis(AxisReadings):
             self._begin(pieces, profile.FOREVER, True, 0.0)
             return
         target = float(target_inc - self._offset_inc)
+        if self._is_barred(target - position):
+            return
         pieces = profile.move(position, velocity, target, speed_max, faster, slower)
         self._begin(pieces, profile.duration_ticks(pieces), True, 0.0)
 
@@ -139,6 +111,8 @@ class Axis(AxisReadings):
         faster = self._per_tick2(acceleration_inc_s2)
         slower = self._per_tick2(deceleration_inc_s2)
         wanted = velocity_inc_s * self._tick_s
+        if self._is_barred(wanted):
+            return
         pieces = profile.ramp(position, velocity, wanted, faster, slower)
         self._mode = servo.VELOCITY
         self._begin(pieces, profile.duration_ticks(pieces), False, wanted)
@@ -153,6 +127,7 @@ class Axis(AxisReadings):
         position, velocity = self._start()
         slower = self._per_tick2(deceleration_inc_s2)
         pieces = profile.ramp(position, velocity, 0.0, slower, slower)
+        self._way = velocity
         self._mode = servo.POSITION
         self._begin(pieces, profile.duration_ticks(pieces), True, 0.0)
 
@@ -171,6 +146,8 @@ class Axis(AxisReadings):
         self._start()
         if not slope_a_s > 0.0 or target_a != target_a:
             raise ValueError(f"current {target_a} A at {slope_a_s} A/s: the slope must be > 0")
+        if self._is_barred(target_a):
+            return
         start_a = self._time.state[servo.I_WANTED]
         pieces = profile.current(
             start_a, target_a, slope_a_s * self._tick_s, speed_max_inc_s * self._tick_s
@@ -197,9 +174,11 @@ class Axis(AxisReadings):
         """
         position, _ = self._start()
         target = float(position_inc - self._offset_inc)
+        if self._is_barred(target - position):
+            return
         pieces = profile.line(position, target, over_ns / self._tick_ns)
         self._mode = servo.POSITION
-        self._begin(pieces, _NEVER, has_target, 0.0)
+        self._begin(pieces, NEVER, has_target, 0.0)
         if fed_velocity_inc_s != 0.0:
             fed = profile.fed(
                 pieces, self._gains.velocity_feedforward, fed_velocity_inc_s * self._tick_s
@@ -211,15 +190,19 @@ class Axis(AxisReadings):
         """Go evenly from the present velocity demand to this one, then keep it (csv)."""
         _, velocity = self._start()
         wanted = velocity_inc_s * self._tick_s
+        if self._is_barred(wanted):
+            return
         pieces = profile.velocity_line(velocity, wanted, over_ns / self._tick_ns)
         self._mode = servo.VELOCITY
-        self._begin(pieces, _NEVER, False, _NO_SPEED)
+        self._begin(pieces, NEVER, False, _NO_SPEED)
 
     def follow_current(
         self, current_a: float, over_ns: int, speed_max_inc_s: float = _NO_SPEED
     ) -> None:
         """Go evenly from the present current demand to this one, then keep it (cst)."""
         self._start()
+        if self._is_barred(current_a):
+            return
         start_a = self._time.state[servo.I_WANTED]
         if self._mode == servo.TORQUE:  # where the last one ends: its next tick's demand
             t = float(self._time.tick + 1 - self._profile_tick)
@@ -228,7 +211,7 @@ class Axis(AxisReadings):
         pieces = profile.current_line(start_a, current_a, over_ns / self._tick_ns, speed_max)
         self._mode = servo.TORQUE
         self._fed_a = 0.0
-        self._begin(pieces, _NEVER, False, 0.0)
+        self._begin(pieces, NEVER, False, 0.0)
 
     def feed_current(self, current_a: float) -> None:
         """From the next tick on the velocity loop's current is more by this; 0.0 ends it.
@@ -248,8 +231,9 @@ class Axis(AxisReadings):
         `stands` says when; until the next command the velocity loop then keeps it there.
         """
         self._start()
+        self._way = 0.0
         self._mode = servo.VELOCITY
-        self._begin(profile.hold(0.0), _NEVER, False, _NO_SPEED)
+        self._begin(profile.hold(0.0), NEVER, False, _NO_SPEED)
         state = self._time.state
         self._fed_a = 0.0
         self._time.order(self._orders, (*state[:5], 0.0, *state[6:]))
@@ -268,153 +252,21 @@ class Axis(AxisReadings):
         self._mode = servo.POSITION
         self._hold((position + 0.5) // 1.0)
 
-    def set_windows(
-        self,
-        *,
-        target_window_inc: int | None = None,
-        target_window_ns: int | None = None,
-        following_window_inc: int | None = None,
-        following_window_ns: int | None = None,
-        velocity_window_inc_s: float | None = None,
-        velocity_window_ns: int | None = None,
-        velocity_threshold_inc_s: float | None = None,
-        velocity_threshold_ns: int | None = None,
-    ) -> None:
-        """The flags' windows and how long they must hold; None leaves one as it was.
+    def bar(self, backward: bool, forward: bool, deceleration_inc_s2: float) -> None:
+        """Motion that leads into a barred way ends now, on a ramp; new commands into it only brake.
 
-        A flag changes at the first tick at which its condition has held for the time. To switch a
-        window off, make it huge.
-        """
-        w = self._windows
-        tick_ns, tick_s = self._tick_ns, self._tick_s
-        windows = (
-            w[0] if target_window_inc is None else float(target_window_inc),
-            w[1] if following_window_inc is None else float(following_window_inc),
-            w[2] if velocity_threshold_inc_s is None else velocity_threshold_inc_s * tick_s,
-            w[3] if velocity_window_inc_s is None else velocity_window_inc_s * tick_s,
-            in_a_row(target_window_ns, w[4], tick_ns),
-            in_a_row(following_window_ns, w[5], tick_ns),
-            in_a_row(velocity_threshold_ns, w[6], tick_ns),
-            in_a_row(velocity_window_ns, w[7], tick_ns),
-            *w[8:],
-        )
-        if windows != w:
-            self._windows = windows
-            self._time.set_windows(windows)
-
-    def set_gate(self, low: float, high: float, output_low: float, output_high: float) -> None:
-        """From now on OUTSIDE_GATE says that a count has left its range, and at which tick.
-
-        Inside is low <= count() < high together with output_low <= output_count() < output_high.
-        At the present tick the flag is off; it is exact from the next one on.
-        """
-        time = self._time
-        conditions = self._conditions
-        if self._has_extras:
-            windows = with_gate(self._windows, low, high)
-            conditions = (*conditions[:7], output_low, output_high)
-        else:
-            windows = with_gate(self._windows, max(low, output_low), min(high, output_high))
-        if (
-            windows == self._windows
-            and conditions == self._conditions
-            and not self.flags & OUTSIDE_GATE
-        ):
-            return
-        self._set_conditions(conditions)
-        self._windows = windows
-        time.set_windows(windows)
-        self.flags &= ~OUTSIDE_GATE
-        time.order(self._orders, (*time.state[:14], self.flags, *time.state[15:]))
-
-    def set_load(self, torque_n_m: float) -> None:
-        """The load's torque at the output; positive turns towards negative positions."""
-        if torque_n_m != self._load_torque_n_m:
-            self._load_torque_n_m = torque_n_m
-            if self._has_extras:
-                self._set_conditions((torque_n_m / self._gear_ratio, *self._conditions[1:]))
-            else:
-                self._time.set_load(torque_n_m)
-
-    def set_supply(self, supply_v: float) -> None:
-        """The supply's own voltage from now on; it needs a plant with extras.
+        Where it ends is held, and is no target: IN_TARGET_WINDOW stays off.
 
         Raises:
-            ValueError: the plant has none, or the voltage is not > 0.
+            ValueError: deceleration <= 0.
         """
-        if not self._has_extras or not supply_v > 0.0:
-            raise ValueError(
-                f"supply_v = {supply_v} V: must be > 0, and the plant's source_resistance_ohm too"
-            )
-        self._set_conditions((self._conditions[0], supply_v, *self._conditions[2:]))
-
-    def set_thresholds(
-        self,
-        *,
-        over_voltage_v: float | None = None,
-        under_voltage_v: float | None = None,
-        over_temperature_c: float | None = None,
-        temperature_warning_c: float | None = None,
-        i2t_warning: float | None = None,
-    ) -> None:
-        """Where the flags of a plant with extras come; None leaves one as it was (first: never).
-
-        They come and go at the tick at which it is so; nothing is latched, and nothing happens to
-        the motor. Voltage is looked at in every tick, heat and I2t every 20 ms. Without the part of
-        the plant that a threshold is about its flag never comes.
-        """
-        c = self._conditions
-        self._set_conditions(
-            (
-                *(c[0], c[1]),
-                c[2] if over_voltage_v is None else over_voltage_v,
-                c[3] if under_voltage_v is None else under_voltage_v,
-                c[4] if over_temperature_c is None else over_temperature_c,
-                c[5] if temperature_warning_c is None else temperature_warning_c,
-                c[6] if i2t_warning is None else i2t_warning,
-                *(c[7], c[8]),
-            )
-        )
-
-    def set_gains(self, gains: ServoGains) -> None:
-        """The servo's gains from the next tick on; currents and voltages go on without a jump.
-
-        Raises:
-            ValueError: the gains make the current loop unstable; the old ones stay.
-        """
-        self._step_with(gains.shorted(self._plant) if self._is_shorted else gains)
-        self._gains = gains
-
-    def set_current_limit(self, current_a: float, backward_a: float | None = None) -> None:
-        """No loop asks for more than this (None: either way), nor than the plant's current_max_a.
-
-        Raises:
-            ValueError: one is < 0.
-        """
-        back_a = current_a if backward_a is None else backward_a
-        if not (current_a >= 0.0 and back_a >= 0.0):
-            raise ValueError(f"current limits {current_a} and {back_a} A: must be >= 0")
-        self._limits_a = (min(current_a, self._current_max_a), min(back_a, self._current_max_a))
-        self._orders = (*self._orders[:7], *self._limits_a)
-        self._time.order(self._orders, self._time.state)
-
-    def set_position(self, position_inc: int, count: int | None = None) -> None:
-        """This count (None: the present one) is called `position_inc` from now on (homing).
-
-        Nothing moves.
-        """
-        self._time.commands += 1
-        self._offset_inc = position_inc - (self.count() if count is None else count)
+        self._bar_slower = self._per_tick2(deceleration_inc_s2)
+        self._barred = (_BACKWARD if backward else 0) | (_FORWARD if forward else 0)
+        moves = self.flags & PROFILE_ACTIVE or self._time.state[servo.I_DEMAND_VELOCITY] != 0.0
+        if self._mode != servo.OFF and (self._mode != servo.POSITION or moves):
+            self._is_barred(self._way)
 
     # --- inside ----------------------------------------------------------------------------------
-
-    def _step_with(self, gains: ServoGains) -> None:
-        tables = tables_of(self._plant, gains, self._tick_ns, self._current_steps, self._clock_rate)
-        extras = extras_tables(
-            *(self._plant, gains, tables.tick, self._tick_ns, self._current_steps),
-            self._clock_rate,
-        )
-        self._time.set_tables(tables, self._load_torque_n_m, extras)
 
     def _end_braking(self) -> None:
         self.is_braking = False
@@ -436,8 +288,19 @@ class Axis(AxisReadings):
             position = self._time.state[servo.I_COUNT] + velocity
         return position, velocity
 
+    def _is_barred(self, way: float) -> bool:
+        """Whether a command leads into a barred way; then it brakes instead."""
+        self._way = way
+        if not self._barred & (_FORWARD if way > 0.0 else _BACKWARD if way < 0.0 else 0):
+            return False
+        position, velocity = self._start()
+        pieces = profile.ramp(position, velocity, 0.0, self._bar_slower, self._bar_slower)
+        self._mode = servo.POSITION
+        self._begin(pieces, profile.duration_ticks(pieces), False, 0.0)
+        return True
+
     def _hold(self, position: float) -> None:
-        self._begin(profile.hold(position), _NEVER, True, 0.0)
+        self._begin(profile.hold(position), NEVER, True, 0.0)
 
     def _begin(
         self, pieces: profile.Profile, active: float, has_target: bool, run_velocity: float
@@ -458,11 +321,6 @@ class Axis(AxisReadings):
         state = (*state[:14], flags, 0, state[16], state[17], 0, state[19])
         self._time.order(self._orders, state)
         self.flags = flags
-
-    def _set_conditions(self, conditions: Conditions) -> None:
-        if conditions != self._conditions:
-            self._conditions = conditions
-            self._time.set_conditions(conditions)
 
     def _per_tick2(self, size_inc_s2: float) -> float:
         if not size_inc_s2 > 0.0:

@@ -14,6 +14,7 @@ from emulators import modbus_drive
 from emulators.cia401 import settings as node_settings
 from emulators.cia402 import settings as drive_settings
 from emulators.cia402.quirk_catalogue import CATALOGUE
+from emulators.cia402.switch_settings import SWITCH_KEYS
 from emulators.media.faults import FaultKind
 from emulators.plant.dc_motor import RANGES, MotorPlant
 from emulators.plant.extras import EXTRAS, NO_EXTRAS
@@ -111,6 +112,7 @@ def test_the_schema_knows_the_drives_own_keys():
         assert protection[key]["default"] == getattr(DEFAULT_PROTECTION, key)
         limits = (protection[key]["minimum"], protection[key]["maximum"])
         assert limits == TEMPERATURE_RANGE_C
+    assert tuple(drive["switches"]["properties"]) == SWITCH_KEYS
     assert drive["plant"] == {"$ref": "#/$defs/plant"}
     assert drive["supported_modes"]["items"]["enum"] == list(drive_settings.EMULATED_MODES)
 

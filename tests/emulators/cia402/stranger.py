@@ -40,6 +40,12 @@ VALUES: Final = {
     "supply_v": (),  # this plant's is as it is
 }
 """What physical inputs may be; those not named here are off or on."""
+PHYSICS: Final = tuple(
+    (name, value)
+    for name in STIMULI
+    if not name.startswith("digital_input_")  # they are read, and mean something to the host alone
+    for value in VALUES.get(name, (0, 1))
+)
 NORMAL: Final = {"power": 1, "encoder": 1, "device_temperature_c": 25.0}
 """What they are when all is well, where that is not 0."""
 
@@ -70,7 +76,7 @@ DEEDS: Final[tuple[tuple[str, tuple[Sequence[object], ...]], ...]] = (
     ("sync", ()),
     ("heartbeat", ()),
     ("stale reset", ()),
-    ("physics", (tuple((name, value) for name in STIMULI for value in VALUES.get(name, (0, 1))),)),
+    ("physics", (PHYSICS,)),
     ("wait", ((0.3, 1, 5, 21, 77),)),
     ("wait", ((0.3, 1, 5, 21, 77),)),
 )

@@ -21,7 +21,7 @@ SETS = [
 
 
 def applied(bench: Bench) -> ServoGains:
-    return bench.drive._power_drive._gains
+    return bench.drive._power_drive._servo._gains
 
 
 @pytest.mark.parametrize(("index", "subindex", "unit", "name"), SETS)

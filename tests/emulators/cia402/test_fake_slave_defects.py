@@ -169,7 +169,7 @@ def test_9_homing_takes_place_in_the_drives_time_and_can_fail():
     assert bench.statusword() & 0x3400 == 0x1400
     assert bench.read(0x6064) == 0
 
-    bench = moving(objects={"6098h": 7})  # a method without behaviour
+    bench = moving(objects={"6098h": 36})  # a method without behaviour
     bench.set(0x6060, 0, 6, 1)
     bench.controlword(0x1F)
     bench.run(1000 * MS)
@@ -199,7 +199,7 @@ def test_10_nothing_polls_and_nothing_is_left_to_chance():
 
 
 # Facts about the drive: they are read, and mean something to the host alone.
-CONSTANTS = {0x6402, 0x67FF, 0x6086}
+CONSTANTS = {0x60E3, 0x6402, 0x67FF, 0x6086}
 
 
 def test_11_every_object_of_our_file_has_a_behaviour():

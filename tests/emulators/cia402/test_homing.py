@@ -1,4 +1,7 @@
-"""Homing on the present position (35, 37). Statusword & 3400h: p402.py's Homing.STATES."""
+"""Homing on the present position (35, 37). Statusword & 3400h: p402.py's Homing.STATES.
+
+Over switches and index pulse: test_homing_methods.
+"""
 
 import pytest
 from canopen.profiles.p402 import Homing
@@ -109,13 +112,13 @@ def test_halt_interrupts(bench):
 
 
 def test_methods_that_have_no_behaviour_are_refused(bench):
-    for method in (0, 1, 17, 33, 34, 36, -1):
+    for method in (0, 15, 16, 31, 32, 36, -1):
         assert bench.write(0x6098, 0, method, 1) == 0x0609_0030
     assert bench.read(0x6098) == 37
 
 
 def test_a_method_the_file_brings_fails_as_a_homing_error():
-    bench = Bench(objects={"6098h": 7})
+    bench = Bench(objects={"6098h": 36})
     bench.enable(mode=6)
     bench.run(10 * MS)
     bench.controlword(0x1F)

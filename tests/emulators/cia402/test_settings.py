@@ -187,6 +187,27 @@ def test_numbers_arrive():
             {"quirks": {"stray_emcy": {"for_s": 1}}},
             "quirks.stray_emcy.for_s: is not known; ",
         ),
+        ({"switches": {"home": 1}}, "switches.home: is not known; did you mean home_from_rad?"),
+        ({"switches": {"home_to_rad": "x"}}, "switches.home_to_rad: 'x' is no number"),
+        (
+            {"switches": {"negative_limit_rad": 1.0, "positive_limit_rad": 1.0}},
+            "switches.positive_limit_rad: 1.0 rad is not above the negative limit switch; ",
+        ),
+        (
+            {"switches": {"home_from_rad": 1.0, "home_to_rad": 1.000001}},
+            "switches.home_to_rad: 1.000001 rad is not above home_from_rad; at least an increment "
+            "of 4.76e-05 rad",
+        ),
+        (
+            {"switches": {"positive_limit_rad": 1e8}},
+            "increments do not fit 32 bits; at most 102220 rad either way",
+        ),
+        ({"switches": {"index_rad": 7}}, "switches.index_rad: 7 is outside -6.28319..6.28319"),
+        ({"switches": {"index_pulse": 1}}, "switches.index_pulse: 1 is not true or false; "),
+        (
+            {"switches": {"index_pulse": False, "index_rad": 1}},
+            "switches.index_rad: the encoder has no index pulse; take one of them out",
+        ),
         ({"initial_position_rad": "x"}, "initial_position_rad: 'x' is no number"),
         ({"initial_position_rad": float("nan")}, "initial_position_rad: nan is outside -1e+09.."),
         (

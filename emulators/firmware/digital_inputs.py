@@ -1,0 +1,193 @@
+"""Digital inputs: switches along the output, the encoder's index pulse, and what is wired by hand.
+
+A switch is active over a range of the output's positions; where it changes is an edge of the plant
+and stays where it is, whatever positions are called. Nothing looks at switches while the motor is
+between two edges: the axis' gate names the first tick beyond one. `look` then tells which edges lay
+on the way, in their order, each with what the encoder counted at that place: the count latched is
+the edge's own, not that of the tick after.
+
+An edge at E lies where the count changes between E - 1 and E; either way it latches E.
+"""
+
+from typing import Final, final
+
+from emulators.firmware.axis import Axis
+
+# Bits of 60FDh (CiA 402-2, digital inputs). Bits 16 to 31 are the manufacturer's.
+NEGATIVE_LIMIT: Final = 0x01
+POSITIVE_LIMIT: Final = 0x02
+HOME_SWITCH: Final = 0x04
+INTERLOCK: Final = 0x08
+TOUCH_PROBE_1: Final = 1 << 16
+TOUCH_PROBE_2: Final = 1 << 17
+LIMITS: Final = NEGATIVE_LIMIT | POSITIVE_LIMIT
+INDEX_PULSE: Final = 1 << 32  # no bit of 60FDh: it is over before anybody could read it
+
+FAR: Final = 1 << 52  # no count gets there
+RELEASED: Final = -1
+_NO_GATE: Final = 1e300
+
+STIMULI: Final[dict[str, int]] = {
+    "negative_limit": NEGATIVE_LIMIT,
+    "positive_limit": POSITIVE_LIMIT,
+    "home": HOME_SWITCH,
+    "interlock": INTERLOCK,
+    "touch_probe_1": TOUCH_PROBE_1,
+    "touch_probe_2": TOUCH_PROBE_2,
+    **{f"digital_input_{bit}": 1 << bit for bit in range(18, 32)},
+}
+
+
+@final
+class Switch:
+    """Active for low <= output count < high; of two that share a bit, each makes it 1."""
+
+    def __init__(self, bit: int, low: int, high: int) -> None:
+        self.bit = bit
+        self.low = low
+        self.high = high
+
+
+@final
+class Edge:
+    """An input changed: which, into what, at which count, moving forwards or not."""
+
+    def __init__(self, bit: int, active: bool, count: int, forward: bool) -> None:
+        self.bit = bit
+        self.active = active
+        self.count = count
+        self.forward = forward
+
+
+@final
+class DigitalInputs:
+    """All inputs of one drive. Calls come after `axis.at(now_ns)`.
+
+    Attributes:
+        bits: what is active, as of the last `look`.
+        is_gated: whether the axis' flags matter because of an edge somewhere, power on or off.
+    """
+
+    def __init__(
+        self, axis: Axis, switches: tuple[Switch, ...], index_count: int | None, turn: int
+    ) -> None:
+        """`index_count`: an index pulse is at it and every `turn` counts from it; None: nowhere."""
+        self._axis = axis
+        self._switches = switches
+        self._index_count = index_count
+        self._turn = turn
+        self._index_users: int = 0
+        self._forced: int = 0  # bits that follow no switch but `_forced_bits`
+        self._forced_bits: int = 0
+        self._output_count: int = axis.output_count()
+        self._count: int = axis.count()
+        self.is_gated: bool = False
+        self.bits: int = self._bits_now()
+        self._set_gate()
+
+    def stimulate(self, name: str, value: float) -> list[Edge]:
+        """An input of STIMULI is 0 or 1 from now on, or, RELEASED (-1), follows its switch again.
+
+        Raises:
+            ValueError: the value is none of these.
+        """
+        if value not in (0, 1, RELEASED):
+            raise ValueError(f"{name} is 0 or 1, or {RELEASED} for its switch's own, not {value}")
+        seen = self.look()
+        bit = STIMULI[name]
+        if value == RELEASED:
+            self._forced &= ~bit
+        else:
+            self._forced |= bit
+        self._forced_bits = self._forced_bits & ~bit | (bit if value == 1 else 0)
+        return seen + self._settle()
+
+    def watch_index(self, on: bool) -> None:
+        """One more, or one less, wants edges of the index pulse."""
+        self._index_users += 1 if on else -1
+        self._set_gate()
+
+    def look(self) -> list[Edge]:
+        """What has changed since the last look, in the order in which it did."""
+        axis = self._axis
+        before, now = self._output_count, axis.output_count()
+        count_before, count = self._count, axis.count()
+        self._output_count = now
+        self._count = count
+        found: list[tuple[int, int, int, bool]] = []  # sorted by way, switches before the pulse
+        for switch in self._switches:
+            if switch.bit & self._forced:
+                continue
+            for place, rises in ((switch.low, True), (switch.high, False)):
+                if before < place <= now or now < place <= before:
+                    at = axis.count_when_output_was(place)
+                    active = rises == (now > before)
+                    found.append((at if now > before else -at, 0, switch.bit, active))
+        if self._index_users and self._index_count is not None:
+            low, high = min(count_before, count), max(count_before, count)
+            place = self._index_after(low)
+            while place <= high:
+                found.append((place if count > count_before else -place, 1, INDEX_PULSE, True))
+                place += self._turn
+        found.sort()
+        edges: list[Edge] = []
+        for at, _, bit, active in found:
+            forward = now > before if bit != INDEX_PULSE else count > count_before
+            edges.append(Edge(bit, active, at if forward else -at, forward))
+        return edges + self._settle(edges)
+
+    def _settle(self, told: list[Edge] | None = None) -> list[Edge]:
+        """Bits and gate are those of now; edges of what changed by hand."""
+        before = self.bits
+        for edge in told or ():
+            before = before | edge.bit if edge.active else before & ~edge.bit
+        self.bits = self._bits_now()
+        changed = (before ^ self.bits) & ~INDEX_PULSE
+        edges: list[Edge] = []
+        while changed:
+            bit = changed & -changed
+            changed ^= bit
+            forward = self._axis.velocity_inc_s() >= 0.0
+            edges.append(Edge(bit, self.bits & bit != 0, self._count, forward))
+        self._set_gate()
+        return edges
+
+    def _bits_now(self) -> int:
+        bits = self._forced_bits
+        for switch in self._switches:
+            if not switch.bit & self._forced and switch.low <= self._output_count < switch.high:
+                bits |= switch.bit
+        return bits
+
+    def _set_gate(self) -> None:
+        """The axis tells when the next edge, either way, has been passed."""
+        place = self._output_count
+        below, above = -FAR, FAR
+        for switch in self._switches:
+            if switch.bit & self._forced:
+                continue
+            for edge in (switch.low, switch.high):
+                if edge <= place:
+                    below = max(below, edge)
+                else:
+                    above = min(above, edge)
+        index_low, index_high = -_NO_GATE, _NO_GATE
+        if self._index_users and self._index_count is not None:
+            index_high = float(self._index_after(self._count))
+            index_low = index_high - self._turn
+        was_gated = self.is_gated
+        self.is_gated = below > -FAR or above < FAR or index_high < _NO_GATE
+        if self.is_gated or was_gated:
+            self._axis.set_gate(
+                index_low,
+                index_high,
+                float(below) if below > -FAR else -_NO_GATE,
+                float(above) if above < FAR else _NO_GATE,
+            )
+
+    def _index_after(self, count: int) -> int:
+        """The first index pulse whose place is above this count."""
+        index = self._index_count
+        if index is None:
+            return FAR
+        return index + ((count - index) // self._turn + 1) * self._turn
