@@ -166,7 +166,7 @@ class PowerDrive:
     def settle(self, now_ns: int) -> None:
         """Whatever has become due by now, or shows in the axis' flags, is done."""
         flags = self._axis.flags
-        if flags & f.OF_EXTRAS != self.standing.seen:
+        if self.is_watched and flags & f.OF_EXTRAS != self.standing.seen:
             is_on = self.fsa.state in _RUNNING_STATES
             for code in self.standing.see(flags & f.OF_EXTRAS, is_on):
                 if self.fsa.state is not PdsState.NOT_READY_TO_SWITCH_ON:
