@@ -20,9 +20,10 @@ from emulators.plant.oscillator import Oscillator
 from emulators.plant.presets import PRESETS
 
 DEFAULT_PRESET: Final = "wheel_60w"
-OSCILLATOR_KEYS: Final = ("ppm", "ppm_max", "phase_s", "phase_max_s")
+OSCILLATOR_KEYS: Final = ("ppm", "ppm_max", "phase_s", "phase_max_s", "jitter_s")
 PPM_MAX: Final = 100_000.0
 PHASE_MAX_S: Final = 1.0
+JITTER_MAX_S: Final = 0.1
 
 _NS_PER_S: Final = 1_000_000_000
 _OPTIONAL: Final[dict[str, float]] = {
@@ -118,7 +119,9 @@ def oscillator_in(table: Mapping[str, object], stream: str) -> Oscillator:
         ppm = ppm_max * (2.0 * _drawn(f"{stream}:oscillator:ppm") - 1.0)
     if phase_max_s:
         phase_s = phase_max_s * _drawn(f"{stream}:oscillator:phase")
-    return Oscillator(round(ppm * 1e6), round(phase_s * _NS_PER_S))
+    jitter_ns = duration_ns(own, "jitter_s", 0.0, path, 0, JITTER_MAX_S)
+    jitter_seed = int(_drawn(f"{stream}:oscillator:jitter") * 2.0**53) if jitter_ns else 0
+    return Oscillator(round(ppm * 1e6), round(phase_s * _NS_PER_S), jitter_ns, jitter_seed)
 
 
 def _drawn(stream: str) -> float:

@@ -13,6 +13,7 @@ from emulators.cia402.drive import Cia402Drive
 from emulators.cia402.quirky_wire import QuirkyWire
 from emulators.cia402.settings import DriveSettings
 from emulators.controller import Controller
+from emulators.firmware.late_wakes import LateWakes
 from emulators.firmware.own_time import OwnTime
 from harness.rig_file import MotorDescription, RigDescription
 
@@ -41,7 +42,7 @@ def with_timing(
     if not asked:
         return settings, ""
     core = controller
-    while isinstance(core, OwnTime | QuirkyWire):
+    while isinstance(core, OwnTime | LateWakes | QuirkyWire):
         core = core.inner
     if motor.adaptation != _KIND or motor.controller is None or not isinstance(core, Cia402Drive):
         raise description.error(

@@ -9,6 +9,7 @@ from collections.abc import Mapping, Sequence
 from typing import Final, final
 
 from emulators.controller import Controller
+from emulators.firmware.late_wakes import LateWakes
 from emulators.plant.oscillator import ONE, Oscillator
 
 _UNKNOWN: Final = -1
@@ -90,5 +91,7 @@ class OwnTime:
 
 
 def on_own_time(controller: Controller, oscillator: Oscillator) -> Controller:
-    """The controller with such a clock: as it is, where the clock shows the true time."""
-    return controller if oscillator.is_ideal() else OwnTime(controller, oscillator)
+    """The controller with such a clock: as it is, where the clock has nothing wrong with it."""
+    if oscillator.jitter_ns:
+        controller = LateWakes(controller, oscillator.jitter_ns, oscillator.jitter_seed)
+    return controller if oscillator.shows_true_time() else OwnTime(controller, oscillator)

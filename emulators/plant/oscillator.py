@@ -21,13 +21,21 @@ class Oscillator:
     Attributes:
         error_1e12: how much faster than true it runs, in 1e-12; negative: slower. Above -1e12.
         phase_ns: what it shows at true time 0 [ns]; grids such as the servo's start from its 0.
+        jitter_ns: by how much its timers fire late at most; see emulators.firmware.late_wakes.
+        jitter_seed: from which each lateness follows.
     """
 
     error_1e12: int = 0
     phase_ns: int = 0
+    jitter_ns: int = 0
+    jitter_seed: int = 0
 
     def is_ideal(self) -> bool:
-        """Whether it shows the true time."""
+        """Whether it shows the true time, and its timers fire in time."""
+        return self.shows_true_time() and not self.jitter_ns
+
+    def shows_true_time(self) -> bool:
+        """Whether there is nothing to translate."""
         return not self.error_1e12 and not self.phase_ns
 
     def rate(self) -> float:
@@ -53,6 +61,8 @@ class Oscillator:
             words.append(f"runs {abs(self.error_1e12) / 1e6:g} ppm {side}")
         if self.phase_ns:
             words.append(f"began at {self.phase_ns / 1e6:g} ms")
+        if self.jitter_ns:
+            words.append(f"wakes it up to {self.jitter_ns / 1e6:g} ms late")
         return f"its own clock {' and '.join(words) or 'shows the true time'}"
 
 

@@ -28,7 +28,7 @@ from emulators.protection_settings import (
     TEMPERATURE_RANGE_C,
     VOLTAGE_RANGE_V,
 )
-from emulators.setting_tables import OSCILLATOR_KEYS, PHASE_MAX_S, PPM_MAX
+from emulators.setting_tables import JITTER_MAX_S, OSCILLATOR_KEYS, PHASE_MAX_S, PPM_MAX
 from harness import rig_buses, rig_faults, rig_file, rig_line_faults, rig_stimuli
 from harness.plugins import ADAPTATIONS, installed
 from harness.rig import installed_plugins
@@ -135,6 +135,7 @@ def test_the_schema_knows_the_keys_of_a_controllers_own_clock():
     assert (clock["ppm_max"]["minimum"], clock["ppm_max"]["maximum"]) == (0, PPM_MAX)
     for key in ("phase_s", "phase_max_s"):
         assert (clock[key]["minimum"], clock[key]["maximum"]) == (0, PHASE_MAX_S)
+    assert (clock["jitter_s"]["minimum"], clock["jitter_s"]["maximum"]) == (0, JITTER_MAX_S)
     for kind in ("cia401", "cia402"):
         assert DEFS[kind]["properties"]["oscillator"] == {"$ref": "#/$defs/oscillator"}
 
@@ -148,7 +149,8 @@ def test_the_schema_knows_the_keys_of_a_controllers_own_clock():
         ("ppm_max = 100\nphase_s = 0.001", True),
         ("ppm = 1\nppm_max = 1", False),
         ("phase_s = 0\nphase_max_s = 0.001", False),
-        ("jitter_s = 0.001", False),
+        ("jitter_s = 0.001", True),
+        ("jitter_s = -0.001", False),
     ],
 )
 def test_the_schema_accepts_the_clocks_that_a_drive_does(keys, accepted):
