@@ -5,6 +5,7 @@ BIN := $(VENV)/bin
 READY := $(VENV)/.ready
 
 COMPILED := .venv-compiled
+OPTIMISE := 2
 PACKAGES := motorapi emulators traces harness
 # Two are enough: the tests that go by the wall, one after another, are half of all (tests/conftest.py).
 WORKERS := -n auto --maxprocesses 2 --dist loadgroup
@@ -41,7 +42,7 @@ $(READY): requirements.lock pyproject.toml
 
 compiled: $(READY)  ## the hot cores as C extensions, in an environment of their own
 	@digest=$$(find $(PACKAGES) setup.py pyproject.toml requirements.lock -type f ! -name '*.pyc' \
-	    -exec sha256sum {} + | LC_ALL=C sort | sha256sum); \
+	    -exec sha256sum {} + | LC_ALL=C sort | sha256sum)$(OPTIMISE); \
 	if [ "$$(cat $(COMPILED)/.source 2>/dev/null)" != "$$digest" ]; then \
 	    $(MAKE) --no-print-directory build-compiled && echo "$$digest" > $(COMPILED)/.source; fi
 
@@ -51,14 +52,14 @@ COPIED := $(PACKAGES) pyproject.toml setup.py README.md LICENSE
 PURELIB := import sysconfig; print(sysconfig.get_path('purelib'))
 build-compiled: $(READY)
 	@mkdir -p build/compiled; \
-	names=$$( (find $(PACKAGES) -name '*.py' | LC_ALL=C sort; cat setup.py) | sha256sum); \
+	names=$$( (find $(PACKAGES) -name '*.py' | LC_ALL=C sort; cat setup.py; echo $(OPTIMISE)) | sha256sum); \
 	if [ "$$(cat build/compiled/.names 2>/dev/null)" != "$$names" ]; then \
 	    rm -rf build/compiled && mkdir -p build/compiled && echo "$$names" > build/compiled/.names; fi
 	cd build/compiled && rm -rf $(COPIED) && find . -path './build/*' -name '*.py' -delete
 	cp -r $(COPIED) build/compiled/
 	rm -rf $(COMPILED) && $(PYTHON) -m venv --without-pip $(COMPILED)
 	$(BIN)/python -c "$(PURELIB)" > "$$($(COMPILED)/bin/python -c "$(PURELIB)")/dependencies.pth"
-	cd build/compiled && MOTORHIL_COMPILE=1 ../../$(COMPILED)/bin/python -m pip install --quiet \
+	cd build/compiled && MOTORHIL_COMPILE=1 MOTORHIL_OPTIMISE=$(OPTIMISE) ../../$(COMPILED)/bin/python -m pip install --quiet \
 	    --disable-pip-version-check --no-deps --no-build-isolation --ignore-installed .
 
 test-compiled: compiled  ## the tests again, against the compiled cores

@@ -66,7 +66,8 @@ def extensions() -> list[object]:
 
     # One rounding per operation, on every machine: or the digest would depend on the processor.
     os.environ["CFLAGS"] = os.environ.get("CFLAGS", "") + " -ffp-contract=off"
-    return list(mypycify(["--config-file=", *hot_modules()], opt_level="2", debug_level="0"))
+    level = os.environ.get("MOTORHIL_OPTIMISE", "2")
+    return list(mypycify(["--config-file=", *hot_modules()], opt_level=level, debug_level="0"))
 
 
 setup(ext_modules=extensions())
