@@ -58,17 +58,18 @@ def test_an_upload_in_segments_byte_by_byte(wire):
         ("605#2F00200000000000", 0x0602_0000),
         ("605#2B7A600001000000", 0x0607_0013),  # two bytes for INTEGER32
         ("605#2340600006000000", 0x0607_0012),  # four for UNSIGNED16
-        ("605#2F60600007000000", 0x0609_0030),  # a mode that 6502h does not name
-        ("605#2B5A600007000000", 0x0609_0031),  # above the high limit
-        ("605#2B5D600000000000", 0x0609_0032),  # below the low limit
-        ("605#2B5A600003000000", 0x0609_0030),  # within them, not built
+        ("605#2F60600002000000", 0x0609_0030),  # a mode that 6502h does not name
+        ("605#2B86600001000000", 0x0609_0031),  # above the high limit
+        ("605#2B866000FFFF0000", 0x0609_0032),  # below the low limit
+        ("605#2B5A600009000000", 0x0609_0030),  # the standard names no such option
+        ("605#2B5D600000000000", 0x0609_0030),
         ("605#2F03100001000000", 0x0609_0030),  # the history takes only 0
         ("605#4003100100000000", 0x0800_0024),  # no error so far
         ("605#2F00160001000000", 0x0601_0000),  # a PDO that exists keeps its mapping
         ("605#2F021400FB000000", 0x0601_0002),  # sub-index 0 of 1402h is no transmission type
         ("605#2F021402FB000000", 0x0609_0030),  # 251 is reserved
         ("605#23001401E1010000", 0x0609_0030),  # another identifier while it exists
-        ("605#2305100080000040", 0x0609_0030),  # it produces no SYNC
+        ("605#2305100080000020", 0x0609_0030),  # 29 bits: it has base frames only
         ("605#A018100100000000", 0x0504_0002),  # block upload in blocks of 0
         ("605#C218100104000000", 0x0601_0002),  # block download to what is read only
         ("605#E000000000000000", 0x0504_0001),  # no command specifier at all

@@ -53,7 +53,10 @@ def test_a_drive_that_still_boots_is_waited_for_and_brought_up(rig: Rig):
         Mode.PROFILE_VELOCITY,
         Mode.PROFILE_TORQUE,
         Mode.HOMING,
+        Mode.INTERPOLATED_POSITION,
         Mode.CYCLIC_SYNC_POSITION,
+        Mode.CYCLIC_SYNC_VELOCITY,
+        Mode.CYCLIC_SYNC_TORQUE,
     }
     assert facts.control_id == 0x201
     assert facts.latched_ids == {0x607A: 0x301, 0x60FF: 0x401}

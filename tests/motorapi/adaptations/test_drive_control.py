@@ -168,10 +168,8 @@ def test_a_mode_that_6061h_does_not_confirm_is_an_error(rig: Rig, monkeypatch: p
 def test_a_mode_the_drive_does_not_name_is_refused_before_anything_is_sent(rig: Rig):
     hw = ready(rig)
     words = written_to_left(rig)
-    with pytest.raises(
-        UnsupportedError, match="mode INTERPOLATED_POSITION; it supports PROFILE_POSITION"
-    ):
-        hw.set_mode(Mode.INTERPOLATED_POSITION)
+    with pytest.raises(UnsupportedError, match="mode VELOCITY; it supports PROFILE_POSITION"):
+        hw.set_mode(Mode.VELOCITY)
     assert words == []
     hw.close()
 
