@@ -48,9 +48,8 @@ class Bench:
     def run_until(self, time_ns: int) -> None:
         due = self.drive.next_deadline_ns()
         while due is not None and due <= time_ns:
-            assert due >= self.now, "a deadline in the past"
-            self.now = due
-            self.drive.expire(due)
+            self.now = max(due, self.now)  # one already past means now, as in the event queue
+            self.drive.expire(self.now)
             self._drain()
             due = self.drive.next_deadline_ns()
             assert due is None or due > self.now, "expire left its deadline where it was"

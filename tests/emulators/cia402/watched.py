@@ -30,10 +30,11 @@ NEW_SET_POINT = 0x0010
 HEARTBEAT_LOST = 0x8130
 PP, PV, HM, CSP = 1, 3, 6, 8
 RAMPS = (0x6083, 0x6084, 0x6085, 0x60C5, 0x60C6)
+SETTLED = 3
+"""Ticks until a regime's demand is its own: the loop that hands over has still moved the motor."""
 ROUNDED = 2
 """Whole increments of one tick, against those of the tick before."""
 
-BRAKING = (By.SWITCH_ON, By.SHUTDOWN)  # 605Ch and 605Bh may have the motor braked first
 LOST_CONNECTION = {1: By.FAULT, 2: By.DISABLE_VOLTAGE, 3: By.QUICK_STOP}  # 6007h
 
 
@@ -60,7 +61,7 @@ class Watched(Bench):
         drive = new_drive(**settings)
         self._od = drive.od
         self.controlword_now = drive.od.integer(0x6040, 0, 0)
-        self._given: By | None = None  # the last command of a controlword that held one
+        self._standing = command_in(self.controlword_now)  # the last one, may it take its time
         self._listen_to_controlwords(drive)
         statusword, error_code = drive.od.get(0x6041), drive.od.get(0x603F)
         assert statusword is not None
@@ -74,6 +75,7 @@ class Watched(Bench):
         self._truth: object = None
         self._sampled_ns = -1
         self._demand = 0.0
+        self._ramp = float("inf")  # the slowest that ever stood: one under way may be older
         self._steps: list[float] = []  # in this regime: how many increments in each tick
         self._regime: tuple[Any, ...] = ()
         self._is_fresh = False  # the regime is younger than a tick
@@ -187,13 +189,10 @@ class Watched(Bench):
             assert arrived == self._expected, f"controlwords {arrived} came of {self._expected}"
             self._expected = []
         commands = commands_of(self.controlword_now, arrived)
-        standing = command_in(self.controlword_now)
-        if standing is None and before is State.OPERATION_ENABLED and self._given in BRAKING:
-            standing = self._given  # bit 7 commands nothing here: what brakes first goes on
-        if arrived:
-            self.controlword_now = arrived[-1]
-            for word in arrived:
-                self._given = command_in(word) or self._given
+        standing = self._standing
+        for word in arrived:
+            self.controlword_now = word
+            self._standing = command_in(word) or self._standing
         if before is state and not (self._is_reset or commands):
             return
         error_code = self._error_code.read()
@@ -215,6 +214,7 @@ class Watched(Bench):
             assert error_code == 0, f"error code {error_code:04X}h in {state.name}"
         if self._is_reset:
             self.controlword_now = self._od.integer(0x6040, 0, 0)
+            self._standing = command_in(self.controlword_now)
         self.taken.update(taken)
         self.visited.add(state)
         self.state = state
@@ -263,7 +263,8 @@ class Watched(Bench):
         is_halted = bool(self.controlword_now & HALT)
         reached = bool(word & TARGET_REACHED)
         bits = self.controlword_now & 0x0370
-        limits = (self._fastest_inc(), self._slowest_ramp_inc())
+        self._ramp = min(self._ramp, self._slowest_ramp_inc())
+        limits = (self._fastest_inc(), self._ramp)
         regime = (state, mode, is_halted, self._asked, reached, bits, limits)
         if regime != self._regime:
             self._regime = regime
@@ -300,13 +301,13 @@ class Watched(Bench):
             return
         if stands:
             assert step == 0, f"reached, and moves on: {where}"
-        if self._steps:
-            entry, least = self._steps[0], min(self._steps)
+        if len(self._steps) >= SETTLED:
+            entry, least = max(self._steps[:SETTLED]), min(self._steps)
             if brakes:
                 assert size <= least + ROUNDED, f"faster instead of slower: {where}"
-                slower = max(0.0, entry - ramp * len(self._steps))
+                slower = max(0.0, entry - ramp * (len(self._steps) - SETTLED))
                 assert size <= slower + ROUNDED, f"slower by less than a ramp: {where}"
-                way = (entry + 1) ** 2 / (2 * ramp) if ramp else float("inf")
+                way = SETTLED * entry + (entry + 1) ** 2 / (2 * ramp) if ramp else float("inf")
                 assert sum(self._steps) <= way + ROUNDED, f"farther than it brakes: {where}"
             pushed = mode == PV and self.inputs.get("load_torque_n_m")  # its demand is the actual
             if mode in (PP, PV) and not pushed:
