@@ -125,8 +125,8 @@ class EmcyProducer:
             self._emit(ERROR_RESET, b"", now_ns)
 
     def expire(self, now_ns: int) -> None:
-        """The inhibit time is over: the next one that waits goes out."""
-        if self._waiting:
+        """The inhibit time is over: the next one that waits goes out; without one, all do."""
+        while self._waiting and self._sent_ns + self._inhibit_ns <= now_ns:
             self._outbox.frames.append(self._waiting.popleft())
             self._sent_ns = now_ns
         self._move()
@@ -180,7 +180,7 @@ class EmcyProducer:
         self._tell_register(now_ns)
 
     def _send(self, frame: bytes, now_ns: int) -> None:
-        if not self._inhibit_ns:
+        if not self._inhibit_ns and not self._waiting:
             self._outbox.frames.append(frame)
             return
         if not self._waiting and self._sent_ns + self._inhibit_ns <= now_ns:

@@ -151,6 +151,18 @@ def test_emcys_that_wait_are_forgotten_when_the_node_is_stopped():
     assert bench.node.next_deadline_ns() is None
 
 
+def test_emcys_that_wait_go_out_in_their_order_when_the_inhibit_time_is_taken_away():
+    bench = inhibited(100)
+    errors(bench, 0x8611, 0x7300, 0x3210)
+    bench.frames()
+    bench.tell(0x602, "2B 15 10 00 00 00 00 00")
+    errors(bench, 0x1001)  # in that instant
+    bench.wait(2 * MS)
+    told = [text[4:9] for text in bench.frames() if text.startswith("082")]
+    assert told == ["00 73", "10 32", "01 10"]
+    assert bench.node.next_deadline_ns() is None
+
+
 def test_of_too_many_that_wait_the_oldest_are_left_out_and_that_is_told():
     bench = inhibited(10)
     errors(bench, *range(0x1001, 0x1023))  # 34: one leaves, 33 would wait

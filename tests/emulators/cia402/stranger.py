@@ -49,6 +49,8 @@ PHYSICS: Final = tuple(
 NORMAL: Final = {"power": 1, "encoder": 1, "device_temperature_c": 25.0}
 """What they are when all is well, where that is not 0."""
 
+PHYSICS: Final = tuple((name, value) for name in STIMULI for value in VALUES.get(name, (0, 1)))
+
 STARTS: Final = ("moving", "enabled", "moving", "told to start", "switched off")
 MODES: Final = tuple(EMULATED_MODES.values())
 ANY_WORD: Final = tuple(0x9E37 * number & 0xFFFF for number in range(64))
