@@ -19,6 +19,7 @@ READ_A_CLOCK = (
     "tests/harness/test_cli_run.py",
     "tests/crosscheck/modbus_served.py",
     "tests/crosscheck/test_modbus_clients.py",
+    "tests/fuzz/__main__.py",
 )
 
 
