@@ -5,9 +5,9 @@ What it cannot do itself (bits 4, 5 and 6 of the pp handshake) the test writes.
 
 import canopen
 import pytest
-from canopen.profiles.p402 import State402
+from canopen.profiles.p402 import OperationMode, State402
 
-from emulators.cia402.settings import OWN_EDS
+from emulators.cia402.settings import EMULATED_MODES, OWN_EDS
 from tests.emulators.cia402.bench import MS, Bench
 from tests.emulators.cia402.canopen_client import connect, set_up
 
@@ -184,3 +184,74 @@ def test_quick_stop_from_operation_enabled(client):
     assert node.state == "QUICK STOP ACTIVE"
     node.state = "OPERATION ENABLED"  # transition 16
     assert node.state == "OPERATION ENABLED"
+
+
+def test_it_sees_the_boot_up_and_every_change_of_the_nmt_state(client, bench):
+    network, node = client
+    heard = []
+    node.nmt.add_heartbeat_callback(heard.append)
+    node.sdo[0x1017].raw = 10
+    for command, state in (
+        ("STOPPED", 4),
+        ("PRE-OPERATIONAL", 127),
+        ("OPERATIONAL", 5),
+        ("RESET COMMUNICATION", 0),
+    ):
+        heard.clear()
+        node.nmt.state = command
+        network.pump(25 * MS)
+        assert set(heard) == {state}
+    assert node.nmt.state == "PRE-OPERATIONAL"  # where a boot-up leads
+
+
+def test_the_modes_that_it_finds_are_those_that_the_drive_moves_in(client):
+    """canopen's own names and codes of modes (p402.OperationMode), against 6502h and 6060h."""
+    _, node = client
+    names = [name for name in OperationMode.SUPPORTED if name != "NO MODE"]
+    found = [name for name in names if node.is_op_mode_supported(name)]
+    assert sorted(OperationMode.NAME2CODE[name] for name in found) == sorted(
+        EMULATED_MODES.values()
+    )
+    for name in found:
+        node.op_mode = name
+        assert node.op_mode == name
+        assert node.sdo[0x6061].raw == OperationMode.NAME2CODE[name]
+
+
+def test_it_maps_the_drive_s_pdos_anew_and_works_with_them(client):
+    """tpdo.read(), clear(), add_variable(), save(): 1800h and 1A00h by the standard's procedure."""
+    network, node = client
+    node.nmt.state = "PRE-OPERATIONAL"
+    node.tpdo.read()
+    assert [variable.index for variable in node.tpdo[1].map] == [0x6041]
+    for pdo, kind, variables in (
+        (node.tpdo[3], 255, (0x6041, 0x60F4)),
+        (node.tpdo[4], 1, (0x6041, 0x6061, 0x6064)),
+        (node.rpdo[4], 1, (0x6040, 0x6060, 0x60FF)),
+    ):
+        pdo.clear()
+        for index in variables:
+            pdo.add_variable(index)
+        pdo.trans_type, pdo.event_timer = kind, 20 if kind == 255 else None
+        pdo.enabled = True
+        pdo.save()
+    node.tpdo.read()
+    node.rpdo.read()
+    assert [one.index for one in node.tpdo[4].map] == [0x6041, 0x6061, 0x6064]
+    assert [one.index for one in node.rpdo[4].map] == [0x6040, 0x6060, 0x60FF]
+    node.nmt.state = "OPERATIONAL"
+    heard = []
+    node.tpdo[4].add_callback(lambda pdo: heard.append([one.raw for one in pdo.map]))
+    for word in (0x06, 0x07, 0x0F, 0x0F):
+        for variable, value in zip(node.rpdo[4].map, (word, 3, 9_000), strict=True):
+            variable.raw = value
+        node.rpdo[4].transmit()
+        network.send_message(0x080, b"")
+        network.pump(30 * MS)
+    assert heard[-1][0] & 0x6F == State402.SW_MASK["OPERATION ENABLED"][1]
+    assert heard[-1][1] == 3
+    network.pump(200 * MS)
+    network.send_message(0x080, b"")
+    network.pump(1 * MS)
+    assert heard[-1][2] > 1_000
+    assert abs(node.tpdo[3].map[1].raw) < 500  # following error actual value, every 20 ms
