@@ -92,7 +92,7 @@ class Frames:
                 can_id, data = self._mutated(can_id, data)
             if can_id == 0x7E5 and data[:2] == bytes((_CONFIGURE_NODE_ID, 0xFF)):
                 continue
-            yield pause, can_id, data
+            yield pause, can_id, bytes(len(data)) if can_id & REMOTE else data
 
     def _enable(self) -> None:
         """All is well, and the way to OPERATION ENABLED: else few would ever get there."""
