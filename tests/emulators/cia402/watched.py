@@ -36,6 +36,11 @@ SETTLED = 3
 ROUNDED = 2
 """Whole increments of one tick, against those of the tick before."""
 
+OVERSHOOT = 12
+"""The same where a motor is braked on the current limit: there is no profile, demand is where the
+motor is, and at its end the loop has to catch it."""
+HARD = (3, 4, 7, 8)  # 605Ah; 3 and 4 of 605Dh and 605Eh
+
 LOST_CONNECTION = {1: By.FAULT, 2: By.DISABLE_VOLTAGE, 3: By.QUICK_STOP}  # 6007h
 
 
@@ -89,6 +94,7 @@ class Watched(Bench):
         self._asked = False
         self._is_inside = False
         self._is_standing = False
+        self._brakes_hard = False  # once asked for, and for good: a stop may be under way
         super().__init__(drive)
 
     def _listen_to_controlwords(self, drive: Cia402Drive) -> None:
@@ -302,6 +308,8 @@ class Watched(Bench):
         is_halted = bool(self.controlword_now & HALT)
         reached = bool(word & TARGET_REACHED)
         bits = self.controlword_now & 0x0370
+        codes = (self._option(index) for index in (0x605A, 0x605D, 0x605E))
+        self._brakes_hard = self._brakes_hard or any(code in HARD for code in codes)
         self._ramp = min(self._ramp, self._slowest_ramp_inc())
         limits = (self._fastest_inc(), self._ramp)
         regime = (state, mode, is_halted, self._asked, reached, bits, limits)
@@ -342,7 +350,9 @@ class Watched(Bench):
             assert step == 0, f"reached, and moves on: {where}"
         if len(self._steps) >= SETTLED:
             entry, least = max(self._steps[:SETTLED]), min(self._steps)
-            if brakes:
+            if brakes and self._brakes_hard:
+                assert size <= least + OVERSHOOT, f"faster instead of slower: {where}"
+            elif brakes:
                 assert size <= least + ROUNDED, f"faster instead of slower: {where}"
                 slower = max(0.0, entry - ramp * (len(self._steps) - SETTLED))
                 assert size <= slower + ROUNDED, f"slower by less than a ramp: {where}"
@@ -352,7 +362,7 @@ class Watched(Bench):
             if mode in (PP, PV) and not pushed:
                 assert size <= max(entry, fastest) + ROUNDED, f"too fast: {where}"
         self._steps.append(size)
-        if self._is_inside:
+        if self._is_inside and not (is_halted and mode == CSP):
             low, high = self._limits()
             assert low - 1 <= demand <= high + 1, f"{demand} beyond 607Dh {low}..{high}: {where}"
 
