@@ -15,10 +15,10 @@ Statusword bits 10, 12 and 13 (CiA 402-2, homing mode):
 
 The switch is searched for at 6099h:1; on it, towards its edge and the index pulse, 6099h:2 is used.
 Home is what was latched there; the drive then brakes with 609Ah and does not go back. Errors: a
-method there is none of, or one of its speeds 0; a start in motion; both limit switches active; the
-way barred by a limit switch that the method does not turn round at, or, having turned round, by the
-other one; no index pulse within a turn of the motor. There is no timeout: without any switch the
-motor runs until the host, or a following error, ends it. A new start (bit 4) begins afresh.
+method there is none of, or one of its speeds 0; a start in motion; the way barred by a limit switch
+that the method does not turn round at, or, having turned round, by the other one; no index pulse
+within a turn of the motor. There is no timeout: without any switch the motor runs until the host,
+or a following error, ends it. A new start (bit 4) begins afresh.
 """
 
 from enum import IntEnum
@@ -35,7 +35,6 @@ from emulators.firmware import flags as f
 from emulators.firmware.axis import Axis
 from emulators.firmware.digital_inputs import (
     INDEX_PULSE,
-    LIMITS,
     NEGATIVE_LIMIT,
     POSITIVE_LIMIT,
     DigitalInputs,
@@ -172,7 +171,7 @@ class Homing(Mode):
             return
         stuck = objects.zero_speed_inc_s() <= 0.0
         stuck = stuck or (method.switch != 0 and objects.switch_speed_inc_s() <= 0.0)
-        if stuck or bits & LIMITS == LIMITS:
+        if stuck:
             self.state = HomingState.FAILED
             return
         self.state = HomingState.IN_PROGRESS

@@ -10,6 +10,7 @@ from canopen.profiles.p402 import OperationMode, State402
 from emulators.cia402.settings import EMULATED_MODES, OWN_EDS
 from tests.emulators.cia402.bench import MS, Bench
 from tests.emulators.cia402.canopen_client import connect, set_up
+from tests.emulators.cia402.homing_bench import Track
 
 
 @pytest.fixture
@@ -153,6 +154,25 @@ def test_it_homes(client, bench):
     assert node.op_mode == "HOMING"
     assert node.sdo[0x6064].raw == 0
     assert node.is_homed()
+
+
+def test_it_homes_over_the_switches_of_the_plant_and_hears_of_failure(monkeypatch):
+    bench = Bench(switches=Track().table())
+    network, node = connect(bench, str(OWN_EDS), monkeypatch)
+    set_up(network, node)
+    node.sdo[0x6099][1].raw, node.sdo[0x6099][2].raw = 40_000, 4_000
+    for method, where in ((1, -5_300), (26, 400), (18, 6_000), (14, -1_300)):
+        node.sdo[0x6098].raw = method
+        node.controlword = 0x0F
+        assert node.homing() is True
+        network.pump(500 * MS)
+        assert bench.drive.axis.count() - node.sdo[0x6064].raw == where
+        assert node.is_homed()
+    bench.drive.stimulate("home", 0, bench.now)
+    node.sdo[0x6098].raw = 22
+    node.controlword = 0x0F
+    assert node.homing() is False
+    assert not node.is_homed()
 
 
 def test_it_resets_a_fault(client, bench):

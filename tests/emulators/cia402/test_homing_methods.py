@@ -8,7 +8,7 @@ import pytest
 from hypothesis import event, given
 from hypothesis import strategies as st
 
-from tests.emulators.cia402.bench import MS
+from tests.emulators.cia402.bench import MS, Bench
 from tests.emulators.cia402.homing_bench import (
     ATTAINED,
     DONE,
@@ -278,3 +278,17 @@ def test_supported_methods_are_those_that_have_a_behaviour():
         assert bench.write(0x6098, 0, method, 1) == 0
     for method in {*range(-5, 45)} - set(methods):
         assert bench.write(0x6098, 0, method, 1) == 0x0609_0030
+
+
+def test_a_switch_at_the_load_is_felt_there_behind_play_and_a_soft_shaft():
+    """The encoder sits at the motor: home is what it counts when the load is at the edge."""
+    plant = {"preset": "wheel_60w", "backlash_rad": 200 * RAD, "coupling_stiffness_n_m_rad": 400.0}
+    bench = Bench(
+        plant=plant,
+        switches=Track().table(),
+        objects={"6098h": 26, "6099h:1": 10_000, "6099h:2": 1_000, "609Ah": 400_000},
+    )
+    bench.enable(mode=6)
+    assert home(bench) == DONE
+    assert home_count(bench) == pytest.approx(400, abs=110)  # half the play ahead, or behind
+    assert home_count(bench) != 400
