@@ -302,17 +302,23 @@ class Cia402Drive:
         if power_drive.mode != self._mode:
             self._mode = power_drive.mode
             node.object_changed(0x6061, 0, now_ns)
-        if power_drive.inputs.bits != self._inputs:
-            self._inputs = power_drive.inputs.bits
-            node.object_changed(0x60FD, 0, now_ns)
-        probes = power_drive.touch_probe.status
-        if probes != self._probes:
-            self._probes = probes
-            node.object_changed(0x60B9, 0, now_ns)
+        if power_drive.inputs.moved:
+            power_drive.inputs.moved = False
+            self._tell_inputs(now_ns)
         statusword = power_drive.statusword()
         if statusword != self._statusword:
             self._statusword = statusword
             node.object_changed(0x6041, 0, now_ns)
+
+    def _tell_inputs(self, now_ns: int) -> None:
+        """60FDh and 60B9h, to the TPDOs that map them."""
+        inputs, probes = self._power_drive.inputs.bits, self._power_drive.touch_probe.status
+        if inputs != self._inputs:
+            self._inputs = inputs
+            self._node.object_changed(0x60FD, 0, now_ns)
+        if probes != self._probes:
+            self._probes = probes
+            self._node.object_changed(0x60B9, 0, now_ns)
 
     def _with_class(self, code: int) -> int:
         """The standing errors with this one; 0000h ends them all."""

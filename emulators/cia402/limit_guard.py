@@ -21,13 +21,18 @@ from emulators.firmware.digital_inputs import (
 
 @final
 class LimitGuard:
-    """Keeps the axis out of active limit switches, except while a homing has it."""
+    """Keeps the axis out of active limit switches, except while a homing has it.
+
+    Attributes:
+        is_active: whether one of the two is.
+    """
 
     def __init__(self, axis: Axis, inputs: DigitalInputs, motion: MotionObjects) -> None:
         self._axis = axis
         self._inputs = inputs
         self._motion = motion
         self._homing: bool = False
+        self.is_active: bool = inputs.bits & LIMITS != 0
 
     def homes(self, on: bool) -> None:
         """A homing begins, or is over."""
@@ -39,6 +44,7 @@ class LimitGuard:
         """Digital inputs have changed."""
         for edge in edges:
             if edge.bit & LIMITS:
+                self.is_active = self._inputs.bits & LIMITS != 0
                 self.apply()
                 break
 

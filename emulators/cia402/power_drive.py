@@ -48,7 +48,7 @@ from emulators.cia402.written import (
 )
 from emulators.firmware import flags as f
 from emulators.firmware.axis import Axis
-from emulators.firmware.digital_inputs import LIMITS, DigitalInputs, Edge
+from emulators.firmware.digital_inputs import DigitalInputs, Edge
 
 NO_FAULT: Final = 0x0000
 
@@ -283,7 +283,7 @@ class PowerDrive:
             mode_bits=mode_bits,
             voltage=self.voltage,
             remote=state is not PdsState.NOT_READY_TO_SWITCH_ON,
-            limit=active.limited or self.inputs.bits & LIMITS != 0,
+            limit=active.limited or self._guard.is_active,
             warning=self.standing.warnings != 0,
         )
 

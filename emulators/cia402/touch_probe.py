@@ -147,6 +147,7 @@ class TouchProbe:
                     self._show()
 
     def _show(self) -> None:
+        self._inputs.moved = True
         self.status = self._probes[0].status() | self._probes[1].status() << 8
 
     def _read_status(self) -> int:

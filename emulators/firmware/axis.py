@@ -93,7 +93,8 @@ class Axis(AxisSettings):
             self._begin(pieces, profile.FOREVER, True, 0.0)
             return
         target = float(target_inc - self._offset_inc)
-        if self._is_barred(target - position):
+        self._way = target - position
+        if self._barred and self._is_barred():
             return
         pieces = profile.move(position, velocity, target, speed_max, faster, slower)
         self._begin(pieces, profile.duration_ticks(pieces), True, 0.0)
@@ -111,7 +112,8 @@ class Axis(AxisSettings):
         faster = self._per_tick2(acceleration_inc_s2)
         slower = self._per_tick2(deceleration_inc_s2)
         wanted = velocity_inc_s * self._tick_s
-        if self._is_barred(wanted):
+        self._way = wanted
+        if self._barred and self._is_barred():
             return
         pieces = profile.ramp(position, velocity, wanted, faster, slower)
         self._mode = servo.VELOCITY
@@ -146,7 +148,8 @@ class Axis(AxisSettings):
         self._start()
         if not slope_a_s > 0.0 or target_a != target_a:
             raise ValueError(f"current {target_a} A at {slope_a_s} A/s: the slope must be > 0")
-        if self._is_barred(target_a):
+        self._way = target_a
+        if self._barred and self._is_barred():
             return
         start_a = self._time.state[servo.I_WANTED]
         pieces = profile.current(
@@ -174,7 +177,8 @@ class Axis(AxisSettings):
         """
         position, _ = self._start()
         target = float(position_inc - self._offset_inc)
-        if self._is_barred(target - position):
+        self._way = target - position
+        if self._barred and self._is_barred():
             return
         pieces = profile.line(position, target, over_ns / self._tick_ns)
         self._mode = servo.POSITION
@@ -190,7 +194,8 @@ class Axis(AxisSettings):
         """Go evenly from the present velocity demand to this one, then keep it (csv)."""
         _, velocity = self._start()
         wanted = velocity_inc_s * self._tick_s
-        if self._is_barred(wanted):
+        self._way = wanted
+        if self._barred and self._is_barred():
             return
         pieces = profile.velocity_line(velocity, wanted, over_ns / self._tick_ns)
         self._mode = servo.VELOCITY
@@ -201,7 +206,8 @@ class Axis(AxisSettings):
     ) -> None:
         """Go evenly from the present current demand to this one, then keep it (cst)."""
         self._start()
-        if self._is_barred(current_a):
+        self._way = current_a
+        if self._barred and self._is_barred():
             return
         start_a = self._time.state[servo.I_WANTED]
         if self._mode == servo.TORQUE:  # where the last one ends: its next tick's demand
@@ -264,7 +270,7 @@ class Axis(AxisSettings):
         self._barred = (_BACKWARD if backward else 0) | (_FORWARD if forward else 0)
         moves = self.flags & PROFILE_ACTIVE or self._time.state[servo.I_DEMAND_VELOCITY] != 0.0
         if self._mode != servo.OFF and (self._mode != servo.POSITION or moves):
-            self._is_barred(self._way)
+            self._is_barred()
 
     # --- inside ----------------------------------------------------------------------------------
 
@@ -288,9 +294,9 @@ class Axis(AxisSettings):
             position = self._time.state[servo.I_COUNT] + velocity
         return position, velocity
 
-    def _is_barred(self, way: float) -> bool:
+    def _is_barred(self) -> bool:
         """Whether a command leads into a barred way; then it brakes instead."""
-        self._way = way
+        way = self._way
         if not self._barred & (_FORWARD if way > 0.0 else _BACKWARD if way < 0.0 else 0):
             return False
         position, velocity = self._start()

@@ -65,6 +65,7 @@ class DigitalInputs:
 
     Attributes:
         bits: what is active, as of the last `look`.
+        moved: something here, or that was latched here, shows anew; whoever tells it clears it.
         is_gated: whether the axis' flags matter because of an edge somewhere, power on or off.
     """
 
@@ -81,6 +82,7 @@ class DigitalInputs:
         self._forced_bits: int = 0
         self._output_count: int = axis.output_count()
         self._count: int = axis.count()
+        self.moved: bool = False
         self.is_gated: bool = False
         self.bits: int = self._bits_now()
         self._set_gate()
@@ -138,6 +140,7 @@ class DigitalInputs:
 
     def _settle(self, told: list[Edge] | None = None) -> list[Edge]:
         """Bits and gate are those of now; edges of what changed by hand."""
+        self.moved = True
         before = self.bits
         for edge in told or ():
             before = before | edge.bit if edge.active else before & ~edge.bit
