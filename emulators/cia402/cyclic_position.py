@@ -1,11 +1,13 @@
 """Cyclic synchronous position mode (csp): the host plans, the drive follows from cycle to cycle."""
 
-from typing import final
+from typing import Final, final
 
 from emulators.cia402.cyclic import CyclicMode
 from emulators.cia402.statusword import FOLLOWING_ERROR
 from emulators.cia402.written import OFFSETS, TARGET_POSITION
 from emulators.firmware import flags as f
+
+NEAREST: Final = 3  # way round: from cycle to cycle a target is never half a range away
 
 
 @final
@@ -27,7 +29,7 @@ class CyclicPosition(CyclicMode):
         objects = self.objects
         motion = objects.motion
         offsets = objects.offsets
-        target = motion.target_position_inc() + offsets.position_inc()
+        target = motion.target_near_inc(self.axis.demand_inc(), NEAREST) + offsets.position_inc()
         allowed = motion.within_limits_inc(target)
         self.limited = allowed != target
         self.axis.follow(allowed, self.over_ns(), offsets.velocity_inc_s())

@@ -3,7 +3,7 @@
 from typing import final
 
 from emulators.cia402.cyclic import CyclicMode
-from emulators.cia402.written import FACTORS, OFFSETS, TORQUE
+from emulators.cia402.written import FACTORS, MOTION_LIMITS, OFFSETS, TORQUE
 from emulators.firmware import flags as f
 
 
@@ -21,7 +21,7 @@ class CyclicTorque(CyclicMode):
 
     def written(self, what: int, now_ns: int) -> None:
         """A torque or an offset has come into force."""
-        if not what & (TORQUE | OFFSETS | FACTORS):
+        if not what & (TORQUE | OFFSETS | FACTORS | MOTION_LIMITS):
             return
         self.measure(now_ns)
         if not self.halted:

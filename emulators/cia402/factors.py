@@ -54,8 +54,8 @@ class DriveDefaults:
         self.acceleration: int = _at_least_1(
             self.acceleration_inc_s2 / units.acceleration_unit_inc_s2
         )
-        self.following_window: int = max(1, units.position_raw(increments // 2))
-        self.target_window: int = max(1, units.position_raw(increments // 200))
+        self.following_window: int = max(1, abs(units.length_raw(increments // 2)))
+        self.target_window: int = max(1, abs(units.length_raw(increments // 200)))
         self.velocity_window: int = min(
             0xFFFF, _at_least_1(self.no_load_inc_s / 100.0 / units.velocity_unit_inc_s)
         )

@@ -5,15 +5,18 @@ A value of 0 in a ramp means "not set", not "never": 6085h falls back to 6084h, 
 
 from typing import Final, final
 
-from emulators.canopen.abort_code import OK
+from emulators.canopen.abort_code import OK, AbortCode
 from emulators.canopen.object_dictionary import DataType, ObjectDictionary, Variable
 from emulators.cia402.factors import DriveDefaults
 from emulators.cia402.units import FactorGroup
-from emulators.cia402.written import TARGET_POSITION, TARGET_VELOCITY, Written
+from emulators.cia402.written import TARGET_POSITION, TARGET_VELOCITY, Choice, Written
 from emulators.plant.dc_motor import MotorPlant
 
 _UNLIMITED: Final = 0xFFFF_FFFF
 _NO_SPEED: Final = 1e300
+# 60F2h: what a relative set-point counts from (bits 0 and 1), and which way round an axis with a
+# position range goes (bits 6 and 7); nothing else has a behaviour.
+_POSITIONING: Final = frozenset(origin | way << 6 for origin in range(3) for way in range(4))
 _D = DataType
 
 
@@ -51,11 +54,18 @@ class MotionObjects:
         self._acceleration = ensure(0x6083, 0, _D.UNSIGNED32, defaults.acceleration)
         self._deceleration = self._ramp(od, 0x6084)
         self._quick_deceleration = self._ramp(od, 0x6085)
+        self._end_velocity = ensure(0x6082, 0, _D.UNSIGNED32, 0)
+        refused = int(AbortCode.INVALID_VALUE)
+        linear = Choice(written, 0, frozenset((0,)), refused).write
+        ensure(0x6086, 0, _D.INTEGER16, 0).writer = linear
+        ensure(0x6088, 0, _D.INTEGER16, 0).writer = linear
+        self._slippage = ensure(0x60F8, 0, _D.INTEGER32, 0)
         self._acceleration_max = ensure(0x60C5, 0, _D.UNSIGNED32, 0)
         self._deceleration_max = ensure(0x60C6, 0, _D.UNSIGNED32, 0)
         self._period = ensure(0x60C2, 1, _D.UNSIGNED8, 0)
         self._period_exponent = ensure(0x60C2, 2, _D.INTEGER8, -3)
         self._positioning_option = ensure(0x60F2, 0, _D.UNSIGNED16, 0)
+        self._positioning_option.writer = Choice(written, 0, _POSITIONING, refused).write
         self._acceleration_fallback_inc_s2 = defaults.acceleration_inc_s2
         self._velocity_physical_inc_s = defaults.no_load_inc_s
 
@@ -65,8 +75,15 @@ class MotionObjects:
         self.target_velocity_raw = self._target_velocity.integer()
 
     def target_position_inc(self) -> int:
-        """607Ah."""
+        """607Ah, as a distance or on an axis without a position range."""
         return self._factors.units.position_inc(self.target_position_raw)
+
+    def target_near_inc(self, demand_inc: int, way: int) -> int:
+        """607Ah on an axis whose position range 607Bh repeats, seen from here."""
+        units = self._factors.units
+        if units.range_size == 0:
+            return units.position_inc(self.target_position_raw)
+        return units.turned_inc(self.target_position_raw, demand_inc, way)
 
     def target_velocity_inc_s(self) -> float:
         """60FFh, within what the motor may do."""
@@ -75,7 +92,8 @@ class MotionObjects:
 
     def target_velocity_raw_inc_s(self) -> float:
         """60FFh, whatever the motor may do."""
-        return self.target_velocity_raw * self._factors.units.velocity_unit_inc_s
+        units = self._factors.units
+        return self.target_velocity_raw * units.velocity_unit_inc_s * units.velocity_sign
 
     def torque_speed_max_inc_s(self) -> float:
         """6080h where it is less than the supply can turn the motor at: torque modes heed it."""
@@ -94,10 +112,9 @@ class MotionObjects:
             limit = min(limit, rpm * self._encoder_increments_rev / 60.0)
         return limit
 
-    def profile_velocity_inc_s(self) -> float:
-        """6081h, within what the motor may do."""
-        velocity = self._velocity.integer() * self._factors.units.velocity_unit_inc_s
-        return min(velocity, self.velocity_max_inc_s())
+    def set_velocity_inc_s(self) -> float:
+        """6081h, whatever the motor may do."""
+        return self._velocity.integer() * self._factors.units.velocity_unit_inc_s
 
     def acceleration_inc_s2(self) -> float:
         """6083h, within 60C5h; always > 0."""
@@ -130,15 +147,33 @@ class MotionObjects:
         high = self._limit_max.integer()
         if low == 0 and high == 0:
             return position_inc
-        low_inc = self._factors.units.position_inc(low)
-        high_inc = self._factors.units.position_inc(high)
-        return max(low_inc, min(high_inc, position_inc))
+        one_inc = self._factors.units.position_inc(low)
+        other_inc = self._factors.units.position_inc(high)
+        return max(min(one_inc, other_inc), min(max(one_inc, other_inc), position_inc))
 
     def interpolation_ns(self) -> int:
         """60C2h; 0 where it is 0 or absent."""
         exponent = 9 + self._period_exponent.integer()
         value = self._period.integer()
         return value * int(10**exponent) if exponent >= 0 else value // int(10 ** (-exponent))
+
+    def end_velocity_inc_s(self) -> float:
+        """6082h; 0 within a range 607Dh, at whose end nothing else would stop the motor."""
+        if self._limit_min.integer() != 0 or self._limit_max.integer() != 0:
+            return 0.0
+        return self._end_velocity.integer() * self._factors.units.velocity_unit_inc_s
+
+    def is_velocity_cut(self, velocity_inc_s: float) -> bool:
+        """Whether 607Fh, 6080h or the supply allow less than this."""
+        return abs(velocity_inc_s) > self.velocity_max_inc_s()
+
+    def slippage_inc_s(self) -> float:
+        """60F8h; 0: not watched."""
+        return abs(self._slippage.integer()) * self._factors.units.velocity_unit_inc_s
+
+    def way_round(self) -> int:
+        """60F2h bits 6 and 7: 0 as a linear axis, 1 negative, 2 positive, 3 the shortest way."""
+        return self._positioning_option.integer() >> 6 & 3
 
     def relative_to(self) -> int:
         """60F2h bits 0 and 1: 0 the set-point before, 1 the demand, 2 the actual position."""

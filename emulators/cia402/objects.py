@@ -5,7 +5,7 @@ the default stated where it is bound (CiA 402-2's, or taken from the motor). Wha
 has a module: motion, torque, windows, homing, option codes, gains.
 """
 
-from typing import final
+from typing import Final, final
 
 from emulators.canopen.abort_code import OK, AbortCode
 from emulators.canopen.object_dictionary import DataType, ObjectDictionary
@@ -19,11 +19,12 @@ from emulators.cia402.option_codes import OptionCodes
 from emulators.cia402.settings import EMULATED_MODES, DriveSettings
 from emulators.cia402.supported_modes import honest_modes, modes_with_target
 from emulators.cia402.torque_objects import TorqueObjects
-from emulators.cia402.units import FactorGroup, Units
+from emulators.cia402.units import POSITION_POLARITY, VELOCITY_POLARITY, FactorGroup, Units
 from emulators.cia402.window_objects import WindowObjects
-from emulators.cia402.written import CONTROLWORD, GAINS, MODE, Written, watch
+from emulators.cia402.written import CONTROLWORD, FACTORS, GAINS, MODE, Choice, Written, watch
 
 _D = DataType
+POLARITIES: Final = frozenset((0, VELOCITY_POLARITY, POSITION_POLARITY, 0xC0))  # 607Eh
 
 
 @final
@@ -65,10 +66,16 @@ class DriveObjects:
         self.mode: int = 0
         plant = settings.plant
         fill_factors(od, plant)
+        ensure = od.ensure
+        polarity = ensure(0x607E, 0, _D.UNSIGNED8, 0)
+        polarity.writer = Choice(
+            self.written, FACTORS, POLARITIES, int(AbortCode.INVALID_VALUE)
+        ).write
+        for subindex in (1, 2):
+            ensure(0x607B, subindex, _D.INTEGER32, 0)
         self.factors: FactorGroup = FactorGroup(od, settings)
         self.units: Units = self.factors.units
         defaults = DriveDefaults(plant, self.units)
-        ensure = od.ensure
         self._controlword = ensure(0x6040, 0, _D.UNSIGNED16, 0)
         self._controlword.writer = self._write_controlword
         self._mode = ensure(0x6060, 0, _D.INTEGER8, EMULATED_MODES["pp"])

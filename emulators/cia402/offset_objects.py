@@ -26,7 +26,8 @@ class OffsetObjects:
 
     def velocity_inc_s(self) -> float:
         """60B1h."""
-        return self._velocity.integer() * self._factors.units.velocity_unit_inc_s
+        units = self._factors.units
+        return self._velocity.integer() * units.velocity_unit_inc_s * units.velocity_sign
 
     def current_a(self) -> float:
         """60B2h, as the current that makes this torque."""

@@ -33,12 +33,18 @@ class SetPoint:
     """One target with the profile that was in force when it was taken."""
 
     def __init__(
-        self, target_inc: int, velocity: float, acceleration: float, deceleration: float
+        self,
+        target_inc: int,
+        velocity: float,
+        acceleration: float,
+        deceleration: float,
+        end_velocity: float,
     ) -> None:
         self.target_inc = target_inc
         self.velocity_inc_s = velocity
         self.acceleration_inc_s2 = acceleration
         self.deceleration_inc_s2 = deceleration
+        self.end_velocity_inc_s = end_velocity
 
 
 @final
@@ -53,6 +59,7 @@ class ProfilePosition(Mode):
         self._acknowledged: bool = False
         self._offered: bool = False  # bit 4 as last written
         self._last_target_inc: int | None = None
+        self._goes_on: bool = False  # past its target, at 6082h
         self._wake_ns: int = NEVER
 
     def enter(self, word: int, now_ns: int) -> None:
@@ -68,6 +75,7 @@ class ProfilePosition(Mode):
         self._passing = False
         self._acknowledged = False
         self._last_target_inc = None
+        self._goes_on = False
         self._wake_ns = NEVER
         self.halted = False
         self.limited = False
@@ -105,6 +113,7 @@ class ProfilePosition(Mode):
                 return
         elif self.axis.flags & f.PROFILE_ACTIVE:
             return
+        self._goes_on = running.end_velocity_inc_s > 0.0 and not self._passing
         self._running = self._waiting
         self._waiting = None
         self._passing = False
@@ -124,7 +133,7 @@ class ProfilePosition(Mode):
         if self.halted:
             if flags & (f.PROFILE_ACTIVE | f.SPEED_ZERO) == f.SPEED_ZERO:
                 bits |= TARGET_REACHED
-        elif flags & f.IN_TARGET_WINDOW:  # with one waiting, its profile is already active
+        elif self._goes_on or flags & f.IN_TARGET_WINDOW:
             bits |= TARGET_REACHED
         if flags & f.FOLLOWING_ERROR:
             bits |= FOLLOWING_ERROR
@@ -152,17 +161,21 @@ class ProfilePosition(Mode):
 
     def _offered_set_point(self, word: int) -> SetPoint:
         objects = self.objects
-        target = objects.motion.target_position_inc()
+        motion = objects.motion
         if word & RELATIVE:
-            target += self._origin_inc()
-        allowed = objects.motion.within_limits_inc(target)
-        self.limited = allowed != target
+            target = motion.target_position_inc() + self._origin_inc()
+        else:
+            target = motion.target_near_inc(self.axis.demand_inc(), motion.way_round())
+        allowed = motion.within_limits_inc(target)
+        speed = motion.set_velocity_inc_s()
+        self.limited = allowed != target or motion.is_velocity_cut(speed)
         self._last_target_inc = allowed
         return SetPoint(
             allowed,
-            max(SLOWEST_INC_S, objects.motion.profile_velocity_inc_s()),
-            objects.motion.acceleration_inc_s2(),
-            objects.motion.deceleration_inc_s2(),
+            max(SLOWEST_INC_S, speed),
+            motion.acceleration_inc_s2(),
+            motion.deceleration_inc_s2(),
+            motion.end_velocity_inc_s(),
         )
 
     def _origin_inc(self) -> int:
@@ -193,6 +206,7 @@ class ProfilePosition(Mode):
         if running is None:
             return
         target_inc = running.target_inc
+        self._goes_on = False
         if self._passing and self._waiting is not None:
             target_inc = self._waiting.target_inc
             self._wake_ns = (now_ns // self.tick_ns + 1) * self.tick_ns
@@ -202,4 +216,5 @@ class ProfilePosition(Mode):
             max(SLOWEST_INC_S, speed),
             running.acceleration_inc_s2,
             running.deceleration_inc_s2,
+            0.0 if self._passing else running.end_velocity_inc_s,
         )

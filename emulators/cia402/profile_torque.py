@@ -1,17 +1,17 @@
-"""Profile torque mode (tq): 6071h is live, along the ramp 6087h; the speed is the load's affair."""
+"""Profile torque mode (tq): 6071h is live, along the ramp 6087h; 6080h limits the speed."""
 
 from typing import final
 
 from emulators.cia402.mode import Mode
 from emulators.cia402.pds_fsa import CW_HALT
 from emulators.cia402.statusword import TARGET_REACHED
-from emulators.cia402.written import FACTORS, TORQUE
+from emulators.cia402.written import FACTORS, MOTION_LIMITS, TORQUE
 from emulators.firmware import flags as f
 
 
 @final
 class ProfileTorque(Mode):
-    """Mode 4. Bit 10: ramp over and the current near the one wanted; bit 11: 6072h cuts it."""
+    """Mode 4. Bit 10: ramp over and the current near the one wanted; bit 11: a limit cuts it."""
 
     def enter(self, word: int, now_ns: int) -> None:
         """The motor gets the torque 6071h, as it stands there, by the ramp."""
@@ -32,7 +32,7 @@ class ProfileTorque(Mode):
 
     def written(self, what: int, now_ns: int) -> None:
         """A new torque, or a new ramp, counts at once."""
-        if what & (TORQUE | FACTORS) and not self.halted:
+        if what & (TORQUE | FACTORS | MOTION_LIMITS) and not self.halted:
             self._run()
 
     def settle(self, now_ns: int) -> None:
@@ -52,4 +52,6 @@ class ProfileTorque(Mode):
         if self.halted:
             objects.options.halt(self.axis)
         else:
-            self.axis.apply_current(objects.torque.target_a(), objects.torque.slope_a_s())
+            torque = objects.torque
+            speed_max = objects.motion.torque_speed_max_inc_s()
+            self.axis.apply_current(torque.target_a(), torque.slope_a_s(), speed_max)

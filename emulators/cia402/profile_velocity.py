@@ -2,16 +2,28 @@
 
 from typing import final
 
+from emulators.canopen.shared import NEVER
 from emulators.cia402.mode import Mode
+from emulators.cia402.objects import DriveObjects
 from emulators.cia402.pds_fsa import CW_HALT
-from emulators.cia402.statusword import SPEED_IS_ZERO, TARGET_REACHED
+from emulators.cia402.statusword import MAX_SLIPPAGE_ERROR, SPEED_IS_ZERO, TARGET_REACHED
 from emulators.cia402.written import RAMPS, TARGET_VELOCITY
 from emulators.firmware import flags as f
+from emulators.firmware.axis import Axis
 
 
 @final
 class ProfileVelocity(Mode):
-    """Mode 3. Bit 10: in the velocity window 606Dh for 606Eh; bit 12: below 606Fh for 6070h."""
+    """Mode 3.
+
+    Bit 10: in the velocity window 606Dh for 606Eh; 12: below 606Fh for 6070h; 13: the slippage is
+    beyond 60F8h.
+    """
+
+    def __init__(self, axis: Axis, objects: DriveObjects, tick_ns: int) -> None:
+        super().__init__(axis, objects, tick_ns)
+        self._slips: bool = False
+        self._wake_ns: int = NEVER
 
     def enter(self, word: int, now_ns: int) -> None:
         """The motor goes at 60FFh, as it stands there, at once."""
@@ -21,6 +33,24 @@ class ProfileVelocity(Mode):
     def leave(self) -> None:
         """Nothing is kept."""
         self.halted = False
+        self.limited = False
+        self._slips = False
+        self._wake_ns = NEVER
+
+    def settle(self, now_ns: int) -> None:
+        """Slippage is looked at in every tick, if somebody has set 60F8h."""
+        most = self.objects.motion.slippage_inc_s()
+        if most > 0.0:
+            slip = self.axis.demand_velocity_inc_s() - self.axis.velocity_inc_s()
+            self._slips = not -most <= slip <= most
+            self._wake_ns = (now_ns // self.tick_ns + 1) * self.tick_ns
+        else:
+            self._slips = False
+            self._wake_ns = NEVER
+
+    def wake_ns(self) -> int:
+        """Each tick while slippage is watched."""
+        return self._wake_ns
 
     def obey(self, word: int, rising: int, now_ns: int) -> None:
         """Bit 8, halt."""
@@ -35,9 +65,11 @@ class ProfileVelocity(Mode):
             self._run()
 
     def status_bits(self) -> int:
-        """Bits 10 and 12; slippage (13) is for motors that slip."""
+        """Bits 10, 12 and 13."""
         flags = self.axis.flags
         bits = SPEED_IS_ZERO if flags & f.SPEED_ZERO else 0
+        if self._slips:
+            bits |= MAX_SLIPPAGE_ERROR
         if self.halted:
             if flags & (f.PROFILE_ACTIVE | f.SPEED_ZERO) == f.SPEED_ZERO:
                 bits |= TARGET_REACHED
@@ -50,6 +82,8 @@ class ProfileVelocity(Mode):
         if self.halted:
             objects.options.halt(self.axis)
             return
+        motion = objects.motion
+        self.limited = motion.is_velocity_cut(motion.target_velocity_raw_inc_s())
         self.axis.run_at(
             objects.motion.target_velocity_inc_s(),
             objects.motion.acceleration_inc_s2(),

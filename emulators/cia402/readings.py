@@ -100,7 +100,7 @@ class Readings:
 
     def following_error(self) -> int:
         """60F4h [position unit]."""
-        return self._objects.units.position_raw(self._axis.following_error_inc())
+        return self._objects.units.length_raw(self._axis.following_error_inc())
 
     def position_demand_internal(self) -> int:
         """60FCh [increments], signed 32 bit, wrapping round."""

@@ -20,10 +20,10 @@ _D = DataType
 
 @final
 class TorqueObjects:
-    """6071h, 6072h, 6075h, 6076h, 6087h, 6088h, 60E0h, 60E1h in amperes of the motor.
+    """6071h, 6072h, 6073h, 6075h, 6076h, 6087h, 60E0h, 60E1h in amperes of the motor.
 
     Attributes:
-        target, maximum, slope: 6071h, 6072h, 6087h.
+        target, maximum, maximum_current, slope: 6071h, 6072h, 6073h, 6087h.
         positive, negative: 60E0h, 60E1h.
     """
 
@@ -45,10 +45,14 @@ class TorqueObjects:
         self.maximum: Variable = ensure(0x6072, 0, _D.UNSIGNED16, most)
         if self.maximum.default == 0:  # as files have it that state no value
             self.maximum.set_default(most)
+        most = -int(-1000.0 * self._motor_current_ma // self._rated_ma())
+        most = min(most, _UNSIGNED16_MAX)
+        self.maximum_current: Variable = ensure(0x6073, 0, _D.UNSIGNED16, most)
+        if self.maximum_current.default == 0:
+            self.maximum_current.set_default(most)
         self.positive: Variable = ensure(0x60E0, 0, _D.UNSIGNED16, _UNSIGNED16_MAX)
         self.negative: Variable = ensure(0x60E1, 0, _D.UNSIGNED16, _UNSIGNED16_MAX)
         self.slope: Variable = ensure(0x6087, 0, _D.UNSIGNED32, SLOPE_DEFAULT)
-        ensure(0x6088, 0, _D.INTEGER16, 0)
 
     def target_a(self) -> float:
         """The current that makes the torque 6071h."""
@@ -59,10 +63,13 @@ class TorqueObjects:
         return torque_raw * self._per_permille_a()
 
     def limits_a(self) -> tuple[float, float]:
-        """The currents that make the most torque allowed: 6072h within 60E0h, and within 60E1h."""
+        """The most current allowed either way: 6073h, and 6072h within 60E0h or 60E1h."""
         unit, most = self._per_permille_a(), self.maximum.integer()
         positive, negative = self.positive.integer(), self.negative.integer()
-        return min(most, positive) * unit, min(most, negative) * unit
+        current_a = self.maximum_current.integer() * self._rated_ma() * 1e-6
+        return min(min(most, positive) * unit, current_a), min(
+            min(most, negative) * unit, current_a
+        )
 
     def slope_a_s(self) -> float:
         """6087h; always > 0."""
@@ -75,10 +82,11 @@ class TorqueObjects:
 
     def current_raw(self, current_a: float) -> int:
         """This current [1/1000 of 6075h]."""
-        rated_ma = self._rated_current_ma.integer()
-        return limited(
-            current_a * 1e6 / (rated_ma if rated_ma > 0 else self._motor_current_ma), PERMILLE_MAX
-        )
+        return limited(current_a * 1e6 / self._rated_ma(), PERMILLE_MAX)
+
+    def _rated_ma(self) -> float:
+        rated = self._rated_current_ma.integer()
+        return float(rated) if rated > 0 else self._motor_current_ma
 
     def _torque_unit_mn_m(self) -> float:
         rated = self._rated_torque_mn_m.integer()

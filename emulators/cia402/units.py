@@ -9,6 +9,9 @@ squared. Outside, a drive uses the units its factor group states (CiA 402-2, fac
 - where a file names units by dimension index (608Ch, 608Eh: A4h = turns of the motor per minute) or
   SI unit (60A8h, 60A9h), these count instead;
 - what the rig's `units` table says wins over all of it.
+
+607Eh turns positions (bit 7) and velocities (bit 6) round; torque it leaves alone. 607Bh, where it
+names less than all 32 bits hold, is a range in which positions repeat, as on a turntable.
 """
 
 from dataclasses import dataclass
@@ -19,6 +22,8 @@ from emulators.canopen.object_dictionary import ObjectDictionary
 from emulators.cia402.settings import DriveSettings
 from emulators.plant.dc_motor import PI, MotorPlant
 
+POSITION_POLARITY: Final = 0x80  # 607Eh
+VELOCITY_POLARITY: Final = 0x40
 RPM_DIMENSION: Final = 0xA4  # 608Ch, 608Eh: turns per minute (and second), as maxon's files have it
 
 # 60A8h/60A9h: bits 31-24 power of ten, 23-16 numerator, 15-8 denominator (CiA 303-2 codes).
@@ -38,15 +43,21 @@ class Units:
     """Increments per unit, as exact ratios or floats.
 
     Attributes:
-        position_numerator, position_divisor: increments per position unit, as whole numbers > 0.
+        position_numerator, position_divisor: increments per position unit, as whole numbers; the
+            first is < 0 where 607Eh turns positions round.
         velocity_unit_inc_s: increments per second per velocity unit.
         acceleration_unit_inc_s2: increments per second squared per acceleration unit.
+        velocity_sign: -1.0 where 607Eh turns velocities round.
+        range_low, range_size: 607Bh: the lowest position, and how many there are; 0: no range.
     """
 
     position_numerator: int
     position_divisor: int
     velocity_unit_inc_s: float
     acceleration_unit_inc_s2: float
+    velocity_sign: float = 1.0
+    range_low: int = 0
+    range_size: int = 0
 
     def position_inc(self, raw: int) -> int:
         """Position units as increments, rounded to the nearest."""
@@ -57,16 +68,44 @@ class Units:
         return (2 * raw * numerator + divisor) // (2 * divisor)
 
     def position_raw(self, position_inc: int) -> int:
-        """Increments as position units, rounded to the nearest; signed 32 bit, wrapping round."""
-        numerator = self.position_numerator
-        raw = position_inc
-        if numerator != 1 or self.position_divisor != 1:
-            raw = (2 * position_inc * self.position_divisor + numerator) // (2 * numerator)
+        """Increments as position units, rounded to the nearest, within the range.
+
+        Without a range: signed 32 bit, wrapping round.
+        """
+        raw = self._raw(position_inc)
+        if self.range_size:
+            return self.range_low + (raw - self.range_low) % self.range_size
         return (raw + 0x8000_0000 & 0xFFFF_FFFF) - 0x8000_0000
+
+    def length_raw(self, length_inc: int) -> int:
+        """A distance, which no range cuts; signed 32 bit, wrapping round."""
+        return (self._raw(length_inc) + 0x8000_0000 & 0xFFFF_FFFF) - 0x8000_0000
+
+    def turned_inc(self, raw: int, demand_inc: int, way: int) -> int:
+        """Where in increments the position `raw` of the range is, seen from the present demand.
+
+        `way` (60F2h, rotary axis): 0 in the same turn, 1 below, 2 above, 3 the nearest.
+        """
+        size = self.range_size
+        demand = self._raw(demand_inc)
+        target = raw + (demand - self.range_low) // size * size
+        if way == 1 and target > demand:
+            target -= size
+        elif way == 2 and target < demand:
+            target += size
+        elif way == 3:
+            target = demand + (target - demand + size // 2) % size - size // 2
+        return self.position_inc(target)
+
+    def _raw(self, position_inc: int) -> int:
+        numerator = self.position_numerator
+        if numerator == 1 and self.position_divisor == 1:
+            return position_inc
+        return (2 * position_inc * self.position_divisor + numerator) // (2 * numerator)
 
     def velocity_raw(self, velocity_inc_s: float) -> int:
         """A velocity as velocity units, rounded to the nearest; limited to signed 32 bit."""
-        return limited(velocity_inc_s / self.velocity_unit_inc_s, 0x7FFF_FFFF)
+        return limited(velocity_inc_s / self.velocity_unit_inc_s * self.velocity_sign, 0x7FFF_FFFF)
 
 
 @final
@@ -115,8 +154,11 @@ def units_of(
         position = _position_unit(od, plant)
     else:
         position = Fraction(position_unit_inc).limit_denominator(1_000_000)
+    polarity = od.integer(0x607E, 0, 0)
+    low, high = od.integer(0x607B, 1, 0), od.integer(0x607B, 2, 0)
+    size = high - low + 1 if low < high else 0
     return Units(
-        position.numerator,
+        -position.numerator if polarity & POSITION_POLARITY else position.numerator,
         position.denominator,
         velocity_unit_inc_s
         if velocity_unit_inc_s is not None
@@ -124,6 +166,9 @@ def units_of(
         acceleration_unit_inc_s2
         if acceleration_unit_inc_s2 is not None
         else float(_rate_unit(od, plant, position, 0x608E, 0x6097)),
+        -1.0 if polarity & VELOCITY_POLARITY else 1.0,
+        low,
+        size if size <= 0xFFFF_FFFF else 0,
     )
 
 

@@ -37,9 +37,9 @@ class WindowObjects:
         following = self._following_window.integer()
         off = 1 << 62
         return (
-            off if target == NO_WINDOW else units.position_inc(target),
+            off if target == NO_WINDOW else abs(units.position_inc(target)),
             self._target_ms.integer() * ms,
-            off if following in (0, NO_WINDOW) else units.position_inc(following),
+            off if following in (0, NO_WINDOW) else abs(units.position_inc(following)),
             self._following_ms.integer() * ms,
             self._velocity_window.integer() * units.velocity_unit_inc_s,
             self._velocity_window_ms.integer() * ms,

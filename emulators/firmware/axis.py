@@ -72,10 +72,13 @@ class Axis(AxisSettings):
         velocity_inc_s: float,
         acceleration_inc_s2: float,
         deceleration_inc_s2: float,
+        end_velocity_inc_s: float = 0.0,
     ) -> None:
         """Come to rest at the target by a trapezoid, from the present demand.
 
-        With velocity 0 the axis ramps to rest where it is, and the profile stays active.
+        With an end velocity > 0 the axis passes the target at that speed and goes on; the profile
+        is over when it has this speed. With velocity 0 the axis ramps to rest where it is, and the
+        profile stays active.
 
         Raises:
             ValueError: velocity < 0, or acceleration or deceleration <= 0.
@@ -95,6 +98,13 @@ class Axis(AxisSettings):
         target = float(target_inc - self._offset_inc)
         self._way = target - position
         if self._barred and self._is_barred():
+            return
+        if end_velocity_inc_s > 0.0:
+            pieces = profile.move_through(
+                *(position, velocity, target, speed_max, faster, slower),
+                end_velocity_inc_s * self._tick_s,
+            )
+            self._begin(pieces, profile.duration_ticks(pieces), False, 0.0)
             return
         pieces = profile.move(position, velocity, target, speed_max, faster, slower)
         self._begin(pieces, profile.duration_ticks(pieces), True, 0.0)

@@ -174,6 +174,72 @@ def move(
     return tuple(pieces)
 
 
+def move_through(
+    position: float,
+    velocity: float,
+    target: float,
+    velocity_max: float,
+    acceleration: float,
+    deceleration: float,
+    end: float,
+) -> Profile:
+    """Pass `target` at the speed `end` > 0, no faster than `velocity_max`, and go on at it.
+
+    A start too fast, or too slow, for the way that is left reaches that speed behind the target.
+    """
+    pieces: list[Piece] = []
+    t = 0.0
+    forward = 1.0 if target >= position else -1.0
+    if velocity * forward < 0.0:
+        t, position = _brake(pieces, position, velocity, deceleration)
+        velocity = 0.0
+    speed = velocity * forward
+    distance = (target - position) * forward
+    end = min(end, velocity_max)
+    change = speed * speed - end * end
+    peak = end
+    if -2.0 * acceleration * distance <= change <= 2.0 * deceleration * distance:
+        squared = deceleration * (2.0 * acceleration * distance + speed * speed)
+        peak = sqrt((squared + acceleration * end * end) / (acceleration + deceleration))
+        peak = min(max(peak, end), velocity_max)
+    t, position, speed = _change(
+        pieces, t, position, speed, peak, acceleration, deceleration, forward
+    )
+    braking = (peak * peak - end * end) / (2.0 * deceleration)
+    cruise = (target - position) * forward - braking
+    if cruise > 0.0:
+        duration = cruise / peak
+        pieces.append((t + duration, t, position, peak * forward, 0.0, peak * forward, 0.0))
+        t += duration
+        position += cruise * forward
+    t, position, speed = _change(
+        pieces, t, position, speed, end, acceleration, deceleration, forward
+    )
+    pieces.append((FOREVER, t, position, end * forward, 0.0, end * forward, 0.0))
+    return tuple(pieces)
+
+
+def _change(
+    pieces: list[Piece],
+    t: float,
+    position: float,
+    speed: float,
+    wanted: float,
+    acceleration: float,
+    deceleration: float,
+    forward: float,
+) -> tuple[float, float, float]:
+    """Append the piece from one speed to the other, if they differ; when, where and how fast."""
+    if wanted == speed:
+        return t, position, speed
+    size = acceleration if wanted > speed else -deceleration
+    duration = (wanted - speed) / size
+    half = 0.5 * size * forward
+    velocity = speed * forward
+    pieces.append((t + duration, t, position, velocity, half, velocity, size * forward))
+    return t + duration, position + duration * (velocity + duration * half), wanted
+
+
 def duration_ticks(profile: Profile) -> float:
     """When the last piece begins: from then on nothing changes any more [ticks]."""
     return profile[-1][1]

@@ -246,8 +246,10 @@ def test_initial_position_is_where_the_output_stands():
     assert bench.read(0x6064) == 0.25 / 6.283185307179586 * 132_000 // 1
 
 
-def test_an_object_the_file_lacks_may_have_a_value_behind_the_scenes():
-    bench = Bench(objects={"60F2h": 1})  # relative moves count from the demand
+def test_an_object_the_file_lacks_may_have_a_value_behind_the_scenes(tmp_path):
+    eds = tmp_path / "without.eds"
+    eds.write_text(OWN_EDS.read_text().replace("60F2", "60EF").replace("60C5", "60EE"))
+    bench = Bench(eds=str(eds), objects={"60F2h": 1})  # relative moves count from the demand
     bench.boot()
     assert bench.write(0x60F2, 0, 0, 2) == 0x0602_0000
-    assert new_drive(objects={"60C5h": 100}).od.integer(0x60C5, 0, 0) == 100
+    assert new_drive(eds=str(eds), objects={"60C5h": 100}).od.integer(0x60C5, 0, 0) == 100

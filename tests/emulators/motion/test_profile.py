@@ -175,3 +175,34 @@ def test_a_line_is_even_and_hands_its_velocity_to_the_next_one():
 
 def test_a_line_in_no_time_takes_one_tick():
     assert profile.demand_at(profile.line(0.0, 8.0, 0.0), 1.0) == (8.0, 8.0)
+
+
+@given(DISTANCES, st.floats(-1e3, 1e3), SPEEDS, ACCELERATIONS, ACCELERATIONS, SPEEDS)
+@example(100, 0.0, 10.0, 1.0, 1.0, 10.0)
+@example(1, 50.0, 60.0, 1.0, 1.0, 1.0)  # too fast for the way
+@example(1, 0.0, 60.0, 1.0, 1.0, 50.0)  # too slow for it
+def test_a_target_is_passed_at_the_end_velocity_and_within_the_limits(distance, v0, v, a, d, end):
+    target = float(distance)
+    pieces = profile.move_through(0.0, v0, target, v, a, d, end)
+    forward = 1.0 if distance >= 0 else -1.0
+    last = min(end, v)
+    kept, speed = profile.demand_at(pieces, profile.duration_ticks(pieces))
+    assert speed == forward * last
+    largest = max(1.0, abs(target), *(abs(piece[2]) for piece in pieces))
+    entry = max(v0 * forward, 0.0)
+    change = entry * entry - last * last
+    enough = -2 * a * abs(target) < change * (1 + RELATIVE) < 2 * d * abs(target)
+    if v0 * forward >= 0 and enough and entry <= v:
+        event("passed at the end velocity")
+        assert kept == pytest.approx(target, abs=1e-6 * largest)
+    for before, after in pairwise(pieces):
+        assert before[0] == after[1]
+        for k in (0, 1):  # no step, neither of position nor of velocity
+            left = profile.demand_at((before, *pieces[-1:]), before[0] * (1 - 1e-15))[k]
+            late = 1e-12 * before[0] * (max(a, d) + max(v, abs(v0)))  # of rounded times
+            assert profile.demand_at(pieces, after[1])[k] == pytest.approx(
+                left, abs=1e-6 * largest + late
+            )
+    for *_, start_speed, change in pieces:
+        assert within(abs(start_speed), max(v, abs(v0)))
+        assert change == 0.0 or abs(change) in (a, d)
