@@ -54,28 +54,26 @@ class CyclicMode(Mode):
         self.halted = halt
 
     def synced(self, now_ns: int) -> bool:
-        """The host is alive; from the first time on it is waited for."""
+        """The host is alive; from now on it is waited for, if the rig says for how long."""
+        if self._patience == 0:
+            return False
         is_first = self._last_sync_ns == _NONE_YET
         self._last_sync_ns = now_ns
         return is_first
 
-    def hears_sync(self) -> bool:
-        """Whether a SYNC has come since the mode got the axis."""
-        return self._last_sync_ns != _NONE_YET
-
     def settle(self, now_ns: int) -> None:
         """Whether SYNC has stayed away for too long."""
-        if now_ns >= self.sync_due_ns():
+        if self._last_sync_ns != _NONE_YET and now_ns >= self.sync_due_ns():
             self._last_sync_ns = _NONE_YET
             self.lost = True
 
     def wake_ns(self) -> int:
         """When SYNC will have stayed away for too long."""
-        return self.sync_due_ns()
+        return NEVER if self._last_sync_ns == _NONE_YET else self.sync_due_ns()
 
     def sync_due_ns(self) -> int:
         """When SYNC will have stayed away for too long."""
-        if self._last_sync_ns == _NONE_YET or self._patience == 0:
+        if self._last_sync_ns == _NONE_YET:
             return NEVER
         period_ns = self.objects.motion.interpolation_ns()
         if period_ns == 0:

@@ -3,9 +3,11 @@
 from typing import Final, final
 
 from emulators.cia402.cyclic import CyclicMode
-from emulators.cia402.statusword import FOLLOWING_ERROR
+from emulators.cia402.objects import DriveObjects
+from emulators.cia402.statusword import FOLLOWING_ERROR, FOLLOWS_COMMAND
 from emulators.cia402.written import OFFSETS, TARGET_POSITION
 from emulators.firmware import flags as f
+from emulators.firmware.axis import Axis
 
 NEAREST: Final = 3  # way round: from cycle to cycle a target is never half a range away
 
@@ -14,28 +16,43 @@ NEAREST: Final = 3  # way round: from cycle to cycle a target is never half a ra
 class CyclicPosition(CyclicMode):
     """Mode 8: 607Ah + 60B0h; 60B1h and 60B2h are fed forward. Bit 13: following error."""
 
+    def __init__(self, axis: Axis, objects: DriveObjects, tick_ns: int) -> None:
+        super().__init__(axis, objects, tick_ns)
+        self._has_offsets: bool = False
+
     def enter(self, word: int, now_ns: int) -> None:
         """The motor stands, or comes to rest, until a target is written."""
         super().enter(word, now_ns)
+        self._has_offsets = self.objects.offsets.are_set()
         self.axis.ramp_to_rest(self.objects.motion.deceleration_inc_s2())
 
     def written(self, what: int, now_ns: int) -> None:
         """A target or an offset has come into force."""
-        if not what & (TARGET_POSITION | OFFSETS):
+        if what & OFFSETS:
+            self._has_offsets = self.objects.offsets.are_set()
+            if not self._has_offsets:
+                self.axis.feed_current(0.0)
+        elif not what & TARGET_POSITION:
             return
         self.measure(now_ns)
         if self.halted:
             return
         objects = self.objects
         motion = objects.motion
-        offsets = objects.offsets
-        target = motion.target_near_inc(self.axis.demand_inc(), NEAREST) + offsets.position_inc()
+        target = motion.target_position_inc()
+        if objects.units.range_size:
+            target = motion.target_near_inc(self.axis.demand_inc(), NEAREST)
+        if self._has_offsets:
+            target += objects.offsets.position_inc()
         allowed = motion.within_limits_inc(target)
         self.limited = allowed != target
-        self.axis.follow(allowed, self.over_ns(), offsets.velocity_inc_s())
-        self.axis.feed_current(offsets.current_a())
+        if not self._has_offsets:
+            self.axis.follow(allowed, self.over_ns())
+            return
+        self.axis.follow(allowed, self.over_ns(), objects.offsets.velocity_inc_s())
+        self.axis.feed_current(objects.offsets.current_a())
 
     def status_bits(self) -> int:
         """Bits 12 and 13; bit 10 is reserved."""
-        bits = super().status_bits()
+        bits = 0 if self.halted or self.limited else FOLLOWS_COMMAND
         return bits | FOLLOWING_ERROR if self.axis.flags & f.FOLLOWING_ERROR else bits

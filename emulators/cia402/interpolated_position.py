@@ -29,11 +29,12 @@ class InterpolatedPosition(CyclicMode):
         super().__init__(axis, objects, tick_ns)
         self._active: bool = False
         self._due_ns: int = NEVER  # when the next record is taken without a SYNC
-        self._target_inc: int | None = None  # the last record taken
+        self._hears_sync: bool = False
 
     def enter(self, word: int, now_ns: int) -> None:
         """The motor stands, or comes to rest; bit 4 as it stands enables."""
         super().enter(word, now_ns)
+        self._hears_sync = False
         self._stop()
         self.axis.ramp_to_rest(self.objects.motion.deceleration_inc_s2())
         self.obey(word, 0, now_ns)
@@ -60,6 +61,7 @@ class InterpolatedPosition(CyclicMode):
     def synced(self, now_ns: int) -> bool:
         """SYNC sets the pace from the first one on."""
         is_first = super().synced(now_ns)
+        self._hears_sync = True
         if not self._active:
             return is_first
         self._due_ns = NEVER
@@ -74,7 +76,7 @@ class InterpolatedPosition(CyclicMode):
 
     def written(self, what: int, now_ns: int) -> None:
         """A record for a drive that waits for one, and hears no SYNC."""
-        if self._active and self._due_ns == NEVER and not self.hears_sync():
+        if self._active and self._due_ns == NEVER and not self._hears_sync:
             self._due_ns = now_ns
 
     def wake_ns(self) -> int:
@@ -104,7 +106,6 @@ class InterpolatedPosition(CyclicMode):
         target = ip.take_inc()
         allowed = motion.within_limits_inc(target)
         self.limited = allowed != target
-        self._target_inc = allowed
         self.axis.follow(allowed, self.over_ns(), has_target=ip.is_empty())
         return True
 

@@ -20,6 +20,14 @@ class OffsetObjects:
         self._velocity = od.ensure(0x60B1, 0, _D.INTEGER32, 0)
         self._torque_offset = od.ensure(0x60B2, 0, _D.INTEGER16, 0)
 
+    def are_set(self) -> bool:
+        """Whether any of them is not 0."""
+        return (
+            self._position.integer() != 0
+            or self._velocity.integer() != 0
+            or self._torque_offset.integer() != 0
+        )
+
     def position_inc(self) -> int:
         """60B0h."""
         return self._factors.units.position_inc(self._position.integer())

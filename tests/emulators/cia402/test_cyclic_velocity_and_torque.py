@@ -166,15 +166,20 @@ def test_csp_60b2h_is_a_current_that_counts_at_once():
     assert dip[200] < 0.4 * dip[0]
 
 
-@pytest.mark.parametrize("mode", [CSP, CSV, CST])
+@pytest.mark.parametrize("mode", [CSP, CSV])
 def test_an_offset_does_not_outlive_its_mode(mode):
+    """The loops had found it superfluous: taken away, it leaves the motor short of as much."""
     bench = cyclic(mode)
     bench.set(0x60B2, 0, 300, 2)
-    bench.run(20 * MS)
+    bench.run(500 * MS)
+    before = bench.truth("current_a")
     bench.set(0x6060, 0, 1, 1)
+    bench.run(1 * MS)
+    unit = bench.drive.settings.plant.current_max_a / 1000
+    least = min(after_each_tick(bench, "current_a", 4))
+    assert least < before - 100 * unit
     bench.run(500 * MS)
     assert bench.read(0x606C) == 0
-    assert abs(bench.truth("current_a")) < 0.5
 
 
 @pytest.mark.parametrize("mode", [CSP, CSV, CST])

@@ -96,9 +96,11 @@ def test_605ah_quick_stop(option, kind, end):
     if end is STAYS:
         assert bench.statusword() & 0x0400
         assert bench.truth("velocity_rad_s") == pytest.approx(0.0, abs=0.01)
-        bench.drive.stimulate("load_torque_n_m", 0.02, bench.now)
-        bench.run(500 * MS)
-        assert abs(bench.truth("following_error_inc")) <= 2  # it holds where it stands
+        at = bench.truth("position_inc")
+        bench.drive.stimulate("load_torque_n_m", 1.0, bench.now)
+        bench.run(1000 * MS)
+        assert abs(bench.truth("position_inc") - at) <= 2  # it holds where it stands
+        bench.drive.stimulate("load_torque_n_m", 0.0, bench.now)
         bench.controlword(0x0F)  # transition 16
         bench.run(300 * MS)
         assert bench.read(0x606C) == pytest.approx(V, rel=0.02)
