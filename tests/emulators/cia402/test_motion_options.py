@@ -99,6 +99,15 @@ def test_a_velocity_beyond_607fh_is_cut_and_told():
     assert not bench.statusword() & LIMIT
 
 
+def test_a_new_607fh_counts_for_the_move_under_way():
+    bench = standing(**{"6081h": 40_000})
+    go(bench, 60_000, wait_ms=500)
+    assert bench.read(0x606B) == pytest.approx(40_000, rel=0.01)
+    bench.set(0x607F, 0, 10_000, 4)
+    bench.run(200 * MS)
+    assert bench.read(0x606B) == pytest.approx(10_000, rel=0.01)
+
+
 def test_pv_tells_of_a_velocity_beyond_607fh():
     bench = standing(3, **{"607Fh": 20_000})
     for velocity, told in ((20_000, False), (20_001, True), (-20_001, True), (-20_000, False)):
