@@ -1,12 +1,14 @@
 """What a servo tick costs, in the ways a drive asks for it; and how soon an axis rests."""
 
 from collections.abc import Callable
+from dataclasses import replace
 from time import process_time
 
 from emulators.firmware.axis import Axis
 from emulators.firmware.flags import PROFILE_ACTIVE
 from emulators.firmware.gains import ServoGains
 from emulators.firmware.servo_tables import tables_of
+from emulators.plant.extras import NO_EXTRAS, PlantExtras
 from emulators.plant.presets import WHEEL_60W
 
 MS = 1_000_000
@@ -21,6 +23,8 @@ def run() -> list[tuple[str, float, str]]:
     return [
         ("tick of a moving axis, 10 current steps, 10,000 in one go", best(batch), "us"),
         ("tick near the top speed, voltage clipped in every step", best(clipped), "us"),
+        ("tick of a moving axis with heat, DC link, one body", best(one_body), "us"),
+        ("tick of a moving axis with backlash, two bodies", best(two_bodies), "us"),
         ("tick of a moving axis, looked at every tick", best(singly), "us"),
         ("tick of a moving axis, waking for its events only", best(events), "us"),
         ("tick of a moving axis, waking for events, seen at 50 Hz", best(seen), "us"),
@@ -37,9 +41,10 @@ def best(measure: Callable[[], float]) -> float:
     return min(measure() for _ in range(7))
 
 
-def make(velocity_inc_s: float = 100_000.0) -> Axis:
+def make(velocity_inc_s: float = 100_000.0, extras: PlantExtras = NO_EXTRAS) -> Axis:
     """Powered and, unless the velocity is 0, at that speed, at 1 s."""
-    axis = Axis(WHEEL_60W, ServoGains.tuned(WHEEL_60W, MS, STEPS), MS, STEPS)
+    plant = replace(WHEEL_60W, extras=extras)
+    axis = Axis(plant, ServoGains.tuned(plant, MS, STEPS), MS, STEPS)
     axis.power(True)
     axis.at(10 * MS)
     if velocity_inc_s:
@@ -57,6 +62,28 @@ def batch() -> float:
     start = process_time()
     axis.at((1_000 + TICKS) * MS)
     return per_tick_us(process_time() - start)
+
+
+def one_body() -> float:
+    heat = PlantExtras(
+        thermal_resistance_winding_housing_k_w=1.7,
+        thermal_resistance_housing_ambient_k_w=6.0,
+        thermal_time_constant_winding_s=16.2,
+        thermal_time_constant_motor_s=714.0,
+        source_resistance_ohm=0.2,
+    )
+    return with_extras(heat)
+
+
+def two_bodies() -> float:
+    return with_extras(PlantExtras(backlash_rad=0.01))
+
+
+def with_extras(extras: PlantExtras) -> float:
+    axis = make(extras=extras)
+    start = process_time()
+    axis.at((1_000 + TICKS // 10) * MS)
+    return per_tick_us(process_time() - start) * 10
 
 
 def clipped() -> float:

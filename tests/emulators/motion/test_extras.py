@@ -1,25 +1,33 @@
 """A plant with extras behind the axis: who looks makes no difference, and rest is exact."""
 
 from dataclasses import replace
+from pathlib import Path
 
 import pytest
 from hypothesis import event, given, settings
 from hypothesis import strategies as st
 
+from emulators.cia402.factory import build as cia402_drive
+from emulators.controller import ControllerContext, SettingError
 from emulators.firmware.axis import Axis
 from emulators.firmware.flags import (
     I2T_LIMIT,
     I2T_WARNING,
+    OUTSIDE_GATE,
     OVER_TEMPERATURE,
     SPEED_ZERO,
     TEMPERATURE_WARNING,
     UNDER_VOLTAGE,
 )
 from emulators.firmware.gains import ServoGains
+from emulators.leadshine_pr.factory import build as leadshine_drive
+from emulators.oriental_az.factory import build as oriental_drive
 from emulators.plant.extras import PlantExtras
 from emulators.plant.presets import WHEEL_60W
+from emulators.setting_tables import plant_of
 
 MS = 1_000_000
+CONTEXT = ControllerContext(name="drive", folder=Path(), seed=1)
 HEAT = {
     "thermal_resistance_winding_housing_k_w": 1.7,
     "thermal_resistance_housing_ambient_k_w": 6.0,
@@ -225,3 +233,65 @@ def test_a_plain_plant_answers_for_what_it_has_not():
     assert axis.i2t_level() == 0.0
     with pytest.raises(ValueError, match="supply_v = 20"):
         axis.set_supply(20.0)
+
+
+def test_the_gate_of_the_output_is_behind_the_play():
+    """A switch at the output closes where the load is, at the tick at which it gets there."""
+    axis = axis_with(plant_with("backlash"))
+    axis.power(True)
+    axis.at(50 * MS)
+    axis.set_gate(-1e300, 1e300, -1e300, 500.0)
+    axis.move_to(2_000, 20_000.0, 200_000.0, 200_000.0)
+    while not axis.flags & OUTSIDE_GATE:
+        behind = axis.output_count()
+        axis.at(axis.next_event_ns())
+        if not axis.flags & OUTSIDE_GATE:
+            assert axis.output_count() < 500
+    assert behind < 500 <= axis.output_count()
+    half_inc = 0.005 * WHEEL_60W.gear_ratio * WHEEL_60W.increments_per_rad()
+    ahead = axis.position_inc() - axis.output_count()
+    assert half_inc - 10 < ahead < half_inc + 2  # the flanks touch, or nearly
+    assert axis.count_when_output_was(500) - 500 == pytest.approx(ahead, abs=1)
+
+
+@pytest.mark.parametrize("kind", ["cia402", "leadshine_pr", "oriental_az"])
+def test_every_drive_takes_a_plant_with_extras(kind):
+    table = {"preset": "mast_20w", "backlash_rad": 0.01, "stop_high_rad": 1.0}
+    if kind == "cia402":
+        drive = cia402_drive({"node_id": 1, "plant": table}, CONTEXT)
+    elif kind == "leadshine_pr":
+        drive = leadshine_drive({"unit": 1, "plant": table}, CONTEXT)
+    else:
+        drive = oriental_drive({"unit": 1, "plant": table}, CONTEXT)
+    drive.start(0)
+    drive.stimulate("load_torque_n_m", -50.0, 0)  # more than friction holds: to the upper end
+    assert drive.snapshot(3_000 * MS)["position_rad"] == pytest.approx(1.0, abs=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("table", "key", "told"),
+    [
+        ({"backlash_rad": -1}, "backlash_rad", "-1 is outside 0..6.2832"),
+        ({"backlash": 0.1}, "backlash", "did you mean backlash_rad?"),
+        ({"cogging_periods_rev": 1.5}, "cogging_periods_rev", "no whole number"),
+        ({"stop_low_rad": 2.0, "stop_high_rad": 1.0}, "stop_low_rad", "not below stop_high_rad"),
+        (
+            {"thermal_time_constant_winding_s": 2.0},
+            "thermal_resistance_winding_housing_k_w",
+            "other three",
+        ),
+        ({"copper_coefficient_1_k": 0.0039}, "copper_coefficient_1_k", "needs a thermal model"),
+        ({"i2t_peak_a": 2.0, "i2t_continuous_a": 3.0}, "i2t_peak_a", "not above i2t_continuous_a"),
+    ],
+)
+def test_what_a_plant_cannot_have_is_refused_with_its_key(table, key, told):
+    with pytest.raises(SettingError) as caught:
+        plant_of({"preset": "wheel_60w", **table})
+    assert caught.value.path == ("plant", key)
+    assert told in str(caught.value)
+
+
+def test_a_motor_cannot_begin_beyond_an_end_of_its_way():
+    settings = {"node_id": 1, "plant": {"preset": "mast_20w", "stop_high_rad": 1.0}}
+    with pytest.raises(SettingError, match="beyond an end"):
+        cia402_drive({**settings, "initial_position_rad": 1.5}, CONTEXT)
