@@ -169,6 +169,33 @@ def test_rest_is_a_state_that_the_step_maps_onto_itself():
         assert repr(state[19][:6]) == repr(time.state[19][:6])
 
 
+def test_losses_of_a_rest_that_ends_between_two_reckonings_are_not_lost():
+    """The same tick by tick, where rest is never found, to the last bit."""
+    heat = {**HEAT, "thermal_time_constant_winding_s": 0.2, "thermal_time_constant_motor_s": 0.3}
+    axis = axis_with(replace(WHEEL_60W, extras=PlantExtras(**heat, stop_high_rad=0.0)))
+    axis.power(True)
+    axis.at(10 * MS)
+    axis.apply_current(3.0, 1e3)
+    axis.at(20 * MS)
+    time = axis._time
+    state, tick = time.state, time.tick
+    while tick < 40_013:
+        state, _, _ = time._run(tick, state, 1, False)
+        tick += 1
+    axis.at(40_013 * MS)
+    assert axis.rest() >= 0
+    axis.apply_current(1.0, 1e3)
+    seen = []
+    for k in range(40_014, 40_060):
+        axis.at(k * MS)
+        seen.append((axis.winding_temperature_c(), axis.housing_temperature_c()))
+    again = []
+    for k in range(40_013, 40_059):
+        state, _, _ = time._run(k, state, 1, False)
+        again.append((state[19][3], state[19][4]))
+    assert again == seen
+
+
 def test_a_motor_that_cools_at_rest_is_hardly_worked_for():
     """An hour of it: one wake-up every ten seconds, until the temperature stands."""
     axis = axis_with(plant_with("heat"))

@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from hypothesis import event, given, settings
+from hypothesis import event, example, given, settings
 from hypothesis import strategies as st
 from scipy.integrate import solve_ivp
 from scipy.linalg import expm
@@ -177,6 +177,10 @@ SPEED = st.floats(-600.0, 600.0)
 
 
 @settings(max_examples=60)
+@example({"static_friction_n_m": 8e-3}, False, True, 0.0078125, 0.0, 0.0)
+@example(
+    {"static_friction_n_m": 8e-3, "coupling_stiffness_n_m_rad": 30.0}, False, True, 0.0078, 0.0, 0.0
+)
 @given(EXTRAS, st.booleans(), st.booleans(), SPEED, SPEED, st.floats(-0.02, 0.02))
 def test_a_plant_left_alone_never_gains_energy(numbers, is_dry, shorted, w, wl, at_rad):
     """Coasting, or with a shorted winding; whatever it has, in every single substep."""
@@ -200,11 +204,31 @@ def test_a_plant_left_alone_never_gains_energy(numbers, is_dry, shorted, w, wl, 
         if stands:
             i *= t.decay
         after = energy(t, plant, i, w, x, wl, xl)
-        assert after <= before + 1e-9 * scale
+        assert after <= before + 1e-9 * abs(before) + 1e-13 * scale
         assert t.low <= xl <= t.high
         before = after
     event("two bodies" if t.two_bodies else "one body")
     event("lost half" if before - start < -0.5 * abs(start) else "kept most")
+
+
+@given(
+    st.floats(0.01, 5.0),
+    st.floats(0.0, 50.0),
+    st.floats(0.0, 50.0),
+    st.floats(1e-3, 100.0),
+    st.floats(0.0, 5_000.0),
+)
+def test_flanks_push_and_never_pull(gap, twist, free, give, damping):
+    """Whatever the damper asks for; and they part where the play begins, not within each other."""
+    t = numbers_of(with_extras(backlash_rad=0.01, coupling_damping_n_m_s_rad=damping))
+    t.gap = gap
+    torque = extras_step.coupling(t, twist, free, give)
+    assert extras_step.coupling(t, -twist, -free, give) == -torque
+    if free <= gap:
+        assert torque == 0.0
+    else:
+        assert torque >= 0.0
+        assert free - give * torque >= gap * (1.0 - 1e-9)
 
 
 def test_an_end_of_the_way_holds_and_gives_back_what_it_should():
