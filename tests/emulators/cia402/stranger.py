@@ -72,6 +72,7 @@ DEEDS: Final[tuple[tuple[str, tuple[Sequence[object], ...]], ...]] = (
     ("ramp", ((0x607F,), (1_000, 30_000))),
     ("torque", (TORQUES,)),
     ("halt", ((5, 21, 60),)),
+    ("dare", ((1, 3),)),
     ("option", ((0x605A, 0x605B, 0x605C, 0x605D, 0x605E, 0x6007), tuple(range(-1, 9)))),
     ("ramp", ((0x6081, 0x6083, 0x6084, 0x6085, 0x607F), (1_000, 30_000, 500_000))),
     ("nmt", ((0x01, 0x01, 0x01, 0x02, 0x80, 0x81, 0x82),)),
@@ -138,6 +139,17 @@ class Stranger:
             drive.rpdo(1, WORDS[number])
             drive.wait(5 * MS)
 
+    def dare(self, mode: int) -> None:
+        """Enabled, a target that nobody started (pp), or beyond a limit of speed (pv)."""
+        drive = self.drive
+        drive.sdo(0x6060, 0, mode, 1)
+        drive.sdo(0x607F, 0, 1_000 if mode == 3 else 30_000, 4)
+        self.reach((State.OPERATION_ENABLED,))
+        drive.wait(21 * MS)
+        drive.rpdo(1, 0x0F)
+        drive.rpdo(3 if mode == 1 else 4, 0x0F, (40_000).to_bytes(4, "little"))
+        drive.wait(21 * MS)
+
     def does(self, deed: Deed) -> None:
         """One of DEEDS, with one value of each kind."""
         what, values = deed
@@ -158,6 +170,8 @@ class Stranger:
             drive.rpdo(4, word, int(numbers[0]).to_bytes(4, "little", signed=True))
         elif what == "torque":
             drive.sdo(0x6071, 0, int(numbers[0]), 2)
+        elif what == "dare":
+            self.dare(int(numbers[0]))
         elif what == "halt":
             drive.rpdo(1, word | 0x0100)
             drive.wait(int(numbers[0]) * MS)
