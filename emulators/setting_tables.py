@@ -136,6 +136,14 @@ def node_id_in(table: Mapping[str, object]) -> int:
     return whole(table["node_id"], ("node_id",), 1, 127)
 
 
+def flag(table: Mapping[str, object], key: str) -> bool:
+    """The value of that key, true or false; false where there is none."""
+    value = table.get(key, False)
+    if not isinstance(value, bool):
+        raise SettingError((key,), f"{value!r} is neither true nor false", f"{key} = true")
+    return value
+
+
 def eds_in(table: Mapping[str, object], folder: Path, own: Path) -> Path:
     """The EDS named in the table, from `folder` on; `own` where none is."""
     value = table.get("eds")

@@ -8,7 +8,10 @@ from emulators.canopen.object_dictionary import ObjectDictionary, Value, Variabl
 
 @final
 class VariableDescription:
-    """What a file says of one sub-index; `default` None: it states none. `line`: where."""
+    """What a file says of one sub-index; `default` None: it states none. `line`: where.
+
+    `follows_node_id`: the default is an offset to $NODEID.
+    """
 
     def __init__(
         self,
@@ -21,6 +24,7 @@ class VariableDescription:
         limits: tuple[int | None, int | None],
         default: Value | None,
         line: int,
+        follows_node_id: bool = False,
     ) -> None:
         self.index = index
         self.subindex = subindex
@@ -31,10 +35,11 @@ class VariableDescription:
         self.low, self.high = limits
         self.default = default
         self.line = line
+        self.follows_node_id = follows_node_id
 
     def variable(self) -> Variable:
         """A new variable as described."""
-        return Variable(
+        variable = Variable(
             self.index,
             self.subindex,
             self.data_type,
@@ -45,6 +50,8 @@ class VariableDescription:
             self.high,
             self.default,
         )
+        variable.follows_node_id = self.follows_node_id
+        return variable
 
 
 @final
@@ -56,6 +63,7 @@ class DeviceDescription:
         vendor_name, product_name, order_code: [DeviceInfo]; "" where it says nothing.
         vendor_number, product_number, revision_number: [DeviceInfo]; 0 where it says nothing.
         node_id: what $NODEID stood for.
+        supports_lss: [DeviceInfo] LSS_Supported.
         objects: every sub-index, by index and sub-index.
         dummies: data types an RPDO may map as dummies.
         warnings: (path, line, text) of everything that was repaired or left out.
@@ -70,6 +78,7 @@ class DeviceDescription:
         self.vendor_number = 0
         self.product_number = 0
         self.revision_number = 0
+        self.supports_lss = False
         self.objects: tuple[VariableDescription, ...] = ()
         self.dummies: tuple[int, ...] = (1, 2, 3, 4, 5, 6, 7)
         self.warnings: tuple[tuple[Path, int, str], ...] = ()
@@ -81,6 +90,8 @@ class DeviceDescription:
         """
         od = ObjectDictionary()
         od.dummies = self.dummies
+        od.node_id = self.node_id
+        od.supports_lss = self.supports_lss
         for description in self.objects:
             od.add(description.variable())
         numbers = (self.vendor_number, self.product_number, self.revision_number)

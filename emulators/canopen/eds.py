@@ -127,6 +127,7 @@ class _Reader:
         its.vendor_name, its.vendor_number = mine.vendor_name, mine.vendor_number
         its.product_name, its.product_number = mine.product_name, mine.product_number
         its.order_code, its.revision_number = mine.order_code, mine.revision_number
+        its.supports_lss = mine.supports_lss
         its.dummies, its.warnings = mine.dummies, mine.warnings
         its.objects = tuple(other._found[key] for key in sorted(other._found))
         return its
@@ -173,6 +174,7 @@ class _Reader:
         description.vendor_number = self._number(section, "vendornumber", 0)
         description.product_number = self._number(section, "productnumber", 0)
         description.revision_number = self._number(section, "revisionnumber", 0)
+        description.supports_lss = self._number(section, "lss_supported", 0) != 0
 
     def _read_dummies(self, description: DeviceDescription) -> None:
         section = self._text.sections.get("dummyusage")
@@ -267,6 +269,10 @@ class _Reader:
             index, 0, name, DataType.UNSIGNED8, "ro", False, (None, None), count, line
         )
 
+    def _follows_node_id(self, section: Section) -> bool:
+        field = section.get("parametervalue") or section.get("defaultvalue")
+        return field is not None and "$nodeid" in field.text.lower()
+
     def _add(self, index: int, subindex: int, section: Section, object_type: int) -> None:
         if object_type in _DEFTYPE:
             return
@@ -283,6 +289,7 @@ class _Reader:
             self._limits(section, data_type, default),
             default,
             section.line,
+            self._follows_node_id(section),
         )
         if any("$" in field.text for field in section.fields.values()):
             self._with_node_id.append((index, subindex, section, object_type))

@@ -73,7 +73,7 @@ class EmcyProducer:
         self._sent_ns: int = _LONG_AGO
         self._may_send = False
         self.deadline_ns: int = NEVER
-        self._cob_id = od.ensure(0x1014, 0, DataType.UNSIGNED32, 0x80 + node_id)
+        self._cob_id = od.ensure(0x1014, 0, DataType.UNSIGNED32, 0x80 + node_id, True)
         self._cob_id.writer = self.check_cob_id
         count = od.get(0x1003)
         if count is not None:

@@ -35,6 +35,11 @@ class ErrorControl:
         self.state = 0
         self.deadline_ns: int = NEVER
 
+    def take_node_id(self, node_id: int) -> None:
+        """The node has another node-ID."""
+        self._producer.take_node_id(node_id)
+        self._guarding.take_node_id(node_id)
+
     def stop(self) -> None:
         """INITIALISING: nothing is sent or watched."""
         self._producer.stop()

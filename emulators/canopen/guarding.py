@@ -32,9 +32,14 @@ class NodeGuarding:
         self._toggle = 0
         self._life_ns = 0
         self._is_asked = False
-        self.can_id: Final = self._answer_id | RTR_FLAG
+        self.can_id = self._answer_id | RTR_FLAG
         self.deadline_ns: int = NEVER
         self.is_lost = False
+
+    def take_node_id(self, node_id: int) -> None:
+        """It is this node that is guarded from now on."""
+        self._answer_id = _ERROR_CONTROL + node_id
+        self.can_id = self._answer_id | RTR_FLAG
 
     def reset(self) -> None:
         """The first answer has the toggle bit 0; nobody has asked yet."""

@@ -21,6 +21,10 @@ class HeartbeatProducer:
         self._period_ns = 0
         self.deadline_ns: int = NEVER
 
+    def take_node_id(self, node_id: int) -> None:
+        """Heartbeats are this node's from now on."""
+        self._can_id = _ERROR_CONTROL + node_id
+
     def stop(self) -> None:
         """Nothing is sent any more."""
         self.deadline_ns = NEVER

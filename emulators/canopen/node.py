@@ -18,20 +18,22 @@ from collections.abc import Sequence
 from typing import Final, final
 
 from emulators.canopen.access import DictionaryAccess
-from emulators.canopen.cob_id import INVALID
 from emulators.canopen.emcy import BUS_KEY, EmcyProducer
 from emulators.canopen.error_control import ErrorControl
+from emulators.canopen.lss import REQUEST_ID as LSS_REQUEST_ID
+from emulators.canopen.lss import UNCONFIGURED, LssSlave
 from emulators.canopen.nmt import TRANSITIONS, NmtCommand, NmtState, commanded
 from emulators.canopen.object_dictionary import ObjectDictionary
 from emulators.canopen.parameter_store import ParameterStore
 from emulators.canopen.pdo import PdoService
 from emulators.canopen.routing import Handler, Routes
-from emulators.canopen.sdo_server import SdoServer
+from emulators.canopen.sdo_server import SdoServer, sdo_can_id
 from emulators.canopen.shared import MS as MS
 from emulators.canopen.shared import NEVER, Outbox
 from emulators.canopen.shared import NodeHost as NodeHost
 from emulators.canopen.shared import NodeTiming as NodeTiming
 from emulators.canopen.sync import SyncService
+from emulators.canopen.time_stamp import TimeConsumer
 from emulators.controller import NonvolatileMemory, RigMemory
 from emulators.media.can_frame import RTR_FLAG
 
@@ -54,20 +56,26 @@ class CanopenNode:
         host: NodeHost,
         memory: NonvolatileMemory | None = None,
     ) -> None:
-        if not 1 <= node_id <= 127:
-            raise ValueError(f"a node-ID is 1..127, not {node_id}")
+        if not 1 <= node_id <= 127 and node_id != UNCONFIGURED:
+            raise ValueError(f"a node-ID is 1..127, or {UNCONFIGURED} for none, not {node_id}")
         self.od = od
         self.node_id = node_id
         self.state: int = NmtState.INITIALISING
         self._timing = timing
         self._host = host
         self.outbox = Outbox()
+        if od.node_id == 0:
+            od.node_id = 1 if node_id == UNCONFIGURED else node_id
+        defaults_of = od.node_id
         self._store = ParameterStore(od, RigMemory() if memory is None else memory, self.outbox)
-        self._emcy = EmcyProducer(od, node_id, self.outbox, self)
+        self._emcy = EmcyProducer(od, defaults_of, self.outbox, self)
         self._sync = SyncService(od, self._emcy, self.outbox)
         self._sdo = SdoServer(DictionaryAccess(od, host, self), timing.sdo_reply_ns, self.outbox)
-        self._pdos = PdoService(od, node_id, self._emcy, self._sync, self.outbox, host)
-        self._error_control = ErrorControl(od, node_id, self._emcy, self.outbox)
+        self._pdos = PdoService(od, defaults_of, self._emcy, self._sync, self.outbox, host)
+        self._error_control = ErrorControl(od, defaults_of, self._emcy, self.outbox)
+        self._time = TimeConsumer(od, self.outbox)
+        reply_ns = timing.sdo_reply_ns
+        self._lss = LssSlave(od, node_id, self._store, reply_ns, self.outbox)
         self._due_ns: int = NEVER  # boot-up; else what a device error does to the NMT state
         self._deadline_ns: int = NEVER
         self._pdos_deadline_ns: int = NEVER
@@ -128,6 +136,8 @@ class CanopenNode:
             self._emcy.expire(now_ns)
         if self._sync.deadline_ns <= now_ns:
             self._send_sync(now_ns)
+        if self._lss.deadline_ns <= now_ns:
+            self._lss.expire(now_ns)
         if self._pdos_deadline_ns <= now_ns:
             self._pdos.expire(now_ns)
 
@@ -199,6 +209,8 @@ class CanopenNode:
             self._sync.configure(index, now_ns)
             if index == 0x1019:
                 self._pdos.configure_counter(now_ns)
+        elif index == 0x1012:
+            self._time.configure()
         elif index in (0x1014, 0x1015):
             self._emcy.configure()
             return
@@ -221,6 +233,8 @@ class CanopenNode:
             deadline_ns = self._sync.deadline_ns
         if self._emcy.deadline_ns < deadline_ns:
             deadline_ns = self._emcy.deadline_ns
+        if self._lss.deadline_ns < deadline_ns:
+            deadline_ns = self._lss.deadline_ns
         self._deadline_ns = deadline_ns
 
     # --- NMT
@@ -239,6 +253,9 @@ class CanopenNode:
         self._sdo.stop()
         self._error_control.stop()
         self._enter(NmtState.INITIALISING, now_ns)
+        if whole:
+            self._lss.reset()
+        self._take_node_id(self._lss.pending_node_id)
         first, last = (0, 0xFFFF) if whole else (0x1000, 0x1FFF)
         self.od.reset(first, last)
         self._store.apply(first, last)
@@ -246,16 +263,28 @@ class CanopenNode:
         self._configure_all(now_ns)
         timing = self._timing
         delay_ns = timing.boot_up_ns if whole else timing.reset_communication_ns
-        self._due_ns = now_ns + delay_ns
+        self._due_ns = NEVER if self.node_id == UNCONFIGURED else now_ns + delay_ns
         self.outbox.deadlines_moved = True
         self._host.on_reset(whole, now_ns)
+
+    def _take_node_id(self, node_id: int) -> None:
+        """The node is this one from now on; UNCONFIGURED: none, only LSS can reach it."""
+        self.node_id = node_id
+        if node_id != UNCONFIGURED:
+            self.od.follow(node_id)
+            self._error_control.take_node_id(node_id)
+
+    def _on_lss(self, frame: bytes, now_ns: int) -> None:
+        if self._lss.receive(frame, self.node_id, now_ns):
+            self._reset(False, now_ns)
 
     def _configure_all(self, now_ns: int) -> None:
         self._sync.configure(0x1005, now_ns)
         self._emcy.configure()
+        self._time.configure()
         self._error_control.reset(now_ns)
         self._pdos.configure_all(now_ns)
-        self._sdo.configure(self._sdo_can_id(2, 0x580))
+        self._sdo.configure(sdo_can_id(self.od, 2, 0x580 + self.node_id))
         self._listen()
 
     def _boot_up(self, now_ns: int) -> None:
@@ -290,9 +319,14 @@ class CanopenNode:
         can_talk = state in (NmtState.PRE_OPERATIONAL, NmtState.OPERATIONAL)
         is_operational = state == NmtState.OPERATIONAL
         is_initialised = state != NmtState.INITIALISING
+        if self.od.supports_lss:
+            is_without = self.node_id == UNCONFIGURED
+            routes.add(LSS_REQUEST_ID, self._on_lss, is_initialised or is_without)
         routes.add(0x000, self._on_nmt_frame, is_initialised)
         routes.add(self._sync.can_id, self._sync_handler(), can_talk)
-        routes.add(self._sdo_can_id(1, 0x600), self._sdo.receive, can_talk)
+        if self._time.can_id:
+            routes.add(self._time.can_id, self._time.receive, can_talk)
+        routes.add(sdo_can_id(self.od, 1, 0x600 + self.node_id), self._sdo.receive, can_talk)
         routes.add(self._error_control.guard_id(), self._error_control.guard, is_initialised)
         for can_id in self._error_control.heartbeat_ids():
             routes.add(can_id, self._error_control.heartbeat, is_initialised)
@@ -308,13 +342,6 @@ class CanopenNode:
         if identifiers != self._identifiers:
             self._identifiers = identifiers
             self._identifiers_revision += 1
-
-    def _sdo_can_id(self, subindex: int, base: int) -> int:
-        """The identifier of 1200h; without a valid one there the default SDO channel."""
-        cob_id = self.od.integer(0x1200, subindex, 0)
-        if not cob_id & 0x7FF or cob_id & INVALID:
-            return base + self.node_id
-        return cob_id & 0x7FF
 
     def _sync_handler(self) -> Handler:
         """What a SYNC does: the less, the less it is asked for."""

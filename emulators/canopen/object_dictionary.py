@@ -178,6 +178,7 @@ class Variable:
         pdo_mappable: may be mapped into PDOs; RPDOs take writable, TPDOs readable variables.
         low, high: limits of a whole number, both inclusive; None: only the data type limits.
         default: the power-on value. `has_default`: it was stated, not made up here.
+        follows_node_id: another node-ID changes the default by as much ($NODEID).
         value: the present value; of a variable with a `reader` only what was written last.
         reader: answers with the value of a whole number as it is now.
         writer: told every new value of a whole number that passed the range checks, by SDO and by
@@ -205,6 +206,7 @@ class Variable:
         self.data_type = data_type
         self.access = access
         self.pdo_mappable = pdo_mappable
+        self.follows_node_id = False
         self.bits = length_bits(data_type)
         self.low: int | None = low
         self.high: int | None = high
@@ -293,6 +295,7 @@ class Variable:
         self.default = value
         self.value = value
         self.has_default = True
+        self.follows_node_id = False
 
 
 @final
@@ -301,6 +304,7 @@ class ObjectDictionary:
 
     Attributes:
         dummies: data types (their index) that an RPDO may map to skip bytes it has no use for.
+        node_id: of the defaults; 0: unknown. `supports_lss`: LSS may give another one.
 
     An object that is not there is invisible to SDO and PDO, yet the behaviour behind it keeps the
     standard's default: `ensure` gives such behaviour a variable to work with all the same.
@@ -311,6 +315,8 @@ class ObjectDictionary:
         self._hidden: dict[int, Variable] = {}
         self._subindices: dict[int, list[int]] = {}
         self.dummies: tuple[int, ...] = (1, 2, 3, 4, 5, 6, 7)
+        self.node_id = 0
+        self.supports_lss = False
 
     def add(self, variable: Variable) -> Variable:
         """The variable is visible from now on; one with the same place is replaced."""
@@ -342,7 +348,14 @@ class ObjectDictionary:
         for key in sorted(self._variables):
             yield self._variables[key]
 
-    def ensure(self, index: int, subindex: int, data_type: int, default: Value) -> Variable:
+    def ensure(
+        self,
+        index: int,
+        subindex: int,
+        data_type: int,
+        default: Value,
+        follows_node_id: bool = False,
+    ) -> Variable:
         """The visible variable there, else a hidden one that SDO and PDO do not see.
 
         A visible one whose default nobody stated takes `default`; the data type of a visible one
@@ -353,11 +366,12 @@ class ObjectDictionary:
         if variable is not None:
             if not variable.has_default and variable.can_hold(default):
                 variable.set_default(default)
+                variable.follows_node_id = follows_node_id
             return variable
         hidden = self._hidden.get(key)
         if hidden is None:
-            hidden = Variable(index, subindex, data_type, default=default)
-            self._hidden[key] = hidden
+            hidden = self._hidden[key] = Variable(index, subindex, data_type, default=default)
+            hidden.follows_node_id = follows_node_id
         return hidden
 
     def integer(self, index: int, subindex: int, default: int) -> int:
@@ -369,6 +383,14 @@ class ObjectDictionary:
             return default
         value = variable.value
         return value if isinstance(value, int) else default
+
+    def follow(self, node_id: int) -> None:
+        """Defaults that follow the node-ID are those of this one; values stay until a reset."""
+        shift, self.node_id = node_id - self.node_id, node_id
+        for variables in (self._variables, self._hidden):
+            for variable in variables.values():
+                if variable.follows_node_id and isinstance(variable.default, int):
+                    variable.default += shift
 
     def reset(self, first: int = 0x0000, last: int = 0xFFFF) -> None:
         """Values of the indices `first`..`last` are their power-on values; no writer is asked."""

@@ -28,7 +28,8 @@ class PdoParameters:
         self.communication = (0x1400 if receive else 0x1800) + number
         self.mapping = (0x1600 if receive else 0x1A00) + number
         predefined = _PREDEFINED[receive][number] + node_id if number < 4 else INVALID
-        self._cob_id = od.ensure(self.communication, 1, DataType.UNSIGNED32, predefined)
+        follows = predefined != INVALID
+        self._cob_id = od.ensure(self.communication, 1, DataType.UNSIGNED32, predefined, follows)
         self._type = od.ensure(self.communication, 2, DataType.UNSIGNED8, 0xFF)
         self._count = od.ensure(self.mapping, 0, DataType.UNSIGNED8, self._stated_entries())
         self._own_entries = self._power_on_entries()

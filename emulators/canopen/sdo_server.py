@@ -2,7 +2,10 @@
 
 A transfer is one of five things: none, an upload being handed out or a download being collected, in
 segments or in blocks. A new initiate request takes the place of whatever went on before, except
-between the segments of a block download, which have no command. Every response leaves `reply_ns`
+between the segments of a block download, which have no command. A client that says nothing for
+`TIMEOUT_NS` in the middle of a transfer is told that it is over (0504 0000h).
+
+Every response leaves `reply_ns`
 after its request; values are read and written when the request comes.
 """
 
@@ -12,10 +15,13 @@ from typing import Final, final
 
 from emulators.canopen.abort_code import AbortCode
 from emulators.canopen.access import DictionaryAccess
+from emulators.canopen.cob_id import INVALID
+from emulators.canopen.object_dictionary import ObjectDictionary
 from emulators.canopen.sdo_block import BLOCK_MAX, BlockDownload, BlockUpload
-from emulators.canopen.shared import NEVER, Outbox
+from emulators.canopen.shared import MS, NEVER, Outbox
 
 MAX_DOWNLOAD_BYTES: Final = 1 << 20
+TIMEOUT_NS: Final = 1_000 * MS  # as CANopenNode has it; CiA 301 names no time
 
 _BLOCK_RESPONSE: Final = Struct("<IB3xBBB5s")
 _RESPONSE: Final = Struct("<IB3xBHB4s")  # an SDO frame with command, index, sub-index and 4 bytes
@@ -44,6 +50,12 @@ _TOGGLE: Final = 0x10
 _ABORTED: Final = 0x80
 
 
+def sdo_can_id(od: ObjectDictionary, subindex: int, default: int) -> int:
+    """The identifier of 1200h; without a valid one there that of the default SDO channel."""
+    cob_id = od.integer(0x1200, subindex, 0)
+    return default if not cob_id & 0x7FF or cob_id & INVALID else cob_id & 0x7FF
+
+
 @final
 class SdoServer:
     """One SDO channel. `receive` takes its requests; responses come out when they are due."""
@@ -55,6 +67,7 @@ class SdoServer:
         self._response_id = 0
         self._replies: deque[tuple[int, bytes]] = deque()
         self.deadline_ns: int = NEVER
+        self._timeout_ns: int = NEVER  # when a transfer is over that its client has left
         self._state: int = _IDLE  # or _UPLOAD_SEGMENT, _DOWNLOAD_SEGMENT: what is expected next
         self._index = 0
         self._subindex = 0
@@ -104,10 +117,12 @@ class SdoServer:
 
     def expire(self, now_ns: int) -> None:
         """The responses due by now go out."""
+        if self._timeout_ns <= now_ns:
+            self._abort(AbortCode.PROTOCOL_TIMED_OUT, now_ns)
         replies = self._replies
         while replies and replies[0][0] <= now_ns:
             self._outbox.frames.append(replies.popleft()[1])
-        self.deadline_ns = replies[0][0] if replies else NEVER
+        self.deadline_ns = replies[0][0] if replies else self._timeout_ns
         self._outbox.deadlines_moved = True
 
     def _begin_upload(self, index: int, subindex: int, now_ns: int) -> None:
@@ -122,6 +137,7 @@ class SdoServer:
             command = 0x43 | (4 - size) << 2  # expedited, size indicated
         else:
             self._state = _UPLOAD_SEGMENT
+            self._wait(now_ns)
             self._data = data
             command = 0x41
             data = size.to_bytes(4, "little")
@@ -140,6 +156,8 @@ class SdoServer:
             if not self._data:
                 response |= 1
                 self._end()
+            else:
+                self._wait(now_ns)
             self._reply(_SEGMENT.pack(self._response_id, 8, response, part), now_ns)
 
     def _begin_download(self, command: int, frame: bytes, now_ns: int) -> None:
@@ -160,6 +178,7 @@ class SdoServer:
         if self._refuses(index, subindex, expected, now_ns):
             return
         self._state = _DOWNLOAD_SEGMENT
+        self._wait(now_ns)
         self._expected = expected
         self._accept(now_ns)
 
@@ -194,6 +213,8 @@ class SdoServer:
         self._toggle ^= _TOGGLE
         if is_last:
             self._end()
+        else:
+            self._wait(now_ns)
         self._reply(_SEGMENT.pack(self._response_id, 8, response, b""), now_ns)
 
     # ------------------------------------------------------------------------- in blocks
@@ -209,6 +230,7 @@ class SdoServer:
         if self._refuses(index, subindex, expected, now_ns):
             return
         self._state = _BLOCK_SEGMENTS
+        self._wait(now_ns)
         self._incoming = BlockDownload(expected, command & _HAS_CRC != 0, MAX_DOWNLOAD_BYTES)
         size = bytes((self._incoming.block_size,))
         self._reply(_RESPONSE.pack(self._response_id, 8, 0xA4, index, subindex, size), now_ns)
@@ -219,6 +241,7 @@ class SdoServer:
         if not 1 <= command & 0x7F <= incoming.block_size:
             self._abort(AbortCode.INVALID_SEQUENCE_NUMBER, now_ns)
             return
+        self._wait(now_ns)
         good = incoming.segment(command, frame[9:16])
         if incoming.overflows():
             is_told = incoming.expected is not None
@@ -283,11 +306,13 @@ class SdoServer:
             self._begin_upload(index, subindex, now_ns)
             return
         self._state = _BLOCK_UPLOAD
+        self._wait(now_ns)
         self._outgoing = BlockUpload(data, block_size, command & _HAS_CRC != 0)
         size = len(data).to_bytes(4, "little")
         self._reply(_RESPONSE.pack(self._response_id, 8, 0xC6, index, subindex, size), now_ns)
 
     def _send_block(self, outgoing: BlockUpload, now_ns: int) -> None:
+        self._wait(now_ns)
         for head, part in outgoing.block():
             self._reply(_SEGMENT.pack(self._response_id, 8, head, part), now_ns)
 
@@ -300,6 +325,13 @@ class SdoServer:
             return AbortCode.LENGTH_TOO_HIGH
         return AbortCode.LENGTH_TOO_LOW if is_last and self._collected < expected else 0
 
+    def _wait(self, now_ns: int) -> None:
+        """The client must say something within the time that follows the response."""
+        self._timeout_ns = now_ns + self._reply_ns + TIMEOUT_NS
+        if not self._replies:
+            self.deadline_ns = self._timeout_ns
+            self._outbox.deadlines_moved = True
+
     def _end(self) -> None:
         self._begin(0, 0)
 
@@ -310,6 +342,10 @@ class SdoServer:
         if self._state == _IDLE:
             return
         self._state = _IDLE
+        self._timeout_ns = NEVER
+        if not self._replies:
+            self.deadline_ns = NEVER
+            self._outbox.deadlines_moved = True
         self._toggle = 0
         self._data = b""
         self._parts = []

@@ -66,6 +66,8 @@ def _dictionary(description: DeviceDescription, channels: int) -> ObjectDictiona
     whole = description.dictionary()
     od = ObjectDictionary()
     od.dummies = whole.dummies
+    od.node_id = whole.node_id
+    od.supports_lss = whole.supports_lss
     for variable in whole:
         if variable.index not in _BY_CHANNEL or variable.subindex <= channels:
             od.add(variable)

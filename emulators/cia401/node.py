@@ -8,6 +8,7 @@ communication): the outputs take their error values, and keep them until they ar
 from collections.abc import Mapping, Sequence
 from typing import Final, final
 
+from emulators.canopen.lss import UNCONFIGURED
 from emulators.canopen.nmt import NmtState
 from emulators.canopen.node import CanopenNode, NodeTiming
 from emulators.canopen.object_dictionary import ObjectDictionary
@@ -38,7 +39,7 @@ class IoNode:
         self._objects = IoObjects(od, self.channels)
         self._node = CanopenNode(
             od,
-            settings.node_id,
+            UNCONFIGURED if settings.node_id_by_lss else settings.node_id,
             NodeTiming(boot_up_ns=settings.boot_up_ns, sdo_reply_ns=settings.sdo_reply_ns),
             self,
             memory,

@@ -18,6 +18,7 @@ from emulators.setting_tables import (
     ObjectValue,
     duration_ns,
     eds_in,
+    flag,
     initial_position_rad,
     memory_file_in,
     node_id_in,
@@ -34,7 +35,16 @@ OWN_EDS: Final = Path(__file__).parents[1] / "eds" / "motorhil_cia401.eds"
 CHANNELS_MAX: Final = 4
 
 KEYS: Final = (
-    *("node_id", "eds", "nonvolatile_memory", "channels", "plant", "amplifier", "channel"),
+    *(
+        "node_id",
+        "node_id_by_lss",
+        "eds",
+        "nonvolatile_memory",
+        "channels",
+        "plant",
+        "amplifier",
+        "channel",
+    ),
     *("oscillator", "timing", "objects", "initial_position_rad"),
 )
 TIMING_KEYS: Final = ("boot_up_s", "sdo_reply_s")
@@ -74,6 +84,7 @@ class NodeSettings:
 
     Attributes:
         node_id: 1..127.
+        node_id_by_lss: it has none until LSS gives it one.
         eds: where its object dictionary comes from.
         channels: 1 to 4 of them.
         oscillator: what its own clock shows; all other times here, the amplifiers' too, are by it.
@@ -85,6 +96,7 @@ class NodeSettings:
     node_id: int
     eds: Path
     nonvolatile_memory: str | None
+    node_id_by_lss: bool
     channels: tuple[ChannelSettings, ...]
     oscillator: Oscillator
     boot_up_ns: int
@@ -110,6 +122,7 @@ def read_settings(table: Mapping[str, object], folder: Path, stream: str = "") -
         node_id=node_id,
         eds=eds_in(table, folder, OWN_EDS),
         nonvolatile_memory=memory_file_in(table),
+        node_id_by_lss=flag(table, "node_id_by_lss"),
         channels=tuple(_channel(table, several, name) for name in names),
         oscillator=oscillator_in(table, stream),
         boot_up_ns=duration_ns(timing, "boot_up_s", 0.3, ("timing",)),

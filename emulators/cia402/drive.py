@@ -7,6 +7,7 @@ exact tick at which the axis' flags change; in between, and at rest, it costs no
 from collections.abc import Mapping, Sequence
 from typing import Final, final
 
+from emulators.canopen.lss import UNCONFIGURED
 from emulators.canopen.nmt import NmtState
 from emulators.canopen.node import CanopenNode, NodeTiming
 from emulators.canopen.object_dictionary import ObjectDictionary
@@ -66,7 +67,7 @@ class Cia402Drive:
         Readings(self.axis, self._objects, self._power_drive).bind(od)
         self._node = CanopenNode(
             od,
-            settings.node_id,
+            UNCONFIGURED if settings.node_id_by_lss else settings.node_id,
             NodeTiming(boot_up_ns=settings.boot_up_ns, sdo_reply_ns=settings.sdo_reply_ns),
             self,
             memory,

@@ -28,6 +28,7 @@ from emulators.setting_tables import (
     ObjectValue,
     duration_ns,
     eds_in,
+    flag,
     initial_position_rad,
     memory_file_in,
     node_id_in,
@@ -66,6 +67,7 @@ _KEYS: Final = (
     "supported_modes",
     "initial_position_rad",
     "nonvolatile_memory",
+    "node_id_by_lss",
     "protection",
     "quirks",
     "cyclic",
@@ -83,6 +85,7 @@ class DriveSettings:
 
     Attributes:
         node_id: 1..127.
+        node_id_by_lss: it has none until LSS gives it one.
         eds: where its object dictionary comes from.
         nonvolatile_memory: the file of what it keeps without power, as the rig names it; None: it
             keeps it as long as the rig is there.
@@ -109,6 +112,7 @@ class DriveSettings:
     node_id: int
     eds: Path = OWN_EDS
     nonvolatile_memory: str | None = None
+    node_id_by_lss: bool = False
     plant: MotorPlant = PRESETS[DEFAULT_PRESET]
     gains: ServoGains
     tick_ns: int = 1_000_000
@@ -155,6 +159,7 @@ def read_settings(table: Mapping[str, object], folder: Path, stream: str = "") -
         node_id=node_id,
         eds=eds_in(table, folder, OWN_EDS),
         nonvolatile_memory=memory_file_in(table),
+        node_id_by_lss=flag(table, "node_id_by_lss"),
         plant=plant,
         gains=gains,
         tick_ns=tick_ns,
