@@ -36,8 +36,8 @@ SETTLED = 3
 ROUNDED = 2
 """Whole increments of one tick, against those of the tick before."""
 
-SWING = 1.15
-"""In pv demand is where the motor is, and a loop that takes over swings."""
+SWING, CREEP = 1.15, 8
+"""In pv demand is where the motor is, and a loop swings that takes over: share, and increments."""
 OVERSHOOT = 0.33
 """Where a motor is braked on the current limit there is no profile: demand is where it is, and its
 speed swings through zero by less than a third, as behind any step of a PI loop."""
@@ -319,7 +319,7 @@ class Watched(Bench):
             self._regime = regime
             self._steps.clear()
             self._is_fresh = True
-        if reached and mode == PP and not self._arrived:
+        if reached and mode == PP and not is_halted and not self._arrived:
             self._asked = False
 
     def _note_asking(self, state: State, mode: int) -> None:
@@ -364,9 +364,10 @@ class Watched(Bench):
             pushed = mode == PV and self.inputs.get("load_torque_n_m")  # its demand is the actual
             if mode in (PP, PV) and not pushed:
                 allowed = max(entry, fastest) * (SWING if mode == PV else 1.0)
-                assert size <= allowed + ROUNDED, f"too fast: {where}"
+                allowed += ROUNDED if mode == PP else CREEP
+                assert size <= allowed, f"too fast: {where}"
         self._steps.append(size)
-        if self._is_inside and not (is_halted and mode == CSP):
+        if self._is_inside and not is_halted:  # a halt may have a slower ramp than the move
             low, high = self._limits()
             assert low - 1 <= demand <= high + 1, f"{demand} beyond 607Dh {low}..{high}: {where}"
 
