@@ -59,8 +59,9 @@ def test_an_upload_in_segments_byte_by_byte(wire):
         ("605#2B7A600001000000", 0x0607_0013),  # two bytes for INTEGER32
         ("605#2340600006000000", 0x0607_0012),  # four for UNSIGNED16
         ("605#2F60600002000000", 0x0609_0030),  # a mode that 6502h does not name
-        ("605#2B86600001000000", 0x0609_0031),  # above the high limit
-        ("605#2B866000FFFF0000", 0x0609_0032),  # below the low limit
+        ("605#2F29100103000000", 0x0609_0031),  # above the high limit
+        ("605#2306100032000000", 0x0609_0032),  # below the low limit
+        ("605#2B86600001000000", 0x0609_0030),  # no profile but the linear one
         ("605#2B5A600009000000", 0x0609_0030),  # the standard names no such option
         ("605#2B5D600000000000", 0x0609_0030),
         ("605#2F03100001000000", 0x0609_0030),  # the history takes only 0
