@@ -94,9 +94,12 @@ class OwnerRow:
         def is_taken() -> bool:
             return self._is_taken(asked, taken)
 
-        if not is_taken():
+        while not is_taken():
             if patience is None or asked.take_over:
-                raise self._busy(asked.owner, None)
+                busy = self._busy(asked.owner, None)
+                if busy is None:
+                    continue  # whoever had it, or waited for it, is through with it by now
+                raise busy
             self._places.append(asked)
             try:
                 self._teller.tell(LockAction.WAITING, asked, self._in_front(patience))
@@ -104,9 +107,12 @@ class OwnerRow:
                 if not patience.until(
                     asked.owner.runtime, is_taken, timeout_s, self._look_s, self._claims
                 ):
-                    raise self._busy(asked.owner, patience)
+                    busy = self._busy(asked.owner, patience)
+                    assert busy is not None, "one's own place is in the row"
+                    raise busy
             finally:
                 self._places.remove(asked)
+            break
         assert taken.claim is not None
         if taken.before is not None:
             return taken.claim, LockAction.TAKEN_OVER, taken.before.who
@@ -139,14 +145,18 @@ class OwnerRow:
         left_s = None if held is None else held.left_s
         return _LOOK_S if left_s is None else min(_LOOK_S, max(left_s, 1e-9))
 
-    def _busy(self, owner: Owner, patience: "Patience | None") -> MotorBusyError:
+    def _busy(self, owner: Owner, patience: "Patience | None") -> MotorBusyError | None:
+        """Who has it, or is in front; None: nobody any more. Threads come and go meanwhile."""
         held = self._claims.held
         if held is not None:
             return held.busy(owner.name)
         in_the_way = None if patience is None else patience.in_the_way()
         if in_the_way is not None:
             return in_the_way
-        first = self._places[0]
+        try:
+            first = self._places[0]
+        except IndexError:
+            return None
         holder = f"{first.who}, which waits for it,"
         return MotorBusyError(motor=owner.name, holder=holder, since_ns=first.asked_ns)
 
