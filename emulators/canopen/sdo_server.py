@@ -38,9 +38,12 @@ _BLOCK_DOWNLOAD: Final = 6
 
 _BLOCK_SEGMENTS: Final = 8  # a state, no specifier: frames of a block download
 
-# Of a block transfer's commands the client's subcommand, and what of them says what they have.
-_START: Final = 3
+# Of a block transfer's commands the client's subcommand, and what of them says what they have. The
+# one that is due in a block upload, added to _BLOCK_UPLOADS, is a state.
+_BLOCK_UPLOADS: Final = 16
+_END: Final = 1
 _CONFIRM: Final = 2
+_START: Final = 3
 _HAS_CRC: Final = 4
 _HAS_SIZE: Final = 2
 
@@ -274,7 +277,7 @@ class SdoServer:
             self._begin_block_upload(command, frame, now_ns)
             return
         outgoing = self._outgoing
-        if self._state != _BLOCK_UPLOAD or outgoing is None:
+        if self._state != _BLOCK_UPLOADS + step or outgoing is None:
             self._abort(AbortCode.COMMAND_SPECIFIER_UNKNOWN, now_ns)
         elif step == _START:
             self._send_block(outgoing, now_ns)
@@ -283,6 +286,8 @@ class SdoServer:
             if code is not None:
                 self._abort(code, now_ns)
             elif outgoing.is_over():
+                self._state = _BLOCK_UPLOADS + _END
+                self._wait(now_ns)
                 unused, crc = outgoing.end()
                 end = crc.to_bytes(2, "little")
                 self._reply(_SEGMENT.pack(self._response_id, 8, 0xC1 | unused << 2, end), now_ns)
@@ -295,23 +300,24 @@ class SdoServer:
         index, subindex = frame[9] | frame[10] << 8, frame[11]
         block_size, threshold = frame[12], frame[13]
         self._begin(index, subindex)
-        if not 1 <= block_size <= BLOCK_MAX:
-            self._abort(AbortCode.INVALID_BLOCK_SIZE, now_ns)
-            return
         data = self._access.upload(index, subindex, now_ns)
         if isinstance(data, int):
             self._abort(data, now_ns)
             return
+        if not 1 <= block_size <= BLOCK_MAX:
+            self._abort(AbortCode.INVALID_BLOCK_SIZE, now_ns)
+            return
         if 0 < len(data) <= threshold:  # the client has said that a plain transfer is better then
             self._begin_upload(index, subindex, now_ns)
             return
-        self._state = _BLOCK_UPLOAD
+        self._state = _BLOCK_UPLOADS + _START
         self._wait(now_ns)
         self._outgoing = BlockUpload(data, block_size, command & _HAS_CRC != 0)
         size = len(data).to_bytes(4, "little")
         self._reply(_RESPONSE.pack(self._response_id, 8, 0xC6, index, subindex, size), now_ns)
 
     def _send_block(self, outgoing: BlockUpload, now_ns: int) -> None:
+        self._state = _BLOCK_UPLOADS + _CONFIRM
         self._wait(now_ns)
         for head, part in outgoing.block():
             self._reply(_SEGMENT.pack(self._response_id, 8, head, part), now_ns)

@@ -155,3 +155,37 @@ def test_whatever_is_lost_on_the_way_all_data_arrive_in_order(data, lost, block_
         assert outgoing.confirm(good, block_size) is None
     assert incoming.end(*outgoing.end()) == data
     event(f"lost {min(repeated, 3)}")
+
+
+START, CONFIRM, END = (
+    "A3 00 00 00 00 00 00 00",
+    "A2 01 7F 00 00 00 00 00",
+    "A1 00 00 00 00 00 00 00",
+)
+
+
+@pytest.mark.parametrize(
+    "steps", ["C", "E", "SS", "SE", "SCC", "SCS"], ids=lambda steps: f"initiate-{steps}"
+)
+def test_a_block_upload_goes_step_by_step(steps):
+    """Initiate, start, confirm, end: in another order they are no commands (0504 0001h).
+
+    CANopenNode's server (301/CO_SDOserver.c), compiled and asked the same, aborts there too.
+    """
+    bench = Bench().boot()
+    assert ask(bench, "A4 18 10 01 7F 00 00 00") == ["C6 18 10 01 04 00 00 00"]
+    *right, wrong = ({"S": START, "C": CONFIRM, "E": END}[step] for step in steps)
+    for request in right:
+        (answer,) = ask(bench, request)
+        assert not answer.startswith("80")
+    assert ask(bench, wrong) == ["80 18 10 01 01 00 04 05"]
+    assert ask(bench, START) == ["80 00 00 00 01 00 04 05"]  # nothing goes on
+
+
+def test_what_is_not_there_is_told_before_a_block_size_that_cannot_be():
+    """As CANopenNode's server does: the object first, then how it is asked for."""
+    bench = Bench().boot()
+    assert ask(bench, "A0 00 5F 00 00 00 00 00") == ["80 00 5F 00 00 00 02 06"]
+    assert ask(bench, "A0 18 10 09 80 00 00 00") == ["80 18 10 09 11 00 09 06"]
+    assert ask(bench, "A0 08 10 00 00 00 00 00") == ["80 08 10 00 02 00 04 05"]
+    assert ask(bench, "A0 08 10 00 80 00 00 00") == ["80 08 10 00 02 00 04 05"]
