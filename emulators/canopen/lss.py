@@ -85,12 +85,16 @@ class LssSlave:
         self.deadline_ns: int = NEVER
 
     def reset(self) -> None:
-        """Power-on or reset node: waiting; pending is what is kept, else the device's own."""
+        """Power-on or reset node: pending is what is kept, else the device's own."""
         stored = self._store.stored
         self.pending_node_id = self._own_node_id if stored.node_id == UNSET else stored.node_id
         self._bit_timing = stored.bit_timing
         self._address = [self._od.integer(0x1018, subindex, 0) for subindex in (1, 2, 3, 4)]
+
+    def wait(self) -> None:
+        """Any reset: nobody has been switched, selected or scanned yet, and nothing is answered."""
         self._asked = [0, 0, 0, 0, 0, 0]
+        self._next = 0
         self._scanned = 0
         self.is_configuring = False
         self._replies.clear()

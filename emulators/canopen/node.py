@@ -255,6 +255,7 @@ class CanopenNode:
         self._enter(NmtState.INITIALISING, now_ns)
         if whole:
             self._lss.reset()
+        self._lss.wait()
         self._take_node_id(self._lss.pending_node_id)
         first, last = (0, 0xFFFF) if whole else (0x1000, 0x1FFF)
         self.od.reset(first, last)

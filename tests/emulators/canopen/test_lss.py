@@ -270,3 +270,27 @@ def test_a_device_whose_file_knows_no_lss_does_not_hear_it():
     bench.tell(MASTER, "5E 00 00 00 00 00 00 00")
     bench.wait(10 * MS)
     assert bench.frames() == []
+
+
+@pytest.mark.parametrize("command", [0x81, 0x82])
+def test_after_any_reset_a_slave_waits(command):
+    """CiA 305: the LSS state machine begins anew with LSS waiting; so does CANopenNode's slave."""
+    bench = LssBench().configure()
+    assert bench.lss("5E") == "5E 02"
+    assert bench.lss("11 21") == "11 00"
+    bench.tell(0x000, bytes((command, 0)))
+    bench.wait(400 * MS)
+    assert bench.frames() == (["721 00"] if command == 0x82 else ["702 00"])
+    assert bench.lss("5E") == ""
+    assert bench.lss("5A") == ""
+
+
+def test_half_a_selection_does_not_outlive_a_reset():
+    bench = LssBench()
+    for command, number in zip((0x40, 0x41, 0x42), ADDRESS, strict=False):
+        assert bench.lss((bytes((command,)) + number.to_bytes(4, "little")).hex()) == ""
+    bench.tell(0x000, b"\x82\x00")
+    bench.wait(400 * MS)
+    bench.frames()
+    assert bench.lss((b"\x43" + ADDRESS[3].to_bytes(4, "little")).hex()) == ""
+    assert bench.lss("5E") == ""
