@@ -54,7 +54,7 @@ def build(settings: Mapping[str, object], context: ControllerContext) -> Control
     drive: Controller = build_drive(read, context.memory(read.nonvolatile_memory))
     wire = wire_quirks(read.quirks)
     if wire.are_any():
-        drive = QuirkyWire(drive, read.node_id, wire, context.stream())
+        drive = QuirkyWire(drive, wire, context.stream())
     return on_own_time(drive, read.oscillator)
 
 

@@ -1,7 +1,7 @@
 """How the profile position mode of real drives deviates: modes that stand around `ProfilePosition`.
 
 Each passes everything on but what it deviates in, so they can be put around one another; a drive
-without quirks has none of them. Where each was seen stands in `emulators.cia402.quirks`.
+without quirks has none of them. Where each was seen stands in `emulators.cia402.quirk_catalogue`.
 """
 
 from typing import final
@@ -10,6 +10,7 @@ from emulators.canopen.shared import NEVER
 from emulators.cia402.mode import Mode
 from emulators.cia402.profile_position import CHANGE_IMMEDIATELY, NEW_SET_POINT
 from emulators.cia402.statusword import SET_POINT_ACKNOWLEDGE, TARGET_REACHED
+from emulators.firmware.digital_inputs import Edge
 
 
 class Around(Mode):
@@ -20,45 +21,57 @@ class Around(Mode):
         self.inner = inner
 
     def enter(self, word: int, now_ns: int) -> None:
-        """As the mode inside, as all that follow."""
+        """As the mode inside."""
         self.inner.enter(word, now_ns)
         self._copy()
 
     def leave(self) -> None:
-        """..."""
+        """As the mode inside."""
         self.inner.leave()
         self._copy()
 
     def obey(self, word: int, rising: int, now_ns: int) -> None:
-        """..."""
+        """As the mode inside."""
         self.inner.obey(word, rising, now_ns)
         self._copy()
 
     def written(self, what: int, now_ns: int) -> None:
-        """..."""
+        """As the mode inside."""
         self.inner.written(what, now_ns)
         self._copy()
 
+    def sees(self, edges: list[Edge]) -> None:
+        """As the mode inside."""
+        self.inner.sees(edges)
+        self._copy()
+
+    def synced(self, now_ns: int) -> bool:
+        """As the mode inside."""
+        is_news = self.inner.synced(now_ns)
+        self._copy()
+        return is_news
+
     def settle(self, now_ns: int) -> None:
-        """..."""
+        """As the mode inside."""
         self.inner.settle(now_ns)
         self._copy()
 
     def wake_ns(self) -> int:
-        """..."""
+        """As the mode inside."""
         return self.inner.wake_ns()
 
     def status_bits(self) -> int:
-        """..."""
+        """As the mode inside."""
         return self.inner.status_bits()
 
     def idle_bits(self) -> int:
-        """..."""
+        """As the mode inside."""
         return self.inner.idle_bits()
 
     def _copy(self) -> None:
         self.halted = self.inner.halted
         self.limited = self.inner.limited
+        self.lost = self.inner.lost
 
 
 @final

@@ -1,7 +1,8 @@
 """How real drives deviate on the wire: a controller around the drive, which knows nothing of it.
 
-Frames are held back or altered on their way out, or not heard on their way in. A drive without such
-quirks hangs on the bus itself. Where each was seen stands in `emulators.cia402.quirks`.
+Frames are held back or altered on their way out, or not heard on their way in. Which is which their
+function codes say, whatever node-ID LSS has given the drive. A drive without such quirks hangs on
+the bus itself. Where each was seen stands in `emulators.cia402.quirk_catalogue`.
 """
 
 import hashlib
@@ -15,6 +16,7 @@ _EMCY: Final = 0x080
 _SDO_RESPONSE: Final = 0x580
 _SDO_REQUEST: Final = 0x600
 _ERROR_CONTROL: Final = 0x700
+_SYNC: Final = (0x080).to_bytes(4, "little")
 _STRAY_EMCY: Final = (0x081).to_bytes(4, "little")
 
 
@@ -67,13 +69,9 @@ class QuirkyWire:
         inner: the drive.
     """
 
-    def __init__(self, inner: Controller, node_id: int, quirks: WireQuirks, stream: str) -> None:
+    def __init__(self, inner: Controller, quirks: WireQuirks, stream: str) -> None:
         self.inner: Controller = inner
         self._quirks = quirks
-        self._response_id = _SDO_RESPONSE + node_id
-        self._request_id = _SDO_REQUEST + node_id
-        self._error_control_id = _ERROR_CONTROL + node_id
-        self._emcy_id = _EMCY + node_id
         self._responses = Draws(f"{stream}:quirk:slow_sdo")
         self._heartbeats = Draws(f"{stream}:quirk:heartbeat_jitter")
         self._now_ns: int = 0
@@ -90,7 +88,7 @@ class QuirkyWire:
     def receive(self, data: bytes, now_ns: int) -> None:
         """A frame was on the bus; heard or not."""
         self._now_ns = now_ns
-        if now_ns < self._deaf_until_ns and _identifier(data) == self._request_id:
+        if now_ns < self._deaf_until_ns and _function(data) == _SDO_REQUEST:
             return
         self.inner.receive(data, now_ns)
 
@@ -128,12 +126,12 @@ class QuirkyWire:
         frames = self._ready
         self._ready = []
         for frame in self.inner.take_output():
-            can_id = _identifier(frame)
-            if can_id == self._response_id:
+            function = _function(frame)
+            if function == _SDO_RESPONSE:
                 self._hold_response(frame, frames)
-            elif can_id == self._error_control_id:
+            elif function == _ERROR_CONTROL:
                 self._hold_heartbeat(frame, frames)
-            elif can_id == self._emcy_id:
+            elif function == _EMCY and frame[:4] != _SYNC:
                 frames.append(self._altered(frame))
             else:
                 frames.append(frame)
@@ -190,5 +188,5 @@ class QuirkyWire:
         return frame
 
 
-def _identifier(frame: bytes) -> int:
-    return int.from_bytes(frame[:4], "little")
+def _function(frame: bytes) -> int:
+    return int.from_bytes(frame[:4], "little") & ~0x7F

@@ -6,17 +6,21 @@ import pytest
 
 from emulators.canopen.abort_code import OK
 from emulators.cia402.factory import build
+from emulators.cia402.mode import Mode
 from emulators.cia402.quirk_catalogue import CATALOGUE
+from emulators.cia402.quirky_position import Around
 from emulators.controller import ControllerContext
 from tests.emulators.cia402.bench import BOOT_UP, MS, NODE, Bench, Path
 
 ACKNOWLEDGE, REACHED = 0x1000, 0x0400
 
 
-def quirky(*names: str, seed: int = 1, **table: object) -> Bench:
+def quirky(*names: str, seed: int = 1, lss: bool = False, **table: object) -> Bench:
     """A drive on its bench, with the parameters in `table` or the catalogue's."""
     quirks: dict[str, object] = {**dict.fromkeys(names, True), **table}
     settings = {"node_id": NODE, "quirks": quirks, "plant": {"preset": "wheel_60w"}}
+    if lss:
+        settings["node_id_by_lss"] = True
     drive = build(settings, ControllerContext(name="drive", folder=Path(), seed=seed))
     return Bench(drive)  # type: ignore[arg-type]  # it, or what stands around it
 
@@ -43,6 +47,11 @@ def test_without_quirks_a_drive_is_the_same_object():
 @pytest.mark.parametrize("name", [quirk.name for quirk in CATALOGUE])
 def test_a_quirk_is_told_in_the_record(name):
     assert any(text.startswith(f"quirk {name}") for _, text in quirky(name).events)
+
+
+def test_what_stands_around_a_mode_passes_everything_on():
+    calls = {name for name, call in vars(Mode).items() if callable(call) and name != "__init__"}
+    assert calls <= set(vars(Around))
 
 
 def test_inverted_set_point_acknowledge():
@@ -199,6 +208,27 @@ def test_deaf_after_boot_up():
     bench.send(0x600 + NODE, request)
     bench.run(100 * MS)
     assert len(bench.times(0x580 + NODE)) == 1
+
+
+def test_quirks_of_the_wire_follow_a_node_id_given_by_lss():
+    """Its builder knew another one: node 9 must be as deaf, as slow and as stray as node 5."""
+    bench = quirky("stray_emcy", deaf_after_boot_up={"for_s": 0.5}, lss=True)
+    bench.run(BOOT_UP)
+    for request in ("0401", "1109", "0400"):  # all to configuration; node-ID 9; to waiting
+        bench.send(0x7E5, bytes.fromhex(request).ljust(8, b"\0"))
+        bench.run(2 * MS)
+    bench.run(BOOT_UP)
+    assert len(bench.times(0x709)) == 1
+    request = struct.pack("<BHB4x", 0x40, 0x1000, 0)
+    bench.send(0x609, request)
+    bench.run(500 * MS)
+    assert bench.times(0x589) == []
+    bench.send(0x609, request)
+    bench.run(2 * MS)
+    assert len(bench.times(0x589)) == 1
+    bench.drive.stimulate("fault", 0x8611, bench.now)
+    bench._drain()
+    assert (len(bench.times(0x081)), bench.times(0x089)) == (1, [])
 
 
 def test_late_boot_up():
