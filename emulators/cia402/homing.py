@@ -91,8 +91,9 @@ class Homing(Mode):
             self._end(HomingState.NOT_STARTED)
 
     def forget(self) -> None:
-        """Power-on: nothing is attained."""
+        """Nothing is attained (power-on), and positions have other names (lost encoder)."""
         self._end(HomingState.NOT_STARTED)
+        self._guard.fence()
 
     def obey(self, word: int, rising: int, now_ns: int) -> None:
         """Bit 4 starts and, when it falls, interrupts; so does bit 8."""

@@ -142,14 +142,22 @@ class MotionObjects:
         return raw * self._factors.units.acceleration_unit_inc_s2
 
     def within_limits_inc(self, position_inc: int) -> int:
-        """The nearest position that 607Dh allows; minimum and maximum 0 mean no limit."""
-        low = self._limit_min.integer()
-        high = self._limit_max.integer()
-        if low == 0 and high == 0:
+        """The nearest position that 607Dh allows."""
+        if not self.has_position_limits():
             return position_inc
-        one_inc = self._factors.units.position_inc(low)
-        other_inc = self._factors.units.position_inc(high)
-        return max(min(one_inc, other_inc), min(max(one_inc, other_inc), position_inc))
+        low_inc, high_inc = self.position_limits_inc()
+        return max(low_inc, min(high_inc, position_inc))
+
+    def has_position_limits(self) -> bool:
+        """Whether the minimum of 607Dh is below its maximum; else there is no limit (Yaskawa)."""
+        return self._limit_min.integer() < self._limit_max.integer()
+
+    def position_limits_inc(self) -> tuple[int, int]:
+        """607Dh, the lower one first, whatever the polarity."""
+        units = self._factors.units
+        one_inc = units.position_inc(self._limit_min.integer())
+        other_inc = units.position_inc(self._limit_max.integer())
+        return (one_inc, other_inc) if one_inc <= other_inc else (other_inc, one_inc)
 
     def interpolation_ns(self) -> int:
         """60C2h; 0 where it is 0 or absent."""
@@ -159,7 +167,7 @@ class MotionObjects:
 
     def end_velocity_inc_s(self) -> float:
         """6082h; 0 within a range 607Dh, at whose end nothing else would stop the motor."""
-        if self._limit_min.integer() != 0 or self._limit_max.integer() != 0:
+        if self.has_position_limits():
             return 0.0
         return self._end_velocity.integer() * self._factors.units.velocity_unit_inc_s
 

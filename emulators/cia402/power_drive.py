@@ -156,6 +156,7 @@ class PowerDrive:
             self._servo.apply_limits_and_gains()
         if what & TOUCH_PROBE:
             self.touch_probe.configure()
+        self._guard.written(what)
         if what & MODE and self._objects.mode != self.mode:
             self._switch_mode(now_ns)
         if self.fsa.state is PdsState.OPERATION_ENABLED and self._at_rest == NO_TRANSITION:
@@ -388,6 +389,7 @@ class PowerDrive:
     def _select(self, mode: int) -> None:
         self.mode = mode
         self._active = self.modes.get(mode, self._no_mode)
+        self._guard.select(mode)
 
     def _switch_mode(self, now_ns: int) -> None:
         self._active.leave()

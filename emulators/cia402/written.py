@@ -18,6 +18,7 @@ GAINS: Final = 512
 OFFSETS: Final = 1024
 IP_DATA: Final = 2048
 MOTION_LIMITS: Final = 4096
+POSITION_LIMITS: Final = 8192
 TOUCH_PROBE: Final = 1 << 20
 
 # index, sub-index, what it counts as when written
@@ -37,6 +38,7 @@ _WATCHED: Final = (
     (0x6087, 0, TORQUE),
     *((index, 0, OFFSETS) for index in (0x60B0, 0x60B1, 0x60B2)),
     *((index, 0, RAMPS | MOTION_LIMITS) for index in (0x607F, 0x6080, 0x60C5, 0x60C6)),
+    *((0x607D, subindex, POSITION_LIMITS) for subindex in (1, 2)),
     (0x6083, 0, RAMPS),
     (0x6084, 0, RAMPS),
     *((0x607B, subindex, FACTORS) for subindex in (1, 2)),

@@ -278,6 +278,8 @@ class Axis(AxisSettings):
         """
         self._bar_slower = self._per_tick2(deceleration_inc_s2)
         self._barred = (_BACKWARD if backward else 0) | (_FORWARD if forward else 0)
+        if self._mode == servo.TORQUE:  # the load may lead where the current does not
+            self._way = self._time.state[servo.I_VELOCITY]
         moves = self.flags & PROFILE_ACTIVE or self._time.state[servo.I_DEMAND_VELOCITY] != 0.0
         if self._mode != servo.OFF and (self._mode != servo.POSITION or moves):
             self._is_barred()

@@ -6,6 +6,8 @@ between two edges: the axis' gate names the first tick beyond one. `look` then t
 on the way, in their order, each with what the encoder counted at that place: the count latched is
 the edge's own, not that of the tick after.
 
+A fence is a range of the count that no switch has: software limits. The same gate watches it.
+
 An edge at E lies where the count changes between E - 1 and E; either way it latches E.
 """
 
@@ -66,6 +68,7 @@ class DigitalInputs:
     Attributes:
         bits: what is active, as of the last `look`.
         moved: something here, or that was latched here, shows anew; whoever tells it clears it.
+        beyond: the limit switch's bit at whose side of the fence the count is; 0 within it.
         is_gated: whether the axis' flags matter because of an edge somewhere, power on or off.
     """
 
@@ -82,6 +85,9 @@ class DigitalInputs:
         self._forced_bits: int = 0
         self._output_count: int = axis.output_count()
         self._count: int = axis.count()
+        self._fence_low: float = -_NO_GATE
+        self._fence_high: float = _NO_GATE
+        self.beyond: int = 0
         self.moved: bool = False
         self.is_gated: bool = False
         self.bits: int = self._bits_now()
@@ -108,6 +114,16 @@ class DigitalInputs:
         """One more, or one less, wants edges of the index pulse."""
         self._index_users += 1 if on else -1
         self._set_gate()
+
+    def fence(self, low: float = -_NO_GATE, high: float = _NO_GATE) -> None:
+        """`beyond` is about low <= count < high from now on; without arguments, about nothing."""
+        if low == self._fence_low and high == self._fence_high:
+            return
+        self._fence_low = low
+        self._fence_high = high
+        self._find_beyond()
+        self._set_gate()
+        self.moved = True
 
     def look(self) -> list[Edge]:
         """What has changed since the last look, in the order in which it did."""
@@ -145,6 +161,7 @@ class DigitalInputs:
         for edge in told or ():
             before = before | edge.bit if edge.active else before & ~edge.bit
         self.bits = self._bits_now()
+        self._find_beyond()
         changed = (before ^ self.bits) & ~INDEX_PULSE
         edges: list[Edge] = []
         while changed:
@@ -154,6 +171,11 @@ class DigitalInputs:
             edges.append(Edge(bit, self.bits & bit != 0, self._count, forward))
         self._set_gate()
         return edges
+
+    def _find_beyond(self) -> None:
+        count = self._axis.count()
+        above = POSITIVE_LIMIT if count >= self._fence_high else 0
+        self.beyond = NEGATIVE_LIMIT if count < self._fence_low else above
 
     def _bits_now(self) -> int:
         bits = self._forced_bits
@@ -174,16 +196,18 @@ class DigitalInputs:
                     below = max(below, edge)
                 else:
                     above = min(above, edge)
-        index_low, index_high = -_NO_GATE, _NO_GATE
+        low, high = self._fence_low, self._fence_high
+        if self.beyond:
+            low, high = (high, _NO_GATE) if self.beyond == POSITIVE_LIMIT else (-_NO_GATE, low)
         if self._index_users and self._index_count is not None:
             index_high = float(self._index_after(self._count))
-            index_low = index_high - self._turn
+            low, high = max(low, index_high - self._turn), min(high, index_high)
         was_gated = self.is_gated
-        self.is_gated = below > -FAR or above < FAR or index_high < _NO_GATE
+        self.is_gated = below > -FAR or above < FAR or low > -_NO_GATE or high < _NO_GATE
         if self.is_gated or was_gated:
             self._axis.set_gate(
-                index_low,
-                index_high,
+                low,
+                high,
                 float(below) if below > -FAR else -_NO_GATE,
                 float(above) if above < FAR else _NO_GATE,
             )
