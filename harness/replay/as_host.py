@@ -46,7 +46,7 @@ class Driven(Protocol):
     def send(self, bus: str, frame: bytes) -> None:
         """A can_frame waits its turn on a bus, or an ADU goes out on a line."""
 
-    def listen(self, bus: str, player: HostPlayer, opening: bytes | None) -> None:
+    def listen(self, bus: str, player: HostPlayer, opening: bytes | None = None) -> None:
         """The player hears what is on it, from this frame of its own on; None: at once."""
 
 
@@ -146,7 +146,7 @@ class DrivenRig:
         else:
             self.runtime.send(self._rig.bus(bus), frame)
 
-    def listen(self, bus: str, player: HostPlayer, opening: bytes | None) -> None:
+    def listen(self, bus: str, player: HostPlayer, opening: bytes | None = None) -> None:
         """The player hears what is on it, from this frame on."""
         if bus in self.lines:
             self._listen_to_line(bus, player)

@@ -84,7 +84,7 @@ class DrivenBuses:
         """The frame waits its turn."""
         self.runtime.send(self._open[bus], frame)
 
-    def listen(self, bus: str, player: "HostPlayer", opening: bytes | None) -> None:
+    def listen(self, bus: str, player: "HostPlayer", opening: bytes | None = None) -> None:
         """The player hears what is on it, from this frame on, and the record does."""
         heard, sent = self._sources[bus]
 
