@@ -58,8 +58,8 @@ _CLASSES: Final[dict[int, int]] = {
     0x2: CURRENT,
     0x3: VOLTAGE,
     0x4: TEMPERATURE,
-    0xF: VENDOR,
 }
+_OF_VENDOR: Final = 0xFF  # FFxxh; F0xxh are additional functions, which have no bit of their own
 _COMMUNICATION_BELOW: Final = 0x8300  # 81xxh and 82xxh; the rest of 8xxxh is motion
 
 
@@ -110,7 +110,7 @@ def error_register(code: int) -> int:
     """The bits of 1001h that go with an error code; generic (bit 0) always does."""
     if code >> 12 == 0x8:
         return GENERIC | (COMMUNICATION if code < _COMMUNICATION_BELOW else PROFILE)
-    return GENERIC | _CLASSES.get(code >> 12, 0)
+    return GENERIC | (VENDOR if code >> 8 == _OF_VENDOR else _CLASSES.get(code >> 12, 0))
 
 
 def is_at_once(code: int) -> bool:

@@ -100,7 +100,7 @@ class Homing(Mode):
         halt = word & CW_HALT != 0
         objects = self.objects
         if halt and not self.halted and self.state is HomingState.IN_PROGRESS:
-            objects.options.halt(self.axis)
+            objects.options.halt(self.axis, objects.homing.acceleration_inc_s2())
             self._end(HomingState.NOT_STARTED)
         self.halted = halt
         if halt:
@@ -244,7 +244,7 @@ class Homing(Mode):
         return POSITIVE_LIMIT if self._way > 0 else NEGATIVE_LIMIT
 
     def _attain(self, count: int) -> None:
-        self.axis.set_position(self.objects.homing.home_offset_inc(), count)
+        self.axis.set_position(self.objects.homing.home_inc(), count)
         self._end(HomingState.ATTAINED)
         if self._method.direction:
             self.axis.ramp_to_rest(self.objects.homing.acceleration_inc_s2())

@@ -1,7 +1,7 @@
 """The objects of homing: 6098h, 6099h, 609Ah, 607Ch.
 
-At the home position the axis is called 607Ch, as KEB's F6 has it; other vendors' manuals (Elmo,
-Parker, Applied Motion) draw zero 607Ch beyond home, which is the other sign.
+Zero lies 607Ch beyond home: home itself is called -607Ch. So CiA 402-2, as Elmo, Parker, Applied
+Motion, Fastech and Mitsubishi (MR-J5, Pr. PT08) tell it; KEB's F6 has the other sign.
 """
 
 from typing import Final, final
@@ -21,7 +21,7 @@ _D = DataType
 
 @final
 class HomingObjects:
-    """How to home, and what the home position is called."""
+    """How to home, and what home is called."""
 
     def __init__(
         self,
@@ -43,9 +43,9 @@ class HomingObjects:
         self._zero_speed = ensure(0x6099, 2, _D.UNSIGNED32, max(1, velocity // _ZERO_PART))
         self._acceleration = ensure(0x609A, 0, _D.UNSIGNED32, defaults.acceleration)
 
-    def home_offset_inc(self) -> int:
-        """607Ch."""
-        return self._factors.units.position_inc(self._home_offset.integer())
+    def home_inc(self) -> int:
+        """What home is called, as 607Ch has it."""
+        return -self._factors.units.position_inc(self._home_offset.integer())
 
     def method(self) -> int:
         """6098h."""

@@ -2,7 +2,8 @@
 
 What they name, and what it is here:
 
-- *slow-down ramp*: 6084h; *quick stop ramp*: 6085h; the demand goes down evenly.
+- *slow-down ramp*: 6084h, but 609Ah where a homing is halted; *quick stop ramp*: 6085h; the demand
+  goes down evenly.
 - *current limit*: the velocity loop wants standstill at once, and brakes with all the current that
   6072h, 60E0h and 60E1h leave it.
 - *voltage limit*: as hard as can be without energy going back into the supply, whose voltage would
@@ -80,22 +81,26 @@ class OptionCodes:
         option = self._quick_stop.integer()
         return self._stop(axis, option - 4 if option >= STAYS else option, QUICK_STOP_RAMP)
 
-    def halt(self, axis: Axis) -> None:
-        """605Dh begins; it ends at standstill, held there. Another number brakes on 6084h."""
+    def halt(self, axis: Axis, slow_down_inc_s2: float = 0.0) -> None:
+        """605Dh begins; it ends at standstill, held there. Another number slows down.
+
+        The slow-down ramp is the mode's own, if it has one (> 0), else 6084h.
+        """
         option = self._halt.integer()
-        self._stop(axis, option if option != COAST else SLOW_DOWN_RAMP, SLOW_DOWN_RAMP)
+        how = option if option != COAST else SLOW_DOWN_RAMP
+        self._stop(axis, how, SLOW_DOWN_RAMP, slow_down_inc_s2)
 
     def react(self, axis: Axis) -> bool:
         """605Eh begins; False: the motor shall coast. Another number brakes on 6085h."""
         return self._stop(axis, self._fault_reaction.integer(), QUICK_STOP_RAMP)
 
-    def _stop(self, axis: Axis, how: int, otherwise: int) -> bool:
+    def _stop(self, axis: Axis, how: int, otherwise: int, slow_down_inc_s2: float = 0.0) -> bool:
         if how < COAST or how > VOLTAGE_LIMIT:
             how = otherwise
         if how == COAST:
             return False
         if how == SLOW_DOWN_RAMP:
-            axis.ramp_to_rest(self._motion.deceleration_inc_s2())
+            axis.ramp_to_rest(slow_down_inc_s2 or self._motion.deceleration_inc_s2())
         elif how == QUICK_STOP_RAMP:
             axis.ramp_to_rest(self._motion.quick_stop_deceleration_inc_s2())
         else:

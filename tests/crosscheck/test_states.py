@@ -186,7 +186,7 @@ def test_torque_mode_bit_by_bit(wire):
 
 def test_homing_bit_by_bit(wire):
     wire.enable(6)
-    wire.set(0x607C, 0, 777, 4)
+    wire.set(0x607C, 0, -777, 4)
     count = len(wire.log)
     assert wire.statusword() & 0x3400 == 0x0400  # not started
     wire.controlword(0x1F)

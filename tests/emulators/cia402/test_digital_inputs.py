@@ -229,7 +229,7 @@ def test_the_second_probe_has_the_upper_byte_and_inputs_of_its_own():
 def test_latched_positions_are_in_the_hosts_coordinates():
     bench = probing(ON | RISING)
     bench.set(0x6060, 0, 6, 1)
-    bench.set(0x607C, 0, 50_000, 4)
+    bench.set(0x607C, 0, -50_000, 4)
     bench.controlword(0x1F)
     bench.run(50 * MS)
     bench.controlword(0x0F)

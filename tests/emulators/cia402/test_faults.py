@@ -194,6 +194,7 @@ def test_unknown_stimuli_are_refused_with_the_known_ones():
         (0x8130, 0x11),
         (0x8210, 0x11),
         (0x8611, 0x21),
+        (0xF004, 0x01),  # additional functions: CiA 402's, and no manufacturer's
         (0xFF01, 0x81),
     ],
 )

@@ -61,11 +61,15 @@ def test_the_present_position_becomes_zero_a_tick_later(bench, method):
     assert homing(bench) == DONE
 
 
-def test_home_offset_is_what_the_position_is_called(bench):
+def test_zero_lies_the_home_offset_beyond_home(bench):
+    """CiA 402-2, 607Ch: zero is home plus the offset, so home is called minus the offset.
+
+    Mitsubishi's MR-J5 says it in numbers: what home is called (Pr. PT08) is -607Ch.
+    """
     bench.set(0x607C, 0, -1234, 4)
     bench.controlword(0x1F)
     bench.run(5 * MS)
-    assert bench.read(0x6064) == -1234
+    assert bench.read(0x6064) == 1234
 
 
 def test_moves_after_homing_count_from_there(bench):
@@ -92,7 +96,7 @@ def test_homing_again_needs_an_edge(bench):
     bench.controlword(0x0F)
     bench.controlword(0x1F)
     bench.run(5 * MS)
-    assert bench.read(0x6064) == 77
+    assert bench.read(0x6064) == -77
 
 
 def test_taking_bit_4_back_interrupts(bench):

@@ -132,12 +132,12 @@ def test_a_cam_that_is_passed_within_a_tick_is_seen():
     assert home_count(bench) == 2_000
 
 
-def test_home_is_called_the_home_offset_and_the_motor_brakes_beyond_it():
+def test_zero_lies_the_home_offset_beyond_home_and_the_motor_brakes_beyond_it():
     bench = bench_on(Track(), 0, o6098=18, o607C=1_234, o6099_2=8_000, o609A=100_000)
     assert home(bench) == DONE
     stood = bench.drive.axis.count()
     assert 6_000 - stood == pytest.approx(8_000**2 / 2 / 100_000, abs=20)  # on the ramp 609Ah
-    assert bench.read(0x6064) == stood - 6_000 + 1_234
+    assert bench.read(0x6064) == stood - 6_000 - 1_234
 
 
 def test_the_switch_is_searched_fast_and_its_edge_slowly():
@@ -292,3 +292,23 @@ def test_a_switch_at_the_load_is_felt_there_behind_play_and_a_soft_shaft():
     assert home(bench) == DONE
     assert home_count(bench) == pytest.approx(400, abs=110)  # half the play ahead, or behind
     assert home_count(bench) != 400
+
+
+@pytest.mark.parametrize(("option", "ramp"), [(1, 100_000), (2, 200_000)])
+def test_a_halt_of_homing_slows_down_on_the_homings_own_ramp(option, ramp):
+    """Bit 8 in hm: the axis stops with the homing acceleration 609Ah, where 605Dh says slow-down.
+
+    So Technosoft's iPOS, and the controlword of hm in DSP 402; 605Dh = 2 is 6085h in any mode.
+    """
+    ramps = {"o6084": 400_000, "o6085": 200_000, "o609A": 100_000}
+    bench = bench_on(Track(negative=-200_000), 0, o6098=17, o605D=option, **ramps)
+    bench.controlword(0x0F)
+    bench.controlword(0x1F)
+    bench.run(500 * MS)
+    assert bench.drive.axis.demand_velocity_inc_s() == -20_000
+    begun = bench.now
+    bench.controlword(0x11F)
+    bench.run_while(lambda: bench.drive.axis.demand_velocity_inc_s() != 0.0)
+    assert (bench.now - begun) / 1e9 == pytest.approx(20_000 / ramp, abs=0.002)
+    bench.run(50 * MS)
+    assert status(bench) == INTERRUPTED
