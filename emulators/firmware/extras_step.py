@@ -289,6 +289,7 @@ def tick(
     began_e = error
     began_s = s
     stood = on
+    is_idle = not on and not t.two_bodies and w == 0.0
     squares = 0.0
     if not tables.has_dc_link:
         supply = source
@@ -324,8 +325,11 @@ def tick(
             s += tables.ki * first_error
         i = wanted - error
         squares += i * i
+        before = supply
         if tables.has_dc_link:
             supply = dc_link(tables, supply, source, v * i)
+        if is_idle and supply == before and w == 0.0:
+            break  # one body, no current, no motion: the next step would be the same
     if stood:
         ee, es, ss = tables.norm(index)
         m = ee * began_e * began_e + es * began_e * began_s + ss * began_s * began_s

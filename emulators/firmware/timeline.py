@@ -22,7 +22,9 @@ from emulators.firmware.servo_tables import LoadTable, ServoTables, StepTable, T
 
 _BUDGET_MAX: Final = 64  # ticks run ahead at most
 _PATIENCE_MAX: Final = 64  # undisturbed ticks waited for, at most, before running ahead again
-_STILL_AHEAD: Final = 10_000  # the same where only heat changes, for then hardly any is computed
+# Where only heat changes hardly any tick is computed, so more are run ahead, from few to many.
+_STILL_MIN: Final = 32
+_STILL_MAX: Final = 10_000
 
 RESTS: Final = -1
 NO_CONDITIONS: Final[Conditions] = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
@@ -67,6 +69,7 @@ class Timeline:
         self._between: list[tuple[int, servo.State]] = []
 
         self._budget = 1  # ticks to run ahead
+        self._still = 0  # the same while nothing but heat has changed since the last command
         self._patience = 0  # ticks to wait for after the next disappointment
         self._wait = 0  # of them still to come
         self._commanded = False  # since `next_tick` was last asked
@@ -105,9 +108,7 @@ class Timeline:
             if not self._commanded:
                 self._learn()
             self._commanded = False
-            budget = self._budget
-            if self._extras is not None and extras_servo.is_still(self.state):
-                budget = _STILL_AHEAD
+            budget = self._still if self._still > self._budget else self._budget
             self._run_ahead(min(self.tick + budget, limit_tick))
         if self._ahead_resting:  # and it got there without a change of flags
             return RESTS
@@ -207,6 +208,7 @@ class Timeline:
             self._budget = 0
             self._patience = min(2 * self._patience + 1, _PATIENCE_MAX)
             self._wait = self._patience
+        self._still = 0
         self.commands += 1
         self._commanded = True
         self._ahead_tick = self.tick
@@ -217,6 +219,9 @@ class Timeline:
 
     def _learn(self) -> None:
         """What was run ahead has come true: run further next time, or wait less for trying."""
+        if self._extras is not None:
+            is_still = extras_servo.is_still(self.state)
+            self._still = min(_STILL_MIN + 2 * self._still, _STILL_MAX) if is_still else 0
         if self._wait > 0:
             self._wait -= 1
         elif self._budget == 0:

@@ -9,6 +9,7 @@ from hypothesis import strategies as st
 
 from emulators.cia402.factory import build as cia402_drive
 from emulators.controller import ControllerContext, SettingError
+from emulators.firmware import extras_servo
 from emulators.firmware.axis import Axis
 from emulators.firmware.flags import (
     I2T_LIMIT,
@@ -216,6 +217,38 @@ def test_a_motor_that_cools_at_rest_is_hardly_worked_for():
     axis.at(3_600_000 * MS)
     assert wakes < 50
     assert 25.0 <= axis.winding_temperature_c() < 25.1
+
+
+@pytest.mark.parametrize("is_on", [False, True])
+def test_a_motor_that_cools_under_commands_is_not_run_ahead_of_in_vain(is_on, monkeypatch):
+    """A command every 5 ms: what a cooling hour would be like is reckoned when none comes."""
+    axis = axis_with(plant_with("heat"))
+    axis.power(True)
+    axis.at(10 * MS)
+    axis.set_load(4.8)
+    axis.at(1_000 * MS)
+    axis.set_load(0.0)
+    axis.at(1_500 * MS)
+    axis.power(is_on)
+    axis.at(2_000 * MS)
+    made = 0
+    reckon = extras_servo.reckon
+
+    def counted(*arguments):
+        nonlocal made
+        made += 1
+        return reckon(*arguments)
+
+    monkeypatch.setattr(extras_servo, "reckon", counted)
+    for k in range(400, 440):
+        axis.at(5 * k * MS)
+        axis.set_load(0.1 if k % 2 else 0.0)
+        wake = axis.next_event_ns()
+        while wake is not None and wake < 5 * (k + 1) * MS:
+            axis.at(wake)
+            wake = axis.next_event_ns()
+    assert axis.winding_temperature_c() > 25.5
+    assert 10 <= made < 200 / 20 * 10
 
 
 @pytest.mark.parametrize("looks", [False, True])
