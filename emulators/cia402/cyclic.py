@@ -30,6 +30,7 @@ class CyclicMode(Mode):
         self._last_sync_ns: int = _NONE_YET
         self._period_ns: int = tick_ns
         self._patience: int = objects.settings.sync_lost_periods
+        self.heeds_sync = self._patience > 0
 
     def enter(self, word: int, now_ns: int) -> None:
         """As if no set-point and no SYNC had ever come."""

@@ -136,7 +136,8 @@ class Cia402Drive:
             self._power_drive.settle(now_ns)
             self._publish(now_ns)
             self._is_settled = True
-        self._node.expire(now_ns)
+        if self._node.deadline_ns() <= now_ns:
+            self._node.expire(now_ns)
         self._is_settled = False
         if self._touched:
             self._publish(now_ns)

@@ -30,6 +30,7 @@ class InterpolatedPosition(CyclicMode):
         self._active: bool = False
         self._due_ns: int = NEVER  # when the next record is taken without a SYNC
         self._hears_sync: bool = False
+        self.heeds_sync = True
 
     def enter(self, word: int, now_ns: int) -> None:
         """The motor stands, or comes to rest; bit 4 as it stands enables."""

@@ -18,6 +18,7 @@ class Mode:
         self.tick_ns = tick_ns
         self.halted: bool = False
         self.limited: bool = False  # a limit holds it back: statusword bit 11
+        self.heeds_sync: bool = False  # whether `synced` is to be called
         self.lost: bool = False  # SYNC has stayed away too long for it to go on
 
     def enter(self, word: int, now_ns: int) -> None:

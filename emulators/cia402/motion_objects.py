@@ -161,8 +161,10 @@ class MotionObjects:
 
     def interpolation_ns(self) -> int:
         """60C2h; 0 where it is 0 or absent."""
-        exponent = 9 + self._period_exponent.integer()
         value = self._period.integer()
+        if value == 0:
+            return 0
+        exponent = 9 + self._period_exponent.integer()
         return value * int(10**exponent) if exponent >= 0 else value // int(10 ** (-exponent))
 
     def end_velocity_inc_s(self) -> float:

@@ -111,6 +111,8 @@ CW_QUICK_STOP: Final = 0x0004  # 0 asks for a quick stop
 CW_ENABLE_OPERATION: Final = 0x0008
 CW_FAULT_RESET: Final = 0x0080
 CW_HALT: Final = 0x0100
+COMMAND_BITS: Final = 0x008F
+ENABLED: Final = 0x000F  # of these: the level that enables operation, and keeps it
 
 
 def decode_controlword(word: int, previous: int) -> Command | None:

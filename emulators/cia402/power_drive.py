@@ -24,6 +24,8 @@ from emulators.cia402.limit_guard import LimitGuard
 from emulators.cia402.mode import Mode
 from emulators.cia402.objects import DriveObjects
 from emulators.cia402.pds_fsa import (
+    COMMAND_BITS,
+    ENABLED,
     NO_TRANSITION,
     Command,
     PdsFsa,
@@ -177,26 +179,30 @@ class PowerDrive:
                 self._take(4, now_ns)
             else:
                 self.fault(UNDER_VOLTAGE, now_ns)
-        if self._axis.flags & f.OUTSIDE_GATE:
+        axis = self._axis
+        if axis.flags & f.OUTSIDE_GATE:
             self.saw(self.inputs.look())
-            flags = self._axis.flags
+            flags = axis.flags
         state = self.fsa.state
         if flags & f.FOLLOWING_ERROR and state in _RUNNING_STATES:
             self.fault(FOLLOWING_ERROR, now_ns)
-        stands = self._axis.stands()
-        if stands and self._axis.is_braking and self._at_rest == NO_TRANSITION:
-            self._axis.ramp_to_rest(self._objects.motion.deceleration_inc_s2())  # and holds
-        if self._at_rest != NO_TRANSITION and stands:
+        if axis.is_braking and self._at_rest == NO_TRANSITION and axis.stands():
+            axis.ramp_to_rest(self._objects.motion.deceleration_inc_s2())  # and holds
+        if self._at_rest != NO_TRANSITION and axis.stands():
             self._take(self._at_rest, now_ns)
             self._obey_level(now_ns)
         elif state is PdsState.OPERATION_ENABLED:
-            self._active.settle(now_ns)
-            if self._active.lost:
+            active = self._active
+            active.settle(now_ns)
+            if active.lost:
                 self.fault(self._objects.settings.sync_lost_code, now_ns)
 
     def synced(self, now_ns: int) -> bool:
         """SYNC was on the bus; True: the mode does something about it."""
-        return self.fsa.state is PdsState.OPERATION_ENABLED and self._active.synced(now_ns)
+        active = self._active
+        if not active.heeds_sync:
+            return False
+        return self.fsa.state is PdsState.OPERATION_ENABLED and active.synced(now_ns)
 
     def saw(self, edges: list[Edge]) -> None:
         """Digital inputs have changed."""
@@ -293,6 +299,9 @@ class PowerDrive:
     def _write_controlword(self, word: int, now_ns: int) -> None:
         fsa = self.fsa
         previous = fsa.controlword
+        if word == previous and word & COMMAND_BITS == ENABLED and self._is_running():
+            self._active.obey(word, 0, now_ns)  # as in each cycle of a host's
+            return
         command = fsa.command(word)
         if command is Command.ENABLE_OPERATION:
             if self._at_rest in (5, 8):  # enabled again before it stood: nothing was disabled
@@ -303,6 +312,10 @@ class PowerDrive:
         self._advance(command, now_ns)
         if fsa.state is PdsState.OPERATION_ENABLED and self._at_rest == NO_TRANSITION:
             self._active.obey(word, word & ~previous, now_ns)
+
+    def _is_running(self) -> bool:
+        """Whether the mode has the axis and nothing waits to take it away."""
+        return self.fsa.state is PdsState.OPERATION_ENABLED and self._at_rest == NO_TRANSITION
 
     def _obey_level(self, now_ns: int) -> None:
         """A transition happened by itself: the controlword, as it stands, may ask for the next."""

@@ -22,6 +22,7 @@ from emulators.plant.dc_motor import MotorPlant
 
 _BACKWARD: Final = 1
 _FORWARD: Final = 2
+_OF_PROFILE: Final = IN_TARGET_WINDOW | IN_VELOCITY_WINDOW | CURRENT_REACHED  # gone with the next
 _CURRENT_WINDOW: Final = 0.05  # of the plant's current: as near as it must come to be reached
 
 _NO_SPEED: Final = 1e300  # a velocity that no motor has
@@ -326,17 +327,17 @@ class Axis(AxisSettings):
         """From the next tick on these are the orders, and the flags tell so at once."""
         self._profile = pieces
         self._profile_tick = self._time.tick + 1
-        self._orders = (
-            *(self._mode, self._profile_tick, active, pieces, has_target, pieces[-1][2]),
-            *(run_velocity, self._limits_a[0], self._limits_a[1]),
-        )
+        limits_a = self._limits_a
+        # fmt: off
+        self._orders = (self._mode, self._profile_tick, active, pieces, has_target, pieces[-1][2],
+                        run_velocity, limits_a[0], limits_a[1])
+        # fmt: on
         state = self._time.state
-        flags = state[servo.I_FLAGS] & ~(IN_TARGET_WINDOW | IN_VELOCITY_WINDOW | CURRENT_REACHED)
+        flags = state[servo.I_FLAGS] & ~(_OF_PROFILE | PROFILE_ACTIVE)
         if active >= 0.0:
             flags |= PROFILE_ACTIVE
-        else:
-            flags &= ~PROFILE_ACTIVE
-        state = (*state[:14], flags, 0, state[16], state[17], 0, state[19])
+        if flags != state[servo.I_FLAGS] or state[15] or state[18]:
+            state = (*state[:14], flags, 0, state[16], state[17], 0, state[19])
         self._time.order(self._orders, state)
         self.flags = flags
 
