@@ -74,11 +74,11 @@ class CanopenNode:
         self._pdos = PdoService(od, defaults_of, self._emcy, self._sync, self.outbox, host)
         self._error_control = ErrorControl(od, defaults_of, self._emcy, self.outbox)
         self._time = TimeConsumer(od, self.outbox)
-        reply_ns = timing.sdo_reply_ns
-        self._lss = LssSlave(od, node_id, self._store, reply_ns, self.outbox)
+        self._lss = LssSlave(od, node_id, self._store, timing.sdo_reply_ns, self.outbox)
         self._due_ns: int = NEVER  # boot-up; else what a device error does to the NMT state
         self._deadline_ns: int = NEVER
         self._pdos_deadline_ns: int = NEVER
+        self._rest_deadline_ns: int = NEVER  # of all but PDOs and SDOs
         self._handlers: dict[bytes, Handler] = {}
         self._identifiers: tuple[int, ...] = ()
         self._identifiers_revision = 0
@@ -120,15 +120,23 @@ class CanopenNode:
         """What is due at `now_ns` is done."""
         if self.outbox.deadlines_moved:
             self._find_deadline()
-        if self._due_ns <= now_ns:
+        is_rare = self._rest_deadline_ns <= now_ns
+        if is_rare and self._due_ns <= now_ns:
             self._due_ns = NEVER
             self.outbox.deadlines_moved = True
             if self.state == NmtState.INITIALISING:
-                self._boot_up(now_ns)
+                self._error_control.boot_up(now_ns)
+                self._enter(NmtState.PRE_OPERATIONAL, now_ns)  # transition 2
             else:
                 self._react(2, now_ns)
         if self._sdo.deadline_ns <= now_ns:
             self._sdo.expire(now_ns)
+        if is_rare:
+            self._expire_rest(now_ns)
+        if self._pdos_deadline_ns <= now_ns:
+            self._pdos.expire(now_ns)
+
+    def _expire_rest(self, now_ns: int) -> None:
         if self._error_control.deadline_ns <= now_ns:
             for node_id in self._error_control.expire(now_ns):
                 self._lose(node_id, now_ns)
@@ -138,8 +146,6 @@ class CanopenNode:
             self._send_sync(now_ns)
         if self._lss.deadline_ns <= now_ns:
             self._lss.expire(now_ns)
-        if self._pdos_deadline_ns <= now_ns:
-            self._pdos.expire(now_ns)
 
     def take_output(self) -> Sequence[bytes]:
         """The frames to send now, in order; () if none."""
@@ -222,11 +228,7 @@ class CanopenNode:
 
     def _find_deadline(self) -> None:
         self.outbox.deadlines_moved = False
-        deadline_ns = self._pdos_deadline_ns = self._pdos.deadline_ns()
-        if self._due_ns < deadline_ns:
-            deadline_ns = self._due_ns
-        if self._sdo.deadline_ns < deadline_ns:
-            deadline_ns = self._sdo.deadline_ns
+        deadline_ns = self._due_ns
         if self._error_control.deadline_ns < deadline_ns:
             deadline_ns = self._error_control.deadline_ns
         if self._sync.deadline_ns < deadline_ns:
@@ -235,6 +237,12 @@ class CanopenNode:
             deadline_ns = self._emcy.deadline_ns
         if self._lss.deadline_ns < deadline_ns:
             deadline_ns = self._lss.deadline_ns
+        self._rest_deadline_ns = deadline_ns
+        pdos_ns = self._pdos_deadline_ns = self._pdos.deadline_ns()
+        if pdos_ns < deadline_ns:
+            deadline_ns = pdos_ns
+        if self._sdo.deadline_ns < deadline_ns:
+            deadline_ns = self._sdo.deadline_ns
         self._deadline_ns = deadline_ns
 
     # --- NMT
@@ -262,8 +270,7 @@ class CanopenNode:
         self._store.apply(first, last)
         self._emcy.reset(whole)
         self._configure_all(now_ns)
-        timing = self._timing
-        delay_ns = timing.boot_up_ns if whole else timing.reset_communication_ns
+        delay_ns = self._timing.boot_up_ns if whole else self._timing.reset_communication_ns
         self._due_ns = NEVER if self.node_id == UNCONFIGURED else now_ns + delay_ns
         self.outbox.deadlines_moved = True
         self._host.on_reset(whole, now_ns)
@@ -287,10 +294,6 @@ class CanopenNode:
         self._pdos.configure_all(now_ns)
         self._sdo.configure(sdo_can_id(self.od, 2, 0x580 + self.node_id))
         self._listen()
-
-    def _boot_up(self, now_ns: int) -> None:
-        self._error_control.boot_up(now_ns)
-        self._enter(NmtState.PRE_OPERATIONAL, now_ns)  # transition 2
 
     def _enter(self, state: int, now_ns: int) -> None:
         """The one place that writes `state`."""
@@ -321,8 +324,7 @@ class CanopenNode:
         is_operational = state == NmtState.OPERATIONAL
         is_initialised = state != NmtState.INITIALISING
         if self.od.supports_lss:
-            is_without = self.node_id == UNCONFIGURED
-            routes.add(LSS_REQUEST_ID, self._on_lss, is_initialised or is_without)
+            routes.add(LSS_REQUEST_ID, self._on_lss, is_initialised or self.node_id == UNCONFIGURED)
         routes.add(0x000, self._on_nmt_frame, is_initialised)
         routes.add(self._sync.can_id, self._sync_handler(), can_talk)
         if self._time.can_id:
@@ -359,8 +361,7 @@ class CanopenNode:
             self._listen()
 
     def _on_idle_sync(self, frame: bytes, now_ns: int) -> None:
-        """PRE-OPERATIONAL: there are no PDOs."""
-        self._sync.is_right(frame, now_ns)
+        self._sync.is_right(frame, now_ns)  # PRE-OPERATIONAL: there are no PDOs
 
     def _on_watched_sync(self, frame: bytes, now_ns: int) -> None:
         if self._sync.is_right(frame, now_ns):

@@ -111,8 +111,8 @@ CW_QUICK_STOP: Final = 0x0004  # 0 asks for a quick stop
 CW_ENABLE_OPERATION: Final = 0x0008
 CW_FAULT_RESET: Final = 0x0080
 CW_HALT: Final = 0x0100
-COMMAND_BITS: Final = 0x008F
-ENABLED: Final = 0x000F  # of these: the level that enables operation, and keeps it
+_COMMAND_BITS: Final = 0x008F
+_ENABLED: Final = 0x000F  # of these: the level that enables operation, and keeps it
 
 
 def decode_controlword(word: int, previous: int) -> Command | None:
@@ -143,6 +143,12 @@ class PdsFsa:
         command = decode_controlword(word, self.controlword)
         self.controlword = word
         return command
+
+    def holds(self, word: int) -> bool:
+        """Whether the drive is enabled, and this is once more the word that keeps it so."""
+        if word != self.controlword or word & _COMMAND_BITS != _ENABLED:
+            return False
+        return self.state is PdsState.OPERATION_ENABLED
 
     def asked(self, command: Command | None) -> int:
         """The transition `command` asks for in this state, or NO_TRANSITION."""

@@ -24,8 +24,6 @@ from emulators.cia402.limit_guard import LimitGuard
 from emulators.cia402.mode import Mode
 from emulators.cia402.objects import DriveObjects
 from emulators.cia402.pds_fsa import (
-    COMMAND_BITS,
-    ENABLED,
     NO_TRANSITION,
     Command,
     PdsFsa,
@@ -58,12 +56,8 @@ NO_FAULT: Final = 0x0000
 ABORT_FAULT: Final = 1
 ABORT_DISABLE_VOLTAGE: Final = 2
 ABORT_QUICK_STOP: Final = 3
-_POWERED_STATES: Final = (
-    PdsState.SWITCHED_ON,
-    PdsState.OPERATION_ENABLED,
-    PdsState.QUICK_STOP_ACTIVE,
-)
 _RUNNING_STATES: Final = (PdsState.OPERATION_ENABLED, PdsState.QUICK_STOP_ACTIVE)
+_POWERED_STATES: Final = (PdsState.SWITCHED_ON, *_RUNNING_STATES)
 
 
 @final
@@ -199,10 +193,8 @@ class PowerDrive:
 
     def synced(self, now_ns: int) -> bool:
         """SYNC was on the bus; True: the mode does something about it."""
-        active = self._active
-        if not active.heeds_sync:
-            return False
-        return self.fsa.state is PdsState.OPERATION_ENABLED and active.synced(now_ns)
+        active, state = self._active, self.fsa.state
+        return active.heeds_sync and state is PdsState.OPERATION_ENABLED and active.synced(now_ns)
 
     def saw(self, edges: list[Edge]) -> None:
         """Digital inputs have changed."""
@@ -285,22 +277,17 @@ class PowerDrive:
             mode_bits = TARGET_REACHED if self._axis.stands() else 0
         else:
             mode_bits = active.idle_bits()
-        return compose(
-            state,
-            mode_bits=mode_bits,
-            voltage=self.voltage,
-            remote=state is not PdsState.NOT_READY_TO_SWITCH_ON,
-            limit=active.limited or self._guard.is_active,
-            warning=self.standing.warnings != 0,
-        )
+        remote = state is not PdsState.NOT_READY_TO_SWITCH_ON
+        limit = active.limited or self._guard.is_active
+        return compose(state, mode_bits, self.voltage, remote, limit, self.standing.warnings != 0)
 
     # --- inside
 
     def _write_controlword(self, word: int, now_ns: int) -> None:
         fsa = self.fsa
         previous = fsa.controlword
-        if word == previous and word & COMMAND_BITS == ENABLED and self._is_running():
-            self._active.obey(word, 0, now_ns)  # as in each cycle of a host's
+        if self._at_rest == NO_TRANSITION and fsa.holds(word):  # as in each cycle of a host's
+            self._active.obey(word, 0, now_ns)
             return
         command = fsa.command(word)
         if command is Command.ENABLE_OPERATION:
@@ -312,10 +299,6 @@ class PowerDrive:
         self._advance(command, now_ns)
         if fsa.state is PdsState.OPERATION_ENABLED and self._at_rest == NO_TRANSITION:
             self._active.obey(word, word & ~previous, now_ns)
-
-    def _is_running(self) -> bool:
-        """Whether the mode has the axis and nothing waits to take it away."""
-        return self.fsa.state is PdsState.OPERATION_ENABLED and self._at_rest == NO_TRANSITION
 
     def _obey_level(self, now_ns: int) -> None:
         """A transition happened by itself: the controlword, as it stands, may ask for the next."""

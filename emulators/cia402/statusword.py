@@ -33,7 +33,7 @@ STATE_BITS: Final[tuple[int, ...]] = (0x00, 0x40, 0x21, 0x23, 0x27, 0x07, 0x0F, 
 
 
 def compose(
-    state: PdsState, *, mode_bits: int, voltage: bool, remote: bool, limit: bool, warning: bool
+    state: PdsState, mode_bits: int, voltage: bool, remote: bool, limit: bool, warning: bool
 ) -> int:
     """The statusword (unsigned 16 bit) of a drive in `state`; `mode_bits` within MODE_BITS."""
     word = STATE_BITS[state] | mode_bits
