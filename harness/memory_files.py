@@ -1,7 +1,7 @@
 """Files in which controllers keep what they keep without power (`nonvolatile_memory` in a rig)."""
 
+import errno
 import os
-import tempfile
 from pathlib import Path
 from typing import final
 
@@ -27,6 +27,8 @@ class FileMemory:
         self._path = path
         self._data = b""
         if path.exists():
+            if not path.is_file():  # a pipe is silent for ever, a device would be replaced
+                raise OSError(errno.EINVAL, "it is a folder or a device, not a file")
             with path.open("rb") as file:
                 self._data = file.read(_MAX_BYTES)
 
@@ -36,16 +38,17 @@ class FileMemory:
 
     def save(self, data: bytes) -> bool:
         """The file holds this, or what it held before; never a part."""
+        new = self._path.with_name(f".{self._path.name}.{os.getpid()}")
         try:
-            with tempfile.NamedTemporaryFile(dir=self._path.parent, delete=False) as file:
-                try:
+            try:
+                with new.open("wb") as file:
                     file.write(data)
                     file.flush()
                     os.fsync(file.fileno())
-                    os.replace(file.name, self._path)
-                except OSError:
-                    os.unlink(file.name)
-                    raise
+                os.replace(new, self._path)
+            except BaseException:  # Ctrl-C, too, leaves nothing beside the file
+                new.unlink(missing_ok=True)
+                raise
         except OSError:
             return False
         self._data = data
@@ -70,8 +73,11 @@ class MemoryFiles:
         Raises:
             SettingError: it is another controller's, or cannot be used.
         """
-        path = self._folder / named
-        owner = self._owners.setdefault(path.resolve(), controller)
+        try:
+            path = (self._folder / named).resolve()  # what a link leads to is the file
+        except (OSError, ValueError) as error:  # links in a circle; a path that no file can have
+            raise SettingError(_KEY, f"{named!r} is no path: {error}", "name a file") from None
+        owner = self._owners.setdefault(path, controller)
         if owner != controller:
             message = f"{named} is the memory of controller {owner!r} already"
             raise SettingError(_KEY, message, "one file for each")
@@ -82,4 +88,4 @@ class MemoryFiles:
             return FileMemory(path)
         except OSError as error:
             reason = error.strerror or type(error).__name__
-            raise SettingError(_KEY, f"{path} cannot be read: {reason}") from error
+            raise SettingError(_KEY, f"{path} cannot be read: {reason}", "name a file") from error

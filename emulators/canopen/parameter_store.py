@@ -45,6 +45,7 @@ class ParameterStore:
         self._memory = memory
         self._outbox = outbox
         self.stored = StoredParameters((0, 0))
+        self._is_foreign: bool = False  # what is there is not this device's to overwrite
         for index, signature in ((0x1010, SAVE), (0x1011, LOAD)):
             for subindex in od.subindices(index):
                 variable = od.get(index, subindex)
@@ -59,12 +60,15 @@ class ParameterStore:
         identity = (self._od.integer(0x1018, 1, 0), self._od.integer(0x1018, 2, 0))
         self.stored = StoredParameters(identity)
         data = self._memory.load()
+        self._is_foreign = False
         if not data:
             return
         where = self._memory.where()
         wrong = self.stored.read(data)
         if wrong:
-            self._tell("warning", f"{where} is left out, {wrong}; save again (1010h)")
+            self._is_foreign = not self.stored.begins(data)
+            remedy = "it stays as it is, name another" if self._is_foreign else "save again (1010h)"
+            self._tell("warning", f"{where} is left out, {wrong}; {remedy}")
             self.stored = StoredParameters(identity)
             return
         self._drop_what_does_not_fit(where)
@@ -88,9 +92,13 @@ class ParameterStore:
 
     def save_lss(self, node_id: int, bit_timing: int) -> bool:
         """What LSS has configured is kept; False: it cannot be."""
-        self.stored.node_id = node_id
-        self.stored.bit_timing = bit_timing
-        return self._memory.save(self.stored.write())
+        stored = self.stored
+        before = (stored.node_id, stored.bit_timing)
+        stored.node_id, stored.bit_timing = node_id, bit_timing
+        if self._is_written():
+            return True
+        stored.node_id, stored.bit_timing = before
+        return False
 
     def _change(self, subindex: int, keep: bool) -> int:
         first, last = _range_of(subindex)
@@ -103,10 +111,18 @@ class ParameterStore:
                     data = encode(variable.data_type, variable.value)
                     values[variable.index << 8 | variable.subindex] = data
         self.stored.values = values
-        if not self._memory.save(self.stored.write()):
+        if not self._is_written():
             self.stored.values = before
             return AbortCode.HARDWARE_ERROR
         return 0
+
+    def _is_written(self) -> bool:
+        """All that is stored is kept without power now."""
+        if not self._is_foreign and self._memory.save(self.stored.write()):
+            return True
+        why = "is not this device's" if self._is_foreign else "cannot be written"
+        self._tell("warning", f"nothing is stored, {self._memory.where()} {why}")
+        return False
 
     def _drop_what_does_not_fit(self, where: str) -> None:
         fitting: dict[int, bytes] = {}

@@ -15,6 +15,8 @@ from typing import Final, final
 
 _FIRST: Final = "motorhil parameters 1"
 UNSET: Final = -1
+_NODE_IDS: Final = (*range(1, 128), 255)
+_BIT_TIMING_MAX: Final = 9  # CiA 305's table 0
 
 
 @final
@@ -35,7 +37,7 @@ class StoredParameters:
 
     def write(self) -> bytes:
         """The text."""
-        lines = [_FIRST, f"identity {self.identity[0]:08X} {self.identity[1]:08X}"]
+        lines = [_FIRST, self._identity()]
         if self.node_id != UNSET:
             lines.append(f"node_id {self.node_id}")
         if self.bit_timing != UNSET:
@@ -57,16 +59,42 @@ class StoredParameters:
             return "it ends early"
         if last[2] != f"{zlib.crc32(checked):08X}":
             return "it is damaged, or was changed by hand (its CRC is wrong)"
-        identity = f"identity {self.identity[0]:08X} {self.identity[1]:08X}"
+        identity = self._identity()
         if len(lines) < 3 or lines[1] != identity:
             return f"it is another device's: {lines[1]!r}, here {identity!r}"
         for line in lines[2:-1]:
-            key, _, value = line.partition(" ")
-            if key == "node_id":
-                self.node_id = int(value)
-            elif key == "bit_timing":
-                self.bit_timing = int(value)
-            else:
-                index, _, subindex = key.partition(":")
-                self.values[int(index, 16) << 8 | int(subindex, 16)] = bytes.fromhex(value)
+            try:
+                self._read_line(line)
+            except ValueError:
+                return f"{line!r} in it is no stored value"
         return ""
+
+    def begins(self, data: bytes) -> bool:
+        """Whether the text is one of this device's, as far as it goes: whole, torn or empty.
+
+        Some file systems leave zeros where power went while they wrote.
+        """
+        first = f"{_FIRST}\n{self._identity()}\n".encode()
+        return data.startswith(first) or first.startswith(data) or not data.strip(b"\0")
+
+    def _identity(self) -> str:
+        return f"identity {self.identity[0]:08X} {self.identity[1]:08X}"
+
+    def _read_line(self, line: str) -> None:
+        """One of the lines between.
+
+        Raises:
+            ValueError: it is none.
+        """
+        key, _, value = line.partition(" ")
+        if key == "node_id":
+            self.node_id = int(value)
+            if self.node_id not in _NODE_IDS:
+                raise ValueError(value)
+        elif key == "bit_timing":
+            self.bit_timing = int(value)
+            if not UNSET < self.bit_timing < _BIT_TIMING_MAX:
+                raise ValueError(value)
+        else:
+            index, _, subindex = key.partition(":")
+            self.values[int(index, 16) << 8 | int(subindex, 16)] = bytes.fromhex(value)

@@ -154,6 +154,52 @@ def test_what_cannot_be_saved_is_aborted_and_leaves_the_file_as_it_was(tmp_path,
     assert sorted(one.name for one in tmp_path.iterdir()) == ["left.parameters", "rig.toml"]
 
 
+@pytest.mark.parametrize("theirs", ["rig.toml", "drive.py"])
+def test_a_file_that_is_something_else_is_told_and_not_overwritten(tmp_path, theirs):
+    """A rig that names itself, or a script, would be gone by the first save."""
+    (tmp_path / "drive.py").write_text("print('mine')\n")
+    path = written(tmp_path, RIG.replace("left.parameters", theirs))
+    before = (tmp_path / theirs).read_bytes()
+    with booted(path) as rig:
+        assert any(f"left: warning: {theirs} is left out, it does not" in one for one in rig.notes)
+        assert write(rig, 0x1010, 1, SAVE) == 0x0606_0000
+    assert (tmp_path / theirs).read_bytes() == before
+
+
+def test_a_pipe_is_not_waited_for_and_a_device_not_replaced(tmp_path):
+    os.mkfifo(tmp_path / "left.parameters")
+    with pytest.raises(RigError, match="cannot be read: it is a folder or a device"):
+        Rig.open(written(tmp_path))
+
+
+def test_a_link_stays_a_link_and_what_it_leads_to_is_written(tmp_path):
+    (tmp_path / "kept").mkdir()
+    (tmp_path / "left.parameters").symlink_to("kept/of_left")
+    store(tmp_path)
+    assert (tmp_path / "left.parameters").is_symlink()
+    assert (tmp_path / "kept/of_left").read_bytes().startswith(b"motorhil parameters 1")
+
+
+def test_a_name_that_no_file_can_have_is_refused(tmp_path):
+    path = written(tmp_path, RIG.replace("left.parameters", "a\\u0000b"))
+    with pytest.raises(RigError, match=r":7: controller.left.nonvolatile_memory: .* is no path"):
+        Rig.open(path)
+
+
+def test_ctrl_c_while_it_saves_leaves_the_old_file_and_nothing_beside_it(tmp_path, monkeypatch):
+    path = store(tmp_path)
+    before = (tmp_path / "left.parameters").read_bytes()
+    monkeypatch.setattr(os, "replace", _interrupted)
+    with booted(path) as rig, pytest.raises(KeyboardInterrupt):
+        write(rig, 0x1010, 1, SAVE)
+    assert (tmp_path / "left.parameters").read_bytes() == before
+    assert sorted(one.name for one in tmp_path.iterdir()) == ["left.parameters", "rig.toml"]
+
+
+def _interrupted(source: object, target: object) -> None:
+    raise KeyboardInterrupt
+
+
 def test_the_text_of_a_file_is_what_readme_says():
     parameters = StoredParameters((0, 0x402))
     parameters.values[0x6083_00] = struct.pack("<I", 4321)

@@ -1,5 +1,7 @@
 """Store and restore (CiA 301, 1010h and 1011h): signatures, what belongs to what, and when."""
 
+import zlib
+
 import canopen
 import pytest
 from canopen.sdo.exceptions import SdoAbortedError
@@ -221,7 +223,9 @@ def test_what_was_loaded_is_told_with_its_checksum():
         (lambda data: data.replace(b"6083:00 15", b"6083:00 16"), "its CRC is wrong"),
         (lambda data: b"\x00" * 100, "it does not begin with"),
         (lambda data: b"motorhil parameters 1\n", "it ends early"),
-        (lambda data: bytes(range(256)), "it does not begin with"),
+        (lambda data: resigned(data, b"1017:00", b"101x:00"), "is no stored value"),
+        (lambda data: resigned(data, b"1017:00", b"node_id 300\n1017:00"), "is no stored value"),
+        (lambda data: resigned(data, b"1017:00", b"bit_timing 9\n1017:00"), "is no stored value"),
     ],
 )
 def test_what_is_torn_or_no_such_text_is_told_and_left_out(spoil, reason):
@@ -231,6 +235,29 @@ def test_what_is_torn_or_no_such_text_is_told_and_left_out(spoil, reason):
     assert level == "warning"
     assert reason in text
     assert text.endswith("; save again (1010h)")
+
+
+def resigned(data: bytes, old: bytes, new: bytes) -> bytes:
+    """With a check sum that is right all the same, as somebody with patience makes it."""
+    assert old in data
+    text = data[: data.rfind(b"end ")].replace(old, new)
+    return text + b"end 3 %08X\n" % zlib.crc32(text)
+
+
+@pytest.mark.parametrize("theirs", [b"import motorapi\n", bytes(range(256)), None])
+def test_what_somebody_else_has_written_is_never_overwritten(theirs):
+    od = whole()
+    if theirs is None:
+        theirs = stored()
+        od.get(0x1018, 1).default = 5
+    bench = with_memory(theirs, od)
+    ((_, text),) = bench.node.take_events()
+    assert text.endswith("; it stays as it is, name another")
+    assert bench.command(0x1010, 1, SAVE) == HARDWARE
+    assert bench.command(0x1011, 1, LOAD) == HARDWARE
+    assert bench.memory.load() == theirs
+    told = ("warning", "nothing is stored, the rig's own memory is not this device's")
+    assert bench.node.take_events() == [told, told]
 
 
 def test_no_prefix_of_a_text_is_taken_for_a_whole_one():
