@@ -63,7 +63,7 @@ def drive(
         driven: where they are.
         recording: with a host in it.
         speed: how much faster the host's pauses are than recorded.
-        patience_ns: how long something is waited for that was told in the recording [ns].
+        patience_ns: how much longer than recorded something is waited for [ns].
         reset: all nodes are reset first, by NMT: what has long booted boots again.
 
     Raises:

@@ -2,7 +2,7 @@
 
 Sans-I/O. A step is sent when all it waited for has been told again, and as much time has passed
 behind the last of that, or behind the host's last frame, as in the recording. What is not told
-within the patience is missed: that is noted, and the host goes on, as a person watching would.
+within the patience after its time is missed: that is noted, and the host goes on, as a person watching would.
 The host's own heartbeat waits for nothing, and goes on as long as there is something to send.
 """
 
@@ -70,7 +70,7 @@ class HostPlayer:
         begin_ns: when the recording begins [ns of it].
         lines: which of the buses are lines that speak Modbus.
         speed: how much faster pauses are than recorded.
-        patience_ns: for each thing that is waited for [ns].
+        patience_ns: for each thing that is waited for, beyond the time it took when recorded [ns].
 
     Attributes:
         sent: how many frames were sent, without heartbeats.
@@ -145,7 +145,7 @@ class HostPlayer:
         """When `take` is wanted at the latest, if nothing is heard before [ns]."""
         if self.is_over():
             return None
-        due_ns = self._due_ns() if self._is_ready() else self._waiting_since_ns + self._patience_ns
+        due_ns = self._due_ns() if self._is_ready() else self._patient_until_ns()
         return min([due_ns, *(one.due_ns for one in self._heartbeats)])
 
     def take(self, now_ns: int) -> list[tuple[str, bytes]]:
@@ -157,7 +157,7 @@ class HostPlayer:
                 out.append((step.bus, step.frame))
         while not self.is_over():
             if not self._is_ready():
-                if now_ns < self._waiting_since_ns + self._patience_ns:
+                if now_ns < self._patient_until_ns():
                     break
                 self._give_up(now_ns)
                 continue
@@ -202,6 +202,12 @@ class HostPlayer:
                 self._know(awaited.time_ns, heard[place].time_ns)
                 return True
         return False
+
+    def _patient_until_ns(self) -> int:
+        """When what this step waits for is given up: a homing may have taken minutes."""
+        recorded_ns, live_ns = self._anchor
+        pause_ns = round((self._waits[0].time_ns - recorded_ns) / self._speed)
+        return max(self._waiting_since_ns, live_ns + pause_ns) + self._patience_ns
 
     def _give_up(self, now_ns: int) -> None:
         """What this step waits for has not come: without it, then."""

@@ -73,7 +73,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         type=real(0.0, 1e6, "s"),
         default=2.0,
         metavar="S",
-        help="how long the host waits for what was told in the recording (default 2)",
+        help="how much longer than recorded the host waits for what was told (default 2)",
     )
     parser.add_argument(
         "--tolerance",

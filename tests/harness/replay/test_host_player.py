@@ -87,19 +87,20 @@ def test_a_frame_that_was_out_is_told_apart_by_its_bus():
 def test_what_does_not_come_is_missed_when_patience_ends_and_pauses_count_from_there():
     player = started(step(0), step(20, answer(12)), now_ms=5)
     player.take(5 * MS)
-    assert player.next_deadline_ns() == 5 * MS + PATIENCE
-    assert player.take(5 * MS + PATIENCE - 1) == []
+    over_ns = (5 + 12) * MS + PATIENCE  # it came after 12 ms
+    assert player.next_deadline_ns() == over_ns
+    assert player.take(over_ns - 1) == []
     assert player.missed == []
-    assert player.take(5 * MS + PATIENCE) == []
+    assert player.take(over_ns) == []
     (missed,) = player.missed
     assert (missed.time_ns, missed.awaited, missed.instead) == (
-        5 * MS + PATIENCE,
+        over_ns,
         answer(12),
         "no answer",
     )
     assert missed.step.start_ns == 20 * MS
-    assert player.next_deadline_ns() == 5 * MS + PATIENCE + 8 * MS
-    assert len(player.take(5 * MS + PATIENCE + 8 * MS)) == 1
+    assert player.next_deadline_ns() == over_ns + 8 * MS
+    assert len(player.take(over_ns + 8 * MS)) == 1
 
 
 def test_each_thing_is_waited_for_with_the_same_patience():
@@ -107,16 +108,29 @@ def test_each_thing_is_waited_for_with_the_same_patience():
     player.take(10 * MS)
     player.take(110 * MS)
     assert [one.time_ns for one in player.missed] == [110 * MS]
-    assert player.next_deadline_ns() == 210 * MS
-    player.take(210 * MS)
-    assert [one.time_ns for one in player.missed] == [110 * MS, 210 * MS]
+    assert player.next_deadline_ns() == 214 * MS
+    player.take(214 * MS)
+    assert [one.time_ns for one in player.missed] == [110 * MS, 214 * MS]
 
 
 def test_patience_begins_with_the_recording_whatever_the_time_is():
     player = started(step(20, state(10, BOOTED)), now_ms=60_000)
     player.take(60_000 * MS)
     assert player.missed == []
-    assert player.next_deadline_ns() == 60_000 * MS + PATIENCE
+    assert player.next_deadline_ns() == 60_010 * MS + PATIENCE
+
+
+@pytest.mark.parametrize(("speed", "wait_ms"), [(1.0, 60_000), (2.0, 30_000)])
+def test_what_took_longer_than_patience_is_waited_for_as_long_and_patience_comes_behind(
+    speed, wait_ms
+):
+    """A homing that takes a minute is no reason to disable the drive after two seconds of it."""
+    player = started(step(0), step(60_001, state(60_000, OPERATIONAL)), speed=speed)
+    player.take(0)
+    assert player.take((wait_ms + 2_000) * MS - 1) == []
+    assert player.missed == []
+    player.take((wait_ms + 2_000) * MS)
+    assert len(player.missed) == 1
 
 
 def test_a_state_is_waited_for_by_its_value_and_what_came_instead_is_told():
