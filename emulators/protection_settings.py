@@ -73,7 +73,8 @@ def protection_of(table: Mapping[str, object], plant: MotorPlant) -> ProtectionS
     under_v = _volts(table, "under_voltage_v", UNDER_VOLTAGE * plant.supply_v)
     if under_v >= over_v:
         key = "under_voltage_v" if "under_voltage_v" in table else "over_voltage_v"
-        raise SettingError((*_PATH, key), f"{under_v} V is not below {over_v} V", "part them")
+        message = f"under-voltage at {under_v:g} V is not below over-voltage at {over_v:g} V"
+        raise SettingError((*_PATH, key), message, f"the supply's own is {plant.supply_v:g} V")
     device_c = _temperatures(
         table, "device", own.device_temperature_warning_c, own.device_temperature_max_c
     )
@@ -116,7 +117,8 @@ def _temperatures(
     warning_c = _celsius(table, key, warning_c)
     max_c = _celsius(table, f"{whose}_temperature_max_c", max_c)
     if warning_c > max_c:
-        raise SettingError((*_PATH, key), f"{warning_c} C is above the maximum, {max_c} C", "lower")
+        message = f"{warning_c:g} C is above the maximum, {max_c:g} C"
+        raise SettingError((*_PATH, key), message, f"{key} = {max_c:g} at most")
     return warning_c, max_c
 
 

@@ -14,7 +14,7 @@ from typing import Final, final
 
 from emulators.controller import SettingError
 from emulators.plant.dc_motor import PI, RANGES, MotorPlant
-from emulators.plant.extras import EXTRAS, PlantExtras
+from emulators.plant.extras import EXTRAS, NO_EXTRAS, PlantExtras
 from emulators.plant.extras import RANGES as EXTRAS_RANGES
 from emulators.plant.oscillator import Oscillator
 from emulators.plant.presets import PRESETS
@@ -34,6 +34,22 @@ _OPTIONAL: Final[dict[str, float]] = {
 }
 _LINEAR: Final = tuple(f.name for f in fields(MotorPlant) if f.name != "extras")
 _DATA_SHEET: Final = tuple(name for name in _LINEAR if name not in _OPTIONAL)
+# What does nothing, unless one of these is there, too.
+_SUPPLY: Final = ("source_resistance_ohm",)
+_COMPANIONS: Final[dict[str, tuple[str, ...]]] = {
+    "coupling_damping_n_m_s_rad": ("coupling_stiffness_n_m_rad", "backlash_rad"),
+    "stop_restitution": ("stop_low_rad", "stop_high_rad"),
+    "stribeck_speed_rad_s": ("static_friction_n_m",),
+    "cogging_periods_rev": ("cogging_torque_n_m",),
+    "gravity_zero_rad": ("gravity_torque_n_m",),
+    "dc_link_capacitance_f": _SUPPLY,
+    "dc_link_bleed_ohm": _SUPPLY,
+    "chopper_threshold_v": ("chopper_resistance_ohm",),
+    "chopper_resistance_ohm": _SUPPLY,
+    "ambient_c": ("thermal_resistance_winding_housing_k_w",),
+    "i2t_continuous_a": ("i2t_peak_a",),
+    "i2t_peak_s": ("i2t_peak_a",),
+}
 _WHOLE: Final = ("encoder_increments_rev", "cogging_periods_rev")
 _OBJECT: Final = re.compile("([0-9A-Fa-f]{4})[hH]?(?::(?:([0-9]{1,3})|([0-9A-Fa-f]{1,2})[hH]))?")
 
@@ -65,10 +81,17 @@ def refuse_unknown(table: Mapping[str, object], known: Sequence[str], path: KeyP
     """Raises SettingError at the first key that is not `known`, suggesting the nearest."""
     for key in table:
         if key not in known:
-            close = [name for name in known if name.startswith(key)]
-            close = close or difflib.get_close_matches(key, known, n=1)
-            guess = f"did you mean {close[0]}? " if close else ""
-            raise SettingError((*path, key), "is not known", f"{guess}known: {', '.join(known)}")
+            raise SettingError((*path, key), "is not known", nearest(key, known))
+
+
+def nearest(name: object, known: Sequence[str]) -> str:
+    """A remedy: the known name that is most like `name`, and all there are."""
+    if not known:
+        return "take it out, there are none"
+    close = [one for one in known if isinstance(name, str) and name and one.startswith(name)]
+    close = close or difflib.get_close_matches(str(name), known, n=1)
+    guess = f"did you mean {close[0]}? " if close else ""
+    return f"{guess}known: {', '.join(known)}"
 
 
 def number(value: object, path: KeyPath, low: float, high: float) -> float:
@@ -173,9 +196,8 @@ def plant_of(table: Mapping[str, object], path: KeyPath = ("plant",)) -> MotorPl
     refuse_unknown(table, ("preset", *_LINEAR, *EXTRAS), path)
     preset = table.get("preset")
     if preset is not None and (not isinstance(preset, str) or preset not in PRESETS):
-        raise SettingError(
-            (*path, "preset"), f"there is no preset {preset!r}", f"known: {', '.join(PRESETS)}"
-        )
+        remedy = nearest(preset, tuple(PRESETS))
+        raise SettingError((*path, "preset"), f"there is no preset {preset!r}", remedy)
     numbers = _numbers(table, RANGES, path)
     base = PRESETS[preset] if isinstance(preset, str) else PRESETS[DEFAULT_PRESET]
     needed = [name for name in _DATA_SHEET if name not in numbers]
@@ -190,10 +212,20 @@ def plant_of(table: Mapping[str, object], path: KeyPath = ("plant",)) -> MotorPl
     try:
         more = _numbers(table, EXTRAS_RANGES, path)
         extras: PlantExtras = replace(base.extras, **more)  # type: ignore[arg-type]  # likewise
+        _refuse_idle(more, extras, path)
         return replace(base, **numbers, extras=extras)  # type: ignore[arg-type]  # checked above
     except ValueError as error:
         name, _, text = str(error).partition(" = ")
         raise SettingError((*path, name), text) from error
+
+
+def _refuse_idle(more: Mapping[str, float], extras: PlantExtras, path: KeyPath) -> None:
+    """A number that nothing asks for would be taken for physics that is there."""
+    for name, needed in _COMPANIONS.items():
+        idle = all(getattr(extras, one) == getattr(NO_EXTRAS, one) for one in needed)
+        if idle and more.get(name, getattr(NO_EXTRAS, name)) != getattr(NO_EXTRAS, name):
+            message = f"{more[name]:g} does nothing without {' or '.join(needed)}"
+            raise SettingError((*path, name), message, "give the plant that, too")
 
 
 def _numbers(

@@ -18,6 +18,7 @@ from emulators.cia402.quirk_catalogue import told
 from emulators.cia402.quirks import wire_quirks
 from emulators.cia402.quirky_wire import QuirkyWire
 from emulators.cia402.settings import EMULATED_MODES, MODES, DriveSettings, read_settings
+from emulators.cia402.switch_settings import out_of_reach
 from emulators.controller import Controller, ControllerContext, NonvolatileMemory, SettingError
 from emulators.firmware.own_time import on_own_time
 
@@ -80,6 +81,7 @@ def build_drive(settings: DriveSettings, memory: NonvolatileMemory | None = None
     if not settings.oscillator.is_ideal():
         events.append(("info", settings.oscillator.told()))
     events += [("info", line) for line in told(settings.quirks)]
+    events += [("warning", line) for line in out_of_reach(settings.switches, settings.plant)]
     stated = od.integer(0x6502, 0, 0)
     _set_objects(od, settings)
     if settings.supported_modes is None:

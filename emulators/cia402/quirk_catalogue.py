@@ -14,7 +14,7 @@ from dataclasses import dataclass
 from typing import Final, final
 
 from emulators.controller import SettingError
-from emulators.setting_tables import number, refuse_unknown
+from emulators.setting_tables import nearest, number, refuse_unknown
 
 _NS_PER_S: Final = 1_000_000_000
 _PATH: Final = ("quirks",)
@@ -120,16 +120,21 @@ def quirks_of(value: object) -> Quirks:
         SettingError: there is no such quirk or parameter, or its value is wrong.
     """
     if isinstance(value, list):
-        asked: Mapping[object, object] = dict.fromkeys(map(_hashable, value), True)
+        names = [_hashable(name) for name in value]
+        for name in names:
+            if names.count(name) > 1:
+                raise SettingError(_PATH, f"{name} is there twice", "take one out")
+        asked: Mapping[object, object] = dict.fromkeys(names, True)
     elif isinstance(value, Mapping):
         asked = value
     else:
-        raise SettingError(_PATH, f"{value!r} is no list of names", f'["{CATALOGUE[0].name}"]')
+        example = value if value in _BY_NAME else CATALOGUE[0].name
+        raise SettingError(_PATH, f"{value!r} is no list of names", f'["{example}"]')
     on: dict[str, Mapping[str, float]] = {}
     for name, given in asked.items():
         quirk = _BY_NAME.get(name) if isinstance(name, str) else None
         if quirk is None:
-            remedy = f"known: {', '.join(_BY_NAME)}; motorhil list quirks tells them"
+            remedy = f"{nearest(name, tuple(_BY_NAME))}; motorhil list quirks tells them"
             raise SettingError(_PATH, f"there is no quirk {name!r}", remedy)
         path = (*_PATH, quirk.name)
         if given is False:

@@ -154,6 +154,9 @@ def read_settings(table: Mapping[str, object], folder: Path, stream: str = "") -
     boot_up_ns = duration_ns(timing, "boot_up_s", 0.3, ("timing",))
     cyclic = table_in(table, "cyclic")
     refuse_unknown(cyclic, _CYCLIC_KEYS, ("cyclic",))
+    if "sync_lost_code" in cyclic and not cyclic.get("sync_lost_periods"):
+        path = ("cyclic", "sync_lost_code")
+        raise SettingError(path, "there is no fault to tell", "write sync_lost_periods = 5, too")
     switches, index_count = switches_in(table_in(table, "switches"), plant)
     return DriveSettings(
         node_id=node_id,
@@ -197,6 +200,8 @@ def _modes(table: Mapping[str, object]) -> tuple[str, ...] | None:
             raise SettingError(path, f"there is no mode {name!r}", known)
         if name not in EMULATED_MODES:
             raise SettingError(path, f"mode {name} is not emulated", known)
+        if name in names:
+            raise SettingError(path, f"mode {name} is there twice", "take one out")
         names.append(name)
     return tuple(names)
 

@@ -9,6 +9,7 @@ from emulators.firmware.digital_inputs import (
     HOME_SWITCH,
     NEGATIVE_LIMIT,
     POSITIVE_LIMIT,
+    STIMULI,
     TOUCH_PROBE_1,
     TOUCH_PROBE_2,
     Switch,
@@ -29,6 +30,7 @@ SWITCH_KEYS: Final = (
     "index_rad",
     "index_pulse",
 )
+_NAMES: Final = {bit: name for name, bit in STIMULI.items()}
 _PATH: Final = ("switches",)
 _PLACE_MAX_RAD: Final = 1e9
 
@@ -65,6 +67,21 @@ def switches_in(
                 raise SettingError((*_PATH, high_key), message, remedy)
             switches.append(Switch(bit, low, high))
     return tuple(switches), _index(table, plant)
+
+
+def out_of_reach(switches: tuple[Switch, ...], plant: MotorPlant) -> list[str]:
+    """What to tell of switches beyond the ends of the way, one line each.
+
+    They are no mistake of the rig's for sure: a limit switch may be mounted wrong.
+    """
+    inc_rad = plant.encoder_increments_rev * plant.gear_ratio / (2.0 * PI)
+    low_rad, high_rad = plant.extras.stop_low_rad, plant.extras.stop_high_rad
+    way = f"the ends of the way, {low_rad:g}..{high_rad:g} rad"
+    return [
+        f"switch {_NAMES[one.bit]} is beyond {way}: it stays off unless a stimulus says otherwise"
+        for one in switches
+        if one.low > high_rad * inc_rad or one.high <= low_rad * inc_rad
+    ]
 
 
 def _count(table: Mapping[str, object], key: str, inc_rad: float, absent: int) -> int:

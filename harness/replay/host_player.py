@@ -2,7 +2,8 @@
 
 Sans-I/O. A step is sent when all it waited for has been told again, and as much time has passed
 behind the last of that, or behind the host's last frame, as in the recording. What is not told
-within the patience after its time is missed: that is noted, and the host goes on, as a person watching would.
+within the patience after its time is missed: that is noted, and the host goes on, as a person
+watching would.
 The host's own heartbeat waits for nothing, and goes on as long as there is something to send.
 """
 

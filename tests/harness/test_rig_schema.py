@@ -7,7 +7,8 @@ from pathlib import Path
 
 import jsonschema
 import pytest
-from hypothesis import given
+from hypothesis import event, example, given
+from hypothesis import strategies as st
 
 import harness
 from emulators import modbus_drive
@@ -15,6 +16,7 @@ from emulators.cia401 import settings as node_settings
 from emulators.cia402 import settings as drive_settings
 from emulators.cia402.quirk_catalogue import CATALOGUE
 from emulators.cia402.switch_settings import SWITCH_KEYS
+from emulators.controller import SettingError
 from emulators.media.faults import FaultKind
 from emulators.plant.dc_motor import RANGES, MotorPlant
 from emulators.plant.extras import EXTRAS, NO_EXTRAS
@@ -52,6 +54,7 @@ from tests.motorapi.adaptations.software_rigs import two
 SCHEMA = json.loads((Path(harness.__file__).parent / "rig.schema.json").read_text())
 VALIDATOR = jsonschema.Draft202012Validator(SCHEMA)
 DEFS = SCHEMA["$defs"]
+CONTROLLER = jsonschema.Draft202012Validator({"$defs": DEFS, "$ref": "#/$defs/controller"})
 
 # What only a reader of the whole file, and of what is installed, can know.
 BEYOND_STRUCTURE = (
@@ -293,3 +296,63 @@ def test_whatever_the_reader_accepts_the_schema_accepts(edits):
     text = edited(edits, FOREIGN)
     if mistake_in(text) is None:
         VALIDATOR.validate(tomllib.loads(text))
+
+
+LISTS = (["pp"], ["pp", "pp"], ["vl"], ["stray_emcy"], ["stray_emcy"] * 2, [], [1])
+NUMBERS = (0, 1, -1, 0.5, 3, 24, 90, 1000, 1001, 35464, 65536, 1e9, 1e300)
+ODD = st.sampled_from([*LISTS, *NUMBERS, "", "x", "fault", True, False, {}])
+
+
+def odd_table(keys):
+    return st.dictionaries(st.sampled_from([*keys, "none_such"]), ODD, max_size=3)
+
+
+QUIRK_KEYS = [key for quirk in CATALOGUE for key in quirk.parameters]
+TABLES = st.one_of(
+    st.tuples(st.just("plant"), odd_table(EXTRAS)),
+    st.tuples(st.just("switches"), odd_table(SWITCH_KEYS)),
+    st.tuples(st.just("protection"), odd_table(PROTECTION_KEYS)),
+    st.tuples(st.just("cyclic"), odd_table(drive_settings._CYCLIC_KEYS)),
+    st.tuples(st.just("oscillator"), odd_table(OSCILLATOR_KEYS)),
+    st.tuples(
+        st.just("quirks"),
+        st.dictionaries(
+            st.sampled_from([quirk.name for quirk in CATALOGUE]),
+            ODD | odd_table(QUIRK_KEYS),
+            max_size=2,
+        ),
+    ),
+    st.tuples(
+        st.sampled_from(
+            ["nonvolatile_memory", "node_id_by_lss", "supported_modes", "quirks", "switches"]
+        ),
+        ODD,
+    ),
+)
+# One number against another, or against the plant, is nothing that a schema can say.
+BETWEEN_NUMBERS = (
+    *("is not below", "is not above", "is above the maximum", "do not fit 32 bits"),
+    *("does not go with", "needs a thermal model", "does nothing without", "beyond an end"),
+    *("the plant has nothing of the kind", "too fast for steps", "nothing to draw"),
+)
+
+
+@example(("quirks", ["stray_emcy"] * 2))
+@example(("supported_modes", ["pp", "pp"]))
+@example(("cyclic", {"sync_lost_code": 1000}))
+@example(("cyclic", {"sync_lost_code": 1000, "sync_lost_periods": 0}))
+@example(("protection", {"sto_error_code": 35464}))
+@example(("switches", {"index_rad": 1, "index_pulse": False}))
+@given(TABLES)
+def test_the_schema_and_the_drive_accept_and_refuse_the_same_tables(table):
+    key, value = table
+    drive = {"node_id": 3, key: value}
+    accepted = CONTROLLER.is_valid({"kind": "cia402", "bus": "can0", **drive})
+    try:
+        drive_settings.read_settings(drive, Path())
+        refused = ""
+    except SettingError as error:
+        refused = str(error)
+    event("refused" if refused else "accepted")
+    is_between = any(text in refused for text in BETWEEN_NUMBERS)
+    assert accepted == (not refused) or (accepted and is_between), refused

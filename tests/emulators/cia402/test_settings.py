@@ -147,7 +147,8 @@ def test_numbers_arrive():
         ),
         (
             {"protection": {"device_temperature_max_c": 60.0}},
-            "protection.device_temperature_warning_c: 75.0 C is above the maximum, 60.0 C; lower",
+            "protection.device_temperature_warning_c: 75 C is above the maximum, 60 C;"
+            " device_temperature_warning_c = 60 at most",
         ),
         (
             {"protection": {"winding_temperature_max_c": 100}},
@@ -166,12 +167,13 @@ def test_numbers_arrive():
                 "plant": {"preset": "wheel_60w", "source_resistance_ohm": 1.0},
                 "protection": {"under_voltage_v": 40.0},
             },
-            "protection.under_voltage_v: 40.0 V is not below 30.0 V; part them",
+            "protection.under_voltage_v: under-voltage at 40 V is not below over-voltage at 30 V; "
+            "the supply's own is 24 V",
         ),
         ({"quirks": "slow_sdo"}, "quirks: 'slow_sdo' is no list of names"),
         (
             {"quirks": ["slow"]},
-            "quirks: there is no quirk 'slow'; known: inverted_set_point_acknowledge, single_",
+            "quirks: there is no quirk 'slow'; did you mean slow_sdo? known: inverted_set_point_",
         ),
         ({"quirks": [["a"]]}, "quirks: there is no quirk \"['a']\"; known: "),
         ({"quirks": {"slow_sdo": 3}}, "quirks.slow_sdo: 3 says nothing; true, or a table of: mean"),
@@ -185,7 +187,27 @@ def test_numbers_arrive():
         ),
         (
             {"quirks": {"stray_emcy": {"for_s": 1}}},
-            "quirks.stray_emcy.for_s: is not known; ",
+            "quirks.stray_emcy.for_s: is not known; take it out, there are none",
+        ),
+        ({"quirks": "stray_emcy"}, "quirks: 'stray_emcy' is no list of names; [\"stray_emcy\"]"),
+        ({"quirks": ["stray_emcy"] * 2}, "quirks: stray_emcy is there twice; take one out"),
+        ({"supported_modes": ["pp", "pp"]}, "supported_modes: mode pp is there twice"),
+        (
+            {"cyclic": {"sync_lost_code": 0x8700}},
+            "cyclic.sync_lost_code: there is no fault to tell; write sync_lost_periods = 5, too",
+        ),
+        (
+            {"plant": {"preset": "wheel_6w"}},
+            "plant.preset: there is no preset 'wheel_6w'; did you mean wheel_60w? known: ",
+        ),
+        (
+            {"plant": {"chopper_resistance_ohm": 5.0, "chopper_threshold_v": 28.0}},
+            "plant.chopper_resistance_ohm: 5 does nothing without source_resistance_ohm; give",
+        ),
+        (
+            {"plant": {"coupling_damping_n_m_s_rad": 3.0}},
+            "plant.coupling_damping_n_m_s_rad: 3 does nothing without coupling_stiffness_n_m_rad or"
+            " backlash_rad; give the plant that, too",
         ),
         ({"switches": {"home": 1}}, "switches.home: is not known; did you mean home_from_rad?"),
         ({"switches": {"home_to_rad": "x"}}, "switches.home_to_rad: 'x' is no number"),
@@ -219,6 +241,24 @@ def test_numbers_arrive():
 )
 def test_mistakes_are_told(table, text):
     assert text in refused(**table)
+
+
+def test_what_is_written_as_it_is_by_default_does_no_harm():
+    told = {"coupling_damping_n_m_s_rad": 0.0, "ambient_c": 25.0}
+    assert read_settings({"node_id": 3, "plant": told}, HERE).plant == PRESETS["wheel_60w"]
+
+
+def test_a_switch_beyond_the_ends_of_the_way_is_told():
+    plant = {"preset": "wheel_60w", "stop_low_rad": -1.0, "stop_high_rad": 1.0}
+    there = {"negative_limit_rad": -0.9, "positive_limit_rad": 1.1, "home_from_rad": -3.0}
+    drive = new_drive(plant=plant, switches={**there, "home_to_rad": -2.0})
+    wanted = [
+        f"switch {name} is beyond the ends of the way, -1..1 rad:"
+        " it stays off unless a stimulus says otherwise"
+        for name in ("positive_limit", "home")
+    ]
+    assert drive.take_events() == [("warning", text) for text in wanted]
+    assert not new_drive(switches=there).take_events()
 
 
 def test_a_missing_node_id_is_told():
