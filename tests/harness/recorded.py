@@ -39,8 +39,15 @@ class Recorded:
         self.writer = TraceWriter(path, {"run": {}})
         self.writer.attach("two.toml", RIG, "application/toml")
         self.writer.attach("left.eds", EDS, "text/plain")
+        self.channels = {}
         self.can0 = self.writer.channel("/can/can0", Schema.of(CAN_FRAME))
         self.source = self.writer.source(self.can0, "host", Direction.TRANSMITTED)
+
+    def channel(self, topic, table):
+        """The one of this topic."""
+        if topic not in self.channels:
+            self.channels[topic] = self.writer.channel(topic, Schema.of(table))
+        return self.channels[topic]
 
     def frame(self, time_ns, identifier, data):
         content = bytes.fromhex(data)
@@ -49,12 +56,11 @@ class Recorded:
         return self
 
     def message(self, time_ns, topic, table, values):
-        channel = self.writer.channel(topic, Schema.of(table))
-        self.writer.write(channel, time_ns, encode(table, values))
+        self.writer.write(self.channel(topic, table), time_ns, encode(table, values))
         return self
 
     def event(self, time_ns, text, name=""):
-        channel = self.writer.channel("/events", Schema.of(LOG))
+        channel = self.channel("/events", LOG)
         self.writer.write(channel, time_ns, encode_log(time_ns, Level.WARNING, text, name))
         return self
 
@@ -64,7 +70,7 @@ class Recorded:
         return self.message(time_ns, "/modbus/rs485", MODBUS_ADU, values)
 
     def position(self, time_ns, motor, position):
-        channel = self.writer.channel(f"/motor/{motor}/state", Schema.of(JOINT_STATE))
+        channel = self.channel(f"/motor/{motor}/state", JOINT_STATE)
         self.writer.write(channel, time_ns, JointStateEncoder(motor).encode(position, None, None))
         return self
 
