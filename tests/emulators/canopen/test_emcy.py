@@ -163,6 +163,15 @@ def test_emcys_that_wait_go_out_in_their_order_when_the_inhibit_time_is_taken_aw
     assert bench.node.next_deadline_ns() is None
 
 
+def test_those_that_wait_go_by_a_new_inhibit_time():
+    bench = inhibited(1000)  # 100 ms
+    errors(bench, 0x8611, 0x7300)
+    bench.frames()
+    bench.tell(0x602, "2B 15 10 00 64 00 00 00")  # 10 ms
+    bench.wait(10 * MS)
+    assert [text[:9] for text in bench.frames() if text.startswith("082")] == ["082 00 73"]
+
+
 def test_of_too_many_that_wait_the_oldest_are_left_out_and_that_is_told():
     bench = inhibited(10)
     errors(bench, *range(0x1001, 0x1023))  # 34: one leaves, 33 would wait

@@ -121,6 +121,17 @@ def test_a_bit_timing_is_one_of_table_0(table, answer):
     assert LssBench().configure().lss(f"13 {table}") == answer
 
 
+def test_the_bit_timing_that_was_set_is_the_one_told_and_stored():
+    bench = LssBench().configure()
+    assert bench.lss("13 00 03") == "13 00"
+    bench.node.take_events()
+    assert bench.lss("15") == ""
+    ((_, text),) = bench.node.take_events()
+    assert "bit timing 3 (250 kbit/s)" in text  # CiA 305, table 0
+    assert bench.lss("17") == "17 00"
+    assert b"bit_timing 3\n" in bench.memory.load()
+
+
 def test_a_new_node_id_counts_from_the_next_reset_of_communication_with_all_that_follows_it():
     bench = LssBench().configure()
     assert bench.lss("11 21") == "11 00"

@@ -275,6 +275,23 @@ def test_another_device_s_parameters_are_left_out():
     assert (level, "another device's" in text) == ("warning", True)
 
 
+def test_a_value_at_its_limit_fits():
+    od = whole()
+    od.get(0x6083).low = od.get(0x6083).high = 21
+    bench = with_memory(stored(), od)
+    assert bench.values() == CHANGED
+    assert [level for level, _ in bench.node.take_events()] == ["info"]
+
+
+def test_commands_to_store_and_restore_are_not_stored_themselves():
+    bench = Powered()
+    bench.change()
+    assert bench.command(0x1011, 1, LOAD) == ACCEPTED
+    assert bench.command(0x1010, 1, SAVE) == ACCEPTED
+    places = [line[:4] for line in bench.memory.load().decode().splitlines() if line[4:5] == ":"]
+    assert places == ["1017", "2100", "6083"]
+
+
 def test_a_value_that_no_longer_fits_is_told_and_the_others_count():
     od = whole()
     od.get(0x6083).high = 20

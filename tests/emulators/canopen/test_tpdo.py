@@ -150,8 +150,9 @@ def test_nothing_is_sent_outside_operational_and_timers_stop():
     assert start(bench) == ["182 40 02 00 00 00 00"]  # how things are, again
 
 
-def test_an_event_driven_tpdo_waits_until_the_one_before_has_left_the_bus():
-    bench = bench_with(255)
+@pytest.mark.parametrize("transmission_type", [254, 255])
+def test_an_event_driven_tpdo_waits_until_the_one_before_has_left_the_bus(transmission_type):
+    bench = bench_with(transmission_type)
     bench.is_bus_stuck = True
     assert len(start(bench)) == 1
     for value in (1, 2, 3):

@@ -54,6 +54,23 @@ def test_csv_velocity_goes_evenly_from_set_point_to_set_point():
     assert demands(bench, 0x606B, 6) == [8_000, 5_000, 2_000, -1_000, -4_000, -4_000]
 
 
+@pytest.mark.parametrize(("mode", "index", "value"), [(CSV, 0x60FF, 10_000), (CST, 0x6071, 100)])
+def test_a_motor_enabled_under_halt_stands_until_halt_is_over(mode, index, value):
+    bench = Bench(plant=LIGHT)
+    bench.operational()
+    bench.set(index, 0, value, 4 if mode == CSV else 2)
+    bench.set(0x6060, 0, mode, 1)
+    for word in (0x06, 0x07, 0x10F):
+        bench.controlword(word)
+        bench.run(30 * MS)
+    assert not bench.statusword() & FOLLOWS
+    assert bench.truth("velocity_rad_s") == 0.0
+    bench.controlword(0x0F)
+    bench.set(index, 0, value, 4 if mode == CSV else 2)
+    bench.run(30 * MS)
+    assert bench.truth("velocity_rad_s") > 0.0
+
+
 def test_csv_takes_60ffh_as_it_stands_when_it_gets_the_axis():
     bench = Bench(plant=LIGHT)
     bench.operational()

@@ -114,10 +114,10 @@ def test_inputs_can_be_forced_and_let_go_and_their_tpdo_goes_by_itself():
     bench.run(10 * MS)
     told = []
     for name, value, bits in (
-        ("positive_limit", 1, 0x06),  # it stands on the home switch
-        ("negative_limit", 1, 0x07),
-        ("home", 0, 0x03),
-        ("interlock", 1, 0x0B),
+        ("interlock", 1, 0x0C),  # it stands on the home switch
+        ("positive_limit", 1, 0x0E),
+        ("negative_limit", 1, 0x0F),
+        ("home", 0, 0x0B),
         ("touch_probe_2", 1, 0x2000B),
         ("digital_input_31", 1, 0x8002000B),
         ("positive_limit", -1, 0x80020009),

@@ -34,6 +34,18 @@ def every(bench: Bench, step_ms: int, count: int) -> list[float]:
     return values
 
 
+def test_without_bit_4_the_motor_brakes_where_it_is_and_not_at_the_record():
+    bench = interpolating(word=0x0F, objects={"60C2h:1": 200, "6084h": 1_000_000})
+    assert record(bench, 20_000) == 0
+    bench.controlword(0x1F)
+    bench.sync()
+    (begun,) = every(bench, 50, 1)
+    bench.controlword(0x0F)
+    (ended,) = every(bench, 200, 1)
+    speed = 20_000 / 0.2
+    assert ended - begun == pytest.approx(speed * speed / 2e6 + speed * 1e-3, abs=speed * 1e-3)
+
+
 def test_at_sync_one_record_counts_and_the_demand_goes_there_evenly():
     bench = interpolating(word=0x0F)
     for position in (100, 300, 200):

@@ -1,9 +1,13 @@
 """What a host may choose about a motion: way, end, unit, direction, limits. CiA 402-2."""
 
 import struct
+from pathlib import Path
 
 import pytest
 
+from emulators.canopen.object_dictionary import ObjectDictionary
+from emulators.cia402.objects import DriveObjects
+from emulators.cia402.settings import read_settings
 from tests.emulators.cia402.bench import MS, NODE, Bench
 
 LIGHT = {"preset": "wheel_60w", "load_inertia_kg_m2": 0.0}
@@ -243,3 +247,15 @@ def test_the_following_error_has_no_seam():
         bench.run(3 * MS)
         assert 0 < sign * bench.read(0x60F4) < TURN // 2
         assert (bench.read(0x6064) > TURN // 2) is (sign > 0)  # pushed below 0, or above
+
+
+def test_what_a_file_has_none_of_limits_nothing():
+    """No 607Dh, no 6084h, no 6099h: behind the scenes stand defaults that hold nobody up."""
+    objects = DriveObjects(ObjectDictionary(), read_settings({"node_id": 1}, Path()))
+    motion, homing = objects.motion, objects.homing
+    assert motion.within_limits_inc(10**9) == 10**9
+    assert motion.within_limits_inc(-(10**9)) == -(10**9)
+    assert motion.deceleration_inc_s2() == motion.acceleration_inc_s2() > 0.0
+    assert (
+        0.0 < homing.zero_speed_inc_s() < homing.switch_speed_inc_s() < motion.velocity_max_inc_s()
+    )

@@ -123,6 +123,13 @@ def test_a_fault_that_cannot_be_braked_ends_a_fault_reaction():
     assert bench.read(0x603F) == 0x4210  # the first one counts
 
 
+@pytest.mark.parametrize("code", [0x2320, 0x3110, 0x3210, 0x3220, 0x7122, 0x7305, 0x8A88])
+def test_what_braking_would_make_worse_or_cannot_do_is_no_fault_reaction(code):
+    bench = running()
+    stimulate(bench, "fault", code)
+    assert state(bench) == S.FAULT
+
+
 def test_what_memory_lost_comes_back_with_reset_node_only():
     bench = running()
     stimulate(bench, "fault", 0x5530)

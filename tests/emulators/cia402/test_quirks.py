@@ -101,6 +101,9 @@ def test_edge_only_bits():
     go(bench, 6000, 0x3F)
     bench.run(1000 * MS)
     assert bench.read(0x6064) == pytest.approx(6000, abs=10)
+    bench.controlword(0x0F)
+    go(bench, 3000, 0x1F)  # without bit 5 nothing need rise but bit 4
+    assert bench.statusword() & ACKNOWLEDGE
 
 
 def test_stale_target_reached():

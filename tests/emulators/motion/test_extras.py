@@ -11,6 +11,7 @@ from emulators.cia402.factory import build as cia402_drive
 from emulators.controller import ControllerContext, SettingError
 from emulators.firmware import extras_servo
 from emulators.firmware.axis import Axis
+from emulators.firmware.extras_tables import StepNumbers, extras_tables
 from emulators.firmware.flags import (
     I2T_LIMIT,
     I2T_WARNING,
@@ -21,6 +22,7 @@ from emulators.firmware.flags import (
     UNDER_VOLTAGE,
 )
 from emulators.firmware.gains import ServoGains
+from emulators.firmware.servo_tables import tables_of
 from emulators.leadshine_pr.factory import build as leadshine_drive
 from emulators.oriental_az.factory import build as oriental_drive
 from emulators.plant.extras import PlantExtras
@@ -282,6 +284,36 @@ def test_thresholds_wake_the_drive_at_their_tick(looks):
     assert came[TEMPERATURE_WARNING] % 20 == came[OVER_TEMPERATURE] % 20 == 0
     assert came[TEMPERATURE_WARNING] < came[OVER_TEMPERATURE]
     assert came[UNDER_VOLTAGE] == 126
+
+
+def test_play_alone_makes_two_bodies_and_the_load_is_where_the_rotor_is():
+    plant = plant_with("backlash")
+    assert plant.extras.has_two_bodies()
+    axis = axis_with(plant)
+    axis.at(10 * MS)
+    assert axis.output_position_rad() == 0.0
+
+
+def test_static_friction_has_half_gone_at_the_stribeck_speed():
+    extras = FEATURES["friction"]
+    plant = plant_with("friction")
+    numbers = StepNumbers(plant, 1e-4, 1e-4, plant.resistance_ohm)
+    more = extras["static_friction_n_m"] - plant.coulomb_friction_n_m
+    speed = extras["stribeck_speed_rad_s"]
+    assert numbers.more / (1.0 + speed * speed * numbers.stribeck) == pytest.approx(more / 2)
+
+
+def test_heat_and_i2t_go_by_true_time_whatever_the_own_clock():
+    """A clock that is a quarter fast makes its ticks shorter, and less happens in one."""
+    plant = plant_with("i2t")
+    gains = ServoGains.tuned(plant, MS, 10)
+    rises = []
+    for clock_rate in (1.0, 1.25):
+        tables = tables_of(plant, gains, MS, 10, clock_rate)
+        found = extras_tables(plant, gains, tables.tick, MS, 10, clock_rate)
+        assert found is not None
+        rises.append(found.i2t_rise)
+    assert rises[0] == pytest.approx(rises[1] * 1.25)
 
 
 def test_a_plain_plant_answers_for_what_it_has_not():
