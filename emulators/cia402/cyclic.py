@@ -51,7 +51,7 @@ class CyclicMode(Mode):
         """Bit 8, halt; afterwards the next set-point counts again."""
         halt = word & CW_HALT != 0
         if halt and not self.halted:
-            self.objects.options.halt(self.axis)
+            self.objects.options.halt(self.axis, within_limits=True)
         self.halted = halt
 
     def synced(self, now_ns: int) -> bool:

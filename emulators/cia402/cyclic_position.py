@@ -1,11 +1,18 @@
-"""Cyclic synchronous position mode (csp): the host plans, the drive follows from cycle to cycle."""
+"""Cyclic synchronous position mode (csp): the host plans, the drive follows from cycle to cycle.
+
+A set-point too far to be reached in its time at 607Fh and 6080h is gone to at that speed, and the
+demand catches up with what comes afterwards, as ABB's ACSM1 does in synchron control (dynamic
+limiter of the position reference); bit 11 shows it, bit 12 is off. If the motor falls behind, that
+is a following error as ever. A halt ends within 607Dh, steeper than 605Dh says if it must be: no
+motion under position control passes a software limit (Danfoss VLT servo drive ISD, 607Dh).
+"""
 
 from typing import Final, final
 
 from emulators.cia402.cyclic import CyclicMode
 from emulators.cia402.objects import DriveObjects
 from emulators.cia402.statusword import FOLLOWING_ERROR, FOLLOWS_COMMAND
-from emulators.cia402.written import OFFSETS, TARGET_POSITION
+from emulators.cia402.written import FACTORS, MOTION_LIMITS, OFFSETS, TARGET_POSITION
 from emulators.firmware import flags as f
 from emulators.firmware.axis import Axis
 
@@ -19,15 +26,19 @@ class CyclicPosition(CyclicMode):
     def __init__(self, axis: Axis, objects: DriveObjects, tick_ns: int) -> None:
         super().__init__(axis, objects, tick_ns)
         self._has_offsets: bool = False
+        self._speed_max_inc_s: float = 0.0
 
     def enter(self, word: int, now_ns: int) -> None:
         """The motor stands, or comes to rest, until a target is written."""
         super().enter(word, now_ns)
         self._has_offsets = self.objects.offsets.are_set()
+        self._speed_max_inc_s = self.objects.motion.velocity_max_inc_s()
         self.axis.ramp_to_rest(self.objects.motion.deceleration_inc_s2())
 
     def written(self, what: int, now_ns: int) -> None:
         """A target or an offset has come into force."""
+        if what & (MOTION_LIMITS | FACTORS):
+            self._speed_max_inc_s = self.objects.motion.velocity_max_inc_s()
         if what & OFFSETS:
             self._has_offsets = self.objects.offsets.are_set()
             if not self._has_offsets:
@@ -45,11 +56,13 @@ class CyclicPosition(CyclicMode):
         if self._has_offsets:
             target += objects.offsets.position_inc()
         allowed = motion.within_limits_inc(target)
-        self.limited = allowed != target
+        fed_inc_s = objects.offsets.velocity_inc_s() if self._has_offsets else 0.0
+        is_cut = self.axis.follow(
+            allowed, self.over_ns(), fed_inc_s, speed_max_inc_s=self._speed_max_inc_s
+        )
+        self.limited = is_cut or allowed != target
         if not self._has_offsets:
-            self.axis.follow(allowed, self.over_ns())
             return
-        self.axis.follow(allowed, self.over_ns(), objects.offsets.velocity_inc_s())
         self.axis.feed_current(objects.offsets.current_a())
 
     def status_bits(self) -> int:

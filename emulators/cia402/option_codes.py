@@ -81,28 +81,39 @@ class OptionCodes:
         option = self._quick_stop.integer()
         return self._stop(axis, option - 4 if option >= STAYS else option, QUICK_STOP_RAMP)
 
-    def halt(self, axis: Axis, slow_down_inc_s2: float = 0.0) -> None:
+    def halt(self, axis: Axis, slow_down_inc_s2: float = 0.0, within_limits: bool = False) -> None:
         """605Dh begins; it ends at standstill, held there. Another number slows down.
 
         The slow-down ramp is the mode's own, if it has one (> 0), else 6084h.
+        `within_limits`: a ramp from within 607Dh that would leave it is steeper, and does not.
         """
         option = self._halt.integer()
+        within_inc: tuple[int, int] | None = None
+        if within_limits and self._motion.has_position_limits():
+            within_inc = self._motion.position_limits_inc()
         how = option if option != COAST else SLOW_DOWN_RAMP
-        self._stop(axis, how, SLOW_DOWN_RAMP, slow_down_inc_s2)
+        self._stop(axis, how, SLOW_DOWN_RAMP, slow_down_inc_s2, within_inc)
 
     def react(self, axis: Axis) -> bool:
         """605Eh begins; False: the motor shall coast. Another number brakes on 6085h."""
         return self._stop(axis, self._fault_reaction.integer(), QUICK_STOP_RAMP)
 
-    def _stop(self, axis: Axis, how: int, otherwise: int, slow_down_inc_s2: float = 0.0) -> bool:
+    def _stop(
+        self,
+        axis: Axis,
+        how: int,
+        otherwise: int,
+        slow_down_inc_s2: float = 0.0,
+        within_inc: tuple[int, int] | None = None,
+    ) -> bool:
         if how < COAST or how > VOLTAGE_LIMIT:
             how = otherwise
         if how == COAST:
             return False
         if how == SLOW_DOWN_RAMP:
-            axis.ramp_to_rest(slow_down_inc_s2 or self._motion.deceleration_inc_s2())
+            axis.ramp_to_rest(slow_down_inc_s2 or self._motion.deceleration_inc_s2(), within_inc)
         elif how == QUICK_STOP_RAMP:
-            axis.ramp_to_rest(self._motion.quick_stop_deceleration_inc_s2())
+            axis.ramp_to_rest(self._motion.quick_stop_deceleration_inc_s2(), within_inc)
         else:
             axis.brake(how == VOLTAGE_LIMIT)
         return True

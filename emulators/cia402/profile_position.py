@@ -86,7 +86,7 @@ class ProfilePosition(Mode):
         if halt and not self.halted:
             self.halted = True
             self._wake_ns = NEVER
-            self.objects.options.halt(self.axis)
+            self.objects.options.halt(self.axis, within_limits=True)
         self._offered = word & NEW_SET_POINT != 0
         if rising & NEW_SET_POINT:
             self._take(word, now_ns)

@@ -130,8 +130,13 @@ class Axis(AxisSettings):
         self._mode = servo.VELOCITY
         self._begin(pieces, profile.duration_ticks(pieces), False, wanted)
 
-    def ramp_to_rest(self, deceleration_inc_s2: float) -> None:
+    def ramp_to_rest(
+        self, deceleration_inc_s2: float, within_inc: tuple[int, int] | None = None
+    ) -> None:
         """Brake along a ramp, then hold where it ends (quick stop, halt); in position control.
+
+        Where a position is controlled and is `within_inc`, the ramp ends there too: it is steeper
+        if it must be, down to none where no way is left.
 
         Raises:
             ValueError: deceleration <= 0.
@@ -139,8 +144,14 @@ class Axis(AxisSettings):
         """
         position, velocity = self._start()
         slower = self._per_tick2(deceleration_inc_s2)
-        pieces = profile.ramp(position, velocity, 0.0, slower, slower)
         self._way = velocity
+        if within_inc is not None and self._mode == servo.POSITION:
+            end = within_inc[1 if velocity > 0.0 else 0] - self._offset_inc
+            left = end - position if velocity > 0.0 else position - end
+            square = velocity * velocity
+            if left >= 0.0 and square > 2.0 * slower * left:
+                slower = square / (2.0 * left) if left > 0.0 else _NO_SPEED
+        pieces = profile.ramp(position, velocity, 0.0, slower, slower)
         self._mode = servo.POSITION
         self._begin(pieces, profile.duration_ticks(pieces), True, 0.0)
 
@@ -180,18 +191,28 @@ class Axis(AxisSettings):
         over_ns: int,
         fed_velocity_inc_s: float = 0.0,
         has_target: bool = False,
-    ) -> None:
+        speed_max_inc_s: float = _NO_SPEED,
+    ) -> bool:
         """Go evenly from the present demand to this one in `over_ns`, then hold (csp).
 
+        No faster than `speed_max_inc_s`, but then for longer; True: that was too slow for it.
         `fed_velocity_inc_s` is fed forward besides what the gains say of the demand's own. With
         `has_target` IN_TARGET_WINDOW is about this position.
         """
         position, _ = self._start()
         target = float(position_inc - self._offset_inc)
-        self._way = target - position
+        way = target - position
+        self._way = way
         if self._barred and self._is_barred():
-            return
-        pieces = profile.line(position, target, over_ns / self._tick_ns)
+            return False
+        ticks = over_ns / self._tick_ns
+        if ticks < 1.0:
+            ticks = 1.0
+        farthest = speed_max_inc_s * self._tick_s * ticks
+        is_cut = way > farthest or -way > farthest
+        if is_cut:
+            ticks *= (way if way > 0.0 else -way) / farthest
+        pieces = profile.line(position, target, ticks)
         self._mode = servo.POSITION
         self._begin(pieces, NEVER, has_target, 0.0)
         if fed_velocity_inc_s != 0.0:
@@ -200,6 +221,7 @@ class Axis(AxisSettings):
             )
             self._orders = (servo.FED, *self._orders[1:3], fed, *self._orders[4:])
             self._time.order(self._orders, self._time.state)
+        return is_cut
 
     def follow_velocity(self, velocity_inc_s: float, over_ns: int) -> None:
         """Go evenly from the present velocity demand to this one, then keep it (csv)."""

@@ -53,7 +53,7 @@ def _power_is_never_cut(patch: pytest.MonkeyPatch) -> None:
 
 
 def _stops_do_not_brake(patch: pytest.MonkeyPatch) -> None:
-    patch.setattr(Axis, "ramp_to_rest", lambda self, deceleration: None)
+    patch.setattr(Axis, "ramp_to_rest", lambda self, *_: None)
 
 
 def _faults_are_not_told(patch: pytest.MonkeyPatch) -> None:

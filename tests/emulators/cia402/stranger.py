@@ -21,7 +21,7 @@ OBJECTS: Final = {
     "1800h:3": 0,
     "6066h": 3,
 }
-LIMITS: Final = {"607Dh:1": -4_000, "607Dh:2": 4_000}
+LIMITS: Final = {"607Dh:1": -1_000, "607Dh:2": 1_000}
 # The controlword that takes a transition where it starts, and those that lead towards it.
 WORDS: Final = {2: 0x06, 3: 0x07, 4: 0x0F, 5: 0x07, 6: 0x06, 7: 0x00, 8: 0x06, 9: 0x00, 10: 0x02,
                 11: 0x02, 12: 0x00, 15: 0x80, 16: 0x0F}  # fmt: skip

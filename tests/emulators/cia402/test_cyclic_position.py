@@ -1,6 +1,7 @@
 """Cyclic synchronous position: targets at SYNC, evenly in between. CiA 402-2, csp."""
 
 import struct
+from itertools import pairwise
 
 import pytest
 
@@ -67,13 +68,13 @@ def test_demand_goes_evenly_over_60c2h(bench):
 def test_60c2h_is_value_times_a_power_of_ten(bench, value, exponent, ns):
     bench.set(0x60C2, 1, value, 1)
     bench.set(0x60C2, 2, exponent, 1)
-    target(bench, 1000)
+    target(bench, 200)
     bench.sync()
     begins = (bench.now // MS + 1) * MS
     bench.run_until(begins + ns - 1)
-    assert bench.truth("demand_inc") < 1000
+    assert bench.truth("demand_inc") < 200
     bench.run_until(begins + ns)
-    assert bench.truth("demand_inc") == 1000
+    assert bench.truth("demand_inc") == 200
 
 
 def test_arbitration_jitter_of_sync_does_not_shake_the_period(bench):
@@ -138,3 +139,60 @@ def test_a_jump_it_cannot_follow_is_a_following_error():
     bench.sync()
     bench.run(50 * MS)
     assert bench.last(0x085)[:3] == bytes.fromhex("118621")
+
+
+@pytest.mark.parametrize("by", [0x607F, 0x6080])
+def test_what_is_too_fast_is_gone_to_at_607fh_or_6080h_and_told(bench, by):
+    """The demand catches up, as ABB's ACSM1 does in synchron control."""
+    rpm_inc_s = bench.drive.settings.plant.encoder_increments_rev / 60
+    bench.set(by, 0, 20_000 if by == 0x607F else round(20_000 / rpm_inc_s), 4)
+    most = 20.5  # inc in a tick, a whole rpm allowed for
+    target(bench, 300)  # within a tick
+    bench.sync()
+    demands = [0.0]
+    for _ in range(10):
+        bench.run(1 * MS)
+        demands.append(bench.truth("demand_inc"))
+    assert bench.statusword() & (0x0800 | FOLLOWS) == 0x0800
+    assert demands[-1] == pytest.approx(9 * 20, abs=5)
+    steps = [after - before for before, after in pairwise(demands)]
+    assert all(0 <= step <= most + 1 for step in steps)
+    bench.run(10 * MS)
+    assert bench.truth("demand_inc") == 300
+    target(bench, 320)
+    bench.sync()
+    bench.run(25 * MS)
+    assert bench.truth("demand_inc") == 320
+    assert bench.statusword() & (0x0800 | FOLLOWS) == FOLLOWS
+
+
+def test_a_set_point_at_the_speed_limit_is_none_too_fast(bench):
+    bench.set(0x607F, 0, 20_000, 4)
+    for cycle in range(20):
+        target(bench, 80 * cycle)
+        bench.sync()
+        bench.run(4 * MS)
+        assert not bench.statusword() & 0x0800 or cycle < 3  # until the period is known
+    assert bench.truth("demand_inc") == pytest.approx(80 * 19, abs=81)
+
+
+@pytest.mark.parametrize("way", [-1, 1])
+@pytest.mark.parametrize("option", [1, 2])
+@pytest.mark.parametrize("ticks", [1, 7, 14, 15, 40])
+def test_a_halt_behind_a_jump_ends_within_the_software_limits(bench, way, option, ticks):
+    bench.set(0x605D, 0, option, 2)
+    bench.set(0x607D, 1, -4_000, 4)
+    bench.set(0x607D, 2, 4_000, 4)
+    bench.set(0x6084, 0, 1_000_000, 4)
+    target(bench, way * 20_000)
+    bench.sync()
+    bench.run(ticks * MS)
+    target(bench, way * 20_000, word=0x010F)
+    bench.sync()
+    for _ in range(200):
+        bench.run(1 * MS)
+        assert way * bench.truth("demand_inc") <= 4_000
+    assert way * bench.truth("demand_inc") == pytest.approx(4_000, abs=1)
+    before = bench.truth("demand_inc")
+    bench.run(50 * MS)
+    assert bench.truth("demand_inc") == before

@@ -341,3 +341,21 @@ def test_factors_written_later_count_for_targets_and_windows(bench):
         error = abs(bench.truth("following_error_inc"))
         bench.run(1 * MS)
     assert error > 733
+
+
+def test_a_halt_with_a_slow_ramp_still_ends_within_the_software_limits():
+    """Danfoss VLT servo drive ISD, 607Dh: under position control no limit is passed."""
+    bench = Bench()
+    bench.enable(mode=1)
+    for index, value in ((0x6081, 60_000), (0x6083, 600_000), (0x6084, 600_000)):
+        bench.set(index, 0, value, 4)
+    bench.set(0x607D, 1, -4_000, 4)
+    bench.set(0x607D, 2, 4_000, 4)
+    bench.set(0x607A, 0, 4_000, 4)
+    bench.controlword(0x1F)
+    bench.run(80 * MS)
+    assert 0 < bench.truth("demand_inc") < 4_000
+    bench.set(0x6084, 0, 100_000, 4)
+    bench.controlword(0x011F)
+    bench.run(500 * MS)
+    assert bench.truth("demand_inc") == pytest.approx(4_000, abs=1)

@@ -367,7 +367,7 @@ class Watched(Bench):
                 allowed += ROUNDED if mode == PP else CREEP
                 assert size <= allowed, f"too fast: {where}"
         self._steps.append(size)
-        if self._is_inside and not is_halted:  # a halt may have a slower ramp than the move
+        if self._is_inside and not (is_halted and self._brakes_hard):  # no ramp then, as above
             low, high = self._limits()
             assert low - 1 <= demand <= high + 1, f"{demand} beyond 607Dh {low}..{high}: {where}"
 
