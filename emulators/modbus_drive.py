@@ -322,6 +322,7 @@ class ModbusDrive:
             "current_a": axis.current_a(),
             "torque_n_m": axis.torque_n_m(),
             "following_error_inc": float(axis.following_error_inc()),
+            **axis.truth_of_extras(),
             **self.own_truth(),
         }
 

@@ -91,8 +91,8 @@ class Cia402Drive:
         self._flags_matter: bool = False
         self._power_moved: bool = True
         self._deadline_moved: bool = True
-        self._truth: dict[str, float] = {}  # as last shown, of this state, mode and rest:
-        self._truth_of: tuple[int, int, int] = (0, 0, -1)
+        self._truth: dict[str, float] = {}  # as last shown, of this state, mode, rest, inputs:
+        self._truth_of: tuple[int, int, int, int] = (0, 0, -1, 0)
 
     # --- Controller
 
@@ -192,7 +192,8 @@ class Cia402Drive:
         axis = self.axis
         axis.at(now_ns)
         state, mode, rest = int(self._power_drive.fsa.state), self._power_drive.mode, axis.rest()
-        what = (state, mode, rest)
+        bits = self._power_drive.inputs.bits
+        what = (state, mode, rest, bits)
         if rest >= 0 and what == self._truth_of:
             return self._truth
         self._truth_of = what
@@ -207,6 +208,10 @@ class Cia402Drive:
             "state": float(state),
             "mode": float(mode),
         }
+        if self.settings.plant.extras.is_any():
+            self._truth.update(axis.truth_of_extras())
+        if self.settings.switches:
+            self._truth["inputs"] = float(bits)
         return self._truth
 
     def identifiers(self) -> Sequence[int] | None:

@@ -186,5 +186,17 @@ class AxisReadings:
         """How full the I2t integrator is, 0..1; 0 without one."""
         return self._extra(extras_servo.E_I2T) if self._has_extras else 0.0
 
+    def truth_of_extras(self) -> dict[str, float]:
+        """Of DC link, winding and I2t what the plant has, by the names of a snapshot."""
+        extras = self._plant.extras
+        truth: dict[str, float] = {}
+        if extras.has_dc_link():
+            truth["dc_link_v"] = self.dc_link_v()
+        if extras.has_heat():
+            truth["winding_temperature_c"] = self.winding_temperature_c()
+        if extras.has_i2t():
+            truth["i2t_level"] = self.i2t_level()
+        return truth
+
     def _extra(self, index: int) -> float:
         return self._time.state[servo.I_EXTRAS][index]
