@@ -137,6 +137,7 @@ class Standing:
 
     Attributes:
         causes: error codes whose cause is there; meanwhile no fault can be reset.
+        noted: the error codes since the last reset; each may stand in the way of the next one.
         torque_off: the input "safe torque off" is demanded; meanwhile transition 2 is not taken.
         warnings: a bit for each thing that warns; any is statusword bit 7.
         seen: what the axis last said of a plant with extras, in its flags.
@@ -144,9 +145,22 @@ class Standing:
 
     def __init__(self) -> None:
         self.causes: list[int] = []
+        self.noted: list[int] = []
         self.torque_off: bool = False
         self.warnings: int = 0
         self.seen: int = 0
+
+    def note(self, code: int) -> int:
+        """A fault has this error code; the same."""
+        if code not in self.noted:
+            self.noted.append(code)
+        return code
+
+    def lets_reset(self, has_supply: bool) -> bool:
+        """Whether an edge of controlword bit 7 may take transition 15."""
+        if self.causes or (UNDER_VOLTAGE in self.noted and not has_supply):
+            return False
+        return all(is_resettable(code) for code in self.noted)
 
     def add(self, code: int) -> bool:
         """The cause of this fault has come; whether that is news."""

@@ -8,8 +8,8 @@ A homing minds them itself.
 Software limits (607Dh) keep the target within them where a position is controlled. In the modes of
 velocity and torque they are what a limit switch would be there: whoever has passed one is braked on
 6085h and so comes to rest behind it, as Danfoss' VLT servo drive ISD says of "all other modes"
-(MG36D1, object 607Dh; others, Novanta's Summit, fail there). They are about the position as homing
-has named it, and looked at by the axis' own gate: without 607Dh nothing is.
+(MG36D1, object 607Dh; others, Novanta's Summit, fail there). They count from home, whatever it is
+called (607Ch), and are looked at by the axis' own gate: without 607Dh nothing is.
 """
 
 from typing import Final, final

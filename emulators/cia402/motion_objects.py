@@ -48,6 +48,7 @@ class MotionObjects:
         self._target_velocity.writer = self._write_target_velocity
         self._limit_min = ensure(0x607D, 1, _D.INTEGER32, 0)
         self._limit_max = ensure(0x607D, 2, _D.INTEGER32, 0)
+        self._home_offset = ensure(0x607C, 0, _D.INTEGER32, 0)
         self._velocity_max = ensure(0x607F, 0, _D.UNSIGNED32, _UNLIMITED)
         self._motor_rpm_max = ensure(0x6080, 0, _D.UNSIGNED32, defaults.motor_rpm_max)
         self._velocity = ensure(0x6081, 0, _D.UNSIGNED32, defaults.velocity)
@@ -153,10 +154,15 @@ class MotionObjects:
         return self._limit_min.integer() < self._limit_max.integer()
 
     def position_limits_inc(self) -> tuple[int, int]:
-        """607Dh, the lower one first, whatever the polarity."""
+        """607Dh, the lower one first, whatever the polarity.
+
+        The limits count from home, not from zero, which lies 607Ch beyond it (CiA 402-2, 607Dh, as
+        Elmo, Synapticon, Fastech and Mitsubishi tell it).
+        """
         units = self._factors.units
-        one_inc = units.position_inc(self._limit_min.integer())
-        other_inc = units.position_inc(self._limit_max.integer())
+        offset = self._home_offset.integer()
+        one_inc = units.position_inc(self._limit_min.integer() - offset)
+        other_inc = units.position_inc(self._limit_max.integer() - offset)
         return (one_inc, other_inc) if one_inc <= other_inc else (other_inc, one_inc)
 
     def interpolation_ns(self) -> int:

@@ -16,7 +16,6 @@ from emulators.cia402.faults import (
     UNDER_VOLTAGE,
     Standing,
     is_at_once,
-    is_resettable,
 )
 from emulators.cia402.homing import Homing
 from emulators.cia402.interpolated_position import InterpolatedPosition
@@ -126,6 +125,7 @@ class PowerDrive:
         self._enable_due_ns = NEVER
         self._at_rest = NO_TRANSITION
         self._homing.forget()
+        self.standing.noted.clear()
         self.error_code = NO_FAULT
         self.fsa.controlword = self._objects.controlword
         self.fsa.take(0)
@@ -217,6 +217,7 @@ class PowerDrive:
     def fault(self, code: int, now_ns: int) -> None:
         """Transition 13 with this error code (603Fh), and the reaction of the table of faults."""
         self.told.append(code)
+        self.error_code = self.standing.note(code)  # the last one, though an earlier one has led
         state = self.fsa.state
         if state is PdsState.FAULT_REACTION_ACTIVE:
             if is_at_once(code):
@@ -324,9 +325,7 @@ class PowerDrive:
         if transition == 2:
             return not self.standing.torque_off
         if transition == 15:
-            if self.error_code == UNDER_VOLTAGE and not self._has_supply():
-                return False
-            return not self.standing.causes and is_resettable(self.error_code)
+            return self.standing.lets_reset(self._has_supply())
         if transition == 16:
             return objects.options.quick_stops_and_stays()
         ramps = (
@@ -355,6 +354,7 @@ class PowerDrive:
             self._active.leave()
             self._quick_stop(now_ns)
         elif transition == 15:
+            self.standing.noted.clear()
             self.error_code = NO_FAULT
             self.told.append(NO_FAULT)
         elif transition == 16:
@@ -362,7 +362,7 @@ class PowerDrive:
 
     def _react(self, code: int, now_ns: int) -> None:
         running = self.fsa.state in _RUNNING_STATES
-        self.error_code = code
+        self.error_code = self.standing.note(code)
         self._active.leave()
         self._take(13, now_ns)
         can_brake = running and self.voltage and not is_at_once(code)

@@ -38,6 +38,7 @@ _WATCHED: Final = (
     (0x6087, 0, TORQUE),
     *((index, 0, OFFSETS) for index in (0x60B0, 0x60B1, 0x60B2)),
     *((index, 0, RAMPS | MOTION_LIMITS) for index in (0x607F, 0x6080, 0x60C5, 0x60C6)),
+    (0x607C, 0, POSITION_LIMITS),  # which count from home
     *((0x607D, subindex, POSITION_LIMITS) for subindex in (1, 2)),
     (0x6083, 0, RAMPS),
     (0x6084, 0, RAMPS),

@@ -140,13 +140,13 @@ def test_a_fault_while_the_power_stage_comes_up_keeps_it_down():
     assert state(bench) == PdsState.FAULT
 
 
-def test_a_second_fault_is_told_and_changes_nothing():
+def test_a_second_fault_is_told_and_changes_nothing_but_603fh():
     bench = Bench()
     bench.operational()
     fault(bench, 0x5530)
     fault(bench, 0x4310)
     assert bench.times(0x085) == [bench.now, bench.now]
-    assert bench.read(0x603F, signed=False) == 0x5530
+    assert bench.read(0x603F, signed=False) == 0x4310
 
 
 def test_without_supply_it_cannot_be_enabled_nor_braked():

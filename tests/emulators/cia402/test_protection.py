@@ -120,7 +120,7 @@ def test_a_fault_that_cannot_be_braked_ends_a_fault_reaction():
     stimulate(bench, "short_circuit", 0)
     bench.controlword(0x80)
     assert state(bench) == S.FAULT  # it is still hot
-    assert bench.read(0x603F) == 0x4210  # the first one counts
+    assert bench.read(0x603F) == 0x2320  # the last one, as 1003h:1 has it
 
 
 @pytest.mark.parametrize("code", [0x2320, 0x3110, 0x3210, 0x3220, 0x7122, 0x7305, 0x8A88])
@@ -292,3 +292,38 @@ def test_a_switch_that_is_moved_to_where_it_is_does_nothing():
     stimulate(bench, "encoder", 0)
     stimulate(bench, "encoder", 0)
     assert len(emergencies(bench)) == 1
+
+
+def test_603fh_is_the_last_error_and_what_came_before_still_bars_the_reset():
+    """603Fh corresponds to the lower 16 bits of 1003h:1 (Kollmorgen's AKD manual, 603Fh)."""
+    bench = running()
+    stimulate(bench, "power", 0)
+    stimulate(bench, "device_temperature_c", 90)
+    for _ in range(2):
+        assert bench.read(0x603F, signed=False) == 0x4210
+        assert bench.read(0x1003, 1, signed=False) & 0xFFFF == 0x4210
+        assert bench.read(0x1003, 2, signed=False) & 0xFFFF == 0x3220
+        bench.controlword(0)
+        bench.controlword(0x80)
+        assert state(bench) == S.FAULT
+        stimulate(bench, "device_temperature_c", 20)  # the supply is not back yet
+    stimulate(bench, "power", 1)
+    bench.controlword(0)
+    bench.controlword(0x80)
+    assert state(bench) == S.SWITCH_ON_DISABLED
+    assert bench.read(0x603F, signed=False) == 0
+
+
+def test_a_fault_that_no_reset_ends_is_not_hidden_by_the_next_one():
+    """What memory has lost comes back with reset node only, whatever fails after it."""
+    bench = running()
+    stimulate(bench, "fault", 0x5530)
+    stimulate(bench, "fault", 0x8611)
+    assert bench.read(0x603F, signed=False) == 0x8611
+    bench.run(500 * MS)
+    bench.controlword(0)
+    bench.controlword(0x80)
+    assert state(bench) == S.FAULT
+    bench.nmt(0x81)
+    bench.run(BOOT_UP + 10 * MS)
+    assert state(bench) == S.SWITCH_ON_DISABLED

@@ -108,7 +108,7 @@ def test_where_a_position_is_controlled_no_gate_is_asked_for(mode):
     assert not bench.drive._power_drive.inputs.is_gated
 
 
-def test_they_are_about_positions_as_homing_named_them():
+def test_they_count_from_home_whatever_it_is_called():
     bench = bench_on(NOWHERE, o6085=QUICK, o6098=37, o607C=-3_000)
     assert home(bench) == DONE
     bench.set(0x607D, 1, -4_000, 4)
@@ -120,7 +120,8 @@ def test_they_are_about_positions_as_homing_named_them():
     command(bench, PV, 1)
     bench.run_while(lambda: not bench.statusword() & LIMIT)
     bench.run(500 * MS)
-    assert 4_000 < bench.read(0x6064) < 5_000
+    home_called = 3_000
+    assert 4_000 < bench.read(0x6064) - home_called < 5_000
 
 
 def test_wider_limits_let_go_and_narrower_ones_stop_at_once():
@@ -166,3 +167,30 @@ def test_set_points_into_the_limit_that_go_on_do_not_move_the_motor_further():
         bench.sync()
         bench.run(MS)
     assert count(bench) == pytest.approx(stood, abs=5)
+
+
+@pytest.mark.parametrize("polarity", [0, 0x80])
+@pytest.mark.parametrize(("target", "arrives"), [(9_000, 3_000), (-9_000, -5_000), (2_999, 2_999)])
+def test_limits_count_from_home_and_zero_lies_the_home_offset_beyond_it(target, arrives, polarity):
+    """Elmo's DSP 402 guide, 607Dh: the limit looked at is the one written minus the home offset."""
+    bench = bench_on(NOWHERE, o6098=37, o607C=1_000, o607E=polarity)
+    assert home(bench) == DONE
+    assert bench.read(0x6064) == -1_000
+    bench.controlword(0x0F)
+    bench.set(0x607D, 1, -4_000, 4)
+    bench.set(0x607D, 2, 4_000, 4)
+    bench.set(0x6060, 0, 1, 1)
+    bench.set(0x607A, 0, target, 4)
+    bench.controlword(0x1F)
+    assert bench.statusword() & LIMIT == (LIMIT if arrives != target else 0)
+    bench.run(2_000 * MS)
+    assert bench.read(0x6062) == arrives
+
+
+def test_a_home_offset_moves_the_fence_of_the_other_modes_too():
+    bench = bench_in(PV)
+    bench.set(0x607C, 0, 1_000, 4)
+    command(bench, PV, 1)
+    while not bench.statusword() & LIMIT:
+        bench.run(MS)
+    assert 3_000 < count(bench) < 3_000 + 40 * 8  # some ms at 40 inc/ms, with three SDOs each
