@@ -12,7 +12,7 @@ from collections import deque
 from typing import Final, Protocol, final
 
 from emulators.canopen.abort_code import AbortCode
-from emulators.canopen.cob_id import INVALID, is_restricted
+from emulators.canopen.cob_id import INVALID, UPPER_BITS, is_restricted
 from emulators.canopen.object_dictionary import DataType, ObjectDictionary
 from emulators.canopen.shared import NEVER, Outbox
 from emulators.media.can_frame import pack
@@ -37,7 +37,7 @@ WAITING_MAX: Final = 32
 
 _GENERIC: Final = 0x01
 _COMMUNICATION: Final = 0x10
-_UPPER_BITS: Final = 0x7FFF_F800
+_RESERVED: Final = 1 << 30  # of 1014h
 _VENDOR_BYTES: Final = 5
 _LONG_AGO: Final = -NEVER
 
@@ -138,7 +138,7 @@ class EmcyProducer:
     def check_cob_id(self, value: int) -> int:
         """What is wrong with a new 1014h; 0 if nothing."""
         old = self._cob_id.integer()
-        if value & _UPPER_BITS:
+        if value & (UPPER_BITS | _RESERVED):
             return AbortCode.INVALID_VALUE
         if not value & INVALID:
             if is_restricted(value & 0x7FF):

@@ -41,9 +41,8 @@ class ErrorControl:
         self._guarding.take_node_id(node_id)
 
     def stop(self) -> None:
-        """INITIALISING: nothing is sent or watched."""
+        """INITIALISING: nothing is sent; `reset`, which must follow, forgets who was watched."""
         self._producer.stop()
-        self._consumer.stop()
         self._find_deadline()
 
     def reset(self, now_ns: int) -> None:

@@ -95,11 +95,6 @@ class HeartbeatConsumer:
         self._find_deadline()
         return lost
 
-    def stop(self) -> None:
-        """Nobody is watched any more."""
-        self._watches = []
-        self._find_deadline()
-
     def can_ids(self) -> list[int]:
         """The identifiers of the heartbeats watched."""
         return [_ERROR_CONTROL + watch.node_id for watch in self._watches]

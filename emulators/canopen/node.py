@@ -1,7 +1,7 @@
-"""A CANopen node (CiA 301): NMT, SDO server, PDOs, SYNC, EMCY and heartbeat over one dictionary.
+"""A CANopen node (CiA 301): NMT, and the services it is composed of, over one dictionary.
 
-A drive is composed of a node, it does not inherit from it: it answers the node's `NodeHost` calls
-and hands `receive`, `sent`, `expire`, `take_output` and the rest through.
+SDO server, PDOs, SYNC, TIME, EMCY, error control, parameter store and LSS have modules of their own
+and know no node. A drive is composed of a node, and answers its `NodeHost` calls.
 
 All communication objects must be in the dictionary before the node is made, for it attaches its
 checks to them; their power-on values count from `start` on. Each part of the node validates a write

@@ -11,10 +11,9 @@ from emulators.canopen.abort_code import AbortCode
 from emulators.canopen.cob_id import INVALID, UPPER_BITS, is_restricted
 from emulators.canopen.object_dictionary import DataType, ObjectDictionary
 from emulators.canopen.pdo_mapping import MAX_BITS, MAX_ENTRIES, entry_refusal
+from emulators.canopen.sync import COUNTER_MAX
 
 NO_REMOTE: Final = 1 << 30
-SYNC_START_MAX: Final = 240
-
 _PREDEFINED: Final = ((0x180, 0x280, 0x380, 0x480), (0x200, 0x300, 0x400, 0x500))
 
 
@@ -58,7 +57,7 @@ class PdoParameters:
     def sync_start(self) -> int:
         """SYNC start value, 1..240; 0: there is none."""
         value = 0 if self._receive else self._od.integer(self.communication, 6, 0)
-        return value if value <= SYNC_START_MAX else 0
+        return value if value <= COUNTER_MAX else 0
 
     def _stated_entries(self) -> int:
         """How many mapping entries have values: the count where none is stated (some DCFs)."""
@@ -114,7 +113,7 @@ class PdoParameters:
         return AbortCode.INVALID_VALUE if changed else 0  # not while the PDO exists
 
     def _check_sync_start(self, value: int) -> int:
-        if value > SYNC_START_MAX or (self.is_valid() and value != self.sync_start()):
+        if value > COUNTER_MAX or (self.is_valid() and value != self.sync_start()):
             return AbortCode.INVALID_VALUE  # not while the PDO exists
         return 0
 

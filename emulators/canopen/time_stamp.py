@@ -63,7 +63,7 @@ class TimeConsumer:
 
     def check(self, value: int) -> int:
         """What is wrong with a new 1012h; 0 if nothing."""
-        if value & (UPPER_BITS & ~_PRODUCE) or is_restricted(value & 0x7FF) or value & _PRODUCE:
+        if value & UPPER_BITS or is_restricted(value & 0x7FF) or value & _PRODUCE:
             return AbortCode.INVALID_VALUE  # 29 bits, taken, or sending TIME
         if value & _CONSUME and self.can_id and value & 0x7FF != self.can_id:
             return AbortCode.INVALID_VALUE  # stop listening first

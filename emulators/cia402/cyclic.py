@@ -70,10 +70,10 @@ class CyclicMode(Mode):
 
     def wake_ns(self) -> int:
         """When SYNC will have stayed away for too long."""
-        return NEVER if self._last_sync_ns == _NONE_YET else self.sync_due_ns()
+        return self.sync_due_ns()
 
     def sync_due_ns(self) -> int:
-        """When SYNC will have stayed away for too long."""
+        """The same, of a mode that may wait for something else, too; NEVER without SYNC so far."""
         if self._last_sync_ns == _NONE_YET:
             return NEVER
         period_ns = self.objects.motion.interpolation_ns()

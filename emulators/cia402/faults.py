@@ -16,7 +16,9 @@ the next reset node only.
 
 from typing import Final, final
 
+from emulators.canopen import emcy
 from emulators.firmware import flags as f
+from emulators.protection_settings import STO_ERROR
 
 GENERIC: Final = 0x01
 CURRENT: Final = 0x02
@@ -36,12 +38,12 @@ DEVICE_TEMPERATURE: Final = 0x4210
 DRIVE_TEMPERATURE: Final = 0x4310
 MEMORY: Final = 0x5530
 ENCODER: Final = 0x7305
-COMMUNICATION_LOST: Final = 0x8100
+COMMUNICATION_LOST: Final = emcy.COMMUNICATION
 ERROR_PASSIVE: Final = 0x8120
-HEARTBEAT_LOST: Final = 0x8130
+HEARTBEAT_LOST: Final = emcy.HEARTBEAT_LOST
 BUS_OFF_RECOVERED: Final = 0x8140
 FOLLOWING_ERROR: Final = 0x8611
-SAFE_TORQUE_OFF: Final = 0x8A88
+SAFE_TORQUE_OFF: Final = STO_ERROR
 
 # What the axis says of itself, and the fault that it is while it says so; in any state.
 OF_FLAGS: Final = (

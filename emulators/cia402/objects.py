@@ -2,7 +2,7 @@
 
 What the file has is bound to the drive; what it lacks is invisible to SDO and PDO but behaves with
 the default stated where it is bound (CiA 402-2's, or taken from the motor). What belongs together
-has a module: motion, torque, windows, homing, option codes, gains.
+has a module: motion, torque, offsets, interpolation, windows, homing, option codes, gains.
 """
 
 from typing import Final, final

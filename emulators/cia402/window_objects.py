@@ -3,6 +3,7 @@
 from typing import Final, final
 
 from emulators.canopen.object_dictionary import DataType, ObjectDictionary
+from emulators.canopen.shared import MS
 from emulators.cia402.factors import DriveDefaults
 from emulators.cia402.units import FactorGroup
 
@@ -31,18 +32,17 @@ class WindowObjects:
 
         A window of FFFF FFFFh is switched off, and so is a following error window of 0.
         """
-        ms = 1_000_000
         units = self._factors.units
         target = self._target_window.integer()
         following = self._following_window.integer()
         off = 1 << 62
         return (
             off if target == NO_WINDOW else abs(units.position_inc(target)),
-            self._target_ms.integer() * ms,
+            self._target_ms.integer() * MS,
             off if following in (0, NO_WINDOW) else abs(units.position_inc(following)),
-            self._following_ms.integer() * ms,
+            self._following_ms.integer() * MS,
             self._velocity_window.integer() * units.velocity_unit_inc_s,
-            self._velocity_window_ms.integer() * ms,
+            self._velocity_window_ms.integer() * MS,
             self._velocity_threshold.integer() * units.velocity_unit_inc_s,
-            self._velocity_threshold_ms.integer() * ms,
+            self._velocity_threshold_ms.integer() * MS,
         )

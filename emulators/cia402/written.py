@@ -19,7 +19,7 @@ OFFSETS: Final = 1024
 IP_DATA: Final = 2048
 MOTION_LIMITS: Final = 4096
 POSITION_LIMITS: Final = 8192
-TOUCH_PROBE: Final = 1 << 20
+TOUCH_PROBE: Final = 8192
 
 # index, sub-index, what it counts as when written
 _WATCHED: Final = (

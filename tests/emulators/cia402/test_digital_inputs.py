@@ -196,6 +196,13 @@ def test_a_first_event_is_latched_once_at_the_edge_and_again_after_it_was_asked_
     assert shown(bench)[0] == 0
 
 
+def test_a_switch_that_is_forced_has_no_edges():
+    bench = probing(ON | EVERY | RISING | FALLING)
+    bench.drive.stimulate("touch_probe_1", 0, bench.now)
+    go(bench, 3_000)
+    assert shown(bench) == [1, 0, 0, 0, 0]
+
+
 def test_every_event_is_latched_and_counted_where_that_was_asked():
     bench = probing(ON | EVERY | RISING)
     go(bench, 3_000)
