@@ -9,6 +9,7 @@ motion under position control passes a software limit (Danfoss VLT servo drive I
 
 from typing import Final, final
 
+from emulators.canopen.shared import NEVER
 from emulators.cia402.cyclic import CyclicMode
 from emulators.cia402.objects import DriveObjects
 from emulators.cia402.statusword import FOLLOWING_ERROR, FOLLOWS_COMMAND
@@ -27,12 +28,14 @@ class CyclicPosition(CyclicMode):
         super().__init__(axis, objects, tick_ns)
         self._has_offsets: bool = False
         self._speed_max_inc_s: float = 0.0
+        self._caught_up_ns: int = NEVER  # when a set-point that came too fast is reached
 
     def enter(self, word: int, now_ns: int) -> None:
         """The motor stands, or comes to rest, until a target is written."""
         super().enter(word, now_ns)
         self._has_offsets = self.objects.offsets.are_set()
         self._speed_max_inc_s = self.objects.motion.velocity_max_inc_s()
+        self._caught_up_ns = NEVER
         self.axis.ramp_to_rest(self.objects.motion.deceleration_inc_s2())
 
     def written(self, what: int, now_ns: int) -> None:
@@ -57,13 +60,34 @@ class CyclicPosition(CyclicMode):
             target += objects.offsets.position_inc()
         allowed = motion.within_limits_inc(target)
         fed_inc_s = objects.offsets.velocity_inc_s() if self._has_offsets else 0.0
-        is_cut = self.axis.follow(
+        late_ticks = self.axis.follow(
             allowed, self.over_ns(), fed_inc_s, speed_max_inc_s=self._speed_max_inc_s
         )
-        self.limited = is_cut or allowed != target
+        self._caught_up_ns = NEVER
+        self.limited = allowed != target
+        if late_ticks and not self.limited:
+            self.limited = True
+            self._caught_up_ns = (now_ns // self.tick_ns + 1 + late_ticks) * self.tick_ns
         if not self._has_offsets:
             return
         self.axis.feed_current(objects.offsets.current_a())
+
+    def settle(self, now_ns: int) -> None:
+        """Caught up; and whether SYNC has stayed away for too long."""
+        if now_ns >= self._caught_up_ns:
+            self._caught_up_ns = NEVER
+            self.limited = False
+        super().settle(now_ns)
+
+    def wake_ns(self) -> int:
+        """When the demand will have caught up, or SYNC have stayed away for too long."""
+        sync_ns = self.sync_due_ns()
+        return sync_ns if sync_ns < self._caught_up_ns else self._caught_up_ns
+
+    def leave(self) -> None:
+        """Nothing is kept."""
+        self._caught_up_ns = NEVER
+        super().leave()
 
     def status_bits(self) -> int:
         """Bits 12 and 13; bit 10 is reserved."""

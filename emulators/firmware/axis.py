@@ -192,10 +192,10 @@ class Axis(AxisSettings):
         fed_velocity_inc_s: float = 0.0,
         has_target: bool = False,
         speed_max_inc_s: float = _NO_SPEED,
-    ) -> bool:
+    ) -> int:
         """Go evenly from the present demand to this one in `over_ns`, then hold (csp).
 
-        No faster than `speed_max_inc_s`, but then for longer; True: that was too slow for it.
+        No faster than `speed_max_inc_s`, but then for longer: for so many ticks, else 0.
         `fed_velocity_inc_s` is fed forward besides what the gains say of the demand's own. With
         `has_target` IN_TARGET_WINDOW is about this position.
         """
@@ -204,7 +204,7 @@ class Axis(AxisSettings):
         way = target - position
         self._way = way
         if self._barred and self._is_barred():
-            return False
+            return 0
         ticks = over_ns / self._tick_ns
         if ticks < 1.0:
             ticks = 1.0
@@ -221,7 +221,7 @@ class Axis(AxisSettings):
             )
             self._orders = (servo.FED, *self._orders[1:3], fed, *self._orders[4:])
             self._time.order(self._orders, self._time.state)
-        return is_cut
+        return int(-(-ticks // 1.0)) if is_cut else 0
 
     def follow_velocity(self, velocity_inc_s: float, over_ns: int) -> None:
         """Go evenly from the present velocity demand to this one, then keep it (csv)."""
