@@ -91,6 +91,7 @@ class Cia402Drive:
         self._flags_matter: bool = False
         self._power_moved: bool = True
         self._deadline_moved: bool = True
+        self._has_extras: bool = plant.extras.is_any()
         self._truth: dict[str, float] = {}  # as last shown, of this state, mode, rest, inputs:
         self._truth_of: tuple[int, int, int, int] = (0, 0, -1, 0)
 
@@ -208,7 +209,7 @@ class Cia402Drive:
             "state": float(state),
             "mode": float(mode),
         }
-        if self.settings.plant.extras.is_any():
+        if self._has_extras:
             self._truth.update(axis.truth_of_extras())
         if self.settings.switches:
             self._truth["inputs"] = float(bits)
