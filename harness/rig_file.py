@@ -13,6 +13,7 @@ and a motor's own settings are checked by whoever builds them, and told with the
     [group.NAME]                motors
     [[fault]]                   bus, kind, what it hits and when
     [[stimulus]]                controller, name, value, at_s
+    [conformance]               what is declared of the motors under test
 """
 
 import re
@@ -22,6 +23,7 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Final, final
 
+from harness.conformance.facts import NOTHING_DECLARED, Facts, read_facts
 from harness.rig_buses import (
     NODE_MAX,
     UNIT_MAX,
@@ -38,7 +40,9 @@ from harness.wording import listed, one_line
 
 RIG_KEYS: Final = ("name", "seed")
 GROUP_KEYS: Final = ("motors",)
-TOP_KEYS: Final = ("rig", "bus", "controller", "motor", "group", "fault", "stimulus")
+TOP_KEYS: Final = (
+    *("rig", "bus", "controller", "motor", "group", "fault", "stimulus", "conformance"),
+)
 
 NAME: Final = re.compile(r"[A-Za-z][A-Za-z0-9_-]*")
 SEED_MAX: Final = 2**32 - 1
@@ -116,6 +120,7 @@ class RigDescription:
     stimuli: tuple[StimulusDescription, ...]
     source: Source
     attached: tuple[tuple[str, str, bytes], ...] = ()
+    conformance: Facts = NOTHING_DECLARED
 
     @property
     def folder(self) -> Path:
@@ -187,6 +192,7 @@ def parse_rig(source: Source, known: Known) -> RigDescription:
         faults=read_faults(root, _on_each(buses, controllers), buses),
         stimuli=read_stimuli(root, list(controllers)),
         source=source,
+        conformance=read_facts(root.table("conformance"), tuple(motors)),
     )
 
 

@@ -12,6 +12,18 @@ from tests.architecture.checkout import CHECKOUT, PACKAGES
 
 # (contract, where a line is planted, the line, what import-linter says of it)
 PLANTS = [
+    (
+        "conformance",
+        "harness/conformance/claims.py",
+        "import harness.conformance.run",
+        "conformance.claims -> harness.conformance.run",
+    ),
+    (
+        "clauses",
+        "harness/conformance/clauses/identity.py",
+        "import harness.rig",
+        "clauses.identity -> harness.rig",
+    ),
     ("islands", "traces/digest.py", "import emulators.world", "traces.digest -> emulators.world"),
     ("islands", "motorapi/model.py", "import traces.digest", "motorapi.model -> traces.digest"),
     (

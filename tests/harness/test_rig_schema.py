@@ -32,6 +32,8 @@ from emulators.protection_settings import (
 )
 from emulators.setting_tables import JITTER_MAX_S, OSCILLATOR_KEYS, PHASE_MAX_S, PPM_MAX
 from harness import rig_buses, rig_faults, rig_file, rig_line_faults, rig_stimuli
+from harness.conformance.capability import Capability
+from harness.conformance.facts import CONFORMANCE_KEYS, NOTHING_DECLARED
 from harness.plugins import ADAPTATIONS, installed
 from harness.rig import installed_plugins
 from harness.scaffold import EXAMPLES
@@ -85,6 +87,11 @@ def test_the_schema_knows_the_keys_that_the_readers_know():
     fault = DEFS["fault"]["properties"]
     assert tuple(fault) == (*rig_faults.FAULT_KEYS, *rig_line_faults.LINE_KEYS)
     assert tuple(DEFS["stimulus"]["properties"]) == rig_stimuli.STIMULUS_KEYS
+    conformance = DEFS["conformance"]["properties"]
+    assert tuple(conformance) == CONFORMANCE_KEYS
+    assert conformance["claims"]["items"]["enum"] == [one.key for one in Capability]
+    assert list(conformance["without"]["properties"]) == [one.key for one in Capability]
+    assert conformance["fault_code"]["default"] == NOTHING_DECLARED.fault_code
     kinds = [kind.value for kind in FaultKind]
     kinds += [kind for kind in rig_line_faults.KINDS if kind not in kinds]
     assert fault["kind"]["enum"] == kinds

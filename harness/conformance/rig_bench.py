@@ -1,0 +1,245 @@
+"""A bench that is an emulated rig in virtual time: it can do everything, and see everything."""
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import replace
+from pathlib import Path
+from typing import Final, Self, final
+
+from emulators.media.faults import FaultKind, FaultRule
+from emulators.media.serial_faults import SerialFaultKind, SerialFaultRule
+from harness.conformance.capability import Ability
+from harness.conformance.clause import NotApplicable
+from harness.conformance.facts import Facts
+from harness.rig import Rig
+from harness.rig_faults import HOST
+from harness.rig_file import RigDescription
+from harness.settings import RigError
+from harness.virtual_time import VirtualRuntime
+from motorapi import Motor
+
+SECOND_USER: Final = "another"
+
+
+class TimeIsUp(BaseException):
+    """A clause has taken too long in the rig's time; no adaptation may catch it."""
+
+
+def bench_description(rig: RigDescription, adaptation: str | None) -> RigDescription:
+    """The rig with its motors under test of that adaptation, and each a second time, for others.
+
+    Raises:
+        RigError: there is nothing to test in it.
+    """
+    names = rig.conformance.motors or _under_test(rig, adaptation)
+    motors = dict(rig.motors)
+    for name in names:
+        motor = rig.motors[name]
+        if adaptation is not None:
+            motor = replace(motor, adaptation=adaptation)
+        settings = dict(motor.settings)
+        if motor.controller is None and motor.bus is None:
+            settings.setdefault("axis", name)
+        motors[name] = replace(motor, settings=settings)
+        second = f"{name}-{SECOND_USER}"
+        motors[second] = replace(motors[name], name=second)
+    return replace(rig, motors=motors, conformance=replace(rig.conformance, motors=names))
+
+
+def _under_test(rig: RigDescription, adaptation: str | None) -> tuple[str, ...]:
+    """Those of that adaptation, else the members of the first group, else all."""
+    if not rig.motors:
+        raise RigError(rig.source.path, "has no motor to test", "add a [motor.NAME]")
+    of_kind = tuple(name for name, one in rig.motors.items() if one.adaptation == adaptation)
+    if of_kind:
+        return of_kind[:2]
+    for group in rig.groups.values():
+        return group.motors
+    return tuple(rig.motors)[:2]
+
+
+@final
+class RigBench:
+    """An open rig as a bench; a context manager that closes it.
+
+    Args:
+        description: from `bench_description`.
+        seed: of all chance.
+        record: an MCAP file for everything that happens; after `afresh` it begins anew.
+        limit_s: after so much of the rig's time `TimeIsUp` ends whatever waits [s].
+    """
+
+    def __init__(
+        self,
+        description: RigDescription,
+        seed: int,
+        *,
+        record: Path | None = None,
+        limit_s: float = 600.0,
+    ) -> None:
+        self._description = description
+        self._record = record
+        self._limit_s = limit_s
+        self._rules = 0
+        self.seed = seed
+        self.facts: Facts = description.conformance
+        self._switch_on()
+
+    def _switch_on(self) -> None:
+        self.rig = Rig(self._description, seed=self.seed, record=self._record)
+        self.rig.world.queue.alarm(self._time_is_up).set(round(self._limit_s * 1e9))
+
+    def _time_is_up(self, now_ns: int) -> None:
+        raise TimeIsUp(f"it still waits after {self._limit_s:g} s of the rig's time")
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.rig.close()
+
+    def afresh(self) -> None:
+        """Everything went off and is on again: `motors` are new ones, unused."""
+        self.rig.close()
+        self._switch_on()
+
+    # --- what is under test ---------------------------------------------------------------
+
+    @property
+    def runtime(self) -> VirtualRuntime:
+        """Where a clause waits."""
+        return self.rig.runtime
+
+    @property
+    def abilities(self) -> Sequence[Ability]:
+        """What an emulated rig can do to these motors."""
+        able = {Ability.AFRESH, Ability.SEVERAL_USERS}
+        if len(self.facts.motors) > 1:
+            able.add(Ability.SECOND_MOTOR)
+        first = self._description.motors[self.facts.motors[0]]
+        if first.adaptation == "ideal" or "position_rad" in self._truth(self.motor):
+            able.add(Ability.TRUTH)
+        if first.controller is not None:
+            able |= {Ability.LOAD, Ability.FAULT, Ability.LOSE, Ability.TRAFFIC}
+            if not self._is_on_a_line(self.motor):
+                able |= {Ability.CUT, Ability.SILENCE_HOST}
+        return tuple(one for one in Ability if one in able)
+
+    @property
+    def motor(self) -> Motor:
+        """The motor under test."""
+        return self.rig.motors[self.facts.motors[0]]
+
+    @property
+    def motors(self) -> Sequence[Motor]:
+        """All motors under test."""
+        return tuple(self.rig.motors[name] for name in self.facts.motors)
+
+    def another_user_of(self, motor: Motor) -> Motor:
+        """Another logical motor on the same physical motor."""
+        return self.rig.motors[f"{_plain(motor)}-{SECOND_USER}"]
+
+    # --- what can be seen and done ----------------------------------------------------------
+
+    def true_position(self, motor: Motor) -> float:
+        """Where its plant is now [rad]; an ideal motor is where it says."""
+        truth = self._truth(motor)
+        return truth["position_rad"] if truth else motor.position()
+
+    def load(self, motor: Motor, torque_n_m: float) -> None:
+        """This torque acts on it from now on."""
+        self._stimulate(motor, "load_torque_n_m", torque_n_m)
+
+    def fail(self, motor: Motor) -> int:
+        """Its drive has just had a fault, of this code; the cause is gone."""
+        self._stimulate(motor, self.facts.fault_stimulus, self.facts.fault_code)
+        return self.facts.fault_code
+
+    @contextmanager
+    def cut(self, motor: Motor) -> Iterator[None]:
+        """Within it its drive is off the bus, with power."""
+        with self._rule(motor, FaultKind.CUT, ports=(self._controller(motor),)):
+            yield
+
+    @contextmanager
+    def silence_host(self) -> Iterator[None]:
+        """Within it nothing that the host sends reaches anybody."""
+        ports = self.rig.world.bus(self._bus(self.motor)).port_names()
+        hosts = tuple(name for name in ports if name == HOST or name.startswith(f"{HOST}-"))
+        with self._rule(self.motor, FaultKind.CUT, ports=hosts):
+            yield
+
+    @contextmanager
+    def lose_answers_of(self, motor: Motor) -> Iterator[Callable[[], int]]:
+        """Within it what its drive sends is lost.
+
+        Yields:
+            How often something was lost so far.
+        """
+        with self._rule(motor, FaultKind.DROP, sender=self._controller(motor)) as name:
+            yield lambda: self.rig.faults.fired().get(name, 0)
+
+    # --- inside ---------------------------------------------------------------------------
+
+    def _controller(self, motor: Motor) -> str:
+        controller = self._description.motors[_plain(motor)].controller
+        if controller is None:
+            raise NotApplicable(f"{motor.name} is on no emulated controller")
+        return controller
+
+    def _bus(self, motor: Motor) -> str:
+        return self._description.controllers[self._controller(motor)].bus
+
+    def _is_on_a_line(self, motor: Motor) -> bool:
+        return self._description.buses[self._bus(motor)].is_line
+
+    def _prefix(self, motor: Motor) -> str:
+        """What stands before the names of a channel's stimuli and of its truth."""
+        channel = self._description.motors[_plain(motor)].settings.get("channel", 1)
+        return "" if channel == 1 else f"channel_{channel}_"
+
+    def _truth(self, motor: Motor) -> Mapping[str, float]:
+        """Its controller's snapshot, without the channel's prefix; empty if it has none."""
+        described = self._description.motors[_plain(motor)]
+        if described.controller is None:
+            return {}
+        prefix = self._prefix(motor)
+        truth = self.rig.controllers[described.controller].snapshot()
+        return {name.removeprefix(prefix): truth[name] for name in truth if name.startswith(prefix)}
+
+    def _stimulate(self, motor: Motor, name: str, value: float) -> None:
+        try:
+            self.rig.controllers[self._controller(motor)].stimulate(
+                f"{self._prefix(motor)}{name}", value
+            )
+        except ValueError as error:
+            raise NotApplicable(f"its controller cannot be stimulated so: {error}") from None
+
+    @contextmanager
+    def _rule(
+        self,
+        motor: Motor,
+        kind: FaultKind,
+        *,
+        sender: str | None = None,
+        ports: tuple[str, ...] = (),
+    ) -> Iterator[str]:
+        """Such a fault is on the motor's bus; yields its name."""
+        self._rules += 1
+        name, bus = f"conformance {self._rules}", self._bus(motor)
+        if self._is_on_a_line(motor):
+            unit = self._description.controllers[self._controller(motor)].node_id
+            self.rig.faults.inject(
+                bus, SerialFaultRule(name, SerialFaultKind.LOSE, sender=sender, unit=unit)
+            )
+        else:
+            self.rig.faults.inject(bus, FaultRule(name, kind, sender=sender, ports=ports))
+        try:
+            yield name
+        finally:
+            self.rig.faults.lift(bus, name)
+
+
+def _plain(motor: Motor) -> str:
+    """The name in the rig of the physical motor."""
+    return motor.name.removesuffix(f"-{SECOND_USER}")

@@ -1,0 +1,5 @@
+"""All modules of mutants, loaded."""
+
+from tests.conformance.mutants import units
+
+MODULES = (units,)

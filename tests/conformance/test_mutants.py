@@ -1,0 +1,22 @@
+"""The kit finds out what is broken on purpose; the mutants are in `tests.conformance.mutants`."""
+
+import pytest
+
+from harness.conformance.kit import all_clauses
+from harness.conformance.run import run_clause
+from tests.conformance.benches import opener
+from tests.conformance.mutants import MUTANTS
+from tests.conformance.mutants.everyone import MODULES
+
+assert MODULES
+
+
+@pytest.mark.parametrize(
+    ("name", "clause"),
+    [(one.name, clause) for one in MUTANTS.values() for clause in one.killers],
+)
+def test_a_mistake_is_found_out_by_the_clause_it_breaks(name, clause):
+    mutant = MUTANTS[name]
+    with mutant.plant():
+        verdict = run_clause(all_clauses()[clause], opener(mutant.kind))
+    assert not verdict.result.is_good, f"{clause} let through: {mutant.mistake}"
