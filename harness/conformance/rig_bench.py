@@ -75,7 +75,7 @@ class RigBench:
         seed: int,
         *,
         record: Path | None = None,
-        limit_s: float = 600.0,
+        limit_s: float = 120.0,
     ) -> None:
         self._description = description
         self._record = record

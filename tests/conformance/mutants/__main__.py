@@ -1,0 +1,102 @@
+"""`make mutants`: every mutant against every clause; prints and writes the kill table.
+
+Exit status 1 if a mutant survives or is not killed by a clause it names; or if a clause kills none
+that no other clause kills, and `stays` does not say why it is there.
+"""
+
+import os
+import sys
+from collections.abc import Iterable, Iterator
+from concurrent.futures import ProcessPoolExecutor
+from pathlib import Path
+
+from harness.conformance.kit import all_clauses
+from harness.conformance.run import run_clauses
+from tests.conformance.benches import opener
+from tests.conformance.mutants import MUTANTS
+from tests.conformance.mutants.everyone import MODULES
+from tests.conformance.mutants.stays import WHY_IT_STAYS
+
+assert MODULES
+PAGE = Path(__file__).with_name("KILLS.md")
+Kills = dict[str, tuple[str, ...]]
+
+
+def killers_of(name: str) -> tuple[str, tuple[str, ...]]:
+    """(mutant, the clauses that kill it)."""
+    mutant = MUTANTS[name]
+    with mutant.plant():
+        verdicts = list(run_clauses(all_clauses().values(), opener(mutant.kind)))
+    return name, tuple(one.clause for one in verdicts if not one.result.is_good)
+
+
+def killed_alone(kills: Kills) -> dict[str, list[str]]:
+    """By clause, the mutants that it kills and no other clause does."""
+    alone: dict[str, list[str]] = {}
+    for name, clauses in kills.items():
+        if len(clauses) == 1:
+            alone.setdefault(clauses[0], []).append(name)
+    return alone
+
+
+def page(kills: Kills) -> Iterator[str]:
+    """The lines of the kill table."""
+    killed = sum(1 for clauses in kills.values() if clauses)
+    alone = killed_alone(kills)
+    yield "# What the kit finds out"
+    yield ""
+    yield "Written by `make mutants`: every mutant of this folder against every clause."
+    yield ""
+    yield f"{killed} of {len(kills)} mutants are killed."
+    yield ""
+    yield "| clause | kills | of these, no other clause does |"
+    yield "| --- | --- | --- |"
+    for one in all_clauses():
+        count = sum(one in clauses for clauses in kills.values())
+        unique = ", ".join(alone.get(one, [])) or f"none: {WHY_IT_STAYS.get(one, '?')}"
+        yield f"| {one} | {count} | {unique} |"
+    yield ""
+    yield "| mutant | in | the mistake | killed by |"
+    yield "| --- | --- | --- | --- |"
+    for name, clauses in kills.items():
+        mutant = MUTANTS[name]
+        by = ", ".join(clauses) or "**survives**"
+        yield f"| {name} | {mutant.kind} | {mutant.mistake} | {by} |"
+
+
+def complaints(kills: Kills) -> Iterator[str]:
+    """What is not as the mutants say."""
+    for name, clauses in kills.items():
+        missing = [one for one in MUTANTS[name].killers if one not in clauses]
+        if missing:
+            yield f"{name} is let through by {', '.join(missing)}"
+        elif not clauses:
+            yield f"{name} survives"
+    if len(kills) < len(MUTANTS):
+        return
+    alone = killed_alone(kills)
+    for one in all_clauses():
+        if (one in alone) is (one in WHY_IT_STAYS):
+            yield f"{one} kills {', '.join(alone.get(one, [])) or 'nothing'} alone: see stays.py"
+
+
+def main(names: Iterable[str]) -> int:
+    """The table has been made; of the mutants named only, it is printed and not written."""
+    chosen = list(names) or list(MUTANTS)
+    kills: Kills = {}
+    with ProcessPoolExecutor(os.cpu_count()) as pool:
+        for name, clauses in pool.map(killers_of, chosen):
+            kills[name] = clauses
+            print(f"{name}: {', '.join(clauses) or 'SURVIVES'}", flush=True)
+    text = "\n".join(page(kills)) + "\n"
+    if chosen == list(MUTANTS):
+        PAGE.write_text(text)
+    print(text)
+    wrong = list(complaints(kills))
+    for line in wrong:
+        print(line, file=sys.stderr)
+    return int(bool(wrong))
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:]))
