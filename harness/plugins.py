@@ -12,10 +12,16 @@ What either builds is for CAN buses, unless an attribute says for which kinds of
 An adaptation whose motors are on no bus says so by an attribute, `build.needs_bus = False`; it is
 given None, and a rig's motor of its kind names neither controller nor bus.
 
+An adaptation can bring the rig on which `motorhil conform` checks it when nobody names another,
+`build.conformance_rig`: a path, from the folder of its module on.
+
+What is not installed (yet) is named by its target, "package.module:function", in place of a name.
+
 A controller with a register map can show it to people, by `motorhil list registers NAME`:
 `build.registers`, called without arguments, gives the rows (`emulators.modbus.registers.Register`).
 """
 
+import re
 import sys
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -25,6 +31,7 @@ from typing import Any, Final, final
 
 CONTROLLERS: Final = "motorhil.controllers"
 ADAPTATIONS: Final = "motorhil.adaptations"
+_TARGET: Final = re.compile(r"[A-Za-z_][\w.]*:[A-Za-z_][\w.]*", re.ASCII)
 
 
 @final
@@ -60,6 +67,22 @@ def installed(group: str) -> dict[str, Plugin]:
         plugin = Plugin(entry_point.name, entry_point.value, entry_point)
         found.setdefault(entry_point.name, plugin)
     return dict(sorted(found.items()))
+
+
+def is_target(name: str) -> bool:
+    """Whether it says where a function is, "package.module:function", and is no plugin's name."""
+    return _TARGET.fullmatch(name) is not None
+
+
+def named(group: str, name: str) -> Plugin:
+    """The plugin that a rig calls so: an installed one, or what the name itself points to.
+
+    Raises:
+        KeyError: none is called so.
+    """
+    if is_target(name):
+        return Plugin(name, name, metadata.EntryPoint(name, name, group))
+    return installed(group)[name]
 
 
 @lru_cache(maxsize=2)

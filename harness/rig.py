@@ -25,7 +25,7 @@ from harness.interrupts import interrupts_between_events
 from harness.memory_files import MemoryFiles
 from harness.pace import WallPace
 from harness.plant_from_model import settings_with_model
-from harness.plugins import ADAPTATIONS, CONTROLLERS, Plugin, installed
+from harness.plugins import ADAPTATIONS, CONTROLLERS, Plugin, installed, named
 from harness.rig_buses import CAN, address_key
 from harness.rig_file import (
     SEED_MAX,
@@ -39,7 +39,7 @@ from harness.rig_models import read_models
 from harness.rig_parts import Named, RigController, RigFaults
 from harness.rig_stimuli import schedule
 from harness.rig_traffic import traffic_of
-from harness.settings import RigError, refuse_source
+from harness.settings import BrokenPluginError, RigError, refuse_source
 from harness.timing_from_controller import with_timing
 from harness.virtual_time import VirtualRuntime
 from motorapi.errors import UsageError
@@ -83,7 +83,6 @@ class Rig:
         self.recording: Recorder | None = None
         self._models = read_models(description)
         self._memory_files = MemoryFiles(description.folder)
-        self._plugins = {group: installed(group) for group in (CONTROLLERS, ADAPTATIONS)}
         with ExitStack() as cleanup:
             queue = EventQueue()
             self.world = World(queue)
@@ -197,7 +196,7 @@ class Rig:
         ]
         for controller, core in built:
             place = ("controller", controller.name, "kind")
-            with self._blaming(self._plugins[CONTROLLERS][controller.kind], place):
+            with self._blaming(named(CONTROLLERS, controller.kind), place):
                 self.world.add_controller(controller.name, core, controller.bus)
 
     def _build_controller(self, controller: ControllerDescription) -> Controller:
@@ -210,7 +209,7 @@ class Rig:
             self.seed,
             partial(self._memory_files.open, controller.name),
         )
-        plugin = self._plugins[CONTROLLERS][controller.kind]
+        plugin = named(CONTROLLERS, controller.kind)
         build = self._load(plugin, (*place, "kind"))
         kind = f'controller kind "{controller.kind}"'
         self._require_kind(build, controller.bus, kind, (*place, "bus"))
@@ -249,7 +248,8 @@ class Rig:
                 path,
                 f'plugin "{plugin.name}" cannot be loaded from {plugin.target}: '
                 f"{type(error).__name__}: {error}",
-                f"reinstall {plugin.package or 'it'}",
+                f"reinstall {plugin.package}" if plugin.package else "is its folder on PYTHONPATH?",
+                BrokenPluginError,
             ) from error
 
     @contextmanager
@@ -266,6 +266,7 @@ class Rig:
                 f'plugin "{plugin.name}" failed: {type(error).__name__}: {error} '
                 f"({frame.filename}:{frame.lineno})",
                 f"mend it, or tell who made {plugin.package or 'it'}",
+                BrokenPluginError,
             ) from error
 
     def _record(
@@ -320,7 +321,7 @@ class Rig:
     def _motor(self, name: str) -> "Motor":
         motor = self.description.motors[name]
         place = ("motor", name)
-        plugin = self._plugins[ADAPTATIONS][motor.adaptation]
+        plugin = named(ADAPTATIONS, motor.adaptation)
         build = self._load(plugin, (*place, "adaptation"))
         controller = None if motor.controller is None else self.world.controller(motor.controller)
         own, note = with_timing(self.description, motor, controller)
@@ -384,13 +385,12 @@ def describe(path: Path) -> RigDescription:
 
 def installed_plugins() -> Known:
     """The plugins of this Python environment that a rig may name."""
-    adaptations = installed(ADAPTATIONS)
 
     def needs_bus(adaptation: str) -> bool | None:
         try:
-            build = adaptations[adaptation].load()
+            build = named(ADAPTATIONS, adaptation).load()
         except (Exception, SystemExit):
             return None
         return getattr(build, "needs_bus", True) is not False
 
-    return Known(tuple(installed(CONTROLLERS)), tuple(adaptations), needs_bus)
+    return Known(tuple(installed(CONTROLLERS)), tuple(installed(ADAPTATIONS)), needs_bus)

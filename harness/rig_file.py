@@ -17,13 +17,14 @@ and a motor's own settings are checked by whoever builds them, and told with the
 """
 
 import re
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from types import MappingProxyType
 from typing import Final, final
 
 from harness.conformance.facts import NOTHING_DECLARED, Facts, read_facts
+from harness.plugins import is_target
 from harness.rig_buses import (
     NODE_MAX,
     UNIT_MAX,
@@ -127,9 +128,11 @@ class RigDescription:
         """Relative paths in the rig start here."""
         return self.source.path.parent
 
-    def error(self, path: KeyPath, message: str, remedy: str = "") -> RigError:
+    def error(
+        self, path: KeyPath, message: str, remedy: str = "", kind: type[RigError] = RigError
+    ) -> RigError:
         """The error for a value of this rig, with its line; to be raised."""
-        return self.source.error(path, message, remedy)
+        return self.source.error(path, message, remedy, kind)
 
 
 def _all_need_one(adaptation: str) -> bool | None:
@@ -230,7 +233,7 @@ def _named(root: Table, key: str) -> "list[tuple[str, Table]]":
 def _controller(
     name: str, table: Table, buses: Mapping[str, BusDescription], known: Known
 ) -> ControllerDescription:
-    kind = table.one_of("kind", known.controllers, "controller kind")
+    kind = _plugin(table, "kind", known.controllers, "controller kind")
     bus = table.name_of("bus", list(buses), "bus")
     settings = _without(table, ("kind", "bus"))
     asking: list[KeyPath] = []
@@ -246,6 +249,12 @@ def _controller(
         )
     address = read_address(table, buses[bus])
     return ControllerDescription(name, kind, bus, address, settings, tuple(asking))
+
+
+def _plugin(table: Table, key: str, known: Sequence[str], what: str) -> str:
+    """The name of a plugin, or "package.module:function" of one that is not installed."""
+    name = table.values.get(key)
+    return name if isinstance(name, str) and is_target(name) else table.one_of(key, known, what)
 
 
 def _plants(table: Table) -> list[Table]:
@@ -280,7 +289,7 @@ def _motor(
 ) -> MotorDescription:
     if table.has("name"):
         raise table.error("name", f'the motor is called "{name}", as its table', "take it out")
-    adaptation = table.one_of("adaptation", known.adaptations, "adaptation")
+    adaptation = _plugin(table, "adaptation", known.adaptations, "adaptation")
     bus, node_id, controller = _place(table, adaptation, buses, controllers, known)
     settings = _without(table, ("adaptation", "controller", "bus", "node_id", "unit", "model"))
     return MotorDescription(name, adaptation, bus, node_id, controller, _model(table), settings)

@@ -20,7 +20,6 @@ _REQUIRED: Final = object()
 _INTEGER_MAX: Final = 2**63 - 1  # TOML 1.0, "Integer": 64-bit signed is what all must take
 
 
-@final
 class RigError(Exception):
     """A rig cannot be used as it is written; nothing was started.
 
@@ -49,6 +48,11 @@ class RigError(Exception):
         place = f"{file}:{line}" if line is not None else str(file)
         text = ": ".join(part for part in (place, key, message) if part)
         super().__init__(one_line(f"{text}; {remedy}" if remedy else text))
+
+
+@final
+class BrokenPluginError(RigError):
+    """A plugin cannot be loaded, or it failed; its maker, not the rig's, is to mend it."""
 
 
 def refuse_source(source: Path, target: Path) -> None:
@@ -117,9 +121,11 @@ class Source:
             path = path[:-1]
         return lines.get(path, 1)
 
-    def error(self, path: KeyPath, message: str, remedy: str = "") -> RigError:
+    def error(
+        self, path: KeyPath, message: str, remedy: str = "", kind: type[RigError] = RigError
+    ) -> RigError:
         """The RigError for the value at `path`; to be raised."""
-        return RigError(self.path, message, remedy, line=self.line(path), key=dotted(path))
+        return kind(self.path, message, remedy, line=self.line(path), key=dotted(path))
 
     def no_such(self, path: KeyPath, name: str, known: Sequence[str], what: str) -> RigError:
         """The RigError for a name at `path` that refers to nothing; to be raised."""

@@ -68,3 +68,10 @@ class RigProtocol(Protocol):
 
     def afresh(self) -> None:
         """Everything went off and is on again (Ability.AFRESH): `motors` are new ones, unused."""
+
+
+class Opener(Protocol):
+    """What switches a bench on, as often as it is called."""
+
+    def __call__(self) -> AbstractContextManager[RigProtocol]:
+        """A bench that is on inside the block."""

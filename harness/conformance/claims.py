@@ -2,10 +2,9 @@
 
 # ruff: noqa: SLF001 -- the kit asks whether a hook is filled in
 
-from collections.abc import Mapping
-from dataclasses import dataclass
 from typing import Final, final
 
+from harness.conformance.bench import Opener
 from harness.conformance.capability import Capability
 from harness.conformance.facts import Facts
 from motorapi import (
@@ -18,7 +17,6 @@ from motorapi import (
     SyncLevel,
     UnsupportedError,
 )
-from motorapi.functions import Polynomial
 from motorapi.hooks import MotorHooks
 
 _MODES: Final = {
@@ -30,6 +28,8 @@ _MODES: Final = {
     Capability.VELOCITY_TRAJECTORY: (ControlMode.TRAJECTORY, ControlVariable.VELOCITY),
     Capability.TORQUE_TRAJECTORY: (ControlMode.TRAJECTORY, ControlVariable.TORQUE),
 }
+_SLOW: Final = (Capability.COMPLEX_POSITION, Capability.COMPLEX_VELOCITY)
+"""To ask for these loads numpy, which takes longer than the first verdicts do."""
 _HOOKS: Final = {
     Capability.MEASURED_TORQUE: "_read_torque",
     Capability.MEASURED_FOLLOWING_ERROR: "_read_following_error",
@@ -38,36 +38,37 @@ _HOOKS: Final = {
 
 
 @final
-@dataclass(frozen=True, slots=True)
 class Claims:
-    """What is claimed, and of all else why it is not.
+    """What the motors of a bench claim; asked when it is needed, on benches for nothing else.
 
-    Attributes:
-        why_not: of each capability that is not claimed.
-        by_rig: those claimed by the rig alone.
+    For whoever connects sends, and a clause is to begin alike whatever was asked before.
     """
 
-    why_not: Mapping[Capability, str]
-    by_rig: tuple[Capability, ...] = ()
+    def __init__(self, open_bench: Opener) -> None:
+        self._open = open_bench
+        self._known: dict[Capability, str] = {}
 
-    def has(self, capability: Capability) -> bool:
-        """Whether it is claimed."""
-        return capability not in self.why_not
+    def why_not(self, capability: Capability) -> str:
+        """Why it is not claimed; "" if it is.
+
+        Raises:
+            MotorError: the motor cannot be reached.
+        """
+        if capability not in self._known:
+            slow = capability in _SLOW
+            with self._open() as bench:
+                for one in Capability:
+                    if (one in _SLOW) is slow:
+                        self._known[one] = _why_not(bench.motor, bench.facts, one)
+        return self._known[capability]
 
 
-def claims_of(motor: Motor, facts: Facts) -> Claims:
-    """What `motor` claims, with what its rig declares. Nothing is sent but what connecting takes.
-
-    Raises:
-        MotorError: the motor cannot be reached.
-    """
-    why_not: dict[Capability, str] = {}
-    for capability in Capability:
-        if capability in facts.without:
-            why_not[capability] = f"the rig does not claim it: {facts.without[capability]}"
-        elif capability not in facts.claims and not _claims(motor, capability):
-            why_not[capability] = f"the adaptation does not claim {capability.value}"
-    return Claims(why_not, facts.claims)
+def _why_not(motor: Motor, facts: Facts, capability: Capability) -> str:
+    if capability in facts.without:
+        return f"the rig does not claim it: {facts.without[capability]}"
+    if capability not in facts.claims and not _claims(motor, capability):
+        return f"the adaptation does not claim {capability.value}"
+    return ""
 
 
 def _claims(motor: Motor, capability: Capability) -> bool:
@@ -92,6 +93,8 @@ def _takes_functions(motor: Motor, variable: ControlVariable) -> bool:
     """Whether a complex trajectory is taken; the motor's own settings are as before."""
     if not motor._call(motor._supports, ControlMode.TRAJECTORY, variable):
         return False
+    from motorapi.functions import Polynomial
+
     still = ComplexTrajectory(Polynomial((0.0,)).restricted(0.0, 1.0), relative=True)
     return _accepts(motor, variable, still)
 

@@ -62,6 +62,7 @@ class Facts:
         fault_stimulus: the stimulus that makes a controller fail.
         fault_code: the value it is given, and the code that the drive then tells.
         claims: what is claimed by the rig.
+        claimed_at: where it claims that, "file:line".
         without: what is not claimed, and why.
     """
 
@@ -77,6 +78,7 @@ class Facts:
     fault_stimulus: str = "fault"
     fault_code: int = 0x2310
     claims: tuple[Capability, ...] = ()
+    claimed_at: Mapping[Capability, str] = field(default_factory=lambda: MappingProxyType({}))
     without: Mapping[Capability, str] = field(default_factory=lambda: MappingProxyType({}))
 
 
@@ -96,6 +98,7 @@ def read_facts(table: Table, motors: tuple[str, ...]) -> Facts:
         if name not in motors:
             raise table.source.no_such((*table.path, "motors", place), name, motors, "motor")
     unit = _unit(table)
+    claimed = _claimed(table)
     return Facts(
         motors=named,
         unit=unit,
@@ -108,10 +111,8 @@ def read_facts(table: Table, motors: tuple[str, ...]) -> Facts:
         deadline_s=_time(table, "deadline_s", usual.deadline_s),
         fault_stimulus=table.text("fault_stimulus", usual.fault_stimulus),
         fault_code=table.integer("fault_code", usual.fault_code, low=1, high=0xFFFF_FFFF),
-        claims=tuple(
-            _capability(table, name, (*table.path, "claims", place))
-            for place, name in enumerate(table.texts("claims", (), example='["homing"]'))
-        ),
+        claims=tuple(claimed),
+        claimed_at=MappingProxyType(claimed),
         without=_without(table.table("without")),
     )
 
@@ -160,6 +161,16 @@ def _capability(table: Table, name: str, path: tuple[str | int, ...]) -> Capabil
     if name not in _BY_KEY:
         raise table.source.no_such(path, name, list(_BY_KEY), "capability")
     return _BY_KEY[name]
+
+
+def _claimed(table: Table) -> dict[Capability, str]:
+    """What the rig claims, and where in its file."""
+    claimed = {}
+    for place, name in enumerate(table.texts("claims", (), example='["homing"]')):
+        path = (*table.path, "claims", place)
+        at = f"{table.source.path}:{table.source.line(path)}"
+        claimed[_capability(table, name, path)] = at
+    return claimed
 
 
 def _without(table: Table) -> Mapping[Capability, str]:

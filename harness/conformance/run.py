@@ -4,18 +4,20 @@ Here in this process, where nothing can be done about a check that never ends, o
 process with it: `harness.conformance.supervision` sees to those.
 """
 
-import threading
-import traceback
 from collections.abc import Callable, Iterable, Iterator
-from contextlib import AbstractContextManager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import Enum
-from typing import TYPE_CHECKING, Protocol, final
+from typing import TYPE_CHECKING, final
 
-from harness.conformance.claims import Claims, claims_of
+from harness.conformance.bench import Opener
+from harness.conformance.claims import Claims
 from harness.conformance.clause import Clause, NotApplicable, Violated
+from harness.conformance.code_places import raised_at
+from harness.conformance.facts import NOTHING_DECLARED, Facts
+from harness.conformance.leaks import watched
 from harness.conformance.rig_bench import TimeIsUp
-from motorapi import MotorError, PluginError
+from harness.settings import BrokenPluginError, RigError
+from motorapi import MotorError, PluginError, UnsupportedError
 
 if TYPE_CHECKING:
     from harness.conformance.bench import RigProtocol
@@ -58,84 +60,98 @@ class Verdict:
     time_ns: int = 0
 
 
-class Opener(Protocol):
-    """What switches a bench on, as often as it is called."""
-
-    def __call__(self) -> "AbstractContextManager[RigProtocol]":
-        """A bench that is on inside the block."""
-
-
 def run_clauses(clauses: Iterable[Clause], open_bench: Opener) -> Iterator[Verdict]:
     """The verdict of each clause, as soon as there is one."""
-    claims: Claims | None = None
+    claims = Claims(open_bench)
     for one in clauses:
-        verdict, claims = _judged(one, open_bench, claims)
-        yield verdict
+        yield run_clause(one, open_bench, claims)
 
 
-def run_clause(one: Clause, open_bench: Opener) -> Verdict:
-    """The verdict of one clause."""
-    return _judged(one, open_bench, None)[0]
+def run_clause(
+    one: Clause, open_bench: Opener, claims: Claims | None = None, home: str = ""
+) -> Verdict:
+    """The verdict of one clause.
 
+    Args:
+        one: which.
+        open_bench: switches a bench on for it.
+        claims: of the motors of all benches so opened.
+        home: of the adaptation, whose lines are told before others (`code_places.home_of`).
 
-def _judged(
-    one: Clause, open_bench: Opener, claims: Claims | None
-) -> tuple[Verdict, Claims | None]:
-    """Its verdict; and what the motor claims, once that is known."""
-    before = set(threading.enumerate())
-    try:
-        with open_bench() as bench:
-            now_ns: Callable[[], int] = bench.runtime.now_ns
-            try:
-                if claims is None:
-                    claims = claims_of(bench.motor, bench.facts)
-                _require_applicable(one, bench, claims)
-                one.check(bench)
-                verdict = Verdict(one.id, Result.PASSED)
-            except BaseException as error:
-                verdict = _verdict_of(one, error)
-            time_ns = now_ns()
-    except BaseException as error:  # while it was switched on, or off
-        verdict, time_ns = _verdict_of(one, error), 0
-    left = [thread.name for thread in threading.enumerate() if thread not in before]
+    Raises:
+        RigError: the rig cannot be used as it is written.
+    """
+    time_ns = 0
+    with watched() as watch:
+        judge = _Judge(one, home)
+        try:
+            _require_claimed(one, claims or Claims(open_bench))
+            with open_bench() as bench:
+                now_ns: Callable[[], int] = bench.runtime.now_ns
+                judge.facts = bench.facts
+                try:
+                    _require_able(one, bench)
+                    one.check(bench)
+                    verdict = Verdict(one.id, Result.PASSED)
+                except BaseException as error:
+                    verdict = judge.verdict(error)
+                time_ns = now_ns()
+        except BaseException as error:  # while it was switched on, or off
+            verdict = judge.verdict(error)
+        left = "; ".join(watch.left())
     if left and verdict.result is Result.PASSED:
-        seen = f"threads that run on after everything was closed: {', '.join(left)}"
-        verdict = Verdict(one.id, Result.LEFT_BEHIND, seen)
-    return Verdict(verdict.clause, verdict.result, verdict.seen, verdict.place, time_ns), claims
+        return Verdict(one.id, Result.LEFT_BEHIND, left, "", time_ns)
+    if left:
+        verdict = replace(verdict, seen=f"{verdict.seen}; and left behind: {left}".lstrip("; "))
+    return replace(verdict, time_ns=time_ns)
 
 
-def _require_applicable(one: Clause, bench: "RigProtocol", claims: Claims) -> None:
+def _require_claimed(one: Clause, claims: Claims) -> None:
     for capability in one.needs:
-        if not claims.has(capability):
-            raise NotApplicable(claims.why_not[capability])
+        why_not = claims.why_not(capability)
+        if why_not:
+            raise NotApplicable(why_not)
+
+
+def _require_able(one: Clause, bench: "RigProtocol") -> None:
     for ability in one.bench:
         if ability not in bench.abilities:
             raise NotApplicable(f"the bench cannot {ability.value}")
 
 
-def _verdict_of(one: Clause, error: BaseException) -> Verdict:
-    """What an error that ended a check says of the clause.
+@final
+class _Judge:
+    """Says what an error that ended a check says of the clause."""
 
-    Raises:
-        KeyboardInterrupt: the error itself.
-    """
-    if isinstance(error, KeyboardInterrupt):
-        raise error
-    if isinstance(error, NotApplicable):
-        return Verdict(one.id, Result.NOT_APPLICABLE, f"{error}")
-    if isinstance(error, Violated):
-        return Verdict(one.id, Result.FAILED, f"{error}", _place_of(error))
-    if isinstance(error, TimeIsUp):
-        return Verdict(one.id, Result.HUNG, f"{error}", _place_of(error))
-    told = f"{type(error).__name__}: {error}"
-    if isinstance(error, MotorError) and not isinstance(error, PluginError):
-        return Verdict(one.id, Result.FAILED, f"raised {told}", _place_of(error))
-    return Verdict(one.id, Result.CRASHED, told, _place_of(error))
+    def __init__(self, one: Clause, home: str) -> None:
+        self._one = one
+        self._home = home
+        self.facts: Facts = NOTHING_DECLARED
 
+    def verdict(self, error: BaseException) -> Verdict:
+        """The verdict.
 
-def _place_of(error: BaseException) -> str:
-    """The innermost line at which it, or what caused it, was raised."""
-    while error.__cause__ is not None:
-        error = error.__cause__
-    frames = traceback.extract_tb(error.__traceback__)
-    return f"{frames[-1].filename}:{frames[-1].lineno}" if frames else ""
+        Raises:
+            KeyboardInterrupt, RigError: the error itself.
+        """
+        if isinstance(error, RigError) and not isinstance(error, BrokenPluginError):
+            raise error
+        if isinstance(error, KeyboardInterrupt):
+            raise error
+        if isinstance(error, NotApplicable):
+            return Verdict(self._one.id, Result.NOT_APPLICABLE, f"{error}")
+        place = raised_at(error, self._home)
+        if isinstance(error, Violated):
+            return Verdict(self._one.id, Result.FAILED, f"{error}", place)
+        if isinstance(error, TimeIsUp):
+            return Verdict(self._one.id, Result.HUNG, f"{error}", place)
+        if isinstance(error, UnsupportedError):
+            for claimed in self._one.needs:
+                if claimed in self.facts.claims:
+                    seen = f"the rig claims {claimed.value}, which the motor refuses: {error}"
+                    at = self.facts.claimed_at.get(claimed, place)
+                    return Verdict(self._one.id, Result.FAILED, seen, at)
+        told = f"{type(error).__name__}: {error}"
+        if isinstance(error, MotorError) and not isinstance(error, PluginError):
+            return Verdict(self._one.id, Result.FAILED, f"raised {told}", place)
+        return Verdict(self._one.id, Result.CRASHED, told, place)

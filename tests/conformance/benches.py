@@ -4,6 +4,7 @@ from functools import cache
 from pathlib import Path
 
 import harness.conformance
+from harness.conformance.claims import Claims
 from harness.conformance.rig_bench import RigBench, bench_description
 from harness.rig import installed_plugins
 from harness.rig_file import read_rig
@@ -21,3 +22,9 @@ def described(kind):
 def opener(kind, seed=1, **options):
     """What switches on a bench of this kind."""
     return lambda: RigBench(described(kind), seed, **options)
+
+
+@cache
+def claims(kind):
+    """What its motors claim."""
+    return Claims(opener(kind))

@@ -1,0 +1,140 @@
+"""What a clause leaves behind when everything was closed: threads, buses, descriptors, processes.
+
+Where a thread was started, and a bus opened, nobody notes down for us: inside the watch both are
+noted by the call itself.
+"""
+
+# ruff: noqa: SLF001 -- sys._current_frames: documented, and without another name
+
+import gc
+import inspect
+import os
+import signal
+import sys
+import threading
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from pathlib import Path
+from typing import Any, Final, final
+
+import can
+
+from harness.conformance.code_places import called_at
+
+_PATIENCE_S: Final = 0.5
+_LOOK_AGAIN_S: Final = 0.01
+_DESCRIPTORS: Final = Path("/proc/self/fd")
+_TASKS: Final = Path("/proc/self/task")
+
+
+@final
+class Watch:
+    """Sees what is there before and after; use it by `watched`."""
+
+    def __init__(self) -> None:
+        self._threads = set(sys._current_frames())  # also those that threading has not started
+        self._descriptors = _descriptors()
+        self._children = _children()
+        self.started: dict[int | None, str] = {}
+        self.opened: list[tuple[can.BusABC, str]] = []
+
+    def left(self) -> list[str]:
+        """What is still there and was not before, in words; buses and processes then are not."""
+        buses = list(self._open_buses())
+        end_s = time.monotonic() + _PATIENCE_S
+        while self._new_threads() and time.monotonic() < end_s:
+            time.sleep(_LOOK_AGAIN_S)  # one that is told to end needs a moment for it
+        self.opened.clear()
+        return [
+            *map(self._thread, self._new_threads()),
+            *buses,
+            *self._new_descriptors(),
+            *self._new_children(),
+        ]
+
+    def _new_threads(self) -> list[int]:
+        return sorted(set(sys._current_frames()) - self._threads - {threading.get_ident()})
+
+    def _thread(self, ident: int) -> str:
+        names = {thread.ident: thread.name for thread in threading.enumerate()}
+        at = self.started.get(ident) or called_at(sys._current_frames().get(ident))
+        return f"thread {names.get(ident, 'without a name')!r}, started at {at}"
+
+    def _open_buses(self) -> Iterator[str]:
+        for bus, at in self.opened:
+            if not getattr(bus, "_is_shutdown", True):
+                yield f"a bus not shut down ({bus.channel_info}), opened at {at}"
+                with suppress(Exception):
+                    bus.shutdown()
+
+    def _new_descriptors(self) -> Iterator[str]:
+        if set(_descriptors()) - set(self._descriptors):
+            gc.collect()  # what nothing refers to any more is about to be closed
+        for number, target in _descriptors().items():
+            if self._descriptors.get(number) != target:
+                yield f"a descriptor not closed ({target})"
+
+    def _new_children(self) -> Iterator[str]:
+        for pid in sorted(_children() - self._children):
+            with suppress(OSError):
+                words = Path(f"/proc/{pid}/cmdline").read_bytes().split(b"\0")
+                yield f"process {pid} ({b' '.join(words).decode(errors='replace').strip()})"
+                os.kill(pid, signal.SIGKILL)
+                os.waitpid(pid, 0)
+
+
+@contextmanager
+def watched() -> Iterator[Watch]:
+    """Whatever starts or is opened within the block is noted."""
+    watch = Watch()
+    thread: Any = threading.Thread
+    bus: Any = can.BusABC
+    start, open_ = thread.start, bus.__init__
+
+    def start_noted(self: threading.Thread) -> None:
+        here = inspect.currentframe()
+        at = called_at(here and here.f_back)
+        start(self)
+        watch.started[self.ident] = at
+
+    def open_noted(self: can.BusABC, *args: Any, **kwargs: Any) -> None:
+        watch.opened.append((self, _opened_at()))
+        open_(self, *args, **kwargs)
+
+    thread.start, bus.__init__ = start_noted, open_noted
+    try:
+        yield watch
+    finally:
+        thread.start, bus.__init__ = start, open_
+
+
+def _opened_at() -> str:
+    """Where a bus was asked for: the line that is no constructor, nor python-can's."""
+    frame = inspect.currentframe()
+    for _ in range(2):
+        frame = None if frame is None else frame.f_back
+    own = os.path.dirname(can.__file__) + os.sep
+    while frame is not None and (
+        frame.f_code.co_name == "__init__" or frame.f_code.co_filename.startswith(own)
+    ):
+        frame = frame.f_back
+    return called_at(frame)
+
+
+def _descriptors() -> dict[int, str]:
+    """What each open descriptor of ours leads to."""
+    found = {}
+    for entry in _DESCRIPTORS.iterdir():
+        with suppress(OSError):  # the one that lists them is closed by now
+            found[int(entry.name)] = os.readlink(entry)
+    return found
+
+
+def _children() -> set[int]:
+    """Our child processes."""
+    pids: set[int] = set()
+    for task in _TASKS.iterdir():
+        with suppress(OSError):
+            pids.update(map(int, (task / "children").read_text().split()))
+    return pids
