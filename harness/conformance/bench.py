@@ -48,7 +48,10 @@ class RigProtocol(Protocol):
         """Where it really is now [U]: by Ability.TRUTH, not asked of the adaptation."""
 
     def load(self, motor: Motor, torque_n_m: float) -> None:
-        """This torque [N·m] (a linear motor: force [N]) acts on it from now on (Ability.LOAD)."""
+        """This torque [N·m] (a linear motor: force [N]) acts on it from now on (Ability.LOAD).
+
+        At its output; positive turns it towards negative positions.
+        """
 
     def fail(self, motor: Motor) -> int:
         """Its drive has just had a fault, of this code; the cause is gone (Ability.FAULT)."""

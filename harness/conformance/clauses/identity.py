@@ -3,6 +3,7 @@
 from harness.conformance.bench import RigProtocol
 from harness.conformance.capability import Ability, Capability
 from harness.conformance.clause import Level, clause, expect
+from harness.conformance.motions import long_move
 from motorapi import ControlMode, MotorState, TrapezoidalTrajectory
 
 
@@ -43,11 +44,3 @@ def enabling_and_disabling_are_told(bench: RigProtocol) -> None:
     expect(motor.state() is MotorState.ENABLED, f"after enable() it is {motor.state().value}")
     motor.disable()
     expect(motor.state() is not MotorState.ENABLED, "after disable() it is still enabled")
-
-
-def long_move(bench: RigProtocol) -> float:
-    """A distance of about a second's way [U]."""
-    if bench.facts.long_move is not None:
-        return bench.facts.long_move
-    model = bench.motor.model
-    return 0.5 * model.velocity_max + model.velocity_max**2 / model.acceleration_max

@@ -1,0 +1,227 @@
+"""What clauses do with a motor again and again: move it, let time pass, see where it is.
+
+U is the unit of the motor's position, rad or m. A profile that is expected is written here once
+more, from the textbook, and not asked of the interface that is under test.
+"""
+
+from collections.abc import Callable, Sequence
+from math import sqrt
+from typing import Final
+
+from harness.conformance.bench import RigProtocol
+from harness.conformance.capability import Ability
+from harness.conformance.clause import NotApplicable, Violated, expect
+from motorapi import (
+    ControlMode,
+    ControlVariable,
+    DerivativeLimits,
+    Motor,
+    TrapezoidalTrajectory,
+)
+
+SAMPLE_S: Final = 0.005
+_REST_S: Final = 0.05
+_SPARE_S: Final = 5.0
+
+Sample = tuple[float, float]
+"""(time since it was first looked [s], position [U])."""
+
+
+def long_move(bench: RigProtocol) -> float:
+    """A distance of about a second's way [U]."""
+    if bench.facts.long_move is not None:
+        return bench.facts.long_move
+    model = bench.motor.model
+    return 0.5 * model.velocity_max + model.velocity_max**2 / model.acceleration_max
+
+
+def shortest_s(motor: Motor, way: float) -> float:
+    """What the shortest move of that distance within the model's limits takes, rest to rest [s]."""
+    model = motor.model
+    return least_s(way, model.velocity_max, model.acceleration_max, model.deceleration)
+
+
+def least_s(way: float, velocity: float, acceleration: float, deceleration: float) -> float:
+    """As `shortest_s`, within these limits [s]."""
+    peak = min(velocity, sqrt(2.0 * abs(way) / (1.0 / acceleration + 1.0 / deceleration)))
+    if peak == 0.0:
+        return 0.0
+    return abs(way) / peak + 0.5 * peak * (1.0 / acceleration + 1.0 / deceleration)
+
+
+def trapezoid(
+    way: float, duration_s: float, acceleration: float, deceleration: float
+) -> Callable[[float], float]:
+    """Position over time, rest to rest (Biagiotti & Melchiorri, 2008, 3.2.3)."""
+    lost_s = 0.5 * (1.0 / acceleration + 1.0 / deceleration)
+    peak = (duration_s - sqrt(max(0.0, duration_s**2 - 4.0 * lost_s * abs(way)))) / (2.0 * lost_s)
+    up_s, down_s = peak / acceleration, peak / deceleration
+
+    def position(at_s: float) -> float:
+        at_s = min(max(at_s, 0.0), duration_s)
+        if at_s < up_s:
+            made = 0.5 * acceleration * at_s**2
+        elif at_s <= duration_s - down_s:
+            made = peak * (at_s - 0.5 * up_s)
+        else:
+            made = abs(way) - 0.5 * deceleration * (duration_s - at_s) ** 2
+        return made if way >= 0.0 else -made
+
+    return position
+
+
+def rest_for(bench: RigProtocol, duration_s: float) -> None:
+    """So much time has passed [s]."""
+    bench.runtime.wait_until(_never, duration_s)
+
+
+def _never() -> bool:
+    return False
+
+
+def place(bench: RigProtocol, motor: Motor) -> float:
+    """Where it is [U]: really, where that can be seen, else as it says."""
+    if Ability.TRUTH in bench.abilities:
+        return bench.true_position(motor)
+    return motor.position()
+
+
+def follow(motor: Motor, trajectory: TrapezoidalTrajectory) -> None:
+    """It has begun a trajectory of position."""
+    motor.set_control_mode(ControlMode.TRAJECTORY)
+    motor.set_trajectory(trajectory)
+    motor.start()
+
+
+def aim(
+    motor: Motor, target: float, relative: bool = False, limits: DerivativeLimits | None = None
+) -> None:
+    """It has begun to go to a set-point of position."""
+    motor.set_control_mode(ControlMode.SETPOINT)
+    motor.set_setpoint(target, relative, limits)
+    motor.start()
+
+
+def turn(motor: Motor, velocity: float) -> None:
+    """It has begun to go at a set-point of velocity [U/s]."""
+    motor.set_control_mode(ControlMode.SETPOINT, ControlVariable.VELOCITY)
+    motor.set_setpoint(velocity)
+    motor.start()
+
+
+def finish(bench: RigProtocol, motor: Motor, expected_s: float = 0.0) -> None:
+    """What was commanded is over, long after it should have been at the latest."""
+    motor.wait_until_done(expected_s + bench.facts.time_tolerance_s + _SPARE_S)
+
+
+def move(bench: RigProtocol, motor: Motor, way: float) -> None:
+    """It has moved so far, as fast as it can, and is done."""
+    follow(motor, TrapezoidalTrajectory(way))
+    finish(bench, motor, shortest_s(motor, way))
+
+
+def way_of_stopping(motor: Motor, velocity: float) -> float:
+    """How far it goes until it is at rest from that velocity, at the model's deceleration [U]."""
+    return velocity**2 / (2.0 * motor.model.deceleration)
+
+
+def watched(bench: RigProtocol, motor: Motor, duration_s: float) -> list[Sample]:
+    """Where it was from now on, every `SAMPLE_S` for so long."""
+    runtime = bench.runtime
+    begun_ns = runtime.now_ns()
+    taken: list[Sample] = []
+    while True:
+        at_s = (runtime.now_ns() - begun_ns) / 1e9
+        taken.append((at_s, place(bench, motor)))
+        if at_s >= duration_s:
+            return taken
+        rest_for(bench, SAMPLE_S)
+
+
+def fastest(taken: Sequence[Sample], over_s: float = 0.05) -> float:
+    """The largest mean speed over any such time [U/s]."""
+    top = 0.0
+    first = 0
+    for at_s, position in taken:
+        while at_s - taken[first][0] > over_s:
+            first += 1
+        since_s = at_s - taken[first][0]
+        if since_s >= 0.9 * over_s:
+            top = max(top, abs(position - taken[first][1]) / since_s)
+    return top
+
+
+def speed(bench: RigProtocol, motor: Motor, over_s: float) -> float:
+    """Its mean velocity during that time, from now on [U/s]."""
+    begun_ns, before = bench.runtime.now_ns(), place(bench, motor)
+    rest_for(bench, over_s)
+    return (place(bench, motor) - before) / ((bench.runtime.now_ns() - begun_ns) / 1e9)
+
+
+def worst_deviation(
+    bench: RigProtocol, taken: Sequence[Sample], wanted: Callable[[float], float]
+) -> float:
+    """How far it was from `wanted` at worst, whenever in the declared latency it began [U]."""
+    early_s, late_s = bench.facts.latency_s
+    worst = 0.0
+    for at_s, position in taken:
+        ends = wanted(at_s - late_s), wanted(at_s - early_s)
+        worst = max(worst, min(ends) - position, position - max(ends))
+    return worst
+
+
+def expect_tracks(
+    bench: RigProtocol, taken: Sequence[Sample], wanted: Callable[[float], float], what: str
+) -> None:
+    """It was always as near to `wanted` as is declared; the way was long enough to tell."""
+    worst, unit = worst_deviation(bench, taken, wanted), bench.motor.model.unit
+    expect(
+        worst <= bench.facts.following,
+        f"{what}: it was {worst:.6g} {unit} off what was demanded,"
+        f" declared are {bench.facts.following:g} {unit}",
+    )
+
+
+def expect_at(bench: RigProtocol, motor: Motor, target: float, what: str) -> None:
+    """It says that it is there, and where that can be seen it is."""
+    unit, window = motor.model.unit, bench.facts.window
+    told = motor.position()
+    expect(
+        abs(told - target) <= window,
+        f"{what}: it says it is at {told:.6g} {unit}, and not within {window:g} of {target:.6g}",
+    )
+
+
+def expect_rest(bench: RigProtocol, motor: Motor, what: str) -> None:
+    """It does not move."""
+    before = place(bench, motor)
+    rest_for(bench, _REST_S)
+    moved = place(bench, motor) - before
+    unit = motor.model.unit
+    expect(
+        abs(moved) <= bench.facts.window,
+        f"{what}: it is not at rest, it moved {moved:.6g} {unit} in {_REST_S:g} s",
+    )
+
+
+def expect_unmoved(bench: RigProtocol, motor: Motor, before: float, what: str) -> None:
+    """It is where it was."""
+    moved, unit = place(bench, motor) - before, motor.model.unit
+    expect(abs(moved) <= bench.facts.window, f"{what}: it moved {moved:.6g} {unit}")
+
+
+def reached(happened: bool, what: str) -> None:
+    """The cause of what must never happen was there, so that the promise was put to the test."""
+    if not happened:
+        raise Violated(f"{what} was never reached, so that this promise was not put to the test")
+
+
+def torque_of(motor: Motor, share: float) -> float:
+    """That share of the largest torque [N·m], of a linear motor force [N].
+
+    Raises:
+        NotApplicable: nobody says how large that is.
+    """
+    if motor.model.torque_max is None:
+        raise NotApplicable("its model has no torque_max")
+    return share * motor.model.torque_max
