@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Final, Self, final
 
 from harness.rig_parts import NoSuchName
 from harness.settings import RigError
+from harness.virtual_program import in_virtual_time, join_executors
 from traces.errors import TraceError
 
 if TYPE_CHECKING:
@@ -73,7 +74,12 @@ def run_script(rig: "Rig", script: Script, words: Sequence[str]) -> int:
     if script.name == _STDIN_NAME:  # tracebacks quote it all the same
         lines = script.source.decode("utf-8", "replace").splitlines(keepends=True)
         linecache.cache[_STDIN_NAME] = (len(script.source), None, lines, _STDIN_NAME)
-    with _as_main(main, script, words), bus_settings(rig), _Threads(script.name) as threads:
+    with (
+        _as_main(main, script, words),
+        bus_settings(rig),
+        _Threads(script.name) as threads,
+        in_virtual_time(rig),
+    ):
         status = 0
         try:
             program: CodeType = compile(script.source, script.name, "exec", dont_inherit=True)
@@ -143,6 +149,7 @@ class _Threads:
 
     def join(self) -> None:
         """All have ended that are no daemons; after a second without an end, that is told."""
+        join_executors()
         for thread in threading.enumerate():
             if thread in self._before or thread.daemon:
                 continue
@@ -160,7 +167,7 @@ def run_prompt(rig: "Rig") -> int:
     with suppress(ImportError):  # a Python without it has a prompt without line editing
         import readline  # noqa: F401 -- importing is all it takes
     names = {"rig": rig, "__name__": "__console__", "__doc__": None}
-    with bus_settings(rig):
+    with bus_settings(rig), in_virtual_time(rig):
         try:
             _Prompt(names).interact(_banner(rig), exitmsg="")
         except SystemExit as leaving:

@@ -14,9 +14,11 @@ With `pace`, the same events happen in the same order, but none earlier than its
 
 import threading
 from collections.abc import Callable
+from operator import attrgetter
 from typing import TYPE_CHECKING, Final, Protocol, final
 
-from emulators.event_queue import UNSET, Alarm, EventQueue
+from emulators.event_queue import UNSET, EventQueue
+from harness.parties import Cancelled, PartyThread, Periodic, VirtualParty, Waiter
 from motorapi.errors import UsageError
 
 if TYPE_CHECKING:
@@ -26,13 +28,10 @@ if TYPE_CHECKING:
 
 _NEVER: Final = -1
 _END_NS: Final = 2 * 10**18  # 63 years: to controllers, what is later (2**61 ns) never comes
+_STUCK_NS: Final = 3600 * 10**9  # so long parties wait for one another while events go on
 _POLLS_MAX: Final = 1_000_000
 _LOOK_UP_TURNS: Final = 256  # compiled code must look for signals now and then
 GRACE_S: Final = 1.0  # wall time that a party has to wait next, or to end, once the run is over
-
-
-class _Cancelled(BaseException):
-    """The run is over; a party that still waits ends here."""
 
 
 class _Port(Protocol):
@@ -40,67 +39,6 @@ class _Port(Protocol):
 
     def subscribe(self, on_frame: "FrameListener") -> "Registration": ...
     def transmit(self, frame: bytes) -> None: ...
-
-
-@final
-class _Waiter:
-    """A party that waits: for what, until when, and how it ended."""
-
-    __slots__ = ("deadline_ns", "done", "error", "party", "result")
-
-    def __init__(self, party: "VirtualParty", done: Callable[[], bool], deadline_ns: int) -> None:
-        self.party = party
-        self.done = done
-        self.deadline_ns = deadline_ns
-        self.result = False
-        self.error: BaseException | None = None
-
-
-@final
-class VirtualParty:
-    """One line of execution of the application, in virtual time.
-
-    Attributes:
-        name: as given to `spawn`.
-        error: what the function raised, once it has ended; else None.
-    """
-
-    def __init__(self, name: str, runtime: "VirtualRuntime") -> None:
-        self.name = name
-        self.error: BaseException | None = None
-        self.finished = False
-        self.joined = False
-        self.baton = threading.Lock()
-        self.baton.acquire()
-        self.thread: threading.Thread | None = None
-        self._runtime = runtime
-
-    def join(self, timeout_s: float | None = None) -> bool:
-        """Whether it has ended within `timeout_s` [s]; what it raised is in `error`."""
-        self.joined = True
-        return self._runtime.wait_until(self._has_finished, timeout_s)
-
-    def _has_finished(self) -> bool:
-        return self.finished
-
-
-@final
-class Periodic:
-    """An action that repeats, at start + k * period, until it is cancelled."""
-
-    def __init__(self, runtime: "VirtualRuntime", period_ns: int, action: Callable[[], None]):
-        self._period_ns = period_ns
-        self._action = action
-        self._alarm: Alarm = runtime.queue.alarm(self._expire)
-        self._alarm.set(runtime.queue.now_ns + period_ns)
-
-    def _expire(self, now_ns: int) -> None:
-        self._alarm.set(now_ns + self._period_ns)
-        self._action()
-
-    def cancel(self) -> None:
-        """It does not run again."""
-        self._alarm.set(None)
 
 
 @final
@@ -113,13 +51,16 @@ class VirtualRuntime:
     def __init__(self, queue: EventQueue, pace: Callable[[int], None] | None = None) -> None:
         self.queue = queue
         self._pace = pace
-        self._waiters: list[_Waiter] = []
+        self._waiters: list[Waiter] = []
         first = VirtualParty("main", self)
-        self._parties: dict[int, VirtualParty] = {threading.get_ident(): first}
+        first.ident = threading.get_ident()
+        self._parties: dict[int, VirtualParty] = {first.ident: first}
         self._spawned: list[VirtualParty] = []
         self._in_callback = self._pumping = False
         self._closing = self._interrupted = False
         self._polls = self._turns = 0
+        self.on_poll: Callable[[], None] | None = None  # before one that lets no time pass
+        self.whereabouts: Callable[[VirtualParty], str] = attrgetter("name")
 
     # --- Runtime ---------------------------------------------------------------------------
 
@@ -135,6 +76,11 @@ class VirtualRuntime:
                 will ever happen that could end the wait, or only beyond the end of virtual time;
                 or a million polls let no time pass.
         """
+        return self._wait_until(done, timeout_s)
+
+    def _wait_until(
+        self, done: Callable[[], bool], timeout_s: float | None, on_parties: bool = False
+    ) -> bool:
         party = self._party_here()
         self._in_callback = True
         try:
@@ -146,12 +92,14 @@ class VirtualRuntime:
         if timeout_s is not None:
             if not timeout_s >= 0.0:
                 raise UsageError(f"timeout_s = {timeout_s}: must be a number of seconds >= 0")
+            if timeout_s == 0.0 and self.on_poll is not None:
+                self.on_poll()
             deadline_ns = self.queue.now_ns + round(min(timeout_s, 1e9) * 1e9)
             if deadline_ns > _END_NS:
                 raise UsageError(f"timeout_s = {timeout_s}: virtual time ends at {_END_NS / 1e9} s")
             if deadline_ns == self.queue.now_ns:
                 self._count_poll()
-        waiter = _Waiter(party, done, deadline_ns)
+        waiter = Waiter(party, done, deadline_ns, on_parties)
         self._waiters.append(waiter)
         try:
             self._pump(waiter)
@@ -173,12 +121,12 @@ class VirtualRuntime:
         """`function` runs as a further party, from when this one next waits."""
         self._party_here()
         party = VirtualParty(name, self)
-        party.thread = threading.Thread(
-            target=self._run_party, args=(party, function), name=f"party {name}", daemon=True
+        party.thread = PartyThread(
+            target=self.run_party, args=(party, function), name=f"party {name}", daemon=True
         )
         party.thread.start()  # first: whoever has a turn must be there to take it
         self._spawned.append(party)
-        self._waiters.append(_Waiter(party, _at_once, _NEVER))
+        self.enrol(party)
         return party
 
     def listen(self, bus: "can.BusABC", on_frame: "FrameListener") -> "Registration":
@@ -191,6 +139,46 @@ class VirtualRuntime:
         if transmit is None:
             transmit = _port_of(bus).transmit
         transmit(frame)
+
+    # --- a program's own threads (harness.virtual_program) ------------------------------------
+
+    def party_of_thread(self) -> VirtualParty | None:
+        """The party that this thread is; None if it is none."""
+        return self._parties.get(threading.get_ident())
+
+    def is_in_callback(self) -> bool:
+        """Whether an event's action runs: no wait is possible."""
+        return self._in_callback
+
+    def wait_for_parties(self, done: Callable[[], bool], timeout_s: float | None = None) -> bool:
+        """As `wait_until`, for what another party has to do: if none can, that is told."""
+        return self._wait_until(done, timeout_s, on_parties=True)
+
+    def enrol(self, party: VirtualParty) -> None:
+        """The party has a turn from when this one next waits; its thread is in `run_party`."""
+        self._waiters.append(Waiter(party, _at_once, _NEVER))
+
+    def abandon(self, party: VirtualParty) -> None:
+        """The party has no turn any more, ever."""
+        self._waiters = [waiter for waiter in self._waiters if waiter.party is not party]
+
+    def run_party(self, party: VirtualParty, function: Callable[[], None]) -> None:
+        """`function` has run in this thread, as the party, once that had its turn."""
+        party.ident = threading.get_ident()
+        self._parties[party.ident] = party
+        party.baton.acquire()
+        try:
+            if not (self._closing or party.is_ending):
+                function()
+        except Cancelled:
+            pass
+        except BaseException as error:  # it is the joiner's, or close()'s, to raise
+            party.error = error
+        finally:
+            party.finished = True
+            del self._parties[party.ident]
+        if not self._closing:
+            self._leave(party)
 
     # --- the rig's side --------------------------------------------------------------------
 
@@ -210,9 +198,10 @@ class VirtualRuntime:
 
     def end(self, party: VirtualParty) -> None:
         """The party ends in the wait that it is in, as all do when the run is over."""
+        party.is_ending = True
         for waiter in self._waiters:
             if waiter.party is party:
-                waiter.done, waiter.error = _at_once, _Cancelled()
+                waiter.done, waiter.error = _at_once, Cancelled()
 
     def close(self) -> None:
         """Parties that still wait have ended; raises what a party raised and nobody joined."""
@@ -222,7 +211,7 @@ class VirtualRuntime:
             waiter = self._waiters.pop(0)
             if waiter.party is me:
                 continue
-            waiter.error = _Cancelled()
+            waiter.error = Cancelled()
             waiter.party.baton.release()
             thread = waiter.party.thread
             if thread is not None:
@@ -246,7 +235,7 @@ class VirtualRuntime:
             )
         party = self._parties.get(threading.get_ident())
         if self._closing and party is not None and party.thread is not None:
-            raise _Cancelled
+            raise Cancelled
         if party is None:
             raise UsageError(
                 f"thread {threading.current_thread().name!r} was not started by this runtime and "
@@ -263,14 +252,14 @@ class VirtualRuntime:
                 "time passes only while waiting; give the wait a timeout"
             )
 
-    def _expired(self) -> _Waiter | None:
+    def _expired(self) -> Waiter | None:
         now_ns = self.queue.now_ns
         for waiter in self._waiters:
             if _NEVER != waiter.deadline_ns <= now_ns:
                 return waiter
         return None
 
-    def _pump(self, mine: _Waiter | None) -> None:
+    def _pump(self, mine: Waiter | None) -> None:
         """Events run until it is the turn of `mine` (None: until anybody has the baton)."""
         self._pumping = True
         try:
@@ -294,9 +283,10 @@ class VirtualRuntime:
                 deadline_ns = waiter.deadline_ns
         return deadline_ns
 
-    def _run_to_next_turn(self, deadline_ns: int) -> _Waiter:
+    def _run_to_next_turn(self, deadline_ns: int) -> Waiter:
         """Events have run until somebody can go on; nobody's time is up before `deadline_ns`."""
         queue = self.queue
+        stuck_ns = queue.now_ns + _STUCK_NS
         while True:
             self._turns += 1
             if self._turns % _LOOK_UP_TURNS == 0:
@@ -322,9 +312,14 @@ class VirtualRuntime:
                     return expired
             is_event = next_ns != UNSET and (deadline_ns == _NEVER or next_ns <= deadline_ns)
             if not is_event and deadline_ns == _NEVER:
-                self._nothing_will_happen()
+                self._nothing_will_happen("no event is due in the whole rig")
                 continue
             due_ns = next_ns if is_event else deadline_ns
+            if due_ns > stuck_ns and all(waiter.on_parties for waiter in self._waiters):
+                if deadline_ns == _NEVER:
+                    self._nothing_will_happen("all wait for one another, since an hour")
+                    continue
+                stuck_ns = _END_NS
             if due_ns > now_ns or not is_event:
                 self._polls = 0
             if self._pace is not None:
@@ -336,7 +331,7 @@ class VirtualRuntime:
             else:
                 queue.run_until(due_ns)
 
-    def _await_baton(self, mine: _Waiter) -> None:
+    def _await_baton(self, mine: Waiter) -> None:
         try:
             mine.party.baton.acquire()
         except KeyboardInterrupt as interrupt:
@@ -346,30 +341,14 @@ class VirtualRuntime:
                 self._closing = True  # it does not wait: it is over when it does
                 raise
 
-    def _nothing_will_happen(self) -> None:
-        names = ", ".join(waiter.party.name for waiter in self._waiters)
+    def _nothing_will_happen(self, why: str) -> None:
+        names = ", ".join(self.whereabouts(waiter.party) for waiter in self._waiters)
         for waiter in self._waiters:
             waiter.done = _at_once
             waiter.error = UsageError(
                 f"party {waiter.party.name!r} waits without a timeout for what can never happen: "
-                f"no event is due in the whole rig (waiting: {names}); give wait_until a timeout_s"
+                f"{why} (waiting: {names}); give the wait a timeout"
             )
-
-    def _run_party(self, party: VirtualParty, function: Callable[[], None]) -> None:
-        self._parties[threading.get_ident()] = party
-        party.baton.acquire()
-        try:
-            if not self._closing:
-                function()
-        except _Cancelled:
-            pass
-        except BaseException as error:  # it is the joiner's, or close()'s, to raise
-            party.error = error
-        finally:
-            party.finished = True
-            del self._parties[threading.get_ident()]
-        if not self._closing:
-            self._leave(party)
 
     def _leave(self, party: VirtualParty) -> None:
         """The baton goes on to whoever is next; this thread runs events until there is one."""

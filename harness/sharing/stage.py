@@ -14,8 +14,9 @@ from harness.sharing.history import History, SharingViolated
 from motorapi import Motor
 
 if TYPE_CHECKING:
+    from harness.parties import VirtualParty
     from harness.sharing.owners import Owner
-    from harness.virtual_time import VirtualParty, VirtualRuntime
+    from harness.virtual_time import VirtualRuntime
 
 _LONG_S: Final = 60.0
 

@@ -194,6 +194,13 @@ PLANTS = [
         "harness.replay.host_player -> motorapi.runtime",
     ),
     (
+        "virtual-program",
+        "harness/virtual_program/turn.py",
+        "import harness.virtual_program.locks",
+        "harness.virtual_program.turn -> harness.virtual_program.locks",
+    ),
+    ("virtual-program", "harness/virtual_program/novelty.py", "", "novelty"),
+    (
         "judges",
         "harness/sharing/linearizability.py",
         "import hypothesis",

@@ -215,19 +215,9 @@ bus.shutdown()
 """
 
 
-def test_a_thread_that_waits_in_virtual_time_fails_the_run_in_the_scripts_own_lines(rig, say):
-    (rig / "script.py").write_text(PLAIN_THREAD)
-    status, out, err = say("run", "rig.toml", "script.py")
-    assert (status, out) == (1, "")
-    lines = err.splitlines()
-    assert lines[:3] == [
-        "Traceback (most recent call last):",
-        '  File "script.py", line 10, in listen',
-        "    bus.recv(1.0)",
-    ]
-    assert lines[3].startswith("motorapi.errors.UsageError: thread 'listener' was not started by")
-    assert "runtime.spawn(name, function)" in lines[3]
-    assert lines[4:] == ["again: motorhil run rig.toml script.py --seed 7"]
+def test_a_thread_of_a_script_waits_in_virtual_time(rig, say):
+    (rig / "script.py").write_text(PLAIN_THREAD + "print(bus.runtime.now_ns())\n")
+    assert say("run", "rig.toml", "script.py") == (0, "56000\n", "")  # a boot-up
 
 
 def test_the_rig_stays_open_until_the_scripts_threads_have_ended(rig, say):
@@ -239,14 +229,27 @@ def test_the_rig_stays_open_until_the_scripts_threads_have_ended(rig, say):
         "threading.Timer(0.2, main_ended.set).start()\n"
     )
     status, out, err = say("run", "rig.toml", "script.py")
-    assert (status, out) == (1, "0\n")
+    assert (status, out) == (1, "200000000\n")
     assert "ZeroDivisionError" in err
+
+
+def test_threads_that_wait_for_one_another_are_told_by_name_and_line(rig, say):
+    (rig / "script.py").write_text(
+        "import threading\nthreading.Thread(target=threading.Event().wait, name='idle').start()\n"
+    )
+    status, out, err = say("run", "rig.toml", "script.py")
+    assert (status, out) == (1, "")
+    told = "script.py has ended, its thread 'idle' has not; Ctrl-C ends it"
+    assert err.splitlines()[0] == told
+    assert "party 'idle' waits without a timeout for what can never happen" in err
+    assert "(waiting: idle" in err
 
 
 @pytest.mark.wall
 def test_ctrl_c_ends_a_script_whose_thread_does_not_end(rig):
     (rig / "script.py").write_text(
-        "import threading\nthreading.Thread(target=threading.Event().wait, name='idle').start()\n"
+        "import threading, time\n\ndef idle():\n    while True:\n        time.sleep(1)\n\n"
+        "threading.Thread(target=idle, name='idle').start()\n"
     )
     with beside("run", "rig.toml", "script.py") as process:
         told = process.stderr.readline()

@@ -1,0 +1,116 @@
+"""The rig's clock in place of the wall's: module `time`, for who is a party."""
+
+import time
+from collections.abc import Callable
+from time import struct_time
+from typing import Any, Final
+
+from harness.virtual_program.turn import Program, caller_is_outside, party_here, program_here
+
+UPTIME_NS: Final = 100_000 * 10**9
+_SLEEP_NS_MIN: Final = 1_000
+_CPU_CLOCKS: Final = ("CLOCK_PROCESS_CPUTIME_ID", "CLOCK_THREAD_CPUTIME_ID")
+_WALL_CLOCKS: Final = ("CLOCK_REALTIME", "CLOCK_TAI")
+_sleep = time.sleep
+
+
+def _program() -> Program | None:
+    """The program whose clock is asked for, two calls up; None: it is the wall's."""
+    program = program_here()
+    return None if program is None or caller_is_outside(3) else program
+
+
+def _reading_ns(program: Program) -> int:
+    party = party_here()
+    assert party is not None
+    return program.look(party)
+
+
+def sleep(seconds: float, /) -> None:
+    """`seconds` [s] of the rig's time have passed, at least 1 us."""
+    program = _program()
+    if program is None or not seconds >= 0:
+        _sleep(seconds)  # refuses what is no time
+        return
+    program.runtime.run_for(max(seconds, _SLEEP_NS_MIN / 1e9))
+
+
+def _clock(original: Callable[[], Any], base_ns: int, unit: float | None) -> Callable[[], Any]:
+    """A clock that says base + the rig's time, in ns (None) or in units of `unit` ns."""
+
+    def clock() -> Any:
+        program = _program()
+        if program is None:
+            return original()
+        now_ns = base_ns + _reading_ns(program)
+        return now_ns if unit is None else now_ns / unit
+
+    clock.__name__ = clock.__qualname__ = original.__name__
+    clock.__doc__ = f"As time.{original.__name__}, by the rig's clock."
+    return clock
+
+
+def _clock_gettime(
+    original: Callable[[int], Any], unit: float | None
+) -> Callable[[int], int | float]:
+    bases = {getattr(time, name): 0 for name in (*_WALL_CLOCKS, *_CPU_CLOCKS)}
+
+    def clock_gettime(clk_id: int, /) -> Any:
+        program = _program()
+        if program is None:
+            return original(clk_id)
+        now_ns = bases.get(clk_id, UPTIME_NS) + _reading_ns(program)
+        return now_ns if unit is None else now_ns / unit
+
+    return clock_gettime
+
+
+def _calendar(original: Callable[..., Any]) -> Callable[..., Any]:
+    """localtime, gmtime, ctime: of now where no time is given."""
+
+    def convert(seconds: float | None = None, /) -> Any:
+        if seconds is None:
+            program = _program()
+            if program is not None:
+                seconds = _reading_ns(program) / 1e9
+        return original(seconds)
+
+    return convert
+
+
+def _formatted(original: Callable[..., str], leading: int) -> Callable[..., str]:
+    """For strftime (one leading argument) and asctime (none): of now where no time is given."""
+
+    def convert(*words: Any) -> str:
+        if len(words) == leading:
+            program = _program()
+            if program is not None:
+                now: struct_time = _localtime(_reading_ns(program) / 1e9)
+                words = (*words, now)
+        return original(*words)
+
+    return convert
+
+
+_localtime = time.localtime
+
+
+def stand_ins() -> list[tuple[object, object]]:
+    """What of module `time` is replaced, and by what."""
+    pairs: list[tuple[object, object]] = [(time.sleep, sleep)]
+    for name, base_ns in (
+        ("time", 0),
+        ("monotonic", UPTIME_NS),
+        ("perf_counter", UPTIME_NS),
+        ("process_time", 0),
+        ("thread_time", 0),
+    ):
+        original, original_ns = getattr(time, name), getattr(time, f"{name}_ns")
+        pairs.append((original, _clock(original, base_ns, 1e9)))
+        pairs.append((original_ns, _clock(original_ns, base_ns, None)))
+    pairs.append((time.clock_gettime, _clock_gettime(time.clock_gettime, 1e9)))
+    pairs.append((time.clock_gettime_ns, _clock_gettime(time.clock_gettime_ns, None)))
+    pairs += [(name, _calendar(name)) for name in (time.localtime, time.gmtime, time.ctime)]
+    pairs.append((time.strftime, _formatted(time.strftime, 1)))
+    pairs.append((time.asctime, _formatted(time.asctime, 0)))
+    return pairs

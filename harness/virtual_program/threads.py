@@ -1,0 +1,156 @@
+"""Threads as parties: started under the baton, joined in virtual time, ended with the program."""
+
+import sys
+import threading
+import weakref
+from _thread import start_new_thread as _start_new_thread
+from collections.abc import Callable, Mapping
+from concurrent.futures import thread as executors
+from functools import partial
+from threading import Event, Thread
+from types import MappingProxyType
+from typing import Any, Final
+
+from harness.parties import Cancelled, PartyThread, VirtualParty
+from harness.virtual_program.turn import Program, on_wall, party_here, program_here
+
+_ROUNDS: Final = 3  # so often it is ended that goes on all the same
+_GRACE_S: Final = 10.0  # of the rig's time, each round
+_parties: "weakref.WeakKeyDictionary[Thread, VirtualParty]" = weakref.WeakKeyDictionary()
+_start = Thread.start
+_join = Thread.join
+_is_alive = Thread.is_alive
+_is_set = Event.is_set
+_enumerate = threading.enumerate
+
+
+def start(thread: Thread) -> None:
+    """The thread is a party: it runs from when this one next waits."""
+    program = program_here()
+    if program is None or thread in _parties:
+        _start(thread)  # refuses a second start
+        return
+    if isinstance(thread, PartyThread):
+        with on_wall():
+            _start(thread)
+        return
+    party = VirtualParty(thread.name, program.runtime)
+    party.thread = thread
+    run = thread.run
+    work = partial(_run, thread, party, run)
+    vars(thread)["run"] = partial(program.runtime.run_party, party, work)
+    try:
+        with on_wall():  # until it waits for its first turn
+            _start(thread)
+    except BaseException:
+        del vars(thread)["run"]
+        raise
+    _parties[thread] = party
+    program.add(party)
+
+
+def join_executors() -> None:
+    """What was submitted to thread pools is done, and their threads have ended: as Python ends."""
+    with executors._global_shutdown_lock:  # noqa: SLF001 -- what Python's own end does
+        executors._shutdown = True  # noqa: SLF001
+    try:
+        for thread, queue in list(executors._threads_queues.items()):  # noqa: SLF001
+            party = _parties.get(thread)
+            if party is not None and not party.finished:
+                queue.put(None)
+                thread.join()
+    finally:
+        executors._shutdown = False  # noqa: SLF001
+
+
+def end_threads(program: Program) -> None:
+    """Threads that are left have ended in the wait that they are in, or have no turn any more.
+
+    Their `finally` has some seconds of the rig's time. Python does not even grant that to daemons.
+    """
+    runtime = program.runtime
+    for _ in range(_ROUNDS):
+        left = [party for party in program.parties if not party.finished]
+        for party in left:
+            runtime.end(party)
+        if not left or runtime.wait_until(_all_of(left), _GRACE_S):
+            return
+    for party in program.parties:
+        runtime.abandon(party)
+
+
+def _all_of(parties: list[VirtualParty]) -> Callable[[], bool]:
+    return lambda: all(party.finished for party in parties)
+
+
+def _run(thread: Thread, party: VirtualParty, run: Callable[[], None]) -> None:
+    """What the thread raises is told as Python does, but before another party has its turn."""
+    try:
+        run()
+    except (SystemExit, Cancelled):
+        pass
+    except BaseException:
+        if not party.is_ending:
+            kind, error, trace = sys.exc_info()
+            threading.excepthook(threading.ExceptHookArgs((kind, error, trace, thread)))
+
+
+def join(thread: Thread, timeout: float | None = None) -> None:
+    """The thread has ended, or `timeout` [s] of the rig's time have passed."""
+    program, party = program_here(), _parties.get(thread)
+    if program is None or party is None or party is party_here():
+        _join(thread, timeout)  # refuses to join itself
+        return
+    left_s = None if timeout is None else max(timeout, 0.0)
+    if program.runtime.wait_for_parties(party.has_finished, left_s):
+        with on_wall():  # it needs no turn for what it still does
+            _join(thread)
+
+
+def is_alive(thread: Thread) -> bool:
+    """Whether it has begun and not ended."""
+    program, party, me = program_here(), _parties.get(thread), party_here()
+    if program is None or party is None or me is None:
+        return _is_alive(thread)
+    program.look(me)
+    return not party.finished
+
+
+def is_set(event: Event) -> bool:
+    """Whether the event is set."""
+    answer = _is_set(event)
+    if not answer:
+        program, party = program_here(), party_here()
+        if program is not None and party is not None:
+            program.look(party)
+    return answer
+
+
+def enumerate_threads() -> list[Thread]:
+    """The threads that are alive; not those that only leave the operating system."""
+    return [thread for thread in _enumerate() if not _has_finished(thread)]
+
+
+def active_count() -> int:
+    """How many threads are alive."""
+    return len(enumerate_threads())
+
+
+def _has_finished(thread: Thread) -> bool:
+    party = _parties.get(thread)
+    return party is not None and party.finished
+
+
+def start_new_thread(
+    function: Callable[..., object],
+    args: tuple[Any, ...],
+    kwargs: Mapping[str, Any] = MappingProxyType({}),
+    /,
+) -> int:
+    """As _thread.start_new_thread, for old programs: a daemon thread."""
+    if program_here() is None:
+        return _start_new_thread(function, args, dict(kwargs))
+    thread = Thread(target=function, args=args, kwargs=kwargs, daemon=True)
+    thread.start()
+    assert thread.ident is not None
+    return thread.ident

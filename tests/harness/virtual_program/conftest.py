@@ -1,0 +1,21 @@
+from types import SimpleNamespace
+
+import pytest
+
+from emulators.event_queue import EventQueue
+from harness.virtual_program import in_virtual_time
+from harness.virtual_time import VirtualRuntime
+
+
+@pytest.fixture
+def rig():
+    """A rig in which nothing is."""
+    return SimpleNamespace(runtime=VirtualRuntime(EventQueue()), seed=7)
+
+
+@pytest.fixture
+def now_s(rig):
+    """A program is on; what the rig's own clock says, at which nobody looks."""
+    with in_virtual_time(rig):
+        yield lambda: rig.runtime.now_ns() / 1e9
+    rig.runtime.close()

@@ -1,0 +1,209 @@
+import _thread
+import queue
+import threading
+import time
+from concurrent.futures import ThreadPoolExecutor
+
+import pytest
+
+from harness.virtual_program import in_virtual_time, join_executors
+from motorapi.errors import UsageError
+
+THE_WALLS = (_thread.start_new_thread, _thread.allocate_lock)  # in here nothing replaces them
+
+
+def test_who_sleeps_lets_the_rigs_time_pass_and_others_run(now_s):
+    said = []
+
+    def worker(name, period_s):
+        for _ in range(2):
+            time.sleep(period_s)
+            said.append((name, now_s()))
+
+    threads = [threading.Thread(target=worker, args=(f"every {p}", p)) for p in (3.0, 2.0)]
+    for thread in threads:
+        thread.start()
+    assert not said  # who starts a thread keeps the turn
+    for thread in threads:
+        thread.join()
+    assert said == [("every 2.0", 2.0), ("every 3.0", 3.0), ("every 2.0", 4.0), ("every 3.0", 6.0)]
+    assert not any(thread.is_alive() for thread in threads)
+
+
+def test_a_lock_held_across_a_wait_is_waited_for_in_virtual_time_first_come_first_served(now_s):
+    lock, got = threading.Lock(), []
+
+    def taker(name):
+        with lock:
+            got.append((name, now_s()))
+            time.sleep(1.0)
+
+    threads = [threading.Thread(target=taker, args=(name,)) for name in "abc"]
+    with lock:
+        for thread in threads:
+            thread.start()
+        time.sleep(1.0)
+    for thread in threads:
+        thread.join()
+    assert got == [("a", 1.0), ("b", 2.0), ("c", 3.0)]
+
+
+def test_a_lock_that_is_not_let_go_in_time_is_not_taken(now_s):
+    lock = threading.Lock()
+    lock.acquire()
+    threading.Timer(2.0, lock.release).start()
+    assert not lock.acquire(timeout=1.5)
+    assert now_s() == 1.5
+    assert lock.acquire(timeout=1.5)
+    assert now_s() == 2.0
+    with pytest.raises(ValueError, match="non-blocking"):
+        lock.acquire(False, 1.0)
+    with pytest.raises(ValueError, match="positive"):
+        lock.acquire(True, -3.0)
+
+
+def test_a_reentrant_lock_is_one_threads(now_s):
+    lock = threading.RLock()
+    seen = []
+
+    def other():
+        seen.append((lock.acquire(False), lock.acquire(timeout=5.0), now_s()))
+        lock.release()
+
+    thread = threading.Thread(target=other)
+    with lock, lock:
+        thread.start()
+        time.sleep(1.0)
+    thread.join()
+    assert seen == [(False, True, 1.0)]
+    with pytest.raises(RuntimeError, match="un-acquired"):
+        lock.release()
+
+
+def test_queues_events_and_barriers_wait_in_virtual_time(now_s):
+    orders, done, gate = queue.Queue(maxsize=1), threading.Event(), threading.Barrier(2)
+    worked = []
+
+    def worker():
+        gate.wait()
+        while (order := orders.get(timeout=10.0)) is not None:
+            time.sleep(0.5)
+            worked.append((order, now_s()))
+        done.set()
+
+    threading.Thread(target=worker).start()
+    time.sleep(1.0)
+    gate.wait()
+    for order in (1, 2, None):
+        orders.put(order)  # waits until there is room
+    assert not done.wait(0.25)
+    assert done.wait(10.0)
+    assert worked == [(1, 1.5), (2, 2.0)]
+    with pytest.raises(queue.Empty):
+        orders.get(timeout=1.0)
+    assert now_s() == pytest.approx(3.0, abs=1e-4)  # looking at clocks takes a microsecond each
+    mail = queue.SimpleQueue()
+    threading.Timer(1.0, mail.put, ["post"]).start()
+    assert mail.get() == "post"
+
+
+def test_a_pool_works_side_by_side_and_ends_as_with_python(now_s):
+    def work(number):
+        time.sleep(1.0)
+        return number * 2, now_s()
+
+    with ThreadPoolExecutor(2) as pool:
+        assert list(pool.map(work, range(3))) == [(0, 1.0), (2, 1.0), (4, 2.0)]
+    left = ThreadPoolExecutor(1)
+    future = left.submit(work, 5)
+    join_executors()  # nobody has shut it down
+    assert future.result() == (10, 3.0)
+    assert threading.active_count() == 1
+    ThreadPoolExecutor(1).submit(int).result()  # there may be new ones
+
+
+def test_what_a_thread_raises_is_told_as_python_does_before_another_has_its_turn(
+    now_s, monkeypatch
+):
+    told = []
+    monkeypatch.setattr(
+        "threading.excepthook", lambda what: told.append((what.exc_type, what.thread.name, now_s()))
+    )
+
+    def fails():
+        time.sleep(1.0)
+        raise ZeroDivisionError
+
+    def leaves():
+        raise SystemExit
+
+    threads = [threading.Thread(target=work, name=work.__name__) for work in (fails, leaves)]
+    for thread in threads:
+        thread.start()
+    time.sleep(1.5)
+    assert told == [(ZeroDivisionError, "fails", 1.0)]
+
+
+def test_threads_that_are_left_end_with_the_program_and_their_cleaning_up_has_its_time(rig):
+    ended = []
+
+    def listens(name, cleaning_s):
+        try:
+            while True:
+                time.sleep(0.4)
+        finally:
+            time.sleep(cleaning_s)
+            ended.append((name, rig.runtime.now_ns() / 1e9))
+
+    with in_virtual_time(rig):
+        for name, cleaning_s in (("slow", 2.0), ("quick", 1.0)):
+            threading.Thread(target=listens, args=(name, cleaning_s), daemon=True).start()
+        time.sleep(1.0)
+        threading.Thread(target=ended.append, args=("never begun",)).start()
+    assert ended == [("quick", 2.0), ("slow", 3.0)]
+    rig.runtime.close()
+
+
+def test_a_thread_that_does_not_let_itself_be_ended_has_no_turn_any_more(rig):
+    turns = []
+
+    def stubborn():
+        while True:
+            try:
+                time.sleep(1.0)
+            except BaseException:
+                turns.append(rig.runtime.now_ns())
+
+    with in_virtual_time(rig):
+        threading.Thread(target=stubborn, daemon=True).start()
+        time.sleep(0.5)
+    count = len(turns)
+    assert count == 3
+    rig.runtime.run_for(100.0)
+    rig.runtime.close()
+    assert len(turns) == count
+
+
+def test_a_thread_of_somebody_else_has_the_wall_and_wakes_nobody(now_s):
+    start_new_thread, allocate_lock = THE_WALLS
+    event, over = threading.Event(), allocate_lock()
+    over.acquire()
+    refused, clocks = [], []
+
+    def foreign():
+        clocks.append(time.monotonic())
+        try:
+            event.set()
+        except UsageError as error:
+            refused.append(str(error))
+        over.release()
+
+    threading.Thread(target=event.wait, daemon=True).start()
+    time.sleep(1.0)
+    before_s = time.monotonic()
+    start_new_thread(foreign, ())
+    over.acquire()
+    assert before_s == pytest.approx(100_001.0, abs=1e-4)
+    assert abs(clocks[0] - 100_001.0) > 1.0
+    assert "would wake a party" in refused[0]
+    assert "threading.Thread" in refused[0]
