@@ -7,6 +7,15 @@ from harness.virtual_program import in_virtual_time
 from harness.virtual_time import VirtualRuntime
 
 
+@pytest.fixture(autouse=True)
+def nobody_sleeps_on_the_wall(monkeypatch):
+    def refuse(seconds):
+        pytest.fail(f"somebody sleeps {seconds} s on the wall")
+
+    monkeypatch.setattr("time.sleep", refuse)
+    monkeypatch.setattr("harness.virtual_program.clocks._sleep", refuse)
+
+
 @pytest.fixture
 def rig():
     """A rig in which nothing is."""

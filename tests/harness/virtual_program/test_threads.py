@@ -207,3 +207,8 @@ def test_a_thread_of_somebody_else_has_the_wall_and_wakes_nobody(now_s):
     assert abs(clocks[0] - 100_001.0) > 1.0
     assert "would wake a party" in refused[0]
     assert "threading.Thread" in refused[0]
+
+
+def test_sleeping_on_the_wall_fails_a_test_of_this_folder():
+    with pytest.raises(pytest.fail.Exception, match=r"sleeps 0\.5 s on the wall"):
+        time.sleep(0.5)
