@@ -45,6 +45,7 @@ _VERBS: Final = (
     _Verb(
         "diff", "find the first thing that two recordings tell differently", "harness.verbs.diff"
     ),
+    _Verb("conform", "check whether an adaptation keeps its promises", "harness.verbs.conform"),
     _Verb("report", "draw a recording on one page, on one time axis", "harness.verbs.report"),
     _Verb("convert", "turn recorded CAN traffic into another format", "harness.verbs.convert"),
     _Verb(

@@ -22,7 +22,7 @@ import can
 
 from harness.conformance.code_places import called_at
 
-_PATIENCE_S: Final = 0.5
+_PATIENCE_S: Final = 0.25
 _LOOK_AGAIN_S: Final = 0.01
 _DESCRIPTORS: Final = Path("/proc/self/fd")
 _TASKS: Final = Path("/proc/self/task")
@@ -77,9 +77,8 @@ class Watch:
 
     def _new_children(self) -> Iterator[str]:
         for pid in sorted(_children() - self._children):
+            yield f"a process ({_program(pid)})"
             with suppress(OSError):
-                words = Path(f"/proc/{pid}/cmdline").read_bytes().split(b"\0")
-                yield f"process {pid} ({b' '.join(words).decode(errors='replace').strip()})"
                 os.kill(pid, signal.SIGKILL)
                 os.waitpid(pid, 0)
 
@@ -129,6 +128,17 @@ def _descriptors() -> dict[int, str]:
         with suppress(OSError):  # the one that lists them is closed by now
             found[int(entry.name)] = os.readlink(entry)
     return found
+
+
+def _program(pid: int) -> str:
+    """What a process runs; its name alone if it has ended."""
+    words = b""
+    end_s = time.monotonic() + _LOOK_AGAIN_S
+    with suppress(OSError):
+        while not words and time.monotonic() < end_s:  # while it is being started it has none
+            words = Path(f"/proc/{pid}/cmdline").read_bytes().replace(b"\0", b" ").strip()
+        words = words or Path(f"/proc/{pid}/comm").read_bytes().strip()
+    return words.decode(errors="replace")
 
 
 def _children() -> set[int]:

@@ -5,8 +5,7 @@ process with it: `harness.conformance.supervision` sees to those.
 """
 
 from collections.abc import Callable, Iterable, Iterator
-from dataclasses import dataclass, replace
-from enum import Enum
+from dataclasses import replace
 from typing import TYPE_CHECKING, final
 
 from harness.conformance.bench import Opener
@@ -16,48 +15,12 @@ from harness.conformance.code_places import raised_at
 from harness.conformance.facts import NOTHING_DECLARED, Facts
 from harness.conformance.leaks import watched
 from harness.conformance.rig_bench import TimeIsUp
+from harness.conformance.verdict import Result, Verdict
 from harness.settings import BrokenPluginError, RigError
 from motorapi import MotorError, PluginError, UnsupportedError
 
 if TYPE_CHECKING:
     from harness.conformance.bench import RigProtocol
-
-
-@final
-class Result(Enum):
-    """How the check of a clause ended."""
-
-    PASSED = "passed"
-    FAILED = "failed"  # the promise was not kept
-    NOT_APPLICABLE = "not applicable"
-    CRASHED = "crashed"  # something was raised that is no error of the motor interface
-    HUNG = "hung"  # it did not end within its deadline
-    LEFT_BEHIND = "left behind"  # it passed, and left threads or an open bus
-
-    @property
-    def is_good(self) -> bool:
-        """Whether the adaptation is not to blame."""
-        return self in (Result.PASSED, Result.NOT_APPLICABLE)
-
-
-@final
-@dataclass(frozen=True, slots=True)
-class Verdict:
-    """What came of one clause.
-
-    Attributes:
-        clause: its id.
-        result: how it ended.
-        seen: what was seen, or why it is not applicable; "" where it passed.
-        place: where something was raised, "file:line"; "" where nothing was.
-        time_ns: of the bench, when it was over [ns].
-    """
-
-    clause: str
-    result: Result
-    seen: str = ""
-    place: str = ""
-    time_ns: int = 0
 
 
 def run_clauses(clauses: Iterable[Clause], open_bench: Opener) -> Iterator[Verdict]:

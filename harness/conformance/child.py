@@ -1,0 +1,142 @@
+"""A worker's process, from its supervisor's side: asked, heard, and ended whatever it does."""
+
+import json
+import os
+import select
+import signal
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Container, Mapping
+from contextlib import suppress
+from pathlib import Path
+from typing import Any, Final, final
+
+import harness
+
+_READ_MAX: Final = 65_536
+_SAID_MAX: Final = 8_192
+_END_S: Final = 2.0
+_PROGRAM: Final = "import sys; from harness.conformance.worker import main; main(sys.argv[1:])"
+
+
+class ChildEndedError(Exception):
+    """The worker is not there any more; the text says how it ended."""
+
+
+@final
+class Child:
+    """A worker that has been started; it is gone after `close`, and whatever it has started too.
+
+    It is in a process group of its own, so that Ctrl-C is ours alone to hear.
+
+    Attributes: said, the last of what was printed in it, since this was emptied.
+    """
+
+    def __init__(self) -> None:
+        self.said = b""
+        self._stacks = tempfile.TemporaryFile()  # noqa: SIM115 -- closed with the child
+        requests, self._requests = os.pipe()
+        self._replies, replies = os.pipe()
+        root = str(Path(harness.__file__).parent.parent)
+        others = [path for path in (os.environ.get("PYTHONPATH"),) if path]
+        options = [f"-W{one}" for one in sys.warnoptions] + ["-O"] * sys.flags.optimize
+        told = [str(one) for one in (requests, replies, self._stacks.fileno())]
+        self._process = subprocess.Popen(
+            [sys.executable, "-P", *options, "-c", _PROGRAM, *told],
+            env={**os.environ, "PYTHONPATH": os.pathsep.join([root, *others])},
+            stdin=subprocess.DEVNULL,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.STDOUT,
+            pass_fds=(requests, replies, self._stacks.fileno()),
+            process_group=0,
+        )
+        os.close(requests)
+        os.close(replies)
+        assert self._process.stdout is not None
+        self._output = self._process.stdout
+        self._ended = os.pidfd_open(self._process.pid)
+        self._heard = b""
+        self._is_idle = True
+        self._poll = select.poll()
+        for descriptor in (self._replies, self._output.fileno()):
+            os.set_blocking(descriptor, False)
+            self._poll.register(descriptor, select.POLLIN)
+        self._poll.register(self._ended, select.POLLIN)
+
+    def ask(self, request: Mapping[str, Any]) -> None:
+        """It has been told; what comes of it, `answer` tells."""
+        self._is_idle = False
+        with suppress(BrokenPipeError):  # it has ended, as `answer` tells
+            os.write(self._requests, json.dumps(request).encode() + b"\n")
+
+    def answer(self, timeout_s: float) -> dict[str, Any] | None:
+        """Its next answer; None if there is none within `timeout_s` [s].
+
+        Raises:
+            ChildEndedError: it has ended instead.
+        """
+        end_s = time.monotonic() + timeout_s
+        while b"\n" not in self._heard:
+            left_s = end_s - time.monotonic()
+            if left_s <= 0.0:
+                return None
+            ready = {descriptor for descriptor, _ in self._poll.poll(left_s * 1e3)}
+            self.said = (self.said + self._read(self._output.fileno(), ready))[-_SAID_MAX:]
+            self._heard += self._read(self._replies, ready)
+            if self._ended in ready and b"\n" not in self._heard:
+                raise ChildEndedError(self._how_it_ended())
+        line, _, self._heard = self._heard.partition(b"\n")
+        self._is_idle = True
+        answer: dict[str, Any] = json.loads(line)
+        return answer
+
+    def forget(self) -> None:
+        """What was printed and written of stacks so far does not count."""
+        self.said = b""
+        os.ftruncate(self._stacks.fileno(), 0)
+        os.lseek(self._stacks.fileno(), 0, os.SEEK_SET)  # its own too: the file was inherited
+
+    def signal(self, number: signal.Signals) -> None:
+        """It was sent this signal."""
+        with suppress(ProcessLookupError):
+            self._process.send_signal(number)
+
+    def stacks(self) -> str:
+        """What it has written of where its threads are."""
+        size = os.fstat(self._stacks.fileno()).st_size
+        return os.pread(self._stacks.fileno(), min(size, _READ_MAX), 0).decode(errors="replace")
+
+    def _read(self, descriptor: int, ready: Container[int]) -> bytes:
+        """What has come there; at its end it is heard no more."""
+        data = b""
+        if descriptor in ready:
+            with suppress(BlockingIOError):
+                data = os.read(descriptor, _READ_MAX)
+                if not data:
+                    self._poll.unregister(descriptor)
+        return data
+
+    def _how_it_ended(self) -> str:
+        facts = os.waitid(os.P_PID, self._process.pid, os.WEXITED | os.WNOWAIT)
+        assert facts is not None
+        if facts.si_code == os.CLD_EXITED:
+            return f"its process ended, with exit status {facts.si_status}"
+        return f"its process was ended by {signal.Signals(facts.si_status).name}"
+
+    def close(self) -> None:
+        """It has ended: by itself if it waits for the next request, else it was killed."""
+        os.close(self._requests)
+        poll = select.poll()
+        poll.register(self._ended, select.POLLIN)
+        if self._is_idle:
+            poll.poll(_END_S * 1e3)
+        with suppress(ProcessLookupError):  # it is not waited for yet: the group is still its own
+            os.killpg(self._process.pid, signal.SIGKILL)
+        self._process.wait()
+        self.told = self.stacks()
+        self._output.close()
+        self._stacks.close()
+        os.close(self._replies)
+        os.close(self._ended)

@@ -1,0 +1,75 @@
+"""What is tested, and on what: an adaptation and a rig, found by what a command line says."""
+
+import inspect
+import os
+from pathlib import Path
+from typing import Final, final
+
+from harness.conformance.bench import Opener
+from harness.conformance.code_places import home_of
+from harness.conformance.job import Job
+from harness.conformance.rig_bench import RigBench, bench_description
+from harness.plugins import ADAPTATIONS, installed, is_target, named
+from harness.rig import describe
+from harness.settings import BrokenPluginError, RigError
+from harness.wording import listed, nearest
+
+OWN_RIGS: Final = Path(__file__).parent / "rigs"
+
+
+@final
+class Target:
+    """A job whose adaptation has been loaded and whose rig has been read.
+
+    Attributes:
+        rig: the description, with the motors under test.
+        seed: of all chance.
+        home: where the adaptation's code is (`code_places.home_of`).
+
+    Raises:
+        RigError: one of them cannot be used.
+    """
+
+    def __init__(self, job: Job) -> None:
+        build = _loaded(job.adaptation) if job.adaptation else None
+        described = describe(Path(job.rig) if job.rig else _own_rig(job.adaptation, build))
+        self.rig = bench_description(described, job.adaptation or None)
+        self.seed = described.seed if job.seed is None else job.seed
+        first = self.rig.motors[self.rig.conformance.motors[0]]
+        self.adaptation: Final = first.adaptation
+        self.home: Final = home_of(getattr(build or _loaded(self.adaptation), "__module__", ""))
+
+    def opener(self, record: Path | None = None) -> Opener:
+        """What switches on a bench for it; everything is recorded to `record`."""
+        return lambda: RigBench(self.rig, self.seed, record=record)
+
+
+def _loaded(adaptation: str) -> object:
+    """The function that builds its motors."""
+    where = f"adaptation {adaptation}"
+    known = list(installed(ADAPTATIONS))
+    if not is_target(adaptation) and adaptation not in known:
+        message = f"is not installed (known: {listed(known)})"
+        remedy = nearest(adaptation, known)
+        if not remedy.startswith("did"):
+            remedy = "name one of these, or where it is: package.module:function"
+        raise RigError(where, message, remedy)
+    try:
+        return named(ADAPTATIONS, adaptation).load()
+    except (Exception, SystemExit) as error:
+        raise BrokenPluginError(
+            where, f"cannot be loaded: {type(error).__name__}: {error}", "mend it, or its name"
+        ) from error
+
+
+def _own_rig(adaptation: str, build: object) -> Path:
+    """The rig that comes with it."""
+    own = OWN_RIGS / f"{adaptation}.toml"
+    if own.exists():
+        return own
+    told = getattr(build, "conformance_rig", None)
+    if not isinstance(told, str | os.PathLike):
+        raise RigError(f"adaptation {adaptation}", "brings no rig to test it on", "add --rig RIG")
+    module = inspect.getmodule(build)
+    folder = Path(getattr(module, "__file__", None) or ".").parent
+    return folder / told

@@ -1,0 +1,133 @@
+"""The process in which clauses are checked, one after another, as its supervisor asks for them.
+
+It is told a job, then requests, each a line of JSON on one pipe, and answers each by a line on
+another. What the adaptation prints goes elsewhere. Of the two signals of the supervisor the first
+makes Python write down where every thread is; the second ends the check, if anything can.
+
+    {"job": {...}}                          -> {"ready": {...}}, or {"wrong": "why"}
+    {"check": "STOP-04", "record": null}    -> {"verdict": {...}}, or {"wrong": "why"}
+    {"claims": true}                        -> {"claims": {"homing": "why not, or nothing"}}
+"""
+
+import faulthandler
+import json
+import os
+import signal
+import sys
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from types import FrameType
+from typing import Any, Final, NoReturn, TextIO, final
+
+from harness.conformance.verdict import TELL_WHERE, TIME_IS_UP, packed
+
+_MARGIN_S: Final = 30.0
+"""So much later than its supervisor should have, it ends by itself: there is none any more."""
+
+
+@final
+class _Worker:
+    """Answers requests."""
+
+    def __init__(self, job: Mapping[str, Any]) -> None:
+        from harness.conformance.claims import Claims
+        from harness.conformance.job import Job
+        from harness.conformance.kit import all_clauses
+        from harness.conformance.target import Target
+
+        self._target = Target(Job.unpacked(job))
+        self._clauses = all_clauses()
+        self._claims = Claims(self._target.opener())
+
+    def ready(self) -> dict[str, object]:
+        """What the job is about."""
+        rig = self._target.rig
+        return {
+            "adaptation": self._target.adaptation,
+            "rig": str(rig.source.path),
+            "bench": rig.name,
+            "motors": list(rig.conformance.motors),
+            "seed": self._target.seed,
+            "deadline_s": rig.conformance.deadline_s,
+            "home": self._target.home,
+            "clauses": [
+                {"id": one.id, "level": one.level, "promise": one.promise, "source": one.source}
+                for one in self._clauses.values()
+            ],
+        }
+
+    def check(self, clause: str, record: str | None) -> dict[str, object]:
+        """The verdict of a clause."""
+        from harness.conformance.run import run_clause
+
+        opener = self._target.opener(Path(record) if record else None)
+        verdict = run_clause(self._clauses[clause], opener, self._claims, self._target.home)
+        return packed(verdict)
+
+    def claims(self) -> dict[str, str]:
+        """Why each capability is not claimed; "" of those that are."""
+        from harness.conformance.capability import Capability
+
+        return {one.key: self._claims.why_not(one) for one in Capability}
+
+
+def main(words: list[str]) -> None:
+    """Requests have been answered until there were no more.
+
+    Args:
+        words: the descriptors to read from and to write to, and of the file for stacks.
+    """
+    leave = os._exit
+
+    def leave_and_tell(status: int) -> NoReturn:
+        """Python's own, but that who asked for it is written down."""
+        faulthandler.dump_traceback(told)
+        leave(status)
+
+    reader, writer, stacks = (int(word) for word in words)
+    for descriptor in (reader, writer, stacks):
+        os.set_inheritable(descriptor, False)
+    with open(stacks, "w", closefd=False) as told:
+        faulthandler.enable(told)
+        faulthandler.register(TELL_WHERE, told)
+        signal.signal(TIME_IS_UP, _time_is_up)
+        os._exit = leave_and_tell
+        with open(reader) as requests:
+            _answer(requests, lambda reply: _write(writer, reply), told)
+    sys.stdout.flush()
+    sys.stderr.flush()
+    leave(0)  # whatever the adaptation has left running
+
+
+def _answer(requests: TextIO, reply: Callable[[object], None], told: TextIO) -> None:
+    from harness.settings import RigError
+
+    worker: _Worker | None = None
+    for line in requests:
+        request = json.loads(line)
+        try:
+            if worker is None:
+                sys.path[:] = request["path"]
+                worker = _Worker(request["job"])
+                reply({"ready": worker.ready()})
+            elif "claims" in request:
+                reply({"claims": worker.claims()})
+            else:
+                left_s = request["deadline_s"] + _MARGIN_S
+                faulthandler.dump_traceback_later(left_s, exit=True, file=told)
+                reply({"verdict": worker.check(request["check"], request["record"])})
+                faulthandler.cancel_dump_traceback_later()
+        except RigError as error:
+            reply({"wrong": f"{error}"})
+
+
+def _write(descriptor: int, reply: object) -> None:
+    data = json.dumps(reply).encode() + b"\n"
+    while data:
+        data = data[os.write(descriptor, data) :]
+
+
+def _time_is_up(number: int, frame: FrameType | None) -> None:
+    from harness.conformance.rig_bench import TimeIsUp
+
+    raise TimeIsUp("its time is up")

@@ -1,0 +1,255 @@
+"""`motorhil conform --adaptation NAME --rig RIG`: whether an adaptation keeps its promises.
+
+Each clause of the kit is checked on a bench of its own, in a process of its own: nothing that the
+adaptation does ends the run. A clause that fails is checked once more with the same seed, and that
+run is recorded.
+"""
+
+import argparse
+import os
+import re
+import sys
+import time
+from collections.abc import Callable, Sequence
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING, Final
+
+from harness.exit_status import FAILED, PASSED, WRONG_USAGE
+from harness.seed_option import add_seed
+from harness.settings import RigError
+from harness.wording import listed, nearest, one_line
+
+if TYPE_CHECKING:
+    from harness.conformance.examination import Finding
+    from harness.conformance.job import Promise
+    from harness.conformance.result_files import Outcome
+    from harness.conformance.supervision import Supervisor
+
+_MORE: Final = """\
+Without --rig the adaptation is checked on the rig that comes with it. Exit status: 0 it keeps what
+it claims, 1 it does not, or nothing at all was applicable, 2 wrong usage.
+"""
+_LEVEL_MAX: Final = 5
+_RECORDS: Final = Path("out", "conform")
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """What `conform` can be told."""
+    parser.epilog = _MORE
+    parser.add_argument(
+        "--adaptation",
+        metavar="NAME",
+        help="as in `motorhil list adaptations`, or where it is: package.module:function",
+    )
+    parser.add_argument("--rig", metavar="RIG", help="a rig file with its motors, to test it on")
+    parser.add_argument("--level", type=_level, metavar="L3", help="all clauses up to this level")
+    parser.add_argument("--clause", action="append", metavar="ID", help="this one; repeatable")
+    add_seed(parser)
+    parser.add_argument(
+        "-o",
+        "--output",
+        type=Path,
+        default=_RECORDS,
+        metavar="DIR",
+        help=f"where the records (MCAP) of failed clauses go (default {_RECORDS})",
+    )
+    parser.add_argument("--json", type=Path, metavar="FILE", help="write what was found as JSON")
+    parser.add_argument("--junit", type=Path, metavar="FILE", help="and as JUnit's XML")
+    parser.add_argument("--html", type=Path, metavar="FILE", help="and as a page to look at")
+    parser.add_argument("--list", action="store_true", help="say what is promised, and check none")
+
+
+def _level(text: str) -> int:
+    found = re.fullmatch(rf"[Ll]?([0-{_LEVEL_MAX}])", text)
+    if found is None:
+        raise argparse.ArgumentTypeError(f"{text!r} is no level; say L0 to L{_LEVEL_MAX}")
+    return int(found[1])
+
+
+def run(options: argparse.Namespace) -> int:
+    """Exit status: 0 all that it claims is kept, 1 something is not, or nothing was applicable.
+
+    Raises:
+        RigError: something cannot be used, or written.
+    """
+    from harness.conformance.job import Job
+    from harness.conformance.supervision import CannotTestError, Supervisor, WrongJobError
+    from harness.interrupts import ends_by_signal
+
+    if options.list:
+        return _list(options)
+    if options.adaptation is None and options.rig is None:
+        print(
+            "motorhil conform: which adaptation? Say --adaptation NAME, --rig RIG, or both",
+            file=sys.stderr,
+        )
+        return WRONG_USAGE
+    files = [one for one in (options.json, options.junit, options.html) if one is not None]
+    for file in files:
+        _require_writable(file)
+    if os.getcwd() not in sys.path:
+        sys.path.insert(0, os.getcwd())  # where what is not installed yet is looked for
+    job = Job(options.adaptation or "", options.rig or "", options.seed)
+    try:
+        with ends_by_signal(), Supervisor(job) as supervisor:
+            outcome = _outcome(options, supervisor)
+    except WrongJobError as error:
+        print(error, file=sys.stderr)
+        return WRONG_USAGE
+    except CannotTestError as error:
+        print(f"motorhil conform: {error}", file=sys.stderr)
+        return FAILED
+    _write(options, outcome)
+    _tell(outcome)
+    return PASSED if outcome.passed else FAILED
+
+
+def _require_writable(file: Path) -> None:
+    """Raises RigError if a file cannot be written there; before anything is checked."""
+    if file.is_dir():
+        raise RigError(file, "is a folder", "name a file in it")
+    if not file.parent.is_dir():
+        raise RigError(file, f"there is no folder {file.parent}", "make it, or name another")
+    if not os.access(file if file.exists() else file.parent, os.W_OK):
+        raise RigError(file, "cannot be written", "name another file")
+
+
+def _chosen(options: argparse.Namespace, known: "Sequence[Promise]") -> "list[Promise]":
+    """The clauses that are asked for, in the order of the kit.
+
+    Raises:
+        RigError: there is no such clause.
+    """
+    by_id = {one.id: one for one in known}
+    for name in options.clause or ():
+        if name not in by_id:
+            remedy = nearest(name, list(by_id))
+            if not remedy.startswith("did"):
+                remedy = f"one of {listed(by_id)}"
+            raise RigError(f"--clause {name}", "there is no such clause", remedy)
+    level = _LEVEL_MAX if options.level is None else options.level
+    return [
+        one
+        for one in known
+        if one.level <= level and (options.clause is None or one.id in options.clause)
+    ]
+
+
+def _list(options: argparse.Namespace) -> int:
+    from harness.conformance.job import Promise
+    from harness.conformance.kit import all_clauses
+    from harness.text_table import print_table
+
+    known = [Promise(one.id, one.level, one.promise, one.source) for one in all_clauses().values()]
+    rows = [(one.id, f"L{one.level}", one.promise, one.source) for one in _chosen(options, known)]
+    print_table(("clause", "level", "promise", "source"), rows, words=(0, 1, 2, 3))
+    return PASSED
+
+
+def _outcome(options: argparse.Namespace, supervisor: "Supervisor") -> "Outcome":
+    """Everything has been checked, and told as it came."""
+    from harness.conformance.examination import Examiner
+    from harness.conformance.result_files import Outcome
+    from harness.conformance.supervision import CannotTestError
+
+    chosen = _chosen(options, supervisor.loaded.clauses)
+    examiner = Examiner(supervisor, _command(options), options.output)
+    findings: list[Finding] = []
+    first_s = 0.0
+    for number, promise in enumerate(chosen, 1):
+        _progress(f"{promise.id} ({number} of {len(chosen)})")
+        finding = examiner.examine(promise)
+        first_s = first_s or _running_s()
+        _progress("")
+        _tell_one(finding)
+        findings.append(finding)
+    try:
+        claims = supervisor.claims()
+    except CannotTestError as error:
+        print(f"motorhil conform: {error}", file=sys.stderr)
+        claims = None
+    return Outcome(supervisor.loaded, findings, claims, first_s, _running_s())
+
+
+def _command(options: argparse.Namespace) -> list[str]:
+    words = ["motorhil", "conform"]
+    if options.adaptation is not None:
+        words += ["--adaptation", options.adaptation]
+    if options.rig is not None:
+        words += ["--rig", options.rig]
+    return words
+
+
+def _running_s() -> float:
+    """For how long this process has been there [s]."""
+    fields = Path("/proc/self/stat").read_text().rpartition(")")[2].split()
+    born_s = int(fields[19]) / os.sysconf("SC_CLK_TCK")
+    return time.clock_gettime(time.CLOCK_BOOTTIME) - born_s
+
+
+# --- telling -----------------------------------------------------------------------------------
+
+
+def _progress(text: str) -> None:
+    """On a terminal, what is being checked."""
+    if sys.stderr.isatty():
+        print(f"\r\033[K{text}", end="", file=sys.stderr, flush=True)
+
+
+def _tell_one(one: "Finding") -> None:
+    from harness.conformance.result_files import more_of
+
+    verdict = one.verdict
+    told = verdict.seen or one.promise.promise
+    print(
+        f"{one.promise.id:<10}{verdict.result.value:<15}{verdict.time_ns / 1e9:8.3f} s"
+        f"  {one_line(told)}"
+    )
+    for line in more_of(one):
+        print(f"{'':<10}{one_line(line)}")
+    sys.stdout.flush()
+
+
+def _tell(outcome: "Outcome") -> None:
+    from harness.conformance.verdict import Result
+
+    counts = [(outcome.count(result), result) for result in Result]
+    told = ", ".join(f"{count} {result.value}" for count, result in counts if count)
+    took = f"first verdict after {outcome.first_verdict_s:.2f} s, the last {outcome.took_s:.2f} s"
+    print(f"\n{len(outcome.findings)} clauses: {told or 'none'}; {took}")
+    if outcome.claims is not None:
+        claimed = [name for name, why_not in outcome.claims.items() if not why_not]
+        print(f"claimed: {listed(claimed)}")
+    reasons: dict[str, list[str]] = {}
+    for one in outcome.findings:
+        if one.verdict.result is Result.NOT_APPLICABLE:
+            reasons.setdefault(one.verdict.seen, []).append(one.promise.id)
+    for reason, names in reasons.items():
+        print(f"not applicable, for {one_line(reason)}: {', '.join(names)}")
+    if not outcome.count(Result.PASSED) and not any(
+        not one.verdict.result.is_good for one in outcome.findings
+    ):
+        print("motorhil conform: nothing was applicable, so nothing was shown", file=sys.stderr)
+
+
+def _write(options: argparse.Namespace, outcome: "Outcome") -> None:
+    """The files that were asked for are there.
+
+    Raises:
+        RigError: one cannot be written.
+    """
+    from harness.conformance.result_files import as_json, as_junit, as_page
+
+    texts: tuple[tuple[Path | None, Callable[[Outcome], str]], ...] = (
+        (options.json, as_json),
+        (options.junit, as_junit),
+        (options.html, partial(as_page, folder=options.html and options.html.parent)),
+    )
+    for file, text in texts:
+        if file is None:
+            continue
+        try:
+            file.write_text(text(outcome), encoding="utf-8")
+        except OSError as error:
+            raise RigError(file, f"cannot be written: {error.strerror}") from None

@@ -1,0 +1,92 @@
+"""An adaptation that does harm when its motors are disabled, and makes ideal motors else.
+
+At that moment it reads which from the file that MISBEHAVE names: nothing, or a function below.
+"""
+
+import os
+import subprocess
+import sys
+import threading
+from pathlib import Path
+
+import can
+
+from motorapi.adaptations import ideal
+
+KEPT = []  # what nothing but this module refers to
+
+
+def build(bus, settings, model, runtime):
+    motor = ideal.build(bus, settings, model, runtime)
+    disable = motor._disable
+
+    def harm():
+        name = Path(os.environ["MISBEHAVE"]).read_text()
+        if name:
+            globals()[name](motor)
+        disable()
+
+    motor._disable = harm
+    return motor
+
+
+build.needs_bus = False
+build.conformance_rig = "../../harness/conformance/rigs/ideal.toml"
+
+
+def raises(motor):
+    print("about to divide")
+    _ = 1 / 0
+
+
+def exits(motor):
+    print("the adaptation's last words", file=sys.stderr)
+    os._exit(3)
+
+
+def leaves(motor):
+    sys.exit("no more")
+
+
+def segfaults(motor):
+    import ctypes
+
+    ctypes.string_at(0)
+
+
+def works_for_ever(motor):
+    while True:
+        pass
+
+
+def works_whatever_comes(motor):
+    while True:
+        try:
+            threading.Event().wait(1.0)
+        except BaseException:
+            continue
+
+
+def waits_for_ever(motor):
+    threading.Event().wait()
+
+
+def waits_in_its_runtime(motor):
+    motor.runtime.every(0.1, lambda: None)
+    motor.runtime.wait_until(lambda: False)
+
+
+def leaves_a_thread(motor):
+    threading.Thread(target=threading.Event().wait, name="poller", daemon=True).start()
+
+
+def leaves_a_bus(motor):
+    can.Bus(interface="virtual", channel="private")
+
+
+def leaves_a_process(motor):
+    KEPT.append(subprocess.Popen([sys.executable, "-c", "import signal; signal.pause()"]))
+
+
+def leaves_a_descriptor(motor):
+    os.open("/dev/null", os.O_RDONLY)
