@@ -8,15 +8,20 @@ from harness.rig_file import SEED_MAX
 
 def add_seed(parser: argparse.ArgumentParser) -> None:
     """`--seed N` is understood: a number a rig may have, else None."""
-    parser.add_argument("--seed", type=_seed, metavar="N", help="instead of the rig's own seed")
+    parser.add_argument("--seed", type=seed, metavar="N", help="instead of the rig's own seed")
 
 
-def _seed(text: str) -> int:
-    seed = int(text, 0)
-    if not 0 <= seed <= SEED_MAX:
+def seed(text: str) -> int:
+    """For argparse's `type`: a seed.
+
+    Raises:
+        ValueError: it is none.
+    """
+    value = int(text, 0)
+    if not 0 <= value <= SEED_MAX:
         raise ValueError
-    return seed
+    return value
 
 
 _NAME: Final = f"seed (0 to {SEED_MAX})"
-_seed.__name__ = _NAME  # what argparse calls it when it is none
+seed.__name__ = _NAME  # what argparse calls it when it is none

@@ -1,0 +1,251 @@
+"""The rig of one test: which it is, where its record is, and how a failure is told."""
+
+import hashlib
+import os
+import re
+import shlex
+from collections.abc import Iterator, Mapping
+from contextlib import ExitStack, contextmanager, suppress
+from pathlib import Path
+from typing import Final, TypeVar, final
+
+import pytest
+
+from harness.pytest_plugin import OPENED, OWN_NAMES, option, record_folder
+from harness.replay.verdict import summary, unanswered
+from harness.rig import Rig, describe
+from harness.rig_parts import NoSuchName
+from harness.script import bus_settings
+from harness.settings import RigError
+from traces.errors import TraceError
+
+T = TypeVar("T")
+
+_KEYS: Final = ("seed", "motor", "group")
+_NAME_MAX: Final = 120
+_NO_RIG: Final = (
+    'no rig is named: say --rig=FILE, @pytest.mark.rig("FILE"), or motorhil_rig = "FILE" in '
+    "pytest's ini file (motorhil new DIR writes a rig)"
+)
+
+
+def require_rig(config: pytest.Config, name: str) -> None:
+    """The rig that the command line names can be used.
+
+    Raises:
+        pytest.UsageError: it cannot; with file, line and remedy.
+    """
+    try:
+        describe(config.invocation_params.dir / name)
+    except RigError as error:
+        raise pytest.UsageError(_shortened(str(error), config)) from None
+
+
+@contextmanager
+def opened_for(request: pytest.FixtureRequest) -> Iterator["RigOfTest"]:
+    """The rig of a test, open within the block; what goes wrong with it is told in one line."""
+    try:
+        opened = RigOfTest(request.node, getattr(request, "param", None))
+    except RigError as error:
+        raise _failure(str(error), request.config) from None
+    request.node.stash[OPENED] = opened
+    yield opened
+    opened.close()
+
+
+def _failure(text: str, config: pytest.Config) -> BaseException:
+    """To be raised: the test fails with this text, and no traceback of ours."""
+    return pytest.fail.Exception(_shortened(text, config), pytrace=False)
+
+
+def _shortened(text: str, config: pytest.Config) -> str:
+    return text.replace(f"{config.invocation_params.dir}{os.sep}", "")
+
+
+@final
+class RecordOfTest(os.PathLike[str]):
+    """Where a test's record is being written; a path.
+
+    Attributes: path; kept, whether it stays though the test passes.
+    """
+
+    def __init__(self, opened: "RigOfTest", path: Path) -> None:
+        self.path = path
+        self.kept = False
+        self._opened = opened
+
+    def __fspath__(self) -> str:
+        return str(self.path)
+
+    def keep(self) -> None:
+        """It stays, though the test passes."""
+        self.kept = True
+
+    def complete(self) -> Path:
+        """The rig is closed, and the record can be read: where."""
+        self._opened.close()
+        return self.path
+
+
+@final
+class RigOfTest:
+    """The rig of one test, and what is told of it.
+
+    Attributes: rig, open until `close`; record.
+
+    Raises:
+        RigError: no rig is named, or it cannot be used.
+    """
+
+    def __init__(self, item: pytest.Item, parameter: object) -> None:
+        self._item = item
+        self._config = item.config
+        self._marked = _marked(item)
+        seed = option(item.config, "seed")
+        if seed is None:
+            seed = self._marked.get("seed")
+        name = re.sub(r"[^\w.-]+", "-", item.nodeid)[-_NAME_MAX:].strip("-")
+        digest = hashlib.sha256(item.nodeid.encode()).hexdigest()[:6]
+        folder = record_folder(item.config)
+        self._kept = folder / f"{name}-{digest}.mcap"
+        self._failed = self._is_closed = self._is_told = self._is_over = False
+        try:
+            folder.mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            raise RigError(
+                folder, f"cannot be made: {error.strerror}", "name another with --record-dir"
+            ) from None
+        self.record = RecordOfTest(self, folder / f"{self._kept.stem}.{os.getpid()}.part.mcap")
+        with ExitStack() as stack:
+            path, self._told_path = self._path(parameter)
+            realtime = bool(option(item.config, "realtime"))
+            stack.callback(self.record.path.unlink, missing_ok=True)
+            self.rig = Rig.open(path, seed, realtime, self.record.path)
+            stack.pop_all()
+            stack.enter_context(self.rig)
+            stack.enter_context(bus_settings(self.rig))
+            self._stack = stack.pop_all()
+
+    def _path(self, parameter: object) -> tuple[Path, list[str]]:
+        """Of the rig; and what a command line must say so that it is this one."""
+        beside = self._item.path.parent
+        named = parameter if parameter is not None else self._marked.get("rig")
+        if isinstance(named, str | os.PathLike):
+            return beside / named, []
+        given = option(self._config, "rig")
+        if given is not None:
+            own = self._config.stash[OWN_NAMES]["rig"]
+            return self._config.invocation_params.dir / given, [f"{own}={given}"]
+        ini = self._config.getini("motorhil_rig")
+        if not ini:
+            raise RigError(self._item.nodeid, _NO_RIG)
+        place = self._config.inipath
+        return (self._config.rootpath if place is None else place.parent) / ini, []
+
+    def named(self, what: str, things: Mapping[str, T], parameter: object) -> T:
+        """The motor or group that the test means: by parameter, by mark, or the rig's first."""
+        name = self._marked.get(what) if parameter is None else parameter
+        try:
+            if name is None and not things:
+                raise NoSuchName(f"no {what} in this rig")
+            return things[next(iter(things)) if name is None else str(name)]
+        except (RigError, NoSuchName) as error:
+            raise _failure(str(error), self._config) from None
+
+    def close(self) -> None:
+        """The rig is closed, the record complete; the test fails where that was not possible."""
+        if self._is_closed:
+            return
+        self._is_closed = True
+        try:
+            self._stack.close()
+        except (RigError, TraceError) as error:
+            raise _failure(str(error), self._config) from None
+        if unanswered(self.rig):
+            raise _failure("\n".join(summary(self.rig)), self._config)
+
+    # --- what came of it ---------------------------------------------------------------------
+
+    def hear(self, report: pytest.TestReport) -> None:
+        """A phase of the test is over: of a failure it is told where its record is."""
+        if report.failed:
+            self._failed = True
+            if not self._is_told:
+                self._is_told = True
+                report.sections.append(("motorhil", "\n".join(self._told())))
+        if report.when == "teardown":
+            self._end()
+
+    def interrupt(self) -> None:
+        """The session is over; if the test is not, it was interrupted, and its record stays."""
+        if not self._is_over:
+            self._failed = True
+            self._end()
+            reporter = self._config.pluginmanager.get_plugin("terminalreporter")
+            if reporter is not None:
+                reporter.ensure_newline()
+                reporter.write_line(f"motorhil: interrupted: {'; '.join(self._told())}")
+
+    def _end(self) -> None:
+        """The record is where it stays, or it is no more."""
+        self._is_over = True
+        if self.record.kept or self._failed:
+            with suppress(FileNotFoundError):  # never begun, or taken away by the test
+                self.record.path.replace(self._kept)
+            self.record.path = self._kept
+        else:
+            self.record.path.unlink(missing_ok=True)
+
+    def _told(self) -> Iterator[str]:
+        here = self._config.invocation_params.dir
+        record = self._kept
+        if record.is_relative_to(here):
+            record = record.relative_to(here)
+        now_s = self.rig.runtime.now_ns() / 1e9
+        yield f"record: {shlex.quote(str(record))}, seed {self.rig.seed}, failed at {now_s:.6f} s"
+        yield from (f"note:   {note}" for note in self.rig.notes)
+        yield f"look:   motorhil show {shlex.quote(str(record))} --last 1"
+        yield f"again:  {self._again()}"
+
+    def _again(self) -> str:
+        """The command that repeats the test alone."""
+        config = self._config
+        names = config.stash[OWN_NAMES]
+        words = ["pytest"]
+        if config.option.inifilename:
+            words += ["-c", str(config.option.inifilename)]
+        if config.option.rootdir:
+            words.append(f"--rootdir={config.option.rootdir}")
+        for setting in config.option.override_ini or ():
+            words += ["-o", setting]
+        words += [*self._told_path, f"{names['seed']}={self.rig.seed}"]
+        if option(config, "record-dir"):
+            words.append(f"{names['record-dir']}={option(config, 'record-dir')}")
+        if option(config, "realtime"):
+            words.append(names["realtime"])
+        file, separator, names_in_it = self._item.nodeid.partition("::")
+        place = os.path.relpath(config.rootpath / file, config.invocation_params.dir)
+        return shlex.join([*words, f"{place}{separator}{names_in_it}"])
+
+
+def _marked(item: pytest.Item) -> dict[str, object]:
+    """What the test's marks say, the innermost first.
+
+    Raises:
+        RigError: one of them says what no mark can.
+    """
+    found: dict[str, object] = {}
+    for mark in item.iter_markers("rig"):
+        said = dict(mark.kwargs)
+        unknown = [name for name in said if name not in _KEYS]
+        if unknown or len(mark.args) > 1:
+            raise RigError(
+                item.nodeid,
+                f"@pytest.mark.rig takes one file, and {', '.join(_KEYS)}; not "
+                + (unknown[0] if unknown else f"{len(mark.args)} files"),
+                'write @pytest.mark.rig("FILE", seed=N)',
+            )
+        if mark.args:
+            said["rig"] = mark.args[0]
+        found = {**said, **found}
+    return found
