@@ -191,3 +191,13 @@ def recording(request: pytest.FixtureRequest, rig: "Rig") -> "RecordOfTest":
     """The test's record: `complete()` closes the rig, and it can be read; `keep()` lets it stay."""
     opened = request.node.stash[OPENED]
     return opened.record  # type: ignore[no-any-return] # likewise
+
+
+@pytest.fixture
+def virtual_time(request: pytest.FixtureRequest, rig: "Rig") -> None:
+    """`time`, `threading` and `queue` go by the rig from now on: for code that knows no rig.
+
+    A test, or all of a suite, has it by `@pytest.mark.usefixtures("virtual_time")`, or by
+    `usefixtures = virtual_time` in pytest's ini file.
+    """
+    request.node.stash[OPENED].enter_virtual_time()

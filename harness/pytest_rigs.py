@@ -152,6 +152,12 @@ class RigOfTest:
         except (RigError, NoSuchName) as error:
             raise _failure(str(error), self._config) from None
 
+    def enter_virtual_time(self) -> None:
+        """This thread, and those it starts, are a program in the rig's time, until `close`."""
+        from harness.virtual_program import in_virtual_time
+
+        self._stack.enter_context(in_virtual_time(self.rig))
+
     def close(self) -> None:
         """The rig is closed, the record complete; the test fails where that was not possible."""
         if self._is_closed:

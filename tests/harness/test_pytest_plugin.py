@@ -1,5 +1,6 @@
-"""The pytest plugin, as a project meets it that has motorhil installed and knows nothing else."""
+"""The pytest plugin, as a project meets it that has motorhil installed."""
 
+import json
 import re
 import shlex
 import subprocess
@@ -7,12 +8,10 @@ import sys
 
 import pytest
 
-import harness.cli
-import harness.pytest_rigs  # stays loaded between the runs below
+import harness.pytest_rigs  # noqa: F401 -- stays loaded between the runs below
+from harness.cli import main
 from harness.scaffold import write_new_rig
-from tests.harness.rigs import GOOD  # noqa: F401
-from traces.digest import digest_of
-from traces.reader import read_metadata
+from traces.digest import digest
 
 pytest_plugins = ["pytester"]
 TURN = """
@@ -24,4 +23,338 @@ def turn(motor, place_rad):
     motor.set_setpoint(place_rad)
     motor.start()
     motor.wait_until_done(timeout_s=5)
+    return motor.position()
+
 """
+SHORT = """
+def test_short(motor):
+    assert turn(motor, 0.2) > 0.3
+"""
+
+
+@pytest.fixture
+def project(pytester, monkeypatch):
+    """A project with two wheels; its settings for pytest are its own."""
+    monkeypatch.delenv("PYTEST_ADDOPTS", raising=False)
+    write_new_rig(pytester.path / "wheels")
+    pytester.makeini("[pytest]\naddopts = -W error -p no:cacheprovider -p no:hypothesispytest\n")
+    return pytester
+
+
+@pytest.fixture
+def run(project):
+    """Writes the tests, if any, and runs pytest in this process: its result."""
+
+    def write_and_run(tests, *words):
+        if tests:
+            project.makepyfile(TURN + tests)
+        return project.runpytest_inprocess(*words)
+
+    return write_and_run
+
+
+def records(project, folder="out"):
+    return sorted(path.name for path in (project.path / folder).glob("*"))
+
+
+def again(result):
+    """The words of the one command that is told behind "again:", without pytest."""
+    (command,) = re.findall(r"^again:  (.*)$", result.stdout.str(), re.MULTILINE)
+    program, *words = shlex.split(command)
+    assert program == "pytest"
+    return words
+
+
+# --- records
+
+
+def test_what_passes_leaves_nothing_and_what_fails_its_record(project, run):
+    result = run(
+        """
+def test_passes(motor, rig):
+    assert abs(turn(motor, 0.2) - 0.2) < 0.001
+
+def test_fails(motor):
+    assert turn(motor, 0.2) > 0.3
+
+@pytest.mark.xfail(strict=True)
+def test_fails_as_expected(rig):
+    assert False
+
+def test_skips(rig):
+    pytest.skip("not today")
+
+def test_is_kept(motor, recording):
+    motor.enable()
+    recording.keep()
+    assert recording.complete().stat().st_size > 1000
+
+@pytest.fixture
+def broken(rig):
+    raise ValueError("no such jig")
+
+def test_is_never_begun(broken):
+    pass
+
+@pytest.fixture
+def breaks(rig):
+    yield
+    raise ValueError("the jig fell over")
+
+def test_ends_badly(breaks):
+    pass
+""",
+        *("--rig", "wheels/rig.toml"),
+    )
+    result.assert_outcomes(passed=3, failed=1, xfailed=1, skipped=1, errors=2)
+    names = ["test_ends_badly", "test_fails", "test_is_kept", "test_is_never_begun"]
+    assert [re.sub(r"^.*\.py-(.*)-\w{6}\.mcap$", r"\1", name) for name in records(project)] == names
+    told = re.findall(r"^record: (\S+), seed 1, failed at", result.stdout.str(), re.MULTILINE)
+    assert sorted(told) == [f"out/{name}" for name in records(project) if "kept" not in name]
+
+
+def test_where_nothing_failed_there_is_no_folder_for_records(project, run):
+    run("def test_it(rig):\n    pass\n", "--rig=wheels/rig.toml").assert_outcomes(passed=1)
+    assert not (project.path / "out").exists()
+
+
+def test_the_command_that_is_told_repeats_it_byte_for_byte(project, run, capsys):
+    tests = (
+        "class TestWheel:\n    def test_it(self, motor):\n        assert turn(motor, 0.2) > 0.3\n"
+    )
+    first = run(tests, "--rig=wheels/rig.toml", "--seed=77", "--record-dir=kept here")
+    first.assert_outcomes(failed=1)
+    (record,) = (project.path / "kept here").glob("*")
+    digests = [digest(record)]
+    record.unlink()
+    second = run(None, *again(first))
+    second.assert_outcomes(failed=1)
+    for result in (first, second):
+        result.stdout.fnmatch_lines(["record: 'kept here/*', seed 77, failed at *"])
+    digests.append(digest(record))
+    assert digests[0] == digests[1]
+
+    capsys.readouterr()
+    assert main(["show", str(record), "--last", "1"]) == 0  # as is told
+    assert "left" in capsys.readouterr().out
+    assert f"look:   motorhil show '{record.relative_to(project.path)}'" in first.stdout.str()
+
+
+def test_the_command_is_for_the_folder_it_was_called_in(project, run, monkeypatch):
+    project.makepyfile(TURN + SHORT)
+    (project.path / "elsewhere").mkdir()
+    monkeypatch.chdir(project.path / "elsewhere")
+    rig = str(project.path / "wheels/rig.toml")
+    words = ["-c", "../tox.ini", f"--rig={rig}", "-o", "console_output_style=count", ".."]
+    result = project.runpytest_inprocess(*words)
+    result.assert_outcomes(failed=1)
+    told = again(result)
+    assert told[-1] == "../test_the_command_is_for_the_folder_it_was_called_in.py::test_short"
+    assert told[:4] == ["-c", "../tox.ini", "-o", "console_output_style=count"]
+    project.runpytest_inprocess(*told).assert_outcomes(failed=1)
+    assert len(records(project)) == 1  # beside the ini file
+
+
+def test_several_workers_keep_each_record_of_its_own(project, run):
+    tests = """
+@pytest.mark.parametrize('place_rad', [0.1, 0.2, 0.3], ids=["a/b", "a:b", "c"])
+def test_it(motor, place_rad):
+    assert turn(motor, place_rad) > 9.0
+"""
+    run(tests, "--rig=wheels/rig.toml", "-n", "2").assert_outcomes(failed=3)
+    shared = {path.name: digest(path) for path in (project.path / "out").glob("*")}
+    run(None, "--rig=wheels/rig.toml", "--record-dir=alone").assert_outcomes(failed=3)
+    alone = {path.name: digest(path) for path in (project.path / "alone").glob("*")}
+    assert shared == alone
+    assert len(set(alone.values())) == 3
+
+
+def test_the_record_of_a_test_that_was_interrupted_stays(project):
+    project.makepyfile("def test_it(motor):\n    motor.enable()\n    raise KeyboardInterrupt\n")
+    result = project.runpytest_inprocess("--rig=wheels/rig.toml", no_reraise_ctrlc=True)
+    result.stdout.re_match_lines([r"motorhil: interrupted: record: out/\S+\.mcap, seed 1, .*"])
+    (name,) = records(project)
+    assert main(["show", str(project.path / "out" / name), "--last", "1"]) == 0
+
+
+def test_a_recording_that_could_not_answer_fails_the_test(project, run):
+    run(
+        "def test_it(motor, recording):\n    turn(motor, 0.2)\n    recording.keep()\n",
+        "--rig=wheels/rig.toml",
+    ).assert_outcomes(passed=1)
+    record = f"--rig=out/{records(project)[0]}"
+    same = run("def test_it(motor):\n    assert abs(turn(motor, 0.2) - 0.2) < 0.001\n", record)
+    same.assert_outcomes(passed=1)
+    other = run("def test_it(motor):\n    turn(motor, 0.4)\n", record)
+    other.assert_outcomes(failed=1, errors=1)
+    other.stdout.fnmatch_lines(["*commands not in the recording; first:"])
+
+
+# --- which rig, motor, group, seed
+
+
+def test_the_innermost_mark_says_it_then_the_command_line_then_the_ini_file(project, run):
+    project.makeini("[pytest]\nmotorhil_rig = wheels/rig.toml\n")
+    text = (project.path / "wheels/rig.toml").read_text()
+    for name in ("marked", "told"):
+        named = text.replace('name = "two wheels"', f'name = "{name}"')
+        (project.path / f"wheels/{name}.toml").write_text(named)
+    tests = """
+@pytest.mark.rig("wheels/marked.toml", seed=3, motor="left")
+class TestMarked:
+    @pytest.mark.rig(motor="right")
+    def test_innermost(self, rig, motor):
+        said(rig, motor)
+
+    def test_outer(self, rig, motor):
+        said(rig, motor)
+
+def test_plain(rig, motor, group):
+    assert len(group) == 2
+    said(rig, motor)
+
+@pytest.mark.parametrize("motor", ["left", "right"], indirect=True)
+@pytest.mark.parametrize("rig", ["wheels/told.toml"], indirect=True)
+def test_parameters(rig, motor):
+    said(rig, motor)
+
+def said(rig, motor):
+    print(f"said {rig.description.name} {motor.name} {rig.seed}")
+"""
+
+    def said(*words):
+        result = run(tests, "-s", "-v", *words)
+        result.assert_outcomes(passed=5)
+        return re.findall(r"said (.*) (\w+) (\d+)$", result.stdout.str(), re.MULTILINE)
+
+    marked = [("marked", "right", "3"), ("marked", "left", "3")]
+    by_parameter = [("told", "left", "1"), ("told", "right", "1")]
+    assert said() == [*marked, ("two wheels", "left", "1"), *by_parameter]
+    on_line = said("--rig", "wheels/told.toml", "--seed", "0x10")
+    assert on_line[2] == ("told", "left", "16")
+    assert [name for name, _, _ in on_line] == ["marked", "marked", "told", "told", "told"]
+    assert {seed for _, _, seed in on_line} == {"16"}
+
+
+def test_can_bus_joins_the_rig_and_code_for_hardware_runs_in_its_time(project):
+    project.makepyfile(
+        """
+import threading, time
+import can, pytest
+
+@pytest.fixture
+def bus():
+    with can.Bus() as bus:
+        yield bus
+
+def test_a_drive_boots(bus):
+    heard = []
+    listener = threading.Thread(target=lambda: heard.append(bus.recv(3600.0)))
+    listener.start()
+    begin = time.monotonic()
+    time.sleep(1000.0)
+    assert time.monotonic() - begin == pytest.approx(1000.0, abs=0.01)
+    listener.join()
+    assert heard[0].arbitration_id == 0x701
+"""
+    )
+    words = ["--rig=wheels/rig.toml", "-o", "usefixtures=virtual_time"]
+    project.runpytest_inprocess(*words).assert_outcomes(passed=1)
+
+
+# --- what is wrong is told, without a traceback of ours
+
+
+def test_a_wrong_rig_on_the_command_line_is_wrong_usage(project, run):
+    with (project.path / "wheels/rig.toml").open("a") as file:
+        file.write("\n[moter.left]\n")
+    result = run("def test_it():\n    pass\n", "--rig=wheels/rig.toml")
+    assert result.ret == pytest.ExitCode.USAGE_ERROR
+    (told,) = [line for line in result.stderr.lines if line]
+    assert re.match(r"ERROR: wheels/rig\.toml:\d+: moter: .*did you mean motor", told)
+    result = run(None, "--seed=-1")
+    assert result.ret == pytest.ExitCode.USAGE_ERROR
+    assert "is no seed (0 to 4294967295)" in result.stderr.str()
+
+
+def test_what_a_test_names_wrongly_is_one_line(project, run):
+    (project.path / "file").write_text("")
+    result = run(
+        """
+def test_a(rig):
+    pass
+
+@pytest.mark.rig("wheels/none.toml")
+def test_b(rig):
+    pass
+
+@pytest.mark.rig("wheels/rig.toml", sed=1)
+def test_c(rig):
+    pass
+
+@pytest.mark.rig("wheels/rig.toml", motor="middle")
+def test_d(motor):
+    pass
+""",
+        "--record-dir=records",
+    )
+    result.assert_outcomes(errors=4)
+    result.stdout.fnmatch_lines(
+        [
+            "*::test_a: no rig is named: say --rig=FILE, *",
+            "wheels/none.toml: no such file; *",
+            "*::test_c: @pytest.mark.rig takes one file, and seed, motor, group; not sed; *",
+            "no motor 'middle' in this rig (known: left, right)",
+        ]
+    )
+    assert "harness" not in result.stdout.str()
+    assert "Traceback" not in result.stdout.str()
+    result = run(None, "--record-dir=file", "--rig=wheels/rig.toml", "-k", "test_a")
+    result.stdout.fnmatch_lines(["file: cannot be made: *; name another with --record-dir"])
+
+
+# --- beside others
+
+
+def test_an_option_that_somebody_else_has_stays_theirs(project, run):
+    project.makeconftest(
+        """
+def pytest_addoption(parser):
+    parser.addoption("--seed", default="theirs")
+    parser.addoption("--mine", action="store_true")
+
+def pytest_report_header(config):
+    return f"seed of theirs: {config.getoption('--seed')}"
+"""
+    )
+    (project.path / "wheels/conftest.py").write_text("raise ValueError('not asked for')\n")
+    words = ["--rig", "wheels/rig.toml", "--motorhil-seed=9", "--seed", "x", "--mine"]
+    result = run(SHORT, *words, "--ignore=wheels")
+    result.assert_outcomes(failed=1)
+    result.stdout.fnmatch_lines(
+        [
+            "motorhil: --seed is not ours here; --motorhil-seed is",
+            "seed of theirs: x",
+            "record: *, seed 9, failed at * s",
+        ]
+    )
+    assert again(result)[:2] == ["--rig=wheels/rig.toml", "--motorhil-seed=9"]
+
+
+def test_where_nobody_asks_for_a_rig_nothing_is_loaded(project):
+    program = """
+import json, sys, pytest
+pytest.main(["-q", "--collect-only", "-p", "no:hypothesispytest"])
+print(json.dumps([name for name in sys.modules]))
+"""
+    done = subprocess.run(
+        [sys.executable, "-c", program],
+        cwd=project.path,
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    loaded = json.loads(done.stdout.splitlines()[-1])
+    ours = [one for one in loaded if one.split(".")[0] in ("harness", "motorapi", "emulators")]
+    assert ours == ["harness", "harness.pytest_plugin"]
+    assert not {"can", "numpy", "mcap", "hypothesis", "traces"} & set(loaded)
