@@ -9,13 +9,15 @@ import _thread
 import queue
 import sys
 import threading
+import time
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from queue import _PySimpleQueue  # type: ignore[attr-defined]  # typeshed does not know it
+from sched import scheduler
 from threading import Event, Thread
 from typing import Any, final
 
-from harness.virtual_program import clocks, locks, threads
+from harness.virtual_program import clocks, dates, locks, refusals, threads
 from harness.virtual_program.locks import Lock, RLock
 from harness.virtual_program.turn import OUTSIDE
 
@@ -35,13 +37,16 @@ def standard_library_replaced() -> Iterator[None]:
     there: _Names = {id(original): (original, own) for original, own in pairs}
     back: _Names = {id(own): (own, original) for original, own in pairs}
     methods = _methods()
+    defaults = scheduler.__init__.__defaults__  # bound when somebody imported it
     before = [(kind, name, vars(kind).get(name)) for kind, name, _ in methods]
     try:
         for kind, name, own in methods:
             setattr(kind, name, own)
         _rebind(there)
+        scheduler.__init__.__defaults__ = (time.monotonic, time.sleep)
         yield
     finally:
+        scheduler.__init__.__defaults__ = defaults
         _rebind(back)
         for kind, name, original in before:
             if original is None:
@@ -61,6 +66,8 @@ def _pairs() -> list[tuple[object, object]]:
         (threading.active_count, threads.active_count),
         (queue.SimpleQueue, SimpleQueue),
         *clocks.stand_ins(),
+        *dates.stand_ins(),
+        *refusals.stand_ins(),
     ]
 
 
@@ -70,6 +77,7 @@ def _methods() -> _Methods:
         (Thread, "join", threads.join),
         (Thread, "is_alive", threads.is_alive),
         (Event, "is_set", threads.is_set),
+        *refusals.methods(),
     ]
 
 

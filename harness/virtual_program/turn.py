@@ -26,7 +26,7 @@ _LOOK_NS: Final = 1_000
 _SPIN_LOOK_NS: Final = 10_000
 _BILL_NS: Final = 1_000_000
 _SPIN_BILLS: Final = 10
-_TOLD_BILLS: Final = 100
+_TOLD_BILLS: Final = 1_000
 
 
 @final
@@ -34,8 +34,8 @@ class Program:
     """What runs in virtual time: its runtime, and how far its clocks are ahead of it.
 
     A look (at a clock, an event, a lock that is taken) lets a clock be 1 us ahead, and no time
-    pass; when it is 1 ms ahead, the party that looks waits until time has come there. So a program
-    that looks until something changes gets there, and others have their turns meanwhile.
+    pass; at a party's thousandth look it waits until time has come there. So a program that looks
+    until something changes gets there, and others have their turns meanwhile.
     """
 
     def __init__(self, runtime: VirtualRuntime) -> None:
@@ -54,10 +54,13 @@ class Program:
 
     def look(self, party: VirtualParty) -> int:
         """What a clock says [ns], a little more at each look; that may take a wait."""
-        queue = self.runtime.queue
+        now_ns = self.runtime.queue.now_ns
         step_ns = _LOOK_NS if self._bills < _SPIN_BILLS else _SPIN_LOOK_NS
-        self.ahead_ns = max(queue.now_ns, self.ahead_ns + step_ns)
-        if self.ahead_ns - queue.now_ns >= _BILL_NS and not self.runtime.is_in_callback():
+        self.ahead_ns = max(now_ns, self.ahead_ns + step_ns)
+        if party.looked_ns != now_ns:
+            party.looked_ns, party.owed_ns = now_ns, 0
+        party.owed_ns += step_ns
+        if party.owed_ns >= _BILL_NS and not self.runtime.is_in_callback():
             self._pay(party)
         return self.ahead_ns
 
@@ -99,8 +102,8 @@ def party_here() -> VirtualParty | None:
     return program.runtime.party_of_thread()
 
 
-def caller_is_outside(depth: int = 2) -> bool:
-    """Whether the function that called who asks belongs to the packages in `OUTSIDE`."""
+def caller_is_outside(depth: int) -> bool:
+    """Whether the function so many calls up belongs to the packages in `OUTSIDE`."""
     name = sys._getframe(depth).f_globals.get("__name__", "")  # noqa: SLF001 -- no other is as fast
     return isinstance(name, str) and name.partition(".")[0] in OUTSIDE
 

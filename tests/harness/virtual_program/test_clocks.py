@@ -1,0 +1,191 @@
+import datetime
+import sched
+import sys
+import threading
+import time
+from contextlib import nullcontext
+from types import ModuleType
+
+import pytest
+
+from harness.pace import WallPace
+from harness.virtual_program import in_virtual_time
+
+UP_S = 100_000.0  # what a machine has been on for, when the rig is switched on
+US = 1e-6
+
+
+@pytest.mark.parametrize(
+    ("clock", "begins_s"),
+    [
+        ("time", 0.0),
+        ("monotonic", UP_S),
+        ("perf_counter", UP_S),
+        ("process_time", 0.0),
+        ("thread_time", 0.0),
+    ],
+)
+def test_a_clock_goes_by_the_rigs_time_and_a_little_further_at_each_look(now_s, clock, begins_s):
+    time.sleep(2.5)
+    told = [getattr(time, clock)() for _ in range(3)]
+    told_ns = getattr(time, f"{clock}_ns")()
+    first_s = begins_s + 2.5 + told[0] - told[0].__class__(told[0])
+    assert told == pytest.approx([first_s, first_s + US, first_s + 2 * US], abs=3 * US)
+    assert told[0] < told[1] < told[2]
+    assert told_ns == pytest.approx(told[2] * 1e9 + 1e3, abs=100)
+    assert now_s() == 2.5  # looking lets no time pass, as long as it is not often
+
+
+def test_clocks_by_number_go_by_the_rigs_time(now_s):
+    time.sleep(1.0)
+    for number, expected_s in (
+        (time.CLOCK_REALTIME, 1.0),
+        (time.CLOCK_MONOTONIC, UP_S + 1.0),
+        (time.CLOCK_BOOTTIME, UP_S + 1.0),
+        (time.CLOCK_THREAD_CPUTIME_ID, 1.0),
+    ):
+        assert time.clock_gettime(number) == pytest.approx(expected_s, abs=20 * US)
+        assert time.clock_gettime_ns(number) == pytest.approx(expected_s * 1e9, abs=20_000)
+
+
+def test_dates_are_the_rigs(now_s):
+    time.sleep(86_400.0)
+    assert datetime.datetime.now(datetime.UTC).isoformat()[:19] == "1970-01-02T00:00:00"
+    assert abs(datetime.datetime.now() - datetime.datetime.fromtimestamp(86_400)).seconds == 0  # noqa: DTZ005, DTZ006 -- both local
+    assert datetime.date.today() == datetime.date.fromtimestamp(86_400)  # noqa: DTZ011, DTZ012 -- both local
+    assert time.gmtime().tm_mday == 2
+    assert time.strftime("%Y") == "1970"
+    assert time.gmtime(0).tm_mday == 1
+    assert time.strftime("%Y", time.gmtime(1e9)) == "2001"
+
+
+def test_dates_of_the_library_and_of_programs_are_taken_for_what_they_are(now_s):
+    made = datetime.datetime(2001, 2, 3, tzinfo=datetime.UTC)
+    assert type(made) is type(made + datetime.timedelta(1)) is datetime.datetime.original
+    assert isinstance(made, datetime.datetime)
+    assert isinstance(made, datetime.date)
+    assert not isinstance(datetime.date(2001, 2, 3), datetime.datetime)
+    assert issubclass(datetime.datetime, datetime.date)
+
+    class Own(datetime.datetime):
+        pass
+
+    own = Own(2001, 2, 3, tzinfo=datetime.UTC)
+    assert type(own) is Own
+    assert isinstance(own, datetime.datetime)
+    assert not isinstance(made, Own)
+
+
+def test_who_only_looks_at_the_clock_gets_there_and_others_have_their_turns(now_s, capsys):
+    said = []
+
+    def other():
+        while True:
+            time.sleep(0.01)
+            said.append(now_s())
+
+    threading.Thread(target=other, daemon=True).start()
+    start_s, looks = time.monotonic(), 0
+    while time.monotonic() < start_s + 0.3:
+        looks += 1
+    assert now_s() == pytest.approx(0.3, abs=0.002)
+    assert len(said) == 30
+    assert looks < 100_000
+    assert not capsys.readouterr().err
+    while time.monotonic() < start_s + 1.5:
+        pass
+    told = capsys.readouterr().err
+    assert told.startswith("main (")
+    assert told.count("\n") == 1
+    assert "test_clocks.py:" in told
+    assert "time.sleep() there makes it faster" in told
+
+
+def test_who_sleeps_for_nothing_or_polls_an_event_gets_on(now_s):
+    flag = threading.Event()
+    threading.Timer(0.002, flag.set).start()
+    while not flag.is_set():
+        time.sleep(0)
+    assert now_s() == pytest.approx(0.002, abs=0.001)
+    flag.clear()
+    threading.Timer(0.01, flag.set).start()
+    while not flag.is_set():
+        pass
+    assert now_s() == pytest.approx(0.012, abs=0.002)
+    lock = threading.Lock()
+    lock.acquire()
+    threading.Timer(0.01, lock.release).start()
+    while not lock.acquire(blocking=False):
+        pass
+    assert now_s() == pytest.approx(0.022, abs=0.003)
+    with pytest.raises(ValueError, match="non-negative"):
+        time.sleep(-1)
+
+
+def test_a_schedule_keeps_the_rigs_time(now_s):
+    ran = []
+    plan = sched.scheduler()
+    for delay_s in (3.0, 1.0):
+        plan.enter(delay_s, 1, lambda: ran.append(round(now_s(), 4)))
+    plan.run()
+    assert ran == [1.0, 3.0]
+
+
+def test_names_bound_before_are_reached_and_those_of_the_house_are_not(rig, monkeypatch):
+    library, own = ModuleType("somebodys_library"), ModuleType("motorapi.somewhere")
+    for module in (library, own):
+        exec("import time\nfrom time import monotonic\n", vars(module))
+        exec("def both():\n    return monotonic(), time.monotonic()\n", vars(module))
+        monkeypatch.setitem(sys.modules, module.__name__, module)
+    wall = library.monotonic
+    with in_virtual_time(rig):
+        assert library.both() == pytest.approx((UP_S, UP_S), abs=20 * US)
+        assert own.monotonic is wall
+        assert abs(own.both()[1] - UP_S) > 1.0
+        late = ModuleType("imported_meanwhile")
+        exec("from time import monotonic", vars(late))
+        monkeypatch.setitem(sys.modules, late.__name__, late)
+        pace = WallPace()
+        pace(0)
+        pace(1)
+        assert pace.late_ns_max < 10**9  # its clock is the wall's, and the rig's says 28 h
+    assert library.monotonic is late.monotonic is wall
+
+
+def everything_bound():
+    names = (
+        "time",
+        "threading",
+        "_thread",
+        "queue",
+        "select",
+        "selectors",
+        "socket",
+        "os",
+        "sched",
+    )
+    modules = [sys.modules[name] for name in (*names, "datetime", "signal", "functools", "logging")]
+    kinds = [threading.Thread, threading.Event, sys.modules["socket"].socket]
+    kinds += [kind for kind in vars(sys.modules["selectors"]).values() if isinstance(kind, type)]
+    found = {(place.__name__, k): v for place in modules + kinds for k, v in vars(place).items()}
+    return found, sched.scheduler.__init__.__defaults__
+
+
+def test_all_is_as_before_also_when_the_program_raised(rig):
+    import random
+
+    chance = random.getstate()
+    before, defaults = everything_bound()
+    for error in (None, ZeroDivisionError, KeyboardInterrupt, SystemExit):
+        with nullcontext() if error is None else pytest.raises(error), in_virtual_time(rig):
+            meanwhile, _ = everything_bound()
+            random.random()
+            if error is not None:
+                raise error
+        changed = [key for key in before if meanwhile[key] is not before[key]]
+        assert len(changed) > 40
+        after, defaults_after = everything_bound()
+        assert [key for key in before if after[key] is not before[key]] == []
+        assert after.keys() == before.keys()
+        assert defaults_after == defaults
+        assert random.getstate() == chance

@@ -1,0 +1,108 @@
+import asyncio
+import multiprocessing
+import os
+import select
+import selectors
+import signal
+import socket
+import subprocess
+import sys
+import threading
+
+import pytest
+
+from harness.virtual_program import in_virtual_time
+from motorapi.errors import UsageError
+
+
+async def nothing():
+    pass
+
+
+def run_asyncio():
+    coroutine = nothing()
+    try:
+        asyncio.run(coroutine)
+    finally:
+        coroutine.close()
+
+
+def receive():
+    one, other = socket.socketpair()
+    with one, other:
+        one.recv(1)
+
+
+REFUSED = {
+    "os.fork": lambda: os.fork(),
+    "os.forkpty": lambda: os.forkpty(),
+    "multiprocessing": lambda: multiprocessing.Process(target=print).start(),
+    "asyncio": run_asyncio,
+    "select.select": lambda: select.select([], [], [], 0.01),
+    "select.poll": lambda: select.poll(),
+    "select.epoll": lambda: select.epoll(),
+    "selectors.EpollSelector.select": lambda: selectors.DefaultSelector().select(0.01),
+    "signal.alarm": lambda: signal.alarm(100),
+    "signal.setitimer": lambda: signal.setitimer(signal.ITIMER_REAL, 100.0),
+    "signal.sigtimedwait": lambda: signal.sigtimedwait([signal.SIGUSR1], 0.01),
+    "socket.recv": receive,
+}
+
+
+@pytest.mark.parametrize("name", REFUSED)
+def test_what_would_wait_elsewhere_is_refused_by_name_with_a_remedy(now_s, name):
+    with pytest.raises(UsageError) as caught:
+        REFUSED[name]()
+    told = str(caught.value)
+    assert told.startswith(f"{name} in virtual time: ")
+    assert told.endswith("motorhil serve RIG -- python SCRIPT")
+
+
+def test_what_does_not_wait_is_left_as_it_is(now_s):
+    assert select.select([], [], [], 0) == ([], [], [])
+    one, other = socket.socketpair()
+    with one, other:
+        one.setblocking(False)
+        other.send(b"7")
+        assert one.recv(8) == b"7"
+        with pytest.raises(BlockingIOError):
+            one.recv(8)
+    done = subprocess.run(
+        [sys.executable, "-c", "print(5)"], capture_output=True, text=True, check=True
+    )
+    assert done.stdout == "5\n"
+    assert now_s() == 0.0  # time stood still meanwhile
+
+
+def test_threads_that_are_no_parties_may_wait_as_they_like(rig):
+    heard = []
+
+    def outside():
+        started.wait(20)
+        heard.append(select.select([], [], [], 0.001))
+
+    started = threading.Event()
+    thread = threading.Thread(target=outside)
+    thread.start()
+    with in_virtual_time(rig):
+        started.set()
+        thread.join()
+    assert heard == [([], [], [])]
+
+
+def test_one_program_at_a_time_and_in_the_rigs_own_thread(rig):
+    refused = []
+
+    def elsewhere():
+        try:
+            with in_virtual_time(rig):
+                pass
+        except UsageError as error:
+            refused.append(str(error))
+
+    thread = threading.Thread(target=elsewhere, name="stranger")
+    thread.start()
+    thread.join()
+    assert "thread 'stranger' is no party of this rig" in refused[0]
+    with in_virtual_time(rig), pytest.raises(UsageError, match="already"), in_virtual_time(rig):
+        pass
