@@ -34,6 +34,7 @@ _PULSED_INPUTS: Final = 0x0078
 _OUTPUTS: Final = 0x007E
 _ALARM: Final = 0x0080
 _DEMAND: Final = 0x00C6
+_SPEED_DEMAND: Final = 0x00CA
 _POSITION: Final = 0x00CC
 _SPEED: Final = 0x00D0
 _PRESET: Final = 0x018A
@@ -60,6 +61,7 @@ _BOOT_S: Final = 3.0
 _RELEASE_S: Final = 0.5
 _POLL_S: Final = 0.005
 _NEAR: Final = 0.02  # of the speed commanded
+_COARSE_HZ: Final = 1000  # a step of the speed measured each millisecond
 _ALARMS: Final = {
     0x10: "excessive position deviation",
     0x20: "overcurrent",
@@ -188,8 +190,14 @@ class OrientalAzHwMotor:
             velocity=speed / per_unit,
             is_moving=is_moving,
             has_arrived=not is_moving and bool(outputs & _IN_POSITION),
-            at_velocity=hz is not None and abs(speed - hz) <= max(2.0, _NEAR * abs(hz)),
+            at_velocity=hz is not None and self._is_at(speed, hz),
         )
+
+    def _is_at(self, speed: int, hz: int) -> bool:
+        """Whether it goes at `hz`; what is measured is coarse, so a slow one by its demand."""
+        if abs(speed - hz) <= max(2.0, _NEAR * abs(hz)):
+            return True
+        return abs(speed - hz) <= _COARSE_HZ and self.registers.read_i32(_SPEED_DEMAND) == hz
 
     def _fault(self, outputs: int) -> Fault | None:
         if not outputs & _IS_ALARM:

@@ -68,8 +68,8 @@ class PolledProgress:
 
     Attributes: poll (the last one since something was commanded), wanted (None: nothing goes on),
     armed (what a trigger makes wanted), started_ns, ended_ns (of what was commanded last), armed_at
-    and target (what is armed, or goes on, is to end there, or with that velocity; None: anywhere),
-    rests (polls, one after another, that showed no motion).
+    and target (it is to end there, or with that velocity; None: anywhere), rests (polls in a row
+    that showed no motion).
     """
 
     __slots__ = (
@@ -254,8 +254,12 @@ class PolledMotor(Motor):
         return self._poll().velocity
 
     def _read_reference(self) -> float:
-        poll = self._poll()
-        return poll.demand if poll.state is MotorState.ENABLED else poll.position
+        poll, told = self._poll(), self._polled.progress
+        if poll.state is not MotorState.ENABLED:
+            return poll.position
+        if told.wanted is Wanted.ARRIVAL and told.target is not None and self._is_near(poll):
+            return told.target  # what it holds, as it was asked for: rounding must not add up
+        return poll.demand
 
     def _read_following_error(self) -> float:
         poll = self._poll()
@@ -284,12 +288,13 @@ class PolledMotor(Motor):
     def _reset_fault(self) -> None:
         self._polled.reset_fault()
         poll = self._poll()
-        if poll.fault is not None:
+        self._raise_fault(poll)
+
+    def _raise_fault(self, poll: Poll) -> None:
+        fault = poll.fault
+        if fault is not None:
             raise DeviceFault(
-                motor=self.name,
-                code=poll.fault.code,
-                text=poll.fault.text,
-                since_ns=poll.fault.since_ns,
+                motor=self.name, code=fault.code, text=fault.text, since_ns=fault.since_ns
             )
 
     def _home(self, method: int | None) -> None:
@@ -335,11 +340,7 @@ class PolledMotor(Motor):
             raise LinkError(link=self._polled.label, reason="this hardware object is closed")
         if poll is None:
             return state.wanted is None
-        if poll.fault is not None:
-            fault = poll.fault
-            raise DeviceFault(
-                motor=self.name, code=fault.code, text=fault.text, since_ns=fault.since_ns
-            )
+        self._raise_fault(poll)
         self._refuse_interrupted(poll)
         done = {
             None: True,
@@ -356,9 +357,11 @@ class PolledMotor(Motor):
         state = self._polled.progress
         if not poll.has_arrived or state.target is None:
             return False
-        if state.wanted is Wanted.VELOCITY:
-            return state.target != 0.0
-        return abs(poll.demand - state.target) > _NEAR_TURNS * self._polled.turn(self.model)
+        return state.target != 0.0 if state.wanted is Wanted.VELOCITY else not self._is_near(poll)
+
+    def _is_near(self, poll: Poll) -> bool:
+        target, near = self._polled.progress.target, _NEAR_TURNS * self._polled.turn(self.model)
+        return target is not None and abs(poll.demand - target) <= near
 
     def _refuse_interrupted(self, poll: Poll) -> None:
         """Raises MotionInterrupted if what goes on was ended by the drive, or somebody else."""
