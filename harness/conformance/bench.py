@@ -54,7 +54,7 @@ class RigProtocol(Protocol):
         """
 
     def fail(self, motor: Motor) -> int:
-        """Its drive has just had a fault, of this code; the cause is gone (Ability.FAULT)."""
+        """Its drive has a fault of this code, the cause is gone in a moment (Ability.FAULT)."""
 
     def cut(self, motor: Motor) -> AbstractContextManager[None]:
         """Within it its drive is off the bus, with power (Ability.CUT)."""

@@ -11,6 +11,8 @@
     deadline_s = 30.0                   # for one clause, of the wall's time
     fault_stimulus = "fault"            # what makes the controller fail, and the code it then has
     fault_code = 0x2310
+    fault_value = 1.0                   # what the stimulus is given, if that is not the code
+    fault_over_value = 0.0              # and what after a moment, so that the cause is gone
     claims = ["homing"]                 # what is claimed though the motor itself cannot tell
 
     [conformance.without]               # what is not claimed, and why
@@ -36,6 +38,8 @@ CONFORMANCE_KEYS: Final = (
     "deadline_s",
     "fault_stimulus",
     "fault_code",
+    "fault_value",
+    "fault_over_value",
     "claims",
     "without",
 )
@@ -60,7 +64,9 @@ class Facts:
         dead_man_s: within which a drive notices that its host is lost, and begins to brake [s].
         deadline_s: for one clause [s of the wall's time].
         fault_stimulus: the stimulus that makes a controller fail.
-        fault_code: the value it is given, and the code that the drive then tells.
+        fault_code: the code that the drive then tells.
+        fault_value: what the stimulus is given; None: the code.
+        fault_over_value: what it is given after a moment; None: nothing, its cause is gone then.
         claims: what is claimed by the rig.
         claimed_at: where it claims that, "file:line".
         without: what is not claimed, and why.
@@ -77,6 +83,8 @@ class Facts:
     deadline_s: float = 30.0
     fault_stimulus: str = "fault"
     fault_code: int = 0x2310
+    fault_value: float | None = None
+    fault_over_value: float | None = None
     claims: tuple[Capability, ...] = ()
     claimed_at: Mapping[Capability, str] = field(default_factory=lambda: MappingProxyType({}))
     without: Mapping[Capability, str] = field(default_factory=lambda: MappingProxyType({}))
@@ -111,6 +119,8 @@ def read_facts(table: Table, motors: tuple[str, ...]) -> Facts:
         deadline_s=_time(table, "deadline_s", usual.deadline_s),
         fault_stimulus=table.text("fault_stimulus", usual.fault_stimulus),
         fault_code=table.integer("fault_code", usual.fault_code, low=1, high=0xFFFF_FFFF),
+        fault_value=_value(table, "fault_value"),
+        fault_over_value=_value(table, "fault_over_value"),
         claims=tuple(claimed),
         claimed_at=MappingProxyType(claimed),
         without=_without(table.table("without")),
@@ -137,6 +147,12 @@ def _length(table: Table, name: str, unit: str, default: float) -> float:
 
 def _long_move(table: Table, unit: str) -> float | None:
     return _length(table, "long_move", unit, 1.0) if table.has(f"long_move_{unit}") else None
+
+
+def _value(table: Table, key: str) -> float | None:
+    if not table.has(key):
+        return None
+    return table.number(key, 0.0, low=-_LENGTH_MAX, high=_LENGTH_MAX, example="1.0")
 
 
 def _time(table: Table, key: str, default: float) -> float:

@@ -6,7 +6,17 @@ from typing import Final
 
 from harness.conformance.clause import Clause, Level, registered
 
-_MODULES: Final = ("identity",)
+_MODULES: Final = (
+    "identity",
+    "measuring",
+    "setpoints",
+    "trajectories",
+    "starting",
+    "ending",
+    "limits",
+    "stopping",
+    "failing",
+)
 """The modules of `harness.conformance.clauses`, each with the clauses of one topic."""
 
 

@@ -19,6 +19,8 @@ from harness.virtual_time import VirtualRuntime
 from motorapi import Motor
 
 SECOND_USER: Final = "another"
+_FAULT_NS: Final = 50_000_000
+"""How long the cause of a fault is there that goes by itself."""
 
 
 class TimeIsUp(BaseException):
@@ -151,9 +153,17 @@ class RigBench:
         self._stimulate(motor, "load_torque_n_m", torque_n_m)
 
     def fail(self, motor: Motor) -> int:
-        """Its drive has just had a fault, of this code; the cause is gone."""
-        self._stimulate(motor, self.facts.fault_stimulus, self.facts.fault_code)
-        return self.facts.fault_code
+        """Its drive has a fault of this code; its cause is gone, or will be in a moment."""
+        facts = self.facts
+        value = facts.fault_code if facts.fault_value is None else facts.fault_value
+        self._stimulate(motor, facts.fault_stimulus, value)
+        over = facts.fault_over_value
+        if over is not None:
+            ending = self.rig.world.queue.alarm(
+                lambda now_ns: self._stimulate(motor, facts.fault_stimulus, over)
+            )
+            ending.set(self.runtime.now_ns() + _FAULT_NS)
+        return facts.fault_code
 
     @contextmanager
     def cut(self, motor: Motor) -> Iterator[None]:

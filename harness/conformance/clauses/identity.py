@@ -3,8 +3,20 @@
 from harness.conformance.bench import RigProtocol
 from harness.conformance.capability import Ability, Capability
 from harness.conformance.clause import Level, clause, expect
-from harness.conformance.motions import long_move
-from motorapi import ControlMode, MotorState, TrapezoidalTrajectory
+from harness.conformance.motions import (
+    expect_unmoved,
+    finish,
+    follow,
+    long_move,
+    place,
+    reached,
+    rest_for,
+    shortest_s,
+    torque_of,
+)
+from motorapi import Motor, MotorState, TrapezoidalTrajectory
+
+_HOLDS = 0.3  # of the largest torque
 
 
 @clause(
@@ -15,20 +27,80 @@ from motorapi import ControlMode, MotorState, TrapezoidalTrajectory
     source="paper 3.2, the motor model; 3.1, the adaptation maps logical to physical operations",
 )
 def it_moves_as_far_and_to_the_side_that_its_model_says(bench: RigProtocol) -> None:
-    """A move of so many units is one of so many units at the motor's output, in sign and size."""
-    motor = bench.motor
-    before = bench.true_position(motor)
+    """A move of so many units is one of so many at the output, and told as such, of each motor."""
+    for motor in bench.motors:
+        for share in (0.25, -0.4):
+            _move_and_compare(bench, motor, share * long_move(bench))
+
+
+def _move_and_compare(bench: RigProtocol, motor: Motor, way: float) -> None:
+    before, told = bench.true_position(motor), motor.position()
+    follow(motor, TrapezoidalTrajectory(way))
+    finish(bench, motor, shortest_s(motor, way))
+    unit, window = motor.model.unit, bench.facts.window
+    for what, moved in (
+        ("it moved", bench.true_position(motor) - before),
+        ("it says that it moved", motor.position() - told),
+    ):
+        expect(
+            abs(moved - way) <= window,
+            f"{motor.name} was told to move {way:g} {unit}, {what} {moved:g} {unit},"
+            f" which is more than {window:g} {unit} off",
+        )
+
+
+@clause(
+    "ID-01",
+    Level.L0,
+    needs={Capability.POSITION_TRAJECTORY},
+    bench={Ability.TRUTH, Ability.SECOND_MOTOR},
+    source="paper 3.5, no more than one physical motor object for any motor in the system",
+)
+def it_moves_and_no_other_does(bench: RigProtocol) -> None:
+    """A command to one motor moves that one, and no other."""
     way = 0.25 * long_move(bench)
-    motor.set_control_mode(ControlMode.TRAJECTORY)
-    motor.set_trajectory(TrapezoidalTrajectory(way))
-    motor.start()
-    motor.wait_until_done()
-    moved = bench.true_position(motor) - before
-    unit = motor.model.unit
+    for motor in bench.motors:
+        before = [bench.true_position(one) for one in bench.motors]
+        follow(motor, TrapezoidalTrajectory(way))
+        finish(bench, motor, shortest_s(motor, way))
+        for one, was in zip(bench.motors, before, strict=True):
+            if one is motor:
+                moved = abs(bench.true_position(one) - was)
+                reached(moved > 0.5 * abs(way), f"a move of {motor.name}")
+            else:
+                expect_unmoved(bench, one, was, f"{one.name}, when {motor.name} was told to move")
+
+
+@clause(
+    "ID-02",
+    Level.L0,
+    needs={Capability.POSITION_TRAJECTORY},
+    source="requirement 1; Motor.latest: nothing is sent, so callbacks may ask",
+)
+def what_it_is_and_was_heard_of_it_is_told_at_once(bench: RigProtocol) -> None:
+    """Name, text and what was heard last are told at once, in callbacks too, and agree."""
+    names = [motor.name for motor in bench.motors]
+    expect(len(set(names)) == len(names), f"two motors have one name: {', '.join(names)}")
+    motor = bench.motor
+    expect(motor.name in repr(motor), f"its text, {motor!r}, does not name {motor.name}")
+    heard = []
+    timer = bench.runtime.every(0.02, lambda: heard.append((motor.latest(), repr(motor))))
+    way = 0.25 * long_move(bench)
+    follow(motor, TrapezoidalTrajectory(way))
+    finish(bench, motor, shortest_s(motor, way))
+    timer.cancel()
+    reached(len(heard) > 3, "asking in mid-motion")
+    told, before_ns = motor.position(), bench.runtime.now_ns()
+    latest = motor.latest()
+    expect(bench.runtime.now_ns() == before_ns, "latest() let time pass")
+    if latest is None:
+        return
+    expect(latest.time_ns <= before_ns, "latest() tells of a time yet to come")
+    where, state = latest.position, motor.state()
+    expect(latest.state is state, f"latest() says {latest.state.value}, state() {state.value}")
     expect(
-        abs(moved - way) <= bench.facts.window,
-        f"told to move {way:g} {unit}, it moved {moved:g} {unit},"
-        f" which is more than {bench.facts.window:g} {unit} off",
+        where is None or abs(where - told) <= bench.facts.window,
+        f"latest() says that it rests at {where}, position() at {told:g} {motor.model.unit}",
     )
 
 
@@ -38,9 +110,40 @@ def it_moves_as_far_and_to_the_side_that_its_model_says(bench: RigProtocol) -> N
     source="paper 3.1, the base class; CiA 402-2, PDS FSA",
 )
 def enabling_and_disabling_are_told(bench: RigProtocol) -> None:
-    """A motor is enabled after enable(), and is not after disable()."""
+    """A motor is enabled after enable(), and is not after disable(), however often."""
     motor = bench.motor
+    before = motor.state()
+    expect(before is not MotorState.ENABLED, "it is enabled before anybody has enabled it")
+    for _ in range(2):
+        motor.enable()
+        state = motor.state()
+        expect(state is MotorState.ENABLED, f"after enable() it is {state.value}")
+    for _ in range(2):
+        motor.disable()
+        state = motor.state()
+        expect(state is MotorState.DISABLED, f"after disable() it is {state.value}")
+
+
+@clause(
+    "STATE-02",
+    Level.L0,
+    bench={Ability.TRUTH, Ability.LOAD},
+    source="Motor.enable: the power stage is on and the motor holds its position; Motor.disable",
+)
+def an_enabled_motor_holds_and_a_disabled_one_gives_way(bench: RigProtocol) -> None:
+    """Enabled, it holds its place against a load, without having moved; disabled, it gives way."""
+    motor = bench.motor
+    before = place(bench, motor)
     motor.enable()
-    expect(motor.state() is MotorState.ENABLED, f"after enable() it is {motor.state().value}")
+    rest_for(bench, 0.2)
+    expect_unmoved(bench, motor, before, "when it was enabled")
+    bench.load(motor, torque_of(motor, _HOLDS))
+    rest_for(bench, 1.0)
+    expect_unmoved(bench, motor, before, f"enabled, under {_HOLDS:.0%} of its torque")
     motor.disable()
-    expect(motor.state() is not MotorState.ENABLED, "after disable() it is still enabled")
+    rest_for(bench, 0.5)
+    moved = abs(place(bench, motor) - before)
+    expect(
+        moved > 10.0 * bench.facts.window,
+        f"disabled, it still holds {_HOLDS:.0%} of its torque: its power stage is on",
+    )

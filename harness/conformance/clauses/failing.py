@@ -1,0 +1,147 @@
+"""L2: a fault is told, keeps the motor from moving, and is reset."""
+
+from collections.abc import Callable
+
+from harness.conformance.bench import RigProtocol
+from harness.conformance.capability import Ability, Capability
+from harness.conformance.clause import Level, Violated, clause, expect
+from harness.conformance.motions import (
+    expect_at,
+    expect_rest,
+    expect_unmoved,
+    finish,
+    follow,
+    long_move,
+    place,
+    reached,
+    rest_for,
+    shortest_s,
+)
+from motorapi import ControlMode, DeviceFault, Motor, MotorState, TrapezoidalTrajectory
+
+_NOTICED_S = 0.3
+
+
+def _raises_fault(motor: Motor, code: int, what: str, operation: Callable[[], object]) -> None:
+    try:
+        operation()
+    except DeviceFault as error:
+        expect(
+            (error.motor, error.code) == (motor.name, code),
+            f"{what} told fault {error.code:04X}h of {error.motor}, and not {code:04X}h",
+        )
+    else:
+        raise Violated(f"{what} did not tell the fault {code:04X}h")
+
+
+def _expect_told(motor: Motor, code: int) -> None:
+    state, fault = motor.state(), motor.fault()
+    expect(state is MotorState.FAULT, f"its drive has a fault, and it is {state.value}")
+    expect(fault is not None, "its drive has a fault, and fault() tells none")
+    expect(
+        fault is None or fault.code == code, f"its drive has a fault {code:04X}h, it tells {fault}"
+    )
+
+
+@clause(
+    "FAULT-01",
+    Level.L2,
+    needs={Capability.FAULTS, Capability.POSITION_TRAJECTORY},
+    bench={Ability.FAULT},
+    source="Motor.wait_until_done: DeviceFault, the drive has a fault; CiA 402-2, FAULT",
+)
+def a_fault_in_mid_motion_ends_the_wait(bench: RigProtocol) -> None:
+    """A fault in mid-motion ends the wait with its code, and is told as the motor's state."""
+    motor, way = bench.motor, 2.0 * long_move(bench)
+    motor.enable()
+    begin = place(bench, motor)
+    follow(motor, TrapezoidalTrajectory(way))
+    rest_for(bench, 0.4 * shortest_s(motor, way))
+    reached(abs(place(bench, motor) - begin) > 0.05 * way, "a motion that fails")
+    code = bench.fail(motor)
+    failed_ns = bench.runtime.now_ns()
+    _raises_fault(motor, code, "the wait", lambda: finish(bench, motor, shortest_s(motor, way)))
+    late_s = (bench.runtime.now_ns() - failed_ns) / 1e9
+    expect(
+        late_s <= _NOTICED_S + bench.facts.time_tolerance_s,
+        f"the wait ended {late_s:.3f} s after the fault",
+    )
+    _expect_told(motor, code)
+    _raises_fault(motor, code, "the second wait", lambda: finish(bench, motor))
+
+
+@clause(
+    "FAULT-02",
+    Level.L2,
+    needs={Capability.FAULTS, Capability.POSITION_TRAJECTORY},
+    bench={Ability.FAULT},
+    source="Motor.start: DeviceFault, reset_fault() first; CiA 402-2, FAULT",
+)
+def nothing_moves_with_a_fault(bench: RigProtocol) -> None:
+    """A motor with a fault is not started and not enabled: that takes reset_fault()."""
+    motor = bench.motor
+    motor.enable()
+    code = bench.fail(motor)
+    rest_for(bench, _NOTICED_S)
+    before = place(bench, motor)
+    motor.set_control_mode(ControlMode.TRAJECTORY)
+    motor.set_trajectory(TrapezoidalTrajectory(0.3 * long_move(bench)))
+    _raises_fault(motor, code, "start()", motor.start)
+    _raises_fault(motor, code, "enable()", motor.enable)
+    rest_for(bench, 0.5)
+    expect_unmoved(bench, motor, before, "started with a fault")
+    _expect_told(motor, code)
+
+
+@clause(
+    "FAULT-03",
+    Level.L2,
+    needs={Capability.FAULTS, Capability.POSITION_TRAJECTORY},
+    bench={Ability.FAULT},
+    source="Motor.reset_fault: no fault any more, the power stage is off if there was one",
+)
+def a_fault_is_reset(bench: RigProtocol) -> None:
+    """A fault that was reset is gone, and the motor off and still; the next start moves as told."""
+    motor, way = bench.motor, 0.4 * long_move(bench)
+    motor.enable()
+    motor.reset_fault()
+    state = motor.state()
+    expect(state is MotorState.ENABLED, f"reset_fault() without a fault left it {state.value}")
+    for _ in range(2):
+        follow(motor, TrapezoidalTrajectory(way))
+        rest_for(bench, 0.5 * shortest_s(motor, way))
+        bench.fail(motor)
+        rest_for(bench, 1.0)
+        held = place(bench, motor)
+        motor.reset_fault()
+        fault, state = motor.fault(), motor.state()
+        expect(fault is None, f"after reset_fault() it tells {fault}")
+        expect(state is MotorState.DISABLED, f"after reset_fault() it is {state.value}")
+        rest_for(bench, 0.3)
+        expect_unmoved(bench, motor, held, "when its fault was reset")
+        before = motor.position()
+        follow(motor, TrapezoidalTrajectory(way))
+        finish(bench, motor, shortest_s(motor, way))
+        expect_at(bench, motor, before + way, "moved after its fault was reset")
+
+
+@clause(
+    "FAULT-04",
+    Level.L2,
+    needs={Capability.FAULTS, Capability.POSITION_TRAJECTORY},
+    bench={Ability.FAULT},
+    source="ReadableMotor.fault: what the drive says is wrong; Motor.enable: DeviceFault",
+)
+def a_fault_between_two_motions_is_not_swallowed(bench: RigProtocol) -> None:
+    """A fault of a motor that stands is told to whoever looks, or starts it, next."""
+    motor, way = bench.motor, 0.2 * long_move(bench)
+    follow(motor, TrapezoidalTrajectory(way))
+    finish(bench, motor, shortest_s(motor, way))
+    code = bench.fail(motor)
+    rest_for(bench, _NOTICED_S)
+    _expect_told(motor, code)
+    _raises_fault(motor, code, "the next start()", motor.start)
+    motor.reset_fault()
+    motor.start()
+    finish(bench, motor, shortest_s(motor, way))
+    expect_rest(bench, motor, "moved after a fault")

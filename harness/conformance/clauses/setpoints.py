@@ -1,0 +1,225 @@
+"""L1: set-points of every variable."""
+
+from harness.conformance.bench import RigProtocol
+from harness.conformance.capability import Ability, Capability
+from harness.conformance.clause import Level, clause, expect
+from harness.conformance.motions import (
+    aim,
+    expect_at,
+    expect_rest,
+    expect_unmoved,
+    fastest,
+    finish,
+    follow,
+    long_move,
+    place,
+    rest_for,
+    shortest_s,
+    speed,
+    torque_of,
+    turn,
+    watched,
+)
+from motorapi import (
+    ControlMode,
+    ControlVariable,
+    DerivativeLimits,
+    MotorState,
+    TrapezoidalTrajectory,
+)
+
+_SPEED_SHARE = 0.05
+_PUSH_S = 0.25
+
+
+@clause(
+    "SET-01",
+    Level.L1,
+    needs={Capability.POSITION_SET_POINT, Capability.POSITION_TRAJECTORY},
+    source="paper, Algorithm 1, and 3.3",
+)
+def algorithm_1(bench: RigProtocol) -> None:
+    """Algorithm 1 of the paper, from a quarter, ends at 1 by its set-point and then at 2."""
+    motor, one = bench.motor, 0.5 * long_move(bench)
+    aim(motor, 0.25 * one)
+    finish(bench, motor, shortest_s(motor, one))
+    aim(motor, one)
+    finish(bench, motor, shortest_s(motor, one))
+    expect_at(bench, motor, one, "after its set-point")
+    follow(motor, TrapezoidalTrajectory(one))
+    finish(bench, motor, shortest_s(motor, one))
+    expect_at(bench, motor, 2.0 * one, "after its trajectory")
+
+
+@clause(
+    "SET-02",
+    Level.L1,
+    needs={Capability.POSITION_SET_POINT},
+    source="paper 3.3, control variables; Motor.set_setpoint: relative",
+)
+def a_relative_set_point_is_a_distance(bench: RigProtocol) -> None:
+    """A relative set-point is a distance from where the motor is held, forth and back."""
+    motor, way = bench.motor, 0.2 * long_move(bench)
+    begin = motor.position()
+    wanted = begin
+    for share in (1.0, 1.0, -0.5, -2.0):
+        aim(motor, share * way, relative=True)
+        finish(bench, motor, shortest_s(motor, way))
+        wanted += share * way
+        expect_at(bench, motor, wanted, f"after a relative set-point of {share * way:g}")
+
+
+@clause(
+    "SET-03",
+    Level.L1,
+    needs={Capability.VELOCITY_SET_POINT},
+    source="paper 3.3, Figure 4; Motor.wait_until_done: is done when it is reached, and goes on",
+)
+def a_velocity_is_reached_and_goes_on(bench: RigProtocol) -> None:
+    """A set-point of velocity is done when it is reached, and goes on, to either side."""
+    motor, unit = bench.motor, bench.motor.model.unit
+    for share in (0.4, -0.3):
+        asked = share * motor.model.velocity_max
+        turn(motor, asked)
+        finish(bench, motor, 2.0 * motor.model.velocity_max / motor.model.acceleration_max)
+        rest_for(bench, 0.1)
+        for when in ("once it was reached", "later"):
+            found = speed(bench, motor, 0.3)
+            expect(
+                abs(found - asked) <= _SPEED_SHARE * abs(asked),
+                f"told to go at {asked:g} {unit}/s, {when} it went at {found:g} {unit}/s",
+            )
+    motor.stop()
+    finish(bench, motor)
+
+
+@clause(
+    "SET-04",
+    Level.L1,
+    needs={Capability.TORQUE_SET_POINT},
+    bench={Ability.LOAD, Ability.TRUTH},
+    source="paper 3.3, Figure 4",
+)
+def a_torque_is_made(bench: RigProtocol) -> None:
+    """A set-point of torque overcomes a load that is less, and gives way to one that is more."""
+    _balance(bench, ControlVariable.TORQUE)
+
+
+def _balance(bench: RigProtocol, variable: ControlVariable) -> None:
+    motor = bench.motor
+    motor.enable()
+    for asked in (torque_of(motor, 0.5), torque_of(motor, -0.4)):
+        for share in (0.6, 1.4):
+            motor.set_control_mode(ControlMode.SETPOINT, variable)
+            motor.set_setpoint(asked)
+            bench.load(motor, share * asked)
+            motor.start()
+            finish(bench, motor)
+            moved = speed(bench, motor, _PUSH_S)
+            overcame = moved * asked > 0.0
+            expect(
+                overcame is (share < 1.0),
+                f"{asked:g} N·m against a load of {share * asked:g} N·m moved it"
+                f" at {moved:g} {motor.model.unit}/s",
+            )
+            bench.load(motor, 0.0)
+            motor.stop()
+            finish(bench, motor)
+
+
+@clause(
+    "SET-05",
+    Level.L1,
+    needs={Capability.POSITION_SET_POINT, Capability.LIMITED_SET_POINT},
+    source="paper 3.3: limits on the first derivative make a velocity-bounded motion",
+)
+def a_set_points_limit_of_velocity_is_kept(bench: RigProtocol) -> None:
+    """A set-point's own limit of velocity is kept, be it no whole step of the hardware's, too."""
+    motor, model = bench.motor, bench.motor.model
+    for share in (0.5, 0.0017, 0.0023):
+        limit = share * model.velocity_max
+        way = min(0.3 * long_move(bench), 2.0 * limit)
+        aim(motor, way, relative=True, limits=DerivativeLimits(first=limit))
+        taken = watched(bench, motor, 1.0)
+        finish(bench, motor, 2.0 * way / limit)
+        over_s = 0.2 if share == 0.5 else 0.9
+        found = fastest(taken, over_s)
+        spare = 2.0 * (model.resolution or 0.0) / over_s + 0.02 * limit
+        expect(
+            found <= limit + spare,
+            f"limited to {limit:.6g} {model.unit}/s it went at {found:.6g} {model.unit}/s",
+        )
+        expect(found > 0.3 * limit, f"limited to {limit:.6g} {model.unit}/s it hardly moved")
+
+
+@clause(
+    "SET-06",
+    Level.L1,
+    needs={Capability.POSITION_SET_POINT},
+    source="paper 3.3.3, setting up is apart from enacting; 3.5, settings are cached locally",
+)
+def setting_does_nothing_before_start(bench: RigProtocol) -> None:
+    """What is set is kept and does nothing: no motor moves or is switched on before start()."""
+    motor = bench.motor
+    before = place(bench, motor)
+    motor.set_control_mode(ControlMode.SETPOINT)
+    motor.set_setpoint(0.25 * long_move(bench))
+    rest_for(bench, 0.3)
+    expect_unmoved(bench, motor, before, "when a set-point was set")
+    state = motor.state()
+    expect(state is not MotorState.ENABLED, "a set-point that was set has enabled it")
+    motor.start()
+    finish(bench, motor, shortest_s(motor, 0.25 * long_move(bench)))
+    motor.set_setpoint(0.0)
+    rest_for(bench, 0.3)
+    expect_at(bench, motor, 0.25 * long_move(bench), "with a new set-point, set and not started")
+
+
+@clause(
+    "SET-07",
+    Level.L1,
+    needs={Capability.CURRENT_SET_POINT},
+    bench={Ability.LOAD, Ability.TRUTH},
+    source="paper 3.3, Figure 4",
+)
+def a_current_pushes_to_its_side(bench: RigProtocol) -> None:
+    """A set-point of current pushes to the side of its sign, and more the more it is."""
+    motor, most = bench.motor, bench.motor.model.current_max
+    expect(most is not None, "it takes set-points of current, and its model has no current_max")
+    made = []
+    for share in (0.3, 0.6, -0.3):
+        motor.set_control_mode(ControlMode.SETPOINT, ControlVariable.CURRENT)
+        motor.set_setpoint(share * (most or 0.0))
+        motor.start()
+        finish(bench, motor)
+        made.append(speed(bench, motor, _PUSH_S))
+        motor.stop()
+        finish(bench, motor)
+    little, more, other = made
+    expect(
+        0.0 < little < more and other < 0.0,
+        "30 %, 60 % and -30 % of its current moved it at"
+        f" {little:g}, {more:g} and {other:g} {motor.model.unit}/s",
+    )
+
+
+@clause(
+    "SET-08",
+    Level.L1,
+    needs={Capability.POSITION_SET_POINT},
+    bench={Ability.TRUTH},
+    source="paper 3.2: the model's limits of velocity; 3.3.1, never exceeds a certain range",
+)
+def a_set_point_goes_no_faster_than_the_model_allows(bench: RigProtocol) -> None:
+    """A set-point without limits of its own goes as fast as the model allows, and no faster."""
+    motor, model = bench.motor, bench.motor.model
+    way = 2.0 * long_move(bench)
+    aim(motor, way, relative=True)
+    taken = watched(bench, motor, shortest_s(motor, way))
+    finish(bench, motor)
+    found = fastest(taken)
+    expect(
+        0.8 * model.velocity_max <= found <= 1.1 * model.velocity_max,
+        f"it went at {found:g} {model.unit}/s, its model allows {model.velocity_max:g}",
+    )
+    expect_rest(bench, motor, "after its set-point")

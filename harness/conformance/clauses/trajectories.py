@@ -1,0 +1,267 @@
+"""L1: trajectories are followed as they are prescribed, at every instant."""
+
+from itertools import pairwise
+
+from harness.conformance.bench import RigProtocol
+from harness.conformance.capability import Ability, Capability
+from harness.conformance.clause import Level, clause, expect
+from harness.conformance.motions import (
+    expect_at,
+    expect_tracks,
+    finish,
+    follow,
+    least_s,
+    long_move,
+    place,
+    reached,
+    shortest_s,
+    speed,
+    torque_of,
+    trapezoid,
+    watched,
+    worst_deviation,
+)
+from motorapi import (
+    ComplexTrajectory,
+    ControlMode,
+    ControlVariable,
+    DerivativeLimits,
+    Motor,
+    StateError,
+    TrapezoidalTrajectory,
+)
+
+_AFTER_S = 0.2
+
+
+def _expect_profile(
+    bench: RigProtocol,
+    trajectory: TrapezoidalTrajectory,
+    duration_s: float,
+    ramps: tuple[float, float],
+) -> None:
+    """The relative trajectory is followed all the way, as one of these ramps [U/s²]."""
+    motor = bench.motor
+    motor.enable()
+    before = place(bench, motor)
+    follow(motor, trajectory)
+    taken = [(t, at - before) for t, at in watched(bench, motor, duration_s + _AFTER_S)]
+    finish(bench, motor)
+    wanted = trapezoid(trajectory.final, duration_s, *ramps)
+    expect_tracks(bench, taken, wanted, f"{trajectory!r}")
+    other = trapezoid(trajectory.final, 1.3 * duration_s, *ramps)
+    reached(
+        worst_deviation(bench, taken, other) > bench.facts.following,
+        "a way on which one profile can be told from another",
+    )
+
+
+@clause(
+    "TRAJ-01",
+    Level.L1,
+    needs={Capability.POSITION_TRAJECTORY},
+    source="paper 3.3.1, boundary conditions; Figure 5",
+)
+def an_absolute_trajectory_ends_at_its_final_value(bench: RigProtocol) -> None:
+    """A trajectory with an initial value is absolute, and begins nowhere else."""
+    motor, one = bench.motor, 0.4 * long_move(bench)
+    follow(motor, TrapezoidalTrajectory(one))
+    finish(bench, motor, shortest_s(motor, one))
+    for initial, final in ((one, 1.5 * one), (1.5 * one, 0.5 * one)):
+        follow(motor, TrapezoidalTrajectory(final, initial))
+        finish(bench, motor, shortest_s(motor, one))
+        expect_at(bench, motor, final, f"after a trajectory from {initial:g} to {final:g}")
+    motor.set_trajectory(TrapezoidalTrajectory(one, 2.0 * one + motor.model.start_tolerance))
+    try:
+        motor.start()
+    except StateError:
+        expect_at(bench, motor, 0.5 * one, "after a trajectory that begins elsewhere was refused")
+        return
+    expect(False, "a trajectory was started that begins where the motor is not")
+
+
+@clause(
+    "TRAJ-02",
+    Level.L1,
+    needs={Capability.POSITION_TRAJECTORY},
+    bench={Ability.TRUTH},
+    source="paper 3.3.1, simple trajectories, Figure 5; 3.3: follows a prescribed profile",
+)
+def a_simple_trajectory_takes_the_time_it_was_given(bench: RigProtocol) -> None:
+    """A simple trajectory of a given duration is followed at every instant, to either side."""
+    model, way = bench.motor.model, 0.7 * long_move(bench)
+    ramps = model.acceleration_max, model.deceleration
+    duration_s = 1.8 * shortest_s(bench.motor, way)
+    for signed in (way, -way):
+        trajectory = TrapezoidalTrajectory(signed, duration_s=duration_s)
+        _expect_profile(bench, trajectory, duration_s, ramps)
+
+
+@clause(
+    "TRAJ-03",
+    Level.L1,
+    needs={Capability.POSITION_TRAJECTORY},
+    bench={Ability.TRUTH},
+    source="paper 3.3.1, derivative limits: the allowed ranges; 3.2, the model's by default",
+)
+def a_simple_trajectory_is_as_fast_as_its_limits_allow(bench: RigProtocol) -> None:
+    """A simple trajectory makes use of its limits of velocity and acceleration, and keeps them."""
+    motor, model = bench.motor, bench.motor.model
+    way = 0.7 * long_move(bench)
+    up, down = model.acceleration_max, model.deceleration
+    for velocity, gain, loss in ((0.3, 1.0, 1.0), (1.0, 0.2, 0.2), (0.5, 0.6, 0.15)):
+        limits = DerivativeLimits(
+            first=velocity * model.velocity_max, second=(-loss * down, gain * up)
+        )
+        ramps = gain * up, loss * down
+        duration_s = least_s(way, velocity * model.velocity_max, *ramps)
+        trajectory = TrapezoidalTrajectory(way, limits=limits)
+        _expect_profile(bench, trajectory, duration_s, ramps)
+    follow(motor, TrapezoidalTrajectory(-way))
+    finish(bench, motor, shortest_s(motor, way))
+
+
+@clause(
+    "TRAJ-04",
+    Level.L1,
+    needs={Capability.COMPLEX_POSITION},
+    bench={Ability.TRUTH},
+    source="paper 3.3.1, complex trajectories, Figure 6",
+)
+def a_complex_trajectory_is_followed_at_every_instant(bench: RigProtocol) -> None:
+    """A complex trajectory of position is followed at every instant, from where it begins."""
+    from motorapi.functions import Polynomial
+
+    motor, model = bench.motor, bench.motor.model
+    duration_s = 2.0
+    size = min(0.5 * long_move(bench), 0.4 * model.velocity_max, 0.1 * model.acceleration_max)
+    motor.enable()
+    follow(motor, TrapezoidalTrajectory(0.2 * size))
+    finish(bench, motor, shortest_s(motor, size))
+    # A hump, 16 s^2 (1 - s)^2, on a smooth step, 3 s^2 - 2 s^3, of 0.3: at rest at both ends.
+    shape = Polynomial((0.0, 0.0, 16.9, -32.6, 16.0)).restricted(0.0, 1.0)
+    function = shape.scaled(duration_s) * size
+    before = place(bench, motor)
+    motor.set_control_mode(ControlMode.TRAJECTORY)
+    motor.set_trajectory(ComplexTrajectory(function, relative=True))
+    motor.start()
+    taken = [(t, at - before) for t, at in watched(bench, motor, duration_s + _AFTER_S)]
+    finish(bench, motor)
+
+    def wanted(at_s: float) -> float:
+        s = min(max(at_s / duration_s, 0.0), 1.0)
+        return size * (16.0 * (s * (1.0 - s)) ** 2 + 0.3 * s**2 * (3.0 - 2.0 * s))
+
+    expect_tracks(bench, taken, wanted, "a complex trajectory")
+    straight = trapezoid(wanted(duration_s), duration_s, model.acceleration_max, model.deceleration)
+    reached(worst_deviation(bench, taken, straight) > bench.facts.following, "a way that is curved")
+
+
+@clause(
+    "TRAJ-05",
+    Level.L1,
+    needs={Capability.VELOCITY_TRAJECTORY},
+    bench={Ability.TRUTH},
+    source="paper 3.3.1: the function value can be of any control variable; Figure 5",
+)
+def a_trajectory_of_velocity_is_a_ramp(bench: RigProtocol) -> None:
+    """A trajectory of velocity takes the time that it was given, and then goes on."""
+    motor = bench.motor
+    motor.enable()
+    asked, duration_s = 0.5 * motor.model.velocity_max, 1.0
+    before = place(bench, motor)
+    _ramp(motor, ControlVariable.VELOCITY, asked, duration_s)
+    taken = watched(bench, motor, 1.3 * duration_s)
+    finish(bench, motor)
+    found = speed(bench, motor, 0.2)
+    motor.stop()
+    finish(bench, motor)
+    unit = motor.model.unit
+    spare_s = 0.05 + max(map(abs, bench.facts.latency_s))
+    for at_s, position in taken:
+        early, late = (
+            0.5 * asked * min(t, duration_s) ** 2 / duration_s + asked * max(0.0, t - duration_s)
+            for t in (at_s + spare_s, max(0.0, at_s - spare_s))
+        )
+        spare = bench.facts.following
+        expect(
+            late - spare <= position - before <= early + spare,
+            f"{at_s:.3f} s after it began to go to {asked:g} {unit}/s in {duration_s:g} s"
+            f" it had moved {position - before:.5g} {unit},"
+            f" and not {late:.5g} to {early:.5g} {unit}",
+        )
+    expect(abs(found - asked) <= 0.05 * asked, f"after its ramp it went at {found:g} {unit}/s")
+
+
+def _ramp(motor: Motor, variable: ControlVariable, final: float, duration_s: float) -> None:
+    motor.set_control_mode(ControlMode.TRAJECTORY, variable)
+    motor.set_trajectory(TrapezoidalTrajectory(final, duration_s=duration_s))
+    motor.start()
+
+
+@clause(
+    "TRAJ-06",
+    Level.L1,
+    needs={Capability.TORQUE_TRAJECTORY},
+    bench={Ability.LOAD, Ability.TRUTH},
+    source="paper 3.3.1: the function value can be of any control variable",
+)
+def a_trajectory_of_torque_is_a_ramp(bench: RigProtocol) -> None:
+    """A trajectory of torque takes the time that it was given: half-way it makes half of it."""
+    motor = bench.motor
+    motor.enable()
+    asked, duration_s = torque_of(motor, 0.8), 0.6
+    _ramp(motor, ControlVariable.TORQUE, asked, duration_s)
+    bench.load(motor, 0.5 * asked)
+    taken = watched(bench, motor, 0.9 * duration_s)
+    bench.load(motor, 0.0)
+    motor.stop()
+    finish(bench, motor)
+    # It falls back from the beginning, and faster until the torque is as much as the load; friction
+    # helps to hold what falls, and does so earlier.
+    steps = pairwise(taken)
+    falls = [(b[1] - a[1]) / (b[0] - a[0]) for a, b in steps]
+    at_s = taken[falls.index(min(falls))][0]
+    reached(falls[-1] > min(falls), "a torque that is more than the load")
+    expect(
+        min(falls) < 0.0 and 0.25 * duration_s <= at_s <= 0.65 * duration_s,
+        f"a torque that grows for {duration_s:g} s was as much as a load of half of it"
+        f" after {at_s:.3f} s",
+    )
+
+
+@clause(
+    "TRAJ-07",
+    Level.L1,
+    needs={Capability.COMPLEX_VELOCITY},
+    bench={Ability.TRUTH},
+    source="paper 3.3.1, complex trajectories: any control variable; Figure 6, integrals",
+)
+def a_complex_trajectory_of_velocity_makes_its_integral(bench: RigProtocol) -> None:
+    """A complex trajectory of velocity makes a way that is its integral, at every instant."""
+    from motorapi.functions import Polynomial
+
+    motor, model = bench.motor, bench.motor.model
+    duration_s = 2.0
+    peak = min(0.4 * model.velocity_max, 0.5 * model.acceleration_max / duration_s)
+    motor.enable()
+    before = place(bench, motor)
+    motor.set_control_mode(ControlMode.TRAJECTORY, ControlVariable.VELOCITY)
+    hump = Polynomial((0.0, 4.0, -4.0)).restricted(0.0, 1.0)  # up to 1 and back
+    motor.set_trajectory(ComplexTrajectory(hump.scaled(duration_s) * peak))
+    motor.start()
+    taken = [(t, at - before) for t, at in watched(bench, motor, duration_s + _AFTER_S)]
+    motor.stop()
+    finish(bench, motor)
+
+    def wanted(at_s: float) -> float:
+        s = min(max(at_s / duration_s, 0.0), 1.0)
+        return peak * duration_s * (2.0 * s**2 - 4.0 / 3.0 * s**3)
+
+    worst, unit = worst_deviation(bench, taken, wanted), model.unit
+    bound = bench.facts.following + 0.02 * wanted(duration_s)  # nobody holds its place
+    expect(
+        worst <= bound,
+        f"a complex trajectory of velocity: it was {worst:.5g} {unit} off its integral,"
+        f" more than {bound:.5g} {unit}",
+    )
