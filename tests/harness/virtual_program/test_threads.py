@@ -209,6 +209,130 @@ def test_a_thread_of_somebody_else_has_the_wall_and_wakes_nobody(now_s):
     assert "threading.Thread" in refused[0]
 
 
+def test_parties_that_hold_each_other_up_are_told_who_and_where_also_while_events_go_on(rig):
+    told = []
+
+    def take(one, other):
+        with one:
+            time.sleep(1.0)
+            try:
+                other.acquire()
+            except UsageError as error:
+                told.append(str(error))
+
+    with in_virtual_time(rig):
+        first, second = threading.Lock(), threading.Lock()
+        beat = rig.runtime.every(60.0, lambda: None)
+        threads = [
+            threading.Thread(target=take, args=locks, name=name)
+            for name, locks in (("left", (first, second)), ("right", (second, first)))
+        ]
+        for thread in threads:
+            thread.start()
+        with pytest.raises(UsageError) as caught:
+            threads[0].join()
+        for thread in threads:
+            thread.join()
+    beat.cancel()
+    assert rig.runtime.now_ns() == 3600 * 10**9  # so long it might have been an event that helps
+    assert [text.split(" waits")[0] for text in told] == ["party 'left'", "party 'right'"]
+    for text in (*told, str(caught.value)):
+        assert "what can never happen: all wait for one another, since an hour" in text
+        assert "left (" in text
+        assert "), held up by right" in text
+        assert "), held up by left" in text
+        assert f"{__file__}:" in text
+        assert "main (" in text
+
+
+def test_who_waits_for_a_thread_that_is_busy_for_hours_is_left_alone(now_s):
+    thread = threading.Thread(target=time.sleep, args=(10_000.0,))
+    thread.start()
+    thread.join()
+    assert now_s() == 10_000.0
+
+
+def test_ctrl_c_ends_the_wait_for_a_lock_and_takes_it_from_nobody(rig):
+    with in_virtual_time(rig):
+        lock = threading.Lock()
+
+        def holder():
+            with lock:
+                time.sleep(2.0)
+
+        thread = threading.Thread(target=holder)
+        thread.start()
+        rig.runtime.queue.alarm(lambda now_ns: rig.runtime.interrupt()).set(10**9)
+        time.sleep(0.5)
+        with pytest.raises(KeyboardInterrupt):
+            lock.acquire()
+        assert rig.runtime.now_ns() == 10**9
+        assert not lock.acquire(False)
+        assert lock.acquire()
+        assert rig.runtime.now_ns() == 2 * 10**9
+        lock.release()
+
+
+def test_a_thread_has_a_turn_when_one_is_started_in_a_callback(now_s, rig):
+    ran = []
+    rig.runtime.queue.alarm(
+        lambda now_ns: threading.Thread(target=lambda: ran.append(now_s())).start()
+    ).set(10**9)
+    time.sleep(2.0)
+    assert ran == [1.0]
+
+
+def test_objects_made_in_a_program_work_on_the_wall_afterwards(rig):
+    with in_virtual_time(rig):
+        mail, lock = queue.Queue(), threading.RLock()
+        flag, pool = threading.Event(), ThreadPoolExecutor(1)
+
+    def outside():
+        with lock:
+            flag.set()
+        mail.put(5)
+
+    with lock:
+        thread = threading.Thread(target=outside)
+        thread.start()
+        assert not flag.wait(0.001)
+    assert flag.wait(20)
+    assert mail.get(timeout=20) == 5
+    thread.join()
+    assert pool.submit(int).result() == 0
+    pool.shutdown()
+
+
+def test_modules_are_imported_by_two_parties_at_once(now_s, tmp_path, monkeypatch):
+    (tmp_path / "slow_to_import.py").write_text("import time\ntime.sleep(1.0)\nready = True\n")
+    monkeypatch.syspath_prepend(tmp_path)
+    seen = []
+
+    def use():
+        import slow_to_import
+
+        seen.append((slow_to_import.ready, now_s()))
+
+    threads = [threading.Thread(target=use) for _ in range(2)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    assert seen == [(True, 1.0), (True, 1.0)]
+
+
+def test_old_programs_start_threads_by_another_name(now_s):
+    ended = threading.Event()
+
+    def work(pause_s, last=None):
+        time.sleep(pause_s)
+        last.set()
+
+    assert _thread.start_new_thread(work, (1.0,), {"last": ended})
+    assert ended.wait(5.0)
+    assert now_s() == 1.0
+
+
 def test_sleeping_on_the_wall_fails_a_test_of_this_folder():
     with pytest.raises(pytest.fail.Exception, match=r"sleeps 0\.5 s on the wall"):
         time.sleep(0.5)

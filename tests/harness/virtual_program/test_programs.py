@@ -1,0 +1,57 @@
+"""Programs that know nothing of this project, on the rig that `motorhil new` writes."""
+
+import os
+import subprocess
+import sys
+from importlib.resources import files
+from pathlib import Path
+
+import emulators
+from traces.digest import digest
+
+HERE = Path(__file__).parent / "programs"
+EDS = str(files(emulators) / "eds" / "motorhil_cia402.eds")
+RIG = str(files("harness") / "examples" / "two_wheels.toml")
+
+MOVED = """\
+booted at 0.3 s; LSS finds node 1
+OPERATIONAL, EMCY: None
+50000 at 2.322 s
+0 at 3.082 s
+31 places seen, the farthest 49987
+"""
+HEARD = """\
+{'581': 8, '701': 1, '702': 1} 10
+21 heard, 0.0 s late; 3.00 s
+"""
+
+
+def run_alone(hash_seed, *command):
+    done = subprocess.run(
+        [sys.executable, "-m", "harness", "run", *command],
+        env={**os.environ, "PYTHONHASHSEED": hash_seed},
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    return done.returncode, done.stdout, done.stderr
+
+
+def test_a_canopen_program_moves_a_drive_and_is_the_same_bytes_in_every_process(tmp_path):
+    digests = []
+    for seed in ("1", "2"):
+        record = tmp_path / f"{seed}.mcap"
+        command = (RIG, str(HERE / "profile_move.py"), "-o", str(record), "--", EDS)
+        assert run_alone(seed, *command) == (0, MOVED, "")
+        digests.append(digest(str(record)))
+    assert digests[0] == digests[1]
+
+
+def test_a_python_can_program_listens_in_threads_and_sends_again_and_again(say):
+    assert say("run", RIG, str(HERE / "listening.py")) == (0, HEARD, "")
+
+
+def test_another_seed_is_another_run_of_the_same_program(tmp_path, say):
+    (tmp_path / "dice.py").write_text("import random\nprint(random.randrange(10**9))\n")
+    said = [say("run", RIG, str(tmp_path / "dice.py"), "--seed", seed) for seed in "112"]
+    assert said[0] == said[1] != said[2]
