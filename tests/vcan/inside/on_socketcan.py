@@ -1,5 +1,6 @@
 """On real vcan interfaces only; `tests/vcan/test_on_vcan.py` brings them up and runs this."""
 
+import os
 import subprocess
 import sys
 from pathlib import Path
@@ -42,6 +43,22 @@ def test_the_script_that_runs_in_virtual_time_runs_on_vcan(tmp_path):
         assert {(one.program, one.looked) for one in tenures} == {("patient_wheels.py", True)}
         assert any(one.owner.startswith("start() of ") for one in tenures)
         assert any(one.ended is Ended.RELEASED for one in tenures)
+
+
+def test_a_ci_job_gets_the_interfaces_it_names(tmp_path):
+    shown = "import os; print(os.environ['CAN_INTERFACE'], os.environ['MOTORHIL_CHANNEL_CAN0'])"
+    helper = ("bash", str(EXAMPLES / "ci" / "vcan-or-hub"), RIG, "--on", "can0=vcan7")
+    path = f"{Path(sys.executable).parent}:{os.environ['PATH']}"
+    done = subprocess.run(
+        [*helper, "--", sys.executable, "-c", shown],
+        env={**os.environ, "PATH": path, "CI_SUMMARY": str(tmp_path / "summary")},
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert (done.returncode, done.stdout) == (0, "socketcan vcan7\n"), done.stderr
+    assert done.stderr.startswith("Virtual CAN: vcan7 of this machine's kernel, ")
+    assert (tmp_path / "summary").read_text() == done.stderr
 
 
 def test_own_frames_are_told_when_the_interface_has_carried_them():
