@@ -1,8 +1,9 @@
 """The command `motorhil`: one verb, one module, loaded when it is used.
 
-Exit status: 0 passed, 1 the thing under test failed, 2 wrong usage, 130 interrupted. Results go to
-stdout, reasons to stderr. A verb's module has `add_arguments(parser)` and `run(arguments)`; what
-stands after `--` on the command line is `arguments.rest`, None if there is no `--`.
+Exit status: 0 passed, 1 the thing under test failed, 2 wrong usage, 3 nothing could be judged,
+130 interrupted. Results go to stdout, reasons to stderr. A verb's module has
+`add_arguments(parser)` and `run(arguments)`; what stands after `--` on the command line is
+`arguments.rest`, None if there is no `--`.
 """
 
 import argparse
@@ -46,6 +47,7 @@ _VERBS: Final = (
         "diff", "find the first thing that two recordings tell differently", "harness.verbs.diff"
     ),
     _Verb("conform", "check whether an adaptation keeps its promises", "harness.verbs.conform"),
+    _Verb("judge", "judge a recording: what must hold in any, did it?", "harness.verbs.judge"),
     _Verb("report", "draw a recording on one page, on one time axis", "harness.verbs.report"),
     _Verb("convert", "turn recorded CAN traffic into another format", "harness.verbs.convert"),
     _Verb(

@@ -17,6 +17,7 @@ STATES: Final = (
     (0x4F, 0x0F, "fault reaction active"),
     (0x4F, 0x08, "fault"),
 )
+UNKNOWN_STATE: Final = len(STATES)
 _COMMANDS: Final = (
     (0x82, 0x00, "disable voltage"),
     (0x86, 0x02, "quick stop"),
@@ -74,12 +75,18 @@ def controlword_text(word: int, mode: int = 0, before: int | None = None) -> str
     return ", ".join(told + _bits(word, (4, 5, 6, 9), _CONTROL_BITS.get(mode, ()) + halted, mode))
 
 
+def state_number(word: int) -> int:
+    """Which of `STATES` a statusword shows; `UNKNOWN_STATE`: none of them."""
+    for number, (mask, value, _) in enumerate(STATES):
+        if word & mask == value:
+            return number
+    return UNKNOWN_STATE
+
+
 def state_of(word: int) -> str:
     """The state of the PDS FSA in a statusword; what is none of them is told with its bits."""
-    for mask, value, name in STATES:
-        if word & mask == value:
-            return name
-    return f"no state (bits {word & 0x6F:02X}h)"
+    number = state_number(word)
+    return STATES[number][2] if number < len(STATES) else f"no state (bits {word & 0x6F:02X}h)"
 
 
 def statusword_text(word: int, mode: int = 0) -> str:

@@ -109,6 +109,19 @@ class PdoMaps:
             return None
         return [(value >> 16, value >> 8 & 0xFF, value & 0xFF) for value in told if value]
 
+    def layout(self, identifier: int) -> tuple[list[tuple[PdoKey, int, Entry]], bool]:
+        """(the objects in PDOs of this identifier, from which bit on; whether some are unknown)."""
+        found: list[tuple[PdoKey, int, Entry]] = []
+        unknown = False
+        for key in self.of(identifier):
+            entries = self.objects(key)
+            unknown = unknown or entries is None
+            at = 0
+            for entry in entries or ():
+                found.append((key, at, entry))
+                at += entry[2]
+        return found, unknown
+
 
 def predefined(identifier: int) -> PdoKey | None:
     """Whose PDO an identifier is by the pre-defined connection set; None: no PDO's."""

@@ -1,6 +1,7 @@
 """What nodes, units and motors of a recording are called, by the rig and the EDS files in it."""
 
 import tomllib
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Final, final
 
@@ -45,7 +46,12 @@ def rig_in(data: bytes) -> dict[str, object] | None:
         found = tomllib.loads(data.decode())
     except (tomllib.TOMLDecodeError, UnicodeDecodeError):
         return None
-    return found if any(isinstance(found.get(name), dict) for name in _TABLES) else None
+    return found if is_rig(found) else None
+
+
+def is_rig(table: Mapping[str, object]) -> bool:
+    """Whether a TOML file is a rig: not a motor model, nor anything else that goes with it."""
+    return any(isinstance(table.get(name), dict) for name in _TABLES)
 
 
 def _take(names: RecordedNames, rig: dict[str, object], files: dict[str, bytes]) -> None:

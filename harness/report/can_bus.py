@@ -14,10 +14,9 @@ from harness.report.nodes import Nodes
 from harness.report.traffic import Traffic
 from traces.canopen_codes import NMT_STATES
 from traces.decode_canopen import CanopenDecoder
-from traces.decode_cia402 import STATES
+from traces.decode_cia402 import STATES, state_number
 from traces.frame_decoder import FrameDecoder
 from traces.object_names import axis_of
-from traces.pdo_maps import PdoKey
 from traces.recorded_names import RecordedNames
 from traces.said import Kind, Said
 
@@ -43,7 +42,6 @@ QUANTITIES: Final[dict[int, bool]] = {
     0x60FF: True,  # target velocity
 }
 STATUSWORD: Final = 0x6041
-UNKNOWN_STATE: Final = len(STATES)
 FAULTS: Final = tuple(n for n, (_, _, name) in enumerate(STATES) if name.startswith("fault"))
 
 _Part = tuple[int, int, int, bool, int, int]
@@ -177,25 +175,19 @@ class CanBus:
 
     def _plan(self, identifier: int) -> tuple[_Part, ...] | None:
         """What of a PDO is drawn; None: it is one and what it carries is not known."""
+        layout, unknown = self._decoder.maps.layout(identifier)
         parts: list[_Part] = []
-        keys: list[PdoKey] = self._decoder.maps.of(identifier)
-        unknown = False
-        for key in keys:
-            objects = self._decoder.maps.objects(key)
-            unknown = unknown or objects is None
-            at = 0
-            for index, _, bits in objects or ():
-                axis, first = axis_of(index)
-                if first in QUANTITIES and key[0] not in self._no_drives:
-                    parts.append((key[0], at, (1 << bits) - 1, QUANTITIES[first], axis, first))
-                at += bits
+        for (node, _, _), at, (index, _, bits) in layout:
+            axis, first = axis_of(index)
+            if first in QUANTITIES and node not in self._no_drives:
+                parts.append((node, at, (1 << bits) - 1, QUANTITIES[first], axis, first))
         return None if unknown and not parts else tuple(parts)
 
     def _quantity(self, time_ns: int, node: int, axis: int, index: int, value: int) -> None:
         told = self._nodes.of(self._name, node, axis)
         if index == STATUSWORD:
             before = told.pds.last
-            code = pds_code(value)
+            code = state_number(value)
             if told.pds.add(time_ns, code) and code in FAULTS and before not in FAULTS:
                 name = self._node_names.get(node, f"node {node}")
                 axis_text = f" axis {axis}" if axis > 1 else ""
@@ -285,14 +277,6 @@ _SERVICES: Final = {
     12: "SDO to",
     14: "heartbeat",
 }
-
-
-def pds_code(statusword: int) -> int:
-    """Which of `traces.decode_cia402.STATES` it shows; `UNKNOWN_STATE`: none of them."""
-    for number, (mask, value, _) in enumerate(STATES):
-        if statusword & mask == value:
-            return number
-    return UNKNOWN_STATE
 
 
 def nmt_text(code: int) -> str:

@@ -5,6 +5,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass, field
 from typing import Any, final
 
+from traces.recorded_names import is_rig
 from traces.structure import Attachment
 
 # A TOML table, hence Any.
@@ -19,7 +20,8 @@ class MotorFacts:
     Attributes: name; unit ("rad", "m", or "" if no model tells it); increments_per_unit (of the
     drive's position; None: not known); velocity_unit (what 1 is in the drive's velocities, in units
     a second; None: not known); controller (None: not told); place (bus and node or unit;
-    None: not told); channel (of the controller, from 1); model (the file that told the units).
+    None: not told); channel (of the controller, from 1); model (the file that told the units);
+    model_table (all that the model says).
     """
 
     name: str
@@ -30,6 +32,7 @@ class MotorFacts:
     place: tuple[str, int] | None = None
     channel: int = 1
     model: str = ""
+    model_table: Table = field(default_factory=dict)
 
 
 @final
@@ -38,33 +41,36 @@ class RigFacts:
     """What is known of a rig.
 
     Attributes: name; bitrates [bit/s] of CAN buses and serial lines; motors, in the rig's order;
-    groups (their motors).
+    groups (their motors); settings (of controllers, as the rig has them).
     """
 
     name: str = ""
     bitrates: dict[str, int] = field(default_factory=dict)
     motors: dict[str, MotorFacts] = field(default_factory=dict)
     groups: dict[str, list[str]] = field(default_factory=dict)
+    settings: dict[str, Table] = field(default_factory=dict)
 
 
 def facts_of(attachments: Iterable[Attachment]) -> RigFacts:
     """As far as they tell it; what cannot be read tells nothing."""
     tables: dict[str, Table] = {}
+    rig: Table | None = None
     for one in attachments:
         try:
-            tables[one.name.rpartition("/")[2]] = tomllib.loads(one.data.decode())
+            table = tables[one.name.rpartition("/")[2]] = tomllib.loads(one.data.decode())
         except (tomllib.TOMLDecodeError, UnicodeDecodeError):
             continue
+        rig = table if rig is None and is_rig(table) else rig
     facts = RigFacts()
-    rig = next((table for table in tables.values() if isinstance(table.get("rig"), dict)), None)
     if rig is None:
         return facts
-    facts.name = str(rig["rig"].get("name", ""))
+    head = rig.get("rig")
+    facts.name = str(head.get("name", "")) if isinstance(head, dict) else ""
     for name, bus in _tables(rig, "bus").items():
         rate = bus.get("bitrate_bit_s", bus.get("baud_bit_s"))
         if isinstance(rate, int) and rate > 0:
             facts.bitrates[name] = rate
-    controllers = _tables(rig, "controller")
+    controllers = facts.settings = _tables(rig, "controller")
     for name, motor in _tables(rig, "motor").items():
         facts.motors[name] = _motor(name, motor, controllers, tables)
     for name, group in _tables(rig, "group").items():
@@ -103,6 +109,7 @@ def _motor(
         place,
         channel if isinstance(channel, int) else 1,
         file,
+        model,
     )
 
 

@@ -4,11 +4,11 @@ from dataclasses import dataclass, field
 from typing import Final, final
 
 from harness.ownership_record import Ended, LockEvent, ownership_of
-from harness.report.can_bus import UNKNOWN_STATE, nmt_text
+from harness.report.can_bus import nmt_text
 from harness.report.collect import Findings
 from harness.report.motors import Motor
 from harness.report.tracks import Steps
-from traces.decode_cia402 import STATES, mode_text
+from traces.decode_cia402 import STATES, UNKNOWN_STATE, mode_text
 from traces.schema import LockAction
 
 BARS_MAX: Final = 20_000

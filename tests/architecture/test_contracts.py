@@ -201,6 +201,19 @@ PLANTS = [
     ),
     ("virtual-program", "harness/virtual_program/novelty.py", "", "novelty"),
     (
+        "oracles",
+        "harness/oracles/pds.py",
+        "import harness.oracles.motion",
+        "harness.oracles.pds -> harness.oracles.motion",
+    ),
+    ("oracles", "harness/oracles/novelty.py", "", "novelty"),
+    (
+        "oracles-alone",
+        "harness/oracles/facts.py",
+        "import motorapi.model",
+        "harness.oracles.facts -> motorapi.model",
+    ),
+    (
         "judges",
         "harness/sharing/linearizability.py",
         "import hypothesis",

@@ -14,6 +14,14 @@ bare = tests.harness.bench:adaptation
 """
 
 
+@pytest.fixture(scope="session")
+def demo(tmp_path_factory):
+    """The demo's recording, made once."""
+    path = tmp_path_factory.mktemp("demo") / "demo.mcap"
+    assert main(["demo", "-o", str(path)]) == 0
+    return path
+
+
 @pytest.fixture
 def bench(tmp_path, monkeypatch):
     """A folder to write rigs in, with the plugins of bench.py installed."""

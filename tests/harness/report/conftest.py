@@ -1,4 +1,4 @@
-"""The demo's recording, made once; and the report of any recording."""
+"""The report of the demo, made once; and of any recording."""
 
 import base64
 import json
@@ -11,13 +11,6 @@ from harness.cli import main
 from harness.report.collect import collect
 from harness.report.document import document_of
 from traces.reader import read_trace
-
-
-@pytest.fixture(scope="session")
-def demo(tmp_path_factory):
-    path = tmp_path_factory.mktemp("report") / "demo.mcap"
-    assert main(["demo", "-o", str(path)]) == 0
-    return path
 
 
 @pytest.fixture(scope="session")

@@ -1,0 +1,231 @@
+"""What is known of a recording's motors beforehand: limits, units, where they are.
+
+From the rig and the motor models attached to it, from `--rig RIG`, or from a file of limits:
+
+    [motor.left]                     # its name in the recording, or any
+    bus = "can0"                     # where it is, unless the recording has a rig that says so
+    node_id = 1
+    axis = 1
+    increments_per_rad = 21008.45    # 6064h; velocity_unit_rad_s: what 1 in 606Ch means
+    position_min_rad = -1.7          # rad or m
+    position_max_rad = 1.7
+    velocity_max_rad_s = 2.0
+    acceleration_max_rad_s2 = 20.0
+    torque_max_n_m = 12.0            # linear: force_max_n
+    current_max_a = 4.0
+    following_error_max_rad = 0.05
+    position_max_inc = 40000         # or in the drive's own units: 6064h, 60F4h ...
+    velocity_max_raw = 3000          # ... 606Ch, ...
+    torque_max_permille = 1000       # ... 6077h
+
+What a model limits is what may be commanded; what a file of limits limits is what is measured.
+"""
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any, Final, final
+
+from harness.report.rig_facts import MotorFacts, facts_of
+from harness.rig_attachments import named_files
+from harness.settings import Table, read_source
+from traces.structure import Attachment
+
+_FREE: Final = float("inf")
+_PLACE_KEYS: Final = ("bus", "node_id", "axis", "controller")
+_PLAIN_KEYS: Final = (
+    *("torque_max_n_m", "force_max_n", "current_max_a"),
+    *("position_min_inc", "position_max_inc", "following_error_max_inc"),
+    *("velocity_max_raw", "torque_max_permille"),
+)
+_UNIT_KEYS: Final = (
+    *("position_min_{u}", "position_max_{u}", "velocity_max_{u}_s", "acceleration_max_{u}_s2"),
+    *("following_error_max_{u}", "increments_per_{u}", "velocity_unit_{u}_s"),
+)
+_KEYS: Final = (
+    *_PLACE_KEYS,
+    *(key.format(u=unit) for key in _UNIT_KEYS for unit in ("rad", "m")),
+    *_PLAIN_KEYS,
+)
+_SIGNED: Final = ("position_m", "increments_per_")
+
+
+@final
+@dataclass(frozen=True, slots=True)
+class Subject:
+    """A motor.
+
+    Attributes:
+        name; place: (bus, node, axis), None: not known; controller: whose truth is its own;
+        channel: of that controller, from 1; unit: "rad", "m" or "".
+        increments_per_unit, velocity_unit, acceleration_unit: of its drive, signed; None: unknown.
+        commanded: limits of what may be asked for, from its model: keys as there, without units.
+        limits: of what may be measured, as a file of limits has them, with units in the keys.
+        objects: of its drive, as the rig sets them at power-on: (index, sub-index) to value.
+    """
+
+    name: str
+    place: tuple[str, int, int] | None = None
+    controller: str | None = None
+    channel: int = 1
+    unit: str = ""
+    increments_per_unit: float | None = None
+    velocity_unit: float | None = None
+    acceleration_unit: float | None = None
+    commanded: Mapping[str, float] = field(default_factory=dict)
+    limits: Mapping[str, float] = field(default_factory=dict)
+    objects: Mapping[tuple[int, int], int] = field(default_factory=dict)
+
+
+@final
+@dataclass(frozen=True, slots=True)
+class Facts:
+    """What is known beforehand.
+
+    Attributes:
+        motors: by name.
+        is_complete: somebody vouches that the recording has every frame of its buses.
+    """
+
+    motors: Mapping[str, Subject] = field(default_factory=dict)
+    is_complete: bool = False
+
+    def with_more(self, motors: Mapping[str, Subject]) -> "Facts":
+        """The same and these; of one name, what is told here goes before."""
+        merged = dict(self.motors)
+        for name, one in motors.items():
+            known = merged.get(name)
+            merged[name] = one if known is None else _joined(known, one)
+        return replace(self, motors=merged)
+
+
+def _joined(first: Subject, second: Subject) -> Subject:
+    """What the first tells, and from the second what it leaves open."""
+    return Subject(
+        first.name,
+        first.place or second.place,
+        first.controller or second.controller,
+        first.channel if first.controller else second.channel,
+        first.unit or second.unit,
+        first.increments_per_unit or second.increments_per_unit,
+        first.velocity_unit or second.velocity_unit,
+        first.acceleration_unit or second.acceleration_unit,
+        {**second.commanded, **first.commanded},
+        {**second.limits, **first.limits},
+        {**second.objects, **first.objects},
+    )
+
+
+def subjects_in(attachments: Iterable[Attachment]) -> dict[str, Subject]:
+    """The motors of an attached rig; what cannot be read tells nothing."""
+    rig = facts_of(attachments)
+    return {name: _subject(motor, rig.settings) for name, motor in rig.motors.items()}
+
+
+def _subject(motor: MotorFacts, settings: Mapping[str, Mapping[str, Any]]) -> Subject:
+    unit, model = motor.unit, motor.model_table
+    keys = {
+        "position_min": f"position_min_{unit}",
+        "position_max": f"position_max_{unit}",
+        "velocity_max": f"velocity_max_{unit}_s",
+        "acceleration_max": f"acceleration_max_{unit}_s2",
+        "deceleration_max": f"deceleration_max_{unit}_s2",
+    }
+    told = {key: _number(model.get(name)) for key, name in keys.items()}
+    commanded = {key: value for key, value in told.items() if value is not None}
+    place = None if motor.place is None else (*motor.place, motor.channel)
+    return Subject(
+        *(motor.name, place, motor.controller, motor.channel, unit),
+        *(motor.increments_per_unit, motor.velocity_unit),
+        _number(model.get(f"acceleration_unit_{unit}_s2")),
+        commanded,
+        objects=_objects(settings.get(motor.controller or "", {})),
+    )
+
+
+def _objects(controller: Mapping[str, Any]) -> dict[tuple[int, int], int]:
+    """What an emulated drive has at power-on in place of what its EDS says."""
+    found: dict[tuple[int, int], int] = {}
+    told = controller.get("objects")
+    for key, value in told.items() if isinstance(told, dict) else ():
+        index, _, subindex = key.partition(":")
+        try:
+            place = int(index.rstrip("hH"), 16), int(subindex or "0")
+        except ValueError:
+            continue
+        if isinstance(value, int):
+            found[place] = value
+    return found
+
+
+def _number(value: object) -> float | None:
+    return float(value) if isinstance(value, int | float) else None
+
+
+def read_rig(path: Path) -> dict[str, Subject]:
+    """The motors of a rig file, with the models it names.
+
+    Raises:
+        RigError: it cannot be read, or is no TOML, or names no motor.
+    """
+    source = read_source(path, "name a rig: motorhil new DIR writes one")
+    root = source.root()
+    files = [Attachment(path.name, "application/toml", 0, source.text.encode())]
+    for named, media_type in named_files(root.values):
+        if named.endswith(".toml"):
+            text = read_source(path.parent / named, f"{path} names it as a motor model").text
+            files.append(Attachment(Path(named).name, media_type, 0, text.encode()))
+    subjects = subjects_in(files)
+    if not subjects:
+        raise root.missing("motor", "a rig has [motor.NAME]: motorhil new DIR writes one")
+    return subjects
+
+
+def read_limits(path: Path) -> dict[str, Subject]:
+    """The motors of a file of limits.
+
+    Raises:
+        RigError: it cannot be read, or a key or value in it is wrong.
+    """
+    root = read_source(path, "write one as README shows").root()
+    root.refuse_unknown(("motor",))
+    motors = root.table("motor")
+    if not motors.values:
+        raise root.missing("motor", "write [motor.NAME], as README shows")
+    return {name: _limits_of(name, motors.table(name)) for name in motors.values}
+
+
+def _limits_of(name: str, table: Table) -> Subject:
+    table.refuse_unknown(_KEYS)
+    limits: dict[str, float] = {}
+    for key in table.values:
+        if key not in _PLACE_KEYS:
+            low = -_FREE if key.startswith(_SIGNED) else 0.0
+            limits[key] = table.number(key, low=low, high=_FREE)
+    unit = _unit_of(table)
+    place = None
+    if table.has("bus") or table.has("node_id"):
+        bus = table.text("bus", example='"can0"')
+        node = table.integer("node_id", low=1, high=127, example="1")
+        place = (bus, node, table.integer("axis", 1, low=1, high=8))
+    controller = table.text("controller") if table.has("controller") else None
+    scale = limits.pop(f"increments_per_{unit}", None) if unit else None
+    if scale == 0:
+        raise table.error(f"increments_per_{unit}", "is 0", "write how many make one unit")
+    velocity_unit = limits.pop(f"velocity_unit_{unit}_s", None) if unit else None
+    if not limits:
+        remedy = "write velocity_max_rad_s = 2.0, or another limit"
+        raise table.source.error(table.path, "has no limit", remedy)
+    return Subject(name, place, controller, 1, unit, scale, velocity_unit, None, {}, limits)
+
+
+def _unit_of(table: Table) -> str:
+    """Raises RigError if rad and m are mixed."""
+    units = {unit: key for key in table.values for unit in ("rad", "m") if _has_unit(key, unit)}
+    if len(units) > 1:
+        raise table.error(units["m"], "is in m, others are in rad", "a motor turns or slides")
+    return next(iter(units), "")
+
+
+def _has_unit(key: str, unit: str) -> bool:
+    return any(key == pattern.format(u=unit) for pattern in _UNIT_KEYS)

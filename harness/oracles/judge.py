@@ -1,0 +1,226 @@
+"""A recording in one pass, judged by every oracle.
+
+    from harness.oracles.judge import judge
+
+    for finding in judge("run.mcap"):
+        print(finding.oracle, finding.verdict.value, finding.looked, finding.first)
+
+Memory grows with nodes, motors and identifiers, not with time; each message is looked at once (of
+who owns which motor: twice, and only where it is told).
+"""
+
+import os
+from collections.abc import Callable, Collection, Mapping
+from typing import Final, final
+
+from harness.oracles import ownership
+from harness.oracles.bus_ear import BusEar
+from harness.oracles.facts import Facts, subjects_in
+from harness.oracles.finding import Finding, Verdict
+from harness.oracles.limits import AccelerationLimit, PositionLimit, TorqueLimit, VelocityLimit
+from harness.oracles.motion import AtRest, Following, TorqueOff
+from harness.oracles.network import Answers, BootUps, FaultsTold, Heartbeats, OneSender
+from harness.oracles.oracle import Oracle
+from harness.oracles.pds import StateMachine
+from harness.oracles.scene import Scene
+from harness.oracles.sync import SyncPeriod
+from harness.report.truth import TruthReader, message_of
+from traces.formats import Source, open_source
+from traces.frame_decoder import FrameDecoder
+from traces.protobuf import decode
+from traces.reader import Trace, read_trace
+from traces.recorded_names import RecordedNames, names_of
+from traces.schema import CAN_FRAME, JOINT_STATE, LOG
+from traces.structure import Channel
+from traces.traffic import Findings as Reading
+
+ORACLES: Final[tuple[type[Oracle], ...]] = (
+    *(PositionLimit, VelocityLimit, AccelerationLimit, TorqueLimit),
+    *(StateMachine, AtRest, Following, TorqueOff, FaultsTold),
+    *(SyncPeriod, Heartbeats, Answers, OneSender, BootUps),
+)
+CATALOGUE: Final = (
+    *((one.id, one.promise, one.source, one.needs) for one in ORACLES),
+    (ownership.ID, ownership.PROMISE, ownership.SOURCE, ownership.NEEDS),
+)
+"""Id, promise, source, why it may be unable to judge."""
+IDS: Final = tuple(row[0] for row in CATALOGUE)
+_LOST: Final = "frames were lost here"  # as `motorhil record` says it
+_BACKWARD: Final = "its times go backwards"
+_Handler = Callable[[int, bytes], None]
+
+
+def judge(
+    recording: str | os.PathLike[str] | Trace,
+    facts: Facts | None = None,
+    *,
+    only: Collection[str] = (),
+    from_ns: int | None = None,
+    to_ns: int | None = None,
+    progress: Callable[[int], None] | None = None,
+) -> list[Finding]:
+    """What each oracle says of the recording, of a cut one as far as it goes, in the order of IDS.
+
+    Args:
+        recording: ours, or in any format that `traces.formats` reads.
+        facts: what is known beside it; what its own rig tells is known, too.
+        only: ids of oracles; empty: all.
+        from_ns: what happens from then on is judged; what was before is heard all the same.
+        to_ns: what happens before is judged.
+        progress: called now and then with how many messages have been read.
+
+    Raises:
+        TraceError: it cannot be read, is of no known format, or is damaged.
+    """
+    facts = Facts() if facts is None else facts
+    if isinstance(recording, Trace):
+        return _judge_trace(recording, facts, only, from_ns, to_ns, progress)
+    source = open_source(recording)
+    if source.format == "mcap":
+        with read_trace(recording) as trace:
+            return _judge_trace(trace, facts, only, from_ns, to_ns, progress)
+    pass_ = Pass(Scene(facts, RecordedNames(), from_ns, to_ns), only)
+    pass_.frames_of(source, progress)
+    return pass_.findings(None, from_ns, to_ns)
+
+
+def is_sound(findings: Collection[Finding]) -> bool:
+    """Whether something was judged, and nothing was broken."""
+    verdicts = [finding.verdict for finding in findings]
+    return Verdict.HELD in verdicts and Verdict.BROKEN not in verdicts
+
+
+def _judge_trace(
+    trace: Trace,
+    facts: Facts,
+    only: Collection[str],
+    from_ns: int | None,
+    to_ns: int | None,
+    progress: Callable[[int], None] | None,
+) -> list[Finding]:
+    facts = facts.with_more(subjects_in(trace.attachments))
+    pass_ = Pass(Scene(facts, names_of(trace.attachments), from_ns, to_ns), only)
+    pass_.messages_of(trace, to_ns, progress)
+    return pass_.findings(trace, from_ns, to_ns)
+
+
+@final
+class Pass:
+    """Hands each message to whom it concerns."""
+
+    def __init__(self, scene: Scene, only: Collection[str]) -> None:
+        self._scene = scene
+        self._only = only
+        self._oracles = [one(scene) for one in ORACLES if not only or one.id in only]
+        self._buses: dict[str, BusEar] = {}
+        self._decode = FrameDecoder().decode
+        self._handlers: dict[int, _Handler | None] = {}
+        self._last_ns = 0
+
+    def hear(self, time_ns: int, bus: str, frame: bytes, sender: str) -> None:
+        """A frame, out of whatever."""
+        self._ear(bus).take(time_ns, frame, sender)
+        self._last_ns = max(self._last_ns, time_ns)
+
+    def frames_of(self, source: Source, progress: Callable[[int], None] | None) -> None:
+        """All frames of a file that is no recording of ours."""
+        reading = Reading()
+        for time_ns, bus, frame, _, sender in source.frames(reading):
+            self.hear(time_ns, bus, frame, sender)
+            if progress is not None and not reading.frames % 20_000:
+                progress(reading.frames)
+        self.imported(source.format)
+        gaps = self._scene.gaps
+        if reading.problems:
+            gaps[f"{len(reading.problems)} of its lines could not be read"] = None
+        if reading.backward:
+            gaps[_BACKWARD] = None
+        if reading.unstamped:
+            gaps["frames have no times"] = None
+
+    def messages_of(
+        self, trace: Trace, to_ns: int | None, progress: Callable[[int], None] | None
+    ) -> None:
+        """All messages of a recording, up to a time."""
+        messages = trace.messages(None, None, to_ns)
+        for count, (channel, time_ns, payload) in enumerate(messages, 1):
+            if channel.number in self._handlers:
+                handler = self._handlers[channel.number]
+            else:
+                handler = self._handlers[channel.number] = self._handler(channel)
+            if time_ns >= self._last_ns:
+                self._last_ns = time_ns
+            elif channel.topic.startswith("/can/"):
+                self._scene.gaps[_BACKWARD] = None
+            if handler is not None:
+                try:
+                    handler(time_ns, payload)
+                except ValueError:
+                    self._scene.gaps["some of its messages could not be read"] = None
+            if progress is not None and not count % 20_000:
+                progress(count)
+        if "run" not in trace.metadata and "record" not in trace.metadata:
+            self.imported(trace.metadata.get("convert", {}).get("format", trace.library))
+
+    def findings(
+        self, trace: Trace | None, from_ns: int | None, to_ns: int | None
+    ) -> list[Finding]:
+        """What all oracles say."""
+        for oracle in self._oracles:
+            oracle.end(self._last_ns)
+        found = [oracle.finding() for oracle in self._oracles]
+        if not self._only or ownership.ID in self._only:
+            motors = self._scene.facts.motors.values()
+            places = {one.name: one.place[:2] for one in motors if one.place is not None}
+            found.append(ownership.judge_ownership(trace, places, from_ns, to_ns))
+        return found
+
+    def imported(self, origin: str) -> None:
+        """Of a recording that is not ours nobody knows whether it has every frame."""
+        if not self._scene.facts.is_complete:
+            what = f"nobody says that this recording ({origin or 'of another writer'}) has every"
+            self._scene.gaps[f"{what} frame: --complete says so"] = None
+
+    # --------------------------------------------------------------------------- who is told
+
+    def _ear(self, bus: str) -> BusEar:
+        ear = self._buses.get(bus)
+        if ear is None:
+            ear = self._buses[bus] = BusEar(bus, self._scene, self._oracles)
+        return ear
+
+    def _handler(self, channel: Channel) -> _Handler | None:
+        schema = channel.schema
+        if schema is None or channel.encoding != "protobuf":
+            return None
+        parts = channel.topic.strip("/").split("/")
+        if schema.name == CAN_FRAME.name:
+            take = self._ear(channel.topic.removeprefix("/can/")).take
+            return lambda time_ns, payload: self._frame(take, time_ns, payload)
+        if schema.name == JOINT_STATE.name and len(parts) == 3:
+            return lambda time_ns, payload: self._motion(parts[1], time_ns, payload)
+        if schema.name == LOG.name:
+            return self._event
+        message = message_of(schema)
+        if message is None or len(parts) < 2:
+            return None
+        reader = TruthReader(message)
+        return lambda time_ns, payload: self._truth(parts[1], time_ns, reader.read(payload))
+
+    def _frame(self, take: Callable[[int, bytes, str], None], time_ns: int, payload: bytes) -> None:
+        frame, _, sender = self._decode(payload)
+        take(time_ns, frame, sender)
+
+    def _motion(self, motor: str, time_ns: int, payload: bytes) -> None:
+        told = decode(JOINT_STATE, payload)
+        values = {name: value for name, value in told.items() if isinstance(value, float)}
+        for oracle in self._oracles:
+            oracle.motion(time_ns, motor, values)
+
+    def _truth(self, controller: str, time_ns: int, values: Mapping[str, float]) -> None:
+        for oracle in self._oracles:
+            oracle.truth(time_ns, controller, values)
+
+    def _event(self, time_ns: int, payload: bytes) -> None:
+        if str(decode(LOG, payload).get("message", "")).endswith(_LOST):
+            self._scene.gaps["frames were lost while it was recorded"] = None

@@ -1,0 +1,385 @@
+"""Limits kept: of what is asked for, by the motor's model; of what is measured, by whoever says so.
+
+A model's limits bind what is commanded: a motion of torque may pass its velocity, and a load may
+push a motor anywhere. So the model is held against targets, profile velocities and accelerations
+that hosts write, and, with `MARGIN`, against the velocity of a drive that is in control of it. A
+file of limits (`--limits`) is held against everything measured, and so are the drive's own: 607Dh,
+607Fh, 6072h, 6073h.
+
+Source: CiA 402-2: software position limit 607Dh, max profile velocity 607Fh, max torque 6072h, max
+current 6073h, controlword in pp (bit 4: new set-point, bit 6: relative); the paper, 3.2.
+"""
+
+from collections.abc import Mapping
+from typing import ClassVar, Final, final
+
+from harness.oracles.facts import Subject
+from harness.oracles.finding import Violation
+from harness.oracles.oracle import MS, Oracle
+from harness.oracles.scene import CONTROLWORD, ENABLED, Axis, Place, Scene
+
+MARGIN: Final = 1.25
+"""A servo overshoots, and a velocity measured over a tick ripples."""
+_EXACT: Final = 1 + 1e-6
+_OFF: Final = 0x7FFF_FFFF
+_LOWERED_NS: Final = 500 * MS
+_PP, _PV, _IP, _CSP, _CSV = 1, 3, 7, 8, 9
+_POSITION_MODES: Final = (_PP, _IP, _CSP)
+_NO_TORQUE_MODES: Final = (_PP, _PV, _IP, _CSP, _CSV)
+_NEW_SET_POINT: Final = 0x10
+_RELATIVE: Final = 0x40
+
+
+class _Limit(Oracle):
+    """What limits have in common. quantity: of a motor's limits, as keys begin."""
+
+    quantity: ClassVar[str] = ""
+    truth_key: ClassVar[str] = ""
+    motion_key: ClassVar[str] = ""
+
+    def __init__(self, scene: Scene) -> None:
+        """See Oracle."""
+        super().__init__(scene)
+        self._by_controller = scene.controllers()
+
+    def beyond(
+        self,
+        time_ns: int,
+        axis: Axis | None,
+        name: str,
+        what: str,
+        value: float,
+        low: float | None,
+        high: float | None,
+        unit: str,
+        allowed: float = 0.0,
+    ) -> None:
+        """The value is looked at; it is broken if it is out of the limits by more than allowed."""
+        bus, node, number = axis.place if axis is not None else ("", 0, 1)
+        if (low is None and high is None) or not self.look(time_ns, bus):
+            return
+        limit = high
+        if low is not None and value < low - allowed:
+            limit = low
+        elif high is None or value <= high + allowed:
+            return
+        self.broken(Violation(time_ns, what, bus, node, number, name, value, limit, unit))
+
+    def of(self, one: Subject, suffix: str) -> tuple[float | None, float | None]:
+        """Lowest and highest of a file of limits, in this unit; of what has a sign, both ways."""
+        high = one.limits.get(f"{self.quantity}_max_{suffix}")
+        if self.quantity == "position":
+            return one.limits.get(f"position_min_{suffix}"), high
+        return None if high is None else -high, high
+
+    def truth(self, time_ns: int, controller: str, values: Mapping[str, float]) -> None:
+        """A snapshot: what of it a file of limits limits."""
+        for one in self._by_controller.get(controller, ()):
+            key = f"channel_{one.channel}_{self.truth_key}" if one.channel > 1 else self.truth_key
+            value = values.get(key)
+            if value is not None:
+                self.measured(time_ns, None, one, "truth", value)
+                self.modelled(time_ns, one, value, values)
+
+    def motion(self, time_ns: int, motor: str, values: Mapping[str, float]) -> None:
+        """What the application knew."""
+        one = self.scene.facts.motors.get(motor)
+        value = values.get(self.motion_key) if self.motion_key else None
+        if one is not None and value is not None:
+            self.measured(time_ns, None, one, "as the application knows it", value)
+
+    def measured(
+        self, time_ns: int, axis: Axis | None, one: Subject, what: str, value: float
+    ) -> None:
+        """In SI units, held against a file of limits."""
+        suffix, unit = self.si(one)
+        text = f"{self.quantity.replace('_', ' ')}, {what}"
+        self.beyond(time_ns, axis, one.name, text, value, *self.of(one, suffix), unit)
+
+    def si(self, one: Subject) -> tuple[str, str]:
+        """How keys of this motor end, and the unit."""
+        raise NotImplementedError
+
+    def modelled(
+        self, time_ns: int, one: Subject, value: float, values: Mapping[str, float]
+    ) -> None:
+        """A snapshot, held against the model; of most quantities it is not."""
+
+
+@final
+class PositionLimit(_Limit):
+    """`limit-position`."""
+
+    id = "limit-position"
+    promise = "No target beyond the model's limits is commanded, and none of the drive's is passed"
+    source = "the paper, 3.2; CiA 402-2, software position limit 607Dh"
+    needs = "no limit of position is known: none in a model, none heard (607Dh), no --limits FILE"
+    quantity = "position"
+    truth_key = "position_rad"
+    motion_key = "position"
+    objects: ClassVar[Mapping[int, bool]] = {
+        **{CONTROLWORD: False, 0x607A: True, 0x607D: True, 0x6064: True, 0x6065: False},
+        **{0x6060: True, 0x6061: True, 0x607C: True, 0x6041: False},
+    }
+
+    def __init__(self, scene: Scene) -> None:
+        """See Oracle."""
+        super().__init__(scene)
+        self._target: dict[Place, int] = {}
+        self._word: dict[Place, int] = {}
+
+    def si(self, one: Subject) -> tuple[str, str]:
+        """Rad or m."""
+        return one.unit or "rad", one.unit or "rad"
+
+    def value(
+        self, time_ns: int, axis: Axis, index: int, subindex: int, value: int, told_to: bool
+    ) -> None:
+        """A target, the word that makes it one, or a position."""
+        if index == 0x607A and told_to:
+            self._target[axis.place] = value
+            if axis.mode == _CSP and axis.state == ENABLED:
+                self._commanded(time_ns, axis, value)
+        elif index == CONTROLWORD and told_to:
+            fresh = value & ~self._word.get(axis.place, 0) & _NEW_SET_POINT
+            self._word[axis.place] = value
+            target = self._target.get(axis.place)
+            if fresh and not value & _RELATIVE and axis.mode == _PP and target is not None:
+                self._commanded(time_ns, axis, target)
+        elif index == 0x6064 and not told_to:
+            self._actual(time_ns, axis, value)
+
+    def _commanded(self, time_ns: int, axis: Axis, target: int) -> None:
+        one = axis.subject
+        if one is None or not one.increments_per_unit:
+            return
+        position = target / one.increments_per_unit
+        low, high = one.commanded.get("position_min"), one.commanded.get("position_max")
+        slack = 1.0 / abs(one.increments_per_unit)
+        what = "target position 607Ah"
+        self.beyond(time_ns, axis, one.name, what, position, low, high, one.unit, slack)
+
+    def _actual(self, time_ns: int, axis: Axis, value: int) -> None:
+        one = axis.subject
+        if one is not None and one.limits:
+            self.beyond(
+                *(time_ns, axis, one.name, "position actual value 6064h"),
+                *(float(value), *self.of(one, "inc"), "inc"),
+            )
+            if one.increments_per_unit:
+                what = "position actual value 6064h"
+                self.measured(time_ns, axis, one, what, value / one.increments_per_unit)
+        low, high = axis.objects.get((0x607D, 1)), axis.objects.get((0x607D, 2))
+        if low is None or high is None or low >= high:
+            return  # CiA 402-2: then there is none
+        if axis.mode not in _POSITION_MODES or axis.state != ENABLED:
+            return
+        # Drives that were not referenced do not heed it, and it may count from home or from zero.
+        window = axis.objects.get((0x6065, 0), 0)
+        slack = window if window < _OFF else 0
+        slack += abs(axis.objects.get((0x607C, 0), 0)) + (high - low) // 100
+        what = "position actual value 6064h beyond 607Dh"
+        self.beyond(time_ns, axis, axis.name, what, value, low, high, "inc", slack)
+
+
+@final
+class VelocityLimit(_Limit):
+    """`limit-velocity`."""
+
+    id = "limit-velocity"
+    promise = "No velocity beyond the model's is commanded, nor reached under the drive's control"
+    source = "the paper, 3.2; CiA 402-2, max profile velocity 607Fh"
+    needs = "no limit of velocity is known: none in a model, none heard (607Fh), no --limits FILE"
+    quantity = "velocity"
+    truth_key = "velocity_rad_s"
+    motion_key = "velocity"
+    objects: ClassVar[Mapping[int, bool]] = {
+        **{0x6081: False, 0x60FF: True, 0x606C: True, 0x607F: False},
+        **{0x6060: True, 0x6061: True, 0x6041: False},
+    }
+
+    def si(self, one: Subject) -> tuple[str, str]:
+        """Per second."""
+        unit = one.unit or "rad"
+        return f"{unit}_s", f"{unit}/s"
+
+    def value(
+        self, time_ns: int, axis: Axis, index: int, subindex: int, value: int, told_to: bool
+    ) -> None:
+        """A velocity, asked for or measured."""
+        one = axis.subject
+        if told_to and (index == 0x6081 or (index == 0x60FF and axis.mode == _PV)):
+            if one is not None and one.velocity_unit and "velocity_max" in one.commanded:
+                limit, unit = one.commanded["velocity_max"], abs(one.velocity_unit)
+                what = f"{'profile' if index == 0x6081 else 'target'} velocity {index:04X}h"
+                slack = limit * (_EXACT - 1) + unit
+                speed = abs(value) * unit
+                name = f"{one.unit}/s"
+                self.beyond(time_ns, axis, one.name, what, speed, None, limit, name, slack)
+        elif index == 0x606C and not told_to:
+            self._actual(time_ns, axis, value)
+
+    def _actual(self, time_ns: int, axis: Axis, value: int) -> None:
+        one, what = axis.subject, "velocity actual value 606Ch"
+        if one is not None and one.limits:
+            self.beyond(time_ns, axis, one.name, what, value, *self.of(one, "raw"), "as 606Ch")
+            if one.velocity_unit:
+                self.measured(time_ns, axis, one, what, value * one.velocity_unit)
+        limit = axis.objects.get((0x607F, 0))
+        if not limit or limit >= _OFF or axis.mode not in _NO_TORQUE_MODES:
+            return
+        if axis.state != ENABLED or not self.look(time_ns, axis.place[0]):
+            return
+        if abs(value) > limit * MARGIN:
+            numbers = (float(abs(value)), float(limit), "as 606Ch")
+            found = Violation(time_ns, f"{what} beyond 607Fh", *axis.place, axis.name, *numbers)
+            if abs(value) > 2 * limit:
+                self.doubt(found, "606Ch may count in another unit than 607Fh")
+            else:
+                self.broken(found)
+
+    def modelled(
+        self, time_ns: int, one: Subject, value: float, values: Mapping[str, float]
+    ) -> None:
+        """Of a drive that is in control, and not told a torque."""
+        limit = one.commanded.get("velocity_max")
+        if limit is None or one.place is None:
+            return
+        state, axis = values.get("state"), self.scene.axes.get(one.place)
+        if state is not None:
+            steady = axis is not None and time_ns - axis.state_ns > _LOWERED_NS
+            if state != ENABLED or values.get("mode") not in _NO_TORQUE_MODES or not steady:
+                return
+        if not self.look(time_ns) or abs(value) <= limit * MARGIN:
+            return
+        found = Violation(
+            *(time_ns, "velocity, truth", "", 0, 1, one.name),
+            *(abs(value), limit * MARGIN, f"{one.unit}/s"),
+        )
+        if state is None:
+            self.doubt(found, "whether it is in control of its load, or was told a torque, is not")
+        else:
+            self.broken(found)
+
+
+@final
+class AccelerationLimit(_Limit):
+    """`limit-acceleration`."""
+
+    id = "limit-acceleration"
+    promise = "No acceleration beyond the model's is commanded, and none of a limits file is passed"
+    source = "the paper, 3.2; CiA 402-2, profile acceleration 6083h, profile deceleration 6084h"
+    needs = "no profile acceleration was commanded whose unit and limit are known, no --limits FILE"
+    quantity = "acceleration"
+    objects: ClassVar[Mapping[int, bool]] = {0x6083: False, 0x6084: False}
+
+    def __init__(self, scene: Scene) -> None:
+        """See Oracle."""
+        super().__init__(scene)
+        self._before: dict[str, tuple[int, float]] = {}
+
+    def si(self, one: Subject) -> tuple[str, str]:
+        """Per second squared."""
+        unit = one.unit or "rad"
+        return f"{unit}_s2", f"{unit}/s2"
+
+    def value(
+        self, time_ns: int, axis: Axis, index: int, subindex: int, value: int, told_to: bool
+    ) -> None:
+        """What a profile is to have."""
+        one = axis.subject
+        if not told_to or one is None or not one.acceleration_unit:
+            return
+        limit = one.commanded.get("acceleration_max")
+        if index == 0x6084:
+            limit = one.commanded.get("deceleration_max", limit)
+        if limit is None:
+            return
+        what = f"profile {'acceleration' if index == 0x6083 else 'deceleration'} {index:04X}h"
+        unit = abs(one.acceleration_unit)
+        slack = limit * (_EXACT - 1) + unit
+        name = f"{one.unit}/s2"
+        self.beyond(time_ns, axis, one.name, what, value * unit, None, limit, name, slack)
+
+    def truth(self, time_ns: int, controller: str, values: Mapping[str, float]) -> None:
+        """The mean between two snapshots: no mean is larger than the largest."""
+        for one in self._by_controller.get(controller, ()):
+            prefix = f"channel_{one.channel}_" if one.channel > 1 else ""
+            velocity = values.get(f"{prefix}velocity_rad_s")
+            if velocity is None or "acceleration_max_rad_s2" not in one.limits:
+                continue
+            before = self._before.get(one.name)
+            self._before[one.name] = time_ns, velocity
+            if before is not None and time_ns > before[0]:
+                mean = (velocity - before[1]) / ((time_ns - before[0]) / 1e9)
+                self.measured(time_ns, None, one, "truth, mean of two snapshots", mean)
+
+
+@final
+class TorqueLimit(_Limit):
+    """`limit-torque`."""
+
+    id = "limit-torque"
+    promise = "Torque and current stay within the drive's limits 6072h, 6073h and a limits file's"
+    source = "CiA 402-2, max torque 6072h, max current 6073h [0.1 % of rated]"
+    needs = "no limit of torque is known beside a torque: no 6072h with 6077h, no --limits FILE"
+    quantity = "torque"
+    truth_key = "torque_n_m"
+    motion_key = "effort"
+    objects: ClassVar[Mapping[int, bool]] = {
+        0x6072: False,
+        0x6073: False,
+        0x6077: True,
+        0x6078: True,
+    }
+
+    def __init__(self, scene: Scene) -> None:
+        """See Oracle."""
+        super().__init__(scene)
+        self._lowered: dict[tuple[Place, int], tuple[int, int]] = {}  # until when what holds
+        self._limit: dict[tuple[Place, int], int] = {}
+
+    def si(self, one: Subject) -> tuple[str, str]:
+        """N m, or N."""
+        return ("n", "N") if one.unit == "m" else ("n_m", "N m")
+
+    def of(self, one: Subject, suffix: str) -> tuple[float | None, float | None]:
+        """A force's key has its own name."""
+        high = one.limits.get("force_max_n" if suffix == "n" else f"torque_max_{suffix}")
+        return None if high is None else -high, high
+
+    def truth(self, time_ns: int, controller: str, values: Mapping[str, float]) -> None:
+        """The current, too."""
+        super().truth(time_ns, controller, values)
+        for one in self._by_controller.get(controller, ()):
+            prefix = f"channel_{one.channel}_" if one.channel > 1 else ""
+            current, limit = values.get(f"{prefix}current_a"), one.limits.get("current_max_a")
+            if current is not None and limit is not None:
+                self.beyond(time_ns, None, one.name, "current, truth", current, -limit, limit, "A")
+
+    def value(
+        self, time_ns: int, axis: Axis, index: int, subindex: int, value: int, told_to: bool
+    ) -> None:
+        """A limit, or what is limited."""
+        key = (axis.place, index)
+        if index in (0x6072, 0x6073):
+            before = self._limit.get(key, 0)
+            if value < before:  # for a while the old one may still hold
+                self._lowered[key] = time_ns + _LOWERED_NS, before
+            self._limit[key] = value
+            return
+        if told_to:
+            return
+        one, what = axis.subject, f"{'torque' if index == 0x6077 else 'current'} {index:04X}h"
+        if one is not None and index == 0x6077:
+            limits = self.of(one, "permille")
+            self.beyond(time_ns, axis, one.name, what, value, *limits, "permille")
+        key = (axis.place, index - 5)  # 6072h limits 6077h, 6073h limits 6078h
+        limit = self._limit.get(key)
+        if not limit:
+            return
+        until_ns, old = self._lowered.get(key, (0, 0))
+        if time_ns < until_ns:
+            limit = max(limit, old)
+        slack = 0.05 * limit + 20
+        self.beyond(time_ns, axis, axis.name, what, value, -limit, limit, "permille", slack)

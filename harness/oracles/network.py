@@ -1,0 +1,322 @@
+"""Oracles of what CANopen promises of any node: heartbeats, answers, boot-ups, identifiers."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import ClassVar, Final, final
+
+from harness.oracles.finding import Violation
+from harness.oracles.oracle import MS, Oracle
+from harness.oracles.scene import Axis, Scene
+from traces.decode_canopen import place_text
+from traces.said import Kind, Said
+
+_Node = tuple[str, int]
+_S: Final = 1_000_000_000
+ANSWER_NS: Final = 1 * _S
+"""How long a server may take: hosts give up after 0.3 to 1 s (CiA 301 names no time)."""
+_RESET_NS: Final = 10 * _S
+_CERTAIN: Final = 10
+_SAMPLES: Final = 8
+_LATE: Final = 1.5
+_RESETS: Final = (0x81, 0x82)
+_ASKED_MAX: Final = 16
+_TIMED_OUT: Final = 0x0504_0000
+_INVALID: Final = 0x8000_0000
+_NODES_OWN: Final = (1, 3, 5, 7, 9, 11, 14)  # functions: EMCY, TPDOs, SDO answers, heartbeat
+
+
+@final
+@dataclass(slots=True)
+class _Beat:
+    """One node's heartbeat. period_ns 0: not known yet."""
+
+    last_ns: int
+    period_ns: int = 0
+    least: list[int] = field(default_factory=list)
+
+
+@final
+class Heartbeats(Oracle):
+    """`heartbeat-kept`."""
+
+    id = "heartbeat-kept"
+    promise = "A node that has begun to send heartbeats goes on at its period, until it is reset"
+    source = "CiA 301, heartbeat protocol, 1017h producer heartbeat time"
+    needs = "no node sent enough heartbeats to tell its period, and no 1017h was heard"
+    objects: ClassVar[Mapping[int, bool]] = {0x1017: False}
+
+    def __init__(self, scene: Scene) -> None:
+        """See Oracle."""
+        super().__init__(scene)
+        self._beats: dict[_Node, _Beat] = {}
+        self._told_ms: dict[_Node, int] = {}
+
+    def value(
+        self, time_ns: int, axis: Axis, index: int, subindex: int, value: int, told_to: bool
+    ) -> None:
+        """A period that was written holds from now on; 0 ends the heartbeats."""
+        node = axis.place[:2]
+        if self._told_ms.get(node) != value:
+            self._told_ms[node] = value
+            self._beats.pop(node, None)
+
+    def boot(self, time_ns: int, bus: str, node: int) -> None:
+        """It begins anew."""
+        self._beats.pop((bus, node), None)
+        self._told_ms.pop((bus, node), None)
+
+    def nmt(self, time_ns: int, bus: str, node: int | None, command: int) -> None:
+        """A node that is reset is silent for as long as it needs."""
+        if command in _RESETS:
+            for one in [one for one in self._beats if one[0] == bus and node in (None, one[1])]:
+                del self._beats[one]
+
+    def heartbeat(self, time_ns: int, bus: str, node: int, state: int) -> None:
+        """One more."""
+        beat = self._beats.get((bus, node))
+        if beat is None:
+            self._beats[bus, node] = _Beat(time_ns)
+            return
+        gap_ns, beat.last_ns = time_ns - beat.last_ns, time_ns
+        if not beat.period_ns:
+            self._learn(bus, node, beat, gap_ns)
+        if beat.period_ns and gap_ns > 0 and self.look(time_ns, bus):
+            self._judge(time_ns, bus, node, beat, gap_ns, "since the heartbeat before")
+
+    def _learn(self, bus: str, node: int, beat: _Beat, gap_ns: int) -> None:
+        """The period is what 1017h says, else the median of the first few."""
+        told_ms = self._told_ms.get((bus, node))
+        if told_ms:
+            beat.period_ns = told_ms * MS
+            return
+        beat.least.append(gap_ns)
+        if len(beat.least) >= _SAMPLES:
+            beat.period_ns = sorted(beat.least)[_SAMPLES // 2]
+            beat.least.clear()
+
+    def _judge(
+        self, time_ns: int, bus: str, node: int, beat: _Beat, gap_ns: int, since: str
+    ) -> None:
+        limit_ns = int(_LATE * beat.period_ns) + 20 * MS
+        if gap_ns <= limit_ns:
+            return
+        name = self.scene.names.nodes.get((bus, node), "")
+        found = Violation(
+            *(time_ns, f"no heartbeat {since}, {gap_ns / 1e9:.3f} s", bus, node, 1, name),
+            *(gap_ns / 1e6, limit_ns / 1e6, "ms"),
+        )
+        # That each of so many was lost in a recording while the bus goes on: nobody believes it.
+        certain = gap_ns > _CERTAIN * beat.period_ns and self._went_on(bus, time_ns, beat)
+        (self.broken if certain else self.absent)(found)
+
+    def _went_on(self, bus: str, time_ns: int, beat: _Beat) -> bool:
+        """Whether others were heard meanwhile, to the end."""
+        return any(
+            place[0] == bus and other is not beat and other.last_ns >= time_ns - 2 * beat.period_ns
+            for place, other in self._beats.items()
+        )
+
+    def end(self, time_ns: int) -> None:
+        """Those that have fallen silent."""
+        for (bus, node), beat in self._beats.items():
+            if beat.period_ns and self.scene.judges(time_ns):
+                gap_ns = time_ns - beat.last_ns
+                self._judge(time_ns, bus, node, beat, gap_ns, "until the recording ends")
+
+
+@final
+class Answers(Oracle):
+    """`sdo-answered`."""
+
+    id = "sdo-answered"
+    promise = "A node that is there answers each SDO request, by data, confirmation or an abort"
+    source = "CiA 301, SDO protocols: each service is confirmed"
+    needs = "no SDO request was heard to a node that had been heard before"
+
+    def __init__(self, scene: Scene) -> None:
+        """See Oracle."""
+        super().__init__(scene)
+        self._open: dict[_Node, dict[bytes, int]] = {}  # objects, since when
+
+    def sdo(self, time_ns: int, bus: str, said: Said, data: bytes) -> None:
+        """A request, an answer, or an abort. Only where a transfer begins it names its object."""
+        assert said.node is not None
+        node = (bus, said.node)
+        if node in self._open:
+            self._expire(time_ns, node)
+        if len(data) != 8 or said.index is None:
+            return
+        place, is_abort = data[1:4], data[0] == 0x80
+        if said.kind is Kind.SDO_RESPONSE:
+            if self._open.get(node, {}).pop(place, None) is not None:
+                self.look(time_ns, bus)
+        elif is_abort:
+            begun_ns = self._open.get(node, {}).pop(place, None)
+            timed_out = int.from_bytes(data[4:8], "little") == _TIMED_OUT
+            if begun_ns is not None and timed_out and self.look(time_ns, bus):
+                self.broken(self._violation(time_ns, node, place, begun_ns, "the client gave up"))
+        elif data[0] >> 5 in (1, 2):
+            if node not in self.scene.heard:
+                self.cannot(f"{bus} node {said.node} was asked and had never been there")
+                return
+            asked = self._open.setdefault(node, {})
+            if len(asked) < _ASKED_MAX:
+                asked.setdefault(place, time_ns)
+
+    def boot(self, time_ns: int, bus: str, node: int) -> None:
+        """What was asked before is forgotten."""
+        self._open.pop((bus, node), None)
+
+    def nmt(self, time_ns: int, bus: str, node: int | None, command: int) -> None:
+        """A node that is reset answers nothing; one that is stopped neither."""
+        for one in [one for one in self._open if one[0] == bus and node in (None, one[1])]:
+            del self._open[one]
+
+    def end(self, time_ns: int) -> None:
+        """What was asked last."""
+        for node in list(self._open):
+            self._expire(time_ns, node)
+
+    def _expire(self, time_ns: int, node: _Node) -> None:
+        asked = self._open[node]
+        for place, begun_ns in list(asked.items()):
+            if time_ns - begun_ns > ANSWER_NS:
+                del asked[place]
+                if self.look(begun_ns, node[0]):
+                    what = f"no answer within {ANSWER_NS / 1e9:g} s"
+                    self.absent(self._violation(begun_ns, node, place, begun_ns, what))
+
+    def _violation(
+        self, time_ns: int, node: _Node, place: bytes, begun_ns: int, what: str
+    ) -> Violation:
+        name = self.scene.names.nodes.get(node, "")
+        at = place_text(int.from_bytes(place[:2], "little"), place[2])
+        text = f"SDO of {at}, asked at {begun_ns / 1e9:.6f} s: {what}"
+        return Violation(time_ns, text, *node, 1, name)
+
+
+@final
+class BootUps(Oracle):
+    """`no-reboot`."""
+
+    id = "no-reboot"
+    promise = "A node that was there boots again only when NMT resets it"
+    source = "CiA 301, boot-up protocol, NMT services reset node and reset communication"
+    needs = "no node was heard, or only such as are no CANopen"
+
+    def __init__(self, scene: Scene) -> None:
+        """See Oracle."""
+        super().__init__(scene)
+        self._reset_ns: dict[tuple[str, int | None], int] = {}
+
+    def nmt(self, time_ns: int, bus: str, node: int | None, command: int) -> None:
+        """Who is reset boots."""
+        if command in _RESETS:
+            self._reset_ns[bus, node] = time_ns
+
+    def boot(self, time_ns: int, bus: str, node: int) -> None:
+        """A node boots; it is not in `heard` if nothing was heard of it before."""
+        if not self.look(time_ns, bus) or (bus, node) not in self.scene.heard:
+            return
+        told = max(self._reset_ns.get((bus, one), -_RESET_NS - 1) for one in (node, None))
+        if time_ns - told > _RESET_NS:
+            name = self.scene.names.nodes.get((bus, node), "")
+            text = "booted again, and nobody had reset it"
+            self.absent(Violation(time_ns, text, bus, node, 1, name))
+
+    def heartbeat(self, time_ns: int, bus: str, node: int, state: int) -> None:
+        """It is there, and did not boot."""
+        self.look(time_ns, bus)
+
+
+@final
+class OneSender(Oracle):
+    """`one-sender`."""
+
+    id = "one-sender"
+    promise = "What only one node may send (TPDO, EMCY, SDO answer, heartbeat) only one does send"
+    source = "CiA 301, pre-defined connection set; ISO 11898-1: an identifier has one sender"
+    needs = "the recording does not tell who sent its frames"
+
+    def __init__(self, scene: Scene) -> None:
+        """See Oracle."""
+        super().__init__(scene)
+        self._before: dict[tuple[str, int], dict[str, None]] = {}
+
+    def sender(self, time_ns: int, bus: str, identifier: int, before: str, now: str) -> None:
+        """One who sends again after another one has: they are two."""
+        if identifier >> 7 not in _NODES_OWN or not identifier & 0x7F:
+            return
+        if not self.look(time_ns, bus) or not before:
+            return
+        node = identifier & 0x7F
+        known = self._before.setdefault((bus, identifier), {})
+        known[before] = None
+        if now in known:
+            text = f"{identifier:03X}h is sent by {before} and by {now}"
+            name = self.scene.names.nodes.get((bus, node), "")
+            self.broken(Violation(time_ns, text, bus, node, 1, name))
+
+
+@final
+class FaultsTold(Oracle):
+    """`fault-told`."""
+
+    id = "fault-told"
+    promise = "A drive that sends EMCYs sends one, with its code, when it goes into a fault"
+    source = "CiA 301, EMCY; CiA 402-2, fault reaction active and fault"
+    needs = "no drive that has ever sent an EMCY (optional in CiA 301) went into a fault"
+    objects: ClassVar[Mapping[int, bool]] = {0x6041: False, 0x1014: False}
+
+    def __init__(self, scene: Scene) -> None:
+        """See Oracle."""
+        super().__init__(scene)
+        self._last_ns: dict[_Node, int] = {}
+        self._ever: dict[_Node, None] = {}
+        self._was_fault: dict[tuple[str, int, int], bool] = {}
+        self._waiting: list[Violation] = []
+
+    def emergency(self, time_ns: int, bus: str, node: int, code: int) -> None:
+        """One that tells an error serves all who wait for it."""
+        self._ever[bus, node] = None
+        if code:
+            self._last_ns[bus, node] = time_ns
+            self._settle(time_ns, (bus, node))
+
+    def value(
+        self, time_ns: int, axis: Axis, index: int, subindex: int, value: int, told_to: bool
+    ) -> None:
+        """A statusword; or whether its EMCYs are switched on, and go by their usual identifier."""
+        bus, node, number = axis.place
+        if index == 0x1014:
+            if value & _INVALID or value & 0x7FF != 0x80 + node:
+                self._ever.pop((bus, node), None)
+            else:
+                self._ever[bus, node] = None
+            return
+        if told_to:
+            return
+        self._settle(time_ns, None)
+        is_fault = value & 0x4F in (0x0F, 0x08)
+        was = self._was_fault.get(axis.place)
+        self._was_fault[axis.place] = is_fault
+        if was is False and is_fault:
+            if time_ns - self._last_ns.get((bus, node), -_S - 1) <= _S:
+                self.look(time_ns, bus)
+            else:
+                text = f"a fault (statusword {value:04X}h), and no EMCY within 1 s"
+                self._waiting.append(Violation(time_ns, text, bus, node, number, axis.name))
+
+    def end(self, time_ns: int) -> None:
+        """Those who still wait."""
+        self._settle(time_ns, None)
+
+    def _settle(self, time_ns: int, told: _Node | None) -> None:
+        """Those who were told, or have waited for long enough, wait no longer."""
+        for one in list(self._waiting):
+            node = (one.bus, one.node)
+            late = time_ns - one.time_ns > _S
+            if late or node == told:
+                self._waiting.remove(one)
+                if node in self._ever and self.look(one.time_ns, one.bus) and late:
+                    self.absent(one)

@@ -1,0 +1,194 @@
+"""Whole recordings: ours are sound, spoilt ones are not, imported ones are accused of nothing."""
+
+import random
+
+import pytest
+
+from harness.oracles.facts import Facts, read_limits, subjects_in
+from harness.oracles.finding import Verdict
+from harness.oracles.judge import Pass, is_sound, judge
+from harness.oracles.scene import Scene
+from harness.rig import Rig, installed_plugins
+from harness.rig_file import parse_rig
+from harness.settings import Source
+from motorapi import ControlMode, MotorError
+from tests.golden import GOLDEN, golden
+from tests.harness.replay.altered import copied
+from tests.motorapi.kinds import EVERY
+from traces.reader import read_trace
+from traces.recorded_names import names_of
+from traces.traffic import Findings
+from traces.traffic_mcap import recorded_frames
+
+_CAN = {
+    *("limit-velocity", "heartbeat-kept", "sdo-answered", "one-sender", "no-reboot"),
+    "owner-commands",
+}
+_DRIVE = _CAN | {"limit-acceleration", "pds-legal", "torque-off"}
+HELD = {
+    "cia402": _DRIVE | {"rest-when-told"},
+    "overload": _DRIVE | {"fault-told"},
+    "software": _CAN | {"sync-period"},
+    "leadshine": {"limit-velocity"},
+    "leadshine_tcp": {"limit-velocity"},
+    "oriental_az": {"limit-velocity"},
+}
+
+
+def verdicts(findings):
+    """By oracle, without those that could not judge at all."""
+    return {
+        one.oracle: one.verdict
+        for one in findings
+        if one.verdict is not Verdict.NOT_JUDGED or one.first is not None
+    }
+
+
+def held(findings):
+    return {name for name, verdict in verdicts(findings).items() if verdict is Verdict.HELD}
+
+
+@pytest.mark.parametrize("name", GOLDEN)
+def test_golden_recordings_are_sound(name):
+    with golden(name) as path:
+        findings = judge(path)
+    assert is_sound(findings)
+    assert set(verdicts(findings)) == held(findings) == HELD[name]
+    assert all(one.looked for one in findings if one.verdict is Verdict.HELD)
+    assert all(one.reason for one in findings if one.verdict is Verdict.NOT_JUDGED)
+
+
+def test_the_demos_record_is_sound(demo):
+    findings = {one.oracle: one for one in judge(demo)}
+    assert held(findings.values()) == _DRIVE | {"rest-when-told", "limit-position"}
+    assert is_sound(findings.values())
+    assert findings["limit-velocity"].looked > 5_000
+    assert findings["owner-commands"].looked == 818
+
+
+def test_a_recording_with_frames_missing_is_accused_of_nothing():
+    """As an imported candump is: no senders, and each frame lost by a chance of 1 to 20 %."""
+    for name in ("cia402", "overload", "software"):
+        with golden(name) as path, read_trace(path) as trace:
+            frames = list(recorded_frames(trace, Findings()))
+            facts = Facts(subjects_in(trace.attachments))
+            names = names_of(trace.attachments)
+        suspected = 0
+        for seed, chance in enumerate((0.01, 0.05, 0.1, 0.2) * 2):
+            draw = random.Random(f"{name}:{seed}").random
+            pass_ = Pass(Scene(facts, names), ())
+            for time_ns, bus, frame, _, _ in frames:
+                if draw() >= chance:
+                    pass_.hear(time_ns, bus, frame, "")
+            pass_.imported("candump")
+            findings = pass_.findings(None, None, None)
+            assert Verdict.BROKEN not in verdicts(findings).values()
+            suspected += sum(one.first is not None for one in findings)
+        assert suspected  # that frames are missing shows
+
+
+def test_a_file_of_limits_is_held_against_what_was_measured(tmp_path):
+    file = tmp_path / "limits.toml"
+    expected = {  # what the recording tells: 2 rad/s, from 0 to 1 and back to 0.5 rad
+        "velocity_max_rad_s = 1.9": "limit-velocity",
+        "position_max_rad = 0.99": "limit-position",
+        "position_min_rad = 0.01": "limit-position",
+        "acceleration_max_rad_s2 = 3.5": "limit-acceleration",
+        "torque_max_n_m = 0.1": "limit-torque",
+        "current_max_a = 0.05": "limit-torque",
+        "position_max_inc = 21000": "limit-position",
+    }
+    with golden("cia402") as path:
+        for line, oracle in expected.items():
+            file.write_text(f"[motor.left]\n{line}\n")
+            findings = judge(path, Facts(read_limits(file)))
+            broken = {one.oracle: one for one in findings if one.verdict is Verdict.BROKEN}
+            assert list(broken) == [oracle], line
+            first = broken[oracle].first
+            assert first.motor == "left"
+            assert abs(first.value) > abs(first.limit) or "min" in line
+        file.write_text(
+            "[motor.left]\nvelocity_max_rad_s = 2.2\nposition_max_rad = 1.01\n"
+            "position_min_rad = -0.01\nacceleration_max_rad_s2 = 6.0\ntorque_max_n_m = 5.0\n"
+        )
+        findings = judge(path, Facts(read_limits(file)))
+        assert is_sound(findings)
+        limits = [one for one in findings if one.oracle.startswith("limit-")]
+        assert [one.verdict for one in limits] == [Verdict.HELD] * 4
+
+
+def test_a_rig_broken_on_purpose_is_caught_and_its_torque_is_seen_to_be_off(tmp_path):
+    """Safe torque off at one drive, and nothing of the other one comes through any more."""
+    text = EVERY["cia402"].rig() + (
+        '[[stimulus]]\ncontroller = "left"\nname = "sto"\nvalue = 1\nat_s = 0.8\n'
+        '[[fault]]\nbus = "can0"\nkind = "drop"\nsender = "right"\nfrom_s = 0.8\n'
+    )
+    path = tmp_path / "broken.mcap"
+    description = parse_rig(Source(tmp_path / "rig.toml", text), installed_plugins())
+    with Rig(description, record=path) as rig:
+        left, right = rig.motors["left"], rig.motors["right"]
+        left.enable()
+        right.enable()
+        left.set_control_mode(ControlMode.SETPOINT)
+        left.set_setpoint(1.0)
+        left.start()
+        rig.runtime.run_for(0.85 - rig.runtime.now_ns() / 1e9)
+        with pytest.raises(MotorError):
+            right.hardware.read(0x1000, 0, "u32")
+        rig.runtime.run_for(0.5)
+    findings = {one.oracle: one for one in judge(path)}
+    broken = {name: one for name, one in findings.items() if one.verdict is Verdict.BROKEN}
+    assert list(broken) == ["heartbeat-kept", "sdo-answered"]
+    for one in broken.values():
+        assert (one.first.bus, one.first.node, one.first.motor) == ("can0", 2, "right")
+    assert "1000h" in broken["sdo-answered"].first.text
+    assert findings["torque-off"].verdict is Verdict.HELD
+    assert findings["torque-off"].looked > 10
+
+
+def test_a_message_that_cannot_be_read_makes_a_recording_incomplete(tmp_path):
+    with golden("cia402") as path:
+        spoilt = copied(
+            path,
+            tmp_path / "spoilt.mcap",
+            lambda n, topic, _, data: b"\xff" if n == 300 else data,
+        )
+    assert Verdict.BROKEN not in verdicts(judge(spoilt)).values()
+
+
+# What is in the real ones, looked at frame by frame; (verdict, further) of what was accused.
+BROKEN, PERHAPS = Verdict.BROKEN, Verdict.NOT_JUDGED
+REAL = {
+    # A client asks node 15 for 4001h and aborts with 0504 0000h 0.4 s later, five times in all.
+    "canopen_machine_pcan1.trc": {"sdo-answered": (BROKEN, 4)},
+    # The same seven times; around rows that the converter garbled, heartbeats and a reset are not
+    # there.
+    "canopen_machine_pcanrouter_pcan3.trc": {
+        **{"sdo-answered": (BROKEN, 6), "heartbeat-kept": (PERHAPS, 2), "no-reboot": (PERHAPS, 1)},
+    },
+}
+REACHED = {  # what of CANopen there is to judge in the others
+    "canopenlens_sample_amr_2wheel.log": {
+        *("pds-legal", "sync-period", "heartbeat-kept", "sdo-answered", "no-reboot"),
+    },
+    "ros2canopen_issue298_fault_recovery.candump.txt": {"sdo-answered", "no-reboot"},
+    "ros2canopen_issue356_nanotec_n5_boot.candump.txt": {"sdo-answered", "no-reboot"},
+    "roboteq_mbl1660_node12_candump.txt": {"no-reboot"},
+    "technosoft_ipos_segmented_sdo_and_pdo_mapping.pcan.txt": {"sdo-answered"},
+    "ather_scooter_candump.txt": set(),
+    "moteus_dynamometer_canfd_candump.txt": set(),
+    "rdm_inverter_bench_PV1.7.asc": set(),
+    "savvycan_example_candump.log": set(),
+    "uw_formula_cm_inverter_fault_on_stands_LOGS5.TXT": set(),
+}
+
+
+@pytest.mark.data
+@pytest.mark.parametrize("name", [*REAL, *REACHED])
+def test_real_traffic_is_accused_of_what_is_true_of_it_and_of_nothing_else(shared, name):
+    findings = judge(shared / "data" / "traffic" / name)
+    accused = {one.oracle: (one.verdict, one.further) for one in findings if one.first is not None}
+    assert accused == REAL.get(name, {})
+    assert held(findings) >= REACHED.get(name, set())
+    if name in REACHED:
+        assert held(findings) == REACHED[name]
