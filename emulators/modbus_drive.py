@@ -9,7 +9,6 @@ from dataclasses import dataclass
 from typing import Final
 
 from emulators.controller import ControllerContext, SettingError
-from emulators.firmware.axis import Axis
 from emulators.firmware.axis_readings import NEVER_NS
 from emulators.firmware.gains import ServoGains
 from emulators.modbus.codes import UNITS
@@ -18,24 +17,18 @@ from emulators.modbus.identification import Identification
 from emulators.modbus.registers import RegisterBank
 from emulators.modbus.rtu import RtuUnit
 from emulators.modbus.server import ModbusServer
+from emulators.motor_settings import MOTOR_KEYS, axis_of, motor_in
 from emulators.plant.dc_motor import PI, RANGES, MotorPlant
 from emulators.plant.oscillator import IDEAL, Oscillator
-from emulators.servo_settings import servo_of
 from emulators.setting_tables import (
     duration_ns,
-    initial_position_rad,
     number,
-    oscillator_in,
-    plant_of,
     refuse_unknown,
     table_in,
     whole,
 )
 
-KEYS: Final = (
-    *("unit", "plant", "servo", "oscillator", "timing", "registers", "switches"),
-    "initial_position_rad",
-)
+KEYS: Final = ("unit", *MOTOR_KEYS, "timing", "registers", "switches")
 TIMING_KEYS: Final = ("boot_up_s", "reply_s")
 SWITCH_KEYS: Final = ("home_rad", "limit_forward_rad", "limit_backward_rad")
 _RAD_MAX: Final = 1e9
@@ -83,26 +76,25 @@ def read_settings(table: Mapping[str, object], context: ControllerContext) -> Mo
     refuse_unknown(table, KEYS, ())
     if "unit" not in table:
         raise SettingError(("unit",), "is missing", "a number 1..247")
-    plant = plant_of(table_in(table, "plant"))
-    tick_ns, steps, gains = servo_of(table_in(table, "servo"), plant)
+    motor = motor_in(table, context.stream())
     timing = table_in(table, "timing")
     refuse_unknown(timing, TIMING_KEYS, ("timing",))
     switches = table_in(table, "switches")
     refuse_unknown(switches, SWITCH_KEYS, ("switches",))
     return ModbusDriveSettings(
         unit=whole(table["unit"], ("unit",), UNITS[0], UNITS[-1]),
-        plant=plant,
-        gains=gains,
-        tick_ns=tick_ns,
-        current_steps=steps,
-        oscillator=oscillator_in(table, f"{context.seed}:{context.name}"),
+        plant=motor.plant,
+        gains=motor.gains,
+        tick_ns=motor.tick_ns,
+        current_steps=motor.current_steps,
+        oscillator=motor.oscillator,
         boot_up_ns=duration_ns(timing, "boot_up_s", 0.5, ("timing",)),
         reply_ns=duration_ns(timing, "reply_s", 0.002, ("timing",)),
         registers=_registers(table_in(table, "registers")),
         home_rad=_switch(switches, "home_rad"),
         limit_forward_rad=_switch(switches, "limit_forward_rad"),
         limit_backward_rad=_switch(switches, "limit_backward_rad"),
-        initial_position_rad=initial_position_rad(table, plant),
+        initial_position_rad=motor.initial_position_rad,
     )
 
 
@@ -144,14 +136,7 @@ class ModbusDrive:
         self.bank = bank
         plant = settings.plant
         self.inc_rad = plant.gear_ratio * plant.increments_per_rad()
-        self.axis = Axis(
-            plant,
-            settings.gains,
-            settings.tick_ns,
-            settings.current_steps,
-            int(settings.initial_position_rad * self.inc_rad // 1.0),
-            settings.oscillator.rate(),
-        )
+        self.axis = axis_of(settings, settings.oscillator.rate())
         self.server = ModbusServer(
             holding=bank,
             identification=identification,

@@ -11,6 +11,7 @@ from typing import Final, final
 from emulators.canopen.shared import NEVER
 from emulators.cia401.settings import ChannelSettings
 from emulators.firmware.axis import Axis
+from emulators.motor_settings import axis_of
 from emulators.plant.dc_motor import RANGES
 
 VOLT_PER_RAW: Final = 10.0 / 32768.0  # 6411h: +-10 V, left-adjusted in 16 bits
@@ -32,16 +33,7 @@ class Channel:
     """
 
     def __init__(self, settings: ChannelSettings, clock_rate: float) -> None:
-        plant = settings.plant
-        radians = plant.gear_ratio * plant.increments_per_rad()
-        self.axis = Axis(
-            plant,
-            settings.gains,
-            settings.tick_ns,
-            settings.current_steps,
-            int(settings.initial_position_rad * radians // 1.0),
-            clock_rate,
-        )
+        self.axis: Axis = axis_of(settings, clock_rate)
         self.inputs: int = 0
         self.due_ns: int = NEVER
         self._ampere_per_raw: Final = settings.current_per_volt_a_v * VOLT_PER_RAW

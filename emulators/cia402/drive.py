@@ -24,6 +24,7 @@ from emulators.controller import NonvolatileMemory
 from emulators.firmware.axis import Axis
 from emulators.firmware.digital_inputs import STIMULI as INPUT_STIMULI
 from emulators.firmware.digital_inputs import DigitalInputs
+from emulators.motor_settings import axis_of
 from emulators.plant.dc_motor import RANGES
 
 STIMULI: Final = (
@@ -44,21 +45,15 @@ class Cia402Drive:
         events: Sequence[tuple[str, str]] = (),
         memory: NonvolatileMemory | None = None,
     ) -> None:
-        plant = settings.plant
-        radians = plant.gear_ratio * plant.increments_per_rad()
         self.od = od
         self.settings = settings
-        self.axis = Axis(
-            plant,
-            settings.gains,
-            settings.tick_ns,
-            settings.current_steps,
-            int(settings.initial_position_rad * radians // 1.0),
-            settings.oscillator.rate(),
-        )
+        self.axis: Axis = axis_of(settings, settings.oscillator.rate())
         self._objects = DriveObjects(od, settings)
         inputs = DigitalInputs(
-            self.axis, settings.switches, settings.index_count, plant.encoder_increments_rev
+            self.axis,
+            settings.switches,
+            settings.index_count,
+            settings.plant.encoder_increments_rev,
         )
         self._power_drive = PowerDrive(
             self.axis, self._objects, inputs, settings.tick_ns, settings.enable_ns
@@ -91,7 +86,7 @@ class Cia402Drive:
         self._flags_matter: bool = False
         self._power_moved: bool = True
         self._deadline_moved: bool = True
-        self._has_extras: bool = plant.extras.is_any()
+        self._has_extras: bool = settings.plant.extras.is_any()
         self._truth: dict[str, float] = {}  # as last shown, of this state, mode, rest, inputs:
         self._truth_of: tuple[int, int, int, int] = (0, 0, -1, 0)
 

@@ -14,6 +14,7 @@ from emulators.cia402.switch_settings import switches_in
 from emulators.controller import SettingError
 from emulators.firmware.digital_inputs import Switch
 from emulators.firmware.gains import ServoGains
+from emulators.motor_settings import MOTOR_KEYS, motor_in
 from emulators.plant.dc_motor import MotorPlant
 from emulators.plant.oscillator import IDEAL, Oscillator
 from emulators.plant.presets import PRESETS
@@ -22,20 +23,16 @@ from emulators.protection_settings import (
     ProtectionSettings,
     protection_of,
 )
-from emulators.servo_settings import servo_of
 from emulators.setting_tables import (
     DEFAULT_PRESET,
     ObjectValue,
     duration_ns,
     eds_in,
     flag,
-    initial_position_rad,
     memory_file_in,
     node_id_in,
     number,
     objects_of,
-    oscillator_in,
-    plant_of,
     refuse_unknown,
     table_in,
     whole,
@@ -58,14 +55,11 @@ SYNC_LOST_CODE: Final = 0xFF64
 _KEYS: Final = (
     "node_id",
     "eds",
-    "plant",
-    "servo",
-    "oscillator",
+    *MOTOR_KEYS,
     "timing",
     "units",
     "objects",
     "supported_modes",
-    "initial_position_rad",
     "nonvolatile_memory",
     "node_id_by_lss",
     "protection",
@@ -143,9 +137,8 @@ def read_settings(table: Mapping[str, object], folder: Path, stream: str = "") -
     """
     refuse_unknown(table, _KEYS, ())
     node_id = node_id_in(table)
-    plant = plant_of(table_in(table, "plant"))
-    servo = table_in(table, "servo")
-    tick_ns, current_steps, gains = servo_of(servo, plant)
+    motor = motor_in(table, stream)
+    plant = motor.plant
     timing = table_in(table, "timing")
     refuse_unknown(timing, _TIMING_KEYS, ("timing",))
     units = table_in(table, "units")
@@ -164,10 +157,10 @@ def read_settings(table: Mapping[str, object], folder: Path, stream: str = "") -
         nonvolatile_memory=memory_file_in(table),
         node_id_by_lss=flag(table, "node_id_by_lss"),
         plant=plant,
-        gains=gains,
-        tick_ns=tick_ns,
-        current_steps=current_steps,
-        oscillator=oscillator_in(table, stream),
+        gains=motor.gains,
+        tick_ns=motor.tick_ns,
+        current_steps=motor.current_steps,
+        oscillator=motor.oscillator,
         boot_up_ns=boot_up_ns + boot_up_later_ns(quirks),
         sdo_reply_ns=duration_ns(timing, "sdo_reply_s", 0.001, ("timing",)),
         enable_ns=duration_ns(timing, "enable_s", 0.02, ("timing",)),
@@ -176,7 +169,7 @@ def read_settings(table: Mapping[str, object], folder: Path, stream: str = "") -
         acceleration_unit_inc_s2=_positive(units, "acceleration_unit_inc_s2"),
         objects=objects_of(table_in(table, "objects")),
         supported_modes=_modes(table),
-        initial_position_rad=initial_position_rad(table, plant),
+        initial_position_rad=motor.initial_position_rad,
         protection=protection_of(table_in(table, "protection"), plant),
         quirks=quirks,
         sync_lost_periods=_whole(cyclic, "sync_lost_periods", SYNC_LOST_PERIODS, 0, 1000),

@@ -1,0 +1,101 @@
+"""The motor behind a drive: what a rig says of plant, servo and clock, and the axis they make.
+
+Controllers of third parties may be built on it, as our own are. They bring the protocol; from here
+they have, by the same keys, every motor that a rig can describe:
+
+    motor = motor_in(table, context.stream())           # of the keys MOTOR_KEYS
+    axis = axis_of(motor, motor.oscillator.rate())      # emulators.firmware.axis
+    return on_own_time(controller, motor.oscillator)    # emulators.firmware.own_time
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Final, Protocol, final
+
+from emulators.firmware.axis import Axis
+from emulators.firmware.gains import ServoGains
+from emulators.plant.dc_motor import MotorPlant
+from emulators.plant.oscillator import Oscillator
+from emulators.servo_settings import servo_of
+from emulators.setting_tables import initial_position_rad, oscillator_in, plant_of, table_in
+
+MOTOR_KEYS: Final = ("plant", "servo", "oscillator", "initial_position_rad")
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True)
+class MotorSettings:
+    """One motor of a rig, with the servo that drives it.
+
+    Attributes:
+        plant: the motor, its gear and load, its encoder.
+        gains, tick_ns, current_steps: of the servo; its period, and current loop steps in each.
+        oscillator: what the controller's own clock shows.
+        initial_position_rad: at the output, at power-on.
+    """
+
+    plant: MotorPlant
+    gains: ServoGains
+    tick_ns: int
+    current_steps: int
+    oscillator: Oscillator
+    initial_position_rad: float
+
+
+def motor_in(table: Mapping[str, object], stream: str) -> MotorSettings:
+    """The motor in a controller's table; what is drawn of its clock comes from `stream`.
+
+    Raises:
+        SettingError: a key inside is unknown, or a value is wrong.
+    """
+    plant = plant_of(table_in(table, "plant"))
+    tick_ns, current_steps, gains = servo_of(table_in(table, "servo"), plant)
+    return MotorSettings(
+        plant=plant,
+        gains=gains,
+        tick_ns=tick_ns,
+        current_steps=current_steps,
+        oscillator=oscillator_in(table, stream),
+        initial_position_rad=initial_position_rad(table, plant),
+    )
+
+
+class Motorised(Protocol):
+    """Settings that hold a motor; see `MotorSettings`."""
+
+    @property
+    def plant(self) -> MotorPlant:
+        """The motor, its gear and load, its encoder."""
+
+    @property
+    def gains(self) -> ServoGains:
+        """Of the servo."""
+
+    @property
+    def tick_ns(self) -> int:
+        """The servo's period."""
+
+    @property
+    def current_steps(self) -> int:
+        """Of the current loop, in each period."""
+
+    @property
+    def initial_position_rad(self) -> float:
+        """At the output, at power-on."""
+
+
+def axis_of(motor: Motorised, clock_rate: float) -> Axis:
+    """The motor at rest, its power stage off; `clock_rate` as of `Oscillator.rate`.
+
+    Raises:
+        ValueError: the gains make the current loop unstable.
+    """
+    inc_rad = motor.plant.gear_ratio * motor.plant.increments_per_rad()
+    return Axis(
+        motor.plant,
+        motor.gains,
+        motor.tick_ns,
+        motor.current_steps,
+        int(motor.initial_position_rad * inc_rad // 1.0),
+        clock_rate,
+    )
