@@ -1,0 +1,24 @@
+"""An ODrive from its table in a rig: entry point `motorhil.controllers`, name `odrive`."""
+
+from collections.abc import Mapping
+
+from emulators.controller import Controller, ControllerContext
+from emulators.firmware.own_time import on_own_time
+from motorhil_odrive.emulated.drive import OdriveController
+from motorhil_odrive.emulated.settings import read_settings
+
+
+def build(settings: Mapping[str, object], context: ControllerContext) -> Controller:
+    """The drive a rig describes.
+
+    Args:
+        settings: the controller's table without `kind` and `bus`.
+        context: its name, and the run's seed.
+
+    Raises:
+        SettingError: a key or value is wrong; names the keys.
+    """
+    read = read_settings(settings, context)
+    clock = read.motor.oscillator
+    events = [] if clock.is_ideal() else [("info", clock.told())]
+    return on_own_time(OdriveController(read, events), clock)

@@ -1,0 +1,271 @@
+"""From inputs to set-points: what the controller of an ODrive makes of what it is told.
+
+The motor, the servo and the profile generator are motorhil's (`emulators.firmware.axis`); here they
+are given the meaning that ODrive gives them. Positions are turns of the motor.
+
+| control    | input        | the axis                                            |
+| ---------- | ------------ | --------------------------------------------------- |
+| POSITION   | PASSTHROUGH  | steps there, at once; fed forward is what it is told |
+| POSITION   | TRAP_TRAJ    | a trapezoid from the present set-point              |
+| VELOCITY   | PASSTHROUGH  | that velocity, at once                              |
+| VELOCITY   | VEL_RAMP     | a ramp                                              |
+| TORQUE     | PASSTHROUGH  | that torque, at once                                |
+| TORQUE     | TORQUE_RAMP  | a ramp                                              |
+| any        | INACTIVE     | inputs change nothing                               |
+"""
+
+from dataclasses import dataclass, replace
+from typing import Final, final
+
+from emulators.firmware import flags as f
+from emulators.motor_settings import axis_of
+from motorhil_odrive.emulated.messages import ControlMode, InputMode
+from motorhil_odrive.emulated.settings import OdriveSettings
+
+_AT_ONCE: Final = 1e9  # a ramp without length [rev/s^2]
+_SLOPE: Final = 1e300  # likewise [A/s]
+_SMALLEST: Final = 1e-9  # where 0 would never get anywhere
+
+_INPUT_MODES: Final = {
+    ControlMode.POSITION_CONTROL: (InputMode.PASSTHROUGH, InputMode.TRAP_TRAJ),
+    ControlMode.VELOCITY_CONTROL: (InputMode.PASSTHROUGH, InputMode.VEL_RAMP),
+    ControlMode.TORQUE_CONTROL: (InputMode.PASSTHROUGH, InputMode.TORQUE_RAMP),
+}
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Parameters:
+    """What of the configuration can be written by CANSimple; the defaults are ODrive's.
+
+    Velocities in rev/s, accelerations in rev/s^2, of the motor. None: the plant's own.
+    """
+
+    control_mode: ControlMode = ControlMode.POSITION_CONTROL
+    input_mode: InputMode = InputMode.PASSTHROUGH
+    velocity_limit: float = 10.0
+    current_limit_a: float | None = None
+    traj_velocity: float = 2.0
+    traj_acceleration: float = 0.5
+    traj_deceleration: float = 0.5
+    inertia: float | None = None  # [N m/(rev/s^2)]
+    position_gain: float | None = None  # [1/s]
+    velocity_gain: float | None = None  # [N m/(rev/s)]
+    velocity_integrator: float | None = None  # [N m/rev]
+
+
+@final
+class Control:
+    """Set-points of one axis. Every method is called after `axis.at` of the same time.
+
+    Attributes:
+        axis: what moves.
+        parameters: in force.
+        is_armed: whether the motor has current.
+        trajectory_done: whether the set-point has reached the end of its trapezoid.
+        torque_target_n_m: as told.
+    """
+
+    def __init__(self, settings: OdriveSettings) -> None:
+        motor = settings.motor
+        self.axis: Final = axis_of(motor, motor.oscillator.rate())
+        self.parameters = Parameters()
+        self.is_armed = False
+        self.trajectory_done = True
+        self.torque_target_n_m = 0.0
+        self._settings = settings
+        self._inc = motor.plant.encoder_increments_rev
+        self._torque_constant = motor.plant.torque_constant_n_m_a
+        self._velocity = 0.0
+        self._positions = False  # whether what it follows is a position
+        self._feed_forward = True
+
+    # --- what is measured --------------------------------------------------------------------
+
+    def position(self) -> float:
+        """Where the motor is [rev]."""
+        return self.axis.position_inc() / self._inc
+
+    def velocity(self) -> float:
+        """How fast it is [rev/s]."""
+        return self.axis.velocity_inc_s() / self._inc
+
+    def torque_n_m(self) -> float:
+        """What the motor's current makes of torque at its shaft."""
+        return self.axis.current_a() * self._torque_constant
+
+    def is_too_fast(self) -> bool:
+        """Whether it is beyond what the velocity limit tolerates."""
+        return abs(self.velocity()) > 1.2 * self.parameters.velocity_limit
+
+    # --- power ---------------------------------------------------------------------------------
+
+    def power_on(self, parameters: Parameters) -> None:
+        """These are in force; what was called a position before is forgotten."""
+        self.disarm()
+        self.take(parameters)
+        self.axis.set_position(self.axis.count())
+
+    def arm(self) -> None:
+        """The motor has current, and goes on standing where it is."""
+        self.is_armed = True
+        self._feed(True)
+        self.axis.power(True)
+        self._velocity = self.torque_target_n_m = 0.0
+        self._enter()
+
+    def disarm(self) -> None:
+        """It has none; it coasts."""
+        self.is_armed = False
+        self.trajectory_done = True
+        self._positions = False
+        self.torque_target_n_m = 0.0
+        self.axis.power(False)
+
+    # --- what it is told -------------------------------------------------------------------------
+
+    def set_mode(self, control: ControlMode, mode: InputMode) -> bool:
+        """These modes are in force from here on; False: this one has no such modes."""
+        if mode is not InputMode.INACTIVE and mode not in _INPUT_MODES.get(control, ()):
+            return False
+        self.parameters = replace(self.parameters, control_mode=control, input_mode=mode)
+        if self.is_armed:
+            self._enter()
+        return True
+
+    def take(self, parameters: Parameters) -> None:
+        """These are in force. What moves already keeps its profile."""
+        plant, mine = self._settings.motor.plant, self._settings.motor.gains
+        self.parameters = parameters
+        amps = plant.current_max_a
+        self.axis.set_current_limit(
+            amps if parameters.current_limit_a is None else parameters.current_limit_a
+        )
+        a_inc = 1.0 / (self._torque_constant * self._inc)
+        kp, ki, inertia = (
+            *(parameters.velocity_gain, parameters.velocity_integrator),
+            parameters.inertia,
+        )
+        feed = mine.acceleration_feedforward_a_s2_inc if inertia is None else inertia * a_inc
+        gain = parameters.position_gain
+        self.axis.set_gains(
+            replace(
+                mine,
+                position_kp_1_s=mine.position_kp_1_s if gain is None else gain,
+                velocity_kp_a_s_inc=mine.velocity_kp_a_s_inc if kp is None else kp * a_inc,
+                velocity_ki_a_inc=mine.velocity_ki_a_inc if ki is None else ki * a_inc,
+                velocity_feedforward=1.0 if self._feed_forward else 0.0,
+                acceleration_feedforward_a_s2_inc=feed if self._feed_forward else 0.0,
+            )
+        )
+
+    def input_position(self, rev: float, feed_rev_s: float, feed_n_m: float) -> None:
+        """0Ch."""
+        if self._is_deaf(ControlMode.POSITION_CONTROL):
+            return
+        target = round(rev * self._inc)
+        if self.parameters.input_mode is InputMode.TRAP_TRAJ:
+            self._move(target)
+            return
+        self._positions = True
+        self.trajectory_done = True
+        self._feed(False)
+        limit = self.parameters.velocity_limit
+        fed = max(-limit, min(limit, feed_rev_s))
+        self.axis.follow(target, 0, fed * self._inc)
+        self.axis.feed_current(feed_n_m / self._torque_constant)
+
+    def input_velocity(self, rev_s: float, feed_n_m: float) -> None:
+        """0Dh."""
+        self._velocity = rev_s
+        if not self._is_deaf(ControlMode.VELOCITY_CONTROL):
+            self._run()
+            self.axis.feed_current(feed_n_m / self._torque_constant)
+
+    def input_torque(self, n_m: float) -> None:
+        """0Eh."""
+        self.torque_target_n_m = n_m
+        if not self._is_deaf(ControlMode.TORQUE_CONTROL):
+            self._push()
+
+    def call_here(self, rev: float) -> None:
+        """19h: the place where it is has this number; the set-point is renamed with it."""
+        self.axis.set_position(round(rev * self._inc))
+
+    def home_run(self, way: int) -> None:
+        """It runs towards (-1) or away from (1) the end stop, along a ramp."""
+        self._positions = False
+        self._feed(True)
+        self._at(way * self._settings.homing_speed_rev_s, self._settings.velocity_ramp_rev_s2)
+
+    def rest(self) -> None:
+        """It brakes, and holds where it comes to rest."""
+        self._positions = True
+        self.trajectory_done = False
+        slower = max(self.parameters.traj_deceleration, _SMALLEST)
+        self.axis.ramp_to_rest(slower * self._inc)
+
+    def settle(self) -> None:
+        """A trapezoid has come to its end."""
+        if self._positions and not self.axis.flags & f.PROFILE_ACTIVE:
+            self.trajectory_done = True
+
+    # --- inside --------------------------------------------------------------------------------
+
+    def _is_deaf(self, wanted: ControlMode) -> bool:
+        own = self.parameters
+        return (
+            not self.is_armed
+            or own.control_mode is not wanted
+            or own.input_mode is InputMode.INACTIVE
+        )
+
+    def _enter(self) -> None:
+        """The mode begins with what is there: no step of position, the inputs told before."""
+        control, mode = self.parameters.control_mode, self.parameters.input_mode
+        self._positions = False
+        if mode is InputMode.INACTIVE:
+            return
+        if control is ControlMode.POSITION_CONTROL:
+            if mode is InputMode.TRAP_TRAJ:
+                self._move(self.axis.position_inc())
+            else:
+                self.input_position(self.position(), 0.0, 0.0)
+        elif control is ControlMode.VELOCITY_CONTROL:
+            self._run()
+        else:
+            self._push()
+
+    def _move(self, target_inc: int) -> None:
+        own, inc = self.parameters, self._inc
+        self._feed(True)
+        self._positions = True
+        self.trajectory_done = False
+        self.axis.move_to(
+            target_inc,
+            max(min(own.traj_velocity, own.velocity_limit), _SMALLEST) * inc,
+            max(own.traj_acceleration, _SMALLEST) * inc,
+            max(own.traj_deceleration, _SMALLEST) * inc,
+        )
+
+    def _run(self) -> None:
+        ramps = self.parameters.input_mode is InputMode.VEL_RAMP
+        self._feed(ramps)
+        self._at(self._velocity, self._settings.velocity_ramp_rev_s2 if ramps else _AT_ONCE)
+
+    def _at(self, rev_s: float, ramp: float) -> None:
+        limit = self.parameters.velocity_limit
+        wanted = max(-limit, min(limit, rev_s))
+        self.axis.run_at(wanted * self._inc, ramp * self._inc, ramp * self._inc)
+
+    def _push(self) -> None:
+        ramps = self.parameters.input_mode is InputMode.TORQUE_RAMP
+        slope = self._settings.torque_ramp_n_m_s / self._torque_constant if ramps else _SLOPE
+        amps = self.torque_target_n_m / self._torque_constant
+        self.axis.apply_current(amps, slope, self.parameters.velocity_limit * self._inc)
+
+    def _feed(self, forward: bool) -> None:
+        """Of a trapezoid velocity and acceleration are fed forward, of an input what it says."""
+        if forward != self._feed_forward:
+            self._feed_forward = forward
+            self.take(self.parameters)

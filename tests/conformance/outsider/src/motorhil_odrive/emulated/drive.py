@@ -1,0 +1,352 @@
+"""An ODrive on a CAN bus: its axis state machine, what it says by itself, what it answers.
+
+It looks at itself when a frame comes, when one of its cyclic messages is due, and while it is
+homing at each edge of its switch. In between, and at rest, it costs nothing.
+
+Not emulated, and told so where somebody asks for it: access to endpoints (04h), sensorless control,
+lock-in, the input modes POS_FILTER, MIX_CHANNELS, MIRROR and TUNING, voltage control. Choices of
+this emulator, where what is published leaves room: an axis that was disarmed by an error does not
+arm before Clear_Errors, and after an emergency stop that is all that is needed; the watchdog counts
+in all states but IDLE.
+"""
+
+from collections.abc import Mapping, Sequence
+from math import isfinite
+from typing import Final, final
+
+from emulators.firmware.axis_readings import NEVER_NS
+from emulators.media.can_frame import EFF_FLAG, ERR_FLAG, RTR_FLAG, can_id_of, data_of, pack
+from emulators.plant.dc_motor import RANGES
+from motorhil_odrive.emulated import messages as m
+from motorhil_odrive.emulated.commands import COMMANDS
+from motorhil_odrive.emulated.control import Control, Parameters
+from motorhil_odrive.emulated.homing import Homing
+from motorhil_odrive.emulated.messages import AxisState, Error, ProcedureResult
+from motorhil_odrive.emulated.settings import OdriveSettings
+from motorhil_odrive.emulated.told import told
+
+_CALIBRATIONS: Final = (
+    AxisState.STARTUP_SEQUENCE,
+    AxisState.FULL_CALIBRATION_SEQUENCE,
+    AxisState.MOTOR_CALIBRATION,
+    AxisState.ENCODER_INDEX_SEARCH,
+    AxisState.ENCODER_OFFSET_CALIBRATION,
+    AxisState.ENCODER_DIR_FIND,
+    AxisState.ENCODER_HALL_POLARITY_CALIBRATION,
+    AxisState.ENCODER_HALL_PHASE_CALIBRATION,
+    AxisState.ANTICOGGING_CALIBRATION,
+)
+_STIMULI: Final = ("load_torque_n_m", "power", "fault", "encoder")
+
+
+@final
+class OdriveController:
+    """Implements `emulators.controller.Controller`.
+
+    Attributes:
+        control: what turns its motor.
+        state, result: the axis' state, and how the last one that was asked for ended.
+        active_errors, disarm_reason: bits of `Error`.
+    """
+
+    def __init__(self, settings: OdriveSettings, events: Sequence[tuple[str, str]] = ()) -> None:
+        self.settings: Final = settings
+        self.control: Final = Control(settings)
+        self.state = AxisState.UNDEFINED
+        self.result = ProcedureResult.SUCCESS
+        self.active_errors = 0
+        self.disarm_reason = 0
+        self.node_id = settings.node_id
+        self._saved = Parameters()
+        self._is_powered = False
+        self._boot_ns = self._heartbeat_ns = self._encoder_ns = NEVER_NS
+        self._watchdog_ns = self._calibrated_ns = NEVER_NS
+        self._homing: Homing | None = None
+        self._now_ns = 0
+        self._out: list[bytes] = []
+        self._events = list(events)
+        self._revision = 0
+
+    # --- Controller ------------------------------------------------------------------------------
+
+    def start(self, now_ns: int) -> None:
+        """Power comes on."""
+        self._is_powered = True
+        self.reboot(now_ns)
+
+    def receive(self, data: bytes, now_ns: int) -> None:
+        """A frame was on the bus."""
+        can_id = can_id_of(data)
+        if can_id & (EFF_FLAG | ERR_FLAG) or not self._is_powered or self._boot_ns != NEVER_NS:
+            return
+        command, node_id = can_id & m.COMMAND_MASK, (can_id & 0x7FF) >> m.COMMAND_BITS
+        is_remote = bool(can_id & RTR_FLAG)
+        if node_id != self.node_id and command != m.ADDRESS:
+            return
+        self._at(now_ns)
+        self._feed_watchdog()
+        payload = data_of(data)
+        if command == m.ADDRESS:
+            self._address(payload, is_remote)
+        elif is_remote:
+            self.tell(command)
+        elif command in COMMANDS:
+            layout, _ = m.HEARD[command]
+            if len(payload) < layout.size:
+                self.note("warning", f"message {command:02X}h of {len(payload)} bytes is too short")
+                return
+            values = layout.unpack_from(payload)
+            if all(isfinite(value) for value in values):
+                COMMANDS[command](self, *values)
+            else:
+                self.note("warning", f"message {command:02X}h with {values} is ignored")
+        elif command == m.RX_SDO:
+            self.note("warning", "access to endpoints (04h) is not emulated")
+
+    def sent(self, data: bytes, now_ns: int) -> bool | None:
+        """An own frame left the bus."""
+        return False
+
+    def wants_sent(self) -> bool:
+        """Nothing comes of it."""
+        return False
+
+    def next_deadline_ns(self) -> int | None:
+        """When `expire` must be called at the latest [ns]."""
+        due_ns = min(self._boot_ns, self._heartbeat_ns, self._encoder_ns, self._watchdog_ns)
+        due_ns = min(due_ns, self._calibrated_ns)
+        if self._homing is not None:
+            due_ns = min(due_ns, self._homing.wake_ns())
+        return None if due_ns >= NEVER_NS else due_ns
+
+    def expire(self, now_ns: int) -> None:
+        """It is `now_ns`; what is due is done."""
+        if now_ns >= self._boot_ns:
+            self._boot_ns = NEVER_NS
+            self._boot(now_ns)
+        self._at(now_ns)
+        if now_ns >= self._watchdog_ns:
+            self.active_errors |= Error.WATCHDOG_TIMER_EXPIRED
+            self.fail(Error.WATCHDOG_TIMER_EXPIRED)
+        if now_ns >= self._calibrated_ns:
+            self._rest(ProcedureResult.SUCCESS)
+        if now_ns >= self._encoder_ns:
+            self._encoder_ns += self.settings.encoder_ns
+            self.tell(m.GET_ENCODER_ESTIMATES)
+        if now_ns >= self._heartbeat_ns:
+            self._heartbeat_ns += self.settings.heartbeat_ns
+            self.tell(m.HEARTBEAT)
+
+    def take_output(self) -> Sequence[bytes]:
+        """Frames to queue now."""
+        out, self._out = self._out, []
+        return out
+
+    def take_events(self) -> Sequence[tuple[str, str]]:
+        """(level, text) of what happened since last asked."""
+        events, self._events = self._events, []
+        return events
+
+    def stimulate(self, name: str, value: float, now_ns: int) -> None:
+        """The load at the output [N m]; power or encoder (1, or 0: gone); an error, gone at once.
+
+        Raises:
+            ValueError: there is no such stimulus, or the value is none.
+        """
+        self._at(now_ns)
+        if name not in _STIMULI:
+            raise ValueError(f"there is no stimulus {name!r}; known: {', '.join(_STIMULI)}")
+        if name == "load_torque_n_m":
+            low, high = RANGES[name]
+            if not low <= value <= high:
+                raise ValueError(f"load_torque_n_m is {low:g}..{high:g} N m, not {value}")
+            self.control.axis.set_load(value)
+        elif name == "fault":
+            if not (0 < value < 1 << 32 and value == int(value)):
+                raise ValueError(f"fault is the bits of an error, 1..FFFFFFFFh, not {value}")
+            self.fail(int(value))
+        elif value not in (0, 1):
+            raise ValueError(f"{name} is 0 or 1, not {value}")
+        elif name == "encoder":
+            self.active_errors &= ~Error.MISSING_ESTIMATE
+            if not value:
+                self.active_errors |= Error.MISSING_ESTIMATE
+                self.fail(Error.MISSING_ESTIMATE)
+        elif value and not self._is_powered:
+            self.start(now_ns)
+        elif not value:
+            self.fall_silent()
+            self._is_powered = False
+
+    def snapshot(self, now_ns: int) -> Mapping[str, float]:
+        """The truth at `now_ns`, behind the gear where it says rad and N m."""
+        axis = self.control.axis
+        axis.at(now_ns)
+        return {
+            "position_rad": axis.output_position_rad(),
+            "velocity_rad_s": axis.output_velocity_rad_s(),
+            "position_inc": float(axis.position_inc()),
+            "demand_inc": float(axis.demand_inc()),
+            "current_a": axis.current_a(),
+            "torque_n_m": axis.torque_n_m(),
+            "following_error_inc": float(axis.following_error_inc()),
+            "axis_state": float(self.state),
+            "axis_error": float(self.active_errors | self.disarm_reason),
+            **axis.truth_of_extras(),
+        }
+
+    def identifiers(self) -> Sequence[int] | None:
+        """All of its node-ID, remote or not, and 06h to those without an address."""
+        first = self.node_id << m.COMMAND_BITS
+        everybody = m.UNADDRESSED << m.COMMAND_BITS | m.ADDRESS
+        own = [first | command for command in range(1 << m.COMMAND_BITS)]
+        own += [] if everybody in own else [everybody]
+        return [can_id | flag for flag in (0, RTR_FLAG) for can_id in own]
+
+    def identifiers_revision(self) -> int:
+        """Grows when it gets another node-ID."""
+        return self._revision
+
+    # --- the axis' states ------------------------------------------------------------------------
+
+    def request(self, state: AxisState) -> None:
+        """07h."""
+        if state is AxisState.IDLE:
+            was_at_rest = self.state is AxisState.IDLE
+            self._rest(self.result if was_at_rest else ProcedureResult.CANCELLED)
+        elif self.active_errors or self.disarm_reason:
+            self.result = ProcedureResult.INVALID_STATE
+            self.note("warning", f"{state.name} refused: errors {self.errors():08X}h")
+        elif state is AxisState.CLOSED_LOOP_CONTROL:
+            self._enter(state)
+            self.control.arm()
+        elif state is AxisState.HOMING:
+            self._home()
+        elif state in _CALIBRATIONS:
+            self._enter(state)
+            self._calibrated_ns = self._now_ns + self.settings.calibration_ns
+        else:
+            self._rest(ProcedureResult.INVALID_STATE)
+            self.note("warning", f"{state.name} is not emulated")
+
+    def fail(self, bits: int) -> None:
+        """An error disarms the axis."""
+        self.disarm_reason |= bits
+        self.note("error", f"disarmed: {_names(bits)}")
+        self._rest(ProcedureResult.DISARMED)
+
+    def clear_errors(self) -> None:
+        """18h: what caused it, if it is still there, stays active."""
+        self.disarm_reason = 0
+        self.result = ProcedureResult.SUCCESS
+
+    def errors(self) -> int:
+        """What a heartbeat tells of errors."""
+        return self.active_errors | self.disarm_reason
+
+    def save(self) -> None:
+        """What can be written by CAN holds after the next boot, too."""
+        self._saved = self.control.parameters
+
+    def erase(self) -> None:
+        """It is as delivered after the next boot."""
+        self._saved = Parameters()
+
+    def reboot(self, now_ns: int | None = None) -> None:
+        """It starts anew, as when power comes on."""
+        self.fall_silent()
+        self._boot_ns = self.settings.boot_up_ns + (self._now_ns if now_ns is None else now_ns)
+
+    def fall_silent(self) -> None:
+        """Nothing is heard of it; its motor has no current."""
+        self._rest(ProcedureResult.SUCCESS)
+        self.state = AxisState.UNDEFINED
+        self._boot_ns = self._heartbeat_ns = self._encoder_ns = self._watchdog_ns = NEVER_NS
+
+    def tell(self, command: int) -> None:
+        """A message of this kind is queued; does nothing if it has none."""
+        if command in m.TOLD:
+            data = m.TOLD[command][0].pack(*told(self, command))
+            self._out.append(pack(self.node_id << m.COMMAND_BITS | command, data))
+
+    def note(self, level: str, text: str) -> None:
+        """Something worth a line in the record happened."""
+        self._events.append((level, text))
+
+    # --- inside ----------------------------------------------------------------------------------
+
+    def _boot(self, now_ns: int) -> None:
+        self.control.axis.at(now_ns)
+        self.control.power_on(self._saved)
+        self.state, self.result = AxisState.IDLE, ProcedureResult.SUCCESS
+        self.disarm_reason = 0
+        self.active_errors &= Error.MISSING_ESTIMATE
+        if self.settings.heartbeat_ns:
+            self._heartbeat_ns = now_ns
+        if self.settings.encoder_ns:
+            self._encoder_ns = now_ns
+        self._now_ns = now_ns
+
+    def _at(self, now_ns: int) -> None:
+        self._now_ns = now_ns
+        control = self.control
+        control.axis.at(now_ns)
+        control.settle()
+        if self._homing is not None and self._homing.settle():
+            self._homing = None
+            self.result, self.state = ProcedureResult.SUCCESS, AxisState.CLOSED_LOOP_CONTROL
+        if control.is_armed and control.is_too_fast():
+            self.fail(Error.VELOCITY_LIMIT_VIOLATION)
+
+    def _feed_watchdog(self) -> None:
+        self.active_errors &= ~Error.WATCHDOG_TIMER_EXPIRED
+        if self.settings.watchdog_ns and self.state is not AxisState.IDLE:
+            self._watchdog_ns = self._now_ns + self.settings.watchdog_ns
+
+    def _home(self) -> None:
+        motor = self.settings.motor
+        endstop_rad = self.settings.min_endstop_rad
+        if endstop_rad is None:
+            self._rest(ProcedureResult.HOMING_WITHOUT_ENDSTOP)
+            return
+        self._enter(AxisState.HOMING)
+        self.control.arm()
+        inc_rad = motor.plant.gear_ratio * motor.plant.increments_per_rad()
+        self._homing = Homing(self.control, int(endstop_rad * inc_rad // 1.0))
+
+    def _enter(self, state: AxisState) -> None:
+        self._rest(ProcedureResult.BUSY)
+        self.state = state
+        self._feed_watchdog()
+
+    def _rest(self, result: ProcedureResult) -> None:
+        """IDLE; what went on is over."""
+        if self._homing is not None:
+            self._homing.abandon()
+            self._homing = None
+        self._calibrated_ns = self._watchdog_ns = NEVER_NS
+        self.control.disarm()
+        self.state, self.result = AxisState.IDLE, result
+
+    def _address(self, payload: bytes, is_remote: bool) -> None:
+        """06h: who is there, or who is to have which node-ID."""
+        serial = self.settings.serial_number.to_bytes(6, "little")
+        if is_remote or len(payload) < m.ADDRESSING.size:
+            data = m.ADDRESSING.pack(self.node_id, serial)
+            self._out.append(pack(self.node_id << m.COMMAND_BITS | m.ADDRESS, data))
+            return
+        node_id, wanted = m.ADDRESSING.unpack_from(payload)
+        if wanted in (serial, bytes(6)):
+            self._call_it(node_id & m.UNADDRESSED)
+        elif node_id == self.node_id:
+            self._call_it(m.UNADDRESSED)
+
+    def _call_it(self, node_id: int) -> None:
+        self.node_id = node_id
+        self._revision += 1
+        self.note("info", f"its node-ID is {node_id} now")
+
+
+def _names(bits: int) -> str:
+    names = [error.name for error in Error if error and bits & error]
+    return " | ".join(names) or f"{bits:08X}h"

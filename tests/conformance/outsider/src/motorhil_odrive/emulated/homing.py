@@ -1,0 +1,71 @@
+"""Homing of an ODrive: to the minimum end stop, off it again, and where it opens is position 0.
+
+Which way it searches and that it ends in closed loop is what ODrive's manuals of earlier firmware
+say of it; how it leaves the switch is this emulator's choice.
+"""
+
+from enum import Enum
+from typing import Final, final
+
+from emulators.firmware import flags as f
+from emulators.firmware.axis_readings import NEVER_NS
+from motorhil_odrive.emulated.control import Control
+
+_FAR: Final = 1e18
+
+
+@final
+class _Phase(Enum):
+    SEARCHING = 0
+    STOPPING = 1
+    LEAVING = 2
+    SETTLING = 3
+
+
+@final
+class Homing:
+    """One homing that goes on; `endstop_count` is where, in encoder counts, its switch closes."""
+
+    def __init__(self, control: Control, endstop_count: int) -> None:
+        self._control = control
+        self._edge: Final = float(endstop_count)
+        self._phase = _Phase.LEAVING if self._is_closed() else _Phase.SEARCHING
+        self._go()
+
+    def settle(self) -> bool:
+        """What follows from where the axis is; whether it is over, at position 0 or near it."""
+        axis, control = self._control.axis, self._control
+        if self._phase is _Phase.SEARCHING and self._is_closed():
+            self._phase = _Phase.STOPPING
+            control.rest()
+        elif self._phase is _Phase.STOPPING and not axis.flags & f.PROFILE_ACTIVE:
+            self._phase = _Phase.LEAVING
+            self._go()
+        elif self._phase is _Phase.LEAVING and not self._is_closed():
+            self._phase = _Phase.SETTLING
+            axis.set_position(0)
+            control.rest()
+        elif self._phase is _Phase.SETTLING and not axis.flags & f.PROFILE_ACTIVE:
+            self.abandon()
+            return True
+        return False
+
+    def wake_ns(self) -> int:
+        """When the switch opens or closes, or a ramp ends [ns]; NEVER_NS: not by itself."""
+        return self._control.axis.event_ns(NEVER_NS)
+
+    def abandon(self) -> None:
+        """Nobody looks at the switch any more."""
+        self._control.axis.set_gate(-_FAR, _FAR, -_FAR, _FAR)
+
+    def _is_closed(self) -> bool:
+        return self._control.axis.output_count() < self._edge
+
+    def _go(self) -> None:
+        axis = self._control.axis
+        if self._phase is _Phase.SEARCHING:
+            axis.set_gate(-_FAR, _FAR, self._edge, _FAR)
+            self._control.home_run(-1)
+        else:
+            axis.set_gate(-_FAR, _FAR, -_FAR, self._edge)
+            self._control.home_run(1)

@@ -1,0 +1,1 @@
+"""The adaptation of the motor interface to an ODrive."""

@@ -1,0 +1,40 @@
+"""Any way of stopping: the drive is sent to the place where it can have come to rest.
+
+By a trapezoid of its own, so that it slows down as it is told, then holds, and needs nobody for it.
+02h (estop) would be one frame; but it takes the current away, and a motor that coasts stops nowhere
+in particular.
+"""
+
+from typing import TYPE_CHECKING, Final
+
+from motorhil_odrive.host import messages as m
+from motorhil_odrive.host.watch import Rest
+
+if TYPE_CHECKING:
+    from motorhil_odrive.host.hardware import OdriveHwMotor
+    from motorhil_odrive.host.units import Units
+
+_LEAD_S: Final = 0.002
+"""Until the frames are there: the place is rather a little too far, or it would turn back."""
+_STILL: Final = 0.05  # [rev/s]
+_FASTER: Final = 1.05
+
+
+def brake(hardware: "OdriveHwMotor", deceleration: float, units: "Units") -> None:
+    """The motor slows down at `deceleration` [U/s^2], then holds; does not wait."""
+    hardware.end_stream()
+    if not hardware.heard.is_in(m.CLOSED_LOOP, m.HOMING):
+        hardware.heard.follow(None)
+        return
+    slower = deceleration * abs(units.rev)
+    position, velocity = hardware.heard.at(hardware.runtime.now_ns(), slower)
+    held = hardware.held
+    if abs(velocity) > _STILL or held is None:
+        held = position + velocity * _LEAD_S + velocity * abs(velocity) / (2.0 * slower)
+    if hardware.heard.is_in(m.HOMING):
+        hardware.tell_anyway(m.AXIS_STATE, m.CLOSED_LOOP)
+    hardware.tell_anyway(m.TRAJECTORY_VELOCITY, max(abs(velocity) * _FASTER, _STILL))
+    hardware.tell_anyway(m.TRAJECTORY_ACCELERATION, slower, slower)
+    if not hardware.was_told(m.CONTROLLER_MODE, m.POSITION_CONTROL, m.TRAPEZOID):
+        hardware.tell_anyway(m.CONTROLLER_MODE, m.POSITION_CONTROL, m.TRAPEZOID)
+    hardware.heard.follow(Rest(hardware.tell_anyway(m.INPUT_POSITION, held, 0.0, 0.0), _STILL))

@@ -1,0 +1,56 @@
+"""An ODrive's motor from its table in a rig: entry point `motorhil.adaptations`, name `odrive`."""
+
+from collections.abc import Mapping
+from dataclasses import fields
+from typing import TYPE_CHECKING, Final
+
+from motorapi.adaptations.building import Shared, as_name, number, refuse_unknown
+from motorapi.errors import UsageError
+from motorapi.sharing import bus_key
+from motorhil_odrive.host.hardware import OdriveHwMotor
+from motorhil_odrive.host.motor import OdriveMotor
+from motorhil_odrive.host.options import OdriveOptions
+
+if TYPE_CHECKING:
+    import can
+
+    from motorapi.model import MotorModel
+    from motorapi.runtime import Runtime
+
+_OPTIONS: Final = tuple(field.name for field in fields(OdriveOptions))
+_SHARED: Final[Shared[OdriveHwMotor]] = Shared("drive")
+
+
+def build(
+    bus: "can.BusABC", settings: Mapping[str, object], model: "MotorModel", runtime: "Runtime"
+) -> OdriveMotor:
+    """The motor that a table of settings describes.
+
+    Motors that name the same drive share one hardware object, made by the first of them.
+
+    Args:
+        bus: where the drive is.
+        settings: `node_id`; `name` (None: the model's); and any field of OdriveOptions.
+        model: the motor's; its gear ratio must be given.
+        runtime: where it waits.
+
+    Raises:
+        UsageError: a setting is unknown, missing, or wrong.
+    """
+    refuse_unknown(settings, ("name", "node_id", *_OPTIONS), "setting of an odrive motor")
+    node_id = settings.get("node_id")
+    if not isinstance(node_id, int) or isinstance(node_id, bool):
+        raise UsageError(f"node_id = {node_id!r}: must be the drive's node-ID, 0 to 62")
+    given = {key: number(key, settings[key]) for key in _OPTIONS if key in settings}
+    options = OdriveOptions(**given)
+    hardware = _SHARED.get(
+        (*bus_key(bus), node_id),
+        lambda: OdriveHwMotor(bus, node_id, runtime=runtime, options=options),
+        lambda built: built.options == options,
+    )
+    return OdriveMotor(
+        hardware,
+        model,
+        name=as_name(settings.get("name")),
+        on_close=lambda: _SHARED.give_back(hardware),
+    )

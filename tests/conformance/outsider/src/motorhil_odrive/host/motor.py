@@ -1,0 +1,322 @@
+"""The adaptation of the motor interface to an ODrive.
+
+| command                                  | what the drive is told                              |
+| ---------------------------------------- | --------------------------------------------------- |
+| set-point or simple trajectory, position | TRAP_TRAJ: a trapezoid of its own, to a place       |
+| set-point or ramp, velocity and torque   | PASSTHROUGH, in steps of the host's (`stream`)      |
+| stop, halt, quick stop                   | TRAP_TRAJ to where it can come to rest              |
+| homing                                   | here (35, 37), or by its minimum end stop (17)      |
+
+What is sent once is a place, never a distance: told twice it would be gone to once. Trajectories
+that are functions are refused. Motors start one after another: CANSimple has no common signal.
+"""
+
+from collections.abc import Callable
+from math import isfinite
+from typing import Final, final
+
+from motorapi.commands import ControlMode, ControlVariable, Motion, Setpoint
+from motorapi.errors import DeviceFault, MotionInterrupted, PeerError, StateError, UnsupportedError
+from motorapi.model import MotorModel
+from motorapi.motor import Motor
+from motorapi.smooth_planning import asks_for_smoothness
+from motorapi.state import Fault, Measurement, MotorState
+from motorapi.synchronization import MotionTimes, SyncLevel, SyncOffer, Trigger
+from motorapi.trajectory import ComplexTrajectory, Trajectory
+from motorhil_odrive.host import messages as m
+from motorhil_odrive.host.braking import brake
+from motorhil_odrive.host.hardware import OdriveHwMotor
+from motorhil_odrive.host.start import Start, prepare
+from motorhil_odrive.host.units import Units
+from motorhil_odrive.host.watch import Armed, Arrival, Called, Homed, Rest
+
+_STATE_S: Final = 1.0
+_ANSWER_S: Final = 0.5
+_REFRESH_S: Final = 0.02
+_HERE: Final = (None, 35, 37)
+_NEGATIVE_SWITCH: Final = 17
+_SUPPORTED: Final = (ControlVariable.POSITION, ControlVariable.VELOCITY, ControlVariable.TORQUE)
+
+
+@final
+class OdriveMotor(Motor):
+    """A logical motor on an ODrive. Any number of them may share one hardware object.
+
+    Args:
+        hardware: speaks for the drive.
+        model: what is constant of the motor; its gear ratio must be given.
+        name: what messages and records call it; None: the model's name and where it is.
+        on_close: is called once, when the motor is closed. The hardware object is its maker's.
+    """
+
+    def __init__(
+        self,
+        hardware: OdriveHwMotor,
+        model: MotorModel,
+        *,
+        name: str | None = None,
+        on_close: Callable[[], None] | None = None,
+    ) -> None:
+        super().__init__(
+            name=f"{model.name} at {hardware.label}" if name is None else name,
+            model=model,
+            runtime=hardware.runtime,
+            physical=hardware.physical,
+        )
+        self._hardware = hardware
+        self._units = Units(model)
+        self._on_close = on_close
+
+    def close(self) -> None:
+        """It is no longer used; closing again does nothing."""
+        on_close, self._on_close = self._on_close, None
+        if on_close is not None:
+            on_close()
+
+    @property
+    def hardware(self) -> OdriveHwMotor:
+        """The drive, with all it is able to do."""
+        return self._hardware
+
+    # --- what it can do --------------------------------------------------------------------
+
+    def _supports(self, mode: ControlMode, variable: ControlVariable) -> bool:
+        return variable in _SUPPORTED
+
+    def _check_command(self, variable: ControlVariable, command: Setpoint | Trajectory) -> None:
+        if isinstance(command, Setpoint):
+            return
+        if isinstance(command, ComplexTrajectory) or asks_for_smoothness(variable, command):
+            raise UnsupportedError(
+                motor=self.name,
+                feature=f"a trajectory of {variable.value} that is a function of time",
+                supported="trapezoids of position, and ramps of velocity and torque",
+            )
+
+    def _sync_offer(self) -> SyncOffer:
+        return SyncOffer(
+            SyncLevel.SEQUENTIAL,
+            self._hardware.label,
+            None,
+            "CANSimple has no signal that starts several drives: each has a frame of its own",
+            no_firing_bound="no bound is reckoned for that frame",
+            no_start_bound="the drive's own cycle is not told",
+            no_end_bound="the drive's own clock is not told",
+        )
+
+    def _quantise(self, motion: Motion) -> Motion:
+        return self._units.rounded(motion)
+
+    # --- connecting, state and measurements -------------------------------------------------
+
+    def _connect(self) -> None:
+        self._hardware.connect()
+
+    def _read_state(self) -> MotorState:
+        hardware = self._hardware
+        heartbeat = hardware.heard.heartbeat
+        if heartbeat is None or hardware.heard.lost_since_ns is not None or hardware.is_closed:
+            return MotorState.OFFLINE
+        if heartbeat.error:
+            return MotorState.FAULT
+        if not hardware.heard.is_in(m.CLOSED_LOOP, m.HOMING):
+            return MotorState.DISABLED
+        return MotorState.STOPPED if hardware.quick_stopped else MotorState.ENABLED
+
+    def _read_fault(self) -> Fault | None:
+        return self._hardware.heard.fault()
+
+    def _read_referenced(self) -> bool:
+        return self._hardware.heard.is_homed
+
+    def _read_position(self) -> float:
+        estimate = self._hardware.heard.estimate
+        assert estimate is not None  # _connect has seen to that
+        return estimate.position / self._units.rev
+
+    def _read_velocity(self) -> float:
+        estimate = self._hardware.heard.estimate
+        assert estimate is not None
+        return estimate.velocity / self._units.rev
+
+    def _read_reference(self) -> float:
+        hardware = self._hardware
+        watch, held = hardware.heard.watch, hardware.held
+        rests = watch is None or watch.is_over()
+        if held is None or not rests or not hardware.heard.is_in(m.CLOSED_LOOP):
+            return self._read_position()
+        return held / self._units.rev
+
+    def _read_torque(self) -> float:
+        return self._hardware.ask(m.TORQUES)[1] / self._units.n_m
+
+    def _latest(self) -> Measurement | None:
+        estimate = self._hardware.heard.estimate
+        if estimate is None:
+            return None
+        rev = self._units.rev
+        return Measurement(
+            *(estimate.time_ns, self._read_state(), estimate.position / rev),
+            estimate.velocity / rev,
+        )
+
+    def _position_source(self) -> str:
+        return "encoder estimate, message 09h"
+
+    def _refresh(self) -> float | None:
+        """Both come by themselves; a heartbeat that is asked for comes sooner."""
+        if self._hardware.heard.lost_since_ns is None and not self._hardware.is_closed:
+            self._hardware.ask_for_heartbeat()
+        return _REFRESH_S
+
+    def _fault_error(self, fault: Fault) -> DeviceFault:
+        return DeviceFault(
+            motor=self.name, code=fault.code, text=fault.text, since_ns=fault.since_ns
+        )
+
+    # --- power, fault, reference ------------------------------------------------------------
+
+    def _enable(self) -> None:
+        hardware = self._hardware
+        if hardware.heard.is_in(m.CLOSED_LOOP):  # after a quick stop
+            hardware.quick_stopped = False
+            return
+        hardware.heard.follow(None)
+        hardware.tell(m.CONTROLLER_MODE, m.POSITION_CONTROL, m.TRAPEZOID)
+        sent_ns = hardware.confirm(hardware.tell(m.AXIS_STATE, m.CLOSED_LOOP))
+        heartbeat = hardware.await_heartbeat(
+            lambda heard: (
+                heard.time_ns > sent_ns
+                and (heard.state == m.CLOSED_LOOP or heard.result not in (0, 1))
+            ),
+            _STATE_S,
+        )
+        fault = hardware.heard.fault()
+        if fault is not None:
+            raise self._fault_error(fault)
+        if heartbeat.state != m.CLOSED_LOOP:
+            raise PeerError(
+                f"{self.name}: closed loop was refused: {m.result_text(heartbeat.result)}"
+            )
+        hardware.quick_stopped = False
+
+    def _disable(self) -> None:
+        hardware = self._hardware
+        hardware.end_stream()
+        hardware.heard.follow(None)
+        hardware.tell(m.AXIS_STATE, m.IDLE)
+        hardware.await_heartbeat(lambda heard: heard.state == m.IDLE, _STATE_S)
+        hardware.quick_stopped = False
+
+    def _reset_fault(self) -> None:
+        hardware = self._hardware
+        hardware.end_stream()
+        hardware.heard.follow(None)
+        hardware.tell(m.AXIS_STATE, m.IDLE)
+        sent_ns = hardware.confirm(hardware.tell(m.CLEAR_ERRORS, 0))
+        # One heartbeat may have been queued before: its errors are old.
+        hardware.await_heartbeat(lambda heard: heard.time_ns > sent_ns, _STATE_S)
+        hardware.await_heartbeat(lambda heard: True, _STATE_S)
+        fault = hardware.heard.fault()
+        if fault is not None:
+            raise self._fault_error(fault)
+
+    def _home(self, method: int | None) -> None:
+        hardware = self._hardware
+        hardware.end_stream()
+        if method in _HERE:
+            window = hardware.options.position_window_rev
+            hardware.heard.follow(Called(hardware.tell(m.ABSOLUTE_POSITION, 0.0), window))
+        elif method == _NEGATIVE_SWITCH:
+            hardware.heard.follow(Homed(hardware.tell(m.AXIS_STATE, m.HOMING)))
+            hardware.doubt()  # it changes modes as it likes
+        else:
+            feature = f"homing by method {method}"
+            raise UnsupportedError(motor=self.name, feature=feature, supported="17, 35, 37")
+
+    # --- motion -----------------------------------------------------------------------------
+
+    def _arm(self, motion: Motion, *, together: bool) -> Trigger:
+        if motion.function is not None:
+            raise UnsupportedError(motor=self.name, feature="a trajectory that is a function")
+        hardware = self._hardware
+        start = Start(hardware, self._units, self._units.rounded(motion), self.model)
+        prepare(start)
+        hardware.heard.follow(Armed(hardware.heard.watch))
+        return start
+
+    def _disarm(self) -> None:
+        watch = self._hardware.heard.watch
+        if isinstance(watch, Armed):
+            self._hardware.heard.follow(watch.before)
+
+    def _confirm(self, motion: Motion) -> None:
+        hardware = self._hardware
+        watch = hardware.heard.watch
+        if not isinstance(watch, Arrival):
+            return
+        hardware.await_heartbeat(lambda heard: watch.is_answered() or bool(heard.error), _ANSWER_S)
+        estimate = hardware.heard.estimate
+        if estimate is not None and hardware.heard.fault() is None and watch.was_ignored(estimate):
+            raise PeerError(f"{self.name}: the drive did not take the set-point; it did not move")
+
+    def _is_done(self) -> bool:
+        hardware = self._hardware
+        hardware.check_open()
+        hardware.heard.check()
+        watch = hardware.heard.watch
+        fault = hardware.heard.fault()
+        if fault is not None:
+            raise self._fault_error(fault)
+        if watch is None:
+            return True
+        stream = hardware.stream
+        if stream is not None and stream.error is not None and watch.moves:
+            raise stream.error
+        heartbeat = hardware.heard.heartbeat
+        if heartbeat is not None and not hardware.heard.is_in(m.CLOSED_LOOP, m.HOMING):
+            if not watch.moves:
+                return True  # nothing slows down any more
+            told = m.result_text(heartbeat.result)
+            by = f"the drive, now in axis state {heartbeat.state} ({told})"
+            if watch.ended_ns is None or heartbeat.time_ns > watch.ended_ns:
+                raise MotionInterrupted(motor=self.name, by=by, at_ns=heartbeat.time_ns)
+        if watch.is_over() and watch.failed:
+            raise PeerError(f"{self.name}: homing failed: {watch.failed}")
+        return watch.is_over()
+
+    def _stop(self) -> None:
+        run = self._physical.run
+        motion = None if run is None else run.motion
+        size = self.model.deceleration
+        if motion is not None and motion.variable is not ControlVariable.TORQUE:
+            size = motion.stop_deceleration or motion.deceleration
+        brake(self._hardware, size if isfinite(size) else self.model.deceleration, self._units)
+
+    def _quick_stop(self) -> None:
+        self._hardware.quick_stopped = self._hardware.heard.is_in(m.CLOSED_LOOP, m.HOMING)
+        brake(self._hardware, self.model.deceleration, self._units)
+
+    # --- the hardware itself ----------------------------------------------------------------
+
+    def _open_low_level(self) -> OdriveHwMotor:
+        stream = self._hardware.stream
+        if stream is not None and stream.is_going:
+            raise StateError(
+                motor=self.name,
+                operation="low_level()",
+                state="set-points are being streamed to it",
+                remedy="stop() first",
+            )
+        self._hardware.heard.follow(None)
+        return self._hardware
+
+    def _close_low_level(self) -> None:
+        self._hardware.doubt()
+
+    def _motion_times(self) -> MotionTimes | None:
+        watch = self._hardware.heard.watch
+        if watch is None or isinstance(watch, Rest | Armed):
+            return None
+        source = "its set-point on the bus; trajectory done in its heartbeat"
+        return MotionTimes(watch.started_ns, watch.ended_ns, source)

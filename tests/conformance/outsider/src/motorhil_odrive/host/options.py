@@ -1,0 +1,41 @@
+"""How the host deals with one ODrive."""
+
+from dataclasses import dataclass
+from math import isfinite
+from typing import final
+
+from motorapi.errors import UsageError
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True)
+class OdriveOptions:
+    """Settings of a hardware object; in a rig, keys of the motor's table.
+
+    Attributes:
+        heartbeat_timeout_ms: without a heartbeat for so long the drive is lost.
+        watchdog_feed_ms: how often whoever commanded last feeds the drive's watchdog.
+        estimate_period_ms: of the drive's encoder estimates, as it is configured.
+        stream_period_ms: between two set-points of velocity or torque while they change.
+        connect_timeout_s: for a drive that may still be booting.
+        velocity_window: of velocity_max, within which a velocity set-point is reached.
+        position_window_rev: within which of its target, in turns of the motor, a motion ends.
+
+    Raises:
+        UsageError: a value is not > 0.
+    """
+
+    heartbeat_timeout_ms: float = 300.0
+    watchdog_feed_ms: float = 50.0
+    estimate_period_ms: float = 10.0
+    stream_period_ms: float = 5.0
+    connect_timeout_s: float = 3.0
+    velocity_window: float = 0.02
+    position_window_rev: float = 0.01
+
+    def __post_init__(self) -> None:
+        """Refuse what cannot be."""
+        for name in self.__slots__:
+            value = getattr(self, name)
+            if not isfinite(value) or value <= 0.0:
+                raise UsageError(f"{name} = {value!r}: must be > 0")

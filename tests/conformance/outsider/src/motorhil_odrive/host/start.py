@@ -1,0 +1,110 @@
+"""One motion from arming to its beginning: what is told before, and the frame that starts it."""
+
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Final, final
+
+from motorapi.commands import ControlVariable, Motion
+from motorapi.demand import demand_of, ramps
+from motorhil_odrive.host import messages as m
+from motorhil_odrive.host.stream import Stream
+from motorhil_odrive.host.watch import Arrival, Reached
+
+if TYPE_CHECKING:
+    from motorapi.model import MotorModel
+    from motorhil_odrive.host.hardware import OdriveHwMotor
+    from motorhil_odrive.host.units import Units
+
+_HEADROOM: Final = 1.1
+"""The drive's velocity limit, by the model's: a loop that may not exceed it never catches up."""
+
+
+@final
+class Start:
+    """The trigger of one motion."""
+
+    def __init__(
+        self, hardware: "OdriveHwMotor", units: "Units", motion: Motion, model: "MotorModel"
+    ) -> None:
+        self.hardware = hardware
+        self.units = units
+        self.motion = motion
+        self.model = model
+
+    def fire(self) -> None:
+        """The motion has begun: what starts it was on the wire."""
+        if self.motion.variable is ControlVariable.POSITION:
+            self._go()
+        else:
+            self._run()
+
+    def _go(self) -> None:
+        hardware = self.hardware
+        target = self.motion.target * self.units.rev
+        estimate = hardware.heard.estimate
+        assert estimate is not None  # it was connected
+        sent = hardware.tell(m.INPUT_POSITION, target, 0.0, 0.0)
+        window = hardware.options.position_window_rev
+        hardware.heard.follow(Arrival(sent, target, window, estimate.position))
+        hardware.confirm(sent)
+
+    def _run(self) -> None:
+        hardware, motion = self.hardware, self.motion
+        is_velocity = motion.variable is ControlVariable.VELOCITY
+        message = m.INPUT_VELOCITY if is_velocity else m.INPUT_TORQUE
+        control = m.VELOCITY_CONTROL if is_velocity else m.TORQUE_CONTROL
+        scale = self.units.of(motion.variable)
+        goes_on = hardware.was_told(m.CONTROLLER_MODE, control, m.PASSTHROUGH)
+        before = hardware.stream.last if goes_on and hardware.stream is not None else 0.0
+        value, duration_s = profile(motion, before / scale)
+        window = self.model.velocity_max * hardware.options.velocity_window * abs(scale)
+        watch = Reached(motion.target * scale if is_velocity else None, window)
+        hardware.end_stream()
+        if not goes_on:  # the input first: it counts from the change of mode on
+            first = value(0.0) * scale
+            hardware.tell(message, *((first, 0.0) if is_velocity else (first,)))
+            hardware.tell(m.CONTROLLER_MODE, control, m.PASSTHROUGH)
+        hardware.stream = Stream(hardware, message, lambda s: value(s) * scale, duration_s, watch)
+        hardware.heard.follow(watch)
+        hardware.confirm(hardware.stream.begin())
+
+
+def prepare(start: Start) -> None:
+    """All that the drive must have been told before has been on the wire; nothing has moved."""
+    hardware, motion, units = start.hardware, start.motion, start.units
+    size = abs(units.rev)
+    sent = []
+    if start.model.current_max is not None:
+        velocity = start.model.velocity_max * size * _HEADROOM
+        sent.append(hardware.push(m.LIMITS, velocity, start.model.current_max))
+    if motion.variable is ControlVariable.POSITION:
+        hardware.end_stream()
+        sent += [
+            hardware.push(m.TRAJECTORY_VELOCITY, motion.velocity * size),
+            hardware.push(
+                m.TRAJECTORY_ACCELERATION, motion.acceleration * size, motion.deceleration * size
+            ),
+            hardware.push(m.CONTROLLER_MODE, m.POSITION_CONTROL, m.TRAPEZOID),
+        ]
+    last = next((one for one in reversed(sent) if one is not None), None)
+    if last is not None:
+        hardware.confirm(last)
+
+
+def profile(motion: Motion, before: float) -> tuple[Callable[[float], float], float]:
+    """(value over the time since the start [s], when its last one is due [s]) of a ramp."""
+    if motion.trajectory is not None:
+        demand = demand_of(motion)
+        return demand.value, demand.final_argument
+    growing, shrinking = motion.slope, motion.slope
+    if motion.variable is ControlVariable.VELOCITY:
+        growing, shrinking = motion.acceleration, motion.deceleration
+    pieces = ramps(before, motion.target, growing, shrinking)
+
+    def value(at_s: float) -> float:
+        for duration_s, begin, rate in pieces:
+            if at_s < duration_s:
+                return begin + rate * at_s
+            at_s -= duration_s
+        return motion.target
+
+    return value, sum(duration_s for duration_s, _, _ in pieces)

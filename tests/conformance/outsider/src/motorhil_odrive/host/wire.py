@@ -1,0 +1,138 @@
+"""One ODrive's frames on a bus: what it says goes to handlers, what it is told is tracked."""
+
+import struct
+from collections import deque
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Final, final
+
+from motorapi.errors import LinkError
+from motorhil_odrive.host.messages import Message, decoded, encoded
+
+if TYPE_CHECKING:
+    import can
+
+    from motorapi.fencing import Fence
+    from motorapi.runtime import Runtime
+
+Handler = Callable[[tuple[float, ...], int], None]
+"""(values of the signals, time [ns])."""
+
+_FRAME: Final = struct.Struct("<IB3x8s")  # Linux can_frame
+_REMOTE: Final = 0x4000_0000
+_WAITING_MAX: Final = 256
+
+
+@final
+class Sent:
+    """A frame on its way; `time_ns` is when it was complete on the bus, None before that."""
+
+    __slots__ = ("frame", "time_ns")
+
+    def __init__(self, frame: bytes) -> None:
+        self.frame = frame
+        self.time_ns: int | None = None
+
+
+@final
+class Wire:
+    """The host's end of one ODrive.
+
+    Args:
+        bus: where it is.
+        runtime: where to wait.
+        node_id: its number there.
+        label: what errors call it.
+        on_command: is told of commands that others send to this drive.
+    """
+
+    def __init__(
+        self,
+        bus: "can.BusABC",
+        runtime: "Runtime",
+        node_id: int,
+        label: str,
+        on_command: Callable[[int, int], None],
+    ) -> None:
+        self._bus: Final = bus
+        self._runtime: Final = runtime
+        self._label: Final = label
+        self._first: Final = node_id << 5
+        self._on_command: Final = on_command
+        self._handlers: dict[int, tuple[Message, Handler]] = {}
+        self._waiting: deque[Sent] = deque(maxlen=_WAITING_MAX)
+        self._registration = runtime.listen(bus, self._on_frame)
+
+    def handle(self, message: Message, handler: Handler) -> None:
+        """What the drive says in this message goes to `handler`."""
+        self._handlers[self._first | message.command] = message, handler
+
+    def tell(self, message: Message, *values: float, fence: "Fence | None" = None) -> Sent:
+        """The drive is told; a command goes out only while its fence lets it.
+
+        Raises:
+            LinkError: the bus does not take it.
+            MotorBusyError: somebody else owns the motor.
+        """
+        data = encoded(message, *values)
+        return self._send(_FRAME.pack(self._first | message.command, len(data), data), fence)
+
+    def ask(self, message: Message) -> Sent:
+        """The drive is asked for this message, by a remote frame."""
+        can_id = self._first | message.command | _REMOTE
+        return self._send(_FRAME.pack(can_id, message.length, b""), None)
+
+    def confirm(self, sent: Sent, timeout_s: float = 0.5) -> int:
+        """When the frame, and so all before it, was complete on the bus [ns].
+
+        Raises:
+            LinkError: not within `timeout_s` [s].
+        """
+        if not self._runtime.wait_until(lambda: sent.time_ns is not None, timeout_s):
+            reason = f"a frame was not transmitted within {timeout_s:g} s"
+            raise LinkError(link=self._label, reason=reason)
+        assert sent.time_ns is not None
+        return sent.time_ns
+
+    def close(self) -> None:
+        """Nothing is heard any more."""
+        self._registration.cancel()
+
+    def _send(self, frame: bytes, fence: "Fence | None") -> Sent:
+        from can import CanError
+
+        sent = Sent(frame)
+        self._waiting.append(sent)
+        try:
+            if fence is None:
+                self._runtime.send(self._bus, frame)
+            else:
+                fence.send(frame)
+        except (CanError, OSError) as error:
+            self._waiting.remove(sent)
+            raise LinkError(link=self._label, reason=f"cannot send: {error}") from error
+        except BaseException:
+            self._waiting.remove(sent)
+            raise
+        return sent
+
+    def _on_frame(self, frame: bytes, time_ns: int, transmitted: bool) -> None:
+        can_id, length, data = _FRAME.unpack(frame)
+        if can_id & ~(_REMOTE | 0x1F) != self._first:
+            return
+        if transmitted:
+            for sent in self._waiting:
+                if sent.frame == frame:
+                    sent.time_ns = time_ns
+                    self._waiting.remove(sent)
+                    return
+            return
+        known = self._handlers.get(can_id)
+        if can_id & _REMOTE:
+            return  # another program asks
+        if known is None:
+            self._on_command(can_id & 0x1F, time_ns)
+            return
+        message, handler = known
+        values = decoded(message, data[:length])
+        if values is not None:
+            handler(values, time_ns)
