@@ -33,7 +33,7 @@ def _two(command: int, first: str, second: str, kind: str = "f") -> Message:
 
 
 def _one(command: int, name: str, kind: str = "f") -> Message:
-    return Message(command, 4, (Signal(name, 0, 32, kind),))
+    return Message(command, 8, (Signal(name, 0, 32, kind),))
 
 
 VERSION: Final = Message(

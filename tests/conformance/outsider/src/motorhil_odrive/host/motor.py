@@ -273,17 +273,21 @@ class OdriveMotor(Motor):
         stream = hardware.stream
         if stream is not None and stream.error is not None and watch.moves:
             raise stream.error
-        heartbeat = hardware.heard.heartbeat
-        if heartbeat is not None and not hardware.heard.is_in(m.CLOSED_LOOP, m.HOMING):
-            if not watch.moves:
+        if not hardware.heard.is_in(m.CLOSED_LOOP, m.HOMING):
+            if isinstance(watch, Rest):
                 return True  # nothing slows down any more
-            told = m.result_text(heartbeat.result)
-            by = f"the drive, now in axis state {heartbeat.state} ({told})"
-            if watch.ended_ns is None or heartbeat.time_ns > watch.ended_ns:
-                raise MotionInterrupted(motor=self.name, by=by, at_ns=heartbeat.time_ns)
+            if watch.needs_power:
+                raise self._switched_off()
         if watch.is_over() and watch.failed:
             raise PeerError(f"{self.name}: homing failed: {watch.failed}")
         return watch.is_over()
+
+    def _switched_off(self) -> MotionInterrupted:
+        heartbeat = self._hardware.heard.heartbeat
+        assert heartbeat is not None  # or nothing would have begun
+        told = m.result_text(heartbeat.result)
+        by = f"the drive, now in axis state {heartbeat.state} ({told})"
+        return MotionInterrupted(motor=self.name, by=by, at_ns=heartbeat.time_ns)
 
     def _stop(self) -> None:
         run = self._physical.run

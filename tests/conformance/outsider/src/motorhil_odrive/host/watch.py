@@ -26,11 +26,13 @@ class Watch:
     Attributes:
         ended_ns: when it was seen to be over; None: it was not.
         failed: why it has failed, in words; "": it has not.
-        moves: whether it is interrupted if the drive leaves closed loop.
+        moves: whether a command of somebody else interrupts it.
+        needs_power: whether it is interrupted if the drive leaves closed loop.
         references: whether the motor knows where its position 0 is after it.
     """
 
     moves = True
+    needs_power = True
     references = False
 
     def __init__(self, sent: "Sent | None" = None) -> None:
@@ -118,6 +120,7 @@ class Rest(_Trapezoid):
     """Any way of stopping: over when its trapezoid is done and the motor stands still."""
 
     moves = False
+    needs_power = False
 
     def __init__(self, sent: "Sent", still: float) -> None:
         super().__init__(sent)
@@ -179,6 +182,7 @@ class Called(Watch):
 class Homed(Watch):
     """The drive's own homing: over when it has left that state, one way or another."""
 
+    needs_power = False  # a refused one ends in IDLE, and says why
     references = True
 
     def __init__(self, sent: "Sent") -> None:

@@ -1,0 +1,38 @@
+"""The two sides of the wire know nothing of each other."""
+
+import ast
+from pathlib import Path
+
+import pytest
+
+PACKAGE = Path(__file__).parents[1] / "src" / "motorhil_odrive"
+
+
+def imports(folder):
+    for path in sorted((PACKAGE / folder).glob("*.py")):
+        for node in ast.walk(ast.parse(path.read_text())):
+            if isinstance(node, ast.ImportFrom):
+                yield path.name, node.module
+            elif isinstance(node, ast.Import):
+                yield from ((path.name, alias.name) for alias in node.names)
+
+
+@pytest.mark.parametrize(
+    ("side", "allowed"),
+    [
+        ("emulated", ("emulators", "motorhil_odrive.emulated")),
+        ("host", ("motorapi", "can", "motorhil_odrive.host")),
+    ],
+)
+def test_each_side_imports_its_own_and_the_standard_library(side, allowed):
+    ours = ("emulators", "motorapi", "traces", "harness", "motorhil_odrive", "can")
+    found = list(imports(side))
+    assert len(found) > 20
+    for path, module in found:
+        if module.split(".")[0] in ours:
+            assert module.startswith(allowed), f"{side}/{path} imports {module}"
+
+
+def test_the_emulated_side_has_no_clock_and_no_chance():
+    banned = {"time", "socket", "select", "threading", "asyncio", "random", "os"}
+    assert not banned & {module.split(".")[0] for _, module in imports("emulated")}
