@@ -1,0 +1,89 @@
+"""A stranger's package, installed beside the built wheel of motorhil, in an environment of its own.
+
+Nothing of the checkout is on the path there: what the package uses must be in the wheel, and be
+found by entry points. The dependencies are those that are installed here.
+"""
+
+import os
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import can
+import pytest
+
+from tests.architecture.checkout import CHECKOUT, PACKAGES
+from tests.conformance.outsider_source import OUTSIDER
+
+OTHERS = ("pyproject.toml", "setup.py", "README.md", "LICENSE")
+OFFLINE = ("--quiet", "--disable-pip-version-check", "--no-index", "--no-deps")
+
+
+def run(*command, **more):
+    """What a command that succeeds has printed."""
+    kept = {
+        k: v for k, v in os.environ.items() if not k.startswith(("PYTHON", "MOTORHIL_", "CAN_"))
+    }
+    done = subprocess.run(
+        [str(word) for word in command],
+        env=kept,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT,
+        text=True,
+        timeout=240,
+        check=False,
+        **more,
+    )
+    assert done.returncode == 0, done.stdout
+    return done.stdout
+
+
+@pytest.fixture(scope="module")
+def venv(tmp_path_factory):
+    """An environment with two wheels, and of what is installed here the dependencies."""
+    folder = tmp_path_factory.mktemp("outsider")
+    sources = folder / "motorhil"
+    for package in PACKAGES:
+        shutil.copytree(CHECKOUT / package, sources / package, ignore=IGNORED)
+    for name in OTHERS:
+        shutil.copy(CHECKOUT / name, sources / name)
+    shutil.copytree(OUTSIDER, folder / "outsider", ignore=IGNORED)
+    pip = (sys.executable, "-m", "pip")
+    run(
+        *(*pip, "wheel", *OFFLINE, "--no-build-isolation", "--wheel-dir", folder / "wheels"),
+        *(sources, folder / "outsider"),
+    )
+    wheels = sorted((folder / "wheels").glob("*.whl"))
+    assert [wheel.name.split("-")[0] for wheel in wheels] == ["motorhil", "motorhil_odrive"]
+    run(sys.executable, "-m", "venv", "--without-pip", folder / "venv")
+    python = folder / "venv" / "bin" / "python"
+    run(*pip, "--python", python, "install", *OFFLINE, *wheels)
+    site = Path(run(python, "-c", "import sysconfig; print(sysconfig.get_path('purelib'))").strip())
+    places = sorted({Path(module.__file__).parents[1] for module in (can, pytest)})
+    (site / "dependencies.pth").write_text("".join(f"{place}\n" for place in places))
+    return folder / "venv" / "bin"
+
+
+IGNORED = shutil.ignore_patterns("__pycache__", "*.egg-info", "build", "*.so")
+
+
+def test_only_the_wheels_are_there(venv):
+    code = (
+        "import motorapi, motorhil_odrive, sys; print(motorapi.__file__, motorhil_odrive.__file__)"
+    )
+    for path in run(venv / "python", "-c", code, cwd=venv).split():
+        assert Path(path).is_relative_to(venv.parent), path
+
+
+def test_motorhil_finds_both_by_their_entry_points(venv):
+    for what in ("controllers", "adaptations"):
+        rows = run(venv / "motorhil", "list", what, cwd=venv).splitlines()
+        assert any(row.split()[0] == "odrive" and "motorhil-odrive 0.1.0" in row for row in rows)
+
+
+def test_its_own_tests_pass_there(venv):
+    folder = venv.parents[1] / "outsider"
+    printed = run(venv / "python", "-m", "pytest", "-p", "no:cacheprovider", cwd=folder)
+    assert " passed" in printed
+    assert " skipped" not in printed
