@@ -251,13 +251,19 @@ class OdriveMotor(Motor):
             self._hardware.heard.follow(watch.before)
 
     def _confirm(self, motion: Motion) -> None:
-        hardware = self._hardware
-        watch = hardware.heard.watch
+        hardware, heard = self._hardware, self._hardware.heard
+        watch = heard.watch
         if not isinstance(watch, Arrival):
             return
-        hardware.await_heartbeat(lambda heard: watch.is_answered() or bool(heard.error), _ANSWER_S)
-        estimate = hardware.heard.estimate
-        if estimate is not None and hardware.heard.fault() is None and watch.was_ignored(estimate):
+
+        def is_settled() -> bool:
+            return watch.is_answered() or heard.watch is not watch or heard.fault() is not None
+
+        hardware.await_heartbeat(lambda _: is_settled(), _ANSWER_S)
+        estimate = heard.estimate
+        if heard.watch is not watch or heard.fault() is not None or estimate is None:
+            return  # stopped, or failed: who waits for it is told
+        if watch.was_ignored(estimate):
             raise PeerError(f"{self.name}: the drive did not take the set-point; it did not move")
 
     def _is_done(self) -> bool:
