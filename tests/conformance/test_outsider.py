@@ -5,6 +5,7 @@ found by entry points. The dependencies are those that are installed here.
 """
 
 import os
+import re
 import shutil
 import subprocess
 import sys
@@ -87,3 +88,9 @@ def test_its_own_tests_pass_there(venv):
     printed = run(venv / "python", "-m", "pytest", "-p", "no:cacheprovider", cwd=folder)
     assert " passed" in printed
     assert " skipped" not in printed
+
+
+def test_it_keeps_every_promise_that_it_claims_to_keep(venv, tmp_path):
+    printed = run(venv / "motorhil", "conform", "--adaptation", "odrive", cwd=tmp_path)
+    clauses, passed = map(int, re.search(r"^(\d+) clauses: (\d+) passed", printed, re.M).groups())
+    assert passed >= 0.8 * clauses, printed
