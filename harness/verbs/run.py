@@ -15,8 +15,10 @@ if TYPE_CHECKING:
 
 _MORE = """\
 SCRIPT opens its bus with can.Bus(), as it would on real hardware: CAN_INTERFACE and CAN_CHANNEL say
-that it joins the rig. Time passes while the script waits. Without SCRIPT, a prompt in which `rig`
-is the rig; with "-", the script is read from standard input. What follows -- goes to the script.
+that it joins the rig. Time passes while the script waits: time.sleep, clocks, threads, locks and
+queues go by the rig, each thread in its turn; what cannot is refused by name. Without SCRIPT, a
+prompt in which `rig` is the rig; with "-", the script is read from standard input. What follows --
+goes to the script.
 """
 
 
