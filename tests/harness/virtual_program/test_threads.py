@@ -13,9 +13,10 @@ THE_WALLS = (_thread.start_new_thread, _thread.allocate_lock)  # in here nothing
 
 
 def test_who_sleeps_lets_the_rigs_time_pass_and_others_run(now_s):
-    said = []
+    said, begun = [], []
 
     def worker(name, period_s):
+        begun.append(name)
         for _ in range(2):
             time.sleep(period_s)
             said.append((name, now_s()))
@@ -23,9 +24,10 @@ def test_who_sleeps_lets_the_rigs_time_pass_and_others_run(now_s):
     threads = [threading.Thread(target=worker, args=(f"every {p}", p)) for p in (3.0, 2.0)]
     for thread in threads:
         thread.start()
-    assert not said  # who starts a thread keeps the turn
+    assert not begun  # who starts a thread keeps the turn
     for thread in threads:
         thread.join()
+    assert begun == ["every 3.0", "every 2.0"]
     assert said == [("every 2.0", 2.0), ("every 3.0", 3.0), ("every 2.0", 4.0), ("every 3.0", 6.0)]
     assert not any(thread.is_alive() for thread in threads)
 
@@ -271,6 +273,21 @@ def test_ctrl_c_ends_the_wait_for_a_lock_and_takes_it_from_nobody(rig):
         assert lock.acquire()
         assert rig.runtime.now_ns() == 2 * 10**9
         lock.release()
+
+
+def test_an_interrupt_at_the_moment_a_lock_is_given_leaves_it_free(now_s, rig, monkeypatch):
+    lock = threading.Lock()
+    lock.acquire()
+
+    def given_and_interrupted(done, timeout_s):
+        lock.release()
+        assert done()
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(rig.runtime, "wait_for_parties", given_and_interrupted)
+    with pytest.raises(KeyboardInterrupt):
+        lock.acquire()
+    assert not lock.locked()
 
 
 def test_a_thread_has_a_turn_when_one_is_started_in_a_callback(now_s, rig):
