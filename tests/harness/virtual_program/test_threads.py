@@ -60,7 +60,7 @@ def test_a_lock_that_is_not_let_go_in_time_is_not_taken(now_s):
     assert now_s() == 2.0
     with pytest.raises(ValueError, match="non-blocking"):
         lock.acquire(False, 1.0)
-    with pytest.raises(ValueError, match="positive|non-negative"):
+    with pytest.raises(ValueError, match=r"positive|non-negative"):
         lock.acquire(True, -3.0)
 
 
