@@ -90,3 +90,10 @@ def leaves_a_process(motor):
 
 def leaves_a_descriptor(motor):
     os.open("/dev/null", os.O_RDONLY)
+
+
+def says_so_and_works_for_ever(motor):
+    told = Path(f"{os.environ['MISBEHAVE']}.new")
+    told.write_text(str(os.getpid()))
+    told.rename(f"{os.environ['MISBEHAVE']}.at")
+    works_for_ever(motor)

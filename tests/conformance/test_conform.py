@@ -1,0 +1,213 @@
+"""`motorhil conform`: what it prints, writes, and answers to those who get it wrong."""
+
+import json
+import os
+import re
+import signal
+import subprocess
+import sys
+from pathlib import Path
+from xml.etree import ElementTree
+
+import pytest
+
+from harness.cli import main
+from harness.conformance.clause import Clause, Level, NotApplicable
+from harness.conformance.job import Job
+from harness.conformance.rig_bench import RigBench, bench_description
+from harness.conformance.run import run_clause
+from harness.conformance.target import Target
+from harness.conformance.verdict import Result
+from harness.rig import describe
+from harness.settings import RigError
+from motorapi import ControlMode, ControlVariable
+from tests.conformance.benches import RIGS
+from tests.harness.cli_bench import beside, in_another_process
+from traces.digest import digest
+
+ROOT = Path(__file__).parents[2]
+MISBEHAVING = "tests.conformance.misbehaving:build"
+
+
+def conform(*words, seed):
+    """The command in a process of its own, whose hashes are of this seed."""
+    return subprocess.run(
+        [sys.executable, "-m", "harness", "conform", *words],
+        env={**os.environ, "PYTHONPATH": str(ROOT), "PYTHONHASHSEED": str(seed)},
+        capture_output=True,
+        text=True,
+        timeout=60,
+    )
+
+
+@pytest.fixture(scope="module")
+def runs(tmp_path_factory):
+    """Two runs of three clauses, in folders of their own, of which one fails: (what, folder)."""
+    done = []
+    for seed in (1, 2):
+        folder = tmp_path_factory.mktemp("conform")
+        rig = folder / "rig.toml"
+        rig.write_text((RIGS / "cia402.toml").read_text().replace("66.0", "33.0", 1))
+        words = ["--rig", str(rig), "--clause", "UNIT-01", "--clause", "STATE-01"]
+        for kind in ("json", "junit", "html"):
+            words += [f"--{kind}", str(folder / f"found.{kind}")]
+        done.append((conform(*words, "-o", str(folder / "records"), seed=seed), folder))
+    return done
+
+
+def found_in(folder):
+    """The JSON, without what is of the wall's time and of the folder."""
+    document = json.loads((folder / "found.json").read_text().replace(str(folder), "."))
+    del document["first_verdict_s"], document["took_s"]
+    for clause in document["clauses"]:
+        del clause["wall_s"]
+    return document
+
+
+@pytest.mark.wall
+def test_what_fails_is_told_with_its_record_and_how_to_repeat_it(runs):
+    done, folder = runs[0]
+    assert done.returncode == 1, done.stderr
+    found = found_in(folder)
+    failed, passed = sorted(found["clauses"], key=lambda one: one["result"])
+    assert (failed["id"], failed["result"], passed["id"]) == ("UNIT-01", "failed", "STATE-01")
+    assert found["counts"]["failed"] == 1
+    assert found["passed"] is False
+    assert failed["second"] is None  # it is repeatable
+    record = folder / "records" / "UNIT-01.mcap"
+    assert failed["record"] == "./records/UNIT-01.mcap"
+    assert failed["digest"] == digest(record)
+    again = f"motorhil conform --rig {folder}/rig.toml --clause UNIT-01 --seed 1"
+    for told in (failed["seen"], again, str(record)):
+        assert told.replace("./", f"{folder}/") in done.stdout
+    assert found["claims"]["current_set_point"].startswith("the adaptation does not claim")
+    assert found["claims"]["position_trajectory"] == ""
+
+
+@pytest.mark.wall
+def test_a_seed_gives_the_same_verdicts_and_the_same_records(runs):
+    first, second = (found_in(folder) for _, folder in runs)
+    assert first == second
+
+
+@pytest.mark.wall
+def test_the_files_are_for_machines_and_people(runs):
+    _, folder = runs[0]
+    suite = ElementTree.parse(folder / "found.junit").getroot()
+    assert (suite.get("tests"), suite.get("failures"), suite.get("errors")) == ("2", "1", "0")
+    cases = {case.get("name").split()[0]: case for case in suite}
+    assert cases["UNIT-01"].find("failure").get("message").startswith("told to move")
+    assert list(cases["STATE-01"]) == []
+    page = (folder / "found.html").read_text()
+    assert '<a href="records/UNIT-01.mcap">' in page
+    assert "://" not in page
+    assert "default-src 'none'" in page
+
+
+def test_what_a_rig_claims_and_the_motor_refuses_is_told_with_the_line_of_the_claim(tmp_path):
+    rig = tmp_path / "rig.toml"
+    text = (RIGS / "cia402.toml").read_text()
+    rig.write_text(f'{text}claims = [\n  "homing",\n  "current_set_point",\n]\n')
+
+    def check(bench):
+        bench.motor.set_control_mode(ControlMode.SETPOINT, ControlVariable.CURRENT)
+
+    described = bench_description(describe(rig), None)
+    (claimed,) = (one for one in described.conformance.claims if "current" in one.value)
+    clause = Clause("X-01", Level.L0, "It is so.", "nowhere", (claimed,), (), check)
+    verdict = run_clause(clause, lambda: RigBench(described, 1))
+    assert verdict.result is Result.FAILED
+    assert "the rig claims set-points of current, which the motor refuses" in verdict.seen
+    assert verdict.place == f"{rig}:{text.count(chr(10)) + 3}"
+
+
+@pytest.mark.parametrize(
+    ("words", "told"),
+    [
+        ((), "which adaptation? Say --adaptation NAME, --rig RIG, or both"),
+        (("--rig", "no_motor.toml"), "no_motor.toml: has no motor to test; add a [motor.NAME]"),
+        (("--adaptation", "ideal", "--clause", "STAT-01"), "no such clause; did you mean STATE-01"),
+        (("--list", "--level", "L7"), "'L7' is no level; say L0 to L5"),
+        (("--adaptation", "ideal", "--json", "no/x"), "no/x: there is no folder no; make it"),
+        (("--adaptation", "ideal", "--html", "."), ".: is a folder; name a file in it"),
+    ],
+)
+def test_wrong_usage_is_told_in_a_line(words, told, tmp_path, monkeypatch, capfd):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "no_motor.toml").write_text("[bus.can0]\nbitrate_bit_s = 1_000_000\n")
+    assert main(["conform", *words]) == 2
+    out, err = capfd.readouterr()
+    assert out == ""
+    assert told in err
+    assert "Traceback" not in err
+
+
+@pytest.mark.parametrize(
+    ("job", "told"),
+    [
+        (Job("cia40"), "adaptation cia40: is not installed (known: cia402"),
+        (Job("no.such:build", "x.toml"), "cannot be loaded: ModuleNotFoundError: No module name"),
+        (Job("os:no_such", "x.toml"), "AttributeError: module 'os' has no attribute 'no_such'"),
+        (Job("os:getpid"), "adaptation os:getpid: brings no rig to test it on; add --rig RIG"),
+        (Job("ideal", "none.toml"), "none.toml: no such file"),
+    ],
+)
+def test_what_cannot_be_tested_is_told_why(job, told):
+    with pytest.raises(RigError, match=re.escape(told)):
+        Target(job)
+
+
+def test_an_adaptation_can_bring_its_rig():
+    assert Target(Job(MISBEHAVING)).rig.source.path.samefile(RIGS / "ideal.toml")
+
+
+def test_a_folder_that_cannot_be_made_for_records_is_told(tmp_path, capfd):
+    rig = tmp_path / "rig.toml"
+    rig.write_text((RIGS / "cia402.toml").read_text().replace("66.0", "33.0", 1))
+    words = ("--rig", str(rig), "--clause", "UNIT-01", "-o", str(rig / "x"))
+    assert main(["conform", *words]) == 2
+    assert "rig.toml/x: cannot be made: Not a directory" in capfd.readouterr().err
+
+
+def test_nothing_applicable_is_no_pass(tmp_path, capfd):
+    rig = tmp_path / "rig.toml"
+    text = (RIGS / "ideal.toml").read_text()
+    rig.write_text(f'{text}[conformance.without]\nposition_trajectory = "it has none"\n')
+    assert main(["conform", "--rig", str(rig), "--clause", "UNIT-01"]) == 1
+    out, err = capfd.readouterr()
+    assert "nothing was applicable" in err
+    assert "not applicable, for the rig does not claim it: it has none: UNIT-01" in out
+
+
+@pytest.mark.wall
+def test_ctrl_c_ends_it_and_leaves_nothing(tmp_path, monkeypatch):
+    monkeypatch.setenv("MISBEHAVE", str(tmp_path / "harm"))
+    monkeypatch.chdir(ROOT)
+    (tmp_path / "harm").write_text("says_so_and_works_for_ever")
+    with beside("conform", "--adaptation", MISBEHAVING, "--clause", "STATE-01") as process:
+        while not (tmp_path / "harm.at").exists():
+            assert process.poll() is None
+        worker = int((tmp_path / "harm.at").read_text())
+        process.send_signal(signal.SIGINT)
+        _, err = process.communicate(timeout=100)
+    assert process.returncode == 130
+    assert err == "motorhil: interrupted\n"
+    assert not Path(f"/proc/{worker}").exists()
+
+
+def test_what_is_promised_can_be_listed():
+    done = in_another_process("conform", "--list", "--level", "0")
+    head, *rows = done.stdout.splitlines()
+    assert head.split() == ["clause", "level", "promise", "source"]
+    assert all(row.split()[1] == "L0" for row in rows)
+    assert any(row.startswith("UNIT-01") for row in rows)
+
+
+def test_a_clause_that_does_not_concern_a_bench_says_why():
+    def check(bench):
+        raise NotApplicable("there is one motor only")
+
+    clause = Clause("X-02", Level.L0, "It is so.", "nowhere", (), (), check)
+    described = bench_description(describe(RIGS / "ideal.toml"), None)
+    verdict = run_clause(clause, lambda: RigBench(described, 1))
+    assert (verdict.result, verdict.seen) == (Result.NOT_APPLICABLE, "there is one motor only")
