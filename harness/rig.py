@@ -9,14 +9,13 @@ A program written for python-can joins the same buses while the rig is open:
 `can.Bus(interface="emulated", channel="can0")`.
 """
 
-import traceback
-from collections.abc import Callable, Iterator, Mapping
-from contextlib import ExitStack, contextmanager
+from collections.abc import Mapping
+from contextlib import ExitStack
 from functools import partial
 from pathlib import Path
 from random import Random
 from types import TracebackType
-from typing import TYPE_CHECKING, Any, Self, final
+from typing import TYPE_CHECKING, Self, final
 
 from emulators.controller import Controller, ControllerContext, SettingError
 from emulators.event_queue import EventQueue
@@ -25,8 +24,7 @@ from harness.interrupts import interrupts_between_events
 from harness.memory_files import MemoryFiles
 from harness.pace import WallPace
 from harness.plant_from_model import settings_with_model
-from harness.plugins import ADAPTATIONS, CONTROLLERS, Plugin, installed, named
-from harness.rig_buses import CAN, address_key
+from harness.plugins import ADAPTATIONS, CONTROLLERS, installed, named
 from harness.rig_file import (
     SEED_MAX,
     ControllerDescription,
@@ -37,10 +35,10 @@ from harness.rig_file import (
 from harness.rig_media import add_bus
 from harness.rig_models import read_models
 from harness.rig_parts import Named, RigController, RigFaults
+from harness.rig_plugins import RigPlugins
 from harness.rig_stimuli import schedule
 from harness.rig_traffic import traffic_of
-from harness.settings import BrokenPluginError, RigError, refuse_source
-from harness.timing_from_controller import with_timing
+from harness.settings import RigError, refuse_source
 from harness.virtual_time import VirtualRuntime
 from motorapi.errors import UsageError
 from motorapi.traffic import declare_traffic
@@ -82,6 +80,7 @@ class Rig:
         self.notes: list[str] = []
         self.recording: Recorder | None = None
         self._models = read_models(description)
+        self._plugins = RigPlugins(description)
         self._memory_files = MemoryFiles(description.folder)
         with ExitStack() as cleanup:
             queue = EventQueue()
@@ -196,7 +195,7 @@ class Rig:
         ]
         for controller, core in built:
             place = ("controller", controller.name, "kind")
-            with self._blaming(named(CONTROLLERS, controller.kind), place):
+            with self._plugins.blaming(named(CONTROLLERS, controller.kind), place):
                 self.world.add_controller(controller.name, core, controller.bus)
 
     def _build_controller(self, controller: ControllerDescription) -> Controller:
@@ -210,10 +209,10 @@ class Rig:
             partial(self._memory_files.open, controller.name),
         )
         plugin = named(CONTROLLERS, controller.kind)
-        build = self._load(plugin, (*place, "kind"))
+        build = self._plugins.load(plugin, (*place, "kind"))
         kind = f'controller kind "{controller.kind}"'
-        self._require_kind(build, controller.bus, kind, (*place, "bus"))
-        with self._blaming(plugin, (*place, "kind")):
+        self._plugins.require_kind(build, controller.bus, kind, (*place, "bus"))
+        with self._plugins.blaming(plugin, (*place, "kind")):
             try:
                 core: Controller = build(settings, context)
             except SettingError as error:
@@ -226,48 +225,6 @@ class Rig:
             if not callable(getattr(core, "next_deadline_ns", None)):
                 raise TypeError(f"it built {core!r}, which is no controller")
             return core
-
-    def _require_kind(
-        self, build: Callable[..., Any], bus: str, what: str, path: tuple[str, ...]
-    ) -> None:
-        """What is built can be on a bus of that kind."""
-        kinds = getattr(build, "bus_kinds", (CAN,))
-        found = self.description.buses[bus].kind
-        if found not in kinds:
-            raise self.description.error(
-                path,
-                f'{what} is for buses of kind {", ".join(kinds)}, and "{bus}" is {found}',
-                "put it on another bus, or take another kind",
-            )
-
-    def _load(self, plugin: Plugin, path: tuple[str, ...]) -> Callable[..., Any]:
-        try:
-            return plugin.load()
-        except (Exception, SystemExit) as error:
-            raise self.description.error(
-                path,
-                f'plugin "{plugin.name}" cannot be loaded from {plugin.target}: '
-                f"{type(error).__name__}: {error}",
-                f"reinstall {plugin.package}" if plugin.package else "is its folder on PYTHONPATH?",
-                BrokenPluginError,
-            ) from error
-
-    @contextmanager
-    def _blaming(self, plugin: Plugin, path: tuple[str, ...]) -> Iterator[None]:
-        """What goes wrong inside, and is no RigError, is told as the plugin's failure."""
-        try:
-            yield
-        except RigError:
-            raise
-        except (Exception, SystemExit) as error:
-            frame = traceback.extract_tb(error.__traceback__)[-1]
-            raise self.description.error(
-                path,
-                f'plugin "{plugin.name}" failed: {type(error).__name__}: {error} '
-                f"({frame.filename}:{frame.lineno})",
-                f"mend it, or tell who made {plugin.package or 'it'}",
-                BrokenPluginError,
-            ) from error
 
     def _record(
         self, target: Path, started: list[tuple[int, str, str, str]], cleanup: ExitStack
@@ -320,35 +277,21 @@ class Rig:
 
     def _motor(self, name: str) -> "Motor":
         motor = self.description.motors[name]
-        place = ("motor", name)
-        plugin = named(ADAPTATIONS, motor.adaptation)
-        build = self._load(plugin, (*place, "adaptation"))
         controller = None if motor.controller is None else self.world.controller(motor.controller)
-        own, note = with_timing(self.description, motor, controller)
+        built, close, note = self._plugins.motor(
+            name, self._models[name], self.runtime, self._link, controller
+        )
+        self._in_use.callback(close)
         if note:
             self.notes.append(note)
-        settings: dict[str, object] = {"name": name, **own}
-        bus: EmulatedBus | EmulatedLine | None = None
-        if motor.bus is not None:
-            described = self.description.buses[motor.bus]
-            key = "bus" if motor.controller is None else "controller"
-            self._require_kind(build, motor.bus, f'adaptation "{motor.adaptation}"', (*place, key))
-            bus = self.line(motor.bus) if described.is_line else self.bus(motor.bus)
-            if motor.node_id is not None:
-                settings[address_key(described)] = motor.node_id
-        with self._blaming(plugin, (*place, "adaptation")):
-            try:
-                built: Motor = build(bus, settings, self._models[name], self.runtime)
-            except UsageError as error:
-                word = str(error).partition(" ")[0].rstrip(":")  # mostly the key at fault
-                path = (*place, word) if word in settings else place
-                raise self.description.error(path, str(error), "correct its settings") from error
-            self._in_use.callback(built.close)
         if self.recording is not None:
             from harness.rig_recording import watch_motor
 
             watch_motor(self.recording, built, motor, self.world)
         return built
+
+    def _link(self, bus: str) -> "EmulatedBus | EmulatedLine":
+        return self.line(bus) if self.description.buses[bus].is_line else self.bus(bus)
 
     def _group(self, name: str) -> "MotorGroup":
         from motorapi.group import MotorGroup

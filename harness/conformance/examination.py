@@ -1,4 +1,7 @@
-"""A clause is checked, and if that does not end well once more, with everything recorded."""
+"""A clause is checked, and if that does not end well once more, with everything recorded.
+
+On a bench of the wall's world it is recorded the first time.
+"""
 
 import shlex
 import time
@@ -10,7 +13,7 @@ from typing import Final, final
 
 from harness.conformance.job import Promise
 from harness.conformance.supervision import Supervisor
-from harness.conformance.verdict import Result, Verdict
+from harness.conformance.verdict import Verdict
 from harness.settings import RigError
 
 _HANGS_SOONER: Final = 0.1
@@ -51,12 +54,22 @@ class Examiner:
         supervisor: checks them.
         command: `motorhil conform` with what it was told of adaptation and rig.
         folder: where records go.
+        is_live: whether the bench is of the wall's world, where no run is like another, so that
+            the first one has to be recorded.
     """
 
-    def __init__(self, supervisor: Supervisor, command: Sequence[str], folder: Path) -> None:
+    def __init__(
+        self,
+        supervisor: Supervisor,
+        command: Sequence[str],
+        folder: Path,
+        *,
+        is_live: bool = False,
+    ) -> None:
         self._supervisor = supervisor
         self._command = tuple(command)
         self._folder = folder
+        self._is_live = is_live
 
     def examine(self, promise: Promise) -> Finding:
         """What there is to be known of this clause.
@@ -65,18 +78,21 @@ class Examiner:
             WrongJobError, CannotTestError: see `Supervisor.loaded`.
             RigError: the folder for records cannot be made.
         """
+        record = self._record_of(promise) if self._is_live else None
         begin_s = time.monotonic()
-        verdict = self._supervisor.check(promise.id)
+        verdict = self._supervisor.check(promise.id, record=record)
         wall_s = time.monotonic() - begin_s
-        if verdict.result.is_good:
-            return Finding(promise, verdict, wall_s)
         said = self._supervisor.said
+        if verdict.result.is_good:
+            if record is not None:
+                record.unlink(missing_ok=True)
+            return Finding(promise, verdict, wall_s)
         loaded = self._supervisor.loaded
         again = [*self._command, "--clause", promise.id, "--seed", str(loaded.seed)]
-        record = self._record_of(promise)
-        is_slow = verdict.result is Result.HUNG and wall_s >= loaded.deadline_s
-        limit_s = max(1.0, _HANGS_SOONER * loaded.deadline_s) if is_slow else None
-        second = self._supervisor.check(promise.id, record=record, deadline_s=limit_s)
+        second = None
+        if record is None:
+            record = self._record_of(promise)
+            second = self._again(verdict, wall_s >= loaded.deadline_s, record)
         return Finding(
             promise,
             verdict,
@@ -85,8 +101,18 @@ class Examiner:
             shlex.join(again),
             record if record.exists() else None,
             _digest(record),
-            None if (is_slow and second.result is verdict.result) or second == verdict else second,
+            second,
         )
+
+    def _again(self, first: Verdict, was_slow: bool, record: Path) -> Verdict | None:
+        """Its verdict when it is checked again and recorded, if that is another one."""
+        deadline_s = None
+        if was_slow:
+            deadline_s = max(1.0, _HANGS_SOONER * self._supervisor.loaded.deadline_s)
+        second = self._supervisor.check(first.clause, record=record, deadline_s=deadline_s)
+        if was_slow and first.result is second.result:
+            return None
+        return None if second == first else second
 
     def _record_of(self, promise: Promise) -> Path:
         try:

@@ -14,11 +14,13 @@ class Job:
         adaptation: its name, or "package.module:function"; "": whatever the rig's motors are of.
         rig: the rig file; "": the one that comes with the adaptation.
         seed: of all chance; None: the rig's.
+        on: where the rig's buses are, "[BUS=]WHERE"; none: they are emulated, in virtual time.
     """
 
     adaptation: str = ""
     rig: str = ""
     seed: int | None = None
+    on: tuple[str, ...] = ()
 
     def packed(self) -> dict[str, Any]:
         """As JSON can hold it."""
@@ -27,7 +29,7 @@ class Job:
     @classmethod
     def unpacked(cls, values: Mapping[str, Any]) -> Self:
         """What `packed` gave."""
-        return cls(**values)
+        return cls(**{**values, "on": tuple(values["on"])})
 
 
 @final

@@ -44,28 +44,34 @@ def run_clause(
     Raises:
         RigError: the rig cannot be used as it is written.
     """
-    time_ns = 0
     with watched() as watch:
-        judge = _Judge(one, home)
-        try:
-            _require_claimed(one, claims or Claims(open_bench))
-            with open_bench() as bench:
-                now_ns: Callable[[], int] = bench.runtime.now_ns
-                judge.facts = bench.facts
-                try:
-                    _require_able(one, bench)
-                    one.check(bench)
-                    verdict = Verdict(one.id, Result.PASSED)
-                except BaseException as error:
-                    verdict = judge.verdict(error)
-                time_ns = now_ns()
-        except BaseException as error:  # while it was switched on, or off
-            verdict = judge.verdict(error)
+        verdict = _checked(one, open_bench, claims or Claims(open_bench), _Judge(one, home))
         left = "; ".join(watch.left())
     if left and verdict.result is Result.PASSED:
-        return Verdict(one.id, Result.LEFT_BEHIND, left, "", time_ns)
+        return replace(verdict, result=Result.LEFT_BEHIND, seen=left)
     if left:
-        verdict = replace(verdict, seen=f"{verdict.seen}; and left behind: {left}".lstrip("; "))
+        seen = f"{verdict.seen}; and left behind: {left}".lstrip("; ")
+        return replace(verdict, seen=seen)
+    return verdict
+
+
+def _checked(one: Clause, open_bench: Opener, claims: Claims, judge: "_Judge") -> Verdict:
+    """Its verdict; nothing here refers to the bench any more."""
+    time_ns = 0
+    try:
+        _require_claimed(one, claims)
+        with open_bench() as bench:
+            now_ns: Callable[[], int] = bench.runtime.now_ns
+            judge.facts = bench.facts
+            try:
+                _require_able(one, bench)
+                one.check(bench)
+                verdict = Verdict(one.id, Result.PASSED)
+            except BaseException as error:
+                verdict = judge.verdict(error)
+            time_ns = now_ns()
+    except BaseException as error:  # while it was switched on, or off
+        verdict = judge.verdict(error)
     return replace(verdict, time_ns=time_ns)
 
 

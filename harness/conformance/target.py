@@ -9,6 +9,7 @@ from harness.conformance.bench import Opener
 from harness.conformance.code_places import home_of
 from harness.conformance.job import Job
 from harness.conformance.rig_bench import RigBench, bench_description
+from harness.conformance.wall_bench import WallBench, places_in
 from harness.plugins import ADAPTATIONS, installed, is_target, named
 from harness.rig import describe
 from harness.settings import BrokenPluginError, RigError
@@ -36,12 +37,16 @@ class Target:
         self.rig = bench_description(described, job.adaptation or None)
         self.seed = described.seed if job.seed is None else job.seed
         first = self.rig.motors[self.rig.conformance.motors[0]]
+        self._places = places_in(job.on, self.rig) if job.on else None
         self.adaptation: Final = first.adaptation
         self.home: Final = home_of(getattr(build or _loaded(self.adaptation), "__module__", ""))
 
     def opener(self, record: Path | None = None) -> Opener:
         """What switches on a bench for it; everything is recorded to `record`."""
-        return lambda: RigBench(self.rig, self.seed, record=record)
+        if self._places is None:
+            return lambda: RigBench(self.rig, self.seed, record=record)
+        places = self._places
+        return lambda: WallBench(self.rig, places, self.seed, record=record)
 
 
 def _loaded(adaptation: str) -> object:

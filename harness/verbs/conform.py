@@ -45,6 +45,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--rig", metavar="RIG", help="a rig file with its motors, to test it on")
     parser.add_argument("--level", type=_level, metavar="L3", help="all clauses up to this level")
     parser.add_argument("--clause", action="append", metavar="ID", help="this one; repeatable")
+    parser.add_argument(
+        "--on",
+        action="append",
+        metavar="[BUS=]WHERE",
+        help="the rig's motors are on real buses: a SocketCAN interface, the socket of `motorhil "
+        "serve`, interface:channel of python-can; a Modbus line: a device, or host:port",
+    )
     add_seed(parser)
     parser.add_argument(
         "-o",
@@ -90,7 +97,7 @@ def run(options: argparse.Namespace) -> int:
         _require_writable(file)
     if os.getcwd() not in sys.path:
         sys.path.insert(0, os.getcwd())  # where what is not installed yet is looked for
-    job = Job(options.adaptation or "", options.rig or "", options.seed)
+    job = Job(options.adaptation or "", options.rig or "", options.seed, tuple(options.on or ()))
     try:
         with ends_by_signal(), Supervisor(job) as supervisor:
             outcome = _outcome(options, supervisor)
@@ -154,7 +161,7 @@ def _outcome(options: argparse.Namespace, supervisor: "Supervisor") -> "Outcome"
     from harness.conformance.supervision import CannotTestError
 
     chosen = _chosen(options, supervisor.loaded.clauses)
-    examiner = Examiner(supervisor, _command(options), options.output)
+    examiner = Examiner(supervisor, _command(options), options.output, is_live=bool(options.on))
     findings: list[Finding] = []
     first_s = 0.0
     for number, promise in enumerate(chosen, 1):
@@ -178,6 +185,8 @@ def _command(options: argparse.Namespace) -> list[str]:
         words += ["--adaptation", options.adaptation]
     if options.rig is not None:
         words += ["--rig", options.rig]
+    for where in options.on or ():
+        words += ["--on", where]
     return words
 
 

@@ -1,0 +1,247 @@
+"""A bench of the wall's world: motors on real buses, or on buses that another process serves.
+
+    motorhil conform --adaptation cia402 --rig bench.toml --on can0=vcan0
+
+The rig file describes the motors and where they are; controllers in it are not emulated, they are
+there already. Nothing can be seen of such a bench but what its motors tell, and nothing be done to
+it: what needs that is not applicable. Between two clauses its drives stay as they are; each motor
+is disabled, and its fault reset, before it is left.
+"""
+
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import AbstractContextManager, ExitStack, suppress
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Final, Never, Self, final
+
+from harness.conformance.capability import Ability
+from harness.conformance.clause import NotApplicable
+from harness.conformance.facts import Facts
+from harness.conformance.rig_bench import SECOND_USER
+from harness.recording.places import Kind, Place, PlaceError, parse_place
+from harness.recording.python_can import open_bus
+from harness.rig_file import RigDescription
+from harness.rig_models import read_models
+from harness.rig_parts import Named
+from harness.rig_plugins import RigPlugins
+from harness.settings import RigError
+from motorapi import LinkError, Motor, MotorError
+from motorapi.byte_lines import SerialLine, TcpLine
+from motorapi.wall_runtime import WallRuntime, close_process_runtime, process_runtime
+from traces.schema import CAN_FRAME, Direction, Schema
+from traces.writer import TraceWriter
+
+if TYPE_CHECKING:
+    import can
+
+_INTERFACES: Final = {Kind.SOCKETCAN: "socketcan", Kind.HUB: "emulated"}
+_MODBUS_PORT: Final = 502
+
+
+def places_in(texts: Sequence[str], rig: RigDescription) -> dict[str, str]:
+    """Where each bus of the motors under test is, as `--on [BUS=]WHERE` says.
+
+    Raises:
+        RigError: one names nothing, or a bus is nowhere.
+    """
+    under_test = [rig.motors[name].bus for name in rig.conformance.motors]
+    buses = list(dict.fromkeys(bus for bus in under_test if bus is not None))
+    found: dict[str, str] = {}
+    for text in texts:
+        name, equals, where = text.partition("=")
+        if not equals and len(buses) == 1:
+            name, where = buses[0], text
+        if name not in buses or not where or name in found:
+            known = ", ".join(buses) or "none"
+            raise RigError(
+                f"--on {text}",
+                f"names no bus of the motors under test that is still free ({known})",
+                f"write --on {buses[0] if buses else 'BUS'}=WHERE",
+            )
+        found[name] = where
+    for bus in buses:
+        if bus not in found:
+            raise RigError(rig.source.path, f"nobody says where {bus} is", f"add --on {bus}=WHERE")
+    return found
+
+
+@final
+class WallBench:
+    """Motors of a rig on buses of the wall's world; a context manager that leaves them.
+
+    Args:
+        description: from `rig_bench.bench_description`.
+        places: from `places_in`.
+        seed: of all chance of the clauses.
+        record: an MCAP file for all frames; after `afresh` it begins anew.
+
+    Raises:
+        RigError: a bus cannot be reached.
+    """
+
+    def __init__(
+        self,
+        description: RigDescription,
+        places: Mapping[str, str],
+        seed: int,
+        *,
+        record: Path | None = None,
+    ) -> None:
+        self.facts: Facts = description.conformance
+        self.seed = seed
+        self._description = description
+        self._places = places
+        self._record = record
+        self._plugins = RigPlugins(description)
+        self._models = read_models(description)
+        self._switch_on()
+
+    def _switch_on(self) -> None:
+        self._in_use: list[Motor] = []
+        with ExitStack() as cleanup:
+            self._writer: TraceWriter | None = None
+            if self._record is not None:
+                self._writer = cleanup.enter_context(TraceWriter(self._record))
+            self._links = {bus: self._opened(bus, cleanup) for bus in self._places}
+            cleanup.callback(close_process_runtime)  # first: it reads the links
+            for bus in self._places:
+                self._listen(bus)
+            self._cleanup = cleanup.pop_all()
+        self._motors: Mapping[str, Motor] = Named("motor", self._description.motors, self._motor)
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        with self._cleanup:
+            self._leave_motors()
+
+    def afresh(self) -> None:
+        """The motors were left, and are taken anew."""
+        self.__exit__()
+        self._switch_on()
+
+    # --- what is under test ---------------------------------------------------------------
+
+    @property
+    def runtime(self) -> WallRuntime:
+        """Where a clause waits."""
+        return process_runtime()
+
+    @property
+    def abilities(self) -> Sequence[Ability]:
+        """What can be done here."""
+        able = [Ability.AFRESH, Ability.SEVERAL_USERS]
+        if len(self.facts.motors) > 1:
+            able.append(Ability.SECOND_MOTOR)
+        return tuple(one for one in Ability if one in able)
+
+    @property
+    def motor(self) -> Motor:
+        """The motor under test."""
+        return self._motors[self.facts.motors[0]]
+
+    @property
+    def motors(self) -> Sequence[Motor]:
+        """All motors under test."""
+        return tuple(self._motors[name] for name in self.facts.motors)
+
+    def another_user_of(self, motor: Motor) -> Motor:
+        """Another logical motor on the same physical motor."""
+        return self._motors[f"{motor.name.removesuffix(f'-{SECOND_USER}')}-{SECOND_USER}"]
+
+    # --- what cannot be done: no clause that names what it needs comes here ------------------
+
+    def true_position(self, motor: Motor) -> float:
+        """Raises NotApplicable."""
+        _refuse(Ability.TRUTH)
+
+    def load(self, motor: Motor, torque_n_m: float) -> None:
+        """Raises NotApplicable."""
+        _refuse(Ability.LOAD)
+
+    def fail(self, motor: Motor) -> int:
+        """Raises NotApplicable."""
+        _refuse(Ability.FAULT)
+
+    def cut(self, motor: Motor) -> AbstractContextManager[None]:
+        """Raises NotApplicable."""
+        _refuse(Ability.CUT)
+
+    def silence_host(self) -> AbstractContextManager[None]:
+        """Raises NotApplicable."""
+        _refuse(Ability.SILENCE_HOST)
+
+    def lose_answers_of(self, motor: Motor) -> AbstractContextManager[Callable[[], int]]:
+        """Raises NotApplicable."""
+        _refuse(Ability.LOSE)
+
+    # --- inside ---------------------------------------------------------------------------
+
+    def _motor(self, name: str) -> Motor:
+        motor, close, _ = self._plugins.motor(
+            name, self._models[name], self.runtime, self._links.__getitem__
+        )
+        self._cleanup.callback(close)
+        self._in_use.append(motor)
+        return motor
+
+    def _leave_motors(self) -> None:
+        """Those that were used are at rest, without power."""
+        for motor in self._in_use:
+            with suppress(MotorError):  # it may be what the clause has just found out
+                if motor.fault() is not None:
+                    motor.reset_fault()
+            with suppress(MotorError):
+                motor.disable()
+
+    def _opened(self, bus: str, cleanup: ExitStack) -> "can.BusABC | TcpLine | SerialLine":
+        described, where = self._description.buses[bus], self._places[bus]
+        try:
+            if not described.is_line:
+                opened = _bus_at(parse_place(f"{bus}={where}"))
+                cleanup.callback(opened.shutdown)
+                return opened
+            line = self._line_at(bus, where)
+        except (PlaceError, LinkError) as error:
+            text = str(error).removeprefix(f"--on {bus}={where}: ")
+            raise RigError(f"--on {bus}={where}", text) from None
+        cleanup.callback(line.close)
+        return line
+
+    def _line_at(self, bus: str, where: str) -> TcpLine | SerialLine:
+        described = self._description.buses[bus]
+        if described.kind == "modbus_tcp":
+            host, _, port = where.rpartition(":")
+            if not host or not port.isdecimal():
+                host, port = where, str(_MODBUS_PORT)
+            return TcpLine(host, int(port), runtime=self.runtime)
+        return SerialLine(
+            where,
+            baud_bit_s=described.bitrate_bit_s,
+            parity=described.parity,
+            stop_bits=described.stop_bits,
+            runtime=self.runtime,
+        )
+
+    def _listen(self, bus: str) -> None:
+        """What is on the bus is recorded; of lines nothing is."""
+        writer, link = self._writer, self._links[bus]
+        if writer is None or isinstance(link, TcpLine | SerialLine):
+            return
+        channel = writer.channel(f"/can/{bus}", Schema.of(CAN_FRAME))
+        heard = writer.source(channel, "", Direction.RECEIVED)
+        sent = writer.source(channel, "host", Direction.TRANSMITTED)
+
+        def hear(frame: bytes, time_ns: int, transmitted: bool) -> None:
+            writer.can_frame(sent if transmitted else heard, time_ns, frame)
+
+        self.runtime.listen(link, hear)
+
+
+def _bus_at(place: Place) -> "can.BusABC":
+    return open_bus(replace(place, interface=_INTERFACES.get(place.kind, place.interface)), {})
+
+
+def _refuse(ability: Ability) -> Never:
+    raise NotApplicable(f"the bench cannot {ability.value}")

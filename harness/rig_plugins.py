@@ -1,0 +1,122 @@
+"""A rig's plugins at work: loaded, called, and blamed with the rig's line when they fail."""
+
+import traceback
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from typing import TYPE_CHECKING, Any, Final, final
+
+from harness.plugins import ADAPTATIONS, Plugin, named
+from harness.rig_buses import CAN, address_key
+from harness.rig_file import RigDescription
+from harness.settings import BrokenPluginError, RigError
+from harness.timing_from_controller import with_timing
+from motorapi.errors import UsageError
+
+if TYPE_CHECKING:
+    from emulators.controller import Controller
+    from motorapi.model import MotorModel
+    from motorapi.motor import Motor
+    from motorapi.runtime import Runtime
+
+
+@final
+class RigPlugins:
+    """What builds the controllers and motors of one rig."""
+
+    def __init__(self, description: RigDescription) -> None:
+        self._description: Final = description
+
+    def load(self, plugin: Plugin, path: tuple[str, ...]) -> Callable[..., Any]:
+        """What builds one, which the value at `path` names.
+
+        Raises:
+            BrokenPluginError: it cannot be imported.
+        """
+        try:
+            return plugin.load()
+        except (Exception, SystemExit) as error:
+            raise self._description.error(
+                path,
+                f'plugin "{plugin.name}" cannot be loaded from {plugin.target}: '
+                f"{type(error).__name__}: {error}",
+                f"reinstall {plugin.package}" if plugin.package else "is its folder on PYTHONPATH?",
+                BrokenPluginError,
+            ) from error
+
+    def require_kind(
+        self, build: Callable[..., Any], bus: str, what: str, path: tuple[str, ...]
+    ) -> None:
+        """What is built can be on a bus of that kind.
+
+        Raises:
+            RigError: it cannot.
+        """
+        kinds = getattr(build, "bus_kinds", (CAN,))
+        found = self._description.buses[bus].kind
+        if found not in kinds:
+            raise self._description.error(
+                path,
+                f'{what} is for buses of kind {", ".join(kinds)}, and "{bus}" is {found}',
+                "put it on another bus, or take another kind",
+            )
+
+    @contextmanager
+    def blaming(self, plugin: Plugin, path: tuple[str, ...]) -> Iterator[None]:
+        """What goes wrong inside, and is no RigError, is told as the plugin's failure."""
+        try:
+            yield
+        except RigError:
+            raise
+        except (Exception, SystemExit) as error:
+            frame = traceback.extract_tb(error.__traceback__)[-1]
+            raise self._description.error(
+                path,
+                f'plugin "{plugin.name}" failed: {type(error).__name__}: {error} '
+                f"({frame.filename}:{frame.lineno})",
+                f"mend it, or tell who made {plugin.package or 'it'}",
+                BrokenPluginError,
+            ) from error
+
+    def motor(
+        self,
+        name: str,
+        model: "MotorModel",
+        runtime: "Runtime",
+        open_link: Callable[[str], object],
+        controller: "Controller | None" = None,
+    ) -> "tuple[Motor, Callable[[], None], str]":
+        """A motor of the rig, what closes it, and what a person should know of it, or "".
+
+        Args:
+            name: in the rig.
+            model: its own.
+            runtime: the time it lives in.
+            open_link: gives the bus or line of that name.
+            controller: the emulated one behind it, if it is of the same process.
+
+        Raises:
+            RigError: it cannot be built as the rig describes it.
+        """
+        description = self._description
+        motor = description.motors[name]
+        place = ("motor", name)
+        plugin = named(ADAPTATIONS, motor.adaptation)
+        build = self.load(plugin, (*place, "adaptation"))
+        own, note = with_timing(description, motor, controller)
+        settings: dict[str, object] = {"name": name, **own}
+        link: object = None
+        if motor.bus is not None:
+            key = "bus" if motor.controller is None else "controller"
+            what = f'adaptation "{motor.adaptation}"'
+            self.require_kind(build, motor.bus, what, (*place, key))
+            link = open_link(motor.bus)
+            if motor.node_id is not None:
+                settings[address_key(description.buses[motor.bus])] = motor.node_id
+        with self.blaming(plugin, (*place, "adaptation")):
+            try:
+                built: Motor = build(link, settings, model, runtime)
+            except UsageError as error:
+                word = str(error).partition(" ")[0].rstrip(":")  # mostly the key at fault
+                path = (*place, word) if word in settings else place
+                raise description.error(path, str(error), "correct its settings") from error
+            return built, built.close, note
