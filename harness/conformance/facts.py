@@ -8,7 +8,7 @@
     time_tolerance_s = 0.05             # how much earlier or later anything may be told to be over
     dead_man_s = 0.5                    # within which a drive must have noticed that the host died
     long_move_rad = 1.0                 # a move that takes about a second
-    deadline_s = 30.0                   # for one clause, of the wall's time
+    deadline_s = 30.0                   # for one clause, of the wall's time; on a real bench 120
     fault_stimulus = "fault"            # what makes the controller fail, and the code it then has
     fault_code = 0x2310
     fault_value = 1.0                   # what the stimulus is given, if that is not the code

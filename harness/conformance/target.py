@@ -7,6 +7,7 @@ from typing import Final, final
 
 from harness.conformance.bench import Opener
 from harness.conformance.code_places import home_of
+from harness.conformance.facts import NOTHING_DECLARED, Facts
 from harness.conformance.job import Job
 from harness.conformance.rig_bench import RigBench, bench_description
 from harness.conformance.wall_bench import WallBench, places_in
@@ -15,6 +16,7 @@ from harness.rig import describe
 from harness.settings import BrokenPluginError, RigError
 from harness.wording import listed, nearest
 
+_LIVE_DEADLINE_S: Final = 120.0
 OWN_RIGS: Final = Path(__file__).parent / "rigs"
 
 
@@ -25,6 +27,7 @@ class Target:
     Attributes:
         rig: the description, with the motors under test.
         seed: of all chance.
+        deadline_s: for one clause, of the wall's time [s].
         home: where the adaptation's code is (`code_places.home_of`).
 
     Raises:
@@ -38,6 +41,7 @@ class Target:
         self.seed = described.seed if job.seed is None else job.seed
         first = self.rig.motors[self.rig.conformance.motors[0]]
         self._places = places_in(job.on, self.rig) if job.on else None
+        self.deadline_s: Final = _deadline_s(self.rig.conformance, is_live=bool(job.on))
         self.adaptation: Final = first.adaptation
         self.home: Final = home_of(getattr(build or _loaded(self.adaptation), "__module__", ""))
 
@@ -47,6 +51,12 @@ class Target:
             return lambda: RigBench(self.rig, self.seed, record=record)
         places = self._places
         return lambda: WallBench(self.rig, places, self.seed, record=record)
+
+
+def _deadline_s(facts: Facts, is_live: bool) -> float:
+    """The rig's; on a live bench, if it declares none, time for the motions themselves, too."""
+    is_declared = facts.deadline_s != NOTHING_DECLARED.deadline_s
+    return facts.deadline_s if is_declared or not is_live else _LIVE_DEADLINE_S
 
 
 def _loaded(adaptation: str) -> object:

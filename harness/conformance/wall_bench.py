@@ -4,8 +4,8 @@
 
 The rig file describes the motors and where they are; controllers in it are not emulated, they are
 there already. Nothing can be seen of such a bench but what its motors tell, and nothing be done to
-it: what needs that is not applicable. Between two clauses its drives stay as they are; each motor
-is disabled, and its fault reset, before it is left.
+it: what needs that is not applicable. Its drives stay on between two clauses. So each motor is left
+as it should be found at first: at 0, disabled, without a fault.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -25,7 +25,7 @@ from harness.rig_models import read_models
 from harness.rig_parts import Named
 from harness.rig_plugins import RigPlugins
 from harness.settings import RigError
-from motorapi import LinkError, Motor, MotorError
+from motorapi import ControlMode, LinkError, Motor, MotorError
 from motorapi.byte_lines import SerialLine, TcpLine
 from motorapi.wall_runtime import WallRuntime, close_process_runtime, process_runtime
 from traces.schema import CAN_FRAME, Direction, Schema
@@ -36,6 +36,7 @@ if TYPE_CHECKING:
 
 _INTERFACES: Final = {Kind.SOCKETCAN: "socketcan", Kind.HUB: "emulated"}
 _MODBUS_PORT: Final = 502
+_RETURN_S: Final = 20.0
 
 
 def places_in(texts: Sequence[str], rig: RigDescription) -> dict[str, str]:
@@ -187,13 +188,19 @@ class WallBench:
         return motor
 
     def _leave_motors(self) -> None:
-        """Those that were used are at rest, without power."""
+        """Those that were used are at 0, at rest, without power, as far as they obey."""
         for motor in self._in_use:
-            with suppress(MotorError):  # it may be what the clause has just found out
-                if motor.fault() is not None:
-                    motor.reset_fault()
-            with suppress(MotorError):
-                motor.disable()
+            for action in (_without_fault, self._at_zero, Motor.disable):
+                with suppress(MotorError):  # it may be what the clause has just found out
+                    action(motor)
+
+    def _at_zero(self, motor: Motor) -> None:
+        if abs(motor.position()) > self.facts.window:
+            motor.enable()
+            motor.set_control_mode(ControlMode.SETPOINT)
+            motor.set_setpoint(0.0)
+            motor.start()
+            motor.wait_until_done(_RETURN_S)
 
     def _opened(self, bus: str, cleanup: ExitStack) -> "can.BusABC | TcpLine | SerialLine":
         described, where = self._description.buses[bus], self._places[bus]
@@ -237,6 +244,11 @@ class WallBench:
             writer.can_frame(sent if transmitted else heard, time_ns, frame)
 
         self.runtime.listen(link, hear)
+
+
+def _without_fault(motor: Motor) -> None:
+    if motor.fault() is not None:
+        motor.reset_fault()
 
 
 def _bus_at(place: Place) -> "can.BusABC":

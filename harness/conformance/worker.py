@@ -48,7 +48,7 @@ class _Worker:
             "bench": rig.name,
             "motors": list(rig.conformance.motors),
             "seed": self._target.seed,
-            "deadline_s": rig.conformance.deadline_s,
+            "deadline_s": self._target.deadline_s,
             "home": self._target.home,
             "clauses": [
                 {"id": one.id, "level": one.level, "promise": one.promise, "source": one.source}

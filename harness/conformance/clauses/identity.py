@@ -92,7 +92,9 @@ def what_it_is_and_was_heard_of_it_is_told_at_once(bench: RigProtocol) -> None:
     reached(len(heard) > 3, "asking in mid-motion")
     told, before_ns = motor.position(), bench.runtime.now_ns()
     latest = motor.latest()
-    expect(bench.runtime.now_ns() == before_ns, "latest() let time pass")
+    took_s = (bench.runtime.now_ns() - before_ns) / 1e9
+    most_s = bench.facts.time_tolerance_s  # a wall's clock goes on by itself
+    expect(took_s <= most_s, f"latest() took {took_s:g} s, not at most {most_s:g} s")
     if latest is None:
         return
     expect(latest.time_ns <= before_ns, "latest() tells of a time yet to come")

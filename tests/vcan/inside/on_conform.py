@@ -1,0 +1,21 @@
+"""The conformance kit on a real SocketCAN interface: the same clauses, the same adaptation."""
+
+from harness.conformance.job import Job
+from harness.conformance.kit import all_clauses
+from harness.conformance.run import run_clause
+from harness.conformance.target import Target
+from harness.conformance.verdict import Result
+from motorapi.lock_directory import VARIABLE
+from tests.vcan.inside.on_fencing import serving_on
+from traces.reader import read_trace
+
+
+def test_a_clause_is_checked_and_what_was_on_the_bus_is_recorded(tmp_path, monkeypatch):
+    monkeypatch.setenv(VARIABLE, str(tmp_path))
+    tmp_path.chmod(0o700)
+    target = Target(Job("cia402", on=("can0=vcan0",)))
+    with serving_on("vcan0"):
+        verdict = run_clause(all_clauses()["STATE-01"], target.opener(tmp_path / "run.mcap"))
+    assert verdict.result is Result.PASSED, verdict
+    with read_trace(tmp_path / "run.mcap") as trace:
+        assert {channel.topic for channel, _, _ in trace.messages()} == {"/can/can0"}

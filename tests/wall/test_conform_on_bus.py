@@ -1,0 +1,74 @@
+"""`motorhil conform --on`: the clauses on drives of another process, on the wall clock."""
+
+import json
+
+import pytest
+
+from harness.conformance.job import Job
+from harness.conformance.target import Target
+from harness.settings import RigError
+from tests.conformance.benches import RIGS
+from tests.wall.test_serve import MOTORHIL, motorhil
+from traces.reader import read_trace
+
+pytestmark = pytest.mark.wall
+
+
+@pytest.fixture
+def strict_rig(tmp_path):
+    """On it no motor can come to rest near enough to where it was."""
+    rig = tmp_path / "strict.toml"
+    text = (RIGS / "cia402.toml").read_text()
+    rig.write_text(text.replace("window_rad = 0.001", "window_rad = 1e-12"))
+    return str(rig)
+
+
+def test_drives_of_another_process_are_checked_and_what_fails_leaves_its_record(
+    tmp_path, strict_rig
+):
+    hub, found = tmp_path / "hub", tmp_path / "found.json"
+    clauses = [word for one in ("STATE-01", "MOVE-02", "UNIT-01") for word in ("--clause", one)]
+    words = ("--rig", strict_rig, "--on", f"can0={hub}", "--json", str(found), *clauses)
+    done = motorhil(
+        *("serve", str(RIGS / "cia402.toml"), "--socket", str(hub), "--"),
+        *(*MOTORHIL, "conform", *words, "-o", str(tmp_path / "records")),
+    )
+    assert done.returncode == 1, done.stdout + done.stderr
+    clauses = {one["id"]: one for one in json.loads(found.read_text())["clauses"]}
+    assert {name: one["result"] for name, one in clauses.items()} == {
+        "STATE-01": "passed",
+        "MOVE-02": "failed",
+        "UNIT-01": "not applicable",
+    }
+    assert clauses["UNIT-01"]["seen"] == "the bench cannot see the true position of the motor"
+    assert sorted(path.name for path in (tmp_path / "records").iterdir()) == ["MOVE-02.mcap"]
+    with read_trace(clauses["MOVE-02"]["record"]) as trace:
+        topics = {channel.topic for channel, _, _ in trace.messages()}
+    assert topics == {"/can/can0"}
+    assert f"--on can0={hub} --clause MOVE-02 --seed 1" in clauses["MOVE-02"]["again"]
+
+
+@pytest.mark.parametrize(
+    ("on", "told"),
+    [
+        ("can0=/nowhere/hub", "--on can0=/nowhere/hub: "),
+        ("can0=nosuch:1", "python-can has no interface 'nosuch'"),
+        ("can1=vcan0", "names no bus of the motors under test that is still free (can0)"),
+        ("=vcan0", "names no bus of the motors under test"),
+    ],
+)
+def test_a_bus_that_cannot_be_reached_is_one_line(on, told):
+    with pytest.raises(RigError) as refused:
+        Target(Job("cia402", on=(on,))).opener()()
+    assert told in str(refused.value)
+
+
+def test_every_bus_of_the_motors_has_to_be_said(tmp_path):
+    rig = tmp_path / "rig.toml"
+    text = (RIGS / "cia402.toml").read_text()
+    second = '[bus.can1]\nbitrate_bit_s = 1_000_000\n\n[controller.right]\nkind = "cia402"\n'
+    rig.write_text(
+        text.replace('[controller.right]\nkind = "cia402"\nbus = "can0"', f'{second}bus = "can1"')
+    )
+    with pytest.raises(RigError, match="nobody says where can1 is; add --on can1=WHERE"):
+        Target(Job("cia402", str(rig), on=("can0=vcan0",)))
