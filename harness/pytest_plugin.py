@@ -46,6 +46,12 @@ def _seed(text: str) -> int:
         raise ArgumentTypeError(f"{text!r} is no {seed.__name__}") from None
 
 
+def _level(text: str) -> int:
+    from harness.verbs.conform import level_of
+
+    return level_of(text)
+
+
 _OPTIONS: Final[tuple[tuple[str, dict[str, Any]], ...]] = (
     ("rig", {"metavar": "FILE", "help": _RIG_HELP}),
     ("seed", {"metavar": "N", "type": _seed, "help": "instead of every rig's own seed"}),
@@ -58,6 +64,15 @@ _OPTIONS: Final[tuple[tuple[str, dict[str, Any]], ...]] = (
         },
     ),
     ("realtime", {"action": "store_true", "help": "rigs are no faster than the wall clock"}),
+    (
+        "adaptation",
+        {
+            "metavar": "NAME",
+            "help": "check whether it keeps its promises on --rig: a test for each clause of the "
+            "conformance kit; NAME or package.module:function",
+        },
+    ),
+    ("level", {"metavar": "L3", "type": _level, "help": "all clauses of the kit up to this level"}),
 )
 
 
@@ -114,7 +129,7 @@ def pytest_configure(config: pytest.Config) -> None:
     """What the command line names is there.
 
     Raises:
-        pytest.UsageError: the rig cannot be used; with file, line and remedy.
+        pytest.UsageError: rig or adaptation cannot be used; with file, line and remedy.
     """
     config.addinivalue_line("markers", _MARK)
     if not record_folder(config).exists():
@@ -123,6 +138,10 @@ def pytest_configure(config: pytest.Config) -> None:
         from harness.pytest_rigs import require_rig
 
         require_rig(config, option(config, "rig"))
+    if option(config, "adaptation") is not None:
+        from harness.pytest_clauses import collect_clauses
+
+        collect_clauses(config)
 
 
 def pytest_report_header(config: pytest.Config) -> list[str]:
@@ -141,8 +160,10 @@ def pytest_runtest_makereport(
     item: pytest.Item, call: pytest.CallInfo[None]
 ) -> Generator[None, pytest.TestReport, pytest.TestReport]:
     """A test that failed with a rig tells where its record is, and how it is repeated."""
-    report = yield
     opened = item.stash.get(OPENED, None)
+    if opened is not None and call.excinfo is not None:
+        opened.shorten(call.excinfo)
+    report = yield
     if opened is not None:
         opened.hear(report)
     return report

@@ -15,7 +15,7 @@ from harness.pytest_plugin import OPENED, OWN_NAMES, option, record_folder
 from harness.replay.verdict import summary, unanswered
 from harness.rig import Rig, describe
 from harness.rig_parts import NoSuchName
-from harness.script import bus_settings
+from harness.script import bus_settings, is_of_ours, is_on_purpose
 from harness.settings import RigError
 from traces.errors import TraceError
 
@@ -171,6 +171,18 @@ class RigOfTest:
             raise _failure("\n".join(summary(self.rig)), self._config)
 
     # --- what came of it ---------------------------------------------------------------------
+
+    def shorten(self, raised: pytest.ExceptionInfo[BaseException]) -> None:
+        """Of an error that tells the test something, the traceback ends in its own line."""
+        if self._config.option.fulltrace or not is_on_purpose(raised.value):
+            return
+        last, line = None, raised.value.__traceback__
+        while line is not None:
+            if not is_of_ours(line.tb_frame.f_code.co_filename):
+                last = line
+            line = line.tb_next
+        if last is not None:
+            last.tb_next = None
 
     def hear(self, report: pytest.TestReport) -> None:
         """A phase of the test is over: of a failure it is told where its record is."""

@@ -240,7 +240,7 @@ def print_error(error: BaseException, script: str) -> None:
     last of them if the motor interface or python-can raised on purpose, is nothing the author could
     act on. An error that was raised inside and not on purpose is told in full.
     """
-    on_purpose = _is_on_purpose(error)
+    on_purpose = is_on_purpose(error)
     report = traceback.TracebackException.from_exception(error)
     if on_purpose:
         report.__cause__ = report.__context__ = None
@@ -254,7 +254,8 @@ def print_error(error: BaseException, script: str) -> None:
     print("".join(lines), end="", file=sys.stderr)
 
 
-def _is_on_purpose(error: BaseException) -> bool:
+def is_on_purpose(error: BaseException) -> bool:
+    """Whether the motor interface, python-can or a rig raised it to tell who called them."""
     kinds = [f"{kind.__module__}.{kind.__name__}" for kind in type(error).__mro__]
     return (
         "motorapi.errors.MotorError" in kinds
@@ -286,4 +287,9 @@ def _frames_of(
 
 
 def _is_own(filename: str, script: str) -> bool:
-    return filename != script and filename.startswith(_OWN_PACKAGES)
+    return filename != script and is_of_ours(filename)
+
+
+def is_of_ours(filename: str) -> bool:
+    """Whether a file of code belongs to these packages."""
+    return filename.startswith(_OWN_PACKAGES)

@@ -43,7 +43,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="as in `motorhil list adaptations`, or where it is: package.module:function",
     )
     parser.add_argument("--rig", metavar="RIG", help="a rig file with its motors, to test it on")
-    parser.add_argument("--level", type=_level, metavar="L3", help="all clauses up to this level")
+    parser.add_argument("--level", type=level_of, metavar="L3", help="all clauses up to this level")
     parser.add_argument("--clause", action="append", metavar="ID", help="this one; repeatable")
     parser.add_argument(
         "--on",
@@ -67,7 +67,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--list", action="store_true", help="say what is promised, and check none")
 
 
-def _level(text: str) -> int:
+def level_of(text: str) -> int:
+    """For argparse's `type`: a level of the kit."""
     found = re.fullmatch(rf"[Ll]?([0-{_LEVEL_MAX}])", text)
     if found is None:
         raise argparse.ArgumentTypeError(f"{text!r} is no level; say L0 to L{_LEVEL_MAX}")

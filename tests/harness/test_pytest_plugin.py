@@ -155,20 +155,6 @@ def test_the_command_is_for_the_folder_it_was_called_in(project, run, monkeypatc
     assert len(records(project)) == 1  # beside the ini file
 
 
-def test_several_workers_keep_each_record_of_its_own(project, run):
-    tests = """
-@pytest.mark.parametrize('place_rad', [0.1, 0.2, 0.3], ids=["a/b", "a:b", "c"])
-def test_it(motor, place_rad):
-    assert turn(motor, place_rad) > 9.0
-"""
-    run(tests, "--rig=wheels/rig.toml", "-n", "2").assert_outcomes(failed=3)
-    shared = {path.name: digest(path) for path in (project.path / "out").glob("*")}
-    run(None, "--rig=wheels/rig.toml", "--record-dir=alone").assert_outcomes(failed=3)
-    alone = {path.name: digest(path) for path in (project.path / "alone").glob("*")}
-    assert shared == alone
-    assert len(set(alone.values())) == 3
-
-
 def test_the_record_of_a_test_that_was_interrupted_stays(project):
     project.makepyfile("def test_it(motor):\n    motor.enable()\n    raise KeyboardInterrupt\n")
     result = project.runpytest_inprocess("--rig=wheels/rig.toml", no_reraise_ctrlc=True)
@@ -311,6 +297,15 @@ def test_d(motor):
     assert "Traceback" not in result.stdout.str()
     result = run(None, "--record-dir=file", "--rig=wheels/rig.toml", "-k", "test_a")
     result.stdout.fnmatch_lines(["file: cannot be made: *; name another with --record-dir"])
+
+
+def test_of_an_error_that_tells_the_test_something_its_own_line_is_the_last(project, run):
+    tests = "def test_it(motor):\n    motor.set_setpoint(1.0)\n"
+    shown = run(tests, "--rig=wheels/rig.toml").stdout.str()
+    assert "motorapi.errors.StateError: left: set_setpoint refused" in shown
+    assert "motorapi/motor.py" not in shown
+    shown = run(None, "--rig=wheels/rig.toml", "--full-trace").stdout.str()
+    assert "motorapi/motor.py" in shown
 
 
 # --- beside others

@@ -1,0 +1,125 @@
+"""`pytest --adaptation NAME --rig RIG`: each clause of the conformance kit is a test."""
+
+import json
+import re
+import shlex
+
+import pytest
+
+import harness.pytest_clauses  # noqa: F401 -- stays loaded between the runs below
+from harness.cli import main
+from harness.scaffold import write_new_rig
+from traces.digest import digest
+
+pytest_plugins = ["pytester"]
+TESTS = """
+import pytest
+from motorapi import ControlMode
+
+@pytest.mark.parametrize("place_rad", [0.1, 0.2, 0.3], ids=["a/b", "a:b", "c"])
+def test_it(motor, place_rad):
+    motor.set_control_mode(ControlMode.SETPOINT)
+    motor.set_setpoint(place_rad)
+    motor.start()
+    motor.wait_until_done(timeout_s=5)
+    assert motor.position() > 9.0
+"""
+LEVEL = ("--level", "L0")
+ONE = ["--adaptation=cia402", "--rig=wheels/rig.toml"]
+
+
+@pytest.fixture
+def project(pytester, monkeypatch):
+    """A project with two wheels, and a test that is not asked for."""
+    monkeypatch.delenv("PYTEST_ADDOPTS", raising=False)
+    write_new_rig(pytester.path / "wheels")
+    pytester.makeini("[pytest]\naddopts = -W error -p no:hypothesispytest\n")
+    pytester.makepyfile("def test_of_its_own():\n    pass\n")
+    return pytester
+
+
+@pytest.fixture
+def wrong_gear(project):
+    """The motor model says more increments than there are."""
+    model = project.path / "wheels/wheel_model.toml"
+    text, count = re.subn(
+        r"^increments_per_rad = .*$", "increments_per_rad = 20000.0", model.read_text(), flags=re.M
+    )
+    assert count == 1
+    model.write_text(text)
+
+
+def results_of(document):
+    """How each clause ended, as pytest calls it, by what `motorhil conform` wrote."""
+    words = {"passed": "PASSED", "failed": "FAILED", "not applicable": "SKIPPED"}
+    return {one["id"]: words[one["result"]] for one in json.loads(document)["clauses"]}
+
+
+@pytest.mark.usefixtures("wrong_gear")
+def test_several_workers_find_what_one_process_finds(project):
+    """In clauses, and in tests that have rigs; each leaves a record of its own."""
+    words = ["--adaptation", "cia402", "--rig", "wheels/rig.toml"]
+    file = project.makepyfile(test_own=TESTS).name
+    result = project.runpytest_inprocess(*words, *LEVEL, file, "-v", "-n", "2", "-rs")
+    result.stdout.fnmatch_lines(["SKIPPED * wheels/rig.toml:1: its model has no torque_max"])
+    told = re.findall(r"^\[gw\d\].* (\w+) (\S+?)::(\S+) *$", result.stdout.str(), re.MULTILINE)
+    clauses = {clause: outcome for outcome, place, clause in told if place == "wheels/rig.toml"}
+    assert sorted(outcome for outcome, place, _ in told if place == file) == ["FAILED"] * 3
+
+    assert main(["conform", *words, *LEVEL, "--json", "found.json", "-o", "alone"]) == 1
+    assert clauses == results_of((project.path / "found.json").read_text())
+    assert {"PASSED", "FAILED", "SKIPPED"} == set(clauses.values())
+    alone = project.runpytest_inprocess("--rig=wheels/rig.toml", "--record-dir=alone", file)
+    alone.assert_outcomes(failed=3)
+    records = [
+        {path.name: digest(path) for path in (project.path / folder).glob("*")}
+        for folder in ("out", "alone")
+    ]
+    assert records[0] == records[1]
+    assert len(set(records[0].values())) == 4
+
+
+@pytest.mark.usefixtures("wrong_gear")
+def test_a_clause_that_fails_says_what_was_promised_and_seen_and_what_repeats_it(project, capsys):
+    result = project.runpytest_inprocess(*ONE, "wheels/rig.toml::UNIT-01", "--seed=5")
+    result.assert_outcomes(failed=1)
+    result.stdout.fnmatch_lines(
+        [
+            "failed: left was told to move * rad, it moved * rad, *",
+            "promise: A move of so many units is *",
+            "source: paper 3.2, *",
+            "record: out/UNIT-01.mcap",
+            "again: motorhil conform *",
+            "FAILED wheels/rig.toml::UNIT-01 - failed: left was told *",
+        ]
+    )
+    record = project.path / "out/UNIT-01.mcap"
+    before = digest(record)
+    (again,) = re.findall(r"^again: motorhil (.*)$", result.stdout.str(), re.MULTILINE)
+    capsys.readouterr()
+    assert main([*shlex.split(again), "-o", "again"]) == 1
+    assert "UNIT-01   failed" in capsys.readouterr().out
+    assert digest(project.path / "again/UNIT-01.mcap") == before
+    assert main(["show", str(record), "--last", "1"]) == 0
+
+
+def test_where_nothing_is_applicable_nothing_was_shown(project):
+    result = project.runpytest_inprocess(*ONE, *LEVEL, "-k", "MEAS-03 or test_of_its_own")
+    result.assert_outcomes(skipped=1)  # the project's own tests were not named
+    assert result.ret == 1
+    result.stdout.fnmatch_lines(["motorhil: nothing was applicable, so nothing was shown"])
+
+
+@pytest.mark.parametrize(
+    ("words", "told"),
+    [
+        (["--adaptation=cia40", "--rig=wheels/rig.toml"], "*cia40: is not installed *did you mean"),
+        (["--adaptation=cia402"], "*--adaptation cia402: on which rig? Say --rig=FILE; *"),
+        ([*ONE, "--level=L9"], "*'L9' is no level; say L0 to L5"),
+    ],
+)
+def test_wrong_usage_is_told_in_a_line(project, words, told):
+    result = project.runpytest_inprocess(*words)
+    assert result.ret == pytest.ExitCode.USAGE_ERROR
+    result.stderr.fnmatch_lines([f"{told}*"])
+    assert "Traceback" not in result.stderr.str() + result.stdout.str()
