@@ -14,6 +14,7 @@ from pathlib import Path
 from types import CodeType, ModuleType
 from typing import TYPE_CHECKING, Final, Self, final
 
+from harness.exit_handlers import exit_handlers
 from harness.rig_parts import NoSuchName
 from harness.settings import RigError
 from harness.virtual_program import in_virtual_time, join_executors
@@ -79,22 +80,31 @@ def run_script(rig: "Rig", script: Script, words: Sequence[str]) -> int:
         bus_settings(rig),
         _Threads(script.name) as threads,
         in_virtual_time(rig),
+        exit_handlers() as handlers,
     ):
-        status = 0
         try:
-            program: CodeType = compile(script.source, script.name, "exec", dont_inherit=True)
-            exec(program, main.__dict__)
-        except SystemExit as leaving:
-            status = _status(leaving)
-        except BrokenPipeError:
-            raise  # whoever read its output has left: as with any command
-        except Exception as error:
-            if rig.recording is not None and error is rig.recording.error:
-                raise  # the record failed, not the program
-            print_error(error, script.name)
-            status = 1
-        threads.join()
+            status = _run(rig, script, main)
+            threads.join()
+        finally:
+            handlers.run(lambda error: print_error(error, script.name))
     return status or int(threads.failed)
+
+
+def _run(rig: "Rig", script: Script, main: ModuleType) -> int:
+    """The program's own lines have run; its exit status."""
+    try:
+        program: CodeType = compile(script.source, script.name, "exec", dont_inherit=True)
+        exec(program, main.__dict__)
+    except SystemExit as leaving:
+        return _status(leaving)
+    except BrokenPipeError:
+        raise  # whoever read its output has left: as with any command
+    except Exception as error:
+        if rig.recording is not None and error is rig.recording.error:
+            raise  # the record failed, not the program
+        print_error(error, script.name)
+        return 1
+    return 0
 
 
 def run_judged(rig: "Rig", script: Script | None, words: Sequence[str], verb: str) -> int:

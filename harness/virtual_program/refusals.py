@@ -6,6 +6,7 @@ something that this program has to do itself, or makes a second copy of the rig.
 """
 
 import asyncio
+import multiprocessing
 import os
 import select
 import selectors
@@ -13,6 +14,7 @@ import signal
 import socket
 from collections.abc import Callable
 from functools import wraps
+from multiprocessing.context import BaseContext
 from multiprocessing.process import BaseProcess
 from typing import Any, Final
 
@@ -21,6 +23,7 @@ from motorapi.errors import UsageError
 
 _COPY: Final = "the new process would have a copy of the rig, with a time of its own"
 _SOCKET: Final = "it waits in the operating system, and no thread of the program runs meanwhile"
+_PROCESSES: Final = "it is for processes, and waits in the operating system"
 _ALARM: Final = "it goes by the wall's clock, not by the rig's"
 _THREADS: Final = "use threads (concurrent.futures.ThreadPoolExecutor)"
 _TIMER: Final = "use threading.Timer"
@@ -37,6 +40,10 @@ _FUNCTIONS: Final = (
     (signal.sigwait, "signal.sigwait", _SOCKET, "sleep until a flag is set"),
     (signal.sigwaitinfo, "signal.sigwaitinfo", _SOCKET, "sleep until a flag is set"),
     (signal.sigtimedwait, "signal.sigtimedwait", _SOCKET, "sleep until a flag is set"),
+)
+_OF_PROCESSES: Final = (
+    *("Barrier", "BoundedSemaphore", "Condition", "Event", "JoinableQueue", "Lock", "Manager"),
+    *("Pipe", "Pool", "Queue", "RLock", "Semaphore", "SimpleQueue"),
 )
 _LOOPS: Final = (
     (asyncio.Runner, "__enter__"),  # of asyncio.run: before there is anything to close
@@ -95,6 +102,11 @@ def _socket_waits(receiver: socket.socket, *_: Any, **__: Any) -> bool:
     return receiver.gettimeout() != 0
 
 
+def _of_processes(place: object, name: str) -> Callable[..., Any]:
+    """What of `multiprocessing` is for waiting, also in its pool of threads."""
+    return _refused(getattr(place, name), f"multiprocessing.{name}", _PROCESSES, _THREADS)
+
+
 def stand_ins() -> list[tuple[object, object]]:
     """Functions that are refused, and what refuses them."""
     return [
@@ -103,6 +115,10 @@ def stand_ins() -> list[tuple[object, object]]:
             (original, _refused(original, name, why, remedy))
             for original, name, why, remedy in _FUNCTIONS
         ),
+        *(
+            (getattr(multiprocessing, name), _of_processes(multiprocessing, name))
+            for name in _OF_PROCESSES
+        ),
     ]
 
 
@@ -110,6 +126,7 @@ def methods() -> list[tuple[type, str, object]]:
     """(class, name, what refuses it) of methods that are refused."""
     found: list[tuple[type, str, object]] = [
         (BaseProcess, "start", _refused(BaseProcess.start, "multiprocessing", _COPY, _THREADS)),
+        *((BaseContext, name, _of_processes(BaseContext, name)) for name in _OF_PROCESSES),
         *(
             (kind, name, _refused(getattr(kind, name), "asyncio", _SOCKET, "use threads"))
             for kind, name in _LOOPS

@@ -165,14 +165,16 @@ def _poll(program: Program) -> None:
 def whereabouts(party: VirtualParty) -> str:
     """Who it is, and where in its own code: "worker (robot.py:12, in Queue.get)"."""
     frame = sys._current_frames().get(party.ident)  # noqa: SLF001 -- documented, for this
-    place = ""
+    told = [party.name]
+    within = ""
     while frame is not None:
         package = str(frame.f_globals.get("__name__", "")).partition(".")[0]
         if package not in OUTSIDE and package not in sys.stdlib_module_names:
-            place = f" ({frame.f_code.co_filename}:{frame.f_lineno}{place})"
+            told.append(f" ({frame.f_code.co_filename}:{frame.f_lineno}{within})")
             break
         if package not in OUTSIDE:
-            place = f", in {frame.f_code.co_qualname}"
+            within = f", in {frame.f_code.co_qualname}"
         frame = frame.f_back
-    held = party.held_up_by
-    return party.name + (place if frame else "") + (f", held up by {held.name}" if held else "")
+    if party.held_up_by not in (None, party):  # it takes a condition's lock from itself
+        told.append(f", held up by {party.held_up_by.name}")
+    return "".join(told)

@@ -245,6 +245,20 @@ def test_threads_that_wait_for_one_another_are_told_by_name_and_line(rig, say):
     assert "(waiting: idle" in err
 
 
+def test_what_a_script_registers_for_its_end_runs_there_with_the_rig_still_open(rig, say):
+    (rig / "script.py").write_text(
+        "import atexit, threading, time\nimport can\nbus = can.Bus()\n"
+        "atexit.register(bus.shutdown)\n\n"
+        "def bye(word):\n    time.sleep(1)\n    print(word, bus.runtime.now_ns() // 10**9)\n\n"
+        "atexit.register(bye, 'good')\natexit.register(lambda: 1 / 0)\natexit.register(exit)\n"
+        "atexit.unregister(exit)\n"
+        "threading.Timer(2.0, print, ['thread']).start()\n"
+    )
+    status, out, err = say("run", "rig.toml", "script.py")
+    assert (status, out) == (0, "thread\ngood 3\n")
+    assert err.splitlines()[-1] == "ZeroDivisionError: division by zero"
+
+
 @pytest.mark.wall
 def test_ctrl_c_ends_a_script_whose_thread_does_not_end(rig):
     (rig / "script.py").write_text(

@@ -8,6 +8,7 @@ import socket
 import subprocess
 import sys
 import threading
+from multiprocessing.pool import ThreadPool
 
 import pytest
 
@@ -37,6 +38,8 @@ REFUSED = {
     "os.fork": lambda: os.fork(),
     "os.forkpty": lambda: os.forkpty(),
     "multiprocessing": lambda: multiprocessing.Process(target=print).start(),
+    "multiprocessing.Queue": lambda: multiprocessing.Queue(),
+    "multiprocessing.SimpleQueue": lambda: ThreadPool(2),
     "asyncio": run_asyncio,
     "select.select": lambda: select.select([], [], [], 0.01),
     "select.poll": lambda: select.poll(),
