@@ -10,7 +10,7 @@ PACKAGES := motorapi emulators traces harness
 # Two are enough: the tests that go by the wall, one after another, are half of all (tests/conftest.py).
 WORKERS := -n auto --maxprocesses 2 --dist loadgroup
 
-.PHONY: demo test check bench fuzz mutants golden format clean compiled build-compiled test-compiled
+.PHONY: demo test check bench fuzz mutants clauses golden format clean compiled build-compiled test-compiled
 
 demo: $(READY)  ## the rover manoeuvre on emulated drives; writes out/demo.mcap
 	$(BIN)/motorhil demo
@@ -32,6 +32,9 @@ fuzz: $(READY)  ## a million random, mutated and recorded frames at the drive; F
 
 mutants: $(READY)  ## every adaptation broken on purpose against every clause; writes the kill table
 	$(BIN)/python -m tests.conformance.mutants $(MUTANTS)
+
+clauses: $(READY)  ## docs/CLAUSES.md, every clause of the conformance kit
+	$(BIN)/python -m harness.conformance.clauses_page > docs/CLAUSES.md
 
 golden: $(READY)  ## the golden recordings again, where a rig does something else today
 	$(BIN)/python -m tests.golden
