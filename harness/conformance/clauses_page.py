@@ -18,8 +18,8 @@ _ABOUT: Final = {
 _HEAD: Final = """\
 # What an adaptation promises
 
-Made by `make clauses` from `harness/conformance/clauses`, {count} clauses. `motorhil conform` checks
-them. A clause is applicable where the adaptation claims what stands under *claims*, and the bench can
+Made by `make clauses` from `harness/conformance/clauses`: {count} clauses, which `motorhil conform`
+checks. One is applicable where the adaptation claims what stands under *claims*, and the bench can
 do what stands under *bench*; all else is promised of every motor. An id is never given twice.
 """
 

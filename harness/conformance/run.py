@@ -6,7 +6,8 @@ process with it: `harness.conformance.supervision` sees to those.
 
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import replace
-from typing import TYPE_CHECKING, final
+from pathlib import Path
+from typing import TYPE_CHECKING, Final, final
 
 from harness.conformance.bench import Opener
 from harness.conformance.claims import Claims
@@ -21,6 +22,8 @@ from motorapi import MotorError, PluginError, UnsupportedError
 
 if TYPE_CHECKING:
     from harness.conformance.bench import RigProtocol
+
+_CLAUSES: Final = str(Path(__file__).parent / "clauses")
 
 
 def run_clauses(clauses: Iterable[Clause], open_bench: Opener) -> Iterator[Verdict]:
@@ -111,6 +114,7 @@ class _Judge:
             return Verdict(self._one.id, Result.NOT_APPLICABLE, f"{error}")
         place = raised_at(error, self._home)
         if isinstance(error, Violated):
+            place = raised_at(error, _CLAUSES)  # where it stands, not where all clauses meet
             return Verdict(self._one.id, Result.FAILED, f"{error}", place)
         if isinstance(error, TimeIsUp):
             return Verdict(self._one.id, Result.HUNG, f"{error}", place)
@@ -120,7 +124,7 @@ class _Judge:
                     seen = f"the rig claims {claimed.value}, which the motor refuses: {error}"
                     at = self.facts.claimed_at.get(claimed, place)
                     return Verdict(self._one.id, Result.FAILED, seen, at)
-        told = f"{type(error).__name__}: {error}"
+        told = f"{error}" if isinstance(error, RigError) else f"{type(error).__name__}: {error}"
         if isinstance(error, MotorError) and not isinstance(error, PluginError):
             return Verdict(self._one.id, Result.FAILED, f"raised {told}", place)
         return Verdict(self._one.id, Result.CRASHED, told, place)

@@ -161,7 +161,9 @@ class Supervisor:
             raise CannotTestError(f"asking what it claims: {ended}") from None
         if answer is None:
             raise CannotTestError("asking what it claims does not end")
-        claims: dict[str, str] = _right(answer)["claims"]
+        if "wrong" in answer:
+            raise CannotTestError(f"asking what it claims: {answer['wrong']}")
+        claims: dict[str, str] = answer["claims"]
         return claims
 
     def _start(self) -> Child:

@@ -227,7 +227,8 @@ def _tell(outcome: "Outcome") -> None:
     counts = [(outcome.count(result), result) for result in Result]
     told = ", ".join(f"{count} {result.value}" for count, result in counts if count)
     took = f"first verdict after {outcome.first_verdict_s:.2f} s, the last {outcome.took_s:.2f} s"
-    print(f"\n{len(outcome.findings)} clauses: {told or 'none'}; {took}")
+    clauses = "1 clause" if len(outcome.findings) == 1 else f"{len(outcome.findings)} clauses"
+    print(f"\n{clauses}: {told or 'none'}; {took}")
     if outcome.claims is not None:
         claimed = [name for name, why_not in outcome.claims.items() if not why_not]
         print(f"claimed: {listed(claimed)}")

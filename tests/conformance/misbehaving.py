@@ -11,6 +11,7 @@ from pathlib import Path
 
 import can
 
+from harness.conformance import target
 from motorapi.adaptations import ideal
 
 KEPT = []  # what nothing but this module refers to
@@ -31,7 +32,7 @@ def build(bus, settings, model, runtime):
 
 
 build.needs_bus = False
-build.conformance_rig = "../../harness/conformance/rigs/ideal.toml"
+build.conformance_rig = Path(target.__file__).parent / "rigs" / "ideal.toml"
 
 
 def raises(motor):

@@ -1,10 +1,9 @@
 """docs/CLAUSES.md says what the kit promises."""
 
-from pathlib import Path
-
 from harness.conformance.clauses_page import page
+from tests.architecture.checkout import CHECKOUT
 
-PAGE = Path(__file__).parents[2] / "docs" / "CLAUSES.md"
+PAGE = CHECKOUT / "docs" / "CLAUSES.md"
 
 
 def test_the_page_is_of_this_kit():

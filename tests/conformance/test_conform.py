@@ -74,6 +74,7 @@ def test_what_fails_is_told_with_its_record_and_how_to_repeat_it(runs):
     assert found["counts"]["failed"] == 1
     assert found["passed"] is False
     assert failed["second"] is None  # it is repeatable
+    assert failed["place"].rpartition(":")[0].endswith("clauses/identity.py")
     record = folder / "records" / "UNIT-01.mcap"
     assert failed["record"] == "./records/UNIT-01.mcap"
     assert failed["digest"] == digest(record)
