@@ -60,7 +60,7 @@ _OPTIONS: Final[tuple[tuple[str, dict[str, Any]], ...]] = (
         {
             "metavar": "DIR",
             "help": "where a test that fails leaves its record (MCAP); "
-            f"default: {_RECORDS}, beside pytest's ini file",
+            f"default: {_RECORDS}, beside pytest's ini file if there is one",
         },
     ),
     ("realtime", {"action": "store_true", "help": "rigs are no faster than the wall clock"}),
@@ -120,9 +120,11 @@ def option(config: pytest.Config, name: str) -> Any:
 
 def record_folder(config: pytest.Config) -> Path:
     """Where tests that fail leave their records."""
+    here = config.invocation_params.dir
     named = option(config, "record-dir")
-    folder = config.invocation_params.dir / named if named else config.rootpath / _RECORDS
-    return folder.absolute()
+    if named is None and config.inipath is not None:
+        return config.inipath.parent / _RECORDS
+    return here / (named or _RECORDS)
 
 
 def pytest_configure(config: pytest.Config) -> None:
