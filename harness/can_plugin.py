@@ -115,6 +115,17 @@ def to_message(frame: bytes, time_ns: int, channel: str, received: bool) -> Mess
     )
 
 
+def _refuse_in_virtual_time(channel: str) -> None:
+    from harness.virtual_program.turn import program_here  # only where there may be a program
+
+    if program_here() is not None:
+        raise CanInitializationError(
+            f"channel {channel!r} is a socket, on the wall's clock, and this program runs in "
+            "virtual time: join a bus of the rig by its name, or run the program with 'motorhil "
+            "serve RIG -- python SCRIPT'"
+        )
+
+
 @final
 class _Subscription:
     """A listener on an emulated bus, until cancelled."""
@@ -159,6 +170,7 @@ class EmulatedBus(can.BusABC):
             self._world = world
             self._port = world.add_host(self.channel, "host", self._ears.hear)
         elif "/" in self.channel:
+            _refuse_in_virtual_time(self.channel)
             self._hub = HubLink(self.channel)
         else:
             known = ", ".join(_OPEN) or "none"

@@ -12,7 +12,13 @@ from types import MappingProxyType
 from typing import Any, Final
 
 from harness.parties import Cancelled, PartyThread, VirtualParty
-from harness.virtual_program.turn import Program, on_wall, party_here, program_here
+from harness.virtual_program.turn import (
+    Program,
+    caller_is_outside,
+    on_wall,
+    party_here,
+    program_here,
+)
 
 _ROUNDS: Final = 3  # so often it is ended that goes on all the same
 _GRACE_S: Final = 10.0  # of the rig's time, each round
@@ -25,15 +31,22 @@ _enumerate = threading.enumerate
 
 
 def start(thread: Thread) -> None:
-    """The thread is a party: it runs from when this one next waits."""
+    """The thread is a party: it runs from when this one next waits.
+
+    Not so one that our own packages start: it waits for the wall, or is a party already.
+    """
     program = program_here()
     if program is None or thread in _parties:
         _start(thread)  # refuses a second start
         return
-    if isinstance(thread, PartyThread):
+    if isinstance(thread, PartyThread) or caller_is_outside(2):
         with on_wall():
             _start(thread)
         return
+    _start_party(program, thread)
+
+
+def _start_party(program: Program, thread: Thread) -> None:
     party = VirtualParty(thread.name, program.runtime)
     party.thread = thread
     run = thread.run
@@ -148,9 +161,10 @@ def start_new_thread(
     /,
 ) -> int:
     """As _thread.start_new_thread, for old programs: a daemon thread."""
-    if program_here() is None:
+    program = program_here()
+    if program is None:
         return _start_new_thread(function, args, dict(kwargs))
     thread = Thread(target=function, args=args, kwargs=kwargs, daemon=True)
-    thread.start()
+    _start_party(program, thread)
     assert thread.ident is not None
     return thread.ident

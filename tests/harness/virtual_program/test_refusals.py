@@ -9,7 +9,9 @@ import subprocess
 import sys
 import threading
 from multiprocessing.pool import ThreadPool
+from types import ModuleType
 
+import can
 import pytest
 
 from harness.virtual_program import in_virtual_time
@@ -91,6 +93,22 @@ def test_threads_that_are_no_parties_may_wait_as_they_like(rig):
         started.set()
         thread.join()
     assert heard == [([], [], [])]
+
+
+def test_a_thread_that_our_own_packages_start_waits_for_the_wall(now_s):
+    own = ModuleType("motorapi.somewhere")
+    exec("def start(thread):\n    thread.start()\n", vars(own))
+    ran = []
+    thread = threading.Thread(target=lambda: ran.append(select.select([], [], [], 0.001)))
+    own.start(thread)
+    thread.join()
+    assert ran == [([], [], [])]
+    assert now_s() == 0.0
+
+
+def test_a_bus_on_the_walls_clock_is_refused(now_s):
+    with pytest.raises(can.CanInitializationError, match=r"'/tmp/x.sock' is a socket.*by its name"):
+        can.Bus(interface="emulated", channel="/tmp/x.sock")
 
 
 def test_one_program_at_a_time_and_in_the_rigs_own_thread(rig):
