@@ -18,10 +18,11 @@ from harness.oracles.bus_ear import BusEar
 from harness.oracles.facts import Facts, subjects_in
 from harness.oracles.finding import Finding, Verdict
 from harness.oracles.limits import AccelerationLimit, PositionLimit, TorqueLimit, VelocityLimit
-from harness.oracles.motion import AtRest, Following, TorqueOff
+from harness.oracles.motion import Following, TorqueOff
 from harness.oracles.network import Answers, BootUps, FaultsTold, Heartbeats, OneSender
 from harness.oracles.oracle import Oracle
 from harness.oracles.pds import StateMachine
+from harness.oracles.rest import AtRest
 from harness.oracles.scene import Scene
 from harness.oracles.sync import SyncPeriod
 from harness.report.truth import TruthReader, message_of
@@ -30,7 +31,7 @@ from traces.frame_decoder import FrameDecoder
 from traces.protobuf import decode
 from traces.reader import Trace, read_trace
 from traces.recorded_names import RecordedNames, names_of
-from traces.schema import CAN_FRAME, JOINT_STATE, LOG
+from traces.schema import CAN_FRAME, GROUP_SYNC, JOINT_STATE, LOG, MOTOR_LOCK, LockAction
 from traces.structure import Channel
 from traces.traffic import Findings as Reading
 
@@ -46,6 +47,8 @@ CATALOGUE: Final = (
 """Id, promise, source, why it may be unable to judge."""
 IDS: Final = tuple(row[0] for row in CATALOGUE)
 _LOST: Final = "frames were lost here"  # as `motorhil record` says it
+_START: Final = 1  # of GROUP_SYNC's phases
+_ACTIONS: Final[dict[object, LockAction]] = {action.value: action for action in LockAction}
 _BACKWARD: Final = "its times go backwards"
 _Handler = Callable[[int, bytes], None]
 
@@ -113,7 +116,6 @@ class Pass:
         self._only = only
         self._oracles = [one(scene) for one in ORACLES if not only or one.id in only]
         self._buses: dict[str, BusEar] = {}
-        self._decode = FrameDecoder().decode
         self._handlers: dict[int, _Handler | None] = {}
         self._last_ns = 0
 
@@ -195,10 +197,13 @@ class Pass:
             return None
         parts = channel.topic.strip("/").split("/")
         if schema.name == CAN_FRAME.name:
-            take = self._ear(channel.topic.removeprefix("/can/")).take
-            return lambda time_ns, payload: self._frame(take, time_ns, payload)
+            return self._frames(channel.topic.removeprefix("/can/"))
         if schema.name == JOINT_STATE.name and len(parts) == 3:
             return lambda time_ns, payload: self._motion(parts[1], time_ns, payload)
+        if schema.name == MOTOR_LOCK.name and len(parts) == 3:
+            return lambda time_ns, payload: self._lock(parts[1], time_ns, payload)
+        if schema.name == GROUP_SYNC.name:
+            return self._group
         if schema.name == LOG.name:
             return self._event
         message = message_of(schema)
@@ -207,9 +212,14 @@ class Pass:
         reader = TruthReader(message)
         return lambda time_ns, payload: self._truth(parts[1], time_ns, reader.read(payload))
 
-    def _frame(self, take: Callable[[int, bytes, str], None], time_ns: int, payload: bytes) -> None:
-        frame, _, sender = self._decode(payload)
-        take(time_ns, frame, sender)
+    def _frames(self, bus: str) -> _Handler:
+        take, decode_frame = self._ear(bus).take, FrameDecoder().decode
+
+        def frame(time_ns: int, payload: bytes) -> None:
+            data, _, sender = decode_frame(payload)
+            take(time_ns, data, sender)
+
+        return frame
 
     def _motion(self, motor: str, time_ns: int, payload: bytes) -> None:
         told = decode(JOINT_STATE, payload)
@@ -220,6 +230,18 @@ class Pass:
     def _truth(self, controller: str, time_ns: int, values: Mapping[str, float]) -> None:
         for oracle in self._oracles:
             oracle.truth(time_ns, controller, values)
+
+    def _lock(self, motor: str, time_ns: int, payload: bytes) -> None:
+        action = _ACTIONS.get(decode(MOTOR_LOCK, payload).get("action", 0), LockAction.UNKNOWN)
+        for oracle in self._oracles:
+            oracle.lock(time_ns, motor, action)
+
+    def _group(self, time_ns: int, payload: bytes) -> None:
+        told = decode(GROUP_SYNC, payload)
+        names = told.get("motor", [])
+        motors = [str(name) for name in names] if isinstance(names, list | tuple) else []
+        for oracle in self._oracles:
+            oracle.group(time_ns, motors, told.get("phase") == _START)
 
     def _event(self, time_ns: int, payload: bytes) -> None:
         if str(decode(LOG, payload).get("message", "")).endswith(_LOST):

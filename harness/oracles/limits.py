@@ -257,7 +257,7 @@ class VelocityLimit(_Limit):
             *(abs(value), limit * MARGIN, f"{one.unit}/s"),
         )
         if state is None:
-            self.doubt(found, "whether it is in control of its load, or was told a torque, is not")
+            self.doubt(found, "whether it was told a torque, or is pushed, is not told")
         else:
             self.broken(found)
 

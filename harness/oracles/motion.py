@@ -1,26 +1,22 @@
-"""Oracles of what a drive says of its motion: rest, following error, torque without power.
+"""Oracles of what a drive does while it is in control, and while it is not.
 
-Source: CiA 402-2: statusword (target reached, following error, speed is 0, homing attained),
-position window 6067h, following error window 6065h and time-out 6066h, states without power.
+Source: CiA 402-2: statusword (following error), following error window 6065h and time-out 6066h,
+states without power.
 """
 
 from collections.abc import Mapping
-from dataclasses import dataclass
 from typing import ClassVar, Final, final
 
 from harness.oracles.finding import Violation
-from harness.oracles.oracle import MS, Oracle
+from harness.oracles.oracle import MS, SETTLE_NS, Oracle
 from harness.oracles.scene import (
-    BIT_12,
     BIT_13,
-    CONTROLWORD,
     DISABLED,
     ENABLED,
     FAULT,
     NOT_READY,
     READY,
     STATUSWORD,
-    TARGET_REACHED,
     Axis,
     Place,
     Scene,
@@ -28,132 +24,7 @@ from harness.oracles.scene import (
 
 _POSITION: Final = 0x6064
 _OFF: Final = 0xFFFF_FFFF
-SETTLE_NS: Final = 100 * MS
-"""A sample may be older than the word beside it by what a PDO waits; a servo settles."""
-_PP, _HM, _IP, _CSP = 1, 6, 7, 8
-_NEW_SET_POINT: Final = 0x0010
-_LEAST_INC: Final = 4
-_REST_SHARE: Final = 0.02
-
-
-def says_rest(axis: Axis) -> bool:
-    """Whether the drive tells by its last statusword that it stands still."""
-    word, mode = axis.word, axis.mode
-    if word is None or mode is None or axis.state != ENABLED:
-        return False
-    reached = bool(word & TARGET_REACHED)
-    if mode == _HM:
-        return reached and bool(word & BIT_12) and not word & BIT_13
-    return mode == _PP and reached and not word & BIT_12
-
-
-@final
-@dataclass(slots=True)
-class _Rest:
-    """A time in which a drive says that it stands still.
-
-    Attributes: from_ns; low, high (of 6064h behind the settling); moved_ns (when it was largest);
-    sampled (whether there was any); confirmed (the span when it last said so).
-    """
-
-    from_ns: int
-    low: int = 0
-    high: int = 0
-    moved_ns: int = 0
-    sampled: bool = False
-    confirmed: int = 0
-    confirmed_ns: int = 0
-
-
-@final
-class AtRest(Oracle):
-    """`rest-when-told`."""
-
-    id = "rest-when-told"
-    promise = (
-        "While a drive in pp tells target reached, or in hm homing attained, its position stays"
-        " within its window"
-    )
-    source = "CiA 402-2, statusword bits 10 and 12, position window 6067h; the paper, 3.3.3"
-    needs = "no drive told position (6064h), mode (6060h, 6061h) and that it had arrived"
-    objects: ClassVar[Mapping[int, bool]] = {
-        **{STATUSWORD: False, CONTROLWORD: False, _POSITION: True},
-        **{0x6060: True, 0x6061: True, 0x6067: False, 0x6068: False},
-    }
-
-    def __init__(self, scene: Scene) -> None:
-        """See Oracle."""
-        super().__init__(scene)
-        self._rests: dict[Place, _Rest] = {}
-        self._travel: dict[Place, tuple[int, int]] = {}  # lowest and highest position so far
-        self._at: dict[Place, int] = {}
-
-    def boot(self, time_ns: int, bus: str, node: int) -> None:
-        """It says nothing any more."""
-        for place in [place for place in self._rests if place[:2] == (bus, node)]:
-            del self._rests[place]
-
-    def value(
-        self, time_ns: int, axis: Axis, index: int, subindex: int, value: int, told_to: bool
-    ) -> None:
-        """A word, a mode, a position."""
-        place = axis.place
-        if index == _POSITION:
-            self._position(time_ns, place, value)
-        elif index == CONTROLWORD:
-            if told_to and value & (_NEW_SET_POINT | 0x0F) != 0x0F:
-                self._close(time_ns, axis)  # it may begin to move before it says so
-        elif index in (STATUSWORD, 0x6060, 0x6061) and not (told_to and index == STATUSWORD):
-            self._word(time_ns, axis)
-
-    def _position(self, time_ns: int, place: Place, value: int) -> None:
-        self._at[place] = value
-        low, high = self._travel.get(place, (value, value))
-        self._travel[place] = min(low, value), max(high, value)
-        rest = self._rests.get(place)
-        if rest is None or time_ns - rest.from_ns < SETTLE_NS:
-            return
-        if not rest.sampled:
-            rest.sampled, rest.low, rest.high = True, value, value
-        elif value < rest.low or value > rest.high:
-            rest.low, rest.high, rest.moved_ns = (
-                min(rest.low, value),
-                max(rest.high, value),
-                time_ns,
-            )
-
-    def _word(self, time_ns: int, axis: Axis) -> None:
-        rest = self._rests.get(axis.place)
-        if not says_rest(axis):
-            self._close(time_ns, axis)
-        elif rest is None:
-            self._rests[axis.place] = _Rest(time_ns)
-        else:  # it moved, and still said so afterwards
-            rest.confirmed, rest.confirmed_ns = rest.high - rest.low, rest.moved_ns
-
-    def _close(self, time_ns: int, axis: Axis) -> None:
-        """It says so no longer."""
-        rest = self._rests.pop(axis.place, None)
-        if rest is None or not rest.sampled or not self.look(time_ns, axis.place[0]):
-            return
-        bus, node, number = axis.place
-        window = axis.objects.get((0x6067, 0), 0)
-        low, high = self._travel[axis.place]
-        bound = max(_LEAST_INC, 2 * window if 0 < window < _OFF else (high - low) * _REST_SHARE)
-        if rest.confirmed > bound:
-            since = f"{rest.from_ns / 1e9:.6f} s"
-            text = f"moves while it says, since {since}, that it has arrived"
-            self.broken(
-                Violation(
-                    *(rest.confirmed_ns, text, bus, node, number, axis.name),
-                    *(float(rest.confirmed), float(bound), "inc"),
-                )
-            )
-
-    def end(self, time_ns: int) -> None:
-        """Those that still say so."""
-        for place in list(self._rests):
-            self._close(time_ns, self.scene.axis(place))
+_PP, _IP, _CSP = 1, 7, 8
 
 
 @final

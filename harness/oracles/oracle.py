@@ -4,14 +4,17 @@ An oracle is told decoded things in the order of the recording, with their times
 no bus, no clock. What it keeps is bounded by nodes, axes and motors, never by time.
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import ClassVar, Final, final
 
 from harness.oracles.finding import Finding, Verdict, Violation
 from harness.oracles.scene import Axis, Scene
 from traces.said import Said
+from traces.schema import LockAction
 
 MS: Final = 1_000_000
+SETTLE_NS: Final = 100 * MS
+"""A sample may be older than the word beside it by what a PDO waits; a servo settles."""
 
 
 @final
@@ -88,6 +91,12 @@ class Oracle:
 
     def motion(self, time_ns: int, motor: str, values: Mapping[str, float]) -> None:
         """What the application knows of a motor: position, velocity, effort."""
+
+    def lock(self, time_ns: int, motor: str, action: LockAction) -> None:
+        """Something happened to the ownership of a motor."""
+
+    def group(self, time_ns: int, motors: Sequence[str], is_start: bool) -> None:
+        """A group has begun a motion together, or ended it."""
 
     def end(self, time_ns: int) -> None:
         """Nothing more will come."""

@@ -19,6 +19,8 @@ ID: Final = "owner-commands"
 PROMISE: Final = "While a motor is somebody's, nobody else sends a frame that commands it"
 SOURCE: Final = "the paper, requirement 4 and 3.5: a motor is one owner's from start to end"
 NEEDS: Final = "nothing is told of who had which motor (/motor/NAME/lock), or of who sent frames"
+_ID_TAG: Final = b"\x0d"  # what a CanFrame of ours begins with; its identifier is next
+_ANY: Final = b"\x0f\0"  # commands something in each identifier that can command
 _NOT_DATA: Final = 0xE000_0000
 
 
@@ -75,12 +77,17 @@ def _violation(
 
 def _commanding(trace: Trace, from_ns: int | None, to_ns: int | None) -> Iterator[BusFrame]:
     """Frames that command something and of which it is known who sent them."""
-    decode = FrameDecoder().decode
+    decoders: dict[int, FrameDecoder] = {}
     for channel, time_ns, payload in trace.messages(None, from_ns, to_ns):
         if channel.schema is None or channel.schema.name != CAN_FRAME.name:
             continue
+        if payload[:1] == _ID_TAG and commanded_node(payload[1] | payload[2] << 8, _ANY) is None:
+            continue  # most are: whatever they say, it commands nothing
+        decoder = decoders.get(channel.number)
+        if decoder is None:
+            decoder = decoders[channel.number] = FrameDecoder()
         try:
-            frame, _, sender = decode(payload)
+            frame, _, sender = decoder.decode(payload)
         except ValueError:
             continue
         can_id, _, _, data, is_fd = fields(frame)

@@ -1,0 +1,224 @@
+"""At rest when told: by a drive's statusword, or by a group that has ended its motion.
+
+Source: CiA 402-2: statusword (target reached, homing attained), position window 6067h; the paper,
+3.3.3 (waiting blocks until the motion is over) and Algorithm 2.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import ClassVar, Final, final
+
+from harness.oracles.finding import Violation
+from harness.oracles.oracle import SETTLE_NS, Oracle
+from harness.oracles.scene import (
+    BIT_12,
+    BIT_13,
+    CONTROLWORD,
+    ENABLED,
+    STATUSWORD,
+    TARGET_REACHED,
+    Axis,
+    Place,
+    Scene,
+)
+from traces.schema import LockAction
+
+_POSITION: Final = 0x6064
+_OFF: Final = 0xFFFF_FFFF
+_PP, _HM = 1, 6
+_NEW_SET_POINT: Final = 0x0010
+_LEAST_INC: Final = 4
+_SHARE: Final = 0.02
+"""Of the way that was travelled, where no window is known."""
+
+
+def says_rest(axis: Axis) -> bool:
+    """Whether the drive tells by its last statusword that it stands still."""
+    word, mode = axis.word, axis.mode
+    if word is None or mode is None or axis.state != ENABLED:
+        return False
+    reached = bool(word & TARGET_REACHED)
+    if mode == _HM:
+        return reached and bool(word & BIT_12) and not word & BIT_13
+    return mode == _PP and reached and not word & BIT_12
+
+
+@final
+@dataclass(slots=True)
+class _Rest:
+    """A time in which a drive says that it stands still.
+
+    Attributes: from_ns; low, high (of 6064h behind the settling); moved_ns (when it was largest);
+    sampled (whether there was any); confirmed (the span when it last said so).
+    """
+
+    from_ns: int
+    low: int = 0
+    high: int = 0
+    moved_ns: int = 0
+    sampled: bool = False
+    confirmed: int = 0
+    confirmed_ns: int = 0
+
+
+_TAKES: Final = (LockAction.TAKEN, LockAction.BROKEN, LockAction.TAKEN_OVER)
+
+
+@final
+@dataclass(slots=True)
+class _Motor:
+    """A motor as its application knows it.
+
+    Attributes: is_free (nobody has it; None: its handovers are not told); since_ns (told to be at
+    rest); low, high (of all positions); at (where it came to rest); worst, worst_ns (farthest from
+    there since).
+    """
+
+    is_free: bool | None = None
+    since_ns: int | None = None
+    low: float = float("inf")
+    high: float = float("-inf")
+    at: float = 0.0
+    worst: float = 0.0
+    worst_ns: int = 0
+
+
+@final
+class AtRest(Oracle):
+    """`rest-when-told`."""
+
+    id = "rest-when-told"
+    promise = (
+        "A motor stays where it is while its drive tells target reached (pp) or homing attained"
+        " (hm), and after its group has ended, until somebody takes it"
+    )
+    source = "CiA 402-2, statusword bits 10 and 12, position window 6067h; the paper, 3.3.3"
+    needs = "no drive told mode, position (6064h) and that it had arrived, and no group ended"
+    objects: ClassVar[Mapping[int, bool]] = {
+        **{STATUSWORD: False, CONTROLWORD: False, _POSITION: True},
+        **{0x6060: True, 0x6061: True, 0x6067: False, 0x6068: False},
+    }
+
+    def __init__(self, scene: Scene) -> None:
+        """See Oracle."""
+        super().__init__(scene)
+        self._rests: dict[Place, _Rest] = {}
+        self._travel: dict[Place, tuple[int, int]] = {}  # lowest and highest position so far
+        self._motors: dict[str, _Motor] = {}
+
+    def boot(self, time_ns: int, bus: str, node: int) -> None:
+        """It says nothing any more."""
+        for place in [place for place in self._rests if place[:2] == (bus, node)]:
+            del self._rests[place]
+
+    def value(
+        self, time_ns: int, axis: Axis, index: int, subindex: int, value: int, told_to: bool
+    ) -> None:
+        """A word, a mode, a position."""
+        place = axis.place
+        if index == _POSITION:
+            self._position(time_ns, place, value)
+        elif index == CONTROLWORD:
+            if told_to and value & (_NEW_SET_POINT | 0x0F) != 0x0F:
+                self._close(time_ns, axis)  # it may begin to move before it says so
+        elif index in (STATUSWORD, 0x6060, 0x6061) and not (told_to and index == STATUSWORD):
+            self._word(time_ns, axis)
+
+    def _position(self, time_ns: int, place: Place, value: int) -> None:
+        low, high = self._travel.get(place, (value, value))
+        self._travel[place] = min(low, value), max(high, value)
+        rest = self._rests.get(place)
+        if rest is None or time_ns - rest.from_ns < SETTLE_NS:
+            return
+        if not rest.sampled:
+            rest.sampled, rest.low, rest.high = True, value, value
+        elif value < rest.low or value > rest.high:
+            rest.low, rest.high, rest.moved_ns = (
+                min(rest.low, value),
+                max(rest.high, value),
+                time_ns,
+            )
+
+    def _word(self, time_ns: int, axis: Axis) -> None:
+        rest = self._rests.get(axis.place)
+        if not says_rest(axis):
+            self._close(time_ns, axis)
+        elif rest is None:
+            self._rests[axis.place] = _Rest(time_ns)
+        else:  # it moved, and still said so afterwards
+            rest.confirmed, rest.confirmed_ns = rest.high - rest.low, rest.moved_ns
+
+    def _close(self, time_ns: int, axis: Axis) -> None:
+        """It says so no longer."""
+        rest = self._rests.pop(axis.place, None)
+        if rest is None or not rest.sampled or not self.look(time_ns, axis.place[0]):
+            return
+        bus, node, number = axis.place
+        window = axis.objects.get((0x6067, 0), 0)
+        low, high = self._travel[axis.place]
+        bound = max(_LEAST_INC, 2 * window if 0 < window < _OFF else (high - low) * _SHARE)
+        if rest.confirmed > bound:
+            since = f"{rest.from_ns / 1e9:.6f} s"
+            text = f"moves while it says, since {since}, that it has arrived"
+            self.broken(
+                Violation(
+                    *(rest.confirmed_ns, text, bus, node, number, axis.name),
+                    *(float(rest.confirmed), float(bound), "inc"),
+                )
+            )
+
+    def end(self, time_ns: int) -> None:
+        """Those that still say so."""
+        for place in list(self._rests):
+            self._close(time_ns, self.scene.axis(place))
+        for name in self._motors:
+            self._leave(time_ns, name)
+
+    # ------------------------------------------------------------------------- motors of groups
+
+    def lock(self, time_ns: int, motor: str, action: LockAction) -> None:
+        """Whose it is may move it; nobody else does."""
+        one = self._motors.setdefault(motor, _Motor())
+        if action in _TAKES:
+            self._leave(time_ns, motor)
+            one.is_free = False
+        elif action is LockAction.RELEASED:
+            one.is_free = True
+            if one.since_ns is not None:
+                one.since_ns = max(one.since_ns, time_ns)
+
+    def group(self, time_ns: int, motors: Sequence[str], is_start: bool) -> None:
+        """Where its motors' handovers are told, too, each is at rest from its end on."""
+        for name in motors:
+            one = self._motors.setdefault(name, _Motor())
+            self._leave(time_ns, name)
+            one.since_ns = None if is_start or one.is_free is None else time_ns
+
+    def motion(self, time_ns: int, motor: str, values: Mapping[str, float]) -> None:
+        """Where it is, as far as the application knows."""
+        one, at = self._motors.get(motor), values.get("position")
+        if at is None:
+            return
+        if one is None:
+            one = self._motors[motor] = _Motor()
+        one.low, one.high = min(one.low, at), max(one.high, at)
+        resting = one.is_free and one.since_ns is not None
+        if not resting or one.since_ns is None or time_ns - one.since_ns < SETTLE_NS:
+            one.at, one.worst, one.worst_ns = at, at, 0
+        elif abs(at - one.at) > max(abs(one.worst - one.at), 1e-9):
+            one.worst, one.worst_ns = at, time_ns
+
+    def _leave(self, time_ns: int, motor: str) -> None:
+        """What it was told of is over. A motor whose state is not told any more does not change."""
+        one = self._motors[motor]
+        since_ns, one.since_ns = one.since_ns, None
+        rested = since_ns is not None and one.is_free and time_ns - since_ns >= SETTLE_NS
+        if rested and one.high >= one.low and self.look(time_ns):
+            moved, limit = abs(one.worst - one.at), max((one.high - one.low) * _SHARE, 1e-6)
+            if one.worst_ns and moved > limit:
+                text = "moves after its group has ended, and nobody has taken it"
+                subject = self.scene.facts.motors.get(motor)
+                unit = subject.unit if subject is not None else ""
+                numbers = (moved, limit, unit or "rad or m")
+                self.broken(Violation(one.worst_ns, text, "", 0, 1, motor, *numbers))
+        one.worst, one.worst_ns = one.at, 0

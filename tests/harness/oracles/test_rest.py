@@ -1,0 +1,66 @@
+"""After its group has ended a motor of any kind stays, until somebody takes it."""
+
+import pytest
+
+from harness.oracles.finding import Verdict
+from harness.oracles.judge import judge
+from tests.harness.oracles.story import MS, RELEASED, TAKEN
+from traces.fields import JointStateEncoder
+from traces.protobuf import encode
+from traces.schema import GROUP_SYNC, JOINT_STATE, MOTOR_LOCK, Schema
+from traces.writer import TraceWriter
+
+START, END = 1, 2
+MOVE = ((200, 0.0), (400, 0.4), (600, 0.8), (800, 1.0))
+USUAL = ((100, TAKEN), (210, RELEASED), (200, START), (810, END))
+
+
+def rests(path, positions, others=USUAL):
+    """What `rest-when-told` says of a motor with these (ms, position), locks and groups."""
+    with TraceWriter(path, {"run": {}}) as writer:
+        state = writer.channel("/motor/pan/state", Schema.of(JOINT_STATE))
+        lock = writer.channel("/motor/pan/lock", Schema.of(MOTOR_LOCK))
+        group = writer.channel("/group/mast/sync", Schema.of(GROUP_SYNC))
+        encoder = JointStateEncoder("pan")
+        events = [(ms, state, encoder.encode(at, None, None)) for ms, at in positions]
+        for ms, what in others:
+            if what in (START, END) and not isinstance(what, type(TAKEN)):
+                told = encode(GROUP_SYNC, {"phase": what, "motor": ["pan", "tilt"]})
+                events.append((ms, group, told))
+            else:
+                values = {"action": what.value, "owner": "host", "token": 1}
+                events.append((ms, lock, encode(MOTOR_LOCK, values)))
+        for ms, channel, payload in sorted(events, key=lambda event: event[0]):
+            writer.write(channel, ms * MS, payload)
+    (finding,) = judge(path, only=["rest-when-told"])
+    return finding
+
+
+@pytest.mark.parametrize(
+    ("positions", "others", "looked"),
+    [
+        (MOVE, (*USUAL, (2000, TAKEN)), 1),
+        ((*MOVE, (880, 0.97), (1200, 0.981)), (*USUAL, (2000, TAKEN)), 1),  # it settles
+        ((*MOVE, (2100, 1.0), (2200, 3.0)), (*USUAL, (2000, TAKEN)), 1),  # somebody else
+        ((*MOVE, (1200, 2.0)), (*USUAL, (1100, START), (2000, END), (3000, TAKEN)), 2),
+        ((*MOVE, (1200, 2.0)), USUAL[:1] + USUAL[2:], 0),  # who has it may go on
+        ((*MOVE, (1200, 2.0)), USUAL[2:], 0),  # nobody tells who has it
+    ],
+)
+def test_a_motor_that_rests_or_is_anothers_is_not_accused(tmp_path, positions, others, looked):
+    finding = rests(tmp_path / "one.mcap", positions, others)
+    assert (finding.looked, finding.first) == (looked, None)
+    assert finding.verdict is (Verdict.HELD if looked else Verdict.NOT_JUDGED)
+
+
+def test_a_motor_that_creeps_on_is_caught(tmp_path):
+    """1 rad of way was travelled: 2 % of it are allowed, from 100 ms behind the end on."""
+    positions = (*MOVE, (1200, 1.01), (1500, 1.05), (1700, 1.02))
+    finding = rests(tmp_path / "one.mcap", positions, (*USUAL, (2000, TAKEN)))
+    assert finding.verdict is Verdict.BROKEN
+    first = finding.first
+    assert (first.time_ns, first.motor) == (1500 * MS, "pan")
+    assert first.value == pytest.approx(0.05)  # of two doubles
+    assert first.limit == pytest.approx(0.021)
+    within = (*MOVE, (1200, 1.02), (1500, 1.0))
+    assert rests(tmp_path / "two.mcap", within, (*USUAL, (2000, TAKEN))).verdict is Verdict.HELD
