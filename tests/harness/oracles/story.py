@@ -6,8 +6,9 @@ reset, and is switched off. Bytes are those of CiA 301 and 402-2.
 
 import struct
 
+from traces.fields import encode_log
 from traces.protobuf import encode
-from traces.schema import CAN_FRAME, MOTOR_LOCK, Direction, LockAction, Schema
+from traces.schema import CAN_FRAME, LOG, MOTOR_LOCK, Direction, Level, LockAction, Schema
 from traces.writer import TraceWriter
 
 MS = 1_000_000
@@ -85,16 +86,19 @@ def story():
     return sorted(frames, key=lambda frame: frame[0])
 
 
-def record(path, frames, senders=None, locks=(), metadata=None):
+def record(path, frames, senders=None, locks=(), metadata=None, said=()):
     """A recording of these frames; `senders` by identifier, "host" otherwise.
 
-    locks: (ms, action, who).
+    locks: (ms, action, who); said: events.
     """
     metadata = {"run": {}} if metadata is None else metadata
     with TraceWriter(path, metadata) as writer:
         writer.attach("one.toml", RIG, "application/toml")
         bus = writer.channel("/can/can0", Schema.of(CAN_FRAME))
         lock = writer.channel("/motor/wheel/lock", Schema.of(MOTOR_LOCK)) if locks else 0
+        for text in said:
+            log = writer.channel("/events", Schema.of(LOG))
+            writer.write(log, 0, encode_log(0, Level.WARNING, text, "can0"))
         sources = {}
         events = [(ms, 1, frame) for ms, *frame in frames] + [(ms, 0, one) for ms, *one in locks]
         for ms, is_frame, what in sorted(events, key=lambda one: one[:2]):

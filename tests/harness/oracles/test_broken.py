@@ -55,6 +55,11 @@ LAGS = [(ms, 0x381, struct.pack("<i", 80)) for ms in range(605, 860, 50)]
 BY_PRESENCE = [  # oracle, frames, when it is told [ms], words of the violation
     ("limit-position", instead(status(700, 0x0237, 1200)), 700, "6064h beyond 607Dh: 1200 inc"),
     ("limit-position", with_more(*written(500, 0x607A, 4, 1500)), 510, "607Ah: 1.5 rad, limit 1"),
+    (  # what it was told counts less than what it says: it is in pp still
+        "limit-position",
+        sorted([*instead(status(700, 0x0237, 1200)), *written(494, 0x6060, 1, 4)]),
+        *(700, "6064h beyond 607Dh: 1200 inc"),
+    ),
     ("limit-velocity", instead(torque(605, 300, 1900)), 605, "beyond 607Fh: 1900"),
     ("limit-velocity", with_more(*written(500, 0x6081, 4, 2002)), 501, "2.002 rad/s, limit 2"),
     ("limit-acceleration", with_more(*written(500, 0x6083, 4, 4002)), 501, "6083h: 4.002 rad/s2"),
@@ -71,6 +76,8 @@ BY_PRESENCE = [  # oracle, frames, when it is told [ms], words of the violation
     ("one-sender", with_more((*status(610, 0x0237, 99), "ghost")), 700, "by ghost and by left"),
 ]
 BY_ABSENCE = [  # what was not heard
+    ("pds-legal", without((0x201, 450, 450)), 460, "switched on, then operation enabled"),
+    ("pds-legal", instead(status(1700, 0x0231, 500)), 1700, "told enable operation, fault reset"),
     (
         "pds-legal",
         without((0x201, 410, 410)),

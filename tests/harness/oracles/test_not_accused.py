@@ -1,0 +1,128 @@
+"""What looks like a violation and is none, and what makes a recording one that proves nothing."""
+
+import pytest
+
+from harness.cli import main
+from harness.oracles.facts import Facts
+from harness.oracles.finding import Verdict
+from harness.oracles.judge import judge
+from harness.oracles.pds import Command, command_in
+from tests.harness.oracles.story import record, sdo, story, written
+from tests.harness.oracles.test_broken import (
+    LAGS,
+    LOCKS,
+    broken_in,
+    findings_of,
+    instead,
+    status,
+    torque,
+    with_more,
+    without,
+)
+
+SYNC = 0x080
+CREEPS = (status(1100, 0x0637, 530), status(1200, 0x0637, 560))
+
+
+def by_time(*frames):
+    return sorted(frames, key=lambda frame: frame[0])
+
+
+def slow_drive():
+    """Its statusword of 405 ms was made before it heard the words of 401 and 403 ms."""
+    words = ((401, 0x201, b"\x06\0"), (403, 0x201, b"\x07\0"), status(405, 0x0250, 0))
+    return by_time(*without((0x201, 410, 430)), *words)
+
+
+def lowered():
+    """6072h becomes 200 at 600 ms; for a while the old limit may still hold, and it does."""
+    late = [torque(ms, 100, 0) for ms in range(1055, 1400, 50)]
+    return by_time(*instead(*late), *written(600, 0x6072, 2, 200))
+
+
+FINE = {
+    "a distance is no place": by_time(
+        *instead((510, 0x201, b"\x5f\0")), *written(500, 0x607A, 4, 1500)
+    ),
+    "a motion of torque passes 607Dh": by_time(
+        *instead(status(700, 0x0237, 1200)), *sdo(494, 0x6061, 0, 1, 4)
+    ),
+    "a limit that was lowered": lowered(),
+    "a new set-point ends the rest": by_time(*instead(*CREEPS), (1050, 0x201, b"\x1f\0")),
+    "SYNC that was stopped": without((SYNC, 800, 890)),
+    "SYNC that began again": by_time(
+        *without((SYNC, 800, 9999)), *((ms, SYNC, b"") for ms in range(814, 1700, 10))
+    ),
+    "a drive that is slow": slow_drive(),
+    "one who is not named": with_more((600, 0x201, b"\x1f\0", "")),
+}
+
+
+@pytest.mark.parametrize("name", FINE)
+def test_what_is_allowed_is_not_accused(tmp_path, name):
+    findings = findings_of(record(tmp_path / "one.mcap", FINE[name], locks=LOCKS))
+    assert {one.oracle: str(one.first) for one in findings.values() if one.first} == {}
+
+
+def test_a_window_that_is_switched_off_bounds_nothing(tmp_path):
+    frames = by_time(*instead(*LAGS), *written(494, 0x6065, 4, 0xFFFF_FFFF))
+    finding = findings_of(record(tmp_path / "one.mcap", frames))["following-bounded"]
+    assert (finding.verdict, finding.looked) == (Verdict.NOT_JUDGED, 0)
+
+
+def test_a_fault_is_reset_by_an_edge():
+    assert command_in(0x80, 0x00) is command_in(0x80, None) is Command.FAULT_RESET
+    assert command_in(0x80, 0x80) is command_in(0x8F, 0x8F) is None
+    assert [command_in(word, 0) for word in (0x06, 0x07, 0x0F, 0x00, 0x02)] == [
+        *(Command.SHUTDOWN, Command.SWITCH_ON, Command.ENABLE_OPERATION, None, None)
+    ]
+
+
+SPOILT = without((0x201, 410, 410))  # pds-legal is broken, if all frames are there
+
+
+def reason(path):
+    finding = findings_of(path, facts=Facts(is_complete=True))["pds-legal"]
+    assert finding.first is not None
+    assert finding.verdict is (Verdict.NOT_JUDGED if finding.reason else Verdict.BROKEN)
+    return finding.reason
+
+
+def test_an_answer_without_its_question_shows_that_frames_are_missing(tmp_path):
+    frames = without((0x201, 410, 410), (0x601, 474, 474))
+    path = record(tmp_path / "one.mcap", frames)
+    assert reason(path) == "there is an SDO answer without its question"
+    begun_in_the_middle = without((0x201, 410, 410), (0x601, 10, 10))
+    assert reason(record(tmp_path / "two.mcap", begun_in_the_middle)) == ""
+
+
+def test_who_recorded_it_tells_that_frames_were_lost(tmp_path):
+    path = record(tmp_path / "one.mcap", SPOILT, said=["3 frames were lost here"])
+    assert reason(path) == "frames were lost while it was recorded"
+    assert reason(record(tmp_path / "two.mcap", SPOILT, said=["it is hot"])) == ""
+
+
+def test_where_times_go_backwards_nobody_knows_what_came_first(tmp_path):
+    rows = [f"({ms / 1e3:.6f}) can0 {can_id:03X}#{data.hex()}\n" for ms, can_id, data in SPOILT]
+    log, mcap = tmp_path / "one.log", tmp_path / "one.mcap"
+    log.write_text("".join(rows))
+    assert reason(log) == ""
+    rows.insert(110, rows.pop(100))
+    log.write_text("".join(rows))
+    assert reason(log) == "its times go backwards"
+    assert main(["convert", str(log), "-o", str(mcap)]) == 0
+    assert reason(mcap) == "its times go backwards"
+    log.write_text("".join([*sorted(rows), "(2.0) can0 what is this\n"]))
+    assert reason(log) == "1 of its lines could not be read"
+
+
+def test_without_times_order_alone_is_judged(tmp_path):
+    rows = [
+        f"  can0  {can_id:03X}   [{len(data)}]  {data.hex(' ')}\n" for _, can_id, data in story()
+    ]
+    log = tmp_path / "plain.txt"
+    log.write_text("".join(rows))
+    findings = {one.oracle: one for one in judge(log)}
+    assert broken_in(findings) == []
+    assert findings["pds-legal"].verdict is Verdict.HELD
+    assert findings["sync-period"].verdict is Verdict.NOT_JUDGED
