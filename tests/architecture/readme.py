@@ -1,4 +1,4 @@
-"""README as a story that runs: its fenced blocks, one after another, in one empty folder.
+"""README as a story that runs: its fenced blocks, one after another, in a folder beside a clone.
 
 python -m tests.architecture.readme       runs it, writes into README what really comes, and draws
                                           its picture of the demo anew
@@ -118,7 +118,9 @@ def environment(folder):
 def run(block, folder):
     """(exit status, what it printed) of a block."""
     work = folder / "work"
-    work.mkdir(exist_ok=True)
+    if not work.is_dir():
+        work.mkdir()
+        (work / "motorhil").symlink_to(CHECKOUT)
     if "file" in block.special:
         path = work / block.special["file"]
         path.parent.mkdir(exist_ok=True)

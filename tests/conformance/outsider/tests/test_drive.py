@@ -197,6 +197,25 @@ def test_gains_are_in_the_units_of_the_motor():
     assert abs(bench.truth("position_inc")) < 10  # nothing pushes any more
 
 
+def test_a_velocity_loop_without_integrator_lags_by_friction_over_gain():
+    bench = armed(2, 1)
+    bench.tell(0x1B, f32(0.004, 0.0)).tell(0x0D, f32(5.0, 0.0)).run(1500)
+    # 4 mN m of friction, and 1e-6 N m s of it at 25 rad/s, need 1.006 rev/s
+    assert struct.unpack("<ff", bench.ask(9))[1] == pytest.approx(5.0 - 1.006, abs=0.13)
+
+
+@pytest.mark.parametrize("value", [float("nan"), float("inf"), -float("inf"), 3e38])
+@pytest.mark.parametrize("command", [0x0C, 0x0D, 0x0F, 0x11, 0x12, 0x13, 0x19, 0x1A, 0x1B])
+def test_numbers_that_no_motor_can_have_change_nothing(command, value):
+    bench = armed(2 if command == 0x0D else 3, 1 if command == 0x0D else 5)
+    before = bench.drive.control.parameters
+    bench.drive.take_events()
+    bench.tell(command, f32(value, value)).run(100)
+    assert abs(bench.truth("position_inc")) <= 1
+    assert bench.drive.control.parameters == before
+    assert [level for level, _ in bench.drive.take_events()] == ["warning"]
+
+
 def test_it_takes_the_node_id_that_is_given_to_its_serial_number():
     bench = Bench(serial_number=0x123456).run(510)
     serial = (0x123456).to_bytes(6, "little")

@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from motorhil_odrive.host.hardware import OdriveHwMotor
     from motorhil_odrive.host.units import Units
 
-_LEAD_S: Final = 0.002
+_LEAD_S: Final = 0.004
 """Until the frames are there: the place is rather a little too far, or it would turn back."""
 _STILL: Final = 0.05  # [rev/s]
 _FASTER: Final = 1.05

@@ -275,14 +275,14 @@ class OdriveHwMotor:
 
     def _overheard(self, command: int, time_ns: int) -> None:
         """Somebody else has told the drive something: another program, or a person with a tool."""
-        if command not in _COMMANDS:
-            return
         self.doubt()
         self._feeds = False  # its watchdog is that one's to feed
         physical, watch = self.physical, self.heard.watch
-        if physical.run is not None and watch is not None and watch.moves:
+        moves = physical.run is not None and watch is not None and watch.moves
+        if moves and command in _COMMANDS:
             self.end_stream()
-            physical.ownership.notice(physical.run.owner)  # who took it over is told by name
+            if physical.run is not None:
+                physical.ownership.notice(physical.run.owner)  # who took it over is told by name
             physical.stopped_elsewhere(f"another program (message {command:02X}h)", time_ns)
 
     def _look(self) -> None:
