@@ -5,6 +5,7 @@ By a trapezoid of its own, so that it slows down as it is told, then holds, and 
 in particular.
 """
 
+from math import copysign
 from typing import TYPE_CHECKING, Final
 
 from motorhil_odrive.host import messages as m
@@ -17,6 +18,7 @@ if TYPE_CHECKING:
 _LEAD_S: Final = 0.004
 """Until the frames are there: the place is rather a little too far, or it would turn back."""
 _STILL: Final = 0.05  # [rev/s]
+_NOISE: Final = 0.25  # of an estimate [rev/s]
 _FASTER: Final = 1.05
 
 
@@ -28,8 +30,10 @@ def brake(hardware: "OdriveHwMotor", deceleration: float, units: "Units") -> Non
         return
     slower = deceleration * abs(units.rev)
     position, velocity = hardware.heard.at(hardware.runtime.now_ns(), slower)
-    held = hardware.held
-    if abs(velocity) > _STILL or held is None:
+    watch, held = hardware.heard.watch, hardware.held
+    rests = watch is None or watch.is_over()
+    if held is None or not rests or abs(velocity) > _STILL:
+        velocity = _likely(hardware, position, velocity)
         held = position + velocity * _LEAD_S + velocity * abs(velocity) / (2.0 * slower)
     if hardware.heard.is_in(m.HOMING):
         hardware.tell_anyway(m.AXIS_STATE, m.CLOSED_LOOP)
@@ -38,3 +42,13 @@ def brake(hardware: "OdriveHwMotor", deceleration: float, units: "Units") -> Non
     if not hardware.was_told(m.CONTROLLER_MODE, m.POSITION_CONTROL, m.TRAPEZOID):
         hardware.tell_anyway(m.CONTROLLER_MODE, m.POSITION_CONTROL, m.TRAPEZOID)
     hardware.heard.follow(Rest(hardware.tell_anyway(m.INPUT_POSITION, held, 0.0, 0.0), _STILL))
+
+
+def _likely(hardware: "OdriveHwMotor", position: float, velocity: float) -> float:
+    """How fast it is [rev/s], by the trapezoid it is on where the estimate is but noise."""
+    told, target = hardware.told(m.TRAJECTORY_VELOCITY), hardware.held
+    if told is None or target is None or abs(velocity) > told[0] + _NOISE:
+        return velocity
+    if abs(velocity) < _NOISE:
+        return copysign(min(told[0], _NOISE), target - position)
+    return copysign(min(told[0], abs(velocity)), velocity)

@@ -196,8 +196,12 @@ class OdriveHwMotor:
 
     def was_told(self, message: "Message", *values: float) -> bool:
         """Whether the drive has this, by what may be believed of it."""
+        return self.told(message) == values
+
+    def told(self, message: "Message") -> tuple[float, ...] | None:
+        """What it was told last of this, by what may be believed of it; None: nothing."""
         is_ours = self._told_at == self.physical.token
-        return is_ours and self._told.get(message.command) == values
+        return self._told.get(message.command) if is_ours else None
 
     def doubt(self) -> None:
         """Nothing is believed of what the drive was told."""
