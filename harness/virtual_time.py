@@ -333,7 +333,9 @@ class VirtualRuntime:
 
     def _await_baton(self, mine: Waiter) -> None:
         try:
-            mine.party.baton.acquire()
+            # Not for ever: a signal that comes just before the wait is looked at only after it.
+            while not mine.party.baton.acquire(timeout=GRACE_S):
+                threading.current_thread()  # as in _run_to_next_turn: there, handlers run
         except KeyboardInterrupt as interrupt:
             # Another party runs just now: take the turn at its next wait, never beside it.
             mine.done, mine.error = _at_once, interrupt

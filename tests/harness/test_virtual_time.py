@@ -276,19 +276,32 @@ def test_an_interrupt_while_a_party_is_started_leaves_nobody_to_wait_for(runtime
 
 @pytest.mark.wall
 @pytest.mark.usefixtures("interruptible")
-def test_an_interrupt_ends_the_wait_for_a_party_that_never_waits(runtime, monkeypatch):
+@pytest.mark.parametrize("taken_elsewhere", [False, True])
+def test_an_interrupt_ends_the_wait_for_a_party_that_never_waits(
+    runtime, monkeypatch, taken_elsewhere
+):
+    """Also when it wakes nobody: it came just before the wait, or the other thread took it."""
     monkeypatch.setattr("harness.virtual_time.GRACE_S", 0.05)
     told = threading.Event()
+    in_time = []
 
     def busy():
+        signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGINT})
         os.kill(os.getpid(), signal.SIGINT)
-        told.wait(20)
+        in_time.append(told.wait(20))
 
-    runtime.spawn("busy", busy)
-    with pytest.raises(KeyboardInterrupt):
-        runtime.run_for(1.0)
-    told.set()
+    if taken_elsewhere:
+        signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    try:
+        party = runtime.spawn("busy", busy)
+        with pytest.raises(KeyboardInterrupt):
+            runtime.run_for(1.0)
+    finally:
+        signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGINT})
+        told.set()
+    party.thread.join()
     runtime.close()
+    assert in_time == [True]
 
 
 @pytest.mark.wall
