@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     from harness.rig_file import RigDescription
 
 _FILES: Final = ("eds", "nonvolatile_memory")  # of a controller
-_DEPTH: Final = 8
+_DEPTH: Final = 64
 """Folders above the rig's in which files that it names as ../x can be put."""
 _PATIENCE_MAX_S: Final = 3600
 _BITRATE_BIT_S: Final = 1_000_000

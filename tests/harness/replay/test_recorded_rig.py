@@ -152,7 +152,9 @@ model = "%s"
 """
 
 
-@pytest.mark.parametrize("place", ["wheel.toml", "models/wheel.toml", "../../models/wheel.toml"])
+@pytest.mark.parametrize(
+    "place", ["wheel.toml", "models/wheel.toml", "../" * 20 + "models/wheel.toml"]
+)
 def test_a_motor_model_is_found_wherever_the_rig_had_it(tmp_path, place):
     with golden("cia402") as path, read_trace(path) as trace:
         text = tomllib.loads(trace.attachments[0].data.decode())["motor"]["left"]["model"]
