@@ -6,6 +6,7 @@ without a word.
 """
 
 import os
+import sys
 from pathlib import Path
 
 from setuptools import setup
@@ -60,8 +61,8 @@ def hot_modules() -> list[str]:
 
 def extensions() -> list[object]:
     """The extension modules, or none."""
-    if os.environ.get("MOTORHIL_COMPILE") != "1":
-        return []
+    if os.environ.get("MOTORHIL_COMPILE") != "1" or "dist_info" in sys.argv:
+        return []  # what the distribution is called depends on no compiler
     from mypyc.build import mypycify
 
     # One rounding per operation, on every machine: or the digest would depend on the processor.

@@ -20,16 +20,22 @@ from tests.architecture.checkout import CHECKOUT
 pytestmark = [pytest.mark.compiled, pytest.mark.timeout(1800)]
 
 COMPILED = CHECKOUT / ".venv-compiled" / "bin"
-LEVEL = "OPTIMISE=1"  # of gcc's -O; 2, as shipped, takes it 40 s longer and rounds the same
+LEVEL = "OPTIMISE=0"  # of gcc's -O; 2, as shipped, takes it 80 s longer and rounds the same
 FOLDERS = ("determinism", "emulators", "traces", "harness", "motorapi")
-# What is in there is interpreted in both builds, or runs for a minute over what others cover.
+# What is in there is interpreted in both builds, or runs long over what others cover: without it
+# every compiled function that any of these folders calls is still called (seen by sys.settrace).
 LEFT_OUT = (
-    *("motorapi/functions", "motorapi/generation"),
-    *("harness/sharing", "harness/recording", "harness/report"),
+    *("motorapi/functions", "motorapi/generation", "motorapi/takeover", "motorapi/test_*lock*.py"),
+    *("motorapi/test_sharing.py", "motorapi/test_wall_*.py", "motorapi/test_skew*.py"),
+    *("harness/sharing", "harness/recording", "harness/report", "harness/test_cli*.py"),
+    "harness/test_demo*.py",  # whose digests determinism/test_demo.py compares
+    *("harness/replay/test_replay_verb.py", "harness/replay/test_hostile_use.py"),
+    *("harness/replay/test_traffic.py", "harness/replay/test_imported.py"),
     *("traces/test_formats*.py", "traces/test_recovery.py", "traces/test_*tape*.py"),
     *("traces/test_*cap*.py", "traces/test_asc.py", "traces/test_blf.py", "traces/test_trc.py"),
     *("traces/test_candump.py", "traces/test_csv_traffic.py", "traces/test_modbus*.py"),
     *("traces/test_real_traffic.py", "traces/test_decode*.py", "traces/test_tcp_streams.py"),
+    "traces/test_damaged_lines.py",
 )
 
 
@@ -104,14 +110,6 @@ def test_what_is_hot_is_machine_code_and_nothing_compiled_lies_beside_the_source
     assert [
         path for name in ("emulators", "harness") for path in CHECKOUT.glob(f"{name}/**/*.so")
     ] == []
-
-
-def test_compiled_and_pure_cores_make_one_demo_whatever_the_hash_seed(built, tmp_path):
-    compiled = [run(COMPILED / "motorhil", tmp_path / f"{seed}", seed, "demo") for seed in (1, 2)]
-    pure = run(sys.executable, tmp_path / "pure", 3, "-m", "harness", "demo")
-    digests = [said.split(", digest ")[1].split()[0] for said in [pure, *compiled]]
-    assert len(digests[0]) == 64
-    assert digests == [digests[0]] * 3
 
 
 def test_the_compiled_cores_pass_the_same_tests(built):
