@@ -56,12 +56,11 @@ def test_fourteen_motors_on_two_buses_arrive_together_and_one_record_tells_it(ca
         assert level == "TRIGGERED"
         assert float(start) <= float(bound)  # measured within what was promised
         assert float(end) < 25.0  # statuswords come every 20 ms, or when they change
-    digest = re.search(r"digest ([0-9a-f]{64}) \(seed 7\)", out)[1]
+    # Twice the same: tests/determinism/test_demo.py, in two processes.
+    assert re.search(r"digest [0-9a-f]{64} \(seed 7\)", out)
     with read_trace(record) as trace:
         topics = {channel.topic for channel, _, _ in trace.messages()}
     assert {"/can/can0", "/can/can1", "/motor/pan/state", "/controller/drive_fl/truth"} <= topics
-    again = demo(capsys, "-o", tmp_path / "again.mcap")[1]
-    assert re.search(r"digest ([0-9a-f]{64})", again)[1] == digest
 
 
 # Largest error at the end [mrad], and while following [increments]: of drives the position window

@@ -20,7 +20,7 @@ def demo_page(demo):
     return page
 
 
-@pytest.fixture
+@pytest.fixture(scope="session")
 def report_of():
     """(what was found in a recording, the page's document, its arrays by `array`)."""
 

@@ -36,7 +36,7 @@ def others(demo):
     return found
 
 
-@pytest.fixture
+@pytest.fixture(scope="module")
 def made(demo, report_of):
     return report_of(demo)
 
