@@ -10,6 +10,11 @@ PACKAGES := motorapi emulators traces harness
 # Two are enough: the tests that go by the wall, one after another, are half of all (tests/conftest.py).
 WORKERS := -n auto --maxprocesses 2 --dist loadgroup
 
+# What was read once is not compiled or rewritten anew by each of the hundreds of programs that the
+# tests start, whatever the environment says; nor does it lie among the sources.
+test test-compiled: export PYTHONDONTWRITEBYTECODE :=
+test test-compiled: export PYTHONPYCACHEPREFIX := $(CURDIR)/build/bytecode
+
 .PHONY: demo test check bench fuzz mutants clauses golden format clean compiled build-compiled test-compiled
 
 demo: $(READY)  ## the rover manoeuvre on emulated drives; writes out/demo.mcap
