@@ -9,6 +9,9 @@ from harness.conformance.facts import Facts
 from motorapi import Motor
 from motorapi.runtime import Runtime
 
+Lost = Callable[[], int]
+"""How often something was lost so far: a fault that hit nothing has tested nothing."""
+
 
 class RigProtocol(Protocol):
     """One bench, switched on, its motors new and not yet used.
@@ -56,18 +59,30 @@ class RigProtocol(Protocol):
     def fail(self, motor: Motor) -> int:
         """Its drive has a fault of this code, the cause is gone in a moment (Ability.FAULT)."""
 
-    def cut(self, motor: Motor) -> AbstractContextManager[None]:
+    def cut(self, motor: Motor) -> AbstractContextManager[Lost]:
         """Within it its drive is off the bus, with power (Ability.CUT)."""
 
-    def silence_host(self) -> AbstractContextManager[None]:
-        """Within it nothing that the host sends reaches anybody (Ability.SILENCE_HOST)."""
+    def silence_host(
+        self, *, skip: int = 0, limit: int | None = None
+    ) -> AbstractContextManager[Lost]:
+        """Within it nothing that the host sends reaches anybody (Ability.SILENCE_HOST).
 
-    def lose_answers_of(self, motor: Motor) -> AbstractContextManager[Callable[[], int]]:
-        """Within it what its drive answers is lost, what it is told is not (Ability.LOSE).
-
-        Yields:
-            How often something was lost so far.
+        `skip` frames are spared first, and no more than `limit` are lost, as in `lose_answers_of`.
         """
+
+    def lose_answers_of(
+        self, motor: Motor, *, skip: int = 0, limit: int | None = None
+    ) -> AbstractContextManager[Lost]:
+        """Within it what its drive answers is lost, what it is told is not (Ability.LOSE)."""
+
+    def stop_sync(self) -> AbstractContextManager[Lost]:
+        """Within it the signal that streamed motions go by reaches nobody (Ability.STOP_SYNC)."""
+
+    def restart(self, motor: Motor) -> None:
+        """Its drive begins anew, as after a power failure (Ability.RESTART)."""
+
+    def commands_to(self, motor: Motor) -> AbstractContextManager[Sequence[str]]:
+        """What hosts send to its drive, that may move or change it (Ability.TRAFFIC)."""
 
     def afresh(self) -> None:
         """Everything went off and is on again (Ability.AFRESH): `motors` are new ones, unused."""

@@ -7,12 +7,15 @@
     latency_s = [0.0, 0.001]            # from the start as told to the start of motion
     time_tolerance_s = 0.05             # how much earlier or later anything may be told to be over
     dead_man_s = 0.5                    # within which a drive must have noticed that the host died
+    brake_s = 1.0                       # and how long until it is at rest then, whatever it did
+    lost_s = 0.5                        # within which a host tells that a drive is lost
     long_move_rad = 1.0                 # a move that takes about a second
     deadline_s = 30.0                   # for one clause, of the wall's time; on a real bench 120
     fault_stimulus = "fault"            # what makes the controller fail, and the code it then has
     fault_code = 0x2310
     fault_value = 1.0                   # what the stimulus is given, if that is not the code
     fault_over_value = 0.0              # and what after a moment, so that the cause is gone
+    seeking_method = 17                 # a homing that seeks a switch, and finds none on the bench
     claims = ["homing"]                 # what is claimed though the motor itself cannot tell
 
     [conformance.without]               # what is not claimed, and why
@@ -35,11 +38,14 @@ CONFORMANCE_KEYS: Final = (
     "latency_s",
     "time_tolerance_s",
     "dead_man_s",
+    "brake_s",
+    "lost_s",
     "deadline_s",
     "fault_stimulus",
     "fault_code",
     "fault_value",
     "fault_over_value",
+    "seeking_method",
     "claims",
     "without",
 )
@@ -62,11 +68,14 @@ class Facts:
         latency_s: from the start that is told to the start of motion, least and most [s].
         time_tolerance_s: how much earlier or later things may be told to be over [s].
         dead_man_s: within which a drive notices that its host is lost, and begins to brake [s].
+        brake_s: within which it then is at rest, whatever it did [s]; None: made from the model.
+        lost_s: within which a host tells that a drive does not answer any more [s].
         deadline_s: for one clause [s of the wall's time].
         fault_stimulus: the stimulus that makes a controller fail.
         fault_code: the code that the drive then tells.
         fault_value: what the stimulus is given; None: the code.
         fault_over_value: what it is given after a moment; None: nothing, its cause is gone then.
+        seeking_method: of homing, that goes on until it is ended; None: none is known.
         claims: what is claimed by the rig.
         claimed_at: where it claims that, "file:line".
         without: what is not claimed, and why.
@@ -80,11 +89,14 @@ class Facts:
     latency_s: tuple[float, float] = (0.0, 0.02)
     time_tolerance_s: float = 0.1
     dead_man_s: float = 1.0
+    brake_s: float | None = None
+    lost_s: float = 1.0
     deadline_s: float = 30.0
     fault_stimulus: str = "fault"
     fault_code: int = 0x2310
     fault_value: float | None = None
     fault_over_value: float | None = None
+    seeking_method: int | None = None
     claims: tuple[Capability, ...] = ()
     claimed_at: Mapping[Capability, str] = field(default_factory=lambda: MappingProxyType({}))
     without: Mapping[Capability, str] = field(default_factory=lambda: MappingProxyType({}))
@@ -116,11 +128,16 @@ def read_facts(table: Table, motors: tuple[str, ...]) -> Facts:
         latency_s=_latency(table, usual.latency_s),
         time_tolerance_s=_time(table, "time_tolerance_s", usual.time_tolerance_s),
         dead_man_s=_time(table, "dead_man_s", usual.dead_man_s),
+        brake_s=_time(table, "brake_s", 1.0) if table.has("brake_s") else None,
+        lost_s=_time(table, "lost_s", usual.lost_s),
         deadline_s=_time(table, "deadline_s", usual.deadline_s),
         fault_stimulus=table.text("fault_stimulus", usual.fault_stimulus),
         fault_code=table.integer("fault_code", usual.fault_code, low=1, high=0xFFFF_FFFF),
         fault_value=_value(table, "fault_value"),
         fault_over_value=_value(table, "fault_over_value"),
+        seeking_method=table.integer("seeking_method", 0, low=-128, high=127)
+        if table.has("seeking_method")
+        else None,
         claims=tuple(claimed),
         claimed_at=MappingProxyType(claimed),
         without=_without(table.table("without")),

@@ -6,6 +6,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Final, Self, final
 
+from emulators.media.can_frame import can_id_of, data_of, pack
 from emulators.media.faults import FaultKind, FaultRule
 from emulators.media.serial_faults import SerialFaultKind, SerialFaultRule
 from harness.conformance.capability import Ability
@@ -15,12 +16,18 @@ from harness.rig import Rig
 from harness.rig_faults import HOST
 from harness.rig_file import RigDescription
 from harness.settings import RigError
+from harness.sharing.evidence import commanded_node
 from harness.virtual_time import VirtualRuntime
 from motorapi import Motor
 
 SECOND_USER: Final = "another"
 _FAULT_NS: Final = 50_000_000
 """How long the cause of a fault is there that goes by itself."""
+CANOPEN: Final = ("cia402", "cia401")
+"""Kinds of controllers that go by SYNC and NMT, and whose commands the bench can tell."""
+SYNC: Final = 0x080
+MODBUS_WRITES: Final = (0x05, 0x06, 0x0F, 0x10, 0x16, 0x17)
+Lost = Callable[[], int]
 
 
 class TimeIsUp(BaseException):
@@ -119,12 +126,18 @@ class RigBench:
         if len(self.facts.motors) > 1:
             able.add(Ability.SECOND_MOTOR)
         first = self._description.motors[self.facts.motors[0]]
-        if first.adaptation == "ideal" or "position_rad" in self._truth(self.motor):
+        if first.adaptation == "ideal":
+            able |= {Ability.TRUTH, Ability.FAULT}
+        elif "position_rad" in self._truth(self.motor):
             able.add(Ability.TRUTH)
         if first.controller is not None:
-            able |= {Ability.LOAD, Ability.FAULT, Ability.LOSE, Ability.TRAFFIC}
-            if not self._is_on_a_line(self.motor):
-                able |= {Ability.CUT, Ability.SILENCE_HOST}
+            able |= {Ability.LOAD, Ability.FAULT, Ability.LOSE}
+            able |= {Ability.CUT, Ability.SILENCE_HOST}
+            kind = self._description.controllers[first.controller].kind
+            if kind in CANOPEN or self._is_on_a_line(self.motor):
+                able.add(Ability.TRAFFIC)
+            if kind in CANOPEN:
+                able |= {Ability.STOP_SYNC, Ability.RESTART}
         return tuple(one for one in Ability if one in able)
 
     @property
@@ -155,6 +168,9 @@ class RigBench:
     def fail(self, motor: Motor) -> int:
         """Its drive has a fault of this code; its cause is gone, or will be in a moment."""
         facts = self.facts
+        if self._description.motors[_plain(motor)].adaptation == "ideal":
+            motor.hardware.inject_fault(facts.fault_code)  # type: ignore[attr-defined]
+            return facts.fault_code
         value = facts.fault_code if facts.fault_value is None else facts.fault_value
         self._stimulate(motor, facts.fault_stimulus, value)
         over = facts.fault_over_value
@@ -166,28 +182,67 @@ class RigBench:
         return facts.fault_code
 
     @contextmanager
-    def cut(self, motor: Motor) -> Iterator[None]:
-        """Within it its drive is off the bus, with power."""
-        with self._rule(motor, FaultKind.CUT, ports=(self._controller(motor),)):
-            yield
+    def cut(self, motor: Motor) -> Iterator[Lost]:
+        """Within it its drive is off the bus, with power; yields how often that took effect."""
+        with self._rule(motor, FaultKind.CUT, ports=(self._controller(motor),)) as lost:
+            yield lost
 
     @contextmanager
-    def silence_host(self) -> Iterator[None]:
-        """Within it nothing that the host sends reaches anybody."""
-        ports = self.rig.world.bus(self._bus(self.motor)).port_names()
-        hosts = tuple(name for name in ports if name == HOST or name.startswith(f"{HOST}-"))
-        with self._rule(self.motor, FaultKind.CUT, ports=hosts):
-            yield
+    def silence_host(self, *, skip: int = 0, limit: int | None = None) -> Iterator[Lost]:
+        """Within it what the host sends, after so many frames and so often, reaches nobody."""
+        with self._rule(self.motor, FaultKind.DROP, sender=HOST, skip=skip, limit=limit) as lost:
+            yield lost
 
     @contextmanager
-    def lose_answers_of(self, motor: Motor) -> Iterator[Callable[[], int]]:
-        """Within it what its drive sends is lost.
+    def lose_answers_of(
+        self, motor: Motor, *, skip: int = 0, limit: int | None = None
+    ) -> Iterator[Lost]:
+        """Within it what its drive sends, after so many frames and so often, is lost."""
+        sender = self._controller(motor)
+        with self._rule(motor, FaultKind.DROP, sender=sender, skip=skip, limit=limit) as lost:
+            yield lost
 
-        Yields:
-            How often something was lost so far.
-        """
-        with self._rule(motor, FaultKind.DROP, sender=self._controller(motor)) as name:
-            yield lambda: self.rig.faults.fired().get(name, 0)
+    @contextmanager
+    def stop_sync(self) -> Iterator[Lost]:
+        """Within it SYNC (CiA 301) reaches nobody."""
+        with self._rule(self.motor, FaultKind.DROP, identifier=SYNC) as lost:
+            yield lost
+
+    def restart(self, motor: Motor) -> None:
+        """Its drive begins anew, as if its power had failed: NMT reset node, by somebody else."""
+        node = self._description.controllers[self._controller(motor)].node_id
+        port = self.rig.world.add_host(self._bus(motor), "bench", lambda *_: None)
+        port.send(pack(0, bytes((0x81, node or 0))))
+
+    @contextmanager
+    def commands_to(self, motor: Motor) -> Iterator[list[str]]:
+        """Within it whatever a host sends to its drive that may move or change it is noted."""
+        seen: list[str] = []
+        bus = self._bus(motor)
+        address = self._description.controllers[self._controller(motor)].node_id
+        head = 6 if self._description.buses[bus].kind == "modbus_tcp" else 0
+        listening = [True]
+
+        def on_frame(where: str, _time_ns: int, sender: str, frame: bytes) -> None:
+            if listening and where == bus and sender.startswith(HOST):
+                can_id = can_id_of(frame)
+                if commanded_node(can_id, data_of(frame)) in (0, address):
+                    seen.append(f"{can_id:03X}h")
+
+        def on_adu(
+            where: str, _now: int, _first: int, _last: int, sender: str, adu: bytes, _: bool
+        ) -> None:
+            unit, function = adu[head : head + 2]
+            is_to_it = where == bus and sender.startswith(HOST) and unit == address
+            if listening and is_to_it and function in MODBUS_WRITES:
+                seen.append(f"function {function:02X}h")
+
+        self.rig.world.tap_frames(on_frame)
+        self.rig.world.tap_lines(on_adu)
+        try:
+            yield seen
+        finally:
+            listening.clear()
 
     # --- inside ---------------------------------------------------------------------------
 
@@ -233,19 +288,32 @@ class RigBench:
         *,
         sender: str | None = None,
         ports: tuple[str, ...] = (),
-    ) -> Iterator[str]:
-        """Such a fault is on the motor's bus; yields its name."""
+        identifier: int | None = None,
+        skip: int = 0,
+        limit: int | None = None,
+    ) -> Iterator[Lost]:
+        """Such a fault is on the motor's bus; on a line all that it says is lost."""
         self._rules += 1
         name, bus = f"conformance {self._rules}", self._bus(motor)
+        rule: FaultRule | SerialFaultRule
         if self._is_on_a_line(motor):
             unit = self._description.controllers[self._controller(motor)].node_id
-            self.rig.faults.inject(
-                bus, SerialFaultRule(name, SerialFaultKind.LOSE, sender=sender, unit=unit)
+            rule = SerialFaultRule(
+                name, SerialFaultKind.LOSE, sender=sender, unit=unit, skip=skip, limit=limit
             )
         else:
-            self.rig.faults.inject(bus, FaultRule(name, kind, sender=sender, ports=ports))
+            rule = FaultRule(
+                name,
+                kind,
+                identifier=identifier,
+                sender=sender,
+                ports=ports,
+                skip=skip,
+                limit=limit,
+            )
+        self.rig.faults.inject(bus, rule)
         try:
-            yield name
+            yield lambda: self.rig.faults.fired().get(name, 0)
         finally:
             self.rig.faults.lift(bus, name)
 

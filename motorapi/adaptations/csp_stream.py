@@ -24,6 +24,8 @@ if TYPE_CHECKING:
     from motorapi.runtime import Registration
 
 _SETPOINT: Final = struct.Struct("<IB3xHi2x")
+_DEAF_NS: Final = 250_000_000
+"""A drive that did not move at all for so long, while its set-points went far, does not follow."""
 _LAST_WORDS: Final = 2  # set-points that bring a stop, in case one is lost
 
 
@@ -42,6 +44,8 @@ class CspStream:
         began: is told when SYNC 1 was on the wire [ns].
         lost: is told why there is no SYNC any more to go on with.
         at_once: False: nothing is sent before `begin`.
+        behind_inc: a drive that stands still while its set-points went further than this does not
+            follow, and is told as lost; None: nobody looks.
 
     Attributes:
         sent: set-points sent.
@@ -63,6 +67,7 @@ class CspStream:
         began: Callable[[int], None] | None = None,
         lost: Callable[[LinkError], None] | None = None,
         at_once: bool = True,
+        behind_inc: int | None = None,
     ) -> None:
         facts = hardware.connect()
         can_id = facts.latched_ids.get(0x607A)
@@ -97,6 +102,8 @@ class CspStream:
         self.missed = 0
         self._begun_ns = 0
         self._before_ns = 0
+        self._behind_inc = behind_inc
+        self._stood = (0, 0, 0)  # its position when it last changed, the target then, and when
         self.ended = False
         self.error: Exception | None = None
         self.started_ns: int | None = None
@@ -180,6 +187,9 @@ class CspStream:
             if self._hardware.node.state is not PdsState.OPERATION_ENABLED:
                 self.cancel()  # a fault, or somebody else: it does not follow any more
                 return
+            if not self._is_followed(now_ns):
+                self._sync_lost(self._not_followed())
+                return
             target = self._next_target(self._cycle)
             if target is None:
                 self._link.at_next_sync(self._was_latched)
@@ -197,6 +207,21 @@ class CspStream:
         except Exception as error:  # the application's own: it is told by whoever waits
             self.error = error
             self._fail()
+
+    def _is_followed(self, now_ns: int) -> bool:
+        """Whether the drive moves, where its set-points do; without SYNC it does not."""
+        position, (stood, target, since_ns) = self._hardware.node.position_inc, self._stood
+        if position != stood or self._cycle == 1:
+            self._stood = (position, self._target, now_ns)
+            return True
+        if self._behind_inc is None or now_ns - since_ns < _DEAF_NS:
+            return True
+        is_told = self._hardware.node.status_is_cyclic
+        return not is_told or abs(self._target - target) <= self._behind_inc
+
+    def _not_followed(self) -> LinkError:
+        reason = "it stands still while its set-points go on: is it blocked, or hears no SYNC?"
+        return LinkError(link=self._hardware.label, reason=reason)
 
     def _fail(self) -> None:
         """The drive brakes on its ramp, from the velocity it has."""

@@ -53,6 +53,7 @@ if TYPE_CHECKING:
 
 _CONFIRM_TIMEOUT_S: Final = 0.5
 _RESEND_S: Final = 0.1
+_BEHIND: Final = 10.0  # start tolerances: that far behind its set-points no drive stands still
 _STOPPING_PERIODS: Final = 4
 POLL_S: Final = 0.01
 _LIVE: Final = {ControlVariable.VELOCITY: 0x60FF, ControlVariable.TORQUE: 0x6071}
@@ -217,7 +218,13 @@ class DriveMotions:
             return target
 
         stream = CspStream(
-            hardware, period_s, next_target, began=watch.begin, lost=watch.fail, at_once=False
+            hardware,
+            period_s,
+            next_target,
+            began=watch.begin,
+            lost=watch.fail,
+            at_once=False,
+            behind_inc=abs(round(units.increments(_BEHIND * self._model.start_tolerance))),
         )
         streamed = StreamedMotion(self._motor, motion, units, period_s, stream.target)
         self._armed = hardware.stream = stream

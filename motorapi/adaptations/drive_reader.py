@@ -14,7 +14,7 @@ from motorapi.adaptations.cia402_units import DriveUnits, drive_units
 from motorapi.adaptations.drive_profile import DriveLimits
 from motorapi.adaptations.drive_setup import DriveFacts
 from motorapi.adaptations.drive_torque import TorqueUnit, torque_unit
-from motorapi.errors import UnsupportedError
+from motorapi.errors import DeadlineExceeded, UnsupportedError
 from motorapi.state import Fault, Measurement, MotorState
 
 if TYPE_CHECKING:
@@ -96,9 +96,20 @@ class DriveReader:
         return known
 
     def fresh_state(self) -> MotorState:
-        """The state, asked for where the drive does not tell it by itself."""
-        if self._hardware.facts is not None and self._node.lost_since_ns is None:
-            self._node.refresh()
+        """The state, asked for where the drive does not tell it by itself.
+
+        One that is not OPERATIONAL any more sends no PDOs: what it told before counts no more.
+        """
+        node = self._node
+        if self._hardware.facts is None or node.lost_since_ns is not None:
+            return MotorState.OFFLINE
+        if node.is_up:
+            node.refresh()
+            return self.state()
+        try:
+            node.poll_status()
+        except DeadlineExceeded:
+            return MotorState.OFFLINE
         return self.state()
 
     def fault(self) -> Fault | None:

@@ -190,7 +190,7 @@ class AmplifierHwMotor:
         self._pair = self.io.place(self.channel, self.axis)
         axis = self.axis
         if axis.fault is not None and axis.fault.code == COMMUNICATION:
-            axis.fault = None
+            axis.fault = axis.failure = None
         if axis.is_active:  # of before: the node has lost what it was told
             axis.cut()
         count = self._read_count()

@@ -1,5 +1,5 @@
 """All modules of mutants, loaded."""
 
-from tests.conformance.mutants import units
+from tests.conformance.mutants import lost, units
 
-MODULES = (units,)
+MODULES = (lost, units)

@@ -1,0 +1,308 @@
+"""L5: a drive, or its host, is not heard any more.
+
+What is lost is lost in the middle of each kind of motion. What is due within which time is what
+the rig declares: `lost_s`, `dead_man_s` and `brake_s`.
+"""
+
+from harness.conformance.bench import RigProtocol
+from harness.conformance.capability import Ability, Capability
+from harness.conformance.clause import Level, NotApplicable, Violated, clause, expect
+from harness.conformance.modes import Mode, ending, modes_of
+from harness.conformance.motions import (
+    aim,
+    expect_rest,
+    expect_unmoved,
+    finish,
+    long_move,
+    move,
+    place,
+    reached,
+    rest_for,
+    shortest_s,
+    speed,
+    torque_of,
+)
+from motorapi import Motor, MotorError, MotorState, PluginError
+
+_BACK_S = 1.0
+_FRAMES = 14  # of a start, and a few after it
+_HOLDS = 0.2  # of the largest torque
+_GONE = (MotorState.OFFLINE, MotorState.FAULT)
+_CABLE = {Ability.TRUTH, Ability.CUT, Ability.AFRESH}
+
+
+@clause(
+    "LOST-01",
+    Level.L5,
+    bench={Ability.CUT, Ability.AFRESH},
+    source="Motor.wait_until_done, LinkError; MotorHooks._read_state, OFFLINE; CiA 301, 7.2.8.3",
+)
+def a_lost_drive_is_told_and_never_taken_for_done(bench: RigProtocol) -> None:
+    """In every mode, who waits for a drive whose cable is cut is told so in time, and not done."""
+    for mode in modes_of(bench):
+        motor = bench.motor
+        with bench.cut(motor):
+            _expect_told(bench, motor, mode, "after its cable was cut")
+            rest_for(bench, bench.facts.lost_s)
+            state = motor.state()
+            expect(state in _GONE, f"{mode.words}: its cable is cut, and it is {state.value}")
+
+
+def _expect_told(bench: RigProtocol, motor: Motor, mode: Mode, when: str) -> None:
+    """Who waits for it is told an error, in time."""
+    if not mode.moves:
+        return
+    within_s = bench.facts.lost_s + bench.facts.time_tolerance_s
+    begun_ns = bench.runtime.now_ns()
+    error = ending(bench, motor, mode, within_s)
+    took_s = (bench.runtime.now_ns() - begun_ns) / 1e9
+    expect(error is not None, f"{mode.words}: done was told {took_s:.3f} s {when}")
+    expect(
+        took_s < within_s - 1e-6,
+        f"{mode.words}: nothing was told within {within_s:g} s {when}",
+    )
+
+
+@clause(
+    "LOST-02",
+    Level.L5,
+    needs={Capability.DEAD_MAN},
+    bench=_CABLE,
+    source="CiA 301, heartbeat consumer (1016h), 1029h; CiA 402-2, 6007h; README, dead-man",
+)
+def a_drive_without_a_cable_comes_to_rest(bench: RigProtocol) -> None:
+    """In every mode, a drive whose cable is cut is at rest within its dead-man time and braking."""
+    moved = False
+    for mode in modes_of(bench):
+        motor = bench.motor
+        moved |= abs(speed(bench, motor, 0.02)) > 0.1 * motor.model.velocity_max
+        with bench.cut(motor):
+            rest_for(bench, _until_rest_s(bench, motor))
+            expect_rest(bench, motor, f"{mode.words}, and its cable was cut")
+    reached(moved, "a cut in mid-motion")
+
+
+@clause(
+    "LOST-03",
+    Level.L5,
+    needs={Capability.DEAD_MAN},
+    bench={Ability.TRUTH, Ability.SILENCE_HOST, Ability.AFRESH},
+    source="CiA 301, heartbeat consumer (1016h), 1029h; CiA 402-2, 6007h",
+)
+def a_drive_that_does_not_hear_its_host_comes_to_rest(bench: RigProtocol) -> None:
+    """In every mode, a drive whose host dies is at rest in time; a host that lives is told so."""
+    silenced = 0
+    for mode in modes_of(bench):
+        motor = bench.motor
+        with bench.silence_host() as lost:
+            begun_ns = bench.runtime.now_ns()
+            _expect_told(bench, motor, mode, "after nothing of its host reached the drive")
+            spent_s = (bench.runtime.now_ns() - begun_ns) / 1e9
+            rest_for(bench, max(0.0, _until_rest_s(bench, motor) - spent_s))
+            expect_rest(bench, motor, f"{mode.words}, and its host fell silent")
+            silenced += lost()
+    reached(silenced > 0, "a frame of the host that was lost")
+
+
+def _until_rest_s(bench: RigProtocol, motor: Motor) -> float:
+    """How long it may take until it is at rest, from when it is lost."""
+    facts, model = bench.facts, motor.model
+    brake_s = facts.brake_s
+    if brake_s is None:
+        brake_s = model.velocity_max / model.deceleration
+    return facts.dead_man_s + brake_s + facts.time_tolerance_s
+
+
+@clause(
+    "LOST-04",
+    Level.L5,
+    bench=_CABLE,
+    source="MotorHooks._connect; README, 'nothing that moves is sent again blindly'",
+)
+def what_was_lost_can_be_used_again_and_begins_nothing_by_itself(bench: RigProtocol) -> None:
+    """Once the cable is back nothing begins by itself, and the motor can be used as before."""
+    for mode in modes_of(bench):
+        motor = bench.motor
+        with bench.cut(motor):
+            rest_for(bench, _until_rest_s(bench, motor))
+            goes_on = abs(speed(bench, motor, 0.05)) > bench.facts.window
+        before = place(bench, motor)
+        rest_for(bench, _BACK_S)
+        if not goes_on:  # without a dead-man it was told to, and nobody told it otherwise
+            expect_unmoved(bench, motor, before, f"{mode.words}: when its cable was back")
+        _expect_usable(bench, motor, f"{mode.words}, lost and found")
+
+
+def _expect_usable(bench: RigProtocol, motor: Motor, what: str) -> None:
+    """It can be freed of its fault, stopped, enabled, and makes its next move."""
+    motor.reset_fault()
+    motor.stop()  # what has no dead-man goes on
+    finish(bench, motor)
+    before = place(bench, motor)
+    motor.enable()
+    rest_for(bench, 0.1)
+    expect_unmoved(bench, motor, before, f"{what}: when it was enabled again")
+    way, begun_ns = 0.25 * long_move(bench), bench.runtime.now_ns()
+    move(bench, motor, way)
+    took_s = (bench.runtime.now_ns() - begun_ns) / 1e9
+    moved, unit = place(bench, motor) - before, motor.model.unit
+    least_s = shortest_s(motor, way) - bench.facts.time_tolerance_s
+    expect(took_s >= least_s, f"{what}: its next move took {took_s:.3f} s, of {least_s:.3f} s")
+    expect(
+        abs(moved - way) <= 2.0 * bench.facts.window,
+        f"{what}: its next move, of {way:g} {unit}, was one of {moved:g} {unit}",
+    )
+
+
+@clause(
+    "LOST-05",
+    Level.L5,
+    bench={*_CABLE, Ability.LOAD},
+    source="MotorHooks._read_state; MotorHooks._enable, it holds its position",
+)
+def what_it_says_after_a_loss_is_true(bench: RigProtocol) -> None:
+    """A motor that was lost, and is heard again, says it is enabled only if it holds its place."""
+    motor = bench.motor
+    motor.enable()
+    with bench.cut(motor):
+        rest_for(bench, _until_rest_s(bench, motor))
+    rest_for(bench, _BACK_S)
+    if motor.state() is not MotorState.ENABLED:
+        return
+    before = place(bench, motor)
+    bench.load(motor, torque_of(motor, _HOLDS))
+    rest_for(bench, 0.5)
+    expect_unmoved(bench, motor, before, "it says that it is enabled, and under a load")
+
+
+@clause(
+    "LOST-06",
+    Level.L5,
+    bench=_CABLE,
+    source="requirement 4 of the paper; README, 'at most once'",
+)
+def what_a_lost_drive_was_told_is_not_done_later(bench: RigProtocol) -> None:
+    """What is commanded while the cable is cut fails, and is not done when the cable is back."""
+    motor = bench.motor
+    move(bench, motor, 0.25 * long_move(bench))  # then all is known of it that a start asks for
+    before = place(bench, motor)
+    with bench.cut(motor):
+        for pause_s in (0.0, 2.0 * bench.facts.lost_s):  # before it can be known, and after
+            rest_for(bench, pause_s)
+            error = _failure_of(bench, motor)
+            expect(error is not None, "its cable is cut, and a move is told to be done")
+    rest_for(bench, _BACK_S)
+    expect_unmoved(bench, motor, before, "a move that had failed was made when the cable was back")
+
+
+def _failure_of(bench: RigProtocol, motor: Motor) -> MotorError | None:
+    try:
+        aim(motor, 0.5 * long_move(bench), relative=True)
+        finish(bench, motor)
+    except PluginError:
+        raise
+    except MotorError as error:
+        return error
+    return None
+
+
+@clause(
+    "LOST-07",
+    Level.L5,
+    bench={Ability.TRUTH, Ability.RESTART, Ability.AFRESH},
+    source="CiA 301, 7.2.8.3.3 boot-up; MotorHooks._connect",
+)
+def a_drive_that_restarts_is_noticed_and_set_up_anew(bench: RigProtocol) -> None:
+    """A drive that restarts in mid-motion ends that motion, is not done, and is set up anew."""
+    for mode in modes_of(bench):
+        motor = bench.motor
+        bench.restart(motor)
+        within_s = bench.facts.lost_s + bench.facts.time_tolerance_s
+        if mode.moves:
+            error = ending(bench, motor, mode, within_s)
+            expect(error is not None, f"{mode.words}: it restarted, and done was told")
+        rest_for(bench, _until_rest_s(bench, motor) + _BACK_S)
+        expect_rest(bench, motor, f"{mode.words}: after it restarted")
+        state = motor.state()
+        expect(
+            state is not MotorState.ENABLED,
+            f"{mode.words}: it restarted, its power is off, and it is told as {state.value}",
+        )
+        _expect_usable(bench, motor, f"{mode.words}, and it restarted")
+
+
+@clause(
+    "LOST-08",
+    Level.L5,
+    needs={Capability.COMPLEX_POSITION},
+    bench={Ability.TRUTH, Ability.STOP_SYNC, Ability.AFRESH},
+    source="CiA 301, SYNC; README, 'if the SYNC that drives go by ends, they brake and say why'",
+)
+def a_stream_that_loses_its_signal_ends(bench: RigProtocol) -> None:
+    """A streamed motion that loses the signal it goes by ends at rest, and says so in time."""
+    for mode in modes_of(bench):
+        if mode.capability is not Capability.COMPLEX_POSITION:
+            continue
+        motor = bench.motor
+        with bench.stop_sync() as lost:
+            rest_for(bench, 0.02)
+            if not lost():
+                raise NotApplicable("nothing that it goes by was seen on the bus")
+            _expect_told(bench, motor, mode, "after the signal it goes by was lost")
+            rest_for(bench, _until_rest_s(bench, motor))
+            expect_rest(bench, motor, f"{mode.words}, and the signal it goes by was lost")
+        _expect_usable(bench, motor, f"{mode.words}, without its signal")
+        return
+    raise Violated("it takes no complex trajectory")
+
+
+@clause(
+    "LOST-09",
+    Level.L5,
+    needs={Capability.POSITION_SET_POINT},
+    bench={Ability.TRUTH, Ability.LOSE, Ability.SILENCE_HOST, Ability.AFRESH},
+    source="README, 'at most once'; requirement 1; errors: DeadlineExceeded, PeerError",
+)
+def a_single_frame_that_is_lost_makes_nothing_untrue(bench: RigProtocol) -> None:
+    """Whichever one frame of a move is lost, it is done and told so, or fails and is told so."""
+    hit = 0
+    for skip in range(_FRAMES):
+        for lose_answers in (True, False):
+            bench.afresh()
+            motor = bench.motor
+            motor.enable()
+            hit += _move_with_a_loss(bench, motor, skip, lose_answers)
+    reached(hit > 0, "a frame that was lost")
+
+
+def _move_with_a_loss(bench: RigProtocol, motor: Motor, skip: int, lose_answers: bool) -> int:
+    before, way = place(bench, motor), 0.25 * long_move(bench)
+    which = f"frame {skip + 1} of {'the drive' if lose_answers else 'the host'} was lost"
+    lose = bench.silence_host(skip=skip, limit=1)
+    if lose_answers:
+        lose = bench.lose_answers_of(motor, skip=skip, limit=1)
+    told: MotorError | None = None
+    with lose as lost:
+        try:
+            aim(motor, way, relative=True)
+            finish(bench, motor, shortest_s(motor, way))
+        except PluginError:
+            raise
+        except MotorError as error:
+            told = error
+        hit = lost()
+    if told is not None:
+        rest_for(bench, shortest_s(motor, way) + _BACK_S)  # it may have been told all the same
+    moved, unit, window = place(bench, motor) - before, motor.model.unit, bench.facts.window
+    low, high = sorted((0.0, way))
+    expect(
+        low - window <= moved <= high + window,
+        f"{which}: told to move {way:g} {unit} once, it moved {moved:g} {unit}",
+    )
+    expect(
+        told is not None or abs(moved - way) <= window,
+        f"{which}: told to move {way:g} {unit}, it is done by its word, and moved {moved:g} {unit}",
+    )
+    if told is not None:
+        _expect_usable(bench, motor, which)
+    return hit

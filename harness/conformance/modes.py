@@ -1,0 +1,159 @@
+"""Every way in which a motor can be told to move, for clauses that hold in each of them."""
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from math import sqrt
+from typing import Final, final
+
+from harness.conformance.bench import RigProtocol
+from harness.conformance.capability import Capability
+from harness.conformance.motions import follow, long_move, rest_for, torque_of, turn
+from motorapi import (
+    ComplexTrajectory,
+    ControlMode,
+    ControlVariable,
+    Motor,
+    MotorError,
+    PluginError,
+    TrapezoidalTrajectory,
+    UnsupportedError,
+)
+
+MOVING_S: Final = 0.4
+"""After so long a motion that was begun here is at its height."""
+_WAYS: Final = 2.0  # long moves: none is over soon
+_SPEED: Final = 0.5  # of the model's
+_TORQUE: Final = 0.06  # of the model's: it must not run away
+_CALM: Final = 0.5  # of the model's acceleration
+_LOOK_S: Final = 0.02
+
+
+@final
+@dataclass(frozen=True, slots=True)
+class Mode:
+    """One of them.
+
+    Attributes:
+        words: for messages.
+        capability: what a motor claims that can do it; None: every motor can.
+        begin: it has begun, on this motor of the bench.
+        moves: whether the motor moves then.
+        ends: whether its motion ends by itself.
+    """
+
+    words: str
+    capability: Capability | None
+    begin: Callable[[RigProtocol, Motor], None]
+    moves: bool = True
+    ends: bool = True
+
+
+def modes_of(bench: RigProtocol) -> Iterator[Mode]:
+    """Each that the motor takes, and its rig does not renounce; each on motors that are new.
+
+    Raises:
+        MotorError: it takes one, and cannot begin it.
+    """
+    for mode in _MODES:
+        if mode.capability in bench.facts.without or not _is_known(bench, mode):
+            continue
+        bench.afresh()
+        try:
+            mode.begin(bench, bench.motor)
+        except UnsupportedError:
+            continue
+        rest_for(bench, MOVING_S)
+        yield mode
+
+
+def _is_known(bench: RigProtocol, mode: Mode) -> bool:
+    """Whether the bench says what it takes."""
+    if mode.capability is Capability.HOMING:
+        return bench.facts.seeking_method is not None
+    needs_torque = mode.capability is Capability.TORQUE_SET_POINT
+    return not needs_torque or bench.motor.model.torque_max is not None
+
+
+def ending(bench: RigProtocol, motor: Motor, mode: Mode, within_s: float) -> MotorError | None:
+    """What ended it short of its target, as whoever waits is told; None: nothing did in time.
+
+    Raises:
+        PluginError: the adaptation itself failed.
+    """
+    end_ns = bench.runtime.now_ns() + round(within_s * 1e9)
+    while True:
+        left_s = (end_ns - bench.runtime.now_ns()) / 1e9
+        try:
+            motor.wait_until_done(max(left_s, 0.0))
+        except PluginError:
+            raise
+        except MotorError as error:
+            return error
+        if mode.ends or left_s <= 0.0:
+            return None
+        rest_for(bench, min(_LOOK_S, left_s))
+
+
+def smooth_way(motor: Motor, way: float) -> ComplexTrajectory:
+    """A function that goes so far, from rest to rest, well within the model's limits."""
+    from motorapi.functions import Polynomial
+
+    model = motor.model
+    slowest = _CALM * min(model.acceleration_max, model.deceleration)
+    # way (3 s^2 - 2 s^3) over a time T: at most 6 way / T^2 and 1.5 way / T
+    time_s = max(sqrt(6.0 * abs(way) / slowest), 1.5 * abs(way) / (0.8 * model.velocity_max))
+    cubic = Polynomial((0.0, 0.0, 3.0 * way / time_s**2, -2.0 * way / time_s**3))
+    return ComplexTrajectory(cubic.restricted(0.0, time_s), relative=True)
+
+
+def _aim(bench: RigProtocol, motor: Motor) -> None:
+    motor.set_control_mode(ControlMode.SETPOINT)
+    motor.set_setpoint(_WAYS * long_move(bench), relative=True)
+    motor.start()
+
+
+def _turn(bench: RigProtocol, motor: Motor) -> None:
+    turn(motor, _SPEED * motor.model.velocity_max)
+
+
+def _push(bench: RigProtocol, motor: Motor) -> None:
+    motor.set_control_mode(ControlMode.SETPOINT, ControlVariable.TORQUE)
+    motor.set_setpoint(torque_of(motor, _TORQUE))
+    motor.start()
+
+
+def _follow(bench: RigProtocol, motor: Motor) -> None:
+    follow(motor, TrapezoidalTrajectory(_WAYS * long_move(bench)))
+
+
+def _speed_up(bench: RigProtocol, motor: Motor) -> None:
+    motor.set_control_mode(ControlMode.TRAJECTORY, ControlVariable.VELOCITY)
+    motor.set_trajectory(TrapezoidalTrajectory(_SPEED * motor.model.velocity_max))
+    motor.start()
+
+
+def _stream(bench: RigProtocol, motor: Motor) -> None:
+    motor.set_control_mode(ControlMode.TRAJECTORY)
+    motor.set_trajectory(smooth_way(motor, _WAYS * long_move(bench)))
+    motor.start()
+
+
+def _seek(bench: RigProtocol, motor: Motor) -> None:
+    motor.home(bench.facts.seeking_method, wait=False)
+
+
+def _hold(bench: RigProtocol, motor: Motor) -> None:
+    motor.enable()
+
+
+_C: Final = Capability
+_MODES: Final = (
+    Mode("a set-point of position", _C.POSITION_SET_POINT, _aim),
+    Mode("a set-point of velocity", _C.VELOCITY_SET_POINT, _turn, ends=False),
+    Mode("a set-point of torque", _C.TORQUE_SET_POINT, _push, ends=False),
+    Mode("a trajectory of position", _C.POSITION_TRAJECTORY, _follow),
+    Mode("a trajectory of velocity", _C.VELOCITY_TRAJECTORY, _speed_up, ends=False),
+    Mode("a complex trajectory of position", _C.COMPLEX_POSITION, _stream),
+    Mode("homing", _C.HOMING, _seek),
+    Mode("holding, enabled", None, _hold, moves=False, ends=False),
+)

@@ -1,0 +1,232 @@
+"""Mistakes that show only when frames, drives or hosts are lost."""
+
+from motorapi.adaptations import drive_setup
+from motorapi.adaptations.cia402_motor import Cia402Motor
+from motorapi.adaptations.csp_stream import CspStream
+from motorapi.adaptations.drive_node import DriveNode
+from motorapi.adaptations.drive_objects import DriveObjects
+from motorapi.adaptations.drive_reader import DriveReader
+from motorapi.adaptations.leadshine_hardware import LeadshineHwMotor
+from motorapi.adaptations.polled_motor import PolledMotor
+from motorapi.errors import DeadlineExceeded, LinkError
+from tests.conformance.mutants import mutant, replaced
+
+PREPARATION = (0x06, 0x07, 0x0F)  # CiA 402-2: to operation enabled
+NEW_SET_POINT = 0x3F
+RELATIVE = 0x0041
+
+
+@mutant("cia402", "LOST-01")
+def heartbeat_not_watched():
+    """The drive sends its heartbeat, and nobody misses it."""
+    with replaced(DriveNode, "expect_heartbeat", lambda _: lambda node: None):
+        yield
+
+
+@mutant("cia402", "LOST-01")
+def done_after_the_cable_was_cut():
+    """What is not heard of any more does not move any more: the motion is taken for done."""
+
+    def wrong(is_done):
+        def told(motor):
+            try:
+                return is_done(motor)
+            except LinkError:
+                return True
+
+        return told
+
+    with replaced(Cia402Motor, "_is_done", wrong):
+        yield
+
+
+@mutant("oriental_az", "LOST-01")
+def last_state_for_ever():
+    """Where no answer comes, the state that was heard last is told."""
+
+    def wrong(read):
+        def told(motor):
+            try:
+                return motor._poll().state
+            except DeadlineExceeded:
+                return motor._told_last
+
+        return told
+
+    def noting(poll):
+        def polled(motor):
+            found = poll(motor)
+            motor._told_last = found.state
+            return found
+
+        return polled
+
+    with (
+        replaced(PolledMotor, "_poll", noting),
+        replaced(PolledMotor, "_read_state", wrong),
+    ):
+        yield
+
+
+@mutant("cia402", "LOST-02")
+def dead_man_never_set_up():
+    """The drive is not told whom to watch."""
+    with _instead(0x1016, lambda value: 0):
+        yield
+
+
+@mutant("cia402", "LOST-03")
+def dead_man_watches_the_neighbour():
+    """The drive is told to watch node 2, which is a drive, too, and not the host."""
+    with _instead(0x1016, lambda value: 2 << 16 | value & 0xFFFF):
+        yield
+
+
+@mutant("cia402", "LOST-02")
+def dead_man_does_nothing():
+    """6007h is 0: the drive notices that its host is gone, and goes on."""
+    with _instead(0x6007, lambda value: 0):
+        yield
+
+
+def _instead(index, change):
+    """Another value is set up in an object."""
+
+    def wrong(write):
+        def written(node, at, subindex, value, *args):
+            return write(node, at, subindex, change(value) if at == index else value, *args)
+
+        return written
+
+    return replaced(drive_setup, "write_if_different", wrong)
+
+
+def _word_frame(can_id, word):
+    return (
+        can_id.to_bytes(4, "little") + bytes((2, 0, 0, 0)) + word.to_bytes(2, "little") + bytes(6)
+    )
+
+
+def _target_frame(can_id, word, target):
+    data = word.to_bytes(2, "little") + target.to_bytes(4, "little", signed=True)
+    return can_id.to_bytes(4, "little") + bytes((6, 0, 0, 0)) + data + bytes(2)
+
+
+@mutant("cia402", "LOST-04")
+def goes_on_by_itself_when_it_is_heard_again():
+    """Who was lost and is heard again is enabled, and told its last target, for convenience."""
+
+    def wrong(start):
+        def armed(motor, motion, *, together):
+            trigger = start(motor, motion, together=together)
+            motor._hardware_facts = motor._hardware.facts
+            node, was_lost = motor._node, []
+
+            def look():
+                if node.lost_since_ns is not None:
+                    was_lost.append(True)
+                elif was_lost:
+                    was_lost.clear()
+                    timer.cancel()
+                    node.link.nmt(0x01, node.node_id)
+                    for word in (*PREPARATION, NEW_SET_POINT):
+                        frame = _word_frame(motor._hardware_facts.control_id, word)
+                        node.link.send_tracked(frame, None)
+
+            timer = motor.runtime.every(0.05, look)
+            return trigger
+
+        return armed
+
+    with replaced(Cia402Motor, "_arm", wrong):
+        yield
+
+
+@mutant("cia402", "LOST-05")
+def state_of_before_the_loss():
+    """A drive that stopped by itself sends no status any more, and is told as it was before."""
+
+    def wrong(_):
+        def told(reader):
+            if reader._hardware.facts is not None and reader._node.lost_since_ns is None:
+                reader._node.refresh()
+            return reader.state()
+
+        return told
+
+    with replaced(DriveReader, "fresh_state", wrong):
+        yield
+
+
+@mutant("cia402", "LOST-09")
+def a_start_that_failed_is_tried_again_in_the_background():
+    """A start that failed for a lost drive is made as soon as the drive is heard again."""
+
+    def wrong(read):
+        def told(motor):
+            try:
+                return read(motor)
+            except (DeadlineExceeded, LinkError):
+                node, facts = motor._node, motor._hardware.facts
+                way = motor._reader._units.increments(motor._command.value)
+                target = node.position_inc + round(way)
+
+                def again():
+                    if node.lost_since_ns is not None:
+                        return
+                    node.link.nmt(0x01, node.node_id)
+                    for word in (*PREPARATION, PREPARATION[-1]):
+                        node.link.send_tracked(_word_frame(facts.control_id, word), None)
+                    latched = facts.latched_ids[0x607A]
+                    node.link.send_tracked(_target_frame(latched, NEW_SET_POINT, target), None)
+                    node.link.sync()
+
+                motor.runtime.every(0.2, again)
+                raise
+
+        return told
+
+    with replaced(Cia402Motor, "_read_reference", wrong):
+        yield
+
+
+@mutant("cia402", "LOST-07")
+def believes_what_it_wrote_before_a_restart():
+    """What was written to a drive is believed to be there after it has booted."""
+
+    def wrong(doubt):
+        return lambda objects, index=None, subindex=0: (
+            index is not None and doubt(objects, index, subindex)
+        )
+
+    with replaced(DriveObjects, "doubt", wrong):
+        yield
+
+
+@mutant("cia402", "LOST-08")
+def stream_into_the_void():
+    """Set-points are streamed to the end, whether or not the drive follows."""
+    with replaced(CspStream, "_is_followed", lambda _: lambda stream, now_ns: True):
+        yield
+
+
+@mutant("leadshine", "LOST-09")
+def a_retry_moves_twice():
+    """Distances are sent as such, and a request that was not answered is sent again."""
+
+    def wrong(trigger):
+        def told(hardware):
+            path = hardware._prepared
+            if path[0] & 1:
+                here = hardware.registers.read_i32(0x602C)
+                way = (path[1] << 16 | path[2] & 0xFFFF) - here
+                path = (path[0] | RELATIVE, way >> 16, way & 0xFFFF, *path[3:])
+            try:
+                hardware.registers.write(0x6200, *path)
+            except DeadlineExceeded:
+                hardware.registers.write(0x6200, *path)
+
+        return told
+
+    with replaced(LeadshineHwMotor, "trigger", wrong):
+        yield
