@@ -16,6 +16,7 @@ _MODULES: Final = (
     "limits",
     "stopping",
     "failing",
+    "groups",
     "lost",
 )
 """The modules of `harness.conformance.clauses`, each with the clauses of one topic."""

@@ -1,5 +1,5 @@
 """All modules of mutants, loaded."""
 
-from tests.conformance.mutants import lost, units
+from tests.conformance.mutants import groups, lost, units
 
-MODULES = (lost, units)
+MODULES = (groups, lost, units)

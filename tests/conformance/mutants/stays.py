@@ -1,6 +1,7 @@
 """Clauses that kill no mutant which no other clause kills, and why they stay all the same."""
 
 WHY_IT_STAYS: dict[str, str] = {
+    "SYNC-05": "ours ask a drive something before they arm any, and so find out that it is gone",
     "LOST-02": "a cable and a host are lost apart, by one dead-man here; elsewhere by two",
     "LOST-03": "likewise, and a host that lives is told by another state of the drive",
     "LOST-06": "a drive that falls to PRE-OPERATIONAL is safe from late commands; others are not",

@@ -1,0 +1,86 @@
+"""Two motors of a bench as a group, and when each of them really began and ended.
+
+Their ways are of one length where instants are compared: then both make the same profile, and each
+is so far at the same time.
+"""
+
+from collections.abc import Sequence
+from math import sqrt
+from typing import Final
+
+from harness.conformance.bench import RigProtocol
+from harness.conformance.motions import SAMPLE_S, long_move, place, rest_for
+from motorapi import ControlMode, Motor, MotorGroup, TrapezoidalTrajectory
+
+FINE_S: Final = 0.001
+BEGUN: Final = 0.05  # of the way
+_PATIENCE_S: Final = 10.0
+
+
+def pair_of(bench: RigProtocol, *ways: float) -> MotorGroup:
+    """A group of the bench's first motors, each with so long a trajectory set."""
+    group = MotorGroup(*bench.motors[: len(ways)])
+    group.for_each(Motor.set_control_mode, ControlMode.TRAJECTORY)
+    group.set_trajectory(*(TrapezoidalTrajectory(way) for way in ways))
+    return group
+
+
+def places(bench: RigProtocol, group: MotorGroup) -> list[float]:
+    """Where each member is [U]."""
+    return [place(bench, motor) for motor in group]
+
+
+class Course:
+    """Where the members of a group were, from when this was made; times are in ns."""
+
+    def __init__(self, bench: RigProtocol, group: MotorGroup, period_s: float = FINE_S) -> None:
+        self._bench, self._group = bench, group
+        self.seen: list[tuple[int, list[float]]] = []
+        self._timer = bench.runtime.every(period_s, self._look)
+        self._look()
+
+    def _look(self) -> None:
+        self.seen.append((self._bench.runtime.now_ns(), places(self._bench, self._group)))
+
+    def end(self) -> None:
+        """Nobody looks any more."""
+        self._timer.cancel()
+        self._look()
+
+    def when(self, member: int, share: float, way: float) -> float | None:
+        """When a member had made that share of its way [ns], between two looks; None: never."""
+        goal = share * way
+        begin = self.seen[0][1][member]
+        before_ns, before = self.seen[0][0], 0.0
+        for now_ns, positions in self.seen:
+            made = positions[member] - begin
+            if (made - goal) * (1.0 if way > 0.0 else -1.0) >= 0.0:
+                part = 1.0 if made == before else (goal - before) / (made - before)
+                return before_ns + part * (now_ns - before_ns)
+            before_ns, before = now_ns, made
+        return None
+
+    def skew_s(self, share: float, ways: Sequence[float]) -> float | None:
+        """Between the first and the last member's having made that share of its way [s]."""
+        times = [self.when(member, share, way) for member, way in enumerate(ways)]
+        known = [time for time in times if time is not None]
+        return (max(known) - min(known)) / 1e9 if len(known) == len(times) else None
+
+
+def looking_error_s(bench: RigProtocol, way: float, share: float) -> float:
+    """How wrong a time may be that was found by `Course.when` for two motors [s]."""
+    model = bench.motor.model
+    slowest = min(model.acceleration_max, model.deceleration)
+    speed = min(sqrt(2.0 * slowest * share * abs(way)), model.velocity_max)
+    return 2.0 * bench.facts.following / speed + 2.0 * FINE_S
+
+
+def run_to_the_end(bench: RigProtocol, group: MotorGroup) -> None:
+    """It was waited for, and what is left to settle has settled."""
+    group.wait_until_done(_PATIENCE_S)
+    rest_for(bench, 10.0 * SAMPLE_S)
+
+
+def half(bench: RigProtocol) -> float:
+    """A way of half a long move [U]."""
+    return 0.5 * long_move(bench)

@@ -1,0 +1,133 @@
+"""Mistakes with motors that should move together."""
+
+from dataclasses import replace
+
+from motorapi import MotorGroup, Synchronization, execution, group
+from motorapi.adaptations.cia402_motor import Cia402Motor
+from motorapi.common_motion import CommonMotion
+from motorapi.errors import MotorError
+from tests.conformance.mutants import mutant, replaced
+from tests.harness.sharing.mutants import a_group_that_starts_before_all_are_armed
+
+
+@mutant("cia402", "SYNC-01")
+def started_before_all_are_armed():
+    """Each member is started as soon as it is armed."""
+    with a_group_that_starts_before_all_are_armed():
+        yield
+
+
+@mutant("cia402", "SYNC-02")
+def times_in_microseconds():
+    """When a motion began and ended is told in microseconds."""
+
+    def wrong(times):
+        def told(motor):
+            found = times(motor)
+            if found is None or found.ended_ns is None:
+                return found
+            return replace(
+                found, started_ns=found.started_ns // 1000, ended_ns=found.ended_ns // 1000
+            )
+
+        return told
+
+    with replaced(Cia402Motor, "_motion_times", wrong):
+        yield
+
+
+def _unsynchronised(which, instead):
+    def wrong(synchronised):
+        def planned(motors, motions, common):
+            if common.synchronization is which:
+                return instead(synchronised, motors, motions, common)
+            return synchronised(motors, motions, common)
+
+        return planned
+
+    return replaced(execution, "synchronised", wrong)
+
+
+@mutant("cia402", "SYNC-03")
+def each_as_fast_as_it_can():
+    """The members begin together, and nobody makes them take the same time."""
+    with _unsynchronised(Synchronization.TIME, lambda _, motors, motions, common: motions):
+        yield
+
+
+@mutant("cia402", "SYNC-08")
+def a_line_that_is_none():
+    """Motors that should go along a line begin and end together, each with ramps of its own."""
+
+    def timed(synchronised, motors, motions, common):
+        return synchronised(motors, motions, replace(common, synchronization=Synchronization.TIME))
+
+    with _unsynchronised(Synchronization.PHASE, timed):
+        yield
+
+
+@mutant("ideal", "SYNC-04")
+def done_when_the_first_is():
+    """A group is done as soon as one of its motors is."""
+
+    def wrong(_):
+        return lambda motors: any(motor.is_done() for motor in motors)
+
+    with replaced(MotorGroup, "is_done", wrong):
+        yield
+
+
+@mutant("software", "SYNC-04")
+def a_stop_forgets_all_but_the_first():
+    """What is done for every member ends with the first one."""
+
+    def wrong(_):
+        return lambda motors, method: method(next(iter(motors)))
+
+    with replaced(MotorGroup, "_every", wrong):
+        yield
+
+
+@mutant("cia402", "SYNC-06")
+def armed_for_ever():
+    """A start that failed leaves armed what was armed: the next SYNC, whosever, starts it."""
+    with replaced(Cia402Motor, "_disarm", lambda _: lambda motor: None):
+        yield
+
+
+@mutant("cia402", "SYNC-06")
+def not_confirmed():
+    """Whether the drives have acknowledged their start is not looked at."""
+    with replaced(Cia402Motor, "_confirm", lambda _: lambda motor, motion: None):
+        yield
+
+
+@mutant("leadshine", "SYNC-07")
+def starts_whatever_was_asked():
+    """What was asked of a start is not compared with what its motors can do."""
+    with replaced(group, "require_synchronised", lambda _: lambda *_args: None):
+        yield
+
+
+@mutant("ideal", "SYNC-09")
+def the_others_go_on():
+    """If one of a group fails, nobody tells the others."""
+    with replaced(CommonMotion, "_answer", lambda _: lambda motion, motor, cause: None):
+        yield
+
+
+@mutant("software", "SYNC-09")
+def a_fault_of_one_is_swallowed():
+    """Who waits for a group looks at those that have not failed."""
+
+    def wrong(wait):
+        def waited(motors, timeout_s=None):
+            try:
+                wait(motors, timeout_s)
+            except MotorError:
+                return
+
+        return waited
+
+    with replaced(MotorGroup, "wait_until_done", wrong):
+        yield
