@@ -173,7 +173,7 @@ def test_a_folder_that_cannot_be_made_for_records_is_told(tmp_path, capfd):
 def test_nothing_applicable_is_no_pass(tmp_path, capfd):
     rig = tmp_path / "rig.toml"
     text = (RIGS / "ideal.toml").read_text()
-    rig.write_text(f'{text}[conformance.without]\nposition_trajectory = "it has none"\n')
+    rig.write_text(f'{text}position_trajectory = "it has none"\n')
     assert main(["conform", "--rig", str(rig), "--clause", "UNIT-01"]) == 1
     out, err = capfd.readouterr()
     assert "nothing was applicable" in err
