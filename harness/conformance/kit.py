@@ -17,6 +17,7 @@ _MODULES: Final = (
     "stopping",
     "failing",
     "groups",
+    "parting",
     "lost",
 )
 """The modules of `harness.conformance.clauses`, each with the clauses of one topic."""

@@ -9,6 +9,7 @@ from math import sqrt
 from typing import Final
 
 from harness.conformance.bench import RigProtocol
+from harness.conformance.clause import expect
 from harness.conformance.motions import SAMPLE_S, long_move, place, rest_for
 from motorapi import ControlMode, Motor, MotorGroup, TrapezoidalTrajectory
 
@@ -84,3 +85,24 @@ def run_to_the_end(bench: RigProtocol, group: MotorGroup) -> None:
 def half(bench: RigProtocol) -> float:
     """A way of half a long move [U]."""
     return 0.5 * long_move(bench)
+
+
+def ways_of(*ways: float) -> list[TrapezoidalTrajectory]:
+    """A trajectory for each."""
+    return [TrapezoidalTrajectory(way) for way in ways]
+
+
+def expect_made(
+    bench: RigProtocol,
+    group: MotorGroup,
+    before: list[float],
+    ways: tuple[float, ...],
+    what: str,
+) -> None:
+    """Each has moved so far from where it was."""
+    for motor, was, way in zip(group, before, ways, strict=True):
+        moved, unit = place(bench, motor) - was, motor.model.unit
+        expect(
+            abs(moved - way) <= bench.facts.window,
+            f"{what}: {motor.name} moved {moved:g} {unit} of {way:g} {unit}",
+        )

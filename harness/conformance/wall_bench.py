@@ -165,17 +165,33 @@ class WallBench:
         """Raises NotApplicable."""
         _refuse(Ability.FAULT)
 
-    def cut(self, motor: Motor) -> AbstractContextManager[None]:
+    def cut(self, motor: Motor) -> AbstractContextManager[Callable[[], int]]:
         """Raises NotApplicable."""
         _refuse(Ability.CUT)
 
-    def silence_host(self) -> AbstractContextManager[None]:
+    def silence_host(
+        self, *, skip: int = 0, limit: int | None = None
+    ) -> AbstractContextManager[Callable[[], int]]:
         """Raises NotApplicable."""
         _refuse(Ability.SILENCE_HOST)
 
-    def lose_answers_of(self, motor: Motor) -> AbstractContextManager[Callable[[], int]]:
+    def lose_answers_of(
+        self, motor: Motor, *, skip: int = 0, limit: int | None = None
+    ) -> AbstractContextManager[Callable[[], int]]:
         """Raises NotApplicable."""
         _refuse(Ability.LOSE)
+
+    def stop_sync(self) -> AbstractContextManager[Callable[[], int]]:
+        """Raises NotApplicable."""
+        _refuse(Ability.STOP_SYNC)
+
+    def restart(self, motor: Motor) -> None:
+        """Raises NotApplicable."""
+        _refuse(Ability.RESTART)
+
+    def commands_to(self, motor: Motor) -> AbstractContextManager[Sequence[str]]:
+        """Raises NotApplicable."""
+        _refuse(Ability.TRAFFIC)
 
     # --- inside ---------------------------------------------------------------------------
 

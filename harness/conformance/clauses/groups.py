@@ -4,40 +4,30 @@ from math import hypot
 
 from harness.conformance.bench import RigProtocol
 from harness.conformance.capability import Ability, Capability
-from harness.conformance.clause import Level, NotApplicable, Violated, clause, expect
-from harness.conformance.modes import smooth_way
+from harness.conformance.clause import Level, Violated, clause, expect
 from harness.conformance.motions import (
     expect_rest,
     expect_unmoved,
-    finish,
-    move,
     place,
-    reached,
     rest_for,
     shortest_s,
 )
 from harness.conformance.pairs import (
     BEGUN,
     Course,
+    expect_made,
     half,
     looking_error_s,
     pair_of,
     places,
     run_to_the_end,
+    ways_of,
 )
 from motorapi import (
-    ControlMode,
-    FaultReaction,
-    Motor,
-    MotorError,
     MotorGroup,
-    MotorState,
-    PluginError,
     Synchronization,
     SynchronizationError,
     SyncLevel,
-    TrapezoidalTrajectory,
-    UnsupportedError,
     UsageError,
 )
 
@@ -66,7 +56,7 @@ def a_group_begins_and_ends_together(bench: RigProtocol) -> None:
     group.start()
     run_to_the_end(bench, group)
     course.end()
-    _expect_at(bench, group, before, ways, "after Algorithm 2")
+    expect_made(bench, group, before, ways, "after Algorithm 2")
     tolerance_s = bench.facts.time_tolerance_s
     begun_s = tolerance_s if told.start_skew_s is None else told.start_skew_s
     ended_s = tolerance_s if told.end_skew_s is None else told.end_skew_s
@@ -78,21 +68,6 @@ def a_group_begins_and_ends_together(bench: RigProtocol) -> None:
             (skew_s or 0.0) <= bound_s + error_s,
             f"they {what} {skew_s} s apart; told beforehand were {bound_s:g} s,"
             f" and {error_s:.6f} s is how well it can be seen",
-        )
-
-
-def _expect_at(
-    bench: RigProtocol,
-    group: MotorGroup,
-    before: list[float],
-    ways: tuple[float, ...],
-    what: str,
-) -> None:
-    for motor, was, way in zip(group, before, ways, strict=True):
-        moved, unit = place(bench, motor) - was, motor.model.unit
-        expect(
-            abs(moved - way) <= bench.facts.window,
-            f"{what}: {motor.name} moved {moved:g} {unit} of {way:g} {unit}",
         )
 
 
@@ -167,7 +142,7 @@ def a_group_takes_the_time_of_its_slowest(bench: RigProtocol) -> None:
     )
     group.wait_until_done(10.0)
     took_s = (bench.runtime.now_ns() - begun_ns) / 1e9
-    _expect_at(bench, group, before, ways, "when done was told")
+    expect_made(bench, group, before, ways, "when done was told")
     most_s = least_s + bench.facts.time_tolerance_s + 0.1 * least_s
     expect(took_s <= most_s, f"it took {took_s:.3f} s, the slowest needs {least_s:.3f} s")
 
@@ -191,9 +166,9 @@ def a_group_forgets_no_member(bench: RigProtocol) -> None:
     second.wait_until_done(10.0)
     expect(not group.is_done(), f"done was told while {first.name} moves")
     group.wait_until_done(10.0)
-    _expect_at(bench, group, before, ways, "each by itself, when done was told")
+    expect_made(bench, group, before, ways, "each by itself, when done was told")
     way = 2.0 * half(bench)
-    group.set_trajectory(*group_of_ways(-way, -way))
+    group.set_trajectory(*ways_of(-way, -way))
     for stop in (MotorGroup.stop, MotorGroup.halt):
         group.start()
         rest_for(bench, 0.3 * shortest_s(first, way))
@@ -208,123 +183,17 @@ def a_group_forgets_no_member(bench: RigProtocol) -> None:
     _expect_one_alone(bench, group)
 
 
-def group_of_ways(*ways: float) -> list[TrapezoidalTrajectory]:
-    """A trajectory for each."""
-    return [TrapezoidalTrajectory(way) for way in ways]
-
-
 def _expect_one_alone(bench: RigProtocol, group: MotorGroup) -> None:
     first, second = bench.motors[:2]
     group.remove(first)
     before, way = place(bench, first), 0.25 * half(bench)
-    group.set_trajectory(*group_of_ways(way))
+    group.set_trajectory(*ways_of(way))
     was = place(bench, second)
     group.start()
     group.wait_until_done(10.0)
     expect_unmoved(bench, first, before, f"{first.name}, which was taken out of the group")
     moved = place(bench, second) - was
     expect(abs(moved - way) <= bench.facts.window, f"a group of one moved {moved:g} of {way:g}")
-
-
-@clause(
-    "SYNC-05",
-    Level.L4,
-    needs=_MOVES,
-    bench={*_TWO, Ability.CUT, Ability.AFRESH},
-    source="MotorGroup.start: if one refuses, none has moved",
-)
-def if_one_cannot_be_armed_none_moves(bench: RigProtocol) -> None:
-    """If one member does not answer when it is to be armed, none moves, then or later."""
-    _require_cables_of_their_own(bench)
-    for lost in (1, 0):
-        bench.afresh()
-        way = 0.5 * half(bench)
-        group = pair_of(bench, way, -way)
-        group.start()
-        group.wait_until_done(10.0)  # all is known of both
-        refusing, other = bench.motors[lost], bench.motors[1 - lost]
-        before = place(bench, other)
-        is_one_signal = group.sync_capability().level >= SyncLevel.TRIGGERED
-        with bench.cut(refusing):
-            if not is_one_signal:  # the others begin before the last has confirmed: if it is heard
-                rest_for(bench, bench.facts.lost_s)
-            told = _failure_of(group)
-            rest_for(bench, bench.facts.lost_s)
-        expect(told is not None, f"{refusing.name} does not answer, and start() returned")
-        rest_for(bench, 1.0)
-        expect_unmoved(bench, other, before, f"{refusing.name} refused, and {other.name}")
-        _fire_once_more(bench, refusing)
-        expect_unmoved(bench, other, before, f"{refusing.name} refused, and later {other.name}")
-
-
-def _require_cables_of_their_own(bench: RigProtocol) -> None:
-    first, second = bench.motors[:2]
-    second.enable()
-    with bench.cut(first):
-        rest_for(bench, bench.facts.lost_s)
-        if second.state() is not MotorState.ENABLED:
-            raise NotApplicable(f"{second.name} is lost with {first.name}: they share a cable")
-
-
-def _failure_of(group: MotorGroup) -> MotorError | None:
-    try:
-        group.start()
-    except PluginError:
-        raise
-    except MotorError as error:
-        return error
-    return None
-
-
-def _fire_once_more(bench: RigProtocol, motor: Motor) -> None:
-    """Whatever signal starts motors on its bus comes again: for a motion of this one alone."""
-    motor.reset_fault()
-    motor.enable()
-    way = 0.25 * half(bench)
-    try:
-        motor.set_control_mode(ControlMode.TRAJECTORY)
-        motor.set_trajectory(smooth_way(motor, way))
-        motor.start()
-    except UnsupportedError:
-        move(bench, motor, way)
-        return
-    finish(bench, motor, 10.0)
-
-
-@clause(
-    "SYNC-06",
-    Level.L4,
-    needs={*_MOVES, Capability.COMMON_TRIGGER},
-    bench={*_TWO, Ability.SILENCE_HOST, Ability.AFRESH},
-    source="MotorHooks._arm: in the hardware, confirmed; README, 'arm, then fire'",
-)
-def no_part_of_a_group_moves_on_alone(bench: RigProtocol) -> None:
-    """Whichever one frame of a common start is lost, all move, or start() fails and all rest."""
-    hit = 0
-    for skip in range(_FRAMES):
-        bench.afresh()
-        way = half(bench)
-        group = pair_of(bench, 0.1 * way, -0.1 * way)
-        group.start()
-        run_to_the_end(bench, group)  # all is known of both
-        group.set_trajectory(*group_of_ways(way, -way))
-        before = places(bench, group)
-        with bench.silence_host(skip=skip, limit=1) as lost:
-            told = _failure_of(group)
-            hit += lost()
-        which = f"frame {skip + 1} of the host was lost"
-        if told is None:
-            run_to_the_end(bench, group)
-            _expect_at(bench, group, before, (way, -way), which)
-            continue
-        rest_for(bench, 1.0)
-        for motor in group:
-            expect_rest(bench, motor, f"{which}, start() failed, and {motor.name}")
-        first, second = bench.motors[:2]
-        rested = place(bench, first)
-        _fire_once_more(bench, second)
-        expect_unmoved(bench, first, rested, f"{which}, start() failed; later, {first.name}")
-    reached(hit > 0, "a frame that was lost")
 
 
 @clause(
@@ -359,7 +228,7 @@ def what_is_asked_of_a_start_is_met_or_refused(bench: RigProtocol) -> None:
     enough = None if can.start_skew_s is None else 1.01 * can.start_skew_s + _FAR
     group.start(require=can.level, max_skew_s=enough)
     run_to_the_end(bench, group)
-    _expect_at(bench, group, before, (way, -way), "with what it says that it can do")
+    expect_made(bench, group, before, (way, -way), "with what it says that it can do")
 
 
 def _expect_refused(group: MotorGroup, level: SyncLevel | None, skew_s: float | None) -> None:
@@ -416,45 +285,3 @@ def _off_the_line(course: Course, ways: tuple[float, float]) -> float:
     return max(
         abs((a - first) * ways[1] - (b - second) * ways[0]) / length for _, (a, b) in course.seen
     )
-
-
-@clause(
-    "SYNC-09",
-    Level.L4,
-    needs={*_MOVES, Capability.FAULTS},
-    bench={*_TWO, Ability.FAULT, Ability.AFRESH},
-    source="FaultReaction; requirement 5, synchronised motions",
-)
-def a_fault_of_one_is_answered_as_was_set(bench: RigProtocol) -> None:
-    """If one member fails, the group says so, and the others stop, each or together, or go on."""
-    for reaction in FaultReaction:
-        bench.afresh()
-        way = 3.0 * half(bench)
-        group = pair_of(bench, way, -way)
-        if reaction is FaultReaction.TOGETHER:
-            group.synchronization = Synchronization.PHASE
-        group.fault_reaction = reaction
-        failing, other = bench.motors[:2]
-        before = place(bench, other)
-        group.start()
-        rest_for(bench, 0.4 * shortest_s(other, way))
-        bench.fail(failing)
-        _expect_group_told(group, reaction)
-        rest_for(bench, shortest_s(other, way))
-        expect_rest(bench, other, f"{failing.name} failed, {reaction.name} was set, {other.name}")
-        made = abs(place(bench, other) - before) / abs(way)
-        goes_on = reaction is FaultReaction.NONE
-        expect(
-            goes_on is (made > 0.98),
-            f"{failing.name} failed, {reaction.name} was set, and {other.name} made {made:.0%}",
-        )
-
-
-def _expect_group_told(group: MotorGroup, reaction: FaultReaction) -> None:
-    try:
-        group.wait_until_done(10.0)
-    except PluginError:
-        raise
-    except MotorError:
-        return
-    raise Violated(f"one failed, {reaction.name} was set, and done was told of its group")
