@@ -96,7 +96,7 @@ class _Kit:
         if list(self._results) == ["skipped"]:
             session.exitstatus = pytest.ExitCode.TESTS_FAILED
 
-    def pytest_terminal_summary(self, terminalreporter: pytest.TerminalReporter) -> None:
+    def pytest_terminal_summary(self, terminalreporter: "pytest.TerminalReporter") -> None:
         """That is told."""
         if list(self._results) == ["skipped"]:
             terminalreporter.write_line("motorhil: nothing was applicable, so nothing was shown")

@@ -89,7 +89,7 @@ def test_a_clause_that_fails_says_what_was_promised_and_seen_and_what_repeats_it
             "promise: A move of so many units is *",
             "source: paper 3.2, *",
             "record: out/UNIT-01.mcap",
-            "again: motorhil conform *",
+            "again: motorhil conform * --clause UNIT-01 --seed 5",
             "FAILED wheels/rig.toml::UNIT-01 - failed: left was told *",
         ]
     )
