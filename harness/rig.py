@@ -26,7 +26,6 @@ from harness.pace import WallPace
 from harness.plant_from_model import settings_with_model
 from harness.plugins import ADAPTATIONS, CONTROLLERS, installed, named
 from harness.rig_file import (
-    SEED_MAX,
     ControllerDescription,
     Known,
     RigDescription,
@@ -38,7 +37,7 @@ from harness.rig_parts import Named, RigController, RigFaults
 from harness.rig_plugins import RigPlugins
 from harness.rig_stimuli import schedule
 from harness.rig_traffic import traffic_of
-from harness.settings import RigError, refuse_source
+from harness.settings import SEED_MAX, RigError, refuse_source
 from harness.virtual_time import VirtualRuntime
 from motorapi.errors import UsageError
 from motorapi.traffic import declare_traffic

@@ -35,7 +35,7 @@ from harness.rig_buses import (
 )
 from harness.rig_faults import HOST, FaultDescription, read_faults
 from harness.rig_stimuli import StimulusDescription, read_stimuli
-from harness.settings import RigError, Source, Table, read_source
+from harness.settings import SEED_MAX, RigError, Source, Table, read_source
 from harness.toml_lines import KeyPath
 from harness.wording import listed, one_line
 
@@ -46,7 +46,6 @@ TOP_KEYS: Final = (
 )
 
 NAME: Final = re.compile(r"[A-Za-z][A-Za-z0-9_-]*")
-SEED_MAX: Final = 2**32 - 1
 _NEW_REMEDY: Final = "check the path, or write a new rig: motorhil new DIR"
 
 

@@ -3,7 +3,7 @@
 import argparse
 from typing import Final
 
-from harness.rig_file import SEED_MAX
+from harness.settings import SEED_MAX
 
 
 def add_seed(parser: argparse.ArgumentParser) -> None:

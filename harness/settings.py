@@ -17,6 +17,7 @@ from harness.toml_lines import KeyPath, key_lines
 from harness.wording import dotted, kind_of, listed, nearest, one_line, shown
 
 _REQUIRED: Final = object()
+SEED_MAX: Final = 2**32 - 1
 _INTEGER_MAX: Final = 2**63 - 1  # TOML 1.0, "Integer": 64-bit signed is what all must take
 
 

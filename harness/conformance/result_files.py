@@ -82,8 +82,12 @@ class Outcome:
     @property
     def passed(self) -> bool:
         """Whether nothing is wrong, and something was checked at all."""
-        is_good = all(one.verdict.result.is_good for one in self.findings)
-        return is_good and self.count(Result.PASSED) > 0
+        return not self.is_empty and all(one.verdict.result.is_good for one in self.findings)
+
+    @property
+    def is_empty(self) -> bool:
+        """Whether no clause was applicable."""
+        return self.count(Result.NOT_APPLICABLE) == len(self.findings)
 
 
 def as_json(outcome: Outcome) -> str:

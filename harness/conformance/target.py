@@ -10,9 +10,9 @@ from harness.conformance.code_places import home_of
 from harness.conformance.facts import NOTHING_DECLARED, Facts
 from harness.conformance.job import Job
 from harness.conformance.rig_bench import RigBench, bench_description
-from harness.conformance.wall_bench import WallBench, places_in
 from harness.plugins import ADAPTATIONS, installed, is_target, named
-from harness.rig import describe
+from harness.rig import describe, installed_plugins
+from harness.rig_file import RigDescription, read_rig
 from harness.settings import BrokenPluginError, RigError
 from harness.wording import listed, nearest
 
@@ -36,11 +36,11 @@ class Target:
 
     def __init__(self, job: Job) -> None:
         build = _loaded(job.adaptation) if job.adaptation else None
-        described = describe(Path(job.rig) if job.rig else _own_rig(job.adaptation, build))
+        described = _described(Path(job.rig) if job.rig else _own_rig(job.adaptation, build))
         self.rig = bench_description(described, job.adaptation or None)
         self.seed = described.seed if job.seed is None else job.seed
         first = self.rig.motors[self.rig.conformance.motors[0]]
-        self._places = places_in(job.on, self.rig) if job.on else None
+        self._places = _places(job, self.rig) if job.on else None
         self.deadline_s: Final = _deadline_s(self.rig.conformance, is_live=bool(job.on))
         self.adaptation: Final = first.adaptation
         self.home: Final = home_of(getattr(build or _loaded(self.adaptation), "__module__", ""))
@@ -49,8 +49,23 @@ class Target:
         """What switches on a bench for it; everything is recorded to `record`."""
         if self._places is None:
             return lambda: RigBench(self.rig, self.seed, record=record)
+        from harness.conformance.wall_bench import WallBench
+
         places = self._places
         return lambda: WallBench(self.rig, places, self.seed, record=record)
+
+
+def _described(path: Path) -> RigDescription:
+    """The rig in a file; to look whether that is a recording takes a tenth of a second."""
+    if path.suffix == ".toml":
+        return read_rig(path, installed_plugins())
+    return describe(path)
+
+
+def _places(job: Job, rig: RigDescription) -> dict[str, str]:
+    from harness.conformance.wall_bench import places_in
+
+    return places_in(job.on, rig)
 
 
 def _deadline_s(facts: Facts, is_live: bool) -> float:

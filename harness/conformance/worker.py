@@ -10,6 +10,7 @@ makes Python write down where every thread is; the second ends the check, if any
 """
 
 import faulthandler
+import gc
 import json
 import os
 import signal
@@ -108,7 +109,9 @@ def _answer(requests: TextIO, reply: Callable[[object], None], told: TextIO) -> 
         try:
             if worker is None:
                 sys.path[:] = request["path"]
+                gc.disable()  # while modules are loaded, which make no garbage
                 worker = _Worker(request["job"])
+                gc.enable()
                 reply({"ready": worker.ready()})
             elif "claims" in request:
                 reply({"claims": worker.claims()})

@@ -15,7 +15,7 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
-from harness.exit_status import FAILED, PASSED, WRONG_USAGE
+from harness.exit_status import FAILED, NOT_JUDGED, PASSED, WRONG_USAGE
 from harness.seed_option import add_seed
 from harness.settings import RigError
 from harness.wording import listed, nearest, one_line
@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 
 _MORE: Final = """\
 Without --rig the adaptation is checked on the rig that comes with it. Exit status: 0 it keeps what
-it claims, 1 it does not, or nothing at all was applicable, 2 wrong usage.
+it claims, 1 it does not, 2 wrong usage, 3 nothing was applicable.
 """
 _LEVEL_MAX: Final = 5
 _RECORDS: Final = Path("out", "conform")
@@ -76,7 +76,7 @@ def level_of(text: str) -> int:
 
 
 def run(options: argparse.Namespace) -> int:
-    """Exit status: 0 all that it claims is kept, 1 something is not, or nothing was applicable.
+    """Exit status: 0 all that it claims is kept, 1 something is not, 3 nothing was applicable.
 
     Raises:
         RigError: something cannot be used, or written.
@@ -110,6 +110,9 @@ def run(options: argparse.Namespace) -> int:
         return FAILED
     _write(options, outcome)
     _tell(outcome)
+    if outcome.is_empty:
+        print("motorhil conform: nothing was applicable, so nothing was shown", file=sys.stderr)
+        return NOT_JUDGED
     return PASSED if outcome.passed else FAILED
 
 
@@ -238,10 +241,6 @@ def _tell(outcome: "Outcome") -> None:
             reasons.setdefault(one.verdict.seen, []).append(one.promise.id)
     for reason, names in reasons.items():
         print(f"not applicable, for {one_line(reason)}: {', '.join(names)}")
-    if not outcome.count(Result.PASSED) and not any(
-        not one.verdict.result.is_good for one in outcome.findings
-    ):
-        print("motorhil conform: nothing was applicable, so nothing was shown", file=sys.stderr)
 
 
 def _write(options: argparse.Namespace, outcome: "Outcome") -> None:

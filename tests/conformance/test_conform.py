@@ -26,6 +26,7 @@ from tests.harness.cli_bench import beside, in_another_process
 from traces.digest import digest
 
 ROOT = Path(__file__).parents[2]
+WITHOUT = '[conformance.without]\nposition_trajectory = "it has none"\n'
 MISBEHAVING = "tests.conformance.misbehaving:build"
 
 
@@ -108,7 +109,9 @@ def test_the_files_are_for_machines_and_people(runs):
 def test_what_a_rig_claims_and_the_motor_refuses_is_told_with_the_line_of_the_claim(tmp_path):
     rig = tmp_path / "rig.toml"
     text = (RIGS / "cia402.toml").read_text()
-    rig.write_text(f'{text}claims = [\n  "homing",\n  "current_set_point",\n]\n')
+    before, head, after = text.partition("[conformance]\n")
+    claims = 'claims = [\n  "homing",\n  "current_set_point",\n]\n'
+    rig.write_text(f"{before}{head}{claims}{after}")
 
     def check(bench):
         bench.motor.set_control_mode(ControlMode.SETPOINT, ControlVariable.CURRENT)
@@ -119,7 +122,7 @@ def test_what_a_rig_claims_and_the_motor_refuses_is_told_with_the_line_of_the_cl
     verdict = run_clause(clause, lambda: RigBench(described, 1))
     assert verdict.result is Result.FAILED
     assert "the rig claims set-points of current, which the motor refuses" in verdict.seen
-    assert verdict.place == f"{rig}:{text.count(chr(10)) + 3}"
+    assert verdict.place == f"{rig}:{before.count(chr(10)) + 4}"
 
 
 @pytest.mark.parametrize(
@@ -173,8 +176,8 @@ def test_a_folder_that_cannot_be_made_for_records_is_told(tmp_path, capfd):
 def test_nothing_applicable_is_no_pass(tmp_path, capfd):
     rig = tmp_path / "rig.toml"
     text = (RIGS / "ideal.toml").read_text()
-    rig.write_text(f'{text}position_trajectory = "it has none"\n')
-    assert main(["conform", "--rig", str(rig), "--clause", "UNIT-01"]) == 1
+    rig.write_text(text.partition("[conformance.without]")[0] + WITHOUT)
+    assert main(["conform", "--rig", str(rig), "--clause", "UNIT-01"]) == 3
     out, err = capfd.readouterr()
     assert "nothing was applicable" in err
     assert "not applicable, for the rig does not claim it: it has none: UNIT-01" in out
