@@ -218,6 +218,30 @@ def test_smooth_trajectories_are_refused(rig):
         motor.set_trajectory(TrapezoidalTrajectory(1.0, limits=DerivativeLimits(third=10.0)))
 
 
+def test_what_the_drive_said_before_does_not_refuse_an_enable(rig):
+    motor = rig.motors["left"]
+    motor.enable()
+    motor.disable()  # "cancelled", says the drive of its closed loop
+    hardware, confirm = motor.hardware, motor.hardware.confirm
+
+    def instead(sent):
+        time_ns = confirm(sent)
+        hardware.heard._on_heartbeat((0, m.IDLE, 2, 1), time_ns + 1)
+        return time_ns
+
+    hardware.confirm = instead
+    motor.enable()
+    assert motor.state() is MotorState.ENABLED
+
+
+def test_a_refused_enable_says_why(rig):
+    motor = rig.motors["left"]
+    rule = FaultRule("lost", FaultKind.DROP, identifier=1 << 5 | 7)
+    rig.faults.inject("can0", rule)
+    with pytest.raises(PeerError, match="closed loop was refused"):
+        motor.enable()
+
+
 # --- stopping
 
 

@@ -234,14 +234,20 @@ class OdriveHwMotor:
             DeadlineExceeded: it does not answer.
             LinkError: the bus does not take it.
         """
-        answers = self.heard.answers
+        answers, found = self.heard.answers, []
+
+        def is_there() -> bool:
+            if message.command in answers:
+                found.append(answers[message.command])
+            return bool(found)
+
         with self.physical.passage(self.label, of_holder=True):
             answers.pop(message.command, None)
             self._wire.ask(message)
-            if not wait_until(self.runtime, lambda: message.command in answers, _ANSWER_S):
+            if not wait_until(self.runtime, is_there, _ANSWER_S):
                 what = f"{self.label}: answer to {message.command:02X}h"
                 raise DeadlineExceeded(awaited=what, timeout_s=_ANSWER_S, last_heard="nothing")
-            return answers[message.command]
+        return found[-1]
 
     def ask_for_heartbeat(self) -> None:
         """A heartbeat comes soon; does not wait."""

@@ -44,8 +44,7 @@ class Heard:
         version: what it told of its versions, the protocol's first; None: not asked yet.
         answers: what else it told last, by command.
         lost_since_ns: since when it is not heard any more; None while it is.
-        boots: how often it was lost, and so may have booted.
-        is_homed: whether its position 0 is known, since then.
+        is_homed: whether its position 0 is known; no more once it was lost: it may have booted.
         watch: follows what was commanded last; None: nothing was.
     """
 

@@ -26,6 +26,7 @@ from motorapi.trajectory import ComplexTrajectory, Trajectory
 from motorhil_odrive.host import messages as m
 from motorhil_odrive.host.braking import brake
 from motorhil_odrive.host.hardware import OdriveHwMotor
+from motorhil_odrive.host.heard import Heartbeat
 from motorhil_odrive.host.start import Start, prepare
 from motorhil_odrive.host.units import Units
 from motorhil_odrive.host.watch import Armed, Arrival, Called, Homed, Rest
@@ -184,13 +185,14 @@ class OdriveMotor(Motor):
         hardware.heard.follow(None)
         hardware.tell(m.CONTROLLER_MODE, m.POSITION_CONTROL, m.TRAPEZOID)
         sent_ns = hardware.confirm(hardware.tell(m.AXIS_STATE, m.CLOSED_LOOP))
-        heartbeat = hardware.await_heartbeat(
-            lambda heard: (
-                heard.time_ns > sent_ns
-                and (heard.state == m.CLOSED_LOOP or heard.result not in (0, 1))
-            ),
-            _STATE_S,
-        )
+        denied: set[int] = set()
+
+        def is_answered(heard: Heartbeat) -> bool:
+            if heard.state != m.CLOSED_LOOP and heard.time_ns > sent_ns:
+                denied.add(heard.time_ns)  # the first may have been queued before
+            return heard.state == m.CLOSED_LOOP or len(denied) > 1
+
+        heartbeat = hardware.await_heartbeat(is_answered, _STATE_S)
         fault = hardware.heard.fault()
         if fault is not None:
             raise self._fault_error(fault)
