@@ -16,6 +16,8 @@ _MODULES: Final = (
     "limits",
     "stopping",
     "failing",
+    "losing",
+    "access",
     "groups",
     "parting",
     "lost",

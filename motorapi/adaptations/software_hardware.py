@@ -337,16 +337,15 @@ class AmplifierHwMotor:
 
     def _await(self, done: Callable[[], bool], awaited: str) -> None:
         axis = self.axis
-        if not self.runtime.wait_until(
-            lambda: axis.failure is not None or done(), _ENABLE_TIMEOUT_S
-        ):
-            raise DeadlineExceeded(
-                awaited=f"{self.label}: {awaited}",
-                timeout_s=_ENABLE_TIMEOUT_S,
-                last_heard=f"digital inputs {self.io.inputs:02X}h",
-            )
+        self._await_inputs(lambda: axis.failure is not None or done(), awaited, _ENABLE_TIMEOUT_S)
         if axis.failure is not None:
             raise axis.failure
+
+    def _await_inputs(self, done: Callable[[], bool], awaited: str, timeout_s: float) -> None:
+        if not self.runtime.wait_until(done, timeout_s):
+            heard = f"digital inputs {self.io.inputs:02X}h"
+            what = f"{self.label}: {awaited}"
+            raise DeadlineExceeded(awaited=what, timeout_s=timeout_s, last_heard=heard)
 
     def _raise_amplifier_fault(self) -> None:
         fault = self.axis.current_fault()
@@ -356,13 +355,15 @@ class AmplifierHwMotor:
         )
 
     def disable(self) -> None:
-        """The amplifier is off. Raises MotorBusyError as `enable`."""
+        """The amplifier has said that it is off. Raises MotorBusyError as `enable`."""
         self.connect()
         channel = self.channel
         with self.io.occupation.occupied():
             self.axis.cut()
             self.io.switch(channel, False)
-            self.runtime.wait_until(lambda: not self.io.status(channel) & READY, _OFF_TIMEOUT_S)
+            self._await_inputs(
+                lambda: not self.io.status(channel) & READY, "its amplifier off", _OFF_TIMEOUT_S
+            )
 
     def reset_fault(self) -> None:
         """There is no fault any more; the amplifier is off.

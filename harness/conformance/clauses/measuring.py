@@ -10,7 +10,7 @@ from harness.conformance.motions import (
     rest_for,
     torque_of,
 )
-from motorapi import TrapezoidalTrajectory
+from motorapi import DerivativeLimits, TrapezoidalTrajectory
 
 _VELOCITY_SHARE = 0.05
 _TORQUE_SHARE = 0.1
@@ -32,8 +32,9 @@ def velocity_is_how_fast_its_position_changes(bench: RigProtocol) -> None:
         asked = share * model.velocity_max
         ramps = 0.5 * asked * abs(asked) * (1 / model.acceleration_max + 1 / model.deceleration)
         way = 1.5 * asked * _LOOKS * 0.1 + ramps
+        limits = DerivativeLimits(first=abs(asked))
         duration_s = least_s(way, abs(asked), model.acceleration_max, model.deceleration)
-        follow(motor, TrapezoidalTrajectory(way, duration_s=duration_s))
+        follow(motor, TrapezoidalTrajectory(way, limits=limits))
         rest_for(bench, abs(asked) / model.acceleration_max + 0.1)
         begun_ns, before = bench.runtime.now_ns(), bench.true_position(motor)
         told = []

@@ -89,8 +89,8 @@ def a_velocity_is_reached_and_goes_on(bench: RigProtocol) -> None:
                 abs(found - asked) <= _SPEED_SHARE * abs(asked),
                 f"told to go at {asked:g} {unit}/s, {when} it went at {found:g} {unit}/s",
             )
-    motor.stop()
-    finish(bench, motor)
+        motor.stop()
+        finish(bench, motor)
 
 
 @clause(
@@ -144,7 +144,7 @@ def a_set_points_limit_of_velocity_is_kept(bench: RigProtocol) -> None:
         finish(bench, motor, 2.0 * way / limit)
         over_s = 0.2 if share == 0.5 else 0.9
         found = fastest(taken, over_s)
-        spare = 2.0 * (model.resolution or 0.0) / over_s + 0.02 * limit
+        spare = 2.0 * (model.resolution or 0.0) / over_s + 0.03 * limit
         expect(
             found <= limit + spare,
             f"limited to {limit:.6g} {model.unit}/s it went at {found:.6g} {model.unit}/s",

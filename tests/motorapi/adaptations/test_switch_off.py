@@ -4,7 +4,7 @@ import pytest
 
 from emulators.media.faults import FaultKind, FaultRule
 from harness.rig import Rig
-from motorapi.errors import LinkError
+from motorapi.errors import DeadlineExceeded, LinkError
 from tests.motorapi.adaptations.software_rigs import enabled, moving, one
 from tests.motorapi.adaptations.wheels import frames_on
 
@@ -57,7 +57,8 @@ def test_enabling_again_ends_it(open_rig):
     rig = open_rig(one())
     left = enabled(rig)
     lose(rig, ENABLE, 100)
-    left.disable()
+    with pytest.raises(DeadlineExceeded, match="its amplifier off"):
+        left.disable()  # it is told that nobody knows, and goes on being switched off
     rig.faults.lift("can0", f"{ENABLE:X}h lost")
     left.enable()
     rig.runtime.run_for(0.5)
@@ -78,7 +79,8 @@ def test_it_is_given_up_after_a_while(open_rig):
     rig = open_rig(one())
     left = enabled(rig)
     lose(rig, ENABLE, None)
-    left.disable()
+    with pytest.raises(DeadlineExceeded, match="its amplifier off"):
+        left.disable()  # it is told that nobody knows, and goes on being switched off
     rig.runtime.run_for(10.0)
     fired = rig.faults.fired()[f"{ENABLE:X}h lost"]
     assert 500 <= fired <= 502

@@ -1,0 +1,148 @@
+"""L2: where zero is; the hardware itself; the end."""
+
+from harness.conformance.bench import RigProtocol
+from harness.conformance.capability import Ability, Capability
+from harness.conformance.clause import Level, Violated, clause, expect
+from harness.conformance.motions import (
+    expect_at,
+    expect_unmoved,
+    finish,
+    long_move,
+    move,
+    place,
+    rest_for,
+    turn,
+)
+from motorapi import MotorBusyError, MotorState, StateError, UnsupportedError
+
+_HERE = 37
+_NO_METHOD = 77  # CiA 402-2 leaves it out
+
+
+@clause(
+    "HOME-01",
+    Level.L2,
+    needs={Capability.HOMING, Capability.POSITION_TRAJECTORY},
+    source="Motor.home: knows where its position 0 is, 37: here; CiA 402-2, 6098h",
+)
+def here_is_zero(bench: RigProtocol) -> None:
+    """Homing on the spot moves nothing: here is 0 from then on, and it is referenced."""
+    motor, way = bench.motor, 0.3 * long_move(bench)
+    move(bench, motor, way)
+    before = place(bench, motor)
+    motor.home(_HERE)
+    expect(motor.is_referenced(), "homed on the spot, it says that it is not referenced")
+    expect_at(bench, motor, 0.0, "homed on the spot")
+    if Ability.TRUTH in bench.abilities and motor.position() != place(bench, motor):
+        expect_unmoved(bench, motor, before, "when it was homed on the spot")
+    move(bench, motor, -way)
+    expect_at(bench, motor, -way, "moved after it was homed on the spot")
+
+
+@clause(
+    "HOME-02",
+    Level.L2,
+    needs={Capability.HOMING, Capability.POSITION_TRAJECTORY},
+    source="Motor.home: UnsupportedError, the motor does not know the method",
+)
+def a_homing_it_does_not_know_is_refused(bench: RigProtocol) -> None:
+    """A homing method that it does not know is refused as such; nothing has moved, or is lost."""
+    motor, way = bench.motor, 0.2 * long_move(bench)
+    move(bench, motor, way)
+    before = place(bench, motor)
+    try:
+        motor.home(_NO_METHOD)
+    except UnsupportedError:
+        pass
+    else:
+        raise Violated(f"homing method {_NO_METHOD} was accepted, which CiA 402 does not have")
+    rest_for(bench, 0.3)
+    expect_unmoved(bench, motor, before, f"homing method {_NO_METHOD} was refused, and")
+    move(bench, motor, way)
+    expect_at(bench, motor, 2.0 * way, "moved after a homing was refused")
+
+
+@clause(
+    "LOW-01",
+    Level.L2,
+    needs={Capability.LOW_LEVEL, Capability.POSITION_TRAJECTORY},
+    source="requirement 2: no other part of the interface will have any effect meanwhile",
+)
+def low_level_access_is_alone_and_ends(bench: RigProtocol) -> None:
+    """Who has low-level access has it alone; when it ends the motor is as good as before."""
+    motor, way = bench.motor, 0.2 * long_move(bench)
+    move(bench, motor, way)
+    for _ in range(2):
+        motor.disable()  # a servo on the host would have to send meanwhile
+        with motor.low_level() as hardware:
+            expect(hardware is not None, "low-level access gives nothing")
+            for what, operation in (
+                ("start()", motor.start),
+                ("stop()", motor.stop),
+                ("disable()", motor.disable),
+            ):
+                try:
+                    operation()
+                except MotorBusyError:
+                    continue
+                raise Violated(f"{what} had an effect during low-level access")
+            rest_for(bench, 0.3)
+    expect_at(bench, motor, way, "after low-level access that did nothing")
+    move(bench, motor, way)
+    expect_at(bench, motor, 2.0 * way, "moved after low-level access")
+
+
+@clause(
+    "LOW-02",
+    Level.L2,
+    needs={Capability.LOW_LEVEL, Capability.VELOCITY_SET_POINT},
+    bench={Ability.TRUTH},
+    source="requirement 2; Motor.low_level: StateError, a motion of this one goes on",
+)
+def low_level_access_begins_at_rest(bench: RigProtocol) -> None:
+    """Low-level access is refused while the motor moves, which goes on undisturbed."""
+    motor = bench.motor
+    asked = 0.3 * motor.model.velocity_max
+    turn(motor, asked)
+    finish(bench, motor, 2.0)
+    rest_for(bench, 0.1)
+    try:
+        with motor.low_level():
+            pass
+    except (MotorBusyError, StateError):
+        pass
+    else:
+        raise Violated("low-level access was given to a motor that moves")
+    before, begun_ns = place(bench, motor), bench.runtime.now_ns()
+    rest_for(bench, 0.3)
+    found = (place(bench, motor) - before) / ((bench.runtime.now_ns() - begun_ns) / 1e9)
+    expect(
+        abs(found - asked) <= 0.05 * asked,
+        f"refused low-level access, it goes at {found:g} and not at {asked:g} {motor.model.unit}/s",
+    )
+    motor.stop()
+    finish(bench, motor)
+
+
+@clause(
+    "CLOSE-01",
+    Level.L2,
+    needs={Capability.POSITION_TRAJECTORY},
+    bench={Ability.SEVERAL_USERS},
+    source="Device.close: no longer used, closing again does nothing; paper 3.5, logical motors",
+)
+def closing_again_does_nothing(bench: RigProtocol) -> None:
+    """A logical motor may be closed twice; others of the same physical motor go on."""
+    motor, way = bench.motor, 0.2 * long_move(bench)
+    other = bench.another_user_of(motor)
+    move(bench, motor, way)
+    other.close()
+    other.close()
+    move(bench, motor, way)
+    expect_at(bench, motor, 2.0 * way, "moved when another logical motor was closed")
+    state = motor.state()
+    expect(
+        state is MotorState.ENABLED, f"when another logical motor was closed it is {state.value}"
+    )
+    motor.close()
+    motor.close()
