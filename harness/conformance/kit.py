@@ -16,7 +16,7 @@ _MODULES: Final = (
     "limits",
     "stopping",
     "failing",
-    "losing",
+    "hearing",
     "access",
     "groups",
     "parting",

@@ -82,8 +82,8 @@ def a_velocity_is_reached_and_goes_on(bench: RigProtocol) -> None:
         asked = share * motor.model.velocity_max
         turn(motor, asked)
         finish(bench, motor, 2.0 * motor.model.velocity_max / motor.model.acceleration_max)
-        rest_for(bench, 0.1)
         for when in ("once it was reached", "later"):
+            rest_for(bench, 0.3)
             found = speed(bench, motor, 0.3)
             expect(
                 abs(found - asked) <= _SPEED_SHARE * abs(asked),
@@ -161,13 +161,14 @@ def a_set_points_limit_of_velocity_is_kept(bench: RigProtocol) -> None:
 def setting_does_nothing_before_start(bench: RigProtocol) -> None:
     """What is set is kept and does nothing: no motor moves or is switched on before start()."""
     motor = bench.motor
-    before = place(bench, motor)
+    before, state = place(bench, motor), motor.state()
     motor.set_control_mode(ControlMode.SETPOINT)
     motor.set_setpoint(0.25 * long_move(bench))
     rest_for(bench, 0.3)
     expect_unmoved(bench, motor, before, "when a set-point was set")
-    state = motor.state()
-    expect(state is not MotorState.ENABLED, "a set-point that was set has enabled it")
+    found = motor.state()
+    told = f"it was {state.value}; a set-point that was set has made it {found.value}"
+    expect(found is state or found is not MotorState.ENABLED, told)
     motor.start()
     finish(bench, motor, shortest_s(motor, 0.25 * long_move(bench)))
     motor.set_setpoint(0.0)

@@ -30,7 +30,7 @@ from motorapi import (
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-_EXAMPLES: Final = 8
+_EXAMPLES: Final = 6
 _LONG: Final = 8.0
 _TURN_RAD: Final = 6.3
 
@@ -182,6 +182,7 @@ def any_target_is_reached(bench: RigProtocol) -> None:
         deadline=None,
         database=None,
         print_blob=False,
+        report_multiple_bugs=False,
         phases=(Phase.explicit, Phase.generate, Phase.shrink),
     )
 

@@ -52,3 +52,15 @@ def mutant(kind, *killers):
 def replaced(owner, name, make):
     """`owner.name` is `make(the original)` inside the block."""
     return patch.object(owner, name, make(getattr(owner, name)))
+
+
+def motions_changed(motor_class, change):
+    """Inside the block `_arm` of this class gets `change(motor, motion)`."""
+
+    def wrong(arm):
+        def armed(motor, motion, *, together):
+            return arm(motor, change(motor, motion), together=together)
+
+        return armed
+
+    return replaced(motor_class, "_arm", wrong)

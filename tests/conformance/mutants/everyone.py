@@ -1,5 +1,15 @@
 """All modules of mutants, loaded."""
 
-from tests.conformance.mutants import groups, lost, units
+from tests.conformance.mutants import (
+    access,
+    commands,
+    ends,
+    failures,
+    groups,
+    lost,
+    refusals,
+    stops,
+    units,
+)
 
-MODULES = (groups, lost, units)
+MODULES = (access, commands, ends, failures, groups, lost, refusals, stops, units)

@@ -1,23 +1,162 @@
-"""Mistakes of sign, unit and place."""
+"""Mistakes of sign, unit and place, in commands and in what is measured."""
 
-from math import degrees
+from dataclasses import replace
+from math import degrees, tau
 
 from motorapi.adaptations.cia402_motor import Cia402Motor
-from tests.conformance.mutants import mutant, replaced
+from motorapi.adaptations.drive_reader import DriveReader
+from motorapi.adaptations.ideal_hardware import IdealHwMotor
+from motorapi.adaptations.leadshine_hardware import LeadshineHwMotor
+from motorapi.adaptations.polled_motor import PolledMotor
+from motorapi.state import MotorState
+from tests.conformance.mutants import motions_changed, mutant, replaced
 
 
 @mutant("cia402", "UNIT-01")
 def degrees_for_radians():
     """Angles are sent to the drive in degrees."""
-    from dataclasses import replace
 
-    def wrong(arm):
-        def armed(motor, motion, *, together):
-            if motion.target is not None:
-                motion = replace(motion, target=degrees(motion.target))
-            return arm(motor, motion, together=together)
+    def in_degrees(motor, motion):
+        return replace(motion, target=degrees(motion.target))
 
-        return armed
+    with motions_changed(Cia402Motor, in_degrees):
+        yield
 
-    with replaced(Cia402Motor, "_arm", wrong):
+
+@mutant("leadshine", "UNIT-01")
+def encoder_of_2048_lines():
+    """The encoder is taken to have 2048 lines where it has 2000, in commands and in answers."""
+    with replaced(
+        LeadshineHwMotor,
+        "_per_unit",
+        lambda per_unit: lambda self, model: per_unit(self, model) * 2048 / 2000,
+    ):
+        yield
+
+
+@mutant("ideal", "UNIT-01")
+def sign_of_the_gear_forgotten():
+    """A motor that its gear turns round goes the wrong way."""
+
+    def turned(motor, motion):
+        way = motion.target - motion.start
+        return replace(motion, target=motion.start - way) if motor.name == "right" else motion
+
+    from motorapi.adaptations.ideal_motor import IdealMotor
+
+    with motions_changed(IdealMotor, turned):
+        yield
+
+
+@mutant("ideal", "ID-01")
+def all_motors_share_one_course():
+    """What a motor does is kept by its class: all of them do it."""
+    everyone = []
+
+    def kept(take):
+        def taken(self, course, motion, failure=None, *, quietly=False):
+            everyone[:] = [one for one in everyone if one.runtime is self.runtime]
+            if self not in everyone:
+                everyone.append(self)
+            for one in everyone:
+                take(one, course, motion, failure, quietly=quietly)
+
+        return taken
+
+    def listed(init):
+        def made(self, *args, **kwargs):
+            init(self, *args, **kwargs)
+            everyone.append(self)
+
+        return made
+
+    with replaced(IdealHwMotor, "_take", kept), replaced(IdealHwMotor, "__init__", listed):
+        yield
+
+
+@mutant("leadshine", "ID-02")
+def latest_asks_the_drive():
+    """What was heard last is asked for anew."""
+
+    def asking(latest):
+        def asked(self):
+            self._poll()
+            return latest(self)
+
+        return asked
+
+    with replaced(PolledMotor, "_latest", asking):
+        yield
+
+
+@mutant("cia402", "STATE-01")
+def enabled_before_anything_was_heard():
+    """As long as nothing was heard of it, a drive is said to be ready."""
+
+    def hopeful(state):
+        def told(self):
+            return MotorState.ENABLED if self._hardware.facts is None else state(self)
+
+        return told
+
+    with replaced(DriveReader, "state", hopeful):
+        yield
+
+
+@mutant("leadshine", "STATE-02")
+def disable_keeps_the_power_on():
+    """disable() stops the motor and says that it is off, but its power stage stays on."""
+    off = set()
+
+    def lazy(disable):
+        def disabled(self):
+            off.add(self)
+            self.post_stop(quick=False)
+
+        return disabled
+
+    def told(poll):
+        def polled(self, model):
+            found = poll(self, model)
+            return replace(found, state=MotorState.DISABLED) if self in off else found
+
+        return polled
+
+    def on(enable):
+        def enabled(self):
+            off.discard(self)
+            enable(self)
+
+        return enabled
+
+    with (
+        replaced(LeadshineHwMotor, "disable", lazy),
+        replaced(LeadshineHwMotor, "poll", told),
+        replaced(LeadshineHwMotor, "enable", on),
+    ):
+        yield
+
+
+@mutant("cia402", "MEAS-01")
+def velocity_in_rpm():
+    """The measured velocity is in revolutions a minute."""
+    with replaced(
+        DriveReader, "velocity", lambda velocity: lambda self: velocity(self) * 60.0 / tau
+    ):
+        yield
+
+
+@mutant("cia402", "MEAS-02")
+def torque_of_the_motors_shaft():
+    """The measured torque is that of the motor, and not that of the output behind its gear."""
+    with replaced(
+        DriveReader, "torque", lambda torque: lambda self: torque(self) / self._model.gear_ratio
+    ):
+        yield
+
+
+@mutant("cia402", "MEAS-03")
+def following_error_turned_round():
+    """The following error is actual minus demand."""
+    with replaced(DriveReader, "following_error", lambda error: lambda self: -error(self)):
         yield

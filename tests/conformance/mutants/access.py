@@ -1,0 +1,66 @@
+"""Mistakes about homing, low-level access and closing."""
+
+from motorapi import low_level
+from motorapi.adaptations.ideal_hardware import IdealHwMotor
+from motorapi.adaptations.ideal_motor import IdealMotor
+from motorapi.adaptations.polled_motor import PolledMotor
+from tests.conformance.mutants import mutant, replaced
+
+
+@mutant("ideal", "HOME-01")
+def homed_and_not_renamed():
+    """Homing on the spot is noted, and the position stays what it was."""
+
+    def wrong(call_here):
+        def called(self, position):
+            call_here(self, self.reading().position)
+
+        return called
+
+    with replaced(IdealHwMotor, "call_here", wrong):
+        yield
+
+
+@mutant("ideal", "HOME-02")
+def any_homing_will_do():
+    """A homing method that is not known is taken for the usual one."""
+    with replaced(IdealMotor, "_home", lambda home: lambda self, method: home(self, None)):
+        yield
+
+
+@mutant("leadshine", "LOW-01")
+def low_level_access_closes():
+    """What was given away for low-level access is closed when it comes back."""
+
+    def wrong(close_low_level):
+        def closed(self):
+            close_low_level(self)
+            self._polled.close()
+
+        return closed
+
+    with replaced(PolledMotor, "_close_low_level", wrong):
+        yield
+
+
+@mutant("ideal", "LOW-02")
+def low_level_access_in_mid_motion():
+    """A velocity that was reached is done, so low-level access is given while the motor moves."""
+    with replaced(low_level, "_is_at_rest", lambda at_rest: lambda motor, *, patient: True):
+        yield
+
+
+@mutant("ideal", "CLOSE-01")
+def each_close_counts():
+    """Closing twice counts as two users who went: the hardware is closed under the others."""
+
+    def wrong(close):
+        def closed(self):
+            on_close = self._on_close
+            close(self)
+            self._on_close = on_close
+
+        return closed
+
+    with replaced(IdealMotor, "close", wrong):
+        yield

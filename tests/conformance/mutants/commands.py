@@ -1,0 +1,379 @@
+"""Mistakes in what becomes of a command: set-points, trajectories, starts."""
+
+from dataclasses import replace
+from math import ceil, inf, remainder, tau
+
+from motorapi.adaptations import drive_control, drive_motions, leadshine_hardware
+from motorapi.adaptations.cia402_motor import Cia402Motor
+from motorapi.adaptations.drive_motions import DriveMotions
+from motorapi.adaptations.ideal_motor import IdealMotor
+from motorapi.adaptations.leadshine_hardware import LeadshineHwMotor
+from motorapi.adaptations.polled_motor import PolledMotor
+from motorapi.adaptations.software_motor import SoftwareMotor
+from motorapi.commands import ControlMode, ControlVariable, Setpoint
+from motorapi.trajectory import TrapezoidalTrajectory
+from tests.conformance.mutants import motions_changed, mutant, replaced
+
+POSITION, VELOCITY = ControlVariable.POSITION, ControlVariable.VELOCITY
+TORQUE, CURRENT = ControlVariable.TORQUE, ControlVariable.CURRENT
+
+
+def is_setpoint(motion, variable):
+    return motion.mode is ControlMode.SETPOINT and motion.variable is variable
+
+
+def is_trajectory(motion, variable):
+    return motion.mode is ControlMode.TRAJECTORY and motion.variable is variable
+
+
+@mutant("ideal", "SET-01")
+def set_point_taken_as_distance():
+    """A place to go to is taken as a distance."""
+
+    def wrong(motor, motion):
+        absolute = is_setpoint(motion, POSITION) and not motor._command.relative
+        return replace(motion, target=motion.start + motion.target) if absolute else motion
+
+    with motions_changed(IdealMotor, wrong):
+        yield
+
+
+@mutant("ideal", "SET-02")
+def same_distance_is_not_sent_again():
+    """A distance equal to the one before is not sent: nothing differs."""
+    before = {}
+
+    def wrong(motor, motion):
+        command = motor._command
+        relative = isinstance(command, Setpoint) and command.relative
+        value = command.value if relative else None
+        known, before[motor] = before.get(motor), value
+        return replace(motion, target=motion.start) if relative and known == value else motion
+
+    with motions_changed(IdealMotor, wrong):
+        yield
+
+
+@mutant("leadshine", "SET-03")
+def a_velocity_ends_by_itself():
+    """A set-point of velocity has to be told again within a second, or the drive stops."""
+
+    def watched(fire):
+        def fired(self):
+            fire(self)
+            started_ns = self._polled.progress.started_ns
+
+            def over():
+                timer.cancel()
+                if self._polled.progress.started_ns == started_ns:
+                    self._polled.post_stop(quick=False)
+
+            motion = self.armed_motion
+            if is_setpoint(motion, VELOCITY):
+                timer = self.runtime.every(1.0, over)
+
+        return fired
+
+    def noted(motor, motion):
+        motor.armed_motion = motion
+        return motion
+
+    with replaced(PolledMotor, "fire", watched), motions_changed(PolledMotor, noted):
+        yield
+
+
+@mutant("cia402", "SET-04")
+def half_the_torque():
+    """A torque is told in thousandths of the peak torque, which is twice the rated one."""
+
+    def halved(profile_of):
+        def of(motion, unit):
+            if is_setpoint(motion, TORQUE):
+                motion = replace(motion, target=0.5 * motion.target)
+            return profile_of(motion, unit)
+
+        return of
+
+    with replaced(drive_motions, "torque_profile_of", halved):
+        yield
+
+
+@mutant("leadshine", "SET-05")
+def speeds_are_rounded_up():
+    """A speed between two steps of the drive's is rounded to the faster one."""
+    with replaced(leadshine_hardware, "floor", lambda floor: ceil):
+        yield
+
+
+@mutant("cia402", "SET-05")
+def limit_of_velocity_ignored_in_set_points():
+    """The limit of velocity that a set-point brings is not looked at."""
+
+    def wrong(motor, motion):
+        limited = is_setpoint(motion, POSITION)
+        return replace(motion, velocity=motor.model.velocity_max) if limited else motion
+
+    with motions_changed(Cia402Motor, wrong):
+        yield
+
+
+@mutant("cia402", "SET-06")
+def setting_switches_on():
+    """The drive is brought up and switched on when a set-point is set, to be quick at the start."""
+
+    def eager(check):
+        def checked(self, variable, command):
+            check(self, variable, command)
+            if isinstance(command, Setpoint) and not command.limits:
+                self._connect()
+                self._enable()
+
+        return checked
+
+    with replaced(Cia402Motor, "_check_command", eager):
+        yield
+
+
+@mutant("software", "SET-07")
+def currents_have_no_sign():
+    """A current is told by its size."""
+
+    def wrong(motor, motion):
+        return replace(motion, target=abs(motion.target)) if motion.variable is CURRENT else motion
+
+    with motions_changed(SoftwareMotor, wrong):
+        yield
+
+
+@mutant("ideal", "SET-08")
+def as_fast_as_it_can():
+    """A set-point without limits goes as fast as the hardware can, whatever the model says."""
+
+    def wrong(motor, motion):
+        free = is_setpoint(motion, POSITION) and motor._command.limits is None
+        return replace(motion, velocity=2.0 * motion.velocity) if free else motion
+
+    with motions_changed(IdealMotor, wrong):
+        yield
+
+
+@mutant("ideal", "TRAJ-01")
+def absolute_taken_as_distance():
+    """The final value of an absolute trajectory is taken as a distance."""
+
+    def wrong(motor, motion):
+        asked = motion.trajectory
+        absolute = isinstance(asked, TrapezoidalTrajectory) and not asked.is_relative
+        return replace(motion, target=motion.start + asked.final) if absolute else motion
+
+    with motions_changed(IdealMotor, wrong):
+        yield
+
+
+@mutant("ideal", "TRAJ-02")
+def duration_ignored():
+    """A trajectory goes as fast as the model allows, whatever time it was given."""
+
+    def wrong(motor, motion):
+        asked = motion.trajectory
+        timed = isinstance(asked, TrapezoidalTrajectory) and asked.duration_s is not None
+        if not timed or motion.variable is not POSITION:
+            return motion
+        return replace(motion, velocity=motor.model.velocity_max)
+
+    with motions_changed(IdealMotor, wrong):
+        yield
+
+
+@mutant("cia402", "TRAJ-03")
+def slows_down_as_it_speeds_up():
+    """Deceleration is not told: the drive slows down as it speeds up."""
+
+    def wrong(push):
+        def pushed(self, acceleration, deceleration):
+            push(self, acceleration, acceleration)
+
+        return pushed
+
+    with replaced(DriveMotions, "_push_ramps", wrong):
+        yield
+
+
+@mutant("ideal", "TRAJ-04")
+def functions_begin_at_zero():
+    """A relative function is followed as if the motor were at 0."""
+    with motions_changed(IdealMotor, lambda motor, motion: replace(motion, offset=0.0)):
+        yield
+
+
+@mutant("cia402", "TRAJ-05")
+def a_ramp_as_steep_as_can_be():
+    """A trajectory of velocity is made with the ramps of the model, not in its time."""
+
+    def wrong(motor, motion):
+        if not is_trajectory(motion, VELOCITY):
+            return motion
+        steepest = motor.model.acceleration_max
+        return replace(motion, acceleration=steepest, deceleration=steepest)
+
+    with motions_changed(Cia402Motor, wrong):
+        yield
+
+
+@mutant("cia402", "TRAJ-06")
+def a_step_of_torque():
+    """A trajectory of torque is a step to its final value."""
+
+    def stepped(profile_of):
+        def of(motion, unit):
+            if is_trajectory(motion, TORQUE):
+                motion = replace(motion, slope=inf)
+            return profile_of(motion, unit)
+
+        return of
+
+    with replaced(drive_motions, "torque_profile_of", stepped):
+        yield
+
+
+@mutant("ideal", "TRAJ-07")
+def integrated_by_the_nominal_period():
+    """A profile of velocity is integrated by a period that is 5 % too long."""
+
+    def wrong(motor, motion):
+        if motion.function is None or motion.variable is not VELOCITY:
+            return motion
+        return replace(motion, function=1.05 * motion.function)
+
+    with motions_changed(IdealMotor, wrong):
+        yield
+
+
+@mutant("ideal", "START-01")
+def an_equal_trajectory_is_not_sent_again():
+    """A trajectory that is the one before is not sent again: nothing differs."""
+    before = {}
+
+    def wrong(motor, motion):
+        asked = motion.trajectory
+        known, before[motor] = before.get(motor), asked
+        return replace(motion, target=motion.start) if asked and asked is known else motion
+
+    with motions_changed(IdealMotor, wrong):
+        yield
+
+
+@mutant("cia402", "START-02")
+def settings_are_pushed_once():
+    """Ramps are in the drive from the first motion on, and believed to be right for ever."""
+    told = set()
+
+    def once(push):
+        def pushed(self, acceleration, deceleration):
+            if self not in told:
+                told.add(self)
+                push(self, acceleration, deceleration)
+
+        return pushed
+
+    with replaced(DriveMotions, "_push_ramps", once):
+        yield
+
+
+@mutant("cia402", "START-02")
+def start_before_settings():
+    """Ramps are written when the motion has begun: each has those of the one before."""
+    late = {}
+
+    def kept(push):
+        def pushed(self, acceleration, deceleration):
+            before, late[self] = late.get(self), (acceleration, deceleration)
+            if before is not None:
+                push(self, *before)
+
+        return pushed
+
+    with replaced(DriveMotions, "_push_ramps", kept):
+        yield
+
+
+@mutant("cia402", "START-03")
+def set_points_wait_for_one_another():
+    """A new set-point waits in the drive until the one before is reached (bit 5 forgotten)."""
+    with replaced(drive_control, "CHANGE_IMMEDIATELY", lambda bit: 0):
+        yield
+
+
+@mutant("ideal", "START-04")
+def a_velocity_is_not_replaced():
+    """While it goes at a velocity, another one is taken for the same mode, and not sent."""
+
+    def wrong(motor, motion):
+        velocity = motor._read_velocity()
+        goes = is_setpoint(motion, VELOCITY) and velocity != 0.0
+        return replace(motion, target=velocity) if goes else motion
+
+    with motions_changed(IdealMotor, wrong):
+        yield
+
+
+@mutant("ideal", "START-05")
+def setting_ends_what_goes_on():
+    """A trajectory that is set in mid-motion ends the one that goes on, before any start."""
+
+    def eager(check):
+        def checked(self, variable, command):
+            check(self, variable, command)
+            if not isinstance(command, Setpoint) and not self._hardware.is_over:
+                self._hardware.slow_down(self.model.deceleration)
+
+        return checked
+
+    with replaced(IdealMotor, "_check_command", eager):
+        yield
+
+
+@mutant("ideal", "MOVE-01")
+def angles_within_a_turn():
+    """Angles are brought to within half a turn of 0, as for a compass."""
+
+    def wrong(motor, motion):
+        if not is_setpoint(motion, POSITION):
+            return motion
+        return replace(motion, target=remainder(motion.target, tau))
+
+    with motions_changed(IdealMotor, wrong):
+        yield
+
+
+@mutant("ideal", "MOVE-02")
+def an_end_without_a_beginning_is_none():
+    """A trajectory is over when the motor was seen to move: one that is too short never is."""
+
+    def wrong(is_done):
+        def done(self):
+            run = self._physical.run
+            motion = None if run is None else run.motion
+            follows = motion is not None and motion.mode is ControlMode.TRAJECTORY
+            return is_done(self) and not (follows and abs(motion.distance) < 1e-4)
+
+        return done
+
+    with replaced(IdealMotor, "_is_done", wrong):
+        yield
+
+
+@mutant("leadshine", "START-03")
+def replaced_set_points_are_lost():
+    """A set-point that is started in mid-motion is not told to the drive."""
+
+    def deaf(trigger):
+        def triggered(self):
+            known = self.progress.poll
+            if known is None or not known.is_moving:
+                trigger(self)
+
+        return triggered
+
+    with replaced(LeadshineHwMotor, "trigger", deaf):
+        yield

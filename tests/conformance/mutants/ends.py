@@ -1,0 +1,139 @@
+"""Mistakes about the end of motions: when it is, and who is told."""
+
+from dataclasses import replace
+
+from motorapi import motor as motor_module
+from motorapi.adaptations.cia402_motor import Cia402Motor
+from motorapi.adaptations.ideal_hardware import IdealHwMotor
+from motorapi.adaptations.ideal_motor import IdealMotor
+from motorapi.adaptations.polled_motor import PolledMotor
+from motorapi.errors import DeadlineExceeded
+from tests.conformance.mutants import mutant, replaced
+
+
+@mutant("ideal", "DONE-01")
+def late_from_above():
+    """Whether it has arrived is looked at with a window to one side: backwards it takes longer."""
+
+    def wrong(is_done):
+        def done(self):
+            run = self._physical.run
+            motion = None if run is None else run.motion
+            backwards = motion is not None and motion.distance < -0.5
+            if not backwards or not is_done(self):
+                return is_done(self)
+            self._hardware._news.count += 1
+            return self._hardware._course.over_ns + 500_000_000 <= self.runtime.now_ns()
+
+        return done
+
+    def again(look):
+        def looked(self):
+            return look(self) or 0.01
+
+        return looked
+
+    with (
+        replaced(IdealMotor, "_is_done", wrong),
+        replaced(IdealHwMotor, "look_again_s", again),
+    ):
+        yield
+
+
+@mutant("cia402", "DONE-01", "SET-01")
+def stale_done():
+    """The bit that says that the target is reached is believed to be that of the new motion."""
+    ended = {}
+
+    def wrong(is_done):
+        def done(self):
+            over = is_done(self) or ended.get(self, False)
+            ended[self] = ended.get(self, False) or over
+            return over
+
+        return done
+
+    with replaced(Cia402Motor, "_is_done", wrong):
+        yield
+
+
+@mutant("ideal", "DONE-02")
+def a_wait_that_runs_out_stops_the_motor():
+    """Who waited for too long has the motor stopped."""
+
+    def wrong(wait):
+        def waited(motors, timeout_s, answer=None):
+            try:
+                wait(motors, timeout_s, answer)
+            except DeadlineExceeded:
+                for one in motors:
+                    one._call(one._stop)
+                raise
+
+        return waited
+
+    with replaced(motor_module, "wait_for_all", wrong):
+        yield
+
+
+@mutant("ideal", "DONE-03")
+def nobody_is_told_of_the_end():
+    """The end of a motion is known and told to nobody who asked to be told."""
+
+    def quiet(look):
+        def looked(self, course):
+            listeners, self._news.listeners = self._news.listeners, []
+            look(self, course)
+            self._news.listeners = listeners
+
+        return looked
+
+    with replaced(IdealHwMotor, "_look", quiet):
+        yield
+
+
+@mutant("ideal", "DONE-04")
+def it_has_always_just_begun():
+    """The hardware tells the time of now as that of the start, as long as it moves."""
+
+    def wrong(times):
+        def told(self):
+            found = times(self)
+            if found is None or self._hardware.is_over:
+                return found
+            return replace(found, started_ns=self.runtime.now_ns())
+
+        return told
+
+    with replaced(IdealMotor, "_motion_times", wrong):
+        yield
+
+
+@mutant("oriental_az", "DONE-02", "MEAS-01")
+def it_moves_only_while_asked():
+    """The drive stops when it was not asked for a fifth of a second, and nobody else asks it."""
+
+    def watched(fire):
+        def fired(self):
+            fire(self)
+            heard = [self.runtime.now_ns()]
+            self._heard = heard
+            timer = self.runtime.every(0.05, lambda: look(timer))
+
+            def look(timer):
+                if self.runtime.now_ns() - heard[0] > 200_000_000:
+                    timer.cancel()
+                    self._polled.post_stop(quick=False)
+
+        return fired
+
+    def asked(poll):
+        def polled(self):
+            if hasattr(self, "_heard"):
+                self._heard[0] = self.runtime.now_ns()
+            return poll(self)
+
+        return polled
+
+    with replaced(PolledMotor, "fire", watched), replaced(PolledMotor, "_poll", asked):
+        yield

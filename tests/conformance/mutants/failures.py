@@ -1,0 +1,144 @@
+"""Mistakes about faults, lost answers and drives that are not heard."""
+
+from motorapi.adaptations import leadshine_hardware
+from motorapi.adaptations.leadshine_hardware import LeadshineHwMotor
+from motorapi.adaptations.modbus_unit import ModbusUnit
+from motorapi.adaptations.polled_motor import PolledMotor
+from motorapi.errors import LinkError, MotorError
+from tests.conformance.mutants import mutant, replaced
+
+
+@mutant("leadshine", "FAULT-01")
+def a_fault_ends_a_motion_as_any_other_end():
+    """A drive with a fault does not move: so its motion is over."""
+
+    def wrong(is_done):
+        def done(self):
+            poll = self._polled.progress.poll
+            return True if poll is not None and poll.fault is not None else is_done(self)
+
+        return done
+
+    with replaced(PolledMotor, "_is_done", wrong):
+        yield
+
+
+@mutant("leadshine", "FAULT-02")
+def bringing_up_resets_faults():
+    """Whoever commands the motor has its fault reset without being told."""
+
+    def eager(connect):
+        def connected(self):
+            connect(self)
+            if self._poll().fault is not None:
+                self._polled.reset_fault()
+
+        return connected
+
+    with replaced(PolledMotor, "_connect", eager):
+        yield
+
+
+@mutant("leadshine", "FAULT-03")
+def a_reset_switches_on():
+    """reset_fault() leaves the motor as it was before the fault: on."""
+
+    def eager(reset):
+        def done(self):
+            reset(self)
+            self.runtime.wait_until(lambda: False, 0.05)
+            self.enable()
+
+        return done
+
+    with replaced(LeadshineHwMotor, "reset_fault", eager):
+        yield
+
+
+@mutant("leadshine", "FAULT-04")
+def a_fault_is_told_from_memory():
+    """Which fault there is, is told as of when the motor was last waited for."""
+
+    def forgetful(read_fault):
+        def told(self):
+            return None if self._polled.progress.ended_ns is not None else read_fault(self)
+
+        return told
+
+    with replaced(PolledMotor, "_read_fault", forgetful):
+        yield
+
+
+@mutant("leadshine", "HEAR-01")
+def a_lost_start_is_made_again():
+    """A start that was not answered is made again, by as far from where the motor is by then."""
+
+    def again(trigger):
+        def triggered(self):
+            path = self._prepared
+            try:
+                trigger(self)
+            except MotorError:
+                self.runtime.wait_until(lambda: False, 0.8)
+                target = self.registers.read_i32(leadshine_hardware._DEMAND) + self.way
+                words = path[0], target >> 16 & 0xFFFF, target & 0xFFFF, *path[3:]
+                self.registers.write(leadshine_hardware._PATH_0, *words)
+
+        return triggered
+
+    def noted(prepare):
+        def prepared(self, motion, model):
+            prepare(self, motion, model)
+            self.way = round(motion.distance * self._per_unit(model))
+
+        return prepared
+
+    with (
+        replaced(LeadshineHwMotor, "trigger", again),
+        replaced(LeadshineHwMotor, "prepare", noted),
+    ):
+        yield
+
+
+@mutant("leadshine", "HEAR-02")
+def silence_is_no_error():
+    """What is not answered is taken to be as it was when it was answered last."""
+    known = {}
+
+    def deaf(ask):
+        def asked(self, *args):
+            try:
+                known[(self, *args)] = ask(self, *args)
+            except MotorError:
+                if (self, *args) not in known:
+                    raise
+            return known[(self, *args)]
+
+        return asked
+
+    with replaced(ModbusUnit, "read", deaf), replaced(ModbusUnit, "write", deaf):
+        yield
+
+
+@mutant("leadshine", "HEAR-03")
+def once_lost_is_lost_for_good():
+    """A drive that did not answer once is not asked any more."""
+    heard, lost = set(), set()
+
+    def given_up(read):
+        def asked(self, *args):
+            if self in lost:
+                self.runtime.wait_until(lambda: False, 0.2)
+                raise LinkError(link=self.label, reason="it is lost")
+            try:
+                found = read(self, *args)
+            except MotorError:
+                lost.update({self} & heard)
+                raise
+            heard.add(self)
+            return found
+
+        return asked
+
+    with replaced(ModbusUnit, "read", given_up):
+        yield

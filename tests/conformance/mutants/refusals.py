@@ -1,0 +1,65 @@
+"""Mistakes about what must be refused: limits, modes, nonsense."""
+
+from dataclasses import replace
+from math import isnan
+
+from motorapi import planning
+from motorapi.adaptations.cia402_motor import Cia402Motor
+from motorapi.commands import ControlMode, ControlVariable, DerivativeLimits
+from motorapi.trajectory import TrapezoidalTrajectory
+from tests.conformance.mutants import mutant, replaced
+
+
+@mutant("ideal", "LIM-01")
+def limits_of_position_ignored_in_trajectories():
+    """The limits of position hold for set-points, and are forgotten for trajectories."""
+
+    def wrong(plan):
+        def planned(motor, model, variable, trajectory, reference, **options):
+            if isinstance(trajectory, TrapezoidalTrajectory) and trajectory.limits is not None:
+                own = trajectory.limits
+                free = DerivativeLimits(first=own.first, second=own.second, third=own.third)
+                trajectory = replace(trajectory, limits=free)
+            return plan(motor, model, variable, trajectory, reference, **options)
+
+        return planned
+
+    with replaced(planning, "plan_trajectory", wrong):
+        yield
+
+
+@mutant("ideal", "LIM-02")
+def limits_hold_upwards_only():
+    """What is held against a limit is the value, not its size: backwards nothing is too fast."""
+    from motorapi import limits
+
+    def wrong(value_range):
+        def found(model, variable):
+            return None, value_range(model, variable)[1]
+
+        return found
+
+    with replaced(limits, "value_range", wrong):
+        yield
+
+
+@mutant("cia402", "LIM-03")
+def says_that_it_can_and_cannot():
+    """Trajectories of current are accepted, and nothing of the adaptation knows how to make one."""
+
+    def wrong(supports):
+        def supported(self, mode, variable):
+            asked = (mode, variable) == (ControlMode.TRAJECTORY, ControlVariable.CURRENT)
+            return asked or supports(self, mode, variable)
+
+        return supported
+
+    with replaced(Cia402Motor, "_supports", wrong):
+        yield
+
+
+@mutant("ideal", "LIM-04")
+def endless_set_points():
+    """What is no number is refused, what is no finite one is not."""
+    with replaced(planning, "isfinite", lambda isfinite: lambda value: not isnan(value)):
+        yield

@@ -1,0 +1,156 @@
+"""Mistakes about stopping, and about what a stop leaves behind."""
+
+from contextlib import contextmanager
+from dataclasses import replace
+
+from motorapi.adaptations.ideal_courses import Held
+from motorapi.adaptations.ideal_hardware import IdealHwMotor
+from motorapi.adaptations.ideal_motor import IdealMotor
+from motorapi.adaptations.leadshine_hardware import LeadshineHwMotor
+from motorapi.commands import ControlMode, ControlVariable
+from motorapi.state import MotorState
+from tests.conformance.mutants import motions_changed, mutant, replaced
+
+
+def power_off_at_rest(self):
+    """It slows down, and its power goes when it stands."""
+    hardware = self._hardware
+    hardware.slow_down(self.model.deceleration)
+    course = hardware._course
+
+    def look():
+        if hardware._course is not course or hardware._armed is not None:
+            timer.cancel()
+        elif hardware.is_over:
+            timer.cancel()
+            hardware._power = MotorState.DISABLED
+
+    timer = hardware.runtime.every(0.01, look)
+
+
+def plain_stop(self):
+    self._hardware.slow_down(self.model.deceleration)
+
+
+@contextmanager
+def only(name, wrong):
+    """One way to stop is wrong; the others are as they were."""
+    with (
+        replaced(IdealMotor, "_stop", lambda stop: wrong if name == "_stop" else stop),
+        replaced(IdealMotor, "_halt", lambda halt: wrong if name == "_halt" else plain_stop),
+    ):
+        yield
+
+
+@mutant("ideal", "STOP-01")
+def a_stop_lets_go():
+    """A motor that was stopped is switched off once it stands, to save current."""
+    with only("_stop", power_off_at_rest):
+        yield
+
+
+@mutant("ideal", "STOP-02")
+def a_halt_lets_go():
+    """A motor that was halted is switched off once it stands, to save current."""
+    with only("_halt", power_off_at_rest):
+        yield
+
+
+@mutant("leadshine", "STOP-03")
+def a_quick_stop_is_a_stop():
+    """A quick stop is made as any other stop: the next start moves the motor."""
+    with replaced(
+        LeadshineHwMotor, "post_stop", lambda post: lambda self, quick: post(self, quick=False)
+    ):
+        yield
+
+
+@mutant("ideal", "STOP-04")
+def a_stop_as_hard_as_can_be():
+    """A stop slows down ten times as fast as the model allows."""
+
+    def hard(self):
+        self._hardware._motion = None
+        self._hardware.slow_down(10.0 * self.model.deceleration)
+
+    with only("_stop", hard):
+        yield
+
+
+@mutant("ideal", "STOP-05")
+def a_halt_ends_profiles_only():
+    """A halt ends the profile of a position; where there is none it does nothing."""
+
+    def wrong(self):
+        motion = self._hardware._motion
+        if motion is None or motion.variable is not ControlVariable.VELOCITY:
+            plain_stop(self)
+
+    with only("_halt", wrong):
+        yield
+
+
+@mutant("ideal", "STOP-06")
+def a_second_stop_lifts_the_first():
+    """The bit that stops is turned over: a second stop before rest lets the motor go on."""
+
+    def wrong(self):
+        hardware = self._hardware
+        stops = getattr(hardware, "stopping", None)
+        if stops is not None and stops[0] is hardware._course and not hardware.is_over:
+            course, motion = stops[1]
+            hardware._take(course, motion)
+            return
+        before = hardware._course, hardware._motion
+        plain_stop(self)
+        hardware.stopping = hardware._course, before
+
+    with only("_stop", wrong):
+        yield
+
+
+@mutant("ideal", "STOP-07")
+def a_stopped_target_is_not_sent_again():
+    """A target that is the one before is not sent: that it was stopped since is not thought of."""
+    before = {}
+
+    def wrong(motor, motion):
+        aims = (motion.mode, motion.variable) == (ControlMode.SETPOINT, ControlVariable.POSITION)
+        target = motion.target if aims else None
+        known, before[motor] = before.get(motor), target
+        return replace(motion, target=motion.start) if aims and known == target else motion
+
+    with motions_changed(IdealMotor, wrong):
+        yield
+
+
+@mutant("ideal", "STOP-08")
+def enabling_resumes():
+    """A motion that was switched off is still in the drive: enabled, it goes where it was to go."""
+
+    def off(disable):
+        def disabled(self):
+            self.kept = None if self.is_over else self._motion
+            disable(self)
+
+        return disabled
+
+    def on(enable):
+        def enabled(self):
+            enable(self)
+            kept = getattr(self, "kept", None)
+            if kept is not None:
+                self.kept = None
+                self._take(Held(self.runtime.now_ns(), kept.target), None)
+
+        return enabled
+
+    with replaced(IdealHwMotor, "disable", off), replaced(IdealHwMotor, "enable", on):
+        yield
+
+
+@mutant("ideal", "STOP-01", "STOP-02", "STOP-04", "STOP-06")
+def a_stop_does_nothing():
+    """A stop is said to be made, and the motion goes on."""
+    with replaced(IdealMotor, "_stop", lambda stop: lambda self: None):
+        yield
