@@ -99,7 +99,7 @@ def enabled_before_anything_was_heard():
 
         return told
 
-    with replaced(DriveReader, "state", hopeful):
+    with replaced(DriveReader, "fresh_state", hopeful):
         yield
 
 
