@@ -31,7 +31,7 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
 _EXAMPLES: Final = 6
-_LONG: Final = 8.0
+_LONG: Final = 4.0
 _TURN_RAD: Final = 6.3
 
 
@@ -203,7 +203,7 @@ def _room(bench: RigProtocol) -> tuple[float, float]:
     """Between which positions it may be sent: more than a turn to either side, if there is room."""
     model, far = bench.motor.model, _LONG * long_move(bench)
     if model.unit == "rad":
-        far = max(far, 2.0 * _TURN_RAD)
+        far = max(far, 1.2 * _TURN_RAD)
     low = -far if model.position_min is None else max(-far, model.position_min)
     high = far if model.position_max is None else min(far, model.position_max)
     return low, high
