@@ -18,6 +18,8 @@ _MODULES: Final = (
     "failing",
     "hearing",
     "access",
+    "sharing",
+    "owners",
     "groups",
     "parting",
     "lost",

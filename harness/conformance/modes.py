@@ -7,7 +7,19 @@ from typing import Final, final
 
 from harness.conformance.bench import RigProtocol
 from harness.conformance.capability import Capability
-from harness.conformance.motions import follow, long_move, rest_for, torque_of, turn
+from harness.conformance.clause import expect
+from harness.conformance.motions import (
+    expect_unmoved,
+    finish,
+    follow,
+    long_move,
+    move,
+    place,
+    rest_for,
+    shortest_s,
+    torque_of,
+    turn,
+)
 from motorapi import (
     ComplexTrajectory,
     ControlMode,
@@ -104,6 +116,36 @@ def smooth_way(motor: Motor, way: float) -> ComplexTrajectory:
     time_s = max(sqrt(6.0 * abs(way) / slowest), 1.5 * abs(way) / (0.8 * model.velocity_max))
     cubic = Polynomial((0.0, 0.0, 3.0 * way / time_s**2, -2.0 * way / time_s**3))
     return ComplexTrajectory(cubic.restricted(0.0, time_s), relative=True)
+
+
+def until_rest_s(bench: RigProtocol, motor: Motor) -> float:
+    """How long it may take until it is at rest, from when it is lost."""
+    facts, model = bench.facts, motor.model
+    brake_s = facts.brake_s
+    if brake_s is None:
+        brake_s = model.velocity_max / model.deceleration
+    return facts.dead_man_s + brake_s + facts.time_tolerance_s
+
+
+def expect_usable(bench: RigProtocol, motor: Motor, what: str) -> None:
+    """It can be freed of its fault, stopped, enabled, and makes its next move."""
+    motor.reset_fault()
+    motor.stop()  # what has no dead-man goes on
+    finish(bench, motor)
+    before = place(bench, motor)
+    motor.enable()
+    rest_for(bench, 0.1)
+    expect_unmoved(bench, motor, before, f"{what}: when it was enabled again")
+    way, begun_ns = 0.25 * long_move(bench), bench.runtime.now_ns()
+    move(bench, motor, way)
+    took_s = (bench.runtime.now_ns() - begun_ns) / 1e9
+    moved, unit = place(bench, motor) - before, motor.model.unit
+    least_s = shortest_s(motor, way) - bench.facts.time_tolerance_s
+    expect(took_s >= least_s, f"{what}: its next move took {took_s:.3f} s, of {least_s:.3f} s")
+    expect(
+        abs(moved - way) <= 2.0 * bench.facts.window,
+        f"{what}: its next move, of {way:g} {unit}, was one of {moved:g} {unit}",
+    )
 
 
 def _aim(bench: RigProtocol, motor: Motor) -> None:

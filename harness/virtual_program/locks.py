@@ -61,8 +61,7 @@ class Lock:
 
         self._awaited += 1
         try:
-            left_s = None if timeout_s is None else program.from_now_s(party, timeout_s)
-            return program.runtime.wait_for_parties(take, left_s)
+            return program.runtime.wait_for_parties(take, timeout_s)
         except BaseException:
             if took:  # interrupted when it was just given
                 self.release()

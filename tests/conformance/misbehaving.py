@@ -13,7 +13,6 @@ import can
 
 from harness.conformance import target
 from motorapi.adaptations import ideal
-from motorapi.process_lock import ProcessLock
 
 KEPT = []  # what nothing but this module refers to
 
@@ -92,12 +91,6 @@ def leaves_a_process(motor):
 
 def leaves_a_descriptor(motor):
     os.open("/dev/null", os.O_RDONLY)
-
-
-def keeps_a_lock(motor):
-    if not any(isinstance(one, ProcessLock) for one in KEPT):
-        KEPT.append(ProcessLock("pan", "the pan"))
-        KEPT[-1].acquire(motor.runtime, "moving")
 
 
 def says_so_and_works_for_ever(motor):

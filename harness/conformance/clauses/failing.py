@@ -5,6 +5,7 @@ from collections.abc import Callable
 from harness.conformance.bench import RigProtocol
 from harness.conformance.capability import Ability, Capability
 from harness.conformance.clause import Level, Violated, clause, expect
+from harness.conformance.modes import ending, expect_usable, modes_of, until_rest_s
 from harness.conformance.motions import (
     expect_at,
     expect_rest,
@@ -145,3 +146,29 @@ def a_fault_between_two_motions_is_not_swallowed(bench: RigProtocol) -> None:
     motor.start()
     finish(bench, motor, shortest_s(motor, way))
     expect_rest(bench, motor, "moved after a fault")
+
+
+@clause(
+    "FAULT-05",
+    Level.L5,
+    needs={Capability.FAULTS},
+    bench={Ability.TRUTH, Ability.FAULT, Ability.AFRESH},
+    source="CiA 402-2, fault reaction; Motor.wait_until_done, DeviceFault",
+)
+def a_fault_ends_a_motion_in_every_mode(bench: RigProtocol) -> None:
+    """In every mode a fault is told with its code, the motor comes to rest, and goes again."""
+    for mode in modes_of(bench):
+        motor = bench.motor
+        code = bench.fail(motor)
+        within_s = bench.facts.lost_s + bench.facts.time_tolerance_s
+        if mode.moves:
+            error = ending(bench, motor, mode, within_s)
+            expect(
+                isinstance(error, DeviceFault) and error.code == code,
+                f"{mode.words}: it failed with {code:X}h, and is told {error!r}",
+            )
+        rest_for(bench, until_rest_s(bench, motor))
+        expect_rest(bench, motor, f"{mode.words}, and its drive failed")
+        state = motor.state()
+        expect(state is MotorState.FAULT, f"{mode.words}: it failed, and is {state.value}")
+        expect_usable(bench, motor, f"{mode.words}, and it failed")

@@ -4,15 +4,18 @@ What is lost is lost in the middle of each kind of motion. What is due within wh
 the rig declares: `lost_s`, `dead_man_s` and `brake_s`.
 """
 
+from contextlib import suppress
+
 from harness.conformance.bench import RigProtocol
 from harness.conformance.capability import Ability, Capability
 from harness.conformance.clause import Level, NotApplicable, Violated, clause, expect
-from harness.conformance.modes import Mode, ending, modes_of
+from harness.conformance.modes import Mode, ending, expect_usable, modes_of, until_rest_s
 from harness.conformance.motions import (
     aim,
     expect_rest,
     expect_unmoved,
     finish,
+    follow,
     long_move,
     move,
     place,
@@ -22,9 +25,17 @@ from harness.conformance.motions import (
     speed,
     torque_of,
 )
-from motorapi import Motor, MotorError, MotorState, PluginError
+from motorapi import (
+    DeadlineExceeded,
+    Motor,
+    MotorError,
+    MotorState,
+    PluginError,
+    TrapezoidalTrajectory,
+)
 
 _BACK_S = 1.0
+_EXAMPLES = 10
 _FRAMES = 14  # of a start, and a few after it
 _HOLDS = 0.2  # of the largest torque
 _GONE = (MotorState.OFFLINE, MotorState.FAULT)
@@ -77,7 +88,7 @@ def a_drive_without_a_cable_comes_to_rest(bench: RigProtocol) -> None:
         motor = bench.motor
         moved |= abs(speed(bench, motor, 0.02)) > 0.1 * motor.model.velocity_max
         with bench.cut(motor):
-            rest_for(bench, _until_rest_s(bench, motor))
+            rest_for(bench, until_rest_s(bench, motor))
             expect_rest(bench, motor, f"{mode.words}, and its cable was cut")
     reached(moved, "a cut in mid-motion")
 
@@ -98,19 +109,10 @@ def a_drive_that_does_not_hear_its_host_comes_to_rest(bench: RigProtocol) -> Non
             begun_ns = bench.runtime.now_ns()
             _expect_told(bench, motor, mode, "after nothing of its host reached the drive")
             spent_s = (bench.runtime.now_ns() - begun_ns) / 1e9
-            rest_for(bench, max(0.0, _until_rest_s(bench, motor) - spent_s))
+            rest_for(bench, max(0.0, until_rest_s(bench, motor) - spent_s))
             expect_rest(bench, motor, f"{mode.words}, and its host fell silent")
             silenced += lost()
     reached(silenced > 0, "a frame of the host that was lost")
-
-
-def _until_rest_s(bench: RigProtocol, motor: Motor) -> float:
-    """How long it may take until it is at rest, from when it is lost."""
-    facts, model = bench.facts, motor.model
-    brake_s = facts.brake_s
-    if brake_s is None:
-        brake_s = model.velocity_max / model.deceleration
-    return facts.dead_man_s + brake_s + facts.time_tolerance_s
 
 
 @clause(
@@ -124,34 +126,13 @@ def what_was_lost_can_be_used_again_and_begins_nothing_by_itself(bench: RigProto
     for mode in modes_of(bench):
         motor = bench.motor
         with bench.cut(motor):
-            rest_for(bench, _until_rest_s(bench, motor))
+            rest_for(bench, until_rest_s(bench, motor))
             goes_on = abs(speed(bench, motor, 0.05)) > bench.facts.window
         before = place(bench, motor)
         rest_for(bench, _BACK_S)
         if not goes_on:  # without a dead-man it was told to, and nobody told it otherwise
             expect_unmoved(bench, motor, before, f"{mode.words}: when its cable was back")
-        _expect_usable(bench, motor, f"{mode.words}, lost and found")
-
-
-def _expect_usable(bench: RigProtocol, motor: Motor, what: str) -> None:
-    """It can be freed of its fault, stopped, enabled, and makes its next move."""
-    motor.reset_fault()
-    motor.stop()  # what has no dead-man goes on
-    finish(bench, motor)
-    before = place(bench, motor)
-    motor.enable()
-    rest_for(bench, 0.1)
-    expect_unmoved(bench, motor, before, f"{what}: when it was enabled again")
-    way, begun_ns = 0.25 * long_move(bench), bench.runtime.now_ns()
-    move(bench, motor, way)
-    took_s = (bench.runtime.now_ns() - begun_ns) / 1e9
-    moved, unit = place(bench, motor) - before, motor.model.unit
-    least_s = shortest_s(motor, way) - bench.facts.time_tolerance_s
-    expect(took_s >= least_s, f"{what}: its next move took {took_s:.3f} s, of {least_s:.3f} s")
-    expect(
-        abs(moved - way) <= 2.0 * bench.facts.window,
-        f"{what}: its next move, of {way:g} {unit}, was one of {moved:g} {unit}",
-    )
+        expect_usable(bench, motor, f"{mode.words}, lost and found")
 
 
 @clause(
@@ -165,7 +146,7 @@ def what_it_says_after_a_loss_is_true(bench: RigProtocol) -> None:
     motor = bench.motor
     motor.enable()
     with bench.cut(motor):
-        rest_for(bench, _until_rest_s(bench, motor))
+        rest_for(bench, until_rest_s(bench, motor))
     rest_for(bench, _BACK_S)
     if motor.state() is not MotorState.ENABLED:
         return
@@ -221,14 +202,14 @@ def a_drive_that_restarts_is_noticed_and_set_up_anew(bench: RigProtocol) -> None
         if mode.moves:
             error = ending(bench, motor, mode, within_s)
             expect(error is not None, f"{mode.words}: it restarted, and done was told")
-        rest_for(bench, _until_rest_s(bench, motor) + _BACK_S)
+        rest_for(bench, until_rest_s(bench, motor) + _BACK_S)
         expect_rest(bench, motor, f"{mode.words}: after it restarted")
         state = motor.state()
         expect(
             state is not MotorState.ENABLED,
             f"{mode.words}: it restarted, its power is off, and it is told as {state.value}",
         )
-        _expect_usable(bench, motor, f"{mode.words}, and it restarted")
+        expect_usable(bench, motor, f"{mode.words}, and it restarted")
 
 
 @clause(
@@ -249,9 +230,9 @@ def a_stream_that_loses_its_signal_ends(bench: RigProtocol) -> None:
             if not lost():
                 raise NotApplicable("nothing that it goes by was seen on the bus")
             _expect_told(bench, motor, mode, "after the signal it goes by was lost")
-            rest_for(bench, _until_rest_s(bench, motor))
+            rest_for(bench, until_rest_s(bench, motor))
             expect_rest(bench, motor, f"{mode.words}, and the signal it goes by was lost")
-        _expect_usable(bench, motor, f"{mode.words}, without its signal")
+        expect_usable(bench, motor, f"{mode.words}, without its signal")
         return
     raise Violated("it takes no complex trajectory")
 
@@ -304,5 +285,62 @@ def _move_with_a_loss(bench: RigProtocol, motor: Motor, skip: int, lose_answers:
         f"{which}: told to move {way:g} {unit}, it is done by its word, and moved {moved:g} {unit}",
     )
     if told is not None:
-        _expect_usable(bench, motor, which)
+        expect_usable(bench, motor, which)
     return hit
+
+
+@clause(
+    "LOST-10",
+    Level.L5,
+    needs={Capability.POSITION_TRAJECTORY},
+    bench=_CABLE,
+    source="Motor.wait_until_done: done, or the right error; never done short of its target",
+)
+def whenever_the_cable_is_cut_done_is_true(bench: RigProtocol) -> None:
+    """Whenever in a motion, and for however long, the cable is cut: done is told at the target."""
+    from hypothesis import HealthCheck, Phase, given, seed, settings
+    from hypothesis import strategies as st
+
+    found: list[bool] = []
+
+    @seed(bench.seed)
+    @settings(
+        max_examples=_EXAMPLES,
+        deadline=None,
+        database=None,
+        phases=[Phase.explicit, Phase.generate],
+        suppress_health_check=list(HealthCheck),
+    )
+    @given(st.floats(0.0, 1.1), st.floats(0.0, 1.5))
+    def property_holds(share: float, length: float) -> None:
+        bench.afresh()
+        found.append(_is_done_after_a_cut(bench, share, length * bench.facts.lost_s))
+
+    property_holds()
+    reached(True in found, "a motion that was done all the same")
+    reached(len(found) > _EXAMPLES // 2, "a cut in mid-motion")
+
+
+def _is_done_after_a_cut(bench: RigProtocol, share: float, length_s: float) -> bool:
+    """Whether a motion is told to be done that was cut off for so long, at that share of it."""
+    motor, way = bench.motor, 0.5 * long_move(bench)
+    motor.enable()
+    before = place(bench, motor)
+    follow(motor, TrapezoidalTrajectory(way))
+    rest_for(bench, share * shortest_s(motor, way))
+    error: MotorError | None = None
+    try:
+        with bench.cut(motor), suppress(DeadlineExceeded):
+            motor.wait_until_done(length_s)
+        finish(bench, motor, shortest_s(motor, way))
+    except PluginError:
+        raise
+    except MotorError as failed:
+        error = failed
+    moved, unit = place(bench, motor) - before, motor.model.unit
+    when = f"cut off for {length_s:.3f} s after {share:.0%} of its time"
+    expect(
+        error is not None or abs(moved - way) <= bench.facts.window,
+        f"{when}, done was told after {moved:g} of {way:g} {unit}",
+    )
+    return error is None

@@ -8,8 +8,9 @@ from tests.conformance.mutants import (
     groups,
     lost,
     refusals,
+    sharing,
     stops,
     units,
 )
 
-MODULES = (access, commands, ends, failures, groups, lost, refusals, stops, units)
+MODULES = (access, commands, ends, failures, groups, lost, refusals, sharing, stops, units)

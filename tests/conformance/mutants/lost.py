@@ -1,5 +1,7 @@
 """Mistakes that show only when frames, drives or hosts are lost."""
 
+from contextlib import suppress
+
 from motorapi.adaptations import drive_setup
 from motorapi.adaptations.cia402_motor import Cia402Motor
 from motorapi.adaptations.csp_stream import CspStream
@@ -7,8 +9,9 @@ from motorapi.adaptations.drive_node import DriveNode
 from motorapi.adaptations.drive_objects import DriveObjects
 from motorapi.adaptations.drive_reader import DriveReader
 from motorapi.adaptations.leadshine_hardware import LeadshineHwMotor
+from motorapi.adaptations.motion_watch import StreamWatch
 from motorapi.adaptations.polled_motor import PolledMotor
-from motorapi.errors import DeadlineExceeded, LinkError
+from motorapi.errors import DeadlineExceeded, DeviceFault, LinkError
 from tests.conformance.mutants import mutant, replaced
 
 PREPARATION = (0x06, 0x07, 0x0F)  # CiA 402-2: to operation enabled
@@ -229,4 +232,22 @@ def a_retry_moves_twice():
         return told
 
     with replaced(LeadshineHwMotor, "trigger", wrong):
+        yield
+
+
+@mutant("cia402", "FAULT-05")
+def faults_of_streams_swallowed():
+    """A streamed motion that a fault ended is over, and so it is done."""
+
+    def wrong(is_done):
+        def told(motor):
+            if isinstance(motor._node.watch, StreamWatch):
+                with suppress(DeviceFault):
+                    return is_done(motor)
+                return True
+            return is_done(motor)
+
+        return told
+
+    with replaced(Cia402Motor, "_is_done", wrong):
         yield

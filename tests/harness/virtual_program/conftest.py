@@ -29,10 +29,7 @@ def rig():
 
 @pytest.fixture
 def now_s(rig):
-    """A program is on; what the rig's own clock says, at which nobody looks.
-
-    To 0.1 ms: who has looked n times before it waits wakes n microseconds later.
-    """
+    """A program is on; what the rig's own clock says, at which nobody looks."""
     with in_virtual_time(rig):
-        yield lambda: round(rig.runtime.now_ns() / 1e9, 4)
+        yield lambda: rig.runtime.now_ns() / 1e9
     rig.runtime.close()

@@ -1,0 +1,360 @@
+"""L3: logical motors that share a physical one; who has it, who is refused, and until when."""
+
+from collections.abc import Callable
+from contextlib import suppress
+
+from harness.conformance.bench import RigProtocol
+from harness.conformance.capability import Ability, Capability
+from harness.conformance.clause import Level, Violated, clause, expect
+from harness.conformance.motions import (
+    expect_rest,
+    expect_unmoved,
+    finish,
+    follow,
+    long_move,
+    move,
+    place,
+    reached,
+    rest_for,
+    shortest_s,
+    speed,
+    turn,
+)
+from motorapi import (
+    ControlMode,
+    MotionInterrupted,
+    Motor,
+    MotorBusyError,
+    MotorError,
+    StateError,
+    TrapezoidalTrajectory,
+)
+
+_SHARED = {Ability.SEVERAL_USERS}
+_MOVES = {Capability.POSITION_TRAJECTORY}
+_PATIENCE_S = 10.0
+_LEASE_S = 0.2
+
+
+def _both(bench: RigProtocol) -> tuple[Motor, Motor]:
+    return bench.motor, bench.another_user_of(bench.motor)
+
+
+@clause(
+    "SHARE-01",
+    Level.L3,
+    needs=_MOVES,
+    bench={*_SHARED, Ability.TRUTH},
+    source="requirement 4 of the paper: who cannot have the motor is told; MotorBusyError",
+)
+def while_one_moves_it_another_is_refused(bench: RigProtocol) -> None:
+    """While a motor moves for one, what another commands is refused, naming who has it."""
+    motor, other = _both(bench)
+    before, way = place(bench, motor), long_move(bench)
+    follow(motor, TrapezoidalTrajectory(way))
+    begun_ns = bench.runtime.now_ns()
+    rest_for(bench, 0.3 * shortest_s(motor, way))
+    _prepare(other, -0.5 * way)
+    for operation in (other.start, other.enable, other.disable, other.reset_fault, other.home):
+        error = _refusal_of(operation)
+        expect(
+            error is not None and error.holder.endswith(motor.name),
+            f"{operation.__name__}() of {other.name} while {motor.name} moves: {error}",
+        )
+        since_ns = begun_ns if error is None else error.since_ns
+        expect(since_ns <= begun_ns, f"it is told to be held since {since_ns} ns, not {begun_ns}")
+    finish(bench, motor, shortest_s(motor, way))
+    moved = place(bench, motor) - before
+    expect(abs(moved - way) <= bench.facts.window, f"it moved {moved:g} of {way:g}")
+    was = place(bench, motor)
+    other.start()  # it is free at once
+    finish(bench, other, shortest_s(motor, way))
+    moved = place(bench, motor) - was
+    expect(abs(moved + 0.5 * way) <= bench.facts.window, f"{other.name} moved it {moved:g}")
+
+
+def _prepare(motor: Motor, way: float, duration_s: float | None = None) -> None:
+    """That is what its next start does."""
+    motor.set_control_mode(ControlMode.TRAJECTORY)
+    motor.set_trajectory(TrapezoidalTrajectory(way, duration_s=duration_s))
+
+
+def _refusal_of(operation: Callable[[], object]) -> MotorBusyError | None:
+    try:
+        operation()
+    except MotorBusyError as error:
+        return error
+    return None
+
+
+@clause(
+    "SHARE-02",
+    Level.L3,
+    needs=_MOVES,
+    bench={*_SHARED, Ability.TRAFFIC},
+    source="requirement 4; harness.sharing.evidence: nobody commands who does not have it",
+)
+def who_is_refused_sends_no_command(bench: RigProtocol) -> None:
+    """What is refused to one who does not have the motor has sent nothing that commands it."""
+    motor, other = _both(bench)
+    with bench.commands_to(motor) as sent, motor.reserve("a clause"):
+        move(bench, motor, 0.1 * long_move(bench))
+        reached(bool(sent), "a command on the bus")
+        rest_for(bench, 0.1)
+        with bench.commands_to(motor) as usual:
+            rest_for(bench, 0.1)
+        _prepare(other, long_move(bench))
+        with bench.commands_to(motor) as new:
+            for operation in (other.start, other.enable, other.disable, other.home):
+                expect(_refusal_of(operation) is not None, f"{operation.__name__}() was done")
+                rest_for(bench, 0.025)
+        strange = sorted(set(new) - set(usual))
+        expect(not strange, f"{other.name} was refused, and the bus had {', '.join(strange)}")
+
+
+@clause(
+    "SHARE-03",
+    Level.L3,
+    needs=_MOVES,
+    bench=_SHARED,
+    source="README, Sharing: reading is free, stops are free; MotionInterrupted",
+)
+def anybody_may_look_and_stop(bench: RigProtocol) -> None:
+    """Others read a motor that moves, and may stop it: who moved it is told who stopped it."""
+    motor, other = _both(bench)
+    begin, way = place(bench, motor), 2.0 * long_move(bench)
+    follow(motor, TrapezoidalTrajectory(way))
+    rest_for(bench, 0.3 * shortest_s(motor, way))
+    differs = abs(other.position() - motor.position())
+    expect(
+        differs <= 0.1 * motor.model.velocity_max,
+        f"{other.name} and {motor.name} tell places {differs:g} apart",
+    )
+    expect(other.state() is motor.state(), "they tell two states of one motor")
+    other.stop()
+    try:
+        motor.wait_until_done(_PATIENCE_S)
+    except MotionInterrupted as error:
+        expect(other.name in error.by, f"it was stopped by {other.name}, and is told {error.by}")
+    else:
+        raise Violated(f"{other.name} stopped it, and {motor.name} is told that it is done")
+    finish(bench, other)
+    expect_rest(bench, motor, f"stopped by {other.name}")
+    made = abs(place(bench, motor) - begin)
+    expect(made < 0.95 * way, f"stopped by {other.name} it went on for {made:g} of {way:g}")
+
+
+@clause(
+    "SHARE-04",
+    Level.L3,
+    needs=_MOVES,
+    bench=_SHARED,
+    source="paper 3.5: settings are local; start sets and starts in one atomic operation",
+)
+def each_moves_with_its_own_settings(bench: RigProtocol) -> None:
+    """Of users who take turns each moves with what it has set itself, whatever others set."""
+    motor, other = _both(bench)
+    way = 0.25 * long_move(bench)
+    least_s = shortest_s(motor, way)
+    durations = {motor: 2.0 * least_s, other: 4.0 * least_s}
+    for user, side in ((motor, 1.0), (other, -1.0), (motor, 1.0), (other, -1.0)):
+        before = place(bench, motor)
+        _prepare(user, side * way, durations[user])
+        _prepare(motor if user is other else other, 0.5 * way)  # and is not started
+        user.start()
+        begun_ns = bench.runtime.now_ns()
+        finish(bench, user, durations[user])
+        took_s, moved = (bench.runtime.now_ns() - begun_ns) / 1e9, place(bench, motor) - before
+        expect(
+            abs(took_s - durations[user]) <= bench.facts.time_tolerance_s + 0.1 * durations[user],
+            f"{user.name} asked for {durations[user]:.3f} s, and it took {took_s:.3f} s",
+        )
+        expect(
+            abs(moved - side * way) <= bench.facts.window,
+            f"{user.name} asked for {side * way:g}, and it moved {moved:g}",
+        )
+
+
+@clause(
+    "SHARE-05",
+    Level.L3,
+    needs=_MOVES,
+    bench=_SHARED,
+    source="requirement 4; Motor.reserve: nobody else commands it inside the block",
+)
+def a_reservation_holds_and_lets_go(bench: RigProtocol) -> None:
+    """A reservation holds over several motions, and no longer than its block, however left."""
+    motor, other = _both(bench)
+    way = 0.1 * long_move(bench)
+    _prepare(other, way)
+    with motor.reserve("survey") as reservation:
+        for _ in range(2):
+            move(bench, motor, way)
+            error = _refusal_of(other.start)
+            expect(error is not None, f"{other.name} moved it between two motions of a reservation")
+            expect(
+                error is not None and "survey" in str(error), f"its purpose is not told: {error}"
+            )
+        expect(reservation.is_held, "it is told that it is not held")
+    _expect_free(bench, other, "after a reservation")
+    with suppress(ZeroDivisionError), motor.reserve("survey"):
+        raise ZeroDivisionError
+    _expect_free(bench, other, "after a block that was left by an error")
+    _prepare(motor, 0.0)
+    with suppress(MotorError):
+        motor.wait_until_done(0.0)
+    with suppress(MotorError), motor.reserve("survey"):
+        motor.home(-128)  # no motor knows it
+    _expect_free(bench, other, "after what was refused in a reservation")
+
+
+def _expect_free(bench: RigProtocol, user: Motor, when: str) -> None:
+    error = _refusal_of(user.start)
+    expect(error is None, f"{when} {user.name} is refused: {error}")
+    finish(bench, user, _PATIENCE_S)
+
+
+@clause(
+    "SHARE-06",
+    Level.L3,
+    needs=_MOVES,
+    bench={*_SHARED, Ability.TRUTH},
+    source="README, Sharing; Motor.start(timeout_s): waits its turn",
+)
+def who_comes_next_finds_it_at_rest(bench: RigProtocol) -> None:
+    """A motor that is being stopped is had by the next one only when it has come to rest."""
+    motor, other = _both(bench)
+    way = 3.0 * long_move(bench)
+    follow(motor, TrapezoidalTrajectory(way))
+    rest_for(bench, 0.4 * shortest_s(motor, way))
+    reached(abs(speed(bench, motor, 0.02)) > 0.3 * motor.model.velocity_max, "its full speed")
+    motor.stop()
+    with other.reserve("next", timeout_s=_PATIENCE_S):
+        expect_rest(bench, motor, f"{other.name} was given it while it slowed down, and")
+
+
+@clause(
+    "SHARE-07",
+    Level.L3,
+    needs=_MOVES,
+    bench=_SHARED,
+    source="Motor.start(timeout_s): first come, first served",
+)
+def who_asked_first_is_served_first(bench: RigProtocol) -> None:
+    """Of those who wait for a motor who asked first has it first; nobody is passed over."""
+    motor, other = _both(bench)
+    served: list[str] = []
+    way = 0.2 * long_move(bench)
+    follow(motor, TrapezoidalTrajectory(way))
+
+    def next_one() -> None:
+        _prepare(other, -way)
+        other.start(timeout_s=_PATIENCE_S)
+        served.append(other.name)
+        other.wait_until_done(_PATIENCE_S)
+
+    party = bench.runtime.spawn("next", next_one)
+    rest_for(bench, 0.2 * shortest_s(motor, way))
+    expect(not served, f"{other.name} had it while it moved for {motor.name}")
+    finish(bench, motor, shortest_s(motor, way))
+    motor.start(timeout_s=_PATIENCE_S)
+    served.append(motor.name)
+    finish(bench, motor, shortest_s(motor, way))
+    expect(party.join(_PATIENCE_S), f"{other.name} was never served")
+    if party.error is not None:
+        raise party.error
+    expect(served == [other.name, motor.name], f"served were {', '.join(served)}, in this order")
+
+
+@clause(
+    "SHARE-08",
+    Level.L3,
+    needs={*_MOVES, Capability.VELOCITY_SET_POINT},
+    bench=_SHARED,
+    source="README, Sharing: leases, take_over; the next owner brings to rest what was left moving",
+)
+def what_is_taken_over_is_brought_to_rest(bench: RigProtocol) -> None:
+    """Who takes a motor over has it at rest; who lost it is told, and commands it no more."""
+    motor, other = _both(bench)
+    with motor.reserve("survey") as survey:
+        turn(motor, 0.5 * motor.model.velocity_max)
+        finish(bench, motor)
+        with other.reserve("rescue", take_over=True, timeout_s=_PATIENCE_S):
+            expect_rest(bench, motor, f"taken over by {other.name}")
+            expect(not survey.is_held, "who lost it is told that it is held")
+            _prepare(motor, long_move(bench))
+            before = place(bench, motor)
+            error = _refusal_of(motor.start)
+            expect(error is not None, f"{motor.name} has lost it, and commanded it")
+            expect_unmoved(bench, motor, before, "when who had lost it commanded it")
+            move(bench, other, 0.1 * long_move(bench))
+    with motor.reserve("lease", lease_s=_LEASE_S) as lease:
+        expect(_refusal_of(lambda: _reserved(other)) is not None, "a lease that goes on was taken")
+        rest_for(bench, 2.0 * _LEASE_S)
+        _reserved(other)
+        expect(not lease.is_held, "a lease that was over and taken is told to be held")
+
+
+def _reserved(motor: Motor) -> None:
+    with motor.reserve("next"):
+        pass
+
+
+@clause(
+    "SHARE-09",
+    Level.L3,
+    needs={*_MOVES, Capability.LOW_LEVEL},
+    bench=_SHARED,
+    source="requirement 2 of the paper: no other part of the interface will have any effect",
+)
+def low_level_access_keeps_everybody_away(bench: RigProtocol) -> None:
+    """With low-level access one is alone with the hardware; afterwards the motor is as before."""
+    motor, other = _both(bench)
+    way = 0.1 * long_move(bench)
+    move(bench, motor, way)
+    _prepare(other, way)
+    try:
+        with motor.low_level():
+            pass
+    except StateError:  # what holds it by itself must end first, and says so
+        motor.disable()
+    with motor.low_level() as hardware:
+        expect(hardware is not None, "there is no hardware object")
+        rest_for(bench, 0.02)
+        sent: list[str] = []
+        if Ability.TRAFFIC in bench.abilities:
+            with bench.commands_to(motor) as seen:
+                _expect_all_refused(bench, other)
+            sent = sorted(set(seen))
+        else:
+            _expect_all_refused(bench, other)
+        expect(not sent, f"nobody used the hardware, and the bus had {', '.join(sent)}")
+    before = place(bench, motor)
+    other.start()
+    finish(bench, other, shortest_s(motor, way))
+    moved = place(bench, motor) - before
+    expect(abs(moved - way) <= bench.facts.window, f"after it {other.name} moved {moved:g}")
+
+
+def _expect_all_refused(bench: RigProtocol, other: Motor) -> None:
+    for operation in (other.start, other.stop, other.enable, other.disable, other.home):
+        expect(
+            _refusal_of(operation) is not None, f"{operation.__name__}() of {other.name} was done"
+        )
+        rest_for(bench, 0.02)
+
+
+@clause(
+    "SHARE-10",
+    Level.L3,
+    needs=_MOVES,
+    bench=_SHARED,
+    source="paper 3.5: one hardware object, shared by all; Device.close",
+)
+def who_leaves_takes_nothing_along(bench: RigProtocol) -> None:
+    """A logical motor that is closed, closed again even, leaves the others as they were."""
+    motor, other = _both(bench)
+    move(bench, other, 0.1 * long_move(bench))
+    for _ in range(2):
+        other.close()
+    move(bench, motor, 0.1 * long_move(bench))

@@ -1,0 +1,184 @@
+"""Mistakes with motors that several users share."""
+
+from contextlib import contextmanager
+
+from motorapi import Motor, MotorBusyError
+from motorapi.adaptations.cia402_motor import Cia402Motor
+from motorapi.adaptations.drive_objects import DriveObjects
+from motorapi.adaptations.ideal_motor import IdealMotor
+from motorapi.adaptations.polled_motor import PolledMotor
+from motorapi.adaptations.software_hardware import AmplifierHwMotor
+from motorapi.shared_motor import SharedMotor
+from motorapi.sharing import PhysicalMotor, RunStatus
+from tests.conformance.mutants import mutant, replaced
+from tests.harness.sharing.mutants import a_lock_without_fifo, no_fencing
+
+
+@mutant("ideal", "SHARE-01")
+def a_record_for_each_user():
+    """Every logical motor has its own record of the physical one: nobody knows of the others."""
+
+    def wrong(make):
+        def made(motor, hardware, *args, **kwargs):
+            make(motor, hardware, *args, **kwargs)
+            motor._physical = PhysicalMotor(hardware.label, id(motor))
+            motor._physical.news = hardware.physical.news
+
+        return made
+
+    with replaced(IdealMotor, "__init__", wrong):
+        yield
+
+
+@mutant("cia402", "SHARE-02")
+def prepared_before_it_is_asked_for():
+    """Before it asks whether it may have the motor, a start already sends its controlword."""
+
+    def wrong(operation):
+        def begun(motor, name, *args):
+            can_id = 0x200 + motor._node.node_id
+            head = can_id.to_bytes(4, "little") + bytes((2, 0, 0, 0))
+            if motor._physical.access is None:
+                motor._control._send(head + bytes((0x0F, 0)) + bytes(6), None)
+            return operation(motor, name, *args)
+
+        return begun
+
+    with replaced(Cia402Motor, "_operation", wrong):
+        yield
+
+
+@mutant("leadshine", "SHARE-03")
+def a_stop_needs_the_lock():
+    """A stop is obeyed of the one who moves the motor only."""
+
+    def wrong(bring):
+        def brought(motor, operation, hook):
+            run = motor._physical.run
+            if run is None or run.owner is motor or motor._physical.access is not None:
+                bring(motor, operation, hook)
+
+        return brought
+
+    with replaced(Motor, "_bring_to_rest", wrong):
+        yield
+
+
+@mutant("oriental_az", "SHARE-01")
+def told_to_be_held_by_oneself():
+    """Who is refused is told his own name, for that is at hand."""
+
+    def wrong(make):
+        def made(error, *, motor, holder, **facts):
+            make(error, motor=motor, holder=f"start() of {motor}", **facts)
+
+        return made
+
+    with replaced(MotorBusyError, "__init__", wrong):
+        yield
+
+
+@mutant("cia402", "SHARE-04")
+def each_believes_what_it_wrote_itself():
+    """What a user wrote is believed to be in the drive, though another has moved it since."""
+
+    def wrong(believes):
+        def believed(objects, index, subindex, data):
+            if index != 0x6081:  # of what is pushed for a profile: its velocity
+                return believes(objects, index, subindex, data)
+            caches = objects.physical.__dict__.setdefault("caches", {})
+            mine = caches.setdefault(id(objects.physical._owner), {})
+            if mine.get(index) == data:
+                return True
+            mine[index] = data
+            return False
+
+        return believed
+
+    with replaced(DriveObjects, "_believes", wrong):
+        yield
+
+
+@mutant("ideal", "SHARE-05")
+def not_given_back_after_an_error():
+    """A reservation that is left by an error is not given back."""
+    kept = []
+
+    def wrong(reserve):
+        @contextmanager
+        def reserved(motor, *args, **kwargs):
+            block = reserve(motor, *args, **kwargs)
+            held = block.__enter__()
+            try:
+                yield held
+            except ZeroDivisionError:
+                kept.append(block)
+                raise
+            block.__exit__(None, None, None)
+
+        return reserved
+
+    with replaced(Motor, "reserve", wrong):
+        yield
+
+
+@mutant("cia402", "SHARE-06")
+def let_go_while_it_slows_down():
+    """A motor that was stopped is free, at rest or not."""
+
+    def wrong(take):
+        def taken(physical, owner, motor, status, taken_over_ns=None):
+            if physical.run is not None and physical.run.motion is None:
+                status = RunStatus.DONE
+            take(physical, owner, motor, status, taken_over_ns)
+
+        return taken
+
+    def over(goes_on):
+        return lambda motor, run: run.motion is not None and goes_on(motor, run)
+
+    with replaced(PhysicalMotor, "take", wrong), replaced(SharedMotor, "_goes_on", over):
+        yield
+
+
+@mutant("software", "SHARE-07")
+def who_comes_last_is_served_first():
+    """Who waits is put on a pile."""
+    with a_lock_without_fifo():
+        yield
+
+
+@mutant("cia402", "SHARE-08")
+def an_orphan_goes_on():
+    """Who takes a motor over does not bring to rest what it was doing."""
+    with replaced(SharedMotor, "_adopt", lambda _: lambda motor, timeout_s, asked_ns: None):
+        yield
+
+
+@mutant("ideal", "SHARE-08")
+def who_has_lost_it_goes_on():
+    """Who has lost a motor commands it as if he had it."""
+    with no_fencing():
+        yield
+
+
+@mutant("software", "SHARE-09")
+def a_servo_that_goes_on_under_low_level_access():
+    """The servo goes on while somebody works the hardware by hand."""
+    with replaced(AmplifierHwMotor, "fall_silent", lambda _: lambda hardware: None):
+        yield
+
+
+@mutant("oriental_az", "SHARE-10")
+def the_last_one_shuts_the_door_every_time():
+    """Whoever is closed closes the hardware object that all share."""
+
+    def wrong(close):
+        def closed(motor):
+            close(motor)
+            motor._polled.close()
+
+        return closed
+
+    with replaced(PolledMotor, "close", wrong):
+        yield
