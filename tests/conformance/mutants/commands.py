@@ -264,19 +264,18 @@ def an_equal_trajectory_is_not_sent_again():
 
 
 @mutant("cia402", "START-02")
-def settings_are_pushed_once():
-    """Ramps are in the drive from the first motion on, and believed to be right for ever."""
-    told = set()
+def ramps_only_grow():
+    """Ramps that are steeper than those in the drive are told, gentler ones are taken to do."""
+    told = {}
 
-    def once(push):
-        def pushed(self, acceleration, deceleration):
-            if self not in told:
-                told.add(self)
-                push(self, acceleration, deceleration)
+    def steeper(push):
+        def pushed(self, *ramps):
+            told[self] = tuple(map(max, ramps, told.get(self, ramps)))
+            push(self, *told[self])
 
         return pushed
 
-    with replaced(DriveMotions, "_push_ramps", once):
+    with replaced(DriveMotions, "_push_ramps", steeper):
         yield
 
 

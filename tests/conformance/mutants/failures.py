@@ -4,7 +4,7 @@ from motorapi.adaptations import leadshine_hardware
 from motorapi.adaptations.leadshine_hardware import LeadshineHwMotor
 from motorapi.adaptations.modbus_unit import ModbusUnit
 from motorapi.adaptations.polled_motor import PolledMotor
-from motorapi.errors import LinkError, MotorError
+from motorapi.errors import DeviceFault, LinkError, MotorError
 from tests.conformance.mutants import mutant, replaced
 
 
@@ -20,6 +20,21 @@ def a_fault_ends_a_motion_as_any_other_end():
         return done
 
     with replaced(PolledMotor, "_is_done", wrong):
+        yield
+
+
+@mutant("leadshine", "FAULT-01")
+def a_fault_without_its_code():
+    """That there is a fault is told to who waits, and which one is not."""
+
+    def blind(raise_fault):
+        def told(self, poll):
+            if poll.fault is not None:
+                raise DeviceFault(motor=self.name, code=0, text="a fault", since_ns=poll.time_ns)
+
+        return told
+
+    with replaced(PolledMotor, "_raise_fault", blind):
         yield
 
 
