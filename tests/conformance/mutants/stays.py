@@ -2,6 +2,7 @@
 
 WHY_IT_STAYS: dict[str, str] = {
     "SHARE-11": "it looks for what the others did not think of; harness.sharing's mutants prove it",
+    "SYNC-01": "it is Algorithm 2 itself; who begins apart is off the line of SYNC-08 as well",
     "SYNC-05": "ours ask a drive something before they arm any, and so find out that it is gone",
     "LOST-02": "a cable and a host are lost apart, by one dead-man here; elsewhere by two",
     "LOST-03": "likewise, and a host that lives is told by another state of the drive",
