@@ -29,7 +29,6 @@ class Capability(Enum):
     FAULTS = "telling faults"
     DEAD_MAN = "stopping when the host is lost"
     COMMON_TRIGGER = "starting together with others by one signal"
-    PROCESSES = "sharing between processes"
 
     @property
     def key(self) -> str:
