@@ -53,7 +53,8 @@ def registers(response) -> list[int]:
 
 def moves_a_motor(client: ModbusClientMixin, target: int) -> None:
     """A PR drive is told a path, started, and watched until it is there."""
-    path = [1, target >> 16 & 0xFFFF, target & 0xFFFF, 600, 50, 50, 0]
+    # Ramps of a second to 1000 rpm: half a second to look in, on a busy machine, too.
+    path = [1, target >> 16 & 0xFFFF, target & 0xFFFF, 600, 1000, 1000, 0]
     assert not client.write_register(0x000F, 1, device_id=1).isError()
     assert not client.write_registers(0x6200, path, device_id=1).isError()
     assert registers(client.read_holding_registers(0x6200, count=7, device_id=1)) == path

@@ -13,7 +13,7 @@ from harness.conformance.motions import (
     rest_for,
     turn,
 )
-from motorapi import MotorBusyError, MotorState, StateError, UnsupportedError
+from motorapi import MotorBusyError, StateError, UnsupportedError
 
 _HERE = 37
 _NO_METHOD = 77  # CiA 402-2 leaves it out
@@ -122,27 +122,3 @@ def low_level_access_begins_at_rest(bench: RigProtocol) -> None:
     )
     motor.stop()
     finish(bench, motor)
-
-
-@clause(
-    "CLOSE-01",
-    Level.L2,
-    needs={Capability.POSITION_TRAJECTORY},
-    bench={Ability.SEVERAL_USERS},
-    source="Device.close: no longer used, closing again does nothing; paper 3.5, logical motors",
-)
-def closing_again_does_nothing(bench: RigProtocol) -> None:
-    """A logical motor may be closed twice; others of the same physical motor go on."""
-    motor, way = bench.motor, 0.2 * long_move(bench)
-    other = bench.another_user_of(motor)
-    move(bench, motor, way)
-    other.close()
-    other.close()
-    move(bench, motor, way)
-    expect_at(bench, motor, 2.0 * way, "moved when another logical motor was closed")
-    state = motor.state()
-    expect(
-        state is MotorState.ENABLED, f"when another logical motor was closed it is {state.value}"
-    )
-    motor.close()
-    motor.close()

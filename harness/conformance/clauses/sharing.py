@@ -26,6 +26,7 @@ from motorapi import (
     Motor,
     MotorBusyError,
     MotorError,
+    MotorState,
     StateError,
     TrapezoidalTrajectory,
 )
@@ -357,4 +358,8 @@ def who_leaves_takes_nothing_along(bench: RigProtocol) -> None:
     move(bench, other, 0.1 * long_move(bench))
     for _ in range(2):
         other.close()
+    state = motor.state()
+    expect(state is MotorState.ENABLED, f"when another user was closed it is {state.value}")
     move(bench, motor, 0.1 * long_move(bench))
+    for _ in range(2):
+        motor.close()

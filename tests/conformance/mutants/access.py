@@ -50,7 +50,7 @@ def low_level_access_in_mid_motion():
         yield
 
 
-@mutant("ideal", "CLOSE-01")
+@mutant("ideal", "SHARE-10")
 def each_close_counts():
     """Closing twice counts as two users who went: the hardware is closed under the others."""
 

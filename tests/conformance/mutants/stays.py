@@ -14,5 +14,13 @@ WHY_IT_STAYS: dict[str, str] = {
     "START-03": "what is replaced late ends wrongly in longer sequences, too; this one is short",
     "HEAR-01": "LOST-09 loses one frame at a time, this one all there are for a while",
     "HEAR-02": "LOST-01 waits for a motion that is lost, this one operates a motor that stands",
+    "TRAJ-02": "SHARE-11's state machine meets a wrong duration by chance; this one measures it",
+    "START-05": "likewise, a motion that another setting ends",
+    "SHARE-04": "likewise, what another user set; this one names it",
+    "SHARE-08": "likewise, a takeover; this one looks at the bus and at the plant",
+    "FAULT-01": "FAULT-05 does it in every mode that is claimed; this one is the plain case",
+    "LOW-01": "SHARE-09 looks on from another user; this one goes on with the same motor",
+    "LOST-01": "HEAR-02 sees what is not heard, too; this one waits for a motion, in every mode",
+    "LOST-09": "HEAR-01 loses answers only; this one any frame of a move, one by one",
     "HEAR-03": "LOST-04 and LOST-09 lose a motion, this one a motor that stands",
 }
