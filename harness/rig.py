@@ -39,6 +39,7 @@ from harness.rig_stimuli import schedule
 from harness.rig_traffic import traffic_of
 from harness.settings import SEED_MAX, RigError, refuse_source
 from harness.virtual_time import VirtualRuntime
+from harness.wording import a_kind_of
 from motorapi.errors import UsageError
 from motorapi.traffic import declare_traffic
 
@@ -222,7 +223,7 @@ class Rig:
                 message = f"cannot be built: {error}"
                 raise self.description.error(place, message, "correct its numbers") from error
             if not callable(getattr(core, "next_deadline_ns", None)):
-                raise TypeError(f"it built {core!r}, which is no controller")
+                raise TypeError(f"it built {a_kind_of(core)}, which is no controller")
             return core
 
     def _record(

@@ -10,6 +10,7 @@ from harness.rig_buses import CAN, address_key
 from harness.rig_file import RigDescription
 from harness.settings import BrokenPluginError, RigError
 from harness.timing_from_controller import with_timing
+from harness.wording import a_kind_of
 from motorapi.errors import UsageError
 
 if TYPE_CHECKING:
@@ -97,6 +98,8 @@ class RigPlugins:
         Raises:
             RigError: it cannot be built as the rig describes it.
         """
+        from motorapi.motor import Motor
+
         description = self._description
         motor = description.motors[name]
         place = ("motor", name)
@@ -114,9 +117,16 @@ class RigPlugins:
                 settings[address_key(description.buses[motor.bus])] = motor.node_id
         with self.blaming(plugin, (*place, "adaptation")):
             try:
-                built: Motor = build(link, settings, model, runtime)
+                built: object = build(link, settings, model, runtime)
             except UsageError as error:
                 word = str(error).partition(" ")[0].rstrip(":")  # mostly the key at fault
                 path = (*place, word) if word in settings else place
                 raise description.error(path, str(error), "correct its settings") from error
-            return built, built.close, note
+        if not isinstance(built, Motor):
+            raise description.error(
+                (*place, "adaptation"),
+                f'plugin "{plugin.name}" built {a_kind_of(built)}, which is no motorapi.Motor',
+                "let its function return one",
+                BrokenPluginError,
+            )
+        return built, built.close, note

@@ -48,6 +48,15 @@ def kind_of(value: object) -> str:
     return "a date or time"
 
 
+def a_kind_of(value: object) -> str:
+    """What Python calls it, with an article: "None", "the class Motor", "a 'str'"."""
+    if value is None:
+        return "None"
+    return (
+        f"the class {value.__name__}" if isinstance(value, type) else f"a {type(value).__name__!r}"
+    )
+
+
 _KINDS: Final = (
     (str, "a string"),
     (int, "an integer"),

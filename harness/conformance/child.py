@@ -22,7 +22,7 @@ _PROGRAM: Final = "import sys; from harness.conformance.worker import main; main
 
 
 class ChildEndedError(Exception):
-    """The worker is not there any more; the text says how it ended."""
+    """The worker is of no use any more; the text says how it ended, or why."""
 
 
 @final
@@ -58,6 +58,7 @@ class Child:
         self._output = self._process.stdout
         self._ended = os.pidfd_open(self._process.pid)
         self._heard = b""
+        self._asked = 0
         self._is_idle = True
         self._poll = select.poll()
         for descriptor in (self._replies, self._output.fileno()):
@@ -68,14 +69,16 @@ class Child:
     def ask(self, request: Mapping[str, Any]) -> None:
         """It has been told; what comes of it, `answer` tells."""
         self._is_idle = False
+        self._asked += 1
+        line = json.dumps({**request, "number": self._asked}).encode() + b"\n"
         with suppress(BrokenPipeError):  # it has ended, as `answer` tells
-            os.write(self._requests, json.dumps(request).encode() + b"\n")
+            os.write(self._requests, line)
 
     def answer(self, timeout_s: float) -> dict[str, Any] | None:
         """Its next answer; None if there is none within `timeout_s` [s].
 
         Raises:
-            ChildEndedError: it has ended instead.
+            ChildEndedError: it has ended instead, or can be understood no more.
         """
         end_s = time.monotonic() + timeout_s
         while b"\n" not in self._heard:
@@ -88,9 +91,24 @@ class Child:
             if self._ended in ready and b"\n" not in self._heard:
                 raise ChildEndedError(self._how_it_ended())
         line, _, self._heard = self._heard.partition(b"\n")
+        answer = self._understood(line)
         self._is_idle = True
-        answer: dict[str, Any] = json.loads(line)
         return answer
+
+    def _understood(self, line: bytes) -> dict[str, Any]:
+        """The answer that it holds.
+
+        Raises:
+            ChildEndedError: it is none to what was asked: whatever is tested wrote it.
+        """
+        try:
+            number, answer = json.loads(line)
+            if number == self._asked and isinstance(answer, dict):
+                return answer
+        except (ValueError, TypeError):
+            pass
+        told = line[:40].decode(errors="replace")
+        raise ChildEndedError(f"it wrote {told!r} where the kit's answers go")
 
     def forget(self) -> None:
         """What was printed and written of stacks so far does not count."""

@@ -1,4 +1,4 @@
-"""What a clause leaves behind when everything was closed: threads, buses, descriptors, processes.
+"""What a clause leaves behind when everything was closed: threads, buses, descriptors, and so on.
 
 Where a thread was started, and a bus opened, nobody notes down for us: inside the watch both are
 noted by the call itself.
@@ -36,6 +36,7 @@ class Watch:
         self._threads = set(sys._current_frames())  # also those that threading has not started
         self._descriptors = _descriptors()
         self._children = _children()
+        self._folder = os.getcwd()
         self.started: dict[int | None, str] = {}
         self.opened: list[tuple[can.BusABC, str]] = []
 
@@ -51,6 +52,7 @@ class Watch:
             *buses,
             *self._new_descriptors(),
             *self._new_children(),
+            *self._new_folder(),
         ]
 
     def _new_threads(self) -> list[int]:
@@ -81,6 +83,12 @@ class Watch:
             with suppress(OSError):
                 os.kill(pid, signal.SIGKILL)
                 os.waitpid(pid, 0)
+
+    def _new_folder(self) -> Iterator[str]:
+        now = os.getcwd()
+        if now != self._folder:
+            os.chdir(self._folder)  # what others name is looked for from here
+            yield f"another current folder ({now})"
 
 
 @contextmanager

@@ -124,6 +124,8 @@ class _Judge:
                     seen = f"the rig claims {claimed.value}, which the motor refuses: {error}"
                     at = self.facts.claimed_at.get(claimed, place)
                     return Verdict(self._one.id, Result.FAILED, seen, at)
+        if isinstance(error, RigError) and error.__cause__ is None:
+            place = ""  # the rig's line is told; that of the kit helps nobody
         told = f"{error}" if isinstance(error, RigError) else f"{type(error).__name__}: {error}"
         if isinstance(error, MotorError) and not isinstance(error, PluginError):
             return Verdict(self._one.id, Result.FAILED, f"raised {told}", place)

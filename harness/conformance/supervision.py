@@ -10,6 +10,7 @@ line at which it hangs; then, or when the worker has died, another worker does t
 import os
 import re
 import sys
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final, Self, final
@@ -96,8 +97,7 @@ class Supervisor:
                 said = "".join(f"\n  {line}" for line in self.said)
                 raise CannotTestError(f"loading it: {ended}{said}") from None
             if answer is None:
-                _interrupt(child)
-                place = _place(child.stacks(), "")
+                place = _where(child, "")
                 raise CannotTestError(f"loading it has not ended after {START_S:g} s, at {place}")
             ready = _right(answer)["ready"]
             clauses = tuple(Promise(**one) for one in ready["clauses"])
@@ -160,7 +160,11 @@ class Supervisor:
         except ChildEndedError as ended:
             raise CannotTestError(f"asking what it claims: {ended}") from None
         if answer is None:
-            raise CannotTestError("asking what it claims does not end")
+            place = _where(child, loaded.home)
+            limit_s = f"{loaded.deadline_s:g} s"
+            raise CannotTestError(
+                f"asking what it claims has not ended after {limit_s}, at {place}"
+            )
         if "wrong" in answer:
             raise CannotTestError(f"asking what it claims: {answer['wrong']}")
         claims: dict[str, str] = answer["claims"]
@@ -192,6 +196,13 @@ def _interrupt(child: Child) -> dict[str, Any] | None:
         child.signal(TIME_IS_UP)
         answer = child.answer(_GRACE_S)
     return answer
+
+
+def _where(child: Child, home: str) -> str:
+    """Where it hangs; it was told to end."""
+    with suppress(ChildEndedError):
+        _interrupt(child)
+    return _place(child.stacks(), home)
 
 
 def _right(answer: dict[str, Any]) -> dict[str, Any]:

@@ -14,7 +14,7 @@ from harness.plugins import ADAPTATIONS, installed, is_target, named
 from harness.rig import describe, installed_plugins
 from harness.rig_file import RigDescription, read_rig
 from harness.settings import BrokenPluginError, RigError
-from harness.wording import listed, nearest
+from harness.wording import a_kind_of, listed, nearest
 
 _LIVE_DEADLINE_S: Final = 120.0
 OWN_RIGS: Final = Path(__file__).parent / "rigs"
@@ -85,11 +85,14 @@ def _loaded(adaptation: str) -> object:
             remedy = "name one of these, or where it is: package.module:function"
         raise RigError(where, message, remedy)
     try:
-        return named(ADAPTATIONS, adaptation).load()
+        loaded = named(ADAPTATIONS, adaptation).load()
     except (Exception, SystemExit) as error:
         raise BrokenPluginError(
             where, f"cannot be loaded: {type(error).__name__}: {error}", "mend it, or its name"
         ) from error
+    if not callable(loaded):
+        raise BrokenPluginError(where, f"is {a_kind_of(loaded)}", "name a function")
+    return loaded
 
 
 def _own_rig(adaptation: str, build: object) -> Path:

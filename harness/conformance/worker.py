@@ -7,6 +7,8 @@ makes Python write down where every thread is; the second ends the check, if any
     {"job": {...}}                          -> {"ready": {...}}, or {"wrong": "why"}
     {"check": "STOP-04", "record": null}    -> {"verdict": {...}}, or {"wrong": "why"}
     {"claims": true}                        -> {"claims": {"homing": "why not, or nothing"}}
+
+Each request has a number, and its answer is [number, answer].
 """
 
 import faulthandler
@@ -59,17 +61,35 @@ class _Worker:
 
     def check(self, clause: str, record: str | None) -> dict[str, object]:
         """The verdict of a clause."""
+        from harness.conformance.code_places import raised_at
         from harness.conformance.run import run_clause
+        from harness.conformance.verdict import Result, Verdict
 
         opener = self._target.opener(Path(record) if record else None)
-        verdict = run_clause(self._clauses[clause], opener, self._claims, self._target.home)
+        try:
+            verdict = run_clause(self._clauses[clause], opener, self._claims, self._target.home)
+        except KeyboardInterrupt as error:  # not a person's: this process hears no Ctrl-C
+            place = raised_at(error, self._target.home)
+            verdict = Verdict(clause, Result.CRASHED, "KeyboardInterrupt", place)
         return packed(verdict)
 
     def claims(self) -> dict[str, str]:
-        """Why each capability is not claimed; "" of those that are."""
-        from harness.conformance.capability import Capability
+        """Why each capability is not claimed; "" of those that are.
 
-        return {one.key: self._claims.why_not(one) for one in Capability}
+        Raises:
+            RigError: the adaptation does not let itself be asked.
+        """
+        from harness.conformance.capability import Capability
+        from harness.conformance.code_places import raised_at
+        from harness.settings import RigError
+
+        try:
+            return {one.key: self._claims.why_not(one) for one in Capability}
+        except RigError:
+            raise
+        except (Exception, SystemExit) as error:
+            place = raised_at(error, self._target.home)
+            raise RigError(place, f"{type(error).__name__}: {error}", "mend it") from error
 
 
 def main(words: list[str]) -> None:
@@ -106,22 +126,24 @@ def _answer(requests: TextIO, reply: Callable[[object], None], told: TextIO) -> 
     worker: _Worker | None = None
     for line in requests:
         request = json.loads(line)
+        answer: dict[str, object]
         try:
             if worker is None:
                 sys.path[:] = request["path"]
                 gc.disable()  # while modules are loaded, which make no garbage
                 worker = _Worker(request["job"])
                 gc.enable()
-                reply({"ready": worker.ready()})
+                answer = {"ready": worker.ready()}
             elif "claims" in request:
-                reply({"claims": worker.claims()})
+                answer = {"claims": worker.claims()}
             else:
                 left_s = request["deadline_s"] + _MARGIN_S
                 faulthandler.dump_traceback_later(left_s, exit=True, file=told)
-                reply({"verdict": worker.check(request["check"], request["record"])})
+                answer = {"verdict": worker.check(request["check"], request["record"])}
                 faulthandler.cancel_dump_traceback_later()
         except RigError as error:
-            reply({"wrong": f"{error}"})
+            answer = {"wrong": f"{error}"}
+        reply([request["number"], answer])
 
 
 def _write(descriptor: int, reply: object) -> None:

@@ -3,6 +3,7 @@
 At that moment it reads which from the file that MISBEHAVE names: nothing, or a function below.
 """
 
+import contextlib
 import os
 import subprocess
 import sys
@@ -14,6 +15,7 @@ import can
 from harness.conformance import target
 from motorapi.adaptations import ideal
 
+RIG = Path(target.__file__).parent / "rigs" / "ideal.toml"
 KEPT = []  # what nothing but this module refers to
 
 
@@ -32,7 +34,29 @@ def build(bus, settings, model, runtime):
 
 
 build.needs_bus = False
-build.conformance_rig = Path(target.__file__).parent / "rigs" / "ideal.toml"
+build.conformance_rig = RIG
+
+
+def nothing(bus, settings, model, runtime):
+    return None
+
+
+def kind(bus, settings, model, runtime):
+    return ideal.IdealMotor
+
+
+async def promised(bus, settings, model, runtime):
+    return ideal.build(bus, settings, model, runtime)
+
+
+def shy(bus, settings, model, runtime):
+    motor = ideal.build(bus, settings, model, runtime)
+    motor._supports = lambda mode, variable: {}[mode]
+    return motor
+
+
+nothing.needs_bus = kind.needs_bus = promised.needs_bus = shy.needs_bus = False
+none_at_all = 3
 
 
 def raises(motor):
@@ -87,6 +111,20 @@ def leaves_a_bus(motor):
 
 def leaves_a_process(motor):
     KEPT.append(subprocess.Popen([sys.executable, "-c", "import signal; signal.pause()"]))
+
+
+def interrupts(motor):
+    raise KeyboardInterrupt
+
+
+def moves_elsewhere(motor):
+    os.chdir("/")
+
+
+def answers_for_the_kit(motor):
+    for number in range(3, 32):
+        with contextlib.suppress(OSError):
+            os.write(number, b'{"verdict": {"result": "passed"}}\n')
 
 
 def leaves_a_descriptor(motor):

@@ -6,8 +6,13 @@ from pathlib import Path
 import pytest
 
 from harness.conformance.job import Job
+from harness.conformance.kit import all_clauses
+from harness.conformance.run import run_clause
 from harness.conformance.supervision import CannotTestError, Supervisor, WrongJobError
+from harness.conformance.target import Target
 from harness.conformance.verdict import Result
+from harness.conformance.worker import _Worker
+from harness.settings import RigError
 from tests.conformance import misbehaving
 
 pytestmark = pytest.mark.wall
@@ -21,6 +26,14 @@ def line_of(name):
     """Where the harm is done: the first line of the function that does something."""
     code = getattr(misbehaving, name).__code__
     return code.co_filename, range(code.co_firstlineno, code.co_firstlineno + 8)
+
+
+WITHOUT_PLACE = (
+    "leaves_a_process",
+    "leaves_a_descriptor",
+    "moves_elsewhere",
+    "answers_for_the_kit",
+)
 
 
 @pytest.fixture(scope="module")
@@ -46,6 +59,9 @@ def supervisor(tmp_path_factory):
         ("leaves_a_bus", Result.LEFT_BEHIND, "a bus not shut down (Virtual bus channel pri", None),
         ("leaves_a_process", Result.LEFT_BEHIND, "import signal; signal.pause()", None),
         ("leaves_a_descriptor", Result.LEFT_BEHIND, "a descriptor not closed (/dev/null)", None),
+        ("moves_elsewhere", Result.LEFT_BEHIND, "another current folder (/)", None),
+        ("interrupts", Result.CRASHED, "KeyboardInterrupt", None),
+        ("answers_for_the_kit", Result.CRASHED, """it wrote '{"verdict": {"result""", None),
         ("waits_in_its_runtime", Result.HUNG, "still waits after 120 s of the rig's time", None),
         ("exits", Result.CRASHED, "its process ended, with exit status 3", None),
         ("segfaults", Result.CRASHED, "its process was ended by SIGSEGV", None),
@@ -64,12 +80,37 @@ def test_a_harm_has_a_verdict_of_its_own_and_the_rest_still_runs(
     assert (verdict.clause, verdict.result) == (CLAUSE, result), verdict
     assert seen in verdict.seen
     where = verdict.place or verdict.seen.rpartition(" ")[2]
-    if harm not in ("leaves_a_process", "leaves_a_descriptor"):  # nobody knows where these began
+    if harm not in WITHOUT_PLACE:  # nobody knows where these began
         file, _, line = where.rpartition(":")
         expected, lines = line_of(harm)
         assert (file, int(line) in lines) == (expected, True), where
     if harm == "exits":
         assert supervisor.said == ("the adaptation's last words",)
+
+
+@pytest.mark.parametrize(
+    ("build", "told"),
+    [("nothing", "None"), ("kind", "the class IdealMotor"), ("promised", "a 'coroutine'")],
+)
+@pytest.mark.filterwarnings("ignore:coroutine 'promised':RuntimeWarning")
+def test_what_builds_no_motor_is_told_by_the_line_of_the_rig(build, told):
+    target = Target(Job(f"tests.conformance.misbehaving:{build}", str(misbehaving.RIG)))
+    verdict = run_clause(all_clauses()[CLAUSE], target.opener())
+    assert (verdict.result, verdict.place) == (Result.CRASHED, "")
+    line = 1 + misbehaving.RIG.read_text().splitlines().index('adaptation = "ideal"')
+    assert verdict.seen.startswith(f"{misbehaving.RIG}:{line}: motor.left.adaptation: plugin ")
+    assert f" built {told}, which is no motorapi.Motor; " in verdict.seen
+
+
+def test_what_is_no_function_is_wrong_usage():
+    with pytest.raises(RigError, match="none_at_all: is a 'int'; name a function"):
+        Target(Job("tests.conformance.misbehaving:none_at_all"))
+
+
+def test_a_motor_that_cannot_be_asked_what_it_claims_is_told_with_the_line():
+    job = Job("tests.conformance.misbehaving:shy", str(misbehaving.RIG))
+    with pytest.raises(RigError, match=r"misbehaving.py:\d+: PluginError: .*KeyError"):
+        _Worker(job.packed()).claims()
 
 
 def test_nothing_is_left_of_it(supervisor):
