@@ -19,6 +19,9 @@ if TYPE_CHECKING:
     from motorapi.motor import Motor
     from motorapi.runtime import Runtime
 
+_OF_MOTORS: Final = ("close", "latest", "ownership")
+"""By these a rig knows a motor; what wraps one has them, too."""
+
 
 @final
 class RigPlugins:
@@ -98,8 +101,6 @@ class RigPlugins:
         Raises:
             RigError: it cannot be built as the rig describes it.
         """
-        from motorapi.motor import Motor
-
         description = self._description
         motor = description.motors[name]
         place = ("motor", name)
@@ -117,12 +118,12 @@ class RigPlugins:
                 settings[address_key(description.buses[motor.bus])] = motor.node_id
         with self.blaming(plugin, (*place, "adaptation")):
             try:
-                built: object = build(link, settings, model, runtime)
+                built: Motor = build(link, settings, model, runtime)
             except UsageError as error:
                 word = str(error).partition(" ")[0].rstrip(":")  # mostly the key at fault
                 path = (*place, word) if word in settings else place
                 raise description.error(path, str(error), "correct its settings") from error
-        if not isinstance(built, Motor):
+        if isinstance(built, type) or not all(hasattr(built, one) for one in _OF_MOTORS):
             raise description.error(
                 (*place, "adaptation"),
                 f'plugin "{plugin.name}" built {a_kind_of(built)}, which is no motorapi.Motor',

@@ -55,11 +55,17 @@ class Claims:
             MotorError: the motor cannot be reached.
         """
         if capability not in self._known:
-            slow = capability in _SLOW
+            found: dict[Capability, str] = {}
             with self._open() as bench:
                 for one in Capability:
-                    if (one in _SLOW) is slow:
-                        self._known[one] = _why_not(bench.motor, bench.facts, one)
+                    if (one in _SLOW) is not (capability in _SLOW):
+                        continue
+                    try:
+                        found[one] = _why_not(bench.motor, bench.facts, one)
+                    except (Exception, SystemExit):
+                        if one is capability:  # what others need is theirs to find out
+                            raise
+            self._known.update(found)
         return self._known[capability]
 
 

@@ -55,7 +55,13 @@ def shy(bus, settings, model, runtime):
     return motor
 
 
-nothing.needs_bus = kind.needs_bus = promised.needs_bus = shy.needs_bus = False
+def alone(bus, settings, model, runtime):
+    motor = ideal.build(bus, settings, model, runtime)
+    motor._sync_offer = lambda: None
+    return motor
+
+
+alone.needs_bus = nothing.needs_bus = kind.needs_bus = promised.needs_bus = shy.needs_bus = False
 none_at_all = 3
 
 

@@ -5,6 +5,8 @@ from pathlib import Path
 
 import pytest
 
+from harness.conformance.capability import Capability
+from harness.conformance.claims import Claims
 from harness.conformance.job import Job
 from harness.conformance.kit import all_clauses
 from harness.conformance.run import run_clause
@@ -111,6 +113,16 @@ def test_a_motor_that_cannot_be_asked_what_it_claims_is_told_with_the_line():
     job = Job("tests.conformance.misbehaving:shy", str(misbehaving.RIG))
     with pytest.raises(RigError, match=r"misbehaving.py:\d+: PluginError: .*KeyError"):
         _Worker(job.packed()).claims()
+
+
+def test_a_question_that_raises_is_held_against_the_clauses_that_ask_it_alone():
+    """It was held against whichever came first, and against nobody the second time."""
+    target = Target(Job("tests.conformance.misbehaving:alone", str(misbehaving.RIG)))
+    claims = Claims(target.opener())
+    for _ in range(2):
+        with pytest.raises(AttributeError, match="'level'"):
+            claims.why_not(Capability.COMMON_TRIGGER)
+        assert claims.why_not(Capability.POSITION_SET_POINT) == ""
 
 
 def test_nothing_is_left_of_it(supervisor):
