@@ -27,6 +27,7 @@ HOT = (
     "emulators/cia401/*.py",
     "emulators/cia402/*.py",
     "harness/bus_ears.py",
+    "harness/parties.py",
     "harness/virtual_time.py",
     "harness/recorder.py",
     "harness/rig_recording.py",
