@@ -16,7 +16,7 @@ from harness.conformance.job import Job, Promise
 from harness.conformance.result_files import more_of
 from harness.conformance.supervision import CannotTestError, Supervisor, WrongJobError
 from harness.conformance.verdict import Result
-from harness.pytest_plugin import option, record_folder
+from harness.pytest_plugin import option, record_folder, shortened
 from harness.settings import RigError
 
 _PROPERTY: Final = "motorhil clause"
@@ -42,8 +42,7 @@ def collect_clauses(config: pytest.Config) -> None:
     try:
         clauses = supervisor.loaded.clauses
     except (WrongJobError, CannotTestError) as error:
-        text = str(error).replace(f"{here}{os.sep}", "")
-        raise pytest.UsageError(text) from None
+        raise pytest.UsageError(shortened(str(error), config)) from None
     level = option(config, "level")
     chosen = [one for one in clauses if level is None or one.level <= level]
     file = Path(os.path.abspath(here / rig))
@@ -177,7 +176,7 @@ class ClauseOfKit(pytest.Item):
             f"source: {self.promise.source}",
             *more_of(error.finding),
         ]
-        return "\n".join(lines).replace(f"{self.config.invocation_params.dir}{os.sep}", "")
+        return shortened("\n".join(lines), self.config)
 
     def reportinfo(self) -> tuple[Path, None, str]:
         """Where it stands, and what is promised."""

@@ -9,6 +9,7 @@ for a rig; and an option that another plugin or a conftest.py has as well is the
 called by its long name alone (`--motorhil-seed`).
 """
 
+import os
 from argparse import ArgumentTypeError
 from collections.abc import Generator, Iterator
 from itertools import pairwise
@@ -125,6 +126,11 @@ def record_folder(config: pytest.Config) -> Path:
     if named is None and config.inipath is not None:
         return config.inipath.parent / _RECORDS
     return here / (named or _RECORDS)
+
+
+def shortened(text: str, config: pytest.Config) -> str:
+    """The text; what lies in the folder that pytest was called in is named from there."""
+    return text.replace(f"{config.invocation_params.dir}{os.sep}", "")
 
 
 def pytest_configure(config: pytest.Config) -> None:

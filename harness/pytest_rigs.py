@@ -11,7 +11,7 @@ from typing import Final, TypeVar, final
 
 import pytest
 
-from harness.pytest_plugin import OPENED, OWN_NAMES, option, record_folder
+from harness.pytest_plugin import OPENED, OWN_NAMES, option, record_folder, shortened
 from harness.replay.verdict import summary, unanswered
 from harness.rig import Rig, describe
 from harness.rig_parts import NoSuchName
@@ -38,7 +38,7 @@ def require_rig(config: pytest.Config, name: str) -> None:
     try:
         describe(config.invocation_params.dir / name)
     except RigError as error:
-        raise pytest.UsageError(_shortened(str(error), config)) from None
+        raise pytest.UsageError(shortened(str(error), config)) from None
 
 
 @contextmanager
@@ -55,11 +55,7 @@ def opened_for(request: pytest.FixtureRequest) -> Iterator["RigOfTest"]:
 
 def _failure(text: str, config: pytest.Config) -> BaseException:
     """To be raised: the test fails with this text, and no traceback of ours."""
-    return pytest.fail.Exception(_shortened(text, config), pytrace=False)
-
-
-def _shortened(text: str, config: pytest.Config) -> str:
-    return text.replace(f"{config.invocation_params.dir}{os.sep}", "")
+    return pytest.fail.Exception(shortened(text, config), pytrace=False)
 
 
 @final

@@ -28,12 +28,27 @@ Check = Callable[["RigProtocol"], None]
 class Level(IntEnum):
     """How far the promises reach; each level rests on those before it."""
 
-    L0 = 0  # identity and units
-    L1 = 1  # set-points and profiles
-    L2 = 2  # limits, stop, errors
-    L3 = 3  # sharing
-    L4 = 4  # synchronisation
-    L5 = 5  # faults and loss of communication
+    L0 = 0
+    L1 = 1
+    L2 = 2
+    L3 = 3
+    L4 = 4
+    L5 = 5
+
+    @property
+    def about(self) -> str:
+        """What it adds."""
+        return _ABOUT[self]
+
+
+_ABOUT: Final = {
+    Level.L0: "identity and units",
+    Level.L1: "set-points and profiles",
+    Level.L2: "limits, stop, errors",
+    Level.L3: "sharing",
+    Level.L4: "synchronisation",
+    Level.L5: "faults and loss of communication",
+}
 
 
 class Violated(AssertionError):  # noqa: N818 -- it says what happened, as the errors of motorapi

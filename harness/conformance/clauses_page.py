@@ -7,14 +7,6 @@ from typing import Final
 from harness.conformance.clause import Clause, Level
 from harness.conformance.kit import all_clauses
 
-_ABOUT: Final = {
-    Level.L0: "identity and units",
-    Level.L1: "set-points and profiles",
-    Level.L2: "limits, stop, errors",
-    Level.L3: "sharing",
-    Level.L4: "synchronisation",
-    Level.L5: "faults and loss of communication",
-}
 _HEAD: Final = """\
 # What an adaptation promises
 
@@ -31,7 +23,7 @@ def page() -> str:
     for level in Level:
         of_level = [one for one in clauses if one.level is level]
         if of_level:
-            lines += [f"## {level.name}: {_ABOUT[level]}", "", *_table(of_level), ""]
+            lines += [f"## {level.name}: {level.about}", "", *_table(of_level), ""]
     return "\n".join(lines)
 
 

@@ -4,7 +4,7 @@ from collections.abc import Mapping
 from importlib import import_module
 from typing import Final
 
-from harness.conformance.clause import Clause, Level, registered
+from harness.conformance.clause import Clause, registered
 
 _MODULES: Final = (
     "identity",
@@ -34,8 +34,3 @@ def all_clauses() -> Mapping[str, Clause]:
     places = {name: place for place, name in enumerate(registered())}
     ordered = sorted(registered().values(), key=lambda one: (one.level, places[one.id]))
     return {one.id: one for one in ordered}
-
-
-def up_to(level: Level) -> list[Clause]:
-    """The clauses of this level, and of all before it."""
-    return [one for one in all_clauses().values() if one.level <= level]

@@ -9,6 +9,7 @@ from harness.conformance.bench import RigProtocol
 from harness.conformance.capability import Capability
 from harness.conformance.clause import expect
 from harness.conformance.motions import (
+    aim,
     expect_unmoved,
     finish,
     follow,
@@ -149,9 +150,7 @@ def expect_usable(bench: RigProtocol, motor: Motor, what: str) -> None:
 
 
 def _aim(bench: RigProtocol, motor: Motor) -> None:
-    motor.set_control_mode(ControlMode.SETPOINT)
-    motor.set_setpoint(_WAYS * long_move(bench), relative=True)
-    motor.start()
+    aim(motor, _WAYS * long_move(bench), relative=True)
 
 
 def _turn(bench: RigProtocol, motor: Motor) -> None:

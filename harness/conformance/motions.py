@@ -173,7 +173,7 @@ def worst_deviation(
 def expect_tracks(
     bench: RigProtocol, taken: Sequence[Sample], wanted: Callable[[float], float], what: str
 ) -> None:
-    """It was always as near to `wanted` as is declared; the way was long enough to tell."""
+    """It was always as near to `wanted` as is declared."""
     worst, unit = worst_deviation(bench, taken, wanted), bench.motor.model.unit
     expect(
         worst <= bench.facts.following,
@@ -183,7 +183,7 @@ def expect_tracks(
 
 
 def expect_at(bench: RigProtocol, motor: Motor, target: float, what: str) -> None:
-    """It says that it is there, and where that can be seen it is."""
+    """It says that it is there."""
     unit, window = motor.model.unit, bench.facts.window
     told = motor.position()
     expect(

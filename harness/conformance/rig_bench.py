@@ -1,6 +1,6 @@
 """A bench that is an emulated rig in virtual time: it can do everything, and see everything."""
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
@@ -9,6 +9,7 @@ from typing import Final, Self, final
 from emulators.media.can_frame import can_id_of, data_of, pack
 from emulators.media.faults import FaultKind, FaultRule
 from emulators.media.serial_faults import SerialFaultKind, SerialFaultRule
+from harness.conformance.bench import Lost
 from harness.conformance.capability import Ability
 from harness.conformance.clause import NotApplicable
 from harness.conformance.facts import Facts
@@ -23,11 +24,10 @@ from motorapi import Motor
 SECOND_USER: Final = "another"
 _FAULT_NS: Final = 50_000_000
 """How long the cause of a fault is there that goes by itself."""
-CANOPEN: Final = ("cia402", "cia401")
+_CANOPEN: Final = ("cia402", "cia401")
 """Kinds of controllers that go by SYNC and NMT, and whose commands the bench can tell."""
-SYNC: Final = 0x080
-MODBUS_WRITES: Final = (0x05, 0x06, 0x0F, 0x10, 0x16, 0x17)
-Lost = Callable[[], int]
+_SYNC: Final = 0x080
+_MODBUS_WRITES: Final = (0x05, 0x06, 0x0F, 0x10, 0x16, 0x17)
 
 
 class TimeIsUp(BaseException):
@@ -134,9 +134,9 @@ class RigBench:
             able |= {Ability.LOAD, Ability.FAULT, Ability.LOSE}
             able |= {Ability.CUT, Ability.SILENCE_HOST}
             kind = self._description.controllers[first.controller].kind
-            if kind in CANOPEN or self._is_on_a_line(self.motor):
+            if kind in _CANOPEN or self._is_on_a_line(self.motor):
                 able.add(Ability.TRAFFIC)
-            if kind in CANOPEN:
+            if kind in _CANOPEN:
                 able |= {Ability.STOP_SYNC, Ability.RESTART}
         return tuple(one for one in Ability if one in able)
 
@@ -152,7 +152,7 @@ class RigBench:
 
     def another_user_of(self, motor: Motor) -> Motor:
         """Another logical motor on the same physical motor."""
-        return self.rig.motors[f"{_plain(motor)}-{SECOND_USER}"]
+        return self.rig.motors[f"{physical_name(motor)}-{SECOND_USER}"]
 
     # --- what can be seen and done ----------------------------------------------------------
 
@@ -168,7 +168,7 @@ class RigBench:
     def fail(self, motor: Motor) -> int:
         """Its drive has a fault of this code; its cause is gone, or will be in a moment."""
         facts = self.facts
-        if self._description.motors[_plain(motor)].adaptation == "ideal":
+        if self._description.motors[physical_name(motor)].adaptation == "ideal":
             motor.hardware.inject_fault(facts.fault_code)  # type: ignore[attr-defined]
             return facts.fault_code
         value = facts.fault_code if facts.fault_value is None else facts.fault_value
@@ -205,7 +205,7 @@ class RigBench:
     @contextmanager
     def stop_sync(self) -> Iterator[Lost]:
         """Within it SYNC (CiA 301) reaches nobody."""
-        with self._rule(self.motor, FaultKind.DROP, identifier=SYNC) as lost:
+        with self._rule(self.motor, FaultKind.DROP, identifier=_SYNC) as lost:
             yield lost
 
     def restart(self, motor: Motor) -> None:
@@ -234,7 +234,7 @@ class RigBench:
         ) -> None:
             unit, function = adu[head : head + 2]
             is_to_it = where == bus and sender.startswith(HOST) and unit == address
-            if listening and is_to_it and function in MODBUS_WRITES:
+            if listening and is_to_it and function in _MODBUS_WRITES:
                 seen.append(f"function {function:02X}h")
 
         self.rig.world.tap_frames(on_frame)
@@ -247,7 +247,7 @@ class RigBench:
     # --- inside ---------------------------------------------------------------------------
 
     def _controller(self, motor: Motor) -> str:
-        controller = self._description.motors[_plain(motor)].controller
+        controller = self._description.motors[physical_name(motor)].controller
         if controller is None:
             raise NotApplicable(f"{motor.name} is on no emulated controller")
         return controller
@@ -260,12 +260,12 @@ class RigBench:
 
     def _prefix(self, motor: Motor) -> str:
         """What stands before the names of a channel's stimuli and of its truth."""
-        channel = self._description.motors[_plain(motor)].settings.get("channel", 1)
+        channel = self._description.motors[physical_name(motor)].settings.get("channel", 1)
         return "" if channel == 1 else f"channel_{channel}_"
 
     def _truth(self, motor: Motor) -> Mapping[str, float]:
         """Its controller's snapshot, without the channel's prefix; empty if it has none."""
-        described = self._description.motors[_plain(motor)]
+        described = self._description.motors[physical_name(motor)]
         if described.controller is None:
             return {}
         prefix = self._prefix(motor)
@@ -318,6 +318,6 @@ class RigBench:
             self.rig.faults.lift(bus, name)
 
 
-def _plain(motor: Motor) -> str:
-    """The name in the rig of the physical motor."""
+def physical_name(motor: Motor) -> str:
+    """What the rig calls the physical motor."""
     return motor.name.removesuffix(f"-{SECOND_USER}")

@@ -8,16 +8,17 @@ it: what needs that is not applicable. Its drives stay on between two clauses. S
 as it should be found at first: at 0, disabled, without a fault.
 """
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import AbstractContextManager, ExitStack, suppress
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Final, Never, Self, final
 
+from harness.conformance.bench import Lost
 from harness.conformance.capability import Ability
 from harness.conformance.clause import NotApplicable
 from harness.conformance.facts import Facts
-from harness.conformance.rig_bench import SECOND_USER
+from harness.conformance.rig_bench import SECOND_USER, physical_name
 from harness.recording.places import Kind, Place, PlaceError, parse_place
 from harness.recording.python_can import open_bus
 from harness.rig_file import RigDescription
@@ -149,7 +150,7 @@ class WallBench:
 
     def another_user_of(self, motor: Motor) -> Motor:
         """Another logical motor on the same physical motor."""
-        return self._motors[f"{motor.name.removesuffix(f'-{SECOND_USER}')}-{SECOND_USER}"]
+        return self._motors[f"{physical_name(motor)}-{SECOND_USER}"]
 
     # --- what cannot be done: no clause that names what it needs comes here ------------------
 
@@ -165,23 +166,23 @@ class WallBench:
         """Raises NotApplicable."""
         _refuse(Ability.FAULT)
 
-    def cut(self, motor: Motor) -> AbstractContextManager[Callable[[], int]]:
+    def cut(self, motor: Motor) -> AbstractContextManager[Lost]:
         """Raises NotApplicable."""
         _refuse(Ability.CUT)
 
     def silence_host(
         self, *, skip: int = 0, limit: int | None = None
-    ) -> AbstractContextManager[Callable[[], int]]:
+    ) -> AbstractContextManager[Lost]:
         """Raises NotApplicable."""
         _refuse(Ability.SILENCE_HOST)
 
     def lose_answers_of(
         self, motor: Motor, *, skip: int = 0, limit: int | None = None
-    ) -> AbstractContextManager[Callable[[], int]]:
+    ) -> AbstractContextManager[Lost]:
         """Raises NotApplicable."""
         _refuse(Ability.LOSE)
 
-    def stop_sync(self) -> AbstractContextManager[Callable[[], int]]:
+    def stop_sync(self) -> AbstractContextManager[Lost]:
         """Raises NotApplicable."""
         _refuse(Ability.STOP_SYNC)
 

@@ -76,6 +76,10 @@ class Subject:
     limits: Mapping[str, float] = field(default_factory=dict)
     objects: Mapping[tuple[int, int], int] = field(default_factory=dict)
 
+    def truth_key(self, quantity: str) -> str:
+        """What a snapshot of its controller calls a quantity of its channel."""
+        return quantity if self.channel == 1 else f"channel_{self.channel}_{quantity}"
+
 
 @final
 @dataclass(frozen=True, slots=True)

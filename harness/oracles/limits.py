@@ -75,8 +75,7 @@ class _Limit(Oracle):
     def truth(self, time_ns: int, controller: str, values: Mapping[str, float]) -> None:
         """A snapshot: what of it a file of limits limits."""
         for one in self._by_controller.get(controller, ()):
-            key = f"channel_{one.channel}_{self.truth_key}" if one.channel > 1 else self.truth_key
-            value = values.get(key)
+            value = values.get(one.truth_key(self.truth_key))
             if value is not None:
                 self.measured(time_ns, None, one, "truth", value)
                 self.modelled(time_ns, one, value, values)
@@ -304,8 +303,7 @@ class AccelerationLimit(_Limit):
     def truth(self, time_ns: int, controller: str, values: Mapping[str, float]) -> None:
         """The mean between two snapshots: no mean is larger than the largest."""
         for one in self._by_controller.get(controller, ()):
-            prefix = f"channel_{one.channel}_" if one.channel > 1 else ""
-            velocity = values.get(f"{prefix}velocity_rad_s")
+            velocity = values.get(one.truth_key("velocity_rad_s"))
             if velocity is None or "acceleration_max_rad_s2" not in one.limits:
                 continue
             before = self._before.get(one.name)
@@ -352,8 +350,8 @@ class TorqueLimit(_Limit):
         """The current, too."""
         super().truth(time_ns, controller, values)
         for one in self._by_controller.get(controller, ()):
-            prefix = f"channel_{one.channel}_" if one.channel > 1 else ""
-            current, limit = values.get(f"{prefix}current_a"), one.limits.get("current_max_a")
+            current = values.get(one.truth_key("current_a"))
+            limit = one.limits.get("current_max_a")
             if current is not None and limit is not None:
                 self.beyond(time_ns, None, one.name, "current, truth", current, -limit, limit, "A")
 

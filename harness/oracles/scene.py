@@ -117,10 +117,6 @@ class Scene:
                 found.objects.update(subject.objects)
         return found
 
-    def axes_of(self, bus: str, node: int) -> list[Axis]:
-        """Those of a node that were heard of."""
-        return [axis for place, axis in self.axes.items() if place[:2] == (bus, node)]
-
     def foreign(self) -> list[str]:
         """Buses that nothing says are CANopen."""
         return [bus for bus, is_canopen in self.buses.items() if not is_canopen]

@@ -7,7 +7,6 @@ run is recorded.
 
 import argparse
 import os
-import re
 import sys
 import time
 from collections.abc import Callable, Sequence
@@ -30,7 +29,6 @@ _MORE: Final = """\
 Without --rig the adaptation is checked on the rig that comes with it. Exit status: 0 it keeps what
 it claims, 1 it does not, 2 wrong usage, 3 nothing was applicable.
 """
-_LEVEL_MAX: Final = 5
 _RECORDS: Final = Path("out", "conform")
 
 
@@ -69,10 +67,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def level_of(text: str) -> int:
     """For argparse's `type`: a level of the kit."""
-    found = re.fullmatch(rf"[Ll]?([0-{_LEVEL_MAX}])", text)
+    from harness.conformance.clause import Level
+
+    found = {one.name: one for one in Level}.get(f"L{text.upper().removeprefix('L')}")
     if found is None:
-        raise argparse.ArgumentTypeError(f"{text!r} is no level; say L0 to L{_LEVEL_MAX}")
-    return int(found[1])
+        raise argparse.ArgumentTypeError(f"{text!r} is no level; say L0 to {max(Level).name}")
+    return found
 
 
 def run(options: argparse.Namespace) -> int:
@@ -139,11 +139,11 @@ def _chosen(options: argparse.Namespace, known: "Sequence[Promise]") -> "list[Pr
             if not remedy.startswith("did"):
                 remedy = f"one of {listed(by_id)}"
             raise RigError(f"--clause {name}", "there is no such clause", remedy)
-    level = _LEVEL_MAX if options.level is None else options.level
     return [
         one
         for one in known
-        if one.level <= level and (options.clause is None or one.id in options.clause)
+        if (options.level is None or one.level <= options.level)
+        and (options.clause is None or one.id in options.clause)
     ]
 
 

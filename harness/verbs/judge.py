@@ -12,7 +12,7 @@ from harness.exit_status import FAILED, NOT_JUDGED, PASSED, WRONG_USAGE
 from harness.number_options import time_ns
 from harness.oracles.facts import Facts, read_limits, read_rig
 from harness.oracles.finding import Finding, Verdict
-from harness.oracles.judge import CATALOGUE, IDS, judge
+from harness.oracles.judge import CATALOGUE, IDS, is_sound, judge
 from harness.text_table import print_table
 from traces.formats import open_source
 from traces.reader import read_trace
@@ -93,11 +93,10 @@ def run(options: argparse.Namespace) -> int:
 
 
 def _sum(findings: Sequence[Finding]) -> tuple[str, int]:
-    verdicts = [finding.verdict for finding in findings]
-    if Verdict.BROKEN in verdicts:
-        return "broken", FAILED
-    if Verdict.HELD in verdicts:
+    if is_sound(findings):
         return "sound, as far as it could be judged", PASSED
+    if any(finding.verdict is Verdict.BROKEN for finding in findings):
+        return "broken", FAILED
     return "not judged", NOT_JUDGED
 
 

@@ -15,7 +15,6 @@ from tests.conformance.outsider_source import importable
 
 pytestmark = pytest.mark.data
 AXES = 8
-SIGNAL = r" SG_ (\w+) \w? ?: (\d+)\|(\d+)@(\d)([+-]) \(([^,]+),([^)]+)\)"
 
 
 @dataclass
