@@ -36,9 +36,8 @@ class BusEar:
         self._scene = scene
         self._oracles = oracles
         scene.buses[name] = False
-        names = {n: one for (bus, n), one in scene.names.nodes.items() if bus == name}
         objects = {n: eds for (bus, n), eds in scene.names.objects.items() if bus == name}
-        self._decoder = CanopenDecoder(names, objects)
+        self._decoder = CanopenDecoder(objects=objects)
         self._plans: dict[int, tuple[_Part, ...] | None] = {}  # None: no PDO
         self._senders: dict[int, str] = {}
         self._no_drives: dict[int, None] = {}

@@ -102,6 +102,7 @@ def test_the_files_are_for_machines_and_people(runs):
     assert list(cases["STATE-01"]) == []
     page = (folder / "found.html").read_text()
     assert '<a href="records/UNIT-01.mcap">' in page
+    assert "<td>position_set_point</td><td>claimed</td>" in page
     assert "://" not in page
     assert "default-src 'none'" in page
 

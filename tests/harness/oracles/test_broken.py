@@ -132,6 +132,8 @@ def test_a_sound_story_is_sound_and_every_oracle_has_looked_at_it(tmp_path):
     assert {name: one.looked for name, one in findings.items()} == REACH
     assert is_sound(findings.values())
     assert tuple(findings) == IDS
+    for name in IDS:  # each hears for itself what it needs
+        assert judge(tmp_path / "one.mcap", only=[name]) == [findings[name]]
 
 
 @pytest.mark.parametrize(("oracle", "frames", "ms", "words"), BY_PRESENCE)
@@ -145,6 +147,7 @@ def test_what_was_heard_breaks_its_oracle_and_no_other_whatever_else_is_missing(
         assert first.time_ns == ms * MS
         assert words in str(first)
         assert (first.bus, first.node) == ("can0", 1)
+        assert judge(tmp_path / "one.mcap", only=[oracle]) == [findings[oracle]]
 
 
 @pytest.mark.parametrize(("oracle", "frames", "ms", "words"), BY_ABSENCE)
@@ -174,6 +177,14 @@ def test_who_has_not_the_motor_does_not_command_it(tmp_path):
     first = findings["owner-commands"].first
     assert (first.time_ns, first.motor) == (600 * MS, "wheel")
     assert first.text.startswith("other sends 201h 1f 00 while wheel: 0.305 s to 1.699 s: host")
+
+
+def test_a_drive_that_moves_on_is_caught_though_the_recording_ends_while_it_says_that_it_rests(
+    tmp_path,
+):
+    frames = instead(status(1100, 0x0637, 530), status(1200, 0x0637, 560))
+    path = record(tmp_path / "one.mcap", [frame for frame in frames if frame[0] < 1350])
+    assert broken_in(findings_of(path)) == ["rest-when-told"]
 
 
 def test_only_what_was_asked_for_is_judged_but_what_was_before_is_known(tmp_path):
