@@ -49,7 +49,8 @@ class VirtualParty:
         is_ending: it was told to end.
         thread: None of the first party.
         ident: of its thread, as in threading.get_ident(); UNKNOWN before it runs.
-        looked_ns, owed_ns: when it last looked at a clock, and what its looks then cost [ns].
+        looked_ns, owed_ns, read_ns: when it last looked at a clock, what its looks then cost, and
+            what the clock said [ns].
         held_up_by: who holds the lock that it waits for.
     """
 
@@ -64,7 +65,7 @@ class VirtualParty:
         self.thread: threading.Thread | None = None
         self.ident = UNKNOWN
         self.held_up_by: VirtualParty | None = None
-        self.looked_ns = self.owed_ns = 0
+        self.looked_ns = self.owed_ns = self.read_ns = 0
         self._runtime = runtime
 
     def join(self, timeout_s: float | None = None) -> bool:

@@ -21,6 +21,9 @@ from typing import Any, Final, final
 import can
 
 from harness.conformance.code_places import called_at
+from motorapi import UsageError
+from motorapi.lock_directory import LockDirectory
+from motorapi.lock_view import look
 
 _PATIENCE_S: Final = 0.25
 _LOOK_AGAIN_S: Final = 0.01
@@ -75,7 +78,7 @@ class Watch:
             gc.collect()  # what nothing refers to any more is about to be closed
         for number, target in _descriptors().items():
             if self._descriptors.get(number) != target:
-                yield f"a descriptor not closed ({target})"
+                yield _lock_held(target) or f"a descriptor not closed ({target})"
 
     def _new_children(self) -> Iterator[str]:
         for pid in sorted(_children() - self._children):
@@ -136,6 +139,17 @@ def _descriptors() -> dict[int, str]:
         with suppress(OSError):  # the one that lists them is closed by now
             found[int(entry.name)] = os.readlink(entry)
     return found
+
+
+def _lock_held(target: str) -> str:
+    """What is said of a lock between processes that we have; "" if it is none, or free."""
+    folder, name = os.path.split(target)
+    with suppress(UsageError):
+        directory = LockDirectory()
+        holder = look(directory, name).holder if str(directory.path) == folder else None
+        if holder is not None and holder.record is not None and holder.record.pid == os.getpid():
+            return f"a lock between processes not let go of ({name}, for {holder.record.purpose})"
+    return ""
 
 
 def _program(pid: int) -> str:

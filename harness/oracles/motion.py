@@ -33,10 +33,11 @@ class Following(Oracle):
 
     id = "following-bounded"
     promise = (
-        "A following error beyond its window 6065h for longer than 6066h is told: bit 13, a fault"
+        "A following error beyond its window 6065h for longer than 6066h is told: bit 13, a fault;"
+        " none is beyond what --limits FILE allows"
     )
     source = "CiA 402-2, following error window 6065h, time-out 6066h, statusword bit 13"
-    needs = "nobody told a following error (60F4h, 6062h with 6064h, or truth) and its window 6065h"
+    needs = "nobody told a following error (60F4h, or truth) and its window 6065h, or its limit"
     objects: ClassVar[Mapping[int, bool]] = {
         **{STATUSWORD: False, 0x60F4: True, 0x6062: True, _POSITION: True},
         **{0x6065: False, 0x6066: False, 0x6060: True, 0x6061: True},
@@ -69,10 +70,11 @@ class Following(Oracle):
                 self._error(time_ns, self.scene.axes[one.place], error)
 
     def _error(self, time_ns: int, axis: Axis, error: float) -> None:
-        window = axis.objects.get((0x6065, 0))
-        if window is None or window >= _OFF or axis.mode not in (_PP, _IP, _CSP):
+        if axis.state != ENABLED or axis.mode not in (_PP, _IP, _CSP):
             return
-        if axis.state != ENABLED or axis.word is None or axis.word & BIT_13:
+        self._held_to_file(time_ns, axis, error)
+        window = axis.objects.get((0x6065, 0))
+        if window is None or window >= _OFF or axis.word is None or axis.word & BIT_13:
             return
         bus, node, number = axis.place
         if not self.look(time_ns, bus):
@@ -88,6 +90,21 @@ class Following(Oracle):
             text = f"following error since {since_ns / 1e9:.6f} s, and the drive does not tell it"
             numbers = (abs(error), float(window), "inc")
             self.broken(Violation(time_ns, text, bus, node, number, axis.name, *numbers))
+
+    def _held_to_file(self, time_ns: int, axis: Axis, error: float) -> None:
+        """Against a file of limits: in the drive's increments, or in U where these are known."""
+        one = axis.subject
+        if one is None:
+            return
+        limit, scale, unit = one.limits.get("following_error_max_inc"), 1.0, "inc"
+        if limit is None and one.increments_per_unit is not None:
+            limit = one.limits.get(f"following_error_max_{one.unit}")
+            scale, unit = abs(one.increments_per_unit), one.unit
+        bus, node, number = axis.place
+        if limit is None or not self.look(time_ns, bus) or abs(error) <= limit * scale:
+            return
+        numbers = (abs(error) / scale, limit, unit)
+        self.broken(Violation(time_ns, "following error", bus, node, number, axis.name, *numbers))
 
 
 _POWERLESS: Final = (NOT_READY, DISABLED, READY, FAULT)

@@ -38,7 +38,9 @@ def sleep(seconds: float, /) -> None:
     if program is None or not seconds >= 0:
         _sleep(seconds)  # refuses what is no time
         return
-    program.runtime.run_for(max(seconds, _SLEEP_NS_MIN / 1e9))
+    party = party_here()
+    assert party is not None
+    program.runtime.run_for(program.from_now_s(party, max(seconds, _SLEEP_NS_MIN / 1e9)))
 
 
 def _clock(original: Callable[[], Any], base_ns: int, unit: float | None) -> Callable[[], Any]:

@@ -61,7 +61,8 @@ class Lock:
 
         self._awaited += 1
         try:
-            return program.runtime.wait_for_parties(take, timeout_s)
+            left_s = None if timeout_s is None else program.from_now_s(party, timeout_s)
+            return program.runtime.wait_for_parties(take, left_s)
         except BaseException:
             if took:  # interrupted when it was just given
                 self.release()

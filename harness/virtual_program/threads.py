@@ -110,11 +110,11 @@ def _run(thread: Thread, party: VirtualParty, run: Callable[[], None]) -> None:
 
 def join(thread: Thread, timeout: float | None = None) -> None:
     """The thread has ended, or `timeout` [s] of the rig's time have passed."""
-    program, party = program_here(), _parties.get(thread)
-    if program is None or party is None or party is party_here():
+    program, party, me = program_here(), _parties.get(thread), party_here()
+    if program is None or party is None or me is None or party is me:
         _join(thread, timeout)  # refuses to join itself
         return
-    left_s = None if timeout is None else max(timeout, 0.0)
+    left_s = None if timeout is None else program.from_now_s(me, max(timeout, 0.0))
     if program.runtime.wait_for_parties(party.has_finished, left_s):
         with on_wall():  # it needs no turn for what it still does
             _join(thread)

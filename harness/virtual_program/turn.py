@@ -56,13 +56,18 @@ class Program:
         """What a clock says [ns], a little more at each look; that may take a wait."""
         now_ns = self.runtime.queue.now_ns
         step_ns = _LOOK_NS if self._bills < _SPIN_BILLS else _SPIN_LOOK_NS
-        self.ahead_ns = max(now_ns, self.ahead_ns + step_ns)
+        self.ahead_ns = max(now_ns, self.ahead_ns) + step_ns
         if party.looked_ns != now_ns:
             party.looked_ns, party.owed_ns = now_ns, 0
         party.owed_ns += step_ns
+        party.read_ns = self.ahead_ns
         if party.owed_ns >= _BILL_NS and not self.runtime.is_in_callback():
             self._pay(party)
-        return self.ahead_ns
+        return party.read_ns
+
+    def from_now_s(self, party: VirtualParty, duration_s: float) -> float:
+        """How long it waits in the rig [s]: by the clock it looked at last, no less than asked."""
+        return duration_s + max(0, party.read_ns - self.runtime.queue.now_ns) / 1e9
 
     def _pay(self, party: VirtualParty) -> None:
         queue = self.runtime.queue

@@ -14,6 +14,7 @@ import can
 
 from harness.conformance import target
 from motorapi.adaptations import ideal
+from motorapi.process_lock import ProcessLock
 
 RIG = Path(target.__file__).parent / "rigs" / "ideal.toml"
 KEPT = []  # what nothing but this module refers to
@@ -135,6 +136,12 @@ def answers_for_the_kit(motor):
 
 def leaves_a_descriptor(motor):
     os.open("/dev/null", os.O_RDONLY)
+
+
+def keeps_a_lock(motor):
+    if not any(isinstance(one, ProcessLock) for one in KEPT):
+        KEPT.append(ProcessLock("pan", "the pan"))
+        KEPT[-1].acquire(motor.runtime, "moving")
 
 
 def says_so_and_works_for_ever(motor):

@@ -13,11 +13,15 @@ import pytest
 
 from harness.cli import main
 from harness.conformance.clause import Clause, Level, NotApplicable
-from harness.conformance.job import Job
+from harness.conformance.examination import Finding
+from harness.conformance.job import Job, Promise
+from harness.conformance.kit import all_clauses
+from harness.conformance.result_files import Outcome, as_json, as_junit, as_page
 from harness.conformance.rig_bench import RigBench, bench_description
 from harness.conformance.run import run_clause
+from harness.conformance.supervision import Loaded
 from harness.conformance.target import Target
-from harness.conformance.verdict import Result
+from harness.conformance.verdict import Result, Verdict
 from harness.rig import describe
 from harness.settings import RigError
 from motorapi import ControlMode, ControlVariable
@@ -160,6 +164,29 @@ def test_wrong_usage_is_told_in_a_line(words, told, tmp_path, monkeypatch, capfd
 def test_what_cannot_be_tested_is_told_why(job, told):
     with pytest.raises(RigError, match=re.escape(told)):
         Target(job)
+
+
+def test_what_an_adaptation_refuses_of_its_settings_is_the_rigs_mistake_and_no_verdict(tmp_path):
+    rig = tmp_path / "rig.toml"
+    rig.write_text((RIGS / "ideal.toml").read_text().replace('axis = "left"', "axis = 3"))
+    opener = Target(Job("", str(rig))).opener()
+    with pytest.raises(RigError, match=r"rig.toml:\d+: motor.left.axis: axis = 3: must be a name"):
+        run_clause(all_clauses()["STATE-01"], opener)
+
+
+def test_what_is_odd_is_written_so_that_it_can_be_read():
+    odd = "<&\"'\x00\x1b[31m\ud800 \n]]>"
+    promise = Promise("X-01", 2, odd, odd)
+    finding = Finding(promise, Verdict("X-01", Result.HUNG, odd, odd), 0.5, (odd,), odd)
+    loaded = Loaded(odd, odd, odd, (odd,), 1, 30.0, odd, ())
+    outcome = Outcome(loaded, [finding], {"homing": odd}, 0.1, 0.2)
+    (case,) = ElementTree.fromstring(as_junit(outcome).encode())
+    assert case.find("error").get("message") == "<&\"'\ufffd\ufffd[31m\ufffd \n]]>"
+    assert json.loads(as_json(outcome))["clauses"][0]["seen"] == odd
+    page = as_page(outcome, Path())
+    assert page.encode()
+    assert "&lt;&amp;" in page
+    assert "<&" not in page
 
 
 def test_an_adaptation_can_bring_its_rig():

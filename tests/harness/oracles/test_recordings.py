@@ -97,6 +97,8 @@ def test_a_file_of_limits_is_held_against_what_was_measured(tmp_path):
         "torque_max_n_m = 0.1": "limit-torque",
         "current_max_a = 0.05": "limit-torque",
         "position_max_inc = 21000": "limit-position",
+        "following_error_max_inc = 2": "following-bounded",
+        "following_error_max_rad = 1e-4": "following-bounded",
     }
     with golden("cia402") as path:
         for line, oracle in expected.items():
@@ -109,12 +111,14 @@ def test_a_file_of_limits_is_held_against_what_was_measured(tmp_path):
             assert abs(first.value) > abs(first.limit) or "min" in line
         file.write_text(
             "[motor.left]\nvelocity_max_rad_s = 2.2\nposition_max_rad = 1.01\n"
-            "position_min_rad = -0.01\nacceleration_max_rad_s2 = 6.0\ntorque_max_n_m = 5.0\n"
+            "following_error_max_inc = 20\nposition_min_rad = -0.01\n"
+            "acceleration_max_rad_s2 = 6.0\ntorque_max_n_m = 5.0\n"
         )
         findings = judge(path, Facts(read_limits(file)))
         assert is_sound(findings)
         limits = [one for one in findings if one.oracle.startswith("limit-")]
-        assert [one.verdict for one in limits] == [Verdict.HELD] * 4
+        limits += [one for one in findings if one.oracle == "following-bounded"]
+        assert [one.verdict for one in limits] == [Verdict.HELD] * 5
 
 
 def test_a_rig_broken_on_purpose_is_caught_and_its_torque_is_seen_to_be_off(tmp_path):

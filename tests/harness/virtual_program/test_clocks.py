@@ -36,6 +36,19 @@ def test_a_clock_goes_by_the_rigs_time_and_a_little_further_at_each_look(now_s, 
     assert now_s() == 2.5  # looking lets no time pass, as long as it is not often
 
 
+@pytest.mark.parametrize("clock", ["time", "monotonic", "perf_counter"])
+@pytest.mark.parametrize(
+    "wait", [lambda s: time.sleep(s), lambda s: threading.Event().wait(s)], ids=["sleep", "event"]
+)
+def test_by_its_clock_a_program_never_waits_shorter_than_it_asked_for(now_s, clock, wait):
+    read = getattr(time, clock)
+    for looks in (1, 2, 50):
+        for seconds in (1e-6, 0.01, 100.0):
+            began = [read() for _ in range(looks)][-1]
+            wait(seconds)
+            assert read() - began >= seconds
+
+
 def test_clocks_by_number_go_by_the_rigs_time(now_s):
     time.sleep(1.0)
     for number, expected_s in (
