@@ -52,6 +52,7 @@ class Mode:
         begin: it has begun, on this motor of the bench.
         moves: whether the motor moves then.
         ends: whether its motion ends by itself.
+        is_a_way: whether it lasts as long as a way of some long moves takes.
     """
 
     words: str
@@ -59,6 +60,7 @@ class Mode:
     begin: Callable[[RigProtocol, Motor], None]
     moves: bool = True
     ends: bool = True
+    is_a_way: bool = False
 
 
 def modes_of(bench: RigProtocol) -> Iterator[Mode]:
@@ -70,6 +72,8 @@ def modes_of(bench: RigProtocol) -> Iterator[Mode]:
     for mode in _MODES:
         if mode.capability in bench.facts.without or not _is_known(bench, mode):
             continue
+        if mode.is_a_way and is_over_soon(bench):
+            continue
         bench.afresh()
         try:
             mode.begin(bench, bench.motor)
@@ -77,6 +81,11 @@ def modes_of(bench: RigProtocol) -> Iterator[Mode]:
             continue
         rest_for(bench, MOVING_S)
         yield mode
+
+
+def is_over_soon(bench: RigProtocol) -> bool:
+    """Whether limits of position leave no room for a way that lasts until something befalls it."""
+    return shortest_s(bench.motor, _WAYS * long_move(bench)) < 2.0 * MOVING_S
 
 
 def _is_known(bench: RigProtocol, mode: Mode) -> bool:
@@ -189,12 +198,12 @@ def _hold(bench: RigProtocol, motor: Motor) -> None:
 
 _C: Final = Capability
 _MODES: Final = (
-    Mode("a set-point of position", _C.POSITION_SET_POINT, _aim),
+    Mode("a set-point of position", _C.POSITION_SET_POINT, _aim, is_a_way=True),
     Mode("a set-point of velocity", _C.VELOCITY_SET_POINT, _turn, ends=False),
     Mode("a set-point of torque", _C.TORQUE_SET_POINT, _push, ends=False),
-    Mode("a trajectory of position", _C.POSITION_TRAJECTORY, _follow),
+    Mode("a trajectory of position", _C.POSITION_TRAJECTORY, _follow, is_a_way=True),
     Mode("a trajectory of velocity", _C.VELOCITY_TRAJECTORY, _speed_up, ends=False),
-    Mode("a complex trajectory of position", _C.COMPLEX_POSITION, _stream),
+    Mode("a complex trajectory of position", _C.COMPLEX_POSITION, _stream, is_a_way=True),
     Mode("homing", _C.HOMING, _seek),
     Mode("holding, enabled", None, _hold, moves=False, ends=False),
 )

@@ -41,6 +41,16 @@ def shortest_s(motor: Motor, way: float) -> float:
     return least_s(way, model.velocity_max, model.acceleration_max, model.deceleration)
 
 
+def midway_s(motor: Motor, way: float, share: float) -> float:
+    """That share of the shortest move's time [s], and less for a motor that brakes gently.
+
+    Then it can still stop within half of that way: one that needs longer for braking than for
+    speeding up spends most of a move on it.
+    """
+    model = motor.model
+    return share * shortest_s(motor, way) * min(1.0, model.deceleration / model.acceleration_max)
+
+
 def least_s(way: float, velocity: float, acceleration: float, deceleration: float) -> float:
     """As `shortest_s`, within these limits [s]."""
     peak = min(velocity, sqrt(2.0 * abs(way) / (1.0 / acceleration + 1.0 / deceleration)))
@@ -123,6 +133,13 @@ def move(bench: RigProtocol, motor: Motor, way: float) -> None:
 def way_of_stopping(motor: Motor, velocity: float) -> float:
     """How far it goes until it is at rest from that velocity, at the model's deceleration [U]."""
     return velocity**2 / (2.0 * motor.model.deceleration)
+
+
+def way_to_top_speed(motor: Motor) -> float:
+    """The least move on which it is at its largest velocity, and is so for a tenth of a second."""
+    top = motor.model.velocity_max
+    ramps_s = 0.5 * top * (1.0 / motor.model.acceleration_max + 1.0 / motor.model.deceleration)
+    return top * (ramps_s + 0.1)
 
 
 def watched(bench: RigProtocol, motor: Motor, duration_s: float) -> list[Sample]:

@@ -18,7 +18,7 @@ from harness.conformance.leaks import watched
 from harness.conformance.rig_bench import TimeIsUp
 from harness.conformance.verdict import Result, Verdict
 from harness.settings import BrokenPluginError, RigError
-from motorapi import MotorError, PluginError, UnsupportedError
+from motorapi import LimitError, MotorError, MotorModel, PluginError, UnsupportedError
 
 if TYPE_CHECKING:
     from harness.conformance.bench import RigProtocol
@@ -66,6 +66,7 @@ def _checked(one: Clause, open_bench: Opener, claims: Claims, judge: "_Judge") -
         with open_bench() as bench:
             now_ns: Callable[[], int] = bench.runtime.now_ns
             judge.facts = bench.facts
+            judge.models = tuple(motor.model for motor in bench.motors)
             try:
                 _require_able(one, bench)
                 one.check(bench)
@@ -99,6 +100,7 @@ class _Judge:
         self._one = one
         self._home = home
         self.facts: Facts = NOTHING_DECLARED
+        self.models: tuple[MotorModel, ...] = ()
 
     def verdict(self, error: BaseException) -> Verdict:
         """The verdict.
@@ -112,6 +114,9 @@ class _Judge:
             raise error
         if isinstance(error, NotApplicable):
             return Verdict(self._one.id, Result.NOT_APPLICABLE, f"{error}")
+        if isinstance(error, LimitError) and self._is_no_room(error):
+            why = f"there is no room for it: {error}; a shorter long_move may fit"
+            return Verdict(self._one.id, Result.NOT_APPLICABLE, why)
         place = raised_at(error, self._home)
         if isinstance(error, Violated):
             place = raised_at(error, _CLAUSES)  # where it stands, not where all clauses meet
@@ -130,3 +135,14 @@ class _Judge:
         if isinstance(error, MotorError) and not isinstance(error, PluginError):
             return Verdict(self._one.id, Result.FAILED, f"raised {told}", place)
         return Verdict(self._one.id, Result.CRASHED, told, place)
+
+    def _is_no_room(self, error: LimitError) -> bool:
+        """Whether the clause has asked for a place that the motors' models do forbid."""
+        return any(
+            error.unit == model.unit
+            and (
+                (model.position_min is not None and error.value < model.position_min)
+                or (model.position_max is not None and error.value > model.position_max)
+            )
+            for model in self.models
+        )

@@ -8,6 +8,7 @@ from harness.conformance.clause import Level, Violated, clause, expect
 from harness.conformance.motions import (
     expect_rest,
     expect_unmoved,
+    midway_s,
     place,
     rest_for,
     shortest_s,
@@ -171,7 +172,7 @@ def a_group_forgets_no_member(bench: RigProtocol) -> None:
     group.set_trajectory(*ways_of(-way, -way))
     for stop in (MotorGroup.stop, MotorGroup.halt):
         group.start()
-        rest_for(bench, 0.3 * shortest_s(first, way))
+        rest_for(bench, midway_s(first, way, 0.3))
         before = places(bench, group)
         stop(group)
         group.wait_until_done(10.0)

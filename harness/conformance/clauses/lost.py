@@ -9,7 +9,14 @@ from contextlib import suppress
 from harness.conformance.bench import RigProtocol
 from harness.conformance.capability import Ability, Capability
 from harness.conformance.clause import Level, NotApplicable, Violated, clause, expect
-from harness.conformance.modes import Mode, ending, expect_usable, modes_of, until_rest_s
+from harness.conformance.modes import (
+    Mode,
+    ending,
+    expect_usable,
+    is_over_soon,
+    modes_of,
+    until_rest_s,
+)
 from harness.conformance.motions import (
     aim,
     expect_rest,
@@ -234,6 +241,8 @@ def a_stream_that_loses_its_signal_ends(bench: RigProtocol) -> None:
             expect_rest(bench, motor, f"{mode.words}, and the signal it goes by was lost")
         expect_usable(bench, motor, f"{mode.words}, without its signal")
         return
+    if is_over_soon(bench):
+        raise NotApplicable("there is no room for a motion that lasts: long_move is too short")
     raise Violated("it takes no complex trajectory")
 
 

@@ -8,6 +8,7 @@ from harness.conformance.motions import (
     expect_rest,
     expect_unmoved,
     finish,
+    midway_s,
     move,
     place,
     reached,
@@ -153,7 +154,7 @@ def a_fault_of_one_is_answered_as_was_set(bench: RigProtocol) -> None:
         failing, other = bench.motors[:2]
         before = place(bench, other)
         group.start()
-        rest_for(bench, 0.4 * shortest_s(other, way))
+        rest_for(bench, midway_s(other, way, 0.4))
         bench.fail(failing)
         _expect_group_told(group, reaction)
         rest_for(bench, shortest_s(other, way))

@@ -12,6 +12,7 @@ from harness.conformance.motions import (
     finish,
     follow,
     long_move,
+    midway_s,
     move,
     place,
     reached,
@@ -125,7 +126,7 @@ def anybody_may_look_and_stop(bench: RigProtocol) -> None:
     motor, other = _both(bench)
     begin, way = place(bench, motor), 2.0 * long_move(bench)
     follow(motor, TrapezoidalTrajectory(way))
-    rest_for(bench, 0.3 * shortest_s(motor, way))
+    rest_for(bench, midway_s(motor, way, 0.3))
     differs = abs(other.position() - motor.position())
     expect(
         differs <= 0.1 * motor.model.velocity_max,

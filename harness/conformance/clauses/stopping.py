@@ -15,6 +15,7 @@ from harness.conformance.motions import (
     finish,
     follow,
     long_move,
+    midway_s,
     place,
     reached,
     rest_for,
@@ -211,7 +212,7 @@ def stopping_what_stands_is_right(bench: RigProtocol) -> None:
         expect_at(bench, motor, begin, f"told to move {way:g} after {stop.__name__}()")
     long_way = 1.5 * long_move(bench)
     follow(motor, TrapezoidalTrajectory(long_way))
-    rest_for(bench, 0.3 * shortest_s(motor, long_way))
+    rest_for(bench, midway_s(motor, long_way, 0.3))
     motor.stop()
     rest_for(bench, 0.05)
     motor.stop()

@@ -127,7 +127,8 @@ def a_complex_trajectory_is_followed_at_every_instant(bench: RigProtocol) -> Non
 
     motor, model = bench.motor, bench.motor.model
     duration_s = 2.0
-    size = min(0.5 * long_move(bench), 0.4 * model.velocity_max, 0.1 * model.acceleration_max)
+    gentle = min(model.acceleration_max, model.deceleration)
+    size = min(0.5 * long_move(bench), 0.4 * model.velocity_max, 0.1 * gentle)
     motor.enable()
     follow(motor, TrapezoidalTrajectory(0.2 * size))
     finish(bench, motor, shortest_s(motor, size))
@@ -236,7 +237,8 @@ def a_complex_trajectory_of_velocity_makes_its_integral(bench: RigProtocol) -> N
 
     motor, model = bench.motor, bench.motor.model
     duration_s = 2.0
-    peak = min(0.4 * model.velocity_max, 0.5 * model.acceleration_max / duration_s)
+    gentle = min(model.acceleration_max, model.deceleration)
+    peak = min(0.4 * model.velocity_max, 0.2 * gentle * duration_s)  # four times as steep, at most
     motor.enable()
     before = place(bench, motor)
     motor.set_control_mode(ControlMode.TRAJECTORY, ControlVariable.VELOCITY)
