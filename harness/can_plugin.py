@@ -60,6 +60,11 @@ def close_rig(world: "World") -> None:
         del _OPEN[name]
 
 
+def bus_names() -> tuple[str, ...]:
+    """The buses that can be joined by name in this process."""
+    return tuple(_OPEN)
+
+
 def _overtaken(motor: str, token: int, newer: tuple[int, str]) -> "MotorBusyError":
     from motorapi.errors import MotorBusyError  # only where there is motorapi to catch it
 

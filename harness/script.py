@@ -207,13 +207,17 @@ def _banner(rig: "Rig") -> str:
 def bus_settings(rig: "Rig") -> Iterator[None]:
     """Within it, a plain `can.Bus()` joins the rig's first bus, and `can.Bus("can1")` another.
 
-    Of a rig without a bus it joins nothing, and says so.
+    Of a rig without a bus it joins nothing, and says so. An interface to hardware is the rig's bus
+    of the channel's name.
     """
     before = {name: os.environ.pop(name, None) for name in _CAN_SETTINGS}
     os.environ["CAN_INTERFACE"] = "emulated"
     os.environ["CAN_CHANNEL"] = next(iter(rig.description.buses), "none")
     try:
-        yield
+        from harness.hardware_names import hardware_is_the_rigs  # python-can takes its time
+
+        with hardware_is_the_rigs():
+            yield
     finally:
         for name, value in before.items():
             os.environ.pop(name, None)

@@ -1,0 +1,60 @@
+"""Programs that name hardware reach the rig's buses, and never the hardware."""
+
+import can
+import pytest
+from can.interfaces import BACKENDS
+
+from harness.rig import Rig
+from harness.script import bus_settings
+
+RIG = """
+[rig]
+name = "names"
+seed = 1
+[bus.can0]
+bitrate_bit_s = 500_000
+[bus.ttyUSB0]
+bitrate_bit_s = 500_000
+"""
+
+
+@pytest.fixture
+def rig(tmp_path):
+    (tmp_path / "rig.toml").write_text(RIG)
+    with Rig.open(tmp_path / "rig.toml") as rig, bus_settings(rig):
+        yield rig
+
+
+@pytest.mark.parametrize(
+    ("interface", "channel", "bus"),
+    [
+        ("socketcan", "can0", "can0"),
+        ("kvaser", 0, "can0"),
+        ("slcan", "/dev/ttyUSB0", "ttyUSB0"),
+        ("pcan", None, "can0"),
+    ],
+)
+def test_a_program_that_names_hardware_has_the_rigs_bus_of_that_name(rig, interface, channel, bus):
+    with (
+        can.Bus(interface=interface, channel=channel, bitrate=500_000) as one,
+        can.Bus(channel=bus) as other,
+    ):
+        one.send(can.Message(arbitration_id=0x123, is_extended_id=False))
+        assert other.recv(0.1).arbitration_id == 0x123
+
+
+def test_hardware_that_is_no_bus_of_the_rig_is_refused_by_name(rig):
+    with pytest.raises(
+        can.CanInitializationError, match=r"'socketcan', channel 'can7'.*there are: can0, ttyUSB0"
+    ):
+        can.Bus(interface="socketcan", channel="can7")
+
+
+def test_interfaces_are_as_before_afterwards(tmp_path):
+    (tmp_path / "rig.toml").write_text(RIG)
+    before = dict(BACKENDS)
+    with Rig.open(tmp_path / "rig.toml") as rig:
+        with bus_settings(rig):
+            changed = {name for name in before if BACKENDS[name] != before[name]}
+        assert changed == {*before} - {"emulated", "virtual"}
+    assert before == BACKENDS
