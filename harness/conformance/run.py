@@ -4,7 +4,7 @@ Here in this process, where nothing can be done about a check that never ends, o
 process with it: `harness.conformance.supervision` sees to those.
 """
 
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Final, final
@@ -64,7 +64,6 @@ def _checked(one: Clause, open_bench: Opener, claims: Claims, judge: "_Judge") -
     try:
         _require_claimed(one, claims)
         with open_bench() as bench:
-            now_ns: Callable[[], int] = bench.runtime.now_ns
             judge.facts = bench.facts
             judge.models = tuple(motor.model for motor in bench.motors)
             try:
@@ -73,7 +72,7 @@ def _checked(one: Clause, open_bench: Opener, claims: Claims, judge: "_Judge") -
                 verdict = Verdict(one.id, Result.PASSED)
             except BaseException as error:
                 verdict = judge.verdict(error)
-            time_ns = now_ns()
+            time_ns = bench.runtime.now_ns()
     except BaseException as error:  # while it was switched on, or off
         verdict = judge.verdict(error)
     return replace(verdict, time_ns=time_ns)

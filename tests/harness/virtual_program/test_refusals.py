@@ -65,6 +65,8 @@ def test_what_would_wait_elsewhere_is_refused_by_name_with_a_remedy(now_s, name)
 
 def test_what_does_not_wait_is_left_as_it_is(now_s):
     assert select.select([], [], [], 0) == ([], [], [])
+    with selectors.DefaultSelector() as selector:
+        assert selector.select(0) == []
     one, other = socket.socketpair()
     with one, other:
         one.setblocking(False)
