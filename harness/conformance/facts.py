@@ -117,6 +117,9 @@ def read_facts(table: Table, motors: tuple[str, ...]) -> Facts:
     for place, name in enumerate(named):
         if name not in motors:
             raise table.source.no_such((*table.path, "motors", place), name, motors, "motor")
+        if name in named[:place]:
+            path = (*table.path, "motors", place)
+            raise table.source.error(path, f'"{name}" is there already', "name each motor once")
     unit = _unit(table)
     claimed = _claimed(table)
     return Facts(
@@ -140,7 +143,7 @@ def read_facts(table: Table, motors: tuple[str, ...]) -> Facts:
         else None,
         claims=tuple(claimed),
         claimed_at=MappingProxyType(claimed),
-        without=_without(table.table("without")),
+        without=_without(table.table("without"), claimed),
     )
 
 
@@ -206,12 +209,14 @@ def _claimed(table: Table) -> dict[Capability, str]:
     return claimed
 
 
-def _without(table: Table) -> Mapping[Capability, str]:
+def _without(table: Table, claimed: Mapping[Capability, str]) -> Mapping[Capability, str]:
     table.refuse_unknown(tuple(_BY_KEY))
     reasons = {}
     for name in table.values:
         reason = table.text(name, example='"no switches on this bench"')
         if not reason.strip():
             raise table.error(name, "gives no reason", "say why: it is printed")
+        if _BY_KEY[name] in claimed:
+            raise table.error(name, f"is claimed at {claimed[_BY_KEY[name]]}", "say one of both")
         reasons[_BY_KEY[name]] = reason
     return MappingProxyType(reasons)

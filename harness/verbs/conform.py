@@ -130,7 +130,7 @@ def _chosen(options: argparse.Namespace, known: "Sequence[Promise]") -> "list[Pr
     """The clauses that are asked for, in the order of the kit.
 
     Raises:
-        RigError: there is no such clause.
+        RigError: there is no such clause, or it is above the level.
     """
     by_id = {one.id: one for one in known}
     for name in options.clause or ():
@@ -139,6 +139,10 @@ def _chosen(options: argparse.Namespace, known: "Sequence[Promise]") -> "list[Pr
             if not remedy.startswith("did"):
                 remedy = f"one of {listed(by_id)}"
             raise RigError(f"--clause {name}", "there is no such clause", remedy)
+        level = by_id[name].level
+        if options.level is not None and level > options.level:
+            told = f"is of level L{level}, above --level L{options.level}"
+            raise RigError(f"--clause {name}", told, "leave --level out")
     return [
         one
         for one in known

@@ -136,6 +136,10 @@ def test_what_a_rig_claims_and_the_motor_refuses_is_told_with_the_line_of_the_cl
         ((), "which adaptation? Say --adaptation NAME, --rig RIG, or both"),
         (("--rig", "no_motor.toml"), "no_motor.toml: has no motor to test; add a [motor.NAME]"),
         (("--adaptation", "ideal", "--clause", "STAT-01"), "no such clause; did you mean STATE-01"),
+        (
+            ("--list", "--level", "L0", "--clause", "STOP-01"),
+            "STOP-01: is of level L2, above --lev",
+        ),
         (("--list", "--level", "L7"), "'L7' is no level; say L0 to L5"),
         (("--adaptation", "ideal", "--json", "no/x"), "no/x: there is no folder no; make it"),
         (("--adaptation", "ideal", "--html", "."), ".: is a folder; name a file in it"),
@@ -172,6 +176,22 @@ def test_what_an_adaptation_refuses_of_its_settings_is_the_rigs_mistake_and_no_v
     opener = Target(Job("", str(rig))).opener()
     with pytest.raises(RigError, match=r"rig.toml:\d+: motor.left.axis: axis = 3: must be a name"):
         run_clause(all_clauses()["STATE-01"], opener)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "told"),
+    [
+        ('motors = ["left", "right"]\nw', 'motors = ["left", "left"]\nw', 'left" is there already'),
+        ("[conformance.without]", 'claims = ["dead_man"]\n[conformance.without]', "is claimed at "),
+    ],
+)
+def test_what_a_bench_says_twice_is_its_mistake_and_no_verdict(old, new, told, tmp_path):
+    rig = tmp_path / "rig.toml"
+    text = (RIGS / "ideal.toml").read_text()
+    assert text.count(old) == 1
+    rig.write_text(text.replace(old, new))
+    with pytest.raises(RigError, match=rf"rig.toml:\d+: conformance.*{told}"):
+        Target(Job("", str(rig)))
 
 
 def test_what_is_odd_is_written_so_that_it_can_be_read():
