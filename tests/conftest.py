@@ -32,36 +32,19 @@ def pytest_configure() -> None:
 
 
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
-    """With several workers (`make test`) the two long groups begin at once, each on one worker.
+    """With several workers (`make test`) what takes long or waits begins first, file by file.
 
-    One is the compiled build and what is run in it, one is all that goes by the wall: nothing there
-    runs beside another of its kind.
+    First the compiled build and what is run in it, then what goes by the wall: while it waits, the
+    other workers work.
     """
     if not hasattr(config, "workerinput"):
         return
-    long = {"compiled": ("compiled",), "wall": ("wall", "vcan")}
-    groups: dict[str, list[pytest.Item]] = {name: [] for name in (*long, "")}
+    first = {"compiled": 0, "wall": 1, "vcan": 1}
+    turns = {item.path: 2 for item in items}
     for item in items:
-        group = next(
-            (g for g, marks in long.items() if any(map(item.get_closest_marker, marks))), ""
-        )
-        if group:
-            item.add_marker(pytest.mark.xdist_group(group))
-        groups[group].append(item)
-    items[:] = [item for group in groups.values() for item in group]
-
-
-@pytest.hookimpl(optionalhook=True)
-def pytest_xdist_make_scheduler(config: pytest.Config, log: object) -> object:
-    """Each worker has a group, or a file: what a file makes for all its tests is made once."""
-    from xdist.scheduler import LoadGroupScheduling
-
-    class Scheduling(LoadGroupScheduling):
-        def _split_scope(self, nodeid: str) -> str:
-            return str(super()._split_scope(nodeid)).split("::")[0]
-
-    config.option.loadscopereorder = False  # the long ones first
-    return Scheduling(config, log)
+        marks = [turn for mark, turn in first.items() if item.get_closest_marker(mark)]
+        turns[item.path] = min([turns[item.path], *marks])
+    items.sort(key=lambda item: turns[item.path])
 
 
 REQUIRED = [name for name in os.environ.get("MOTORHIL_REQUIRE", "").split(",") if name]
