@@ -211,8 +211,10 @@ class RigBench:
     def restart(self, motor: Motor) -> None:
         """Its drive begins anew, as if its power had failed: NMT reset node, by somebody else."""
         node = self._description.controllers[self._controller(motor)].node_id
+        if node is None:
+            raise NotApplicable(f"{motor.name}: its controller has no node-ID to be reset by")
         port = self.rig.world.add_host(self._bus(motor), "bench", lambda *_: None)
-        port.send(pack(0, bytes((0x81, node or 0))))
+        port.send(pack(0, bytes((0x81, node))))
 
     @contextmanager
     def commands_to(self, motor: Motor) -> Iterator[list[str]]:
