@@ -47,8 +47,8 @@ class Watch:
         """What is still there and was not before, in words; buses and processes then are not."""
         buses = list(self._open_buses())
         end_s = time.monotonic() + _PATIENCE_S
-        while self._new_threads() and time.monotonic() < end_s:
-            time.sleep(_LOOK_AGAIN_S)  # one that is told to end needs a moment for it
+        while self._is_ending() and time.monotonic() < end_s:
+            time.sleep(_LOOK_AGAIN_S)  # a thread that is told to end needs a moment for it
         self.opened.clear()
         return [
             *map(self._thread, self._new_threads()),
@@ -57,6 +57,10 @@ class Watch:
             *self._new_children(),
             *self._new_folder(),
         ]
+
+    def _is_ending(self) -> bool:
+        """Whether something is there that a thread about to end may still close."""
+        return bool(self._new_threads() or set(_descriptors()) - set(self._descriptors))
 
     def _new_threads(self) -> list[int]:
         return sorted(set(sys._current_frames()) - self._threads - {threading.get_ident()})

@@ -36,6 +36,7 @@ LEFT_OUT = (
     *("traces/test_candump.py", "traces/test_csv_traffic.py", "traces/test_modbus*.py"),
     *("traces/test_real_traffic.py", "traces/test_decode*.py", "traces/test_tcp_streams.py"),
     "traces/test_damaged_lines.py",
+    *("harness/test_pytest*.py", "harness/test_new_ci.py"),  # they run pytest as a program
 )
 
 

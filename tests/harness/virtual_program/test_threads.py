@@ -7,6 +7,7 @@ from concurrent.futures import ThreadPoolExecutor
 import pytest
 
 from harness.virtual_program import in_virtual_time, join_executors
+from harness.virtual_program.turn import program_here
 from motorapi.errors import UsageError
 
 THE_WALLS = (_thread.start_new_thread, _thread.allocate_lock)  # in here nothing replaces them
@@ -279,12 +280,16 @@ def test_an_interrupt_at_the_moment_a_lock_is_given_leaves_it_free(now_s, rig, m
     lock = threading.Lock()
     lock.acquire()
 
-    def given_and_interrupted(done, timeout_s):
-        lock.release()
-        assert done()
-        raise KeyboardInterrupt
+    class Interrupting:
+        def wait_for_parties(self, done, timeout_s):
+            lock.release()
+            assert done()
+            raise KeyboardInterrupt
 
-    monkeypatch.setattr(rig.runtime, "wait_for_parties", given_and_interrupted)
+        def __getattr__(self, name):
+            return getattr(rig.runtime, name)
+
+    monkeypatch.setattr(program_here(), "runtime", Interrupting())
     with pytest.raises(KeyboardInterrupt):
         lock.acquire()
     assert not lock.locked()

@@ -47,7 +47,7 @@ def test_the_script_that_runs_in_virtual_time_runs_on_vcan(tmp_path):
 
 def test_a_ci_job_gets_the_interfaces_it_names(tmp_path):
     shown = "import os; print(os.environ['CAN_INTERFACE'], os.environ['MOTORHIL_CHANNEL_CAN0'])"
-    helper = ("bash", str(EXAMPLES / "ci" / "vcan-or-hub"), RIG, "--on", "can0=vcan7")
+    helper = ("bash", str(EXAMPLES / "ci" / "vcan-or-hub"), RIG, "--on", "can0=vcan9")
     path = f"{Path(sys.executable).parent}:{os.environ['PATH']}"
     done = subprocess.run(
         [*helper, "--", sys.executable, "-c", shown],
@@ -56,8 +56,8 @@ def test_a_ci_job_gets_the_interfaces_it_names(tmp_path):
         text=True,
         check=False,
     )
-    assert (done.returncode, done.stdout) == (0, "socketcan vcan7\n"), done.stderr
-    assert done.stderr.startswith("Virtual CAN: vcan7 of this machine's kernel, ")
+    assert (done.returncode, done.stdout) == (0, "socketcan vcan9\n"), done.stderr
+    assert done.stderr.startswith("Virtual CAN: vcan9 of this machine's kernel, ")
     assert (tmp_path / "summary").read_text() == done.stderr
 
 
