@@ -7,8 +7,8 @@ READY := $(VENV)/.ready
 COMPILED := .venv-compiled
 OPTIMISE := 2
 PACKAGES := motorapi emulators traces harness
-# One more than two cores: what goes by the wall waits more than half its time (tests/conftest.py).
-WORKERS := -n 3 --dist loadfile --no-loadscope-reorder
+# A third one would save a minute, and hurry what goes by the wall (tests/conftest.py).
+WORKERS := -n 2 --dist loadfile --no-loadscope-reorder
 
 # What was read once is not compiled or rewritten anew by each of the hundreds of programs that the
 # tests start, whatever the environment says; nor does it lie among the sources.

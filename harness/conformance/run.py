@@ -65,12 +65,13 @@ def _checked(one: Clause, open_bench: Opener, claims: Claims, judge: "_Judge") -
         _require_claimed(one, claims)
         with open_bench() as bench:
             judge.facts = bench.facts
-            judge.models = tuple(motor.model for motor in bench.motors)
             try:
                 _require_able(one, bench)
                 one.check(bench)
                 verdict = Verdict(one.id, Result.PASSED)
             except BaseException as error:
+                if isinstance(error, LimitError):  # only then: to ask for a motor is to use it
+                    judge.models = tuple(motor.model for motor in bench.motors)
                 verdict = judge.verdict(error)
             time_ns = bench.runtime.now_ns()
     except BaseException as error:  # while it was switched on, or off
