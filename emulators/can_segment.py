@@ -4,7 +4,8 @@ from collections.abc import Callable
 from typing import final
 
 from emulators.event_queue import Alarm
-from emulators.media.can_bus import DELIVERED, HEARD, KIND_MASK, LOST, CanBus, hears
+from emulators.media.can_bus import CanBus
+from emulators.media.delivery import DELIVERED, HEARD, KIND_MASK, LOST, TOLD, hears
 from emulators.media.faults import FaultRule
 from emulators.segment import ControllerSlot, Endpoint, Overseer, Segment, port_of
 
@@ -116,6 +117,11 @@ class BusSegment(Segment):
         bus = self.bus
         for frame, sender_port, kind in bus.expire(now_ns):
             sender = by_port[sender_port]
+            if kind & KIND_MASK == TOLD:
+                for tap in self.taps:
+                    tap(self.name, now_ns, sender.name, frame)
+                sender.told(frame, now_ns)
+                continue
             if kind & KIND_MASK != LOST:  # what nobody hears is an event, not a frame of the record
                 for tap in self.taps:
                     tap(self.name, now_ns, sender.name, frame)

@@ -49,7 +49,10 @@ class Controller(Protocol):
         """The truth inside at `now_ns`, units in the keys. Looking changes nothing."""
 
     def identifiers(self) -> Sequence[int] | None:
-        """The CAN identifiers it listens to (as in can_frame, with flags); None: all."""
+        """The CAN identifiers it listens to (as in can_frame, with flags); None: all.
+
+        ERR_FLAG among them: error messages (`emulators.media.error_message`) come too.
+        """
 
     def identifiers_revision(self) -> int:
         """Grows whenever `identifiers` would answer something new."""

@@ -5,6 +5,7 @@ from typing import final
 
 from emulators.controller import Controller
 from emulators.event_queue import UNSET, EventQueue
+from emulators.media.can_frame import ERR_FLAG
 
 HostListener = Callable[[bytes, int, bool], None]
 
@@ -52,6 +53,9 @@ class Endpoint:
     def confirm(self, frame: bytes, now_ns: int) -> None:
         """An own frame is complete."""
 
+    def told(self, message: bytes, now_ns: int) -> None:
+        """Its CAN controller tells it of an error (`emulators.media.error_message`)."""
+
 
 @final
 class ControllerSlot(Endpoint):
@@ -78,6 +82,13 @@ class ControllerSlot(Endpoint):
     def confirm(self, frame: bytes, now_ns: int) -> None:
         """The controller knows that its frame went out, if it wants to."""
         if self._wants_sent and self.controller.sent(frame, now_ns) is not False:
+            self.settle(now_ns)
+
+    def told(self, message: bytes, now_ns: int) -> None:
+        """The controller has received the error message, if it asks for those (`identifiers`)."""
+        identifiers = self.controller.identifiers()
+        if identifiers is not None and ERR_FLAG in identifiers:
+            self.controller.receive(message, now_ns)
             self.settle(now_ns)
 
     def _expire(self, now_ns: int) -> None:
@@ -124,6 +135,10 @@ class HostPort(Endpoint):
     def confirm(self, frame: bytes, now_ns: int) -> None:
         """The application knows that its frame was transmitted."""
         self._listener(frame, now_ns, True)
+
+    def told(self, message: bytes, now_ns: int) -> None:
+        """The application has heard of the error."""
+        self._listener(message, now_ns, False)
 
     def send(self, frame: bytes) -> None:
         """The frame waits its turn for the bus."""

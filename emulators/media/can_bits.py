@@ -25,9 +25,9 @@ from emulators.media.can_frame import (
 )
 
 INTERMISSION_BITS: Final = 3
-KEY_SHIFT: Final = 24  # `measure` answers key << KEY_SHIFT | bits
+KEY_SHIFT: Final = 30  # `measure` answers key << KEY_SHIFT | lengths (`can_port`)
 
-_BITS: Final = 0xFF_FFFF
+_BITS: Final = (1 << KEY_SHIFT) - 1
 _POLYNOMIAL: Final = 0x4599
 _TAIL_BITS: Final = 13  # CRC delimiter, ACK slot and delimiter, end of frame, intermission
 _HEADERS_KEPT: Final = 4096  # then all are forgotten; a bound on memory, 1 MB at most

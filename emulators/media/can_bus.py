@@ -16,13 +16,14 @@ from heapq import heapify, heappop, heappush
 from typing import final
 
 from emulators.media.can_bits import INTERMISSION_BITS, KEY_SHIFT, measure
-from emulators.media.can_port import BITS_MASK, CUT_OFF, PORT_MASK, PORT_SHIFT, CanPort, QueueOrder
+from emulators.media.can_node import PLAIN, CanNode
+from emulators.media.can_port import CUT_OFF, LENGTHS_MASK, PORT_MASK, PORT_SHIFT, CanPort
 from emulators.media.can_statistics import CanStatistics
 from emulators.media.delivery import DELIVERED, HEARD, KIND_MASK, LOST, Delivery, hears
 from emulators.media.fault_seam import ERROR_FRAME_BITS, FaultSeam
 from emulators.media.faults import NEVER_NS, FaultEvent, FaultPlan, FaultRule
 
-__all__ = ["DELIVERED", "HEARD", "KIND_MASK", "LOST", "CanBus", "Delivery", "QueueOrder", "hears"]
+__all__ = ["DELIVERED", "HEARD", "KIND_MASK", "LOST", "CanBus", "Delivery", "hears"]
 
 
 @final
@@ -72,18 +73,18 @@ class CanBus:
         if faults is not None:
             self._recheck_faults(0)
 
-    def attach(self, name: str, queue: QueueOrder = QueueOrder.FIFO) -> int:
+    def attach(self, name: str, chip: CanNode = PLAIN) -> int:
         """A new node is on the bus; its port number, counted from 0.
 
         Raises:
-            ValueError: the name is taken, or 65536 ports are attached.
+            ValueError: the name is taken, or 4096 ports are attached.
         """
         number = len(self._ports)
         if number > PORT_MASK:
             raise ValueError(f"bus {self.name}: no more than {PORT_MASK + 1} ports")
         if name in self.port_names():
             raise ValueError(f"bus {self.name}: a port is called {name} already")
-        node = CanPort(number, name, queue)
+        node = CanPort(number, name, chip)
         self._ports.append(node)
         if self._faults is not None and self._faults.attach(name):
             node.entry = CUT_OFF
@@ -171,7 +172,7 @@ class CanBus:
         self._flight = entry
         self._start_ns = start_ns
         self._joinable_ns = start_ns + bit_ns
-        self._end_ns = start_ns + ((entry & BITS_MASK) - INTERMISSION_BITS) * bit_ns
+        self._end_ns = start_ns + ((entry & LENGTHS_MASK) - INTERMISSION_BITS) * bit_ns
 
     def _arbitrate(self, start_ns: int) -> None:
         """The best of those competing starts; the bus is idle if there is none."""
@@ -215,7 +216,7 @@ class CanBus:
     def _succeed(self, node: CanPort, entry: int) -> None:
         """A frame is sent: statistics, and the node's next one competes."""
         key = entry >> KEY_SHIFT
-        bits = entry & BITS_MASK
+        bits = entry & LENGTHS_MASK
         self.statistics.count(key, bits)
         if self._collided:
             self.statistics.count_collision(key)
@@ -332,7 +333,7 @@ class CanBus:
         entry = self._flight
         number = entry >> PORT_SHIFT & PORT_MASK
         node = self._ports[number]
-        bits = entry & BITS_MASK
+        bits = entry & LENGTHS_MASK
         if faults.was_cut(number):
             self._occupy(bits)
             self._send_again(node, faults.is_cut(number))

@@ -1,23 +1,20 @@
 """A node's transmit side: the frame with which it competes for the bus, and those behind it."""
 
-from enum import Enum
 from heapq import heappop, heappush
 from typing import Final, final
 
 from emulators.media.can_bits import KEY_SHIFT
+from emulators.media.can_node import CanNode, QueueOrder
 
-# An entry in an arbitration: key << 24 | port << 8 | bits. The lowest wins.
-PORT_SHIFT: Final = 8
-PORT_MASK: Final = 0xFFFF
-BITS_MASK: Final = 0xFF
+# An entry in an arbitration: key << 30 | port << 18 | lengths. The lowest wins. Its 62 bits fit
+# the tagged integers of compiled code. The lengths are bits at the data rate << 8 | bits at the
+# nominal rate; only frames with a bit rate switch (CAN FD) have any of the former.
+PORT_SHIFT: Final = 18
+PORT_MASK: Final = 0xFFF
+LENGTHS_MASK: Final = 0x3FFFF
+NOMINAL_MASK: Final = 0xFF
+DATA_SHIFT: Final = 8
 CUT_OFF: Final = -1  # in place of the candidate's entry: off the bus, all frames wait
-
-
-class QueueOrder(Enum):
-    """Which of a node's pending frames competes for the bus."""
-
-    FIFO = "fifo"  # the oldest: most drives, and Linux
-    PRIORITY = "priority"  # the one whose identifier wins; the oldest of several alike
 
 
 @final
@@ -25,6 +22,7 @@ class CanPort:
     """One node's frames. The bus alone reads and writes it.
 
     Attributes:
+        chip: how its CAN controller is set up.
         tag: the port's number, where an entry has it.
         entry: of the candidate, which competes or is in flight; 0: there is none; CUT_OFF.
         frame: the candidate.
@@ -34,10 +32,11 @@ class CanPort:
         repeated: a frame that a fault made the node send again.
     """
 
-    def __init__(self, number: int, name: str, order: QueueOrder) -> None:
+    def __init__(self, number: int, name: str, chip: CanNode) -> None:
         self.name = name
+        self.chip = chip
         self.tag = number << PORT_SHIFT
-        self.by_priority = order is QueueOrder.PRIORITY
+        self.by_priority = chip.queue is QueueOrder.PRIORITY
         self.entry = 0
         self.frame = b""
         self.behind: list[tuple[int, int, int, bytes]] = []

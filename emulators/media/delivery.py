@@ -10,6 +10,7 @@ from typing import Final
 Delivery = tuple[bytes, int, int]
 DELIVERED: Final = 0  # all others hear it, and the sender is told that it was sent
 LOST: Final = 1  # the sender is told that it was sent; nobody hears it, or not yet
+TOLD: Final = 3  # an error message, for the port named as sender alone: its CAN controller tells it
 HEARD: Final = 2  # all others hear it; the sender is told nothing: it was told, or will be
 KIND_MASK: Final = 3
 
@@ -18,12 +19,12 @@ _KIND_BITS: Final = 2
 
 def hears(kind: int, port: int) -> bool:
     """Whether this port, not the sender's, hears a delivery of this kind."""
-    return kind & KIND_MASK != LOST and not kind >> (_KIND_BITS + port) & 1
+    return kind & KIND_MASK in (DELIVERED, HEARD) and not kind >> (_KIND_BITS + port) & 1
 
 
 def confirms(kind: int) -> bool:
     """Whether a delivery of this kind tells the sender that its frame was sent."""
-    return kind & KIND_MASK != HEARD
+    return kind & KIND_MASK in (DELIVERED, LOST)
 
 
 def kind_without(kind: int, deaf_mask: int) -> int:

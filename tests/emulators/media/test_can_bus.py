@@ -1,8 +1,9 @@
 import pytest
 
 from emulators.media.can_bits import frame_bits
-from emulators.media.can_bus import DELIVERED, CanBus, QueueOrder
+from emulators.media.can_bus import DELIVERED, CanBus
 from emulators.media.can_frame import EFF_FLAG, RTR_FLAG, pack, pack_remote
+from emulators.media.can_node import CanNode, QueueOrder
 from tests.emulators.media.driving import BIT, expire_all, heard, run
 
 # Exact lengths with intermission: can-physics.md 6.2 (can-utils).
@@ -15,7 +16,7 @@ COMMAND = pack(0x201, bytes.fromhex("0F0010270000"))  # 104 bits
 def _bus(*names: str, queue: QueueOrder = QueueOrder.FIFO) -> CanBus:
     bus = CanBus("can0")
     for name in names:
-        bus.attach(name, queue)
+        bus.attach(name, CanNode(queue))
     return bus
 
 
@@ -124,7 +125,7 @@ def test_a_priority_queue_changes_its_mind_until_its_frame_has_started():
 def test_a_priority_queue_lets_the_urgent_frame_compete_in_place_of_the_other():
     bus = CanBus("can0")
     left = bus.attach("left")
-    host = bus.attach("host", QueueOrder.PRIORITY)
+    host = bus.attach("host", CanNode(QueueOrder.PRIORITY))
     other = bus.attach("other")
     submissions = [
         (0, left, STATUS),
@@ -140,13 +141,13 @@ def test_a_priority_queue_lets_the_urgent_frame_compete_in_place_of_the_other():
 def test_what_a_priority_queue_lost_with_one_frame_counts_if_another_wins_at_once():
     bus = CanBus("can0")
     left = bus.attach("left")
-    host = bus.attach("host", QueueOrder.PRIORITY)
+    host = bus.attach("host", CanNode(QueueOrder.PRIORITY))
     submissions = [(0, left, STATUS), (0, host, HEARTBEAT), (999, host, SYNC)]
     assert [frame for _, frame in _sent(run(bus, submissions))] == [SYNC, STATUS, HEARTBEAT]
     assert bus.arbitration_losses(host) == 1  # HEARTBEAT against STATUS, later
     bus = CanBus("can0")
     left = bus.attach("left")
-    host = bus.attach("host", QueueOrder.PRIORITY)
+    host = bus.attach("host", CanNode(QueueOrder.PRIORITY))
     submissions = [(0, left, STATUS), (0, left, STATUS), (0, host, HEARTBEAT)]
     run(bus, [*submissions, (64 * BIT, host, SYNC)])
     assert bus.arbitration_losses(host) == 2  # HEARTBEAT against both; SYNC against none

@@ -5,7 +5,8 @@ from dataclasses import dataclass, field
 from hypothesis import event, given
 from hypothesis import strategies as st
 
-from emulators.media.can_bus import CanBus, QueueOrder
+from emulators.media.can_bus import CanBus
+from emulators.media.can_node import CanNode, QueueOrder
 from tests.emulators.media import wire
 from tests.emulators.media.driving import BIT, run
 
@@ -104,7 +105,8 @@ def test_every_frame_ends_when_the_bits_say_and_losses_are_those_seen_on_the_wir
 
     bus = CanBus("can0")
     for number, by_priority in enumerate(orders):
-        bus.attach(f"{number}", QueueOrder.PRIORITY if by_priority else QueueOrder.FIFO)
+        order = QueueOrder.PRIORITY if by_priority else QueueOrder.FIFO
+        bus.attach(f"{number}", CanNode(order))
     deliveries = run(
         bus, [(now * BIT, number, frame.can_frame()) for now, number, frame in submissions]
     )

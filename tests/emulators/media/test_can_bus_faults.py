@@ -2,8 +2,9 @@
 
 import pytest
 
-from emulators.media.can_bus import DELIVERED, CanBus, QueueOrder
+from emulators.media.can_bus import DELIVERED, CanBus
 from emulators.media.can_frame import pack
+from emulators.media.can_node import CanNode, QueueOrder
 from emulators.media.delivery import LOST
 from emulators.media.faults import FaultKind, FaultPlan, FaultRule
 from tests.emulators.media.driving import BIT, confirmed, expire_all, heard, run
@@ -120,7 +121,7 @@ def test_a_duplicate_for_some_is_heard_once_by_the_others():
 
 def test_a_duplicate_that_is_displaced_before_it_is_repeated_is_still_repeated_once():
     bus = CanBus("can0", faults=FaultPlan([FaultRule("eof", FaultKind.DUPLICATE)], no_draw))
-    host = bus.attach("host", QueueOrder.PRIORITY)
+    host = bus.attach("host", CanNode(QueueOrder.PRIORITY))
     bus.attach("left")
     deliveries = run(bus, [(0, host, STATUS), (10 * BIT, host, SYNC)])
     assert [frame for _, frame in heard(deliveries, 1)].count(STATUS) == 2
