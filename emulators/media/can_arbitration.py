@@ -1,0 +1,177 @@
+"""Who sends when on one wire: the nodes with a frame pending compete by their arbitration field.
+
+What it knows of ISO 11898-1: every frame takes its exact length (`can_bits`); the nodes that have a
+frame pending when the bus is free compete; after a frame come 3 bits of intermission. A frame
+submitted during the intermission, or within the first bit time of another node's start of frame,
+still takes part; nothing is scheduled for that, `submit` decides again.
+"""
+
+from heapq import heapify, heappop, heappush
+
+from emulators.media.can_bits import INTERMISSION_BITS, KEY_SHIFT, measure
+from emulators.media.can_port import LENGTHS_MASK, PORT_MASK, PORT_SHIFT, CanPort
+from emulators.media.can_statistics import CanStatistics
+
+
+class CanArbitration:
+    """The frames of all ports, and the one in flight. `CanBus` is one, and tells what it carries.
+
+    Attributes (read only): name, bit_ns [ns], statistics.
+    """
+
+    def __init__(self, name: str, bit_ns: int) -> None:
+        self.name = name
+        self.bit_ns = bit_ns
+        self.statistics = CanStatistics()
+        self._ports: list[CanPort] = []
+        self._competing: list[int] = []  # heap of the entries of candidates not in flight
+        self._flight = 0  # entry in flight; 0: idle
+        self._start_ns = 0
+        self._joinable_ns = 0  # until then (exclusive) others may still take part
+        self._end_ns = 0  # end of EOF of the frame in flight
+        self._free_ns = 0  # end of the last intermission
+        self._starts = 0  # arbitrations so far
+        self._collided = False  # the frame in flight has won over one with its own key
+
+    def submit(self, port: int, frame: bytes, now_ns: int) -> None:
+        """The frame (16-byte can_frame) waits for its turn at this port, or is on its way.
+
+        Raises:
+            ValueError: it is no classical frame that a node can send, see `can_bits.measure`.
+        """
+        node = self._ports[port]
+        entry = measure(frame) | node.tag
+        if node.entry:
+            self._submit_behind(node, entry, frame, now_ns)
+            return
+        node.entry = entry
+        node.frame = frame
+        if self._flight:
+            self._compete(node, now_ns)
+        else:
+            self._starts += 1
+            self._collided = False
+            self._begin(entry, now_ns if now_ns > self._free_ns else self._free_ns)
+
+    def pending(self, port: int) -> int:
+        """Frames of this port submitted and not yet sent completely."""
+        return self._ports[port].pending()
+
+    def withdraw(self, port: int) -> int:
+        """This port's pending frames are forgotten, except one in flight; how many they were."""
+        node = self._ports[port]
+        count = len(node.behind)
+        node.behind.clear()
+        if node.entry > 0 and node.entry != self._flight:
+            self._drop_out(node.entry)
+            node.losses += self._starts - node.starts_seen
+            node.entry = 0
+            count += 1
+        return count
+
+    def arbitration_losses(self, port: int) -> int:
+        """How often a frame of this port competed and had to wait for another node's."""
+        node = self._ports[port]
+        if node.entry > 0 and node.entry != self._flight:
+            return node.losses + self._starts - node.starts_seen
+        return node.losses
+
+    def port_names(self) -> list[str]:
+        """The names of the ports, by number."""
+        return [port.name for port in self._ports]
+
+    def _begin(self, entry: int, start_ns: int) -> None:
+        """This entry has won (so far) and starts at `start_ns`."""
+        bit_ns = self.bit_ns
+        self._flight = entry
+        self._start_ns = start_ns
+        self._joinable_ns = start_ns + bit_ns
+        self._end_ns = start_ns + ((entry & LENGTHS_MASK) - INTERMISSION_BITS) * bit_ns
+
+    def _arbitrate(self, start_ns: int) -> None:
+        """The best of those competing starts; the bus is idle if there is none."""
+        competing = self._competing
+        if not competing:
+            self._flight = 0
+            return
+        entry = heappop(competing)
+        node = self._ports[entry >> PORT_SHIFT & PORT_MASK]
+        node.losses += self._starts - node.starts_seen
+        self._starts += 1
+        self._collided = bool(competing) and competing[0] >> KEY_SHIFT == entry >> KEY_SHIFT
+        self._begin(entry, start_ns)
+
+    def _compete(self, node: CanPort, now_ns: int) -> None:
+        """A new candidate waits for the next arbitration, or still takes part in the last one."""
+        if now_ns < self._joinable_ns:
+            node.starts_seen = self._starts - 1
+            self._join(node)
+        else:
+            node.starts_seen = self._starts
+            heappush(self._competing, node.entry)
+
+    def _join(self, node: CanPort) -> None:
+        """A candidate takes part in the arbitration that another node's frame has won so far."""
+        entry = node.entry
+        flight = self._flight
+        if entry >> KEY_SHIFT == flight >> KEY_SHIFT:
+            self._collided = True
+        elif entry < flight:
+            self._collided = False
+        if entry > flight:
+            heappush(self._competing, entry)
+            return
+        before = self._starts - 1
+        node.losses += before - node.starts_seen
+        self._ports[flight >> PORT_SHIFT & PORT_MASK].starts_seen = before
+        heappush(self._competing, flight)
+        self._begin(entry, self._start_ns)
+
+    def _succeed(self, node: CanPort, entry: int) -> None:
+        """A frame is sent: statistics, and the node's next one competes."""
+        key = entry >> KEY_SHIFT
+        bits = entry & LENGTHS_MASK
+        self.statistics.count(key, bits)
+        if self._collided:
+            self.statistics.count_collision(key)
+        self._free_ns = self._start_ns + bits * self.bit_ns
+        self.statistics.busy.add(self._start_ns, self._free_ns)
+        if not node.behind:
+            node.entry = 0
+        elif node.promote():
+            node.starts_seen = self._starts
+            heappush(self._competing, node.entry)
+
+    def _occupy(self, bits: int) -> None:
+        """What was in flight took so many bits, intermission included."""
+        self._free_ns = self._start_ns + bits * self.bit_ns
+        self.statistics.busy.add(self._start_ns, self._free_ns)
+
+    def _submit_behind(self, node: CanPort, entry: int, frame: bytes, now_ns: int) -> None:
+        """The node has a candidate already; the frame takes its place, or waits behind it."""
+        flying = node.entry == self._flight
+        if (
+            not node.by_priority
+            or entry >> KEY_SHIFT >= node.entry >> KEY_SHIFT
+            or (flying and now_ns >= self._joinable_ns)
+        ):
+            node.queue(entry, frame)
+            return
+        old = node.entry
+        node.put_back()
+        node.entry = entry
+        node.frame = frame
+        if flying:
+            self._collided = False
+            self._begin(entry, self._start_ns)
+            return
+        self._drop_out(old)
+        if now_ns < self._joinable_ns:
+            self._join(node)
+        else:
+            heappush(self._competing, entry)
+
+    def _drop_out(self, entry: int) -> None:
+        """This entry competes no longer."""
+        self._competing.remove(entry)
+        heapify(self._competing)
