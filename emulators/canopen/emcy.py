@@ -95,8 +95,11 @@ class EmcyProducer:
             self._move()
 
     def reset(self, whole: bool) -> None:
-        """The node's own findings are forgotten; the device's too after reset node."""
+        """The node's own findings are forgotten, but of CAN; the device's too after reset node."""
+        of_can = self._standing.get(BUS_KEY)
         self._standing.clear()
+        if of_can is not None:  # no reset of the node's repairs the bus
+            self._standing[BUS_KEY] = of_can
         self._sent_ns = _LONG_AGO
         if whole:
             self._device_register = 0

@@ -18,7 +18,9 @@ from collections.abc import Sequence
 from typing import Final, final
 
 from emulators.canopen.access import DictionaryAccess
-from emulators.canopen.emcy import BUS_KEY, EmcyProducer
+from emulators.canopen.can_state import CanWatch
+from emulators.canopen.emcy import EmcyProducer
+from emulators.canopen.error_behaviour import COMMUNICATION, DEVICE, state_after
 from emulators.canopen.error_control import ErrorControl
 from emulators.canopen.lss import REQUEST_ID as LSS_REQUEST_ID
 from emulators.canopen.lss import UNCONFIGURED, LssSlave
@@ -35,9 +37,9 @@ from emulators.canopen.shared import NodeTiming as NodeTiming
 from emulators.canopen.sync import SyncService
 from emulators.canopen.time_stamp import TimeConsumer
 from emulators.controller import NonvolatileMemory, RigMemory
-from emulators.media.can_frame import RTR_FLAG
+from emulators.media.can_frame import ERR_FLAG, RTR_FLAG
 
-_NO_CHANGE: Final = 1  # 1029h
+_ERROR_BYTE: Final = ERR_FLAG >> 24
 
 
 @final
@@ -45,7 +47,7 @@ class CanopenNode:
     """One CANopen slave, sans-I/O. Frames are Linux can_frame, 16 bytes; times int ns from 0.
 
     `state` is the NMT state, `outbox` what `take_output` and `take_events` will answer, and whether
-    `deadline_ns` may answer something new; read them, never write them.
+    `deadline_ns` may answer something new; read them, never write them. `can` watches CAN itself.
     """
 
     def __init__(
@@ -69,6 +71,7 @@ class CanopenNode:
         defaults_of = od.node_id
         self._store = ParameterStore(od, RigMemory() if memory is None else memory, self.outbox)
         self._emcy = EmcyProducer(od, defaults_of, self.outbox, self)
+        self.can = CanWatch(self._emcy, self.outbox)
         self._sync = SyncService(od, self._emcy, self.outbox)
         self._sdo = SdoServer(DictionaryAccess(od, host, self), timing.sdo_reply_ns, self.outbox)
         self._pdos = PdoService(od, defaults_of, self._emcy, self._sync, self.outbox, host)
@@ -96,6 +99,9 @@ class CanopenNode:
         handler = self._handlers.get(data[:4])
         if handler is not None:
             handler(data, now_ns)
+        elif data[3] & _ERROR_BYTE and self.can.hear(data, now_ns):
+            self._react(COMMUNICATION, now_ns)
+            self._host.on_bus_off(now_ns)
 
     def sent(self, data: bytes, now_ns: int) -> None:
         """An own frame has left the bus. Must be called: a TPDO waits for the one before it."""
@@ -128,7 +134,7 @@ class CanopenNode:
                 self._error_control.boot_up(now_ns)
                 self._enter(NmtState.PRE_OPERATIONAL, now_ns)  # transition 2
             else:
-                self._react(2, now_ns)
+                self._react(DEVICE, now_ns)
         if self._sdo.deadline_ns <= now_ns:
             self._sdo.expire(now_ns)
         if is_rare:
@@ -153,6 +159,9 @@ class CanopenNode:
         if not frames:
             return ()
         self.outbox.frames = []
+        if self.can.is_off:
+            self.can.hold(frames)
+            return ()
         return frames
 
     def take_events(self) -> Sequence[tuple[str, str]]:
@@ -185,21 +194,14 @@ class CanopenNode:
         """
         self._emcy.report(code, error_register, vendor, now_ns)
         is_of_device = code != 0 and not 0x8100 <= code < 0x8300
-        if is_of_device and self._reaction(2) != _NO_CHANGE and self._due_ns == NEVER:
+        reacts = is_of_device and state_after(self.od, DEVICE, self.state) != self.state
+        if reacts and self._due_ns == NEVER:
             self._due_ns = now_ns  # not from within the host's call
             self.outbox.deadlines_moved = True
 
     def errors_stand(self, error_register: int, now_ns: int) -> None:
         """The device's own bits of 1001h are these from now on; no EMCY tells so."""
         self._emcy.stand(error_register, now_ns)
-
-    def bus_error(self, code: int, now_ns: int) -> None:
-        """CAN itself fails (8120h) or did (8140h): told, and stands until `bus_repaired`."""
-        self._emcy.find(BUS_KEY, code, b"", now_ns)
-
-    def bus_repaired(self, now_ns: int) -> None:
-        """CAN works."""
-        self._emcy.repair(BUS_KEY, now_ns)
 
     def object_changed(self, index: int, subindex: int, now_ns: int) -> None:
         """An event for the TPDOs that map it: types 254, 255 at once (inhibit time), 0 at SYNC."""
@@ -327,6 +329,7 @@ class CanopenNode:
             routes.add(LSS_REQUEST_ID, self._on_lss, is_initialised or self.node_id == UNCONFIGURED)
         routes.add(0x000, self._on_nmt_frame, is_initialised)
         routes.add(self._sync.can_id, self._sync_handler(), can_talk)
+        routes.want(ERR_FLAG)
         if self._time.can_id:
             routes.add(self._time.can_id, self._time.receive, can_talk)
         routes.add(sdo_can_id(self.od, 1, 0x600 + self.node_id), self._sdo.receive, can_talk)
@@ -384,17 +387,9 @@ class CanopenNode:
     def _lose(self, node_id: int, now_ns: int) -> None:
         """Somebody is lost: EMCY, the reaction that 1029h asks for, then the device."""
         self._error_control.tell_lost(node_id, now_ns)
-        self._react(1, now_ns)
+        self._react(COMMUNICATION, now_ns)
         self._host.on_heartbeat_lost(node_id, now_ns)
 
     def _react(self, kind: int, now_ns: int) -> None:
-        """What 1029h asks for: its sub-index 1 at communication errors, 2 at the device's own."""
-        if self.state == NmtState.OPERATIONAL:
-            reaction = self._reaction(kind)
-            if reaction == 0:
-                self._enter(NmtState.PRE_OPERATIONAL, now_ns)
-            elif reaction == 2:
-                self._enter(NmtState.STOPPED, now_ns)
-
-    def _reaction(self, kind: int) -> int:
-        return self.od.integer(0x1029, kind, 0 if kind == 1 else _NO_CHANGE)
+        """What 1029h asks for."""
+        self._enter(state_after(self.od, kind, self.state), now_ns)

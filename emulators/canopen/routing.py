@@ -20,11 +20,15 @@ class Routes:
 
     def add(self, can_id: int, handler: Handler, is_active: bool) -> None:
         """Frames with this identifier are wanted; in this state or in another one."""
-        self._wanted[can_id] = None
+        self.want(can_id)
         if is_active:
             key = can_id.to_bytes(4, "little")
             taken = self.handlers.get(key)
             self.handlers[key] = handler if taken is None else _Both(taken, handler).receive
+
+    def want(self, can_id: int) -> None:
+        """Frames with this identifier are wanted, whoever sees to them."""
+        self._wanted[can_id] = None
 
     def identifiers(self) -> tuple[int, ...]:
         """All that are wanted, ascending."""

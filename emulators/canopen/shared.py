@@ -56,6 +56,9 @@ class NodeHost(Protocol):
         EMCY 8130h and what 1029h asks for have been done.
         """
 
+    def on_bus_off(self, now_ns: int) -> None:
+        """The node is off the bus; what 1029h asks for has been done."""
+
 
 @final
 class Outbox:

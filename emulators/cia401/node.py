@@ -177,6 +177,10 @@ class IoNode:
         """The host is gone."""
         self._fall_back(f"node {node_id} is lost" if node_id else "it is guarded no more", now_ns)
 
+    def on_bus_off(self, now_ns: int) -> None:
+        """It does not hear its host."""
+        self._fall_back("bus-off", now_ns)
+
     # --- inside
 
     def _take_over(self, now_ns: int) -> None:

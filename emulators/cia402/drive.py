@@ -269,6 +269,10 @@ class Cia402Drive:
         """6007h."""
         self._abort(HEARTBEAT_LOST, now_ns)
 
+    def on_bus_off(self, now_ns: int) -> None:
+        """6007h."""
+        self._abort(COMMUNICATION_LOST, now_ns)
+
     # --- inside
 
     def _happens(self) -> None:

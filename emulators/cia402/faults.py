@@ -16,7 +16,7 @@ the next reset node only.
 
 from typing import Final, final
 
-from emulators.canopen import emcy
+from emulators.canopen import can_state, emcy
 from emulators.firmware import flags as f
 from emulators.protection_settings import STO_ERROR
 
@@ -39,9 +39,9 @@ DRIVE_TEMPERATURE: Final = 0x4310
 MEMORY: Final = 0x5530
 ENCODER: Final = 0x7305
 COMMUNICATION_LOST: Final = emcy.COMMUNICATION
-ERROR_PASSIVE: Final = 0x8120
+ERROR_PASSIVE: Final = can_state.ERROR_PASSIVE
 HEARTBEAT_LOST: Final = emcy.HEARTBEAT_LOST
-BUS_OFF_RECOVERED: Final = 0x8140
+BUS_OFF_RECOVERED: Final = can_state.BUS_OFF_RECOVERED
 FOLLOWING_ERROR: Final = 0x8611
 SAFE_TORQUE_OFF: Final = STO_ERROR
 

@@ -16,7 +16,6 @@ from typing import Final, final
 from emulators.canopen.node import CanopenNode
 from emulators.canopen.object_dictionary import ObjectDictionary, Reader, Variable
 from emulators.cia402.faults import (
-    BUS_OFF_RECOVERED,
     COMMUNICATION_LOST,
     DEVICE_TEMPERATURE,
     ENCODER,
@@ -176,9 +175,9 @@ class Protection:
         if passive != self._is_passive:
             self._is_passive = passive
             if passive:
-                self._node.bus_error(ERROR_PASSIVE, now_ns)
+                self._node.can.find(ERROR_PASSIVE, now_ns)
             else:
-                self._node.bus_repaired(now_ns)
+                self._node.can.repair(now_ns)
 
     def _be_off(self, off: bool, now_ns: int) -> None:
         """Off the bus nobody can be told; that it was is told afterwards (CiA 301: 8140h)."""
@@ -188,5 +187,4 @@ class Protection:
         if off:
             self._power_drive.abort_connection(COMMUNICATION_LOST, now_ns)
         else:
-            self._node.bus_error(BUS_OFF_RECOVERED, now_ns)
-            self._node.bus_repaired(now_ns)
+            self._node.can.recover(now_ns)

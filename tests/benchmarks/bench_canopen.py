@@ -37,6 +37,8 @@ class _Quiet:
 
     def on_heartbeat_lost(self, node_id: int, now_ns: int) -> None: ...
 
+    def on_bus_off(self, now_ns: int) -> None: ...
+
 
 def _node(sdo_reply_ns: int) -> CanopenNode:
     """OPERATIONAL, RPDO 6040h+607Ah and TPDO 6041h+6064h of type 1, as in csp."""

@@ -54,6 +54,9 @@ class Host:
     def on_heartbeat_lost(self, node_id: int, now_ns: int) -> None:
         self.calls.append(("lost", node_id, now_ns))
 
+    def on_bus_off(self, now_ns: int) -> None:
+        self.calls.append(("bus-off", now_ns))
+
     def names(self) -> list[object]:
         return [call[0] for call in self.calls]
 

@@ -79,6 +79,7 @@ def test_nothing_on_the_bus_raises_and_the_node_answers_afterwards(steps):
     event(f"ended in {NmtState(bench.node.state).name}")
     event(f"accepted a download: {any(text.startswith('582 60') for text in bench.frames())}")
     bench.wait(400 * MS)
+    bench.tell(0x2000_0100, bytes(8))  # whatever error messages there were: restarted
     bench.tell(0x000, b"\x81\x00")
     bench.wait(300 * MS)
     assert "702 00" in bench.frames()

@@ -161,6 +161,7 @@ def test_a_new_node_id_counts_from_the_next_reset_of_communication_with_all_that
     assert bench.node.state == NmtState.OPERATIONAL
     assert list(bench.node.identifiers()) == [
         *(0x000, 0x080, 0x221, 0x621, 0x7E5),
+        0x2000_0000,  # what its CAN controller says
         *(0x4000_01A1, 0x4000_0721),  # remote frames
     ]
 

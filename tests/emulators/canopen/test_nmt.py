@@ -9,6 +9,7 @@ from tests.emulators.canopen.bench_node import MS, NODE_ID, Bench, Host, diction
 
 START, STOP, PRE_OPERATIONAL, RESET_NODE, RESET_COMMUNICATION = 1, 2, 128, 129, 130
 GUARD = 0x4000_0700 + NODE_ID  # the remote frame that guards the node
+ERROR = 0x2000_0000  # what its CAN controller says
 UPLOAD = "40 18 10 01 00 00 00 00"
 
 
@@ -153,7 +154,7 @@ def test_identifiers_are_those_of_every_state_and_grow_a_revision_when_they_chan
     od = dictionary()
     put_pdo(od, 0x1400, (0x6040_0010,))
     bench = Bench(od)
-    assert list(bench.node.identifiers()) == [0x000, 0x080, 0x202, 0x602, GUARD]
+    assert list(bench.node.identifiers()) == [0x000, 0x080, 0x202, 0x602, ERROR, GUARD]
     revision = bench.node.identifiers_revision()
     bench.operate()
     assert bench.node.identifiers_revision() == revision
@@ -161,7 +162,7 @@ def test_identifiers_are_those_of_every_state_and_grow_a_revision_when_they_chan
     assert bench.download(0x1400, 1, 0x0000_0333, 4) == ""
     assert bench.download(0x1016, 1, 0x0005_0064, 4) == ""
     assert bench.download(0x1005, 0, 0x0000_0081, 4) == ""
-    assert list(bench.node.identifiers()) == [0x000, 0x081, 0x333, 0x602, 0x705, GUARD]
+    assert list(bench.node.identifiers()) == [0x000, 0x081, 0x333, 0x602, 0x705, ERROR, GUARD]
     assert bench.node.identifiers_revision() > revision
 
 

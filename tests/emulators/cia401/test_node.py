@@ -224,6 +224,18 @@ def test_a_lost_host_makes_the_outputs_take_their_error_values(io):
     assert io.read(0x6200, 1) == 0
 
 
+def test_off_the_bus_the_outputs_take_their_error_values(io):
+    io.ready()
+    io.outputs(HALF, -HALF)
+    io.send(0x2000_0040, bytes(8))  # linux/can/error.h: bus-off
+    assert (io.truth("output_v"), io.truth("channel_2_output_v")) == (0.0, 0.0)
+    assert ("warning", "bus-off: the outputs have their error values") in io.events
+    back = len(io.sent)
+    io.send(0x2000_0100, bytes(8))  # restarted
+    told = [data for _, can_id, data in io.sent[back:] if can_id == 0x080 + NODE]
+    assert [data[:3] for data in told] == [b"\x40\x81\x11", b"\x00\x00\x00"]  # CiA 301: 8140h
+
+
 def test_error_values_and_modes_are_the_hosts_to_choose(io):
     io.ready()
     io.set(0x6444, 1, -3277, 4)

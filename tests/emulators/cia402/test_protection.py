@@ -327,3 +327,46 @@ def test_a_fault_that_no_reset_ends_is_not_hidden_by_the_next_one():
     bench.nmt(0x81)
     bench.run(BOOT_UP + 10 * MS)
     assert state(bench) == S.SWITCH_ON_DISABLED
+
+
+PASSIVE = (0x2000_0204, bytes.fromhex("0020000000008000"))  # linux/can/error.h: TEC 128
+ACTIVE = (0x2000_0004, bytes.fromhex("0040000000000000"))
+OFF = (0x2000_0040, bytes(8))
+RESTARTED = (0x2000_0100, bytes(8))
+
+
+def test_a_drive_whose_can_controller_is_error_passive_goes_on_and_says_so():
+    bench = running()
+    bench.send(*PASSIVE)
+    assert emergencies(bench) == ["2081110000000000"]
+    assert state(bench) == S.OPERATION_ENABLED
+    bench.send(*ACTIVE)
+    assert emergencies(bench)[1:] == ["0000000000000000"]
+    assert ("warning", "CAN error passive (TEC 128, REC 0)") in bench.events
+
+
+@pytest.mark.parametrize("behaviour", [0, 1, 2])  # 1029h:1
+@pytest.mark.parametrize(
+    ("option", "after"),
+    [(0, S.OPERATION_ENABLED), (1, S.FAULT), (2, S.SWITCH_ON_DISABLED), (3, S.SWITCH_ON_DISABLED)],
+)
+def test_a_drive_off_the_bus_does_what_6007h_says_and_tells_it_afterwards(option, after, behaviour):
+    bench = running()
+    bench.set(0x6007, 0, option, 2)
+    bench.set(0x1029, 1, behaviour, 1)
+    count = len(bench.sent)
+    bench.send(*OFF)
+    bench.run(500 * MS)
+    assert bench.sent[count:] == []
+    assert state(bench) == after
+    bench.send(*RESTARTED)
+    told = emergencies(bench)
+    if behaviour == 2:
+        assert told == []  # STOPPED: no EMCY (CiA 301, 7.3.2.2.4)
+        return
+    register = 0x11  # generic and communication, of the bus or of the fault that 6007h made of it
+    assert told[0] == struct.pack("<HB5x", 0x8140, register).hex()
+    assert told[1] == struct.pack("<HB5x", 0, register if after is S.FAULT else 0).hex()
+    assert bench.read(0x603F, signed=False) == (0x8100 if after is S.FAULT else 0)
+    shown = {S.OPERATION_ENABLED: 0x27, S.FAULT: 0x08, S.SWITCH_ON_DISABLED: 0x40}
+    assert bench.statusword() & 0x6F == shown[after]

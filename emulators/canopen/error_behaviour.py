@@ -1,0 +1,23 @@
+"""The error behaviour object 1029h (CiA 301): what errors do to the NMT state."""
+
+from typing import Final
+
+from emulators.canopen.nmt import NmtState
+from emulators.canopen.object_dictionary import ObjectDictionary
+
+COMMUNICATION: Final = 1  # sub-index: bus-off, a lost heartbeat, a lost guard
+DEVICE: Final = 2
+
+_PRE_OPERATIONAL: Final = 0
+_NO_CHANGE: Final = 1
+_STOPPED: Final = 2
+
+
+def state_after(od: ObjectDictionary, kind: int, state: int) -> int:
+    """The NMT state that an error of this kind leads to from `state`."""
+    if state != NmtState.OPERATIONAL:
+        return state
+    behaviour = od.integer(0x1029, kind, _PRE_OPERATIONAL if kind == COMMUNICATION else _NO_CHANGE)
+    if behaviour == _PRE_OPERATIONAL:
+        return NmtState.PRE_OPERATIONAL
+    return NmtState.STOPPED if behaviour == _STOPPED else state
