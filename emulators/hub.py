@@ -21,6 +21,7 @@ from emulators.hub_protocol import (
     REFUSED,
     SENT,
     SUBMIT,
+    TOLD,
     WELCOME,
     OwnershipNotice,
     pack_stale,
@@ -171,11 +172,14 @@ class _Client:
         bus = words[2] or names[0]
         self._send(WELCOME + bus.encode())
         self._bus = bus
-        self._port = self._world.add_host(bus, words[3], self._tell)
+        self._port = self._world.add_host(bus, words[3], self._tell, self._tell_error)
         return True
 
     def _tell(self, frame: bytes, time_ns: int, transmitted: bool) -> None:
         self._send(pack_told(SENT if transmitted else HEARD, time_ns, frame))
+
+    def _tell_error(self, message: bytes, time_ns: int, _: bool) -> None:
+        self._send(pack_told(TOLD, time_ns, message))
 
     def _send(self, record: bytes) -> None:
         self._waiting.append(record)

@@ -13,6 +13,7 @@ then, for as long as it lasts, binary records:
     hub -> client   HEARD   | time_ns (i64, little-endian) | can_frame      somebody else's frame
                     SENT    | time_ns | can_frame                           an own one, transmitted
                     STALE   | resource | token | who (UTF-8)
+                    TOLD    | time_ns | can_frame       an error message of the client's own port
 A client that sends what no bus can carry is told `refused REASON` once more, and disconnected.
 Kinds 16 and up are free for sharing one virtual clock later; a receiver ignores kinds it does not
 know.
@@ -37,6 +38,7 @@ SENT: Final = 3
 FENCED: Final = 4
 OWNS: Final = 5
 STALE: Final = 6
+TOLD: Final = 7
 RECORD_MAX: Final = 512
 FENCED_SIZE: Final = 27
 
@@ -81,7 +83,7 @@ def pack_submit(frame: bytes) -> bytes:
 
 
 def pack_told(kind: int, time_ns: int, frame: bytes) -> bytes:
-    """A frame that was on the bus at `time_ns`; `kind` is HEARD or SENT."""
+    """A frame that was on the bus at `time_ns`, HEARD or SENT; or TOLD of what went wrong."""
     return _HEAD.pack(kind, time_ns) + frame
 
 

@@ -121,12 +121,23 @@ class ControllerSlot(Endpoint):
 
 @final
 class HostPort(Endpoint):
-    """An application's port on a bus; `on_frame` hears every frame, own ones when transmitted."""
+    """An application's port on a bus; `listener` hears every frame, own ones when transmitted.
 
-    def __init__(self, name: str, port: int, segment: Segment, listener: HostListener) -> None:
+    `on_error` hears the error messages of its CAN controller, as frames of others.
+    """
+
+    def __init__(
+        self,
+        name: str,
+        port: int,
+        segment: Segment,
+        listener: HostListener,
+        on_error: HostListener,
+    ) -> None:
         super().__init__(name, port)
         self._segment = segment
         self._listener = listener
+        self._on_error = on_error
 
     def deliver(self, frame: bytes, now_ns: int) -> None:
         """The application has heard the frame."""
@@ -138,7 +149,7 @@ class HostPort(Endpoint):
 
     def told(self, message: bytes, now_ns: int) -> None:
         """The application has heard of the error."""
-        self._listener(message, now_ns, False)
+        self._on_error(message, now_ns, False)
 
     def send(self, frame: bytes) -> None:
         """The frame waits its turn for the bus."""

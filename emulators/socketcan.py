@@ -7,6 +7,7 @@ import socket
 from collections.abc import Sequence
 from typing import Final, final
 
+from emulators.can_link import VIRTUAL, link_kind
 from emulators.gateway import Source
 from emulators.world import World
 
@@ -23,6 +24,11 @@ class SocketCanGateway:
 
     A frame that comes from outside takes its turn on the emulated bus; what controllers send
     appears outside when it is complete on the emulated bus.
+
+    What the gateway's own CAN controller on the emulated bus tells of errors is told on a virtual
+    interface, as the driver of a real one would. On hardware it is not: a driver would send it as a
+    frame. Error messages from outside never reach the emulated bus: the kernel gives them to
+    sockets that ask for them, and this one does not.
 
     Attributes:
         refused: frames the kernel would not take (its queue was full), given up.
@@ -46,6 +52,7 @@ class SocketCanGateway:
             ) from None
         try:
             self._socket.bind((interface,))
+            self._is_virtual = link_kind(interface) in VIRTUAL
             self._socket.setblocking(False)
         except OSError as error:
             self._socket.close()
@@ -57,11 +64,17 @@ class SocketCanGateway:
             raise SocketCanError(
                 f"{interface}: {os.strerror(error.errno or 0)}; {remedy}"
             ) from None
-        self._port = world.add_host(bus, interface, self._tell)
+        self._port = world.add_host(bus, interface, self._tell, self._tell_error)
 
     def _tell(self, frame: bytes, time_ns: int, transmitted: bool) -> None:
-        if transmitted:
-            return
+        if not transmitted:
+            self._put(frame)
+
+    def _tell_error(self, message: bytes, time_ns: int, _: bool) -> None:
+        if self._is_virtual:
+            self._put(message)
+
+    def _put(self, frame: bytes) -> None:
         try:
             self._socket.send(frame)
         except OSError:  # ENOBUFS: as on a real interface, the frame is gone; it is counted

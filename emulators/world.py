@@ -90,11 +90,17 @@ class World(Overseer):
         controller.start(self.queue.now_ns)
         slot.settle(self.queue.now_ns)
 
-    def add_host(self, bus: str, name: str, on_frame: HostListener) -> HostPort:
-        """An application's port on the bus; it hears every frame. A second "host" is "host-2"."""
+    def add_host(
+        self, bus: str, name: str, on_frame: HostListener, on_error: HostListener | None = None
+    ) -> HostPort:
+        """An application's port on the bus; it hears every frame. A second "host" is "host-2".
+
+        What its CAN controller tells of errors comes to `on_error`, or without one among the
+        frames.
+        """
         segment = self._segments[bus]
         name = segment.free_name(name)
-        port = HostPort(name, segment.bus.attach(name), segment, on_frame)
+        port = HostPort(name, segment.bus.attach(name), segment, on_frame, on_error or on_frame)
         segment.join(port)
         return port
 

@@ -3,14 +3,16 @@
 `channel` is the name of a bus of the rig that is open in this process ("can0"), or the path of the
 socket that `motorhil serve --socket` made. A program written for python-can needs no other change.
 In a rig of this process, `recv` and `send_periodic` use the rig's time; over a socket, the wall's.
+
+What the program's own CAN controller tells of errors comes as from SocketCAN: error frames, which
+no `can_filters` hold back, and none with `ignore_rx_error_frames=True`.
 """
 
-import struct
 from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, Any, Final, final
 
 import can
-from can import CanInitializationError, CanOperationError, Message
+from can import BusState, CanInitializationError, CanOperationError, Message
 from can.broadcastmanager import (
     CyclicSendTaskABC,
     LimitedDurationCyclicSendTaskABC,
@@ -20,6 +22,8 @@ from can.broadcastmanager import (
 
 from emulators.hub_protocol import OwnershipNotice
 from harness.bus_ears import Ears
+from harness.can_messages import to_frame, to_message
+from harness.can_state import is_error, state_after
 from harness.hub_client import HubLink
 
 if TYPE_CHECKING:
@@ -29,11 +33,6 @@ if TYPE_CHECKING:
     from motorapi.errors import MotorBusyError
     from motorapi.runtime import FrameListener, Registration
 
-_FRAME: Final = struct.Struct("<IB3x8s")
-_EFF: Final = 0x8000_0000
-_RTR: Final = 0x4000_0000
-_ERR: Final = 0x2000_0000
-_ID_MAX: Final = 0x1FFF_FFFF
 _BACKLOG_MAX: Final = 65_536
 _OPEN: dict[str, "tuple[World, VirtualRuntime]"] = {}
 
@@ -70,54 +69,6 @@ def _overtaken(motor: str, token: int, newer: tuple[int, str]) -> "MotorBusyErro
 
     since = f"it took it over (token {newer[0]}; ours was {token})"
     return MotorBusyError(motor=motor, holder=newer[1], since_ns=0, since=since)
-
-
-def to_frame(message: Message) -> bytes:
-    """The Linux can_frame (16 bytes) of a python-can message.
-
-    Raises:
-        CanOperationError: a CAN FD message, or one that is no valid classical frame.
-    """
-    if message.is_fd:
-        raise CanOperationError(
-            f"CAN FD frame {message.arbitration_id:X}h on an emulated bus: it is classical CAN"
-        )
-    can_id = message.arbitration_id
-    if message.is_error_frame:
-        raise CanOperationError("an error frame cannot be sent: the bus makes them")
-    if not 0 <= can_id <= _ID_MAX:
-        raise CanOperationError(f"identifier {can_id:X}h does not fit 29 bits")
-    if message.is_extended_id:
-        can_id |= _EFF
-    elif can_id > 0x7FF:
-        raise CanOperationError(
-            f"identifier {can_id:X}h does not fit 11 bits: set is_extended_id=True"
-        )
-    if message.is_remote_frame:
-        if message.dlc > 8:
-            raise CanOperationError(f"a remote frame asks for 8 bytes at most, not {message.dlc}")
-        return _FRAME.pack(can_id | _RTR, message.dlc, b"")
-    if len(message.data) > 8:
-        raise CanOperationError(f"{len(message.data)} data bytes: a classical frame holds 8")
-    return _FRAME.pack(can_id, len(message.data), bytes(message.data))
-
-
-def to_message(frame: bytes, time_ns: int, channel: str, received: bool) -> Message:
-    """The python-can message of a Linux can_frame."""
-    can_id, length, data = _FRAME.unpack(frame)
-    extended = bool(can_id & _EFF)
-    remote = bool(can_id & _RTR)
-    return Message(
-        timestamp=time_ns / 1e9,
-        arbitration_id=can_id & (0x1FFF_FFFF if extended else 0x7FF),
-        is_extended_id=extended,
-        is_remote_frame=remote,
-        is_error_frame=bool(can_id & _ERR),
-        dlc=length,
-        data=None if remote else data[:length],
-        channel=channel,
-        is_rx=received,
-    )
 
 
 def _refuse_in_virtual_time(channel: str) -> None:
@@ -160,11 +111,14 @@ class EmulatedBus(can.BusABC):
         can_filters: can.typechecking.CanFilters | None = None,
         *,
         receive_own_messages: bool = False,
+        ignore_rx_error_frames: bool = False,
         **kwargs: Any,  # Any: python-can hands every option of its configuration through here
     ) -> None:
         self.channel_info = f"emulated bus {channel}"
         self.channel = str(channel)
         self._own = receive_own_messages
+        self._ignores_errors = ignore_rx_error_frames
+        self._state = BusState.ACTIVE
         self._ears = Ears(receive_own_messages, _BACKLOG_MAX)
         self._has_received = False
         self._is_shutdown = True  # until it is truly open: BusABC.__del__ looks
@@ -173,7 +127,7 @@ class EmulatedBus(can.BusABC):
         if self.channel in _OPEN:
             world, self.runtime = _OPEN[self.channel]
             self._world = world
-            self._port = world.add_host(self.channel, "host", self._ears.hear)
+            self._port = world.add_host(self.channel, "host", self._ears.hear, self._hear_error)
         elif "/" in self.channel:
             _refuse_in_virtual_time(self.channel)
             self._hub = HubLink(self.channel)
@@ -272,7 +226,10 @@ class EmulatedBus(can.BusABC):
                 return None
             frame, time_ns, transmitted = self._ears.backlog.popleft()
             message = to_message(frame, time_ns, self.channel, received=not transmitted)
-            if self._matches_filters(message):
+            if message.is_error_frame:
+                if not self._ignores_errors:
+                    return message
+            elif self._matches_filters(message):
                 return message
 
     def _recv_internal(self, timeout: float | None) -> tuple[Message | None, bool]:
@@ -284,8 +241,29 @@ class EmulatedBus(can.BusABC):
             if heard is None:
                 return None, False
             frame, time_ns, transmitted = heard
-            if self._own or not transmitted:
-                return to_message(frame, time_ns, self.channel, received=not transmitted), False
+            told = is_error(frame)
+            if told:
+                self._state = state_after(frame, self._state)
+            if not self._ignores_errors if told else self._own or not transmitted:
+                return to_message(frame, time_ns, self.channel, received=not transmitted), told
+
+    def _hear_error(self, message: bytes, time_ns: int, _: bool) -> None:
+        self._state = state_after(message, self._state)
+        self._ears.hear(message, time_ns, False)
+
+    @property
+    def state(self) -> BusState:
+        """Of the CAN controller: PASSIVE is error passive, ERROR bus-off (harness.can_state).
+
+        Over a socket as of the last message that was read.
+        """
+        return self._state
+
+    @state.setter
+    def state(self, new_state: BusState) -> None:
+        raise NotImplementedError(
+            f"{self.channel_info}: its state is what happens on the bus; it cannot be set"
+        )
 
     def receive_frame(self, timeout_s: float) -> tuple[bytes, int, bool] | None:
         """(frame, time_ns of the hub, transmitted), own frames too; over a socket only."""

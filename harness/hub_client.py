@@ -18,6 +18,7 @@ from emulators.hub_protocol import (
     REFUSED,
     SENT,
     STALE,
+    TOLD,
     WELCOME,
     OwnershipNotice,
     pack_fenced,
@@ -98,6 +99,8 @@ class HubLink:
     def receive(self, timeout_s: float | None) -> tuple[bytes, int, bool] | None:
         """(frame, time_ns, transmitted) of the next frame on the bus; None after `timeout_s`.
 
+        An error message of this program's own CAN controller comes as a frame of somebody else.
+
         Raises:
             CanOperationError: the hub has gone.
         """
@@ -115,7 +118,7 @@ class HubLink:
             if record.startswith(REFUSED):
                 reason = record[len(REFUSED) :].decode("utf-8", "replace")
                 raise CanOperationError(f"{self.path}: {reason}; the hub has disconnected us")
-            if record[0] in (HEARD, SENT):
+            if record[0] in (HEARD, SENT, TOLD):
                 kind, time_ns, frame = unpack_told(record)
                 return frame, time_ns, kind == SENT
             if record[0] == STALE:

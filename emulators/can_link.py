@@ -1,0 +1,42 @@
+"""What kind of network interface a CAN interface is, asked of the kernel.
+
+Source: linux/rtnetlink.h, linux/if_link.h (RTM_GETLINK, IFLA_LINKINFO, IFLA_INFO_KIND).
+"""
+
+import socket
+import struct
+from typing import Final
+
+VIRTUAL: Final = ("vcan", "vxcan")
+_RTM_GETLINK: Final = 18
+_REQUEST: Final = 1
+_LINKINFO: Final = 18
+_KIND: Final = 1
+_MESSAGE: Final = struct.Struct("=IHHII BxHiII")  # nlmsghdr and ifinfomsg
+_ATTRIBUTE: Final = struct.Struct("=HH")
+_ANSWER_MAX: Final = 1 << 16
+
+
+def link_kind(interface: str) -> str:
+    """As `ip -details link` names it ("vcan", "can" for hardware); "" where the kernel has none.
+
+    Raises:
+        OSError: there is no such interface.
+    """
+    index = socket.if_nametoindex(interface)
+    with socket.socket(socket.AF_NETLINK, socket.SOCK_RAW, socket.NETLINK_ROUTE) as kernel:
+        asked = (_MESSAGE.size, _RTM_GETLINK, _REQUEST, 1, 0)
+        kernel.send(_MESSAGE.pack(*asked, socket.AF_UNSPEC, 0, index, 0, 0))
+        answer = kernel.recv(_ANSWER_MAX)
+    return _part(_part(answer[_MESSAGE.size :], _LINKINFO), _KIND).rstrip(b"\0").decode()
+
+
+def _part(attributes: bytes, wanted: int) -> bytes:
+    """What an attribute holds; nothing if it is not there."""
+    at = 0
+    while at + _ATTRIBUTE.size <= len(attributes):
+        size, kind = _ATTRIBUTE.unpack_from(attributes, at)
+        if kind == wanted:
+            return attributes[at + _ATTRIBUTE.size : at + size]
+        at += max(size + 3 & ~3, _ATTRIBUTE.size)
+    return b""

@@ -1,0 +1,65 @@
+"""A world in a thread of its own whose bus can be made to tell a node of an error."""
+
+import socket
+import threading
+
+from emulators.event_queue import EventQueue
+from emulators.media.can_bus import CanBus
+from emulators.serve import WallLoop
+from emulators.world import World
+from tests.emulators.telling import tell
+
+
+class Order:
+    """A Gateway by which the loop's own thread is told: NAME NUL message; it answers."""
+
+    def __init__(self, world):
+        self._world = world
+        self._inside, self.outside = socket.socketpair()
+
+    def sources(self):
+        return [self._inside]
+
+    def readable(self, source):
+        name, _, message = source.recv(100).partition(b"\0")
+        tell(self._world, "can0", name.decode(), message)
+        source.send(b"done")
+
+    def backlogged(self):
+        return False
+
+    def close(self):
+        self._inside.close()
+        self.outside.close()
+
+
+class ErrorBench:
+    """The world is served by `gateway(world)`."""
+
+    channel = ""
+
+    def __init__(self, gateway):
+        queue = EventQueue()
+        self.world = World(queue)
+        self.world.add_bus(CanBus("can0", 1_000_000))
+        self._loop = WallLoop(queue)
+        self._order = Order(self.world)
+        self.heard = []  # what was on the emulated bus: sender, frame
+        self.world.tap_frames(
+            lambda bus, time_ns, sender, frame: self.heard.append((sender, frame))
+        )
+        for one in (gateway(self.world), self._order):
+            self._loop.add(one)
+        self._stop = threading.Event()
+        self._thread = threading.Thread(target=self._loop.run, args=(self._stop.is_set,))
+        self._loop.start()
+        self._thread.start()
+
+    def tell_node(self, name, message):
+        self._order.outside.send(name.encode() + b"\0" + message)
+        assert self._order.outside.recv(10) == b"done"
+
+    def close(self):
+        self._stop.set()
+        self._thread.join()
+        self._loop.close()
