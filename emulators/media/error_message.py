@@ -63,6 +63,12 @@ ACK_SLOT: Final = 0x19
 ACK_DELIMITER: Final = 0x1B
 END_OF_FRAME: Final = 0x1A
 INTERMISSION: Final = 0x12
+# Linux has no names for these; its driver hands on what the chip says (SJA1000, error code capture)
+ACTIVE_FLAG: Final = 0x11
+TOLERATED: Final = 0x13  # dominant bits after a flag
+PASSIVE_FLAG: Final = 0x16
+DELIMITER: Final = 0x17  # of an error or overload frame
+OVERLOAD_FLAG: Final = 0x1C
 
 _COUNTER_MAX: Final = 0xFF
 

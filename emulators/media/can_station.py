@@ -1,0 +1,289 @@
+"""A CAN controller at the bit level: what it puts on the wire, given what was on it.
+
+Once per bit time `drives` is what it sends, and `hear` tells it what it samples. It knows frames,
+arbitration and acknowledgement; what it hears of others' frames is `can_reception`'s, what follows
+an error or a frame `can_signalling`'s, what its counters do `confinement`'s.
+
+Source: ISO 11898-1, medium access control; Bosch CAN 2.0, chapters 3 and 7.
+"""
+
+from typing import Final, final
+
+from emulators.media import error_message as told
+from emulators.media.can_reception import (
+    ACCEPTED,
+    ACK_NEXT,
+    ACKNOWLEDGED,
+    COMPLETE,
+    FORM,
+    OVERLOAD,
+    STUFF,
+    Reception,
+)
+from emulators.media.can_signalling import BUSY, FREE, GONE, CanSignalling
+from emulators.media.can_wire import DOMINANT, RECESSIVE, WireFrame, wire_frame
+from emulators.media.confinement import Confinement
+from emulators.media.error_journal import (
+    NOTE_ACCEPTED,
+    NOTE_FAILED,
+    NOTE_LOST,
+    NOTE_SENT,
+    ErrorJournal,
+)
+
+SUSPEND_BITS: Final = 8
+INTEGRATION_BITS: Final = 11  # recessive, and a node that comes back takes part
+
+# phases
+IDLE: Final = 0
+SENDING: Final = 1
+RECEIVING: Final = 2
+SIGNALLING: Final = 3
+INTEGRATING: Final = 4
+OFF: Final = 5
+
+
+@final
+class CanStation:
+    """A node's CAN controller, while it is on the bus. `begin` it in one way, then `hear`.
+
+    Args:
+        frames: those it has to send, in their order.
+        confinement: its counters.
+        one_shot: a frame that fails or loses arbitration is dropped.
+
+    Attributes (read only):
+        drives: the level it puts on the wire in the next bit.
+        phase: where in the protocol it is.
+        suspended: for how many more bits it may not start; counted down while the bus is idle.
+        waits_for: recessive bits it still has to hear in a row, while INTEGRATING.
+        frames: those it still has to send.
+        off_at: the bit that made it bus-off; -1: it is not.
+        recessive_runs: since then, runs of 11 recessive bits.
+        recessive_bits: since the last of them, or the last dominant bit.
+        journal: what happened to it.
+    """
+
+    def __init__(
+        self, frames: list[bytes], confinement: Confinement, one_shot: bool = False
+    ) -> None:
+        self.frames = frames
+        self.confinement = confinement
+        self.journal = ErrorJournal(confinement)
+        self.drives = RECESSIVE
+        self.phase = IDLE
+        self.suspended = 0
+        self.waits_for = 0
+        self.off_at = -1
+        self.recessive_runs = 0
+        self.recessive_bits = 0
+        self._one_shot = one_shot
+        self._signalling = CanSignalling(confinement, self.journal)
+        self._reception = Reception()
+        self._wire: WireFrame | None = None
+        self._expected = b""
+        self._levels = b""
+        self._position = 0  # of the next bit to send
+
+    def begin_idle(self, suspended: int = 0) -> None:
+        """It is ready to send, or to hear a start of frame; for so many bits it may not send."""
+        self.suspended = suspended
+        self._become_idle()
+
+    def begin_integrating(self, waits_for: int = INTEGRATION_BITS) -> None:
+        """It listens only, until it has heard so many recessive bits in a row."""
+        self.phase = INTEGRATING
+        self.waits_for = waits_for
+
+    def begin_stalled(self) -> None:
+        """It has sent a flag, and has heard nothing but dominant bits for long."""
+        self.phase = SIGNALLING
+        self._signalling.stall()
+
+    def is_ready(self) -> bool:
+        """Whether the others need not wait for it: the bus is idle to it, or it is not there."""
+        if self.phase == SENDING:
+            return not self._position
+        return self.phase in (IDLE, INTEGRATING, OFF)
+
+    def is_after_flag(self) -> bool:
+        """Whether it waits for a recessive bit after its flag."""
+        return self.phase == SIGNALLING and self._signalling.is_after_flag()
+
+    def is_stalled(self) -> bool:
+        """Whether nothing will change in it as long as it hears dominant bits."""
+        return self.phase == SIGNALLING and self._signalling.is_stalled()
+
+    def hear(self, level: int, bit: int) -> None:
+        """This level was sampled, in the bit with this number; `drives` is for the next one."""
+        phase = self.phase
+        if phase == RECEIVING:
+            meaning = self._reception.hear(level)
+            if meaning:
+                self.journal.bit = bit
+                self._receive(meaning, level)
+        elif phase == SENDING:
+            position = self._position
+            if level != self._expected[position]:
+                self.journal.bit = bit
+                self._differ(level)
+                return
+            position += 1
+            self._position = position
+            if position < len(self._levels):
+                self.drives = self._levels[position]
+            else:
+                self.journal.bit = bit
+                self._succeed()
+        elif phase == SIGNALLING:
+            self.journal.bit = bit
+            self._signal(self._signalling.hear(level))
+        elif phase == IDLE:
+            self._hear_idle(level)
+        elif phase == INTEGRATING:
+            self.waits_for = self.waits_for - 1 if level else INTEGRATION_BITS
+            if not self.waits_for:
+                self._become_idle()
+        else:
+            self._hear_off(level)
+
+    # --- its own frame
+
+    def _start(self, position: int) -> None:
+        """It sends its first frame, from this bit on."""
+        wire = wire_frame(self.frames[0])
+        self.phase = SENDING
+        self._signalling.transmitter = True
+        self._wire = wire
+        self._expected = wire.expected
+        self._levels = wire.levels
+        self._position = position
+        self.drives = self._levels[position]
+
+    def _differ(self, level: int) -> None:
+        """It has read back another level than it sent."""
+        wire = self._wire
+        assert wire is not None
+        position = self._position
+        place = wire.places[position]
+        if level == DOMINANT and position <= wire.arbitration_end:
+            if not wire.stuffed[position]:
+                self._lose(position)
+                return
+            now = self._signalling.error(told.STUFF_ERROR, place, counts=False)
+        elif place == told.ACK_SLOT:
+            now = self._signalling.error(0, place, unacknowledged=True)
+        else:
+            kind = told.BIT1_ERROR if level == DOMINANT else told.BIT0_ERROR
+            now = self._signalling.error(kind, place)
+        self._give_up(NOTE_FAILED)
+        self._signal(now)
+
+    def _give_up(self, note: int) -> None:
+        """Its frame was not sent."""
+        self.journal.note(note, self.frames[0])
+        if self._one_shot:
+            self.frames.pop(0)
+
+    def _lose(self, position: int) -> None:
+        """It has lost arbitration in this bit, and receives the frame of who has won."""
+        levels = self._levels
+        self._give_up(NOTE_LOST)
+        self._hear_start()
+        for number in range(1, position):
+            self._reception.hear(levels[number])
+        self._reception.hear(DOMINANT)
+
+    def _succeed(self) -> None:
+        """The last bit of its frame is sent."""
+        self.journal.note(NOTE_SENT, self.frames.pop(0))
+        self.confinement.sent()
+        self.journal.note_state()
+        self._signalling.intermission()
+        self._signal(BUSY)
+
+    # --- others' frames
+
+    def _hear_start(self) -> None:
+        """This bit is the start of somebody's frame."""
+        self.phase = RECEIVING
+        self.drives = RECESSIVE
+        self.suspended = 0
+        self._signalling.transmitter = False
+        self._reception = Reception()
+        self._reception.hear(DOMINANT)
+
+    def _receive(self, meaning: int, level: int) -> None:
+        """It has heard a bit that means something."""
+        signalling = self._signalling
+        if meaning == ACK_NEXT:
+            self.drives = DOMINANT
+        elif meaning == ACKNOWLEDGED:
+            self._acknowledge(level)
+        elif meaning == ACCEPTED:
+            self.journal.note(NOTE_ACCEPTED, self._reception.frame())
+        elif meaning == COMPLETE:
+            signalling.intermission()
+            self._signal(BUSY)
+        elif meaning == OVERLOAD:
+            signalling.overload(told.END_OF_FRAME)
+            self._signal(BUSY)
+        elif meaning == STUFF:
+            self._signal(signalling.error(told.STUFF_ERROR, self._reception.place()))
+        elif meaning == FORM:
+            self._signal(signalling.error(told.FORM_ERROR, self._reception.place()))
+        else:
+            self._signal(signalling.error(0, told.CRC_SEQUENCE))
+
+    def _acknowledge(self, level: int) -> None:
+        """The ACK slot is over."""
+        if self.drives == RECESSIVE:
+            return
+        self.drives = RECESSIVE
+        if level == RECESSIVE:
+            self._signal(self._signalling.error(told.BIT0_ERROR, told.ACK_SLOT))
+            return
+        self.confinement.received()
+        self.journal.note_state()
+
+    # --- between frames
+
+    def _signal(self, now: int) -> None:
+        """It is between two frames; what the last bit led to there."""
+        if now == BUSY:
+            self.phase = SIGNALLING
+            self.drives = self._signalling.drives
+            return
+        if now == GONE:
+            self.phase = OFF
+            self.drives = RECESSIVE
+            self.off_at = self.journal.bit
+            return
+        if self._signalling.transmitter and self.confinement.is_passive():
+            self.suspended = SUSPEND_BITS
+        if now == FREE:
+            self._become_idle()
+        elif self.frames and not self.suspended:
+            self._start(1)  # somebody else sent the start of frame, a bit early
+        else:
+            self._hear_start()
+
+    def _become_idle(self) -> None:
+        self.phase = IDLE
+        if self.frames and not self.suspended:
+            self._start(0)
+
+    def _hear_idle(self, level: int) -> None:
+        if level == DOMINANT:
+            self._hear_start()
+        elif self.suspended:
+            self.suspended -= 1
+            if not self.suspended:
+                self._become_idle()
+
+    def _hear_off(self, level: int) -> None:
+        """A bit that it counts, bus-off."""
+        self.recessive_bits = self.recessive_bits + 1 if level else 0
+        if self.recessive_bits == INTEGRATION_BITS:
+            self.recessive_bits = 0
+            self.recessive_runs += 1

@@ -1,0 +1,76 @@
+"""What happens to a node on the wire, bit by bit, and what its CAN controller tells its host of it.
+
+Error messages are those of a driver that tells each error: its type, its place, whether the node
+was sending, and the counters after it; and the node's error state when that changes, as Linux's
+`can_change_state` does.
+"""
+
+from typing import Final, final
+
+from emulators.media import error_message as told
+from emulators.media.confinement import Confinement, ErrorState, state_of
+
+# kinds of notes
+NOTE_ACCEPTED: Final = 0
+NOTE_SENT: Final = 1
+NOTE_FAILED: Final = 2
+NOTE_LOST: Final = 3
+NOTE_ERROR: Final = 4
+NOTE_STATE: Final = 5
+
+_TX: Final = (told.ERROR_ACTIVE, told.TX_WARNING, told.TX_PASSIVE)
+_RX: Final = (told.ERROR_ACTIVE, told.RX_WARNING, told.RX_PASSIVE)
+
+
+@final
+class ErrorJournal:
+    """Notes of what happened to a node with these counters.
+
+    Attributes:
+        bit: in which what is noted next happens.
+        notes: (bit, kind, frame or error message).
+    """
+
+    def __init__(self, confinement: Confinement) -> None:
+        self.bit = 0
+        self.notes: list[tuple[int, int, bytes]] = []
+        self._confinement = confinement
+        self._state = confinement.state()
+
+    def note(self, kind: int, frame: bytes) -> None:
+        """This happened to this frame."""
+        self.notes.append((self.bit, kind, frame))
+
+    def note_error(self, kind: int, place: int, transmitter: bool) -> None:
+        """An error of this kind, at this place (data[2] and data[3] of the message)."""
+        classes = told.PROTOCOL | told.BUS_ERROR
+        if place == told.ACK_SLOT and not kind:
+            classes |= told.NO_ACKNOWLEDGE
+        message = told.pack_error(
+            classes,
+            protocol=kind | told.TRANSMITTING if transmitter else kind,
+            location=place,
+            counters=(self._confinement.tec, self._confinement.rec),
+        )
+        self.note(NOTE_ERROR, message)
+
+    def note_state(self) -> bool:
+        """The counters have changed; whether that made the node bus-off."""
+        confinement = self._confinement
+        state = confinement.state()
+        if state == self._state:
+            return False
+        self._state = state
+        counters = (confinement.tec, confinement.rec)
+        if state == ErrorState.BUS_OFF:
+            self.note(NOTE_STATE, told.pack_error(told.BUS_OFF, counters=counters))
+            return True
+        tx = state_of(confinement.tec)
+        rx = state_of(confinement.rec)
+        controller = _TX[tx] if tx >= rx else 0
+        if rx >= tx:
+            controller |= _RX[rx]
+        self.note(
+            NOTE_STATE, told.pack_error(told.CONTROLLER, controller=controller, counters=counters)
+        )
+        return False

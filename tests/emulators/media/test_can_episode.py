@@ -1,0 +1,110 @@
+"""Episodes of several stations: what the standard says comes of a struck frame."""
+
+from hypothesis import given
+from hypothesis import strategies as st
+
+from emulators.media.can_episode import (
+    Disturbance,
+    Effect,
+    Episode,
+    EventKind,
+    Station,
+    run_episode,
+)
+from emulators.media.can_frame import pack
+from tests.emulators.media import wire
+
+FRAME = wire.Fields(0x123, False, False, 2, b"\x55\xaa")
+BITS = wire.on_the_wire(FRAME)
+SENDER = Station(0, (FRAME.can_frame(),))
+
+
+def told(episode: Episode, *kinds: EventKind) -> list[tuple[int, int, EventKind]]:
+    """(bit, port, kind) of the events of these kinds."""
+    return [(event.bit, event.port, event.kind) for event in episode.events if event.kind in kinds]
+
+
+def counters(episode: Episode) -> list[tuple[int, int]]:
+    return [(outcome.tec, outcome.rec) for outcome in episode.outcomes]
+
+
+@given(wire.fields(), st.integers(1, 9), st.integers(0, 200))
+def test_an_undisturbed_frame_takes_its_exact_bits_and_all_others_accept_it(frame, others, rec):
+    receivers = [Station(port, rec=rec) for port in range(1, others + 1)]
+    episode = run_episode([Station(0, (frame.can_frame(),), tec=1), *receivers])
+    last = len(wire.on_the_wire(frame)) - 1
+    assert episode.bits == last + 1 + wire.INTERMISSION
+    assert told(episode, EventKind.ACCEPTED, EventKind.SENT) == [
+        *[(last - 1, port, EventKind.ACCEPTED) for port in range(1, others + 1)],
+        (last, 0, EventKind.SENT),
+    ]
+    assert {event.frame for event in episode.events if event.kind is not EventKind.STATE} == {
+        frame.can_frame()
+    }
+    received = 127 if rec > 127 else max(rec - 1, 0)
+    assert counters(episode) == [(0, 0)] + [(0, received)] * others
+    # ACK delimiter, end of frame, intermission
+    assert (episode.recessive_runs, episode.recessive_bits) == (1, 0)
+
+
+def test_nobody_acknowledges_a_lone_node_which_tries_for_ever_and_stays_passive():
+    station = SENDER
+    for attempt in range(40):
+        episode = run_episode([station])
+        ack_slot = len(BITS) - 9
+        (error,) = told(episode, EventKind.ERROR)
+        assert error == (ack_slot, 0, EventKind.ERROR)
+        (outcome,) = episode.outcomes
+        assert outcome.tec == min(8 * (attempt + 1), 128)
+        assert outcome.frames == station.frames
+        assert outcome.suspended == (8 if outcome.tec == 128 else 0)
+        assert episode.bits == ack_slot + 1 + 6 + 8 + 3
+        station = Station(0, outcome.frames, tec=outcome.tec)
+
+
+def test_an_error_that_all_see_costs_a_flag_a_delimiter_and_an_intermission():
+    episode = run_episode([SENDER, Station(1), Station(2)], [Disturbance(30)])
+    first = min(bit for bit, _, _ in told(episode, EventKind.ERROR))
+    assert first == 30  # a bit error at least, at the sender
+    assert 30 + 1 + 6 + 8 + 3 <= episode.bits <= 30 + 1 + 6 + 6 + 8 + 3
+    assert not told(episode, EventKind.SENT, EventKind.ACCEPTED)
+    assert counters(episode)[0] == (8, 0)
+
+
+def test_a_receiver_that_misses_the_last_but_one_bit_makes_the_others_hear_the_frame_twice():
+    last = len(BITS) - 1
+    stations = [SENDER, Station(1), Station(2)]
+    episode = run_episode(stations, [Disturbance(last - 1, ports=0b010)])
+    assert told(episode, EventKind.ACCEPTED, EventKind.SENT, EventKind.FAILED) == [
+        (last - 1, 2, EventKind.ACCEPTED),
+        (last, 0, EventKind.FAILED),
+    ]
+    again = run_episode([Station(0, episode.outcomes[0].frames), Station(1), Station(2)])
+    assert [port for _, port, _ in told(again, EventKind.ACCEPTED)] == [1, 2]
+
+
+def test_a_wire_shorted_to_dominant_stalls_all_who_do_not_go_bus_off():
+    short = [Disturbance(20, Effect.DOMINANT, None)]
+    episode = run_episode([SENDER, Station(1)], short)
+    assert [outcome.off_at is not None for outcome in episode.outcomes] == [True, False]
+    assert episode.outcomes[1].stalled
+    after = run_episode([Station(1, rec=episode.outcomes[1].rec, stalled=True)])
+    assert after.bits == 8 + 3
+
+
+def test_two_senders_of_one_identifier_with_other_data_destroy_each_other():
+    rival = Station(1, (pack(0x123, b"\x55\xab"),))
+    episode = run_episode([SENDER, rival, Station(2)])
+    assert not told(episode, EventKind.SENT, EventKind.ACCEPTED, EventKind.LOST)
+    assert [port for _, port, _ in told(episode, EventKind.FAILED)] == [1, 0]
+    assert [tec for tec, _ in counters(episode)] == [8, 8, 0]
+
+
+def test_equal_frames_of_two_senders_are_one_on_the_wire():
+    episode = run_episode([SENDER, Station(1, SENDER.frames), Station(2)])
+    assert told(episode, EventKind.SENT, EventKind.ACCEPTED) == [
+        (len(BITS) - 2, 2, EventKind.ACCEPTED),
+        (len(BITS) - 1, 0, EventKind.SENT),
+        (len(BITS) - 1, 1, EventKind.SENT),
+    ]
+    assert episode.bits == len(BITS) + 3
