@@ -174,6 +174,8 @@ class CanSignalling:
             self._enter(_DELIMITER, RECESSIVE)
             self._count = 1
             return BUSY
+        if self.is_stalled():
+            return BUSY
         self._count += 1
         if self._count == 1 and self._after_error and not self.transmitter:
             self._confinement.dominant_after_flag()
