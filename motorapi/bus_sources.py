@@ -31,6 +31,8 @@ _NEVER_NS: Final = -1
 _EFF: Final = 0x8000_0000
 _RTR: Final = 0x4000_0000
 _ERR: Final = 0x2000_0000
+_ERROR_CLASSES: Final = 0x3FF  # linux/can/error.h
+_ERROR_BYTES: Final = 8  # CAN_ERR_DLC
 # Linux: linux/socket.h, uapi/linux/can.h, uapi/linux/can/raw.h, asm-generic/socket.h
 _AF_CAN: Final = 29
 _SOL_CAN_RAW: Final = 101
@@ -196,6 +198,17 @@ def _without_padding(frame: bytes) -> bytes:
     return _FRAME.pack(can_id, length, data[:length])
 
 
+def _error_of(message: "can.Message") -> bytes:
+    """The error message of a python-can error frame; one of nothing, if it is not as SocketCAN's.
+
+    What other interfaces mean by identifier and data of an error frame, each does by itself.
+    """
+    data, classes = bytes(message.data), message.arbitration_id
+    if message.is_extended_id or len(data) != _ERROR_BYTES or classes & ~_ERROR_CLASSES:
+        return _FRAME.pack(_ERR, _ERROR_BYTES, b"")
+    return _FRAME.pack(_ERR | classes, _ERROR_BYTES, data)
+
+
 @final
 class _MessageSource:
     def __init__(self, bus: "can.BusABC") -> None:
@@ -210,10 +223,10 @@ class _MessageSource:
         if message is None or message.is_fd or not message.is_rx:
             return None  # an own frame (receive_own_messages) was reported when it was sent
         can_id = message.arbitration_id
+        if message.is_error_frame:
+            return _error_of(message), 0, False
         if message.is_extended_id:
             can_id |= _EFF
-        if message.is_error_frame:
-            can_id |= _ERR
         if message.is_remote_frame:
             return _FRAME.pack(can_id | _RTR, message.dlc, b""), 0, False
         return _FRAME.pack(can_id, len(message.data), bytes(message.data)), 0, False

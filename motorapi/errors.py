@@ -244,14 +244,19 @@ class DeviceFault(MotorError):
 class LinkError(MotorError):
     """The way to the device is gone: bus off, closed, or the device is no longer heard.
 
-    Attributes: link ("can0", or "can0 node 3"), reason, since_ns (None if unknown).
+    Attributes: link ("can0", or "can0 node 3"), reason, since_ns (None if unknown), remedy (what to
+    do about it; "" if there is nothing).
     """
 
-    def __init__(self, *, link: str, reason: str, since_ns: int | None = None) -> None:
+    def __init__(
+        self, *, link: str, reason: str, since_ns: int | None = None, remedy: str = ""
+    ) -> None:
         self.link = link
         self.reason = reason
         self.since_ns = since_ns
+        self.remedy = remedy
         tail = "" if since_ns is None else f" since {since_ns / 1e9:.6f} s"
+        tail += f"; {remedy}" if remedy else ""
         super().__init__(f"{link}: {reason}{tail}")
 
 

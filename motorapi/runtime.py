@@ -10,7 +10,10 @@ if TYPE_CHECKING:
 
 FrameListener = Callable[[bytes, int, bool], None]
 """(frame, time_ns, transmitted): a Linux can_frame of 16 bytes, when it was complete on the bus,
-and whether this bus object sent it itself, so that it is now known to have been on the wire."""
+and whether this bus object sent it itself, so that it is now known to have been on the wire.
+
+Error messages of the bus's own CAN controller come here, too, as frames of nobody's: ERR_FLAG is in
+their identifier, and `motorapi.bus_status` knows what they mean. They are no traffic."""
 
 
 class Registration(Protocol):

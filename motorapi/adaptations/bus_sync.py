@@ -20,10 +20,9 @@ than others, by the number of their turns, can have sent.
 from collections import deque
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
-from itertools import pairwise
 from typing import TYPE_CHECKING, Final, final
 
-from motorapi.adaptations.sync_producer import CyclicSync, shared_bus
+from motorapi.adaptations.sync_producer import CyclicSync, median_ns, regular_ns, shared_bus
 from motorapi.errors import LinkError, MotorBusyError, UsageError
 from motorapi.runtime import Registration
 from motorapi.turns import share_trigger
@@ -106,12 +105,10 @@ class BusSync:
         known = self.known()
         if known is not None or len(self._heard) < _REGULAR:
             return known
-        steps = sorted(later - earlier for earlier, later in pairwise(self._heard))
-        middle_ns = steps[len(steps) // 2]
-        is_regular = steps[0] >= middle_ns // 2 and steps[-1] <= middle_ns * 3 // 2  # some waited
+        period_ns = regular_ns(tuple(self._heard))
         since_ns = self._runtime.now_ns() - self._heard_ns
-        if is_regular and since_ns <= _GONE * middle_ns:
-            return CyclicSync(middle_ns, _STRANGER, False)
+        if period_ns and since_ns <= _GONE * period_ns:
+            return CyclicSync(period_ns, _STRANGER, False)
         return None
 
     def known(self) -> CyclicSync | None:
@@ -147,7 +144,7 @@ class BusSync:
             return None
         times = tuple(self._heard)
         last_ns = times[-1]
-        step_ns = _SLOWEST_NS if len(times) < 2 else round(_LATE * _median(times))
+        step_ns = _SLOWEST_NS if len(times) < 2 else round(_LATE * median_ns(times))
         due_ns = last_ns + min(step_ns, _SLOWEST_NS) + _JITTER_NS
         left_ns = due_ns - self._runtime.now_ns()
         if left_ns <= 0 or not self._hears_another(last_ns, left_ns):
@@ -155,7 +152,7 @@ class BusSync:
             return None
         while len(self._heard) < 4 and self._hears_another(self._heard_ns, _SLOWEST_NS):
             pass  # one interval is not yet a period
-        self._foreign_ns = _median(tuple(self._heard))
+        self._foreign_ns = median_ns(tuple(self._heard))
         self._since_turn = 0
         return self.known()
 
@@ -311,14 +308,21 @@ class BusSync:
         if silent_ns > max(_LOST_PERIODS * period_ns, _LOST_NS):
             known = self._bus.seat.look()
             who = _STRANGER if known is None else known.who
-            self._lose(f"no SYNC came for {silent_ns / 1e6:.0f} ms; it was produced by {who}")
+            reason = f"no SYNC came for {silent_ns / 1e6:.0f} ms; it was produced by {who}"
+            self._lose(LinkError(link=self._link.name, reason=reason))
 
-    def _lose(self, reason: str) -> None:
+    def bus_off(self, error: LinkError) -> None:
+        """The bus is off, and what waited for it is lost."""
+        self._sent = None
+        self._at_next.clear()
+        self._lose(error)
+        self._bus.seat.give(self)
+
+    def _lose(self, error: LinkError) -> None:
         """Nobody goes by it any more; all are told why."""
         users, self._users = self._users, []
         self._end()
         self._foreign_ns = 0
-        error = LinkError(link=self._link.name, reason=reason)
         for _, lost, _ in users:
             if lost is not None:
                 lost(error)
@@ -385,7 +389,8 @@ class BusSync:
         strays.append(time_ns)
         near = time_ns - strays[0] <= _STRAY_PERIODS * period_ns
         if len(strays) == _STRAYS_MAX and near:
-            self._lose(f"{_STRANGER} produces SYNC as well; a bus has one SYNC producer")
+            reason = f"{_STRANGER} produces SYNC as well; a bus has one SYNC producer"
+            self._lose(LinkError(link=self._link.name, reason=reason))
 
     def close(self) -> None:
         """Nothing is sent or told any more."""
@@ -393,8 +398,3 @@ class BusSync:
         self._at_next.clear()
         self._end()
         self._bus.seat.give(self)
-
-
-def _median(times_ns: tuple[int, ...]) -> int:
-    steps = sorted(later - earlier for earlier, later in pairwise(times_ns))
-    return steps[len(steps) // 2]

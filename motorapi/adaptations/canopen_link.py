@@ -7,11 +7,13 @@ RPDO that still waits (CiA 301 default identifiers), so a SYNC sent too early fi
 """
 
 import struct
-from collections import deque
 from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, Final, final
 
 from motorapi.adaptations.bus_sync import BusSync, FenceNow, Lost
+from motorapi.adaptations.transmissions import Transmission as Transmission
+from motorapi.adaptations.transmissions import Transmissions, all_sent
+from motorapi.bus_status import ERROR_BYTE, status_of
 from motorapi.errors import LinkError, UsageError
 from motorapi.fencing import joint_fence
 from motorapi.runtime import Registration, Runtime
@@ -37,23 +39,11 @@ OPERATIONAL: Final = 0x05
 
 _FRAME: Final = struct.Struct("<IB3x8s")
 _ID: Final = struct.Struct("<I")
-_UNCONFIRMED_MAX: Final = 1000
 
 
 def can_frame(can_id: int, data: bytes) -> bytes:
     """The Linux can_frame with this identifier (with its flags) and up to 8 bytes."""
     return _FRAME.pack(can_id, len(data), data)
-
-
-@final
-class Transmission:
-    """One frame on its way; `time_ns` is when it was complete on the bus, None before that."""
-
-    __slots__ = ("frame", "time_ns")
-
-    def __init__(self, frame: bytes) -> None:
-        self.frame = frame
-        self.time_ns: int | None = None
 
 
 @final
@@ -74,6 +64,8 @@ class _HostHeartbeat:
 
     def _again(self) -> None:
         """That a bus takes no more is told once, not with every period for ever."""
+        if self._link.status.is_off:
+            return
         try:
             self.send()
         except LinkError:
@@ -90,6 +82,8 @@ class CanopenLink:
 
     Attributes:
         name: what messages call it ("can0").
+        status: of the bus, by what its CAN controller tells.
+        on_bus_off: are told when it goes off.
         confirms: whether an own frame has ever been reported as transmitted.
         sync_id, sync_frame: the identifier of SYNC, and a SYNC.
         latching: node-IDs of drives that may have something latched that a SYNC would start.
@@ -106,6 +100,8 @@ class CanopenLink:
         self.bus = bus
         self.runtime = runtime
         self.name = bus_label(bus)
+        self.status = status_of(bus, self.name)
+        self.on_bus_off: list[Callable[[], None]] = []
         self.confirms = False
         self.sync_id = SYNC_ID
         self.sync_frame = can_frame(SYNC_ID, b"")
@@ -117,7 +113,7 @@ class CanopenLink:
         self.lost = False
         self.users = 0
         self._handlers: dict[bytes, FrameHandler] = {}
-        self._awaited: dict[bytes, deque[Transmission]] = {}
+        self._transmissions = Transmissions(self.name)
         self._heartbeats: dict[int, _HostHeartbeat] = {}
         self._sync_key = _ID.pack(SYNC_ID)
         self._network: canopen.Network | None = None
@@ -148,9 +144,11 @@ class CanopenLink:
         """The frame waits its turn on the bus; a commanding one only while its fence lets it out.
 
         Raises:
-            LinkError: the bus does not take it.
+            LinkError: the bus does not take it, or is off.
             MotorBusyError: the fence does not let it out: somebody has taken the motor over.
         """
+        if self.status.is_off:
+            raise self.status.failure()
         try:
             if fence is None:
                 self.runtime.send(self.bus, frame)
@@ -183,21 +181,11 @@ class CanopenLink:
 
         Raises: as `send_tracked`.
         """
-        frame = transmission.frame
-        waiting = self._awaited.get(frame[:4])
-        if waiting is None:
-            waiting = self._awaited[frame[:4]] = deque()
-        elif len(waiting) >= _UNCONFIRMED_MAX:
-            if self.confirms:
-                raise LinkError(
-                    link=self.name, reason=f"{len(waiting)} frames wait, none is transmitted"
-                )
-            waiting.popleft()  # a bus that never tells of own frames
-        waiting.append(transmission)
+        self._transmissions.add(transmission, self.confirms)
         try:
-            self.send(frame, fence)
+            self.send(transmission.frame, fence)
         except BaseException:
-            waiting.remove(transmission)
+            self._transmissions.remove(transmission)
             raise
         return transmission
 
@@ -205,15 +193,17 @@ class CanopenLink:
         """All of these have been on the wire.
 
         Raises:
-            LinkError: not within `timeout_s` [s].
+            LinkError: not within `timeout_s` [s], or the bus went off.
         """
-        if self.runtime.wait_until(lambda: _all_sent(transmissions), timeout_s):
+        if self.wait_until(lambda: all_sent(transmissions), timeout_s):
             return
         missing = [one for one in transmissions if one.time_ns is None]
         can_id = _ID.unpack_from(missing[0].frame)[0]
         hint = ""
         if not self.confirms:
             hint = "; this bus never reported an own frame: open it with receive_own_messages=True"
+        trouble = self.status.trouble()
+        hint = f"; {trouble}" if trouble else hint
         raise LinkError(
             link=self.name,
             reason=f"{len(missing)} of {len(transmissions)} frames (first {can_id:03X}h) were not"
@@ -222,34 +212,50 @@ class CanopenLink:
 
     def pending(self, can_id: int) -> Sequence[Transmission]:
         """Tracked frames with this identifier that wait for the bus, where it tells of own ones."""
-        return tuple(self._awaited.get(_ID.pack(can_id), ())) if self.confirms else ()
+        return self._transmissions.pending(_ID.pack(can_id)) if self.confirms else ()
+
+    def wait_until(self, done: Callable[[], bool], timeout_s: float | None = None) -> bool:
+        """As the runtime's, for what only this bus can bring.
+
+        Raises:
+            LinkError: the bus is off, or went off meanwhile.
+        """
+        status = self.status
+        status.check()
+        offs = status.offs
+        over = self.runtime.wait_until(lambda: done() or status.offs != offs, timeout_s)
+        if over and status.offs != offs and not done():
+            raise status.failure()
+        return over
 
     def _on_frame(self, frame: bytes, time_ns: int, transmitted: bool) -> None:
         if transmitted:
             self.confirms = True
-            key = frame[:4]
-            waiting = self._awaited.get(key)
-            if waiting:
-                self._confirm(waiting, frame, time_ns)
-            if key == self._sync_key and self.bus_sync.is_awaited:
+            self._transmissions.confirm(frame, time_ns)
+            if frame[:4] == self._sync_key and self.bus_sync.is_awaited:
                 self.bus_sync.passed(time_ns)
+            if self.status.unacknowledged_ns is not None:
+                self.status.sent()
             return
         handler = self._handlers.get(frame[:4])
         if handler is not None:
             handler(frame, time_ns)
+        elif frame[3] & ERROR_BYTE:
+            self._on_error(frame, time_ns)
         elif self._network is not None:
             can_id, length, data = _FRAME.unpack(frame)
             if can_id in self._network.subscribers:
                 self._network.notify(can_id, bytearray(data[:length]), time_ns / 1e9)
 
-    def _confirm(self, waiting: deque[Transmission], frame: bytes, time_ns: int) -> None:
-        """Of one identifier's frames the oldest equal one was sent; those before it never were."""
-        for place, transmission in enumerate(waiting):
-            if transmission.frame == frame:
-                transmission.time_ns = time_ns
-                for _ in range(place + 1):
-                    waiting.popleft()
-                return
+    def _on_error(self, message: bytes, time_ns: int) -> None:
+        """Our CAN controller tells of an error: never taken for a frame of anybody's."""
+        status, offs = self.status, self.status.offs
+        status.hear(message, time_ns)
+        if status.offs != offs:
+            self._transmissions.forget()
+            self.bus_sync.bus_off(status.failure())
+            for told in tuple(self.on_bus_off):
+                told()
 
     # --- NMT, SYNC, heartbeat -------------------------------------------------------------
 
@@ -363,10 +369,6 @@ class _SyncRegistration:
     def cancel(self) -> None:
         """It has ended; cancelling again does nothing."""
         self._link.bus_sync.leave(self._action)
-
-
-def _all_sent(transmissions: Sequence[Transmission]) -> bool:
-    return all(one.time_ns is not None for one in transmissions)
 
 
 def bus_label(bus: "can.BusABC") -> str:

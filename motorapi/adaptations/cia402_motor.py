@@ -143,6 +143,7 @@ class Cia402Motor(Motor):
     # --- connecting, state and measurements -----------------------------------------------------
 
     def _connect(self) -> None:
+        self._node.link.status.check()
         self._hardware.connect()
         control, bus_sync = self._control, self._node.link.bus_sync
         if self._physical.ownership.is_orphan:
@@ -188,7 +189,7 @@ class Cia402Motor(Motor):
     def _refresh(self) -> float | None:
         if self._node.status_is_cyclic:
             return None
-        if self._node.lost_since_ns is None:
+        if not self._node.is_lost:
             self._node.poll_status()
         return POLL_S
 

@@ -62,7 +62,7 @@ class SyncTrigger:
             one.stream.begin()
         for one in streams:
             begun = partial(_has_begun, one.stream)
-            if not link.runtime.wait_until(begun, _FIRST_SYNC_S + 3 * one.stream.period_s):
+            if not link.wait_until(begun, _FIRST_SYNC_S + 3 * one.stream.period_s):
                 raise LinkError(link=link.name, reason="no SYNC was transmitted")
 
     def __eq__(self, other: object, /) -> bool:

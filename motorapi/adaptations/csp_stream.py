@@ -181,7 +181,7 @@ class CspStream:
             if self._word != ENABLE_OPERATION:
                 self._go_on_stopping()
                 return
-            if self._hardware.node.lost_since_ns is not None:
+            if self._hardware.node.is_lost:
                 self._fail()  # it may still hear us; whoever waits is told that it was lost
                 return
             if self._hardware.node.state is not PdsState.OPERATION_ENABLED:

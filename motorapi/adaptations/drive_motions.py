@@ -333,7 +333,7 @@ class DriveMotions:
 
         def is_over() -> bool:
             ends = watch.started_ns is not None or self._control.is_halted
-            return ends or node.statusword & FAULT_BIT != 0 or node.lost_since_ns is not None
+            return ends or node.statusword & FAULT_BIT != 0 or node.is_lost
 
         while True:
             node.refresh()

@@ -6,7 +6,6 @@ The TPDO decoder is the hot path: one call per frame, straight from the link's d
 import struct
 from collections import deque
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final, final
 
 from motorapi.adaptations.canopen_errors import SdoAborted
@@ -22,6 +21,8 @@ from motorapi.adaptations.cia402_objects import (
     error_text,
     type_of,
 )
+from motorapi.adaptations.emergencies import Emergency as Emergency
+from motorapi.adaptations.emergencies import standing_error
 from motorapi.errors import DeadlineExceeded, DeviceFault, LinkError, MotionInterrupted
 from motorapi.waiting import News
 
@@ -36,22 +37,6 @@ _STATUSWORD: Final = 0x6041
 _POSITION: Final = 0x6064
 _POLL_S: Final = 0.002
 _EMERGENCIES_MAX: Final = 100
-_ERROR_CLASS: Final = 0xFF00  # 00xxh: an error is gone
-_LENGTH_ERRORS: Final = (0x8210, 0x8220)  # about a frame; some drives repeat them for ever
-
-
-@final
-@dataclass(frozen=True, slots=True)
-class Emergency:
-    """One EMCY: error code (603Fh), error register (1001h), 5 vendor bytes, when it came [ns]."""
-
-    code: int
-    register: int
-    vendor: bytes
-    time_ns: int
-
-    def __str__(self) -> str:
-        return f"EMCY {self.code:04X}h at {self.time_ns / 1e9:.6f} s: {error_text(self.code)}"
 
 
 @final
@@ -63,7 +48,7 @@ class DriveNode:
         values: other objects that TPDOs brought, by (index, sub-index).
         status_is_cyclic: whether a TPDO repeats the status by itself.
         error: the last EMCY of an error, as long as the error register (1001h) has any; one that
-            tells of a frame's length gives way to others.
+            tells of a frame, or of the bus, gives way to others.
         boots: how often it was heard to boot; whoever configured it compares.
         lost_since_ns: since when it is not heard, None while it is.
         malformed: frames of a wrong length.
@@ -111,6 +96,7 @@ class DriveNode:
         self._silence: Registration | None = None
         self._heard_ids: list[int] = []
         self.on_control: Callable[[bytes, int], None] | None = None  # hears others' controlwords
+        link.on_bus_off.append(self.news.grow)
         link.handle(HEARTBEAT_ID + node_id, self._on_heartbeat)
         link.handle(EMCY_ID + node_id, self._on_emergency)
 
@@ -164,11 +150,7 @@ class DriveNode:
         code, register, vendor = _EMCY.unpack(frame)
         emergency = Emergency(code, register, vendor, time_ns)
         self.emergencies.append(emergency)
-        if not code & _ERROR_CLASS:
-            if not register:
-                self.error = None
-        elif self.error is None or code not in _LENGTH_ERRORS:
-            self.error = emergency
+        self.error = standing_error(self.error, emergency)
 
     def _on_heartbeat(self, frame: bytes, time_ns: int) -> None:
         if frame[4] != 1:
@@ -223,6 +205,11 @@ class DriveNode:
         self.news.grow()
 
     @property
+    def is_lost(self) -> bool:
+        """Whether it cannot be heard now: it is silent, or the bus is off."""
+        return self.lost_since_ns is not None or self.link.status.is_off
+
+    @property
     def has_booted(self) -> bool:
         """Whether it was heard to boot since it was brought up: its configuration is gone."""
         return self._watches_nmt and self.boots != self._boots_known
@@ -242,6 +229,7 @@ class DriveNode:
         first = (HEARTBEAT_ID, EMCY_ID, 0x580, 0x600)
         for can_id in (*(base + self.node_id for base in first), *self._heard_ids):
             self.link.ignore(can_id)
+        self.link.on_bus_off.remove(self.news.grow)
         self.link.fences.pop(self.node_id, None)
 
     # --- what it amounts to --------------------------------------------------------------
@@ -257,7 +245,8 @@ class DriveNode:
         return 0 if self.error is None else self.error.code
 
     def check_heard(self) -> None:
-        """Raises LinkError if the drive is not heard."""
+        """Raises LinkError if the drive is not heard, or the bus is off."""
+        self.link.status.check()
         if self.lost_since_ns is not None:
             raise LinkError(
                 link=self.label,
@@ -342,7 +331,7 @@ class DriveNode:
                 self.poll_status()
             left_s = max(0, deadline_ns - runtime.now_ns()) / 1e9
             pause_s = left_s if self.status_is_cyclic else min(_POLL_S, left_s)
-            over = runtime.wait_until(is_over, pause_s)
+            over = self.link.wait_until(is_over, pause_s)
             self.check_link()
             if over:
                 return self.statusword
@@ -357,9 +346,12 @@ class DriveNode:
         """The last status in words."""
         state = self.state
         name = "no state of CiA 402" if state is None else state.value
-        return (
-            f"statusword {self.statusword:04X}h ({name}), position {self.position_inc} increments"
-        )
+        text = f"statusword {self.statusword:04X}h ({name})"
+        text += f", position {self.position_inc} increments"
+        if self.error is not None:
+            text += f", after {self.error}"
+        trouble = self.link.status.trouble()
+        return f"{text}; {trouble}" if trouble else text
 
 
 @final

@@ -88,7 +88,7 @@ class DriveReader:
     def state(self) -> MotorState:
         """The state heard last; does not wait."""
         node = self._node
-        if self._hardware.facts is None or node.lost_since_ns is not None or node.status_ns < 0:
+        if self._hardware.facts is None or node.is_lost or node.status_ns < 0:
             return MotorState.OFFLINE
         known = _STATE_OF_BITS[node.statusword & STATE_BITS]
         if known is MotorState.DISABLED and self._hardware.quick_stopped:
@@ -101,7 +101,7 @@ class DriveReader:
         One that is not OPERATIONAL any more sends no PDOs: what it told before counts no more.
         """
         node = self._node
-        if self._hardware.facts is None or node.lost_since_ns is not None:
+        if self._hardware.facts is None or node.is_lost:
             return MotorState.OFFLINE
         if node.is_up:
             node.refresh()
@@ -115,7 +115,7 @@ class DriveReader:
     def fault(self) -> Fault | None:
         """The fault the drive reports, None if there is none."""
         node = self._node
-        if self._hardware.facts is None or node.lost_since_ns is not None:
+        if self._hardware.facts is None or node.is_lost:
             return None
         node.refresh()
         if not node.statusword & FAULT_BIT:

@@ -334,7 +334,7 @@ def _await_first_status(node: DriveNode, facts: DriveFacts, options: HwOptions) 
     node.status_is_cyclic = status is not None and bool(status.event_ms)
     if node.status_is_cyclic:
         seen_ns = node.status_ns
-        heard = node.link.runtime.wait_until(
+        heard = node.link.wait_until(
             lambda: node.status_ns != seen_ns,
             max(_FIRST_STATUS_S, 3 * options.status_period_ms / 1e3),
         )

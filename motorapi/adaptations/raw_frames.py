@@ -78,15 +78,18 @@ class FrameInbox:
 
         Raises:
             DeadlineExceeded: none came within `timeout_s` [s].
+            LinkError: the bus is off.
         """
-        frames = self._frames
-        if not wait_until(self._link.runtime, lambda: bool(frames), timeout_s):
+        frames, status = self._frames, self._link.status
+        if not wait_until(self._link.runtime, lambda: bool(frames) or status.is_off, timeout_s):
             which = ", ".join(f"{can_id:03X}h" for can_id in sorted(self._can_ids)) or "any"
             raise DeadlineExceeded(
                 awaited=f"a frame on {self._link.name} ({which})",
                 timeout_s=timeout_s,
                 last_heard="none of them",
             )
+        if not frames:
+            raise status.failure()
         return frames.popleft()
 
     def close(self) -> None:

@@ -90,6 +90,7 @@ class ChannelClient(SdoClient):
         self._request: Transmission | None = None
         self.fence: Fence | None = None  # of the transfer, if it must own the node to write
         self.is_under_way = False  # whether a request of the transfer has got out
+        self._offs = 0  # how often the bus had gone off before the request
         self._opened = b""  # index and sub-index of the transfer
         self._opened_service = _UPLOAD
         self.odd: bytes | None = None  # a frame during the transfer that was no answer to it
@@ -112,6 +113,7 @@ class ChannelClient(SdoClient):
                 self._opened_service = service
                 self.is_under_way = False
         self._answers.clear()
+        self._offs = self._link.status.offs
         transmission = Transmission(can_frame(self.rx_cobid, data))
         if data[0] == _ABORT:
             self._request = None
@@ -138,6 +140,8 @@ class ChannelClient(SdoClient):
         if not self._answers:
             self._runtime.wait_until(self._is_over, self.timeout_s)
         if not self._answers:
+            if self._link.status.offs != self._offs:
+                raise self._link.status.failure()
             raise NoAnswer(f"nothing within {self.timeout_s:g} s")
         answer = self._answers.popleft()
         if answer[0] == _ABORT:
@@ -153,7 +157,7 @@ class ChannelClient(SdoClient):
     # --- the channel's side
 
     def _is_over(self) -> bool:
-        return bool(self._answers) or self.booted
+        return bool(self._answers) or self.booted or self._link.status.offs != self._offs
 
     def heard(self, frame: bytes, time_ns: int) -> None:
         """A frame of the server; kept if it can be the answer to the request that waits."""
@@ -221,8 +225,10 @@ class ChannelClient(SdoClient):
         return True  # block transfer: the client of canopen looks itself
 
     def odd_text(self) -> str:
-        """The frame that was no answer, in hex."""
-        return "nothing" if self.odd is None else self.odd.hex(" ").upper()
+        """The frame that was no answer, in hex; and what is wrong with the bus."""
+        text = "nothing" if self.odd is None else self.odd.hex(" ").upper()
+        trouble = self._link.status.trouble()
+        return f"{text}; {trouble}" if trouble else text
 
     def is_odd_about_this(self) -> bool:
         """Whether it was about the very object of the transfer, so that the server meant it."""

@@ -232,7 +232,7 @@ class ServoAxis:
         """The cycle has failed it: no more control."""
         self.failure = error
         is_lost = isinstance(error, MotorBusyError)  # to another process: no fault of the motor
-        if self._node.lost_since_ns is None and self._node.is_up and not is_lost:
+        if not self._node.is_lost and self._node.is_up and not is_lost:
             now_ns = self._io.link.runtime.now_ns()
             self.fault = Fault(COMMUNICATION, str(error), now_ns)
         self._cut_anyhow()

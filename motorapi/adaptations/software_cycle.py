@@ -232,7 +232,7 @@ class ChannelPair:
 
     def _judge(self) -> None:
         node = self._node
-        if node.lost_since_ns is not None or not node.is_up:
+        if node.is_lost or not node.is_up:
             try:
                 node.check_link()
             except LinkError as error:
@@ -338,7 +338,7 @@ class Cycle:
         start = (tuple(axes), begun)
         self._starts.append(start)
         timeout_s = max(0.5, 10 * self.period_s)
-        if not self._link.runtime.wait_until(lambda: bool(begun), timeout_s):
+        if not self._link.wait_until(lambda: bool(begun), timeout_s):
             if start in self._starts:
                 self._starts.remove(start)
             raise LinkError(

@@ -280,7 +280,7 @@ class AmplifierHwMotor:
 
     def state(self) -> MotorState:
         """The state heard last; does not wait."""
-        if self.is_closed or self._pair is None or self.node.lost_since_ns is not None:
+        if self.is_closed or self._pair is None or self.node.is_lost:
             return MotorState.OFFLINE
         return self.axis.state
 
@@ -342,7 +342,7 @@ class AmplifierHwMotor:
             raise axis.failure
 
     def _await_inputs(self, done: Callable[[], bool], awaited: str, timeout_s: float) -> None:
-        if not self.runtime.wait_until(done, timeout_s):
+        if not self.node.link.wait_until(done, timeout_s):
             heard = f"digital inputs {self.io.inputs:02X}h"
             what = f"{self.label}: {awaited}"
             raise DeadlineExceeded(awaited=what, timeout_s=timeout_s, last_heard=heard)
@@ -377,7 +377,8 @@ class AmplifierHwMotor:
         with self.io.occupation.occupied():
             axis.cut()
             self.io.switch(self.channel, False)  # what resets an amplifier
-            if not self.runtime.wait_until(lambda: axis.amplifier_fault_ns is None, _OFF_TIMEOUT_S):
+            wait_until = self.node.link.wait_until
+            if not wait_until(lambda: axis.amplifier_fault_ns is None, _OFF_TIMEOUT_S):
                 self._raise_amplifier_fault()
         axis.fault = axis.failure = None
 

@@ -215,6 +215,7 @@ class SoftwareMotor(Motor):
     # --- connecting, state and measurements ------------------------------------------------
 
     def _connect(self) -> None:
+        self._hardware.node.link.status.check()
         self._hardware.connect()
 
     def _read_state(self) -> MotorState:

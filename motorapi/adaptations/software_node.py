@@ -328,7 +328,7 @@ class AmplifierNode:
         """It runs: its inputs came, as they do when it becomes OPERATIONAL."""
         before_ns = self.inputs_ns
         timeout_s = max(_FIRST_INPUTS_S, 3 * self.options.status_period_ms / 1e3)
-        if not self.link.runtime.wait_until(lambda: self.inputs_ns != before_ns, timeout_s):
+        if not self.link.wait_until(lambda: self.inputs_ns != before_ns, timeout_s):
             raise DeadlineExceeded(
                 awaited=f"{self.node.label}: its digital inputs",
                 timeout_s=timeout_s,

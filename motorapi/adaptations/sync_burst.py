@@ -140,7 +140,7 @@ class Burst:
         period_s = 0.0 if runs is None else runs.period_ns / 1e9
         end_ns = link.runtime.now_ns() + round((_FIRST_SYNC_S + _PERIODS * period_s) * 1e9)
         while runs is not None:
-            if link.runtime.wait_until(done, _PERIODS * period_s):
+            if link.wait_until(done, _PERIODS * period_s):
                 return True
             runs = link.bus_sync.known()
             if runs is not None and link.runtime.now_ns() >= end_ns:

@@ -4,6 +4,7 @@ import re
 import weakref
 from collections.abc import Hashable
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import TYPE_CHECKING, Final, final
 
 from motorapi.adaptations.armed_marks import ArmedMarks
@@ -143,3 +144,23 @@ def shared_bus(link: "CanopenLink") -> SharedBus:
     if bus is None:
         bus = _buses[key] = SharedBus(link.name, where)
     return bus
+
+
+def median_ns(times_ns: tuple[int, ...]) -> int:
+    """The middle one of the steps between two times [ns], of several in order."""
+    return _middle(_steps(times_ns))
+
+
+def regular_ns(times_ns: tuple[int, ...]) -> int:
+    """As `median_ns` [ns]; 0 if they do not come regularly, but for those that waited."""
+    steps = _steps(times_ns)
+    middle_ns = _middle(steps)
+    return middle_ns if steps[0] >= middle_ns // 2 and steps[-1] <= middle_ns * 3 // 2 else 0
+
+
+def _steps(times_ns: tuple[int, ...]) -> list[int]:
+    return sorted(later - earlier for earlier, later in pairwise(times_ns))
+
+
+def _middle(steps: list[int]) -> int:
+    return steps[len(steps) // 2]

@@ -167,6 +167,31 @@ def test_frames_of_another_protocol_are_not_mistaken_for_classical_ones(runtime)
         assert heard == [EXTENDED]
 
 
+def test_error_frames_are_messages_of_the_controller_as_socketcan_has_them(runtime, bus, peer):
+    heard = []
+    runtime.listen(bus, lambda frame, time_ns, own: heard.append((frame, own)))
+    for arbitration_id, data, extended in (
+        (0x204, "0020000000008000", False),  # linux/can/error.h: error passive, TEC 128
+        (0x004, "0020", False),  # PCAN: a stuff error, 4 bytes of its own
+        (0x204, "0020000000008000", True),
+        (0x701, "0020000000008000", False),
+    ):
+        peer.send(
+            can.Message(
+                arbitration_id=arbitration_id,
+                is_error_frame=True,
+                is_extended_id=extended,
+                data=bytes.fromhex(data),
+            )
+        )
+    assert runtime.wait_until(lambda: len(heard) == 4, LATE_S)
+    assert heard[0] == (
+        struct.pack("<IB3x8s", 0x2000_0204, 8, bytes([0, 32, 0, 0, 0, 0, 128, 0])),
+        False,
+    )
+    assert heard[1:] == [(struct.pack("<IB3x8s", 0x2000_0000, 8, b""), False)] * 3
+
+
 def test_sending_without_listening_works(runtime, bus, peer):
     runtime.send(bus, FRAME)
     assert peer.recv(LATE_S).arbitration_id == 0x123

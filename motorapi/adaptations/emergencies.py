@@ -1,0 +1,39 @@
+"""EMCY as a host hears it (CiA 301, 7.2.7), and which of several errors is told as the drive's."""
+
+from dataclasses import dataclass
+from typing import Final, final
+
+from motorapi.adaptations.cia402_objects import error_text
+
+_ERROR_CLASS: Final = 0xFF00  # 00xxh: an error is gone
+_COMMUNICATION: Final = 0x8100
+_OF_COMMUNICATION: Final = 0x11  # 1001h: generic, and communication
+# About frames and the bus: they end no motion. Some drives repeat the first two for ever.
+_MINOR: Final = (0x8210, 0x8220, 0x8120, 0x8140)
+
+
+@final
+@dataclass(frozen=True, slots=True)
+class Emergency:
+    """One EMCY: error code (603Fh), error register (1001h), 5 vendor bytes, when it came [ns]."""
+
+    code: int
+    register: int
+    vendor: bytes
+    time_ns: int
+
+    def __str__(self) -> str:
+        return f"EMCY {self.code:04X}h at {self.time_ns / 1e9:.6f} s: {error_text(self.code)}"
+
+
+def standing_error(before: Emergency | None, heard: Emergency) -> Emergency | None:
+    """The error that stands once this EMCY was heard; None: none does.
+
+    What is about a frame or the bus gives way to what is about the drive.
+    """
+    if heard.code & _ERROR_CLASS:
+        return heard if before is None or heard.code not in _MINOR else before
+    if before is None or not heard.register:
+        return None
+    is_of_drive = before.code & _ERROR_CLASS != _COMMUNICATION and before.code not in _MINOR
+    return None if is_of_drive and not heard.register & ~_OF_COMMUNICATION else before

@@ -1,0 +1,49 @@
+"""Which of several errors a drive's EMCYs tell as its own (CiA 301, 7.2.7: code, 1001h)."""
+
+import pytest
+
+from harness.rig import Rig
+from motorapi.adaptations.emergencies import Emergency, standing_error
+from tests.motorapi.adaptations.bus_errors import ACTIVE, PASSIVE, tell
+from tests.motorapi.adaptations.conftest import drive
+from tests.motorapi.adaptations.wheels import go_to, motor_of
+
+
+@pytest.mark.parametrize(
+    ("told", "standing"),
+    [
+        ([(0x8611, 0x21), (0x8120, 0x31)], 0x8611),  # the bus gives way
+        ([(0x8120, 0x11), (0x8611, 0x31)], 0x8611),
+        ([(0x8611, 0x21), (0x8120, 0x31), (0x0000, 0x21)], 0x8611),  # the bus is well again
+        ([(0x8611, 0x21), (0x8120, 0x31), (0x0000, 0x11)], None),  # the fault is reset
+        ([(0x8120, 0x11), (0x0000, 0x11)], 0x8120),
+        ([(0x8120, 0x11), (0x0000, 0x00)], None),
+        ([(0x8140, 0x11), (0x0000, 0x00)], None),
+        ([(0x8130, 0x11), (0x0000, 0x11)], 0x8130),
+        ([(0x8210, 0x11), (0x8130, 0x11)], 0x8130),
+        ([(0x8130, 0x11), (0x8220, 0x11)], 0x8130),
+    ],
+)
+def test_what_is_about_the_bus_gives_way_to_what_is_about_the_drive(told, standing):
+    error = None
+    for code, register in told:
+        error = standing_error(error, Emergency(code, register, bytes(5), 0))
+    assert (None if error is None else error.code) == standing
+
+
+def test_a_passive_drive_moves_and_says_what_is_wrong_with_it(open_rig):
+    rig: Rig = open_rig(drive("left", 1))
+    motor = motor_of(rig)
+    motor.enable()
+    tell(rig, PASSIVE, "left")
+    go_to(motor, 0.5)
+    motor.wait_until_done(timeout_s=5)
+    assert motor.fault() is None
+    assert "after EMCY 8120h at 0." in repr(motor.hardware)
+    rig.controllers["left"].stimulate("fault", 0x3210)
+    rig.runtime.run_for(0.1)
+    assert motor.fault().code == 0x3210
+    tell(rig, ACTIVE, "left")
+    rig.runtime.run_for(0.1)
+    motor.reset_fault()
+    assert "EMCY" not in repr(motor.hardware)
