@@ -11,12 +11,13 @@ import struct
 from collections.abc import Mapping
 from typing import Final, final
 
+from traces.bus_errors import bus_error
 from traces.canopen_codes import NMT_COMMANDS, NMT_STATES, abort_text, emergency_text
 from traces.decode_cia402 import controlword_text, mode_text, statusword_text
 from traces.decode_sdo import SdoReader, SdoStep, Step
 from traces.object_names import ObjectName, ObjectNames, axis_of, value_of, value_text
 from traces.pdo_maps import PdoKey, PdoMaps
-from traces.said import FOREIGN, Fact, Kind, Said
+from traces.said import CONTROLLER, FOREIGN, Fact, Kind, Said
 
 _EFF: Final = 0x8000_0000
 _RTR: Final = 0x4000_0000
@@ -36,19 +37,6 @@ _MOTION: Final = frozenset(
 )
 """Measured and demanded quantities of CiA 402."""
 SETPOINTS: Final = frozenset((0x607A, 0x60FF, 0x6071, 0x6042, 0x60C1))
-
-# SocketCAN's error classes, linux/can/error.h.
-_BUS_ERRORS: Final = (
-    (0x001, "transmission timed out"),
-    (0x002, "arbitration lost"),
-    (0x004, "controller problem"),
-    (0x008, "protocol violation"),
-    (0x010, "transceiver problem"),
-    (0x020, "nobody acknowledged"),
-    (0x040, "bus-off"),
-    (0x080, "bus error"),
-    (0x100, "controller restarted"),
-)
 
 
 @final
@@ -90,14 +78,16 @@ class CanopenDecoder:
         for node, names in self._objects.items():
             self._learn_defaults(node, names)
 
-    def decode(self, frame: bytes) -> Said:
-        """What a can_frame or canfd_frame says."""
+    def decode(self, frame: bytes, sender: str = "") -> Said:
+        """What a can_frame or canfd_frame says; `sender` is whose an error message is."""
         can_id, length = _HEAD.unpack_from(frame)
-        data = frame[8 : 8 + length]
         if can_id & _ERR:
-            return _bus_error(can_id, data)
+            return self._bus_error(frame, sender)
+        data = frame[8 : 8 + length]
         identifier = can_id & 0x1FFF_FFFF
-        if can_id & (_EFF | _RTR) or len(frame) != 16:
+        if len(frame) != 16:
+            return _flexible(identifier, data, can_id, frame[5])
+        if can_id & (_EFF | _RTR):
             return _other(identifier, data, can_id)
         node, function = identifier & 0x7F, identifier >> 7
         if identifier == 0:
@@ -150,6 +140,19 @@ class CanopenDecoder:
             except ValueError:
                 continue
             self.maps.learn(node, index, subindex, value)
+
+    def _bus_error(self, frame: bytes, sender: str) -> Said:
+        node = next((n for n, name in self._node_names.items() if name == sender), None)
+        who = sender if node is None else self._node(node).name
+        whose = f" of {who}" if who else ""
+        told = bus_error(frame)
+        words = told.text + told.counted
+        # The counters are no part of the value: two runs may differ in them and mean the same.
+        subject, value = f"{CONTROLLER}'s errors", told.text
+        if told.state is not None:
+            subject, value = CONTROLLER, told.state.value
+        fact = Fact(subject if node is not None else subject + whose, value, words)
+        return Said(Kind.BUS_ERROR, node, f"error frame{whose}: {words}", (fact,))
 
     # ---------------------------------------------------------------------------- services
 
@@ -319,17 +322,21 @@ def _time_text(data: bytes) -> str:
     return f"TIME {(milliseconds & 0xFFF_FFFF) / 1000:.3f} s after midnight, day {days} from 1984"
 
 
-def _bus_error(can_id: int, data: bytes) -> Said:
-    told = [name for bit, name in _BUS_ERRORS if can_id & bit] or [
-        f"class {can_id & 0x1FFFFFFF:X}h"
-    ]
-    text = f"error frame: {', '.join(told)}"
-    return Said(Kind.BUS_ERROR, None, text, (Fact("bus", text, text),))
+def _flexible(identifier: int, data: bytes, can_id: int, flags: int) -> Said:
+    """A CAN FD frame: of no service of classical CANopen."""
+    what = f"{_foreign(identifier, can_id)} CAN FD"
+    marks = "".join(f" {name}" for bit, name in ((1, "BRS"), (2, "ESI")) if flags & bit)
+    told = data.hex(" ").upper() or "no data"
+    text = f"{what}{marks}, {len(data)} bytes: {told}"
+    return Said(Kind.OTHER, None, text, (Fact(what, data, told),))
+
+
+def _foreign(identifier: int, can_id: int) -> str:
+    return f"{FOREIGN}{identifier:0{8 if can_id & _EFF else 3}X}h"
 
 
 def _other(identifier: int, data: bytes, can_id: int) -> Said:
-    width = 8 if can_id & _EFF else 3
-    what = f"{FOREIGN}{identifier:0{width}X}h"
+    what = _foreign(identifier, can_id)
     if can_id & _RTR:
         return Said(Kind.OTHER, None, f"{what} remote frame")
     told = data.hex(" ").upper() or "no data"

@@ -15,7 +15,7 @@ from difflib import SequenceMatcher
 from typing import final
 
 from traces.meaning import COMMANDS, Key, Meaning
-from traces.said import FOREIGN
+from traces.said import CONTROLLER, FOREIGN
 from traces.semantic_diff import Series, Tolerance, allowed_of, apart, is_measured
 
 
@@ -60,6 +60,8 @@ class ObjectFidelity:
 def told_by_nodes(meaning: Meaning) -> Meaning:
     """What devices tell, without what they were told, and without what else is recorded.
 
+    Error messages are not told by devices, but by the bus they happen to be on.
+
     Frames that are of no protocol here are nobody's by their identifier, and a device's too: what
     the host sends of them is in both recordings.
     """
@@ -69,7 +71,9 @@ def told_by_nodes(meaning: Meaning) -> Meaning:
     kept.items = {
         key: items
         for key, items in meaning.items.items()
-        if key[2] != COMMANDS and (key[1] is not None or key[2].startswith(FOREIGN))
+        if key[2] != COMMANDS
+        and not key[2].startswith(CONTROLLER)
+        and (key[1] is not None or key[2].startswith(FOREIGN))
     }
     kept.motions = {key: series for key, series in meaning.motions.items() if key[1] is not None}
     kept.unheeded = {key: count for key, count in meaning.unheeded.items() if count}

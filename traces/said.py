@@ -32,6 +32,10 @@ PERIODIC: Final = (Kind.SYNC, Kind.TIME, Kind.HEARTBEAT, Kind.TPDO, Kind.RPDO)
 
 FOREIGN: Final = "id "
 """How the subject begins of a frame that is of no service: its identifier follows."""
+CONTROLLER: Final = "CAN controller"
+"""How the subject begins of an error message, which is no traffic: the state that it tells, or
+"CAN controller's errors"; then whose it is, if that is no node.
+"""
 
 
 @final

@@ -11,7 +11,7 @@ from traces.preamble import telling
 from traces.protobuf import Value, decode
 from traces.reader import Trace, TraceMessage
 from traces.recorded_names import RecordedNames, names_of
-from traces.said import Said
+from traces.said import Kind, Said
 from traces.schema import (
     CAN_FRAME,
     GROUP_SYNC,
@@ -147,9 +147,11 @@ class Story:
             nodes = {n: name for (b, n), name in self.names.nodes.items() if b == bus}
             objects = {n: names for (b, n), names in self.names.objects.items() if b == bus}
             decoder = self._buses[bus] = CanopenDecoder(nodes, objects)
-        frame, _, _ = self._decode_frame(payload)
-        said = decoder.decode(frame)
-        identifier = int.from_bytes(frame[:4], "little") & _ID_MASK
+        frame, _, sender = self._decode_frame(payload)
+        said = decoder.decode(frame, sender)
+        identifier = None  # of an error message: its bits are no identifier
+        if said.kind is not Kind.BUS_ERROR:
+            identifier = int.from_bytes(frame[:4], "little") & _ID_MASK
         return Line(time_ns, topic, bus, said.text, said, identifier, self._about(bus, said.node))
 
     def _modbus(self, time_ns: int, topic: str, name: str, fields: dict[str, Value]) -> Line:

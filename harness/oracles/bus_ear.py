@@ -11,12 +11,14 @@ from typing import Final, final
 
 from harness.oracles.oracle import Oracle
 from harness.oracles.scene import CONTROLWORD, Axis, Scene
+from traces.bus_errors import ControllerState, bus_error
 from traces.canopen_codes import NMT_STATES
 from traces.decode_canopen import CanopenDecoder
 from traces.object_names import axis_of
 from traces.said import Kind, Said
 
-_EFF_RTR_ERR: Final = 0xE000_0000
+_ERR: Final = 0x2000_0000
+_EFF_RTR: Final = 0xC000_0000
 _HEAD: Final = struct.Struct("<IB")
 _RESETS: Final = (0x81, 0x82)
 _ASKED_MAX: Final = 8  # by several hosts at once
@@ -29,9 +31,13 @@ _Part = tuple[Axis, int, int, int, int, int, bool, tuple[_Value, ...]]
 
 @final
 class BusEar:
-    """Takes the frames of one bus, and tells oracles what they say."""
+    """Takes the frames of one bus, and tells oracles what they say.
+
+    Attributes: fd_frames, how many CAN FD frames there were: nothing of them is judged.
+    """
 
     def __init__(self, name: str, scene: Scene, oracles: Sequence[Oracle]) -> None:
+        self.fd_frames = 0
         self._name = name
         self._scene = scene
         self._oracles = oracles
@@ -50,6 +56,7 @@ class BusEar:
             for index, is_signed in oracle.objects.items():
                 self._signed[index] = is_signed
                 self._wanted[index] = (*self._wanted.get(index, ()), oracle.value)
+        self._off: dict[str, int] = {}  # since when, by name of the node
         self._on_sync = _hooks(oracles, "sync")
         self._on_sender = _hooks(oracles, "sender")
         self._on_heartbeat = _hooks(oracles, "heartbeat")
@@ -57,7 +64,16 @@ class BusEar:
     def take(self, time_ns: int, frame: bytes, sender: str) -> None:
         """A recorded frame."""
         can_id, length = _HEAD.unpack_from(frame)
-        if can_id & _EFF_RTR_ERR or len(frame) != 16:
+        if can_id & _ERR:
+            self._error(time_ns, frame, sender)
+            return
+        if self._off and time_ns > self._off.get(sender, time_ns):
+            for oracle in self._oracles:
+                oracle.sent_while_off(time_ns, self._name, sender, can_id)
+        if len(frame) != 16:
+            self.fd_frames += 1
+            return
+        if can_id & _EFF_RTR:
             return
         if sender:
             before = self._senders.get(can_id, "")
@@ -74,6 +90,15 @@ class BusEar:
             self._service(time_ns, can_id, frame, length)
         elif plan:
             self._values(time_ns, plan, int.from_bytes(frame[8 : 8 + length], "little"), 8 * length)
+
+    def _error(self, time_ns: int, message: bytes, sender: str) -> None:
+        told = bus_error(message)
+        if told.state is ControllerState.BUS_OFF and sender:
+            self._off[sender] = time_ns
+        elif told.state is not None:
+            self._off.pop(sender, None)
+        for oracle in self._oracles:
+            oracle.error(time_ns, self._name, sender, told)
 
     # ------------------------------------------------------------------------------------ PDO
 

@@ -15,6 +15,7 @@ from typing import Final, final
 
 from harness.oracles import ownership
 from harness.oracles.bus_ear import BusEar
+from harness.oracles.confinement import Confinement
 from harness.oracles.facts import Facts, subjects_in
 from harness.oracles.finding import Finding, Verdict
 from harness.oracles.limits import AccelerationLimit, PositionLimit, TorqueLimit, VelocityLimit
@@ -38,7 +39,7 @@ from traces.traffic import Findings as Reading
 ORACLES: Final[tuple[type[Oracle], ...]] = (
     *(PositionLimit, VelocityLimit, AccelerationLimit, TorqueLimit),
     *(StateMachine, AtRest, Following, TorqueOff, FaultsTold),
-    *(SyncPeriod, Heartbeats, Answers, OneSender, BootUps),
+    *(SyncPeriod, Heartbeats, Answers, OneSender, BootUps, Confinement),
 )
 CATALOGUE: Final = (
     *((one.id, one.promise, one.source, one.needs) for one in ORACLES),
@@ -61,6 +62,7 @@ def judge(
     from_ns: int | None = None,
     to_ns: int | None = None,
     progress: Callable[[int], None] | None = None,
+    note: Callable[[str], None] | None = None,
 ) -> list[Finding]:
     """What each oracle says of the recording, of a cut one as far as it goes, in the order of IDS.
 
@@ -71,19 +73,21 @@ def judge(
         from_ns: what happens from then on is judged; what was before is heard all the same.
         to_ns: what happens before is judged.
         progress: called now and then with how many messages have been read.
+        note: called in the end with what was passed over, in words.
 
     Raises:
         TraceError: it cannot be read, is of no known format, or is damaged.
     """
     facts = Facts() if facts is None else facts
     if isinstance(recording, Trace):
-        return _judge_trace(recording, facts, only, from_ns, to_ns, progress)
+        return _judge_trace(recording, facts, only, from_ns, to_ns, progress, note)
     source = open_source(recording)
     if source.format == "mcap":
         with read_trace(recording) as trace:
-            return _judge_trace(trace, facts, only, from_ns, to_ns, progress)
+            return _judge_trace(trace, facts, only, from_ns, to_ns, progress, note)
     pass_ = Pass(Scene(facts, RecordedNames(), from_ns, to_ns), only)
     pass_.frames_of(source, progress)
+    pass_.tell(note)
     return pass_.findings(None, from_ns, to_ns)
 
 
@@ -100,10 +104,12 @@ def _judge_trace(
     from_ns: int | None,
     to_ns: int | None,
     progress: Callable[[int], None] | None,
+    note: Callable[[str], None] | None,
 ) -> list[Finding]:
     facts = facts.with_more(subjects_in(trace.attachments))
     pass_ = Pass(Scene(facts, names_of(trace.attachments), from_ns, to_ns), only)
     pass_.messages_of(trace, to_ns, progress)
+    pass_.tell(note)
     return pass_.findings(trace, from_ns, to_ns)
 
 
@@ -176,6 +182,12 @@ class Pass:
             places = {one.name: one.place[:2] for one in motors if one.place is not None}
             found.append(ownership.judge_ownership(trace, places, from_ns, to_ns))
         return found
+
+    def tell(self, note: Callable[[str], None] | None) -> None:
+        """What no oracle has looked at."""
+        for bus, ear in self._buses.items():
+            if note is not None and ear.fd_frames:
+                note(f"{ear.fd_frames} CAN FD frames of {bus} are not judged")
 
     def imported(self, origin: str) -> None:
         """Of a recording that is not ours nobody knows whether it has every frame."""

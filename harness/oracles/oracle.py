@@ -9,6 +9,7 @@ from typing import ClassVar, Final, final
 
 from harness.oracles.finding import Finding, Verdict, Violation
 from harness.oracles.scene import Axis, Scene
+from traces.bus_errors import BusError
 from traces.said import Said
 from traces.schema import LockAction
 
@@ -45,6 +46,7 @@ class Oracle:
         source: who says so.
         needs: what must be in a recording for it to judge anything.
         objects: indices it is told of (of the first axis, CiA 402), and whether they are signed.
+        needs_canopen: it judges nothing on a bus that nothing says is CANopen.
     """
 
     id: ClassVar[str] = ""
@@ -52,6 +54,7 @@ class Oracle:
     source: ClassVar[str] = ""
     needs: ClassVar[str] = ""
     objects: ClassVar[Mapping[int, bool]] = {}
+    needs_canopen: ClassVar[bool] = True
 
     def __init__(self, scene: Scene) -> None:
         self.scene: Final = scene
@@ -85,6 +88,12 @@ class Oracle:
 
     def sender(self, time_ns: int, bus: str, identifier: int, before: str, now: str) -> None:
         """An identifier is sent by another one than before."""
+
+    def error(self, time_ns: int, bus: str, sender: str, told: BusError) -> None:
+        """An error message of this node's CAN controller; "": nobody tells whose."""
+
+    def sent_while_off(self, time_ns: int, bus: str, sender: str, identifier: int) -> None:
+        """A frame of a node whose CAN controller has told bus-off, and nothing since."""
 
     def truth(self, time_ns: int, controller: str, values: Mapping[str, float]) -> None:
         """A controller's snapshot."""
@@ -150,7 +159,7 @@ class Oracle:
         gaps = "; ".join(self.scene.gaps)
         total, why = Tally(), ""
         for bus, tally in self._tallies.items():
-            if bus in self.scene.foreign():
+            if self.needs_canopen and bus in self.scene.foreign():
                 continue
             total.looked += tally.looked
             total.broken, total.first = _sum(total.broken, total.first, tally.broken, tally.first)

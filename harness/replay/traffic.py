@@ -78,7 +78,9 @@ class Choice:
                 if said.node not in self.nodes and not to_all:
                     continue
             identifier = int.from_bytes(data[:4], "little") & EFF_MASK
-            if self.identifiers is not None and identifier not in self.identifiers:
+            if self.identifiers is not None and (
+                identifier not in self.identifiers or is_error(data)
+            ):
                 continue
             if (self.from_ns is None or time_ns >= self.from_ns) and (
                 self.to_ns is None or time_ns < self.to_ns

@@ -12,6 +12,7 @@ from emulators.media.can_bits import frame_bits
 from harness.report.incidents import Incidents, Severity
 from harness.report.nodes import Nodes
 from harness.report.traffic import Traffic
+from traces.bus_errors import ControllerState, bus_error
 from traces.canopen_codes import NMT_STATES
 from traces.decode_canopen import CanopenDecoder
 from traces.decode_cia402 import STATES, state_number
@@ -94,10 +95,10 @@ class CanBus:
         Raises:
             ValueError: it is none.
         """
-        frame = self._frames.decode(payload)[0]
+        frame, _, sender = self._frames.decode(payload)
         can_id, length, _ = _HEAD.unpack_from(frame)
         if can_id & _ERR:
-            self._error(time_ns, frame)
+            self._error(time_ns, frame, sender)
             return
         self._weigh(time_ns, can_id, length, frame)
         if can_id & (_EFF | _RTR) or len(frame) != 16:
@@ -255,12 +256,19 @@ class CanBus:
             if first in QUANTITIES:
                 self._quantity(time_ns, node, axis, first, fact.value)
 
-    def _error(self, time_ns: int, frame: bytes) -> None:
-        said = self._decoder.decode(frame)
-        level = Severity.ERROR if "bus-off" in said.text else Severity.WARNING
-        self._incidents.add(time_ns, level, "error frame", self._name, said.text)
+    def _error(self, time_ns: int, frame: bytes, sender: str) -> None:
+        said = self._decoder.decode(frame, sender)
+        state = bus_error(frame).state
+        level = _LEVELS.get(state, Severity.WARNING)
+        kind = "bus error" if state is None else "state of a CAN controller"
+        self._incidents.add(time_ns, level, kind, self._name, said.text)
 
 
+_LEVELS: Final[dict[ControllerState | None, Severity]] = {
+    ControllerState.BUS_OFF: Severity.ERROR,
+    ControllerState.ACTIVE: Severity.INFO,
+    ControllerState.RESTARTED: Severity.INFO,
+}
 _MAY_BE_DRIVES: Final = (0, 402, 0xFFFF)
 """Low word of the device type 1000h: no profile is told, a drive, several devices in one."""
 _SERVICES: Final = {

@@ -80,6 +80,7 @@ def run(options: argparse.Namespace) -> int:
         from_ns=options.from_ns,
         to_ns=options.to_ns,
         progress=_progress(),
+        note=lambda text: print(f"motorhil judge: {options.file}: {text}", file=sys.stderr),
     )
     _tell_cut(options.file)
     verdict, status = _sum(findings)

@@ -1,7 +1,8 @@
 """A drive's day on a bus, frame by frame by hand: sound as it is, and easily spoilt.
 
 Node 1 boots, is set up by SDO (its PDOs and limits), switches on, moves to 500, has a fault, is
-reset, and is switched off. Bytes are those of CiA 301 and 402-2.
+reset; its CAN controller meets errors up to bus-off, and is restarted; it is switched off.
+Bytes are those of CiA 301 and 402-2, and of linux/can/error.h.
 """
 
 import struct
@@ -50,6 +51,16 @@ STATUS = (  # ms, statusword, position: TPDO 1
 CONTROL = (  # ms, controlword: RPDO 1
     *((410, 0x06), (430, 0x07), (450, 0x0F), (510, 0x1F), (530, 0x0F), (1590, 0x00), (1610, 0x80)),
 )
+ERRORS = (  # ms, class, data: of node 1's CAN controller
+    *((1660, 0x204, "0008000000006000"), (1665, 0x288, "0000840a00006800")),  # TX warning, 96
+    *((1670, 0x204, "0020000000008000"), (1680, 0x240, "000000000000ff00")),  # passive, bus-off
+    *((1690, 0x300, "0000000000000000"),),  # restarted
+)
+
+
+def error(ms, classes, data):
+    """An error message of node 1's CAN controller."""
+    return ms, 0x2000_0000 | classes, bytes.fromhex(data)
 
 
 def sdo(ms, index, subindex, size, value):
@@ -83,6 +94,7 @@ def story():
     frames += [(ms, 0x701, b"\x05") for ms in range(150, 2701, 100)]
     frames += [(ms, 0x080, b"") for ms in range(300, 1700, 10)]
     frames.append((1401, 0x081, bytes.fromhex("1186210000000000")))
+    frames += [error(*one) for one in ERRORS]
     return sorted(frames, key=lambda frame: frame[0])
 
 
@@ -108,7 +120,8 @@ def record(path, frames, senders=None, locks=(), metadata=None, said=()):
                 writer.write(lock, ms * MS, encode(MOTOR_LOCK, values))
                 continue
             identifier, data, *told = what
-            own = "left" if identifier >> 7 in (1, 3, 5, 7, 11, 14) and identifier & 127 else "host"
+            is_own = identifier >> 7 in (1, 3, 5, 7, 11, 14) and identifier & 127
+            own = "left" if is_own or identifier >> 29 else "host"
             sender = told[0] if told else (senders or {}).get(identifier, own)
             if sender not in sources:
                 sources[sender] = writer.source(bus, sender, Direction.UNKNOWN)

@@ -11,6 +11,7 @@ from tests.harness.oracles.story import (
     MS,
     RELEASED,
     TAKEN,
+    error,
     record,
     story,
     written,
@@ -73,6 +74,12 @@ BY_PRESENCE = [  # oracle, frames, when it is told [ms], words of the violation
     ("following-bounded", instead(*LAGS), 755, "since 0.605000 s"),
     ("torque-off", instead(torque(1555, -120)), 1555, "since 1.420000 s: 120 permille"),
     ("sdo-answered", gave_up(), 770, "SDO of 6083h, asked at 0.470000 s: the client gave up"),
+    (
+        "error-states",
+        instead(error(1670, 0x204, "0020000000007800")),
+        *(1670, "CAN controller of left: error passive by sending (TEC 120, REC 0): the g"),
+    ),
+    ("error-states", with_more((1685, 0x701, b"\5")), 1685, "left: sends 701h while it is bus-off"),
     ("one-sender", with_more((*status(610, 0x0237, 99), "ghost")), 700, "by ghost and by left"),
 ]
 BY_ABSENCE = [  # what was not heard
@@ -97,6 +104,18 @@ BY_ABSENCE = [  # what was not heard
     ("heartbeat-kept", without((0x701, 700, 900)), 950, "0.300 s: 300 ms, limit 170 ms"),
     ("heartbeat-kept", without((0x701, 700, 9999)), 1700, "until the recording ends"),
     ("sdo-answered", without((0x581, 470, 471)), 470, "SDO of 6083h, asked at 0.470000 s: no ans"),
+    (
+        "error-states",
+        without((0x2000_0204, 1670, 1670)),
+        1680,
+        "left: bus-off (TEC 255, REC 0), and was error warning",
+    ),
+    (
+        "error-states",
+        instead(error(1690, 0x204, "0008000000006000")),
+        1690,
+        "left: error warning (TEC 96, REC 0), and was bus-off",
+    ),
     ("no-reboot", with_more((1000, 0x701, b"\0")), 1000, "booted again, and nobody had reset it"),
 ]
 REACH = {  # of the sound story, counted in it by hand
@@ -114,6 +133,7 @@ REACH = {  # of the sound story, counted in it by hand
     "sdo-answered": 24,  # 21 read, 3 written
     "one-sender": 6,
     "no-reboot": 27,
+    "error-states": 4,  # warning, passive, bus-off, restarted
     "owner-commands": 7,  # 0Fh, 1Fh, 0Fh, 80h, and three objects written
 }
 

@@ -126,3 +126,27 @@ def test_without_times_order_alone_is_judged(tmp_path):
     assert broken_in(findings) == []
     assert findings["pds-legal"].verdict is Verdict.HELD
     assert findings["sync-period"].verdict is Verdict.NOT_JUDGED
+
+
+def test_a_driver_that_tells_counters_in_its_own_way_is_doubted_not_accused(tmp_path):
+    """M_CAN has 7 bits for REC; and an imported recording tells nobody's name."""
+    rows = ["(1.000000) can0 20000204#0004000000000060\n"]  # receive warning, REC 96
+    rows += ["(2.000000) can0 20000204#001000000000007F\n"]  # receive passive, REC 127
+    path = tmp_path / "real.log"
+    path.write_text("".join(rows))
+    (finding,) = judge(path, only=["error-states"])
+    assert (finding.verdict, finding.looked) == (Verdict.NOT_JUDGED, 2)
+    assert finding.first.text == (
+        "the CAN controller: error passive by receiving (TEC 0, REC 127): "
+        "the greater should be 128 to 255"
+    )
+
+
+def test_what_is_passed_over_is_told(tmp_path, capsys):
+    path = tmp_path / "fd.log"
+    path.write_text("(1.000000) can0 701##10500\n(2.000000) can1 123##1\n(3.0) can1 701#05\n")
+    assert main(["judge", str(path)]) == 3
+    assert capsys.readouterr().err.splitlines() == [
+        f"motorhil judge: {path}: 1 CAN FD frames of can0 are not judged",
+        f"motorhil judge: {path}: 1 CAN FD frames of can1 are not judged",
+    ]

@@ -137,6 +137,12 @@ def test_stamps_that_go_backward_keep_the_order_of_the_file(runtime):
     assert [(at - began) // MS for at, _ in sink.sent] == [2, 2, 6, 6]
 
 
+def test_who_asks_for_an_identifier_gets_no_error_frame_of_the_same_bits():
+    error = Frame(BEGIN, "can0", struct.pack("<IB3x8s", ERR | 0x204, 8, bytes(8)))
+    plain = Frame(BEGIN, "can0", struct.pack("<IB3x8s", 0x204, 8, bytes(8)))
+    assert list(Choice(identifiers=(0x204,)).of([error, plain])) == [plain]
+
+
 def test_error_frames_are_counted_not_sent_and_other_buses_left_out(runtime):
     sink = Told(runtime)
     error = struct.pack("<IB3x8s", ERR | 0x40, 8, bytes(8))

@@ -192,6 +192,8 @@ def test_error_frames_are_incidents_and_no_traffic(tmp_path, report_of):
     ((_, severity, _, place, text),) = document["incidents"]["list"]
     assert (severity, place) == (2, "can0")
     assert "bus-off" in text
+    incidents = document["incidents"]
+    assert (incidents["kinds"], incidents["counts"]) == (["state of a CAN controller"], [1])
 
 
 def test_an_empty_recording_makes_a_page_that_says_so(tmp_path, capsys):
