@@ -17,15 +17,11 @@ from dataclasses import dataclass
 from enum import Enum
 from typing import Final, final
 
+from emulators.media.can_frame import BRS, FD_FRAME_BYTES
 from emulators.media.can_node import FrameSupport
-from emulators.media.can_station import (
-    IDLE,
-    INTEGRATION_BITS,
-    SENDING,
-    CanStation,
-)
-from emulators.media.can_wire import DOMINANT, RECESSIVE
+from emulators.media.can_station import CanStation
 from emulators.media.confinement import Confinement
+from emulators.media.disturbance import ALL_PORTS, Disturbance, Effect
 from emulators.media.error_journal import (
     NOTE_ACCEPTED,
     NOTE_ERROR,
@@ -34,34 +30,19 @@ from emulators.media.error_journal import (
     NOTE_SENT,
     NOTE_STATE,
 )
+from emulators.media.wired_and import Member, WiredAnd
 
-ALL_PORTS: Final = -1  # as a mask of 1 << port
-
-
-class Effect(Enum):
-    """What a disturbance does to a level."""
-
-    FLIP = "flip"
-    DOMINANT = "dominant"
-    RECESSIVE = "recessive"
-
-
-@final
-@dataclass(frozen=True, slots=True)
-class Disturbance:
-    """Something that makes ports sample another level than the nodes put on the wire.
-
-    Attributes:
-        first: the bit in which it begins.
-        effect: what it does; of two in one bit the one named later has the last word.
-        bits: for how many bits; None: for ever.
-        ports: who samples it (1 << port, or'ed); ALL_PORTS: it is on the wire.
-    """
-
-    first: int
-    effect: Effect = Effect.FLIP
-    bits: int | None = 1
-    ports: int = ALL_PORTS
+__all__ = [
+    "ALL_PORTS",
+    "Disturbance",
+    "Effect",
+    "Episode",
+    "Event",
+    "EventKind",
+    "Outcome",
+    "Station",
+    "run_episode",
+]
 
 
 @final
@@ -160,6 +141,7 @@ class Episode:
         outcomes: of the stations, in their order; of one that left, as it was then.
         recessive_runs: runs of 11 recessive bits on the wire.
         recessive_bits: those since the last dominant bit, or since the last of those runs.
+        fast: (first, end) of each stretch of bits at the data rate, in order.
     """
 
     bits: int
@@ -167,10 +149,22 @@ class Episode:
     outcomes: tuple[Outcome, ...]
     recessive_runs: int
     recessive_bits: int
+    fast: tuple[tuple[int, int], ...]
+
+    def end_ns(self, bit: int, bit_ns: int, data_bit_ns: int) -> int:
+        """When this bit is over, after the start of frame [ns]."""
+        end_ns = (bit + 1) * bit_ns
+        for first, end in self.fast:
+            if first <= bit:
+                end_ns -= (min(end, bit + 1) - first) * (bit_ns - data_bit_ns)
+        return end_ns
 
 
 def run_episode(
-    stations: Sequence[Station], disturbances: Sequence[Disturbance] = (), recessive_bits: int = 0
+    stations: Sequence[Station],
+    disturbances: Sequence[Disturbance] = (),
+    recessive_bits: int = 0,
+    ratio: int = 1,
 ) -> Episode:
     """All that happens from a start of frame until every node could start the next one.
 
@@ -181,15 +175,47 @@ def run_episode(
         stations: the nodes on the bus that are not bus-off; equal ones cost as much as one.
         disturbances: what strikes them; one that begins later than all is over has no effect.
         recessive_bits: as in `Episode`, before the start of frame.
+        ratio: how many bits at the data rate (CAN FD, bit rate switch) last as long as a nominal
+            one, rounded, at least 1.
 
     Raises:
-        ValueError: a frame that its node cannot send (`can_bits.measure`), or counters that no
-            node on the bus has.
+        ValueError: a frame that its node cannot send, or counters that no node on the bus has.
     """
-    run = _Run(stations, disturbances, recessive_bits)
-    while not run.is_over():
-        run.step()
-    return run.episode()
+    groups: dict[tuple[object, ...], _Twins] = {}
+    by_station: list[_Twins] = []
+    for station in stations:
+        struck_by = [one for one in disturbances if one.ports >> station.port & 1]
+        key = (
+            *(station.frames, station.tec, station.rec, station.support, station.one_shot),
+            *(station.leaves_at, station.suspended, station.integrating, station.stalled),
+            *struck_by,
+        )
+        twins = groups.get(key)
+        if twins is None:
+            twins = groups[key] = _Twins(station, struck_by)
+        twins.ports.append(station.port)
+        by_station.append(twins)
+    members = [twins.member for twins in groups.values()]
+    switching = any(_switches(frame) for station in stations for frame in station.frames)
+    wire = WiredAnd(members, disturbances, recessive_bits, ratio if switching else 0)
+    while not wire.is_over():
+        wire.step()
+    return Episode(
+        wire.bit,
+        _events(list(groups.values()), stations),
+        tuple(
+            _outcome(station.port, twins.member.node)
+            for station, twins in zip(stations, by_station, strict=True)
+        ),
+        wire.recessive_runs,
+        wire.recessive_bits,
+        wire.fast_stretches(),
+    )
+
+
+def _switches(frame: bytes) -> bool:
+    """Whether part of it is at the data rate."""
+    return len(frame) == FD_FRAME_BYTES and bool(frame[5] & BRS)
 
 
 @final
@@ -198,169 +224,35 @@ class _Twins:
 
     def __init__(self, station: Station, struck_by: list[Disturbance]) -> None:
         self.ports: list[int] = []
-        self.leaves_at = station.leaves_at
-        self.struck_by = struck_by
-        self.node = CanStation(
-            list(station.frames), Confinement(station.tec, station.rec), station.one_shot
+        node = CanStation(
+            list(station.frames),
+            Confinement(station.tec, station.rec),
+            station.one_shot,
+            station.support,
         )
         if station.stalled:
-            self.node.begin_stalled()
+            node.begin_stalled()
         elif station.integrating:
-            self.node.begin_integrating(station.integrating)
+            node.begin_integrating(station.integrating)
         else:
-            self.node.begin_idle(station.suspended)
+            node.begin_idle(station.suspended)
+        self.member = Member(node, station.leaves_at, struck_by)
 
 
-def _strikes(disturbance: Disturbance, bit: int) -> bool:
-    """Whether it lasts in this bit."""
-    first = disturbance.first
-    return first <= bit and (disturbance.bits is None or bit < first + disturbance.bits)
+def _events(groups: list[_Twins], stations: Sequence[Station]) -> tuple[Event, ...]:
+    """All that happened to all of them, in order."""
+    events = [
+        Event(bit, port, _KINDS[kind], frame)
+        for twins in groups
+        for bit, kind, frame in twins.member.node.journal.notes
+        for port in twins.ports
+    ]
+    turn = {station.port: number for number, station in enumerate(stations)}
+    events.sort(key=lambda event: (event.bit, turn[event.port]))
+    return tuple(events)
 
 
-def _disturbed(level: int, struck_by: list[Disturbance], bit: int) -> int:
-    """The level sampled in this bit by who is struck by these."""
-    for one in struck_by:
-        if _strikes(one, bit):
-            if one.effect is Effect.FLIP:
-                level = 1 - level
-            else:
-                level = DOMINANT if one.effect is Effect.DOMINANT else RECESSIVE
-    return level
-
-
-@final
-class _Run:
-    """An episode while it is computed."""
-
-    def __init__(
-        self, stations: Sequence[Station], disturbances: Sequence[Disturbance], recessive_bits: int
-    ) -> None:
-        self._bit = 0
-        self._recessive_runs = 0
-        self._recessive_bits = recessive_bits
-        self._twins: list[_Twins] = []
-        self._by_station: list[_Twins] = []
-        self._stations = stations
-        self._on_wire = [one for one in disturbances if one.ports == ALL_PORTS]
-        self._disturbances = disturbances
-        known: dict[tuple[object, ...], _Twins] = {}
-        for station in stations:
-            struck_by = [one for one in disturbances if one.ports >> station.port & 1]
-            key = (
-                *(station.frames, station.tec, station.rec, station.support, station.one_shot),
-                *(station.leaves_at, station.suspended, station.integrating, station.stalled),
-                *struck_by,
-            )
-            twins = known.get(key)
-            if twins is None:
-                twins = known[key] = _Twins(station, struck_by)
-                self._twins.append(twins)
-            twins.ports.append(station.port)
-            self._by_station.append(twins)
-        self._live = list(self._twins)
-        self._nodes = [twins.node for twins in self._twins]
-        self._struck = False  # somebody may sample another level than there is
-        self._changes = self._change_bits()
-
-    def _change_bits(self) -> list[int]:
-        """When a disturbance begins or ends, or a node leaves; in order, the last one first."""
-        changes: list[int] = []
-        for one in self._disturbances:
-            changes.append(one.first)
-            if one.bits is not None:
-                changes.append(one.first + one.bits)
-        for twins in self._twins:
-            if twins.leaves_at is not None:
-                changes.append(twins.leaves_at)
-        return sorted(changes, reverse=True)
-
-    def step(self) -> None:
-        """One bit time has passed."""
-        bit = self._bit
-        if self._changes and self._changes[-1] <= bit:
-            self._change(bit)
-        level = RECESSIVE
-        for node in self._nodes:
-            if node.drives == DOMINANT:
-                level = DOMINANT
-        if self._struck:
-            for twins in self._live:
-                twins.node.hear(_disturbed(level, twins.struck_by, bit), bit)
-            level = _disturbed(level, self._on_wire, bit)
-        else:
-            for node in self._nodes:
-                node.hear(level, bit)
-        self._recessive_bits = self._recessive_bits + 1 if level else 0
-        if self._recessive_bits == INTEGRATION_BITS:
-            self._recessive_bits = 0
-            self._recessive_runs += 1
-        self._bit = bit + 1
-
-    def _change(self, bit: int) -> None:
-        """Disturbances have begun or ended, or nodes have left."""
-        while self._changes and self._changes[-1] <= bit:
-            self._changes.pop()
-        self._live = [
-            twins for twins in self._live if twins.leaves_at is None or bit < twins.leaves_at
-        ]
-        self._nodes = [twins.node for twins in self._live]
-        self._struck = any(_strikes(one, bit) for one in self._disturbances)
-
-    def is_over(self) -> bool:
-        """Whether nobody need wait for anybody.
-
-        If all wait for the end of a disturbance, it is the next bit.
-        """
-        if not self._bit:
-            return not self._live
-        stuck = 0
-        ready = 0
-        for twins in self._live:
-            node = twins.node
-            if node.is_ready():
-                ready += node.phase in (IDLE, SENDING)
-            elif self._is_stuck(twins):
-                stuck += 1
-            else:
-                return False
-        if ready or not stuck or not self._changes:
-            return True
-        if _disturbed(RECESSIVE, self._on_wire, self._bit) == RECESSIVE:
-            return True  # on the wire it is over
-        self._bit = max(self._bit, self._changes[-1])
-        return False
-
-    def _is_stuck(self, twins: _Twins) -> bool:
-        """Whether it will hear dominant bits as long as nothing changes, and nothing but."""
-        return (
-            twins.node.is_stalled()
-            and _disturbed(RECESSIVE, twins.struck_by, self._bit) == DOMINANT
-        )
-
-    def episode(self) -> Episode:
-        """What came of it, port by port."""
-        events = [
-            Event(bit, port, _KINDS[kind], frame)
-            for twins in self._twins
-            for bit, kind, frame in twins.node.journal.notes
-            for port in twins.ports
-        ]
-        turn = {station.port: number for number, station in enumerate(self._stations)}
-        events.sort(key=lambda event: (event.bit, turn[event.port]))
-        return Episode(
-            self._bit,
-            tuple(events),
-            tuple(
-                _outcome(station.port, twins)
-                for station, twins in zip(self._stations, self._by_station, strict=True)
-            ),
-            self._recessive_runs,
-            self._recessive_bits,
-        )
-
-
-def _outcome(port: int, twins: _Twins) -> Outcome:
-    node = twins.node
+def _outcome(port: int, node: CanStation) -> Outcome:
     return Outcome(
         port,
         tuple(node.frames),

@@ -1,14 +1,33 @@
 """What a receiver makes of the levels of one frame: fields, stuff and form errors, CRC.
 
-A recessive FDF bit is a form error to a classical controller.
+Left open by the standard, decided here:
+- A recessive FDF bit is a form error to a classical controller that does not tolerate CAN FD, and a
+  protocol exception to one that does; a recessive res bit is one to all others.
+- A fixed stuff bit that equals the bit before it is a form error, a wrong stuff count a CRC error.
+- In a CAN FD frame a second dominant bit after the ACK slot still belongs to it.
 
-Source: ISO 11898-1, frame formats, error detection, frame validation.
+Source: ISO 11898-1:2015, frame formats, error detection, frame validation.
 """
 
 from typing import Final, final
 
-from emulators.media.can_frame import EFF_FLAG, pack, pack_remote
-from emulators.media.can_wire import RECESSIVE, STUFF_RUN, crc_of, place_of, tail_place
+from emulators.media.can_frame import BRS, EFF_FLAG, ESI, FD_LENGTHS, pack, pack_fd, pack_remote
+from emulators.media.can_node import FrameSupport
+from emulators.media.can_wire import (
+    DOMINANT,
+    RECESSIVE,
+    STUFF_RUN,
+    bits_of,
+    crc_of,
+    place_of,
+    tail_place,
+)
+from emulators.media.fd_checks import (
+    FIXED_EVERY,
+    fd_check_bits,
+    fd_field_bits,
+    stuff,
+)
 
 # What a bit may mean to a receiver.
 NOTHING: Final = 0
@@ -17,15 +36,19 @@ ACKNOWLEDGED: Final = 2  # this one was the ACK slot
 ACCEPTED: Final = 3  # the last but one bit of end of frame: the frame is valid
 COMPLETE: Final = 4  # the last bit of end of frame
 OVERLOAD: Final = 5  # the last bit of end of frame was dominant
-STUFF: Final = 6  # from here on: errors
-FORM: Final = 7
-CRC: Final = 8
+EXCEPTION: Final = 6  # the frame is of no format it knows: it waits for the bus to be idle
+STUFF: Final = 7  # from here on: errors
+FORM: Final = 8
+CRC: Final = 9
 
 _IDE: Final = 13  # numbers of bits, stuff bits not counted; the start of frame is 0
 _FDF: Final = 14
 _EXTENDED_FDF: Final = 33
-_DLC_END: Final = 18
-_EXTENDED_DLC_END: Final = 38
+_RES_AFTER_FDF: Final = 1
+_BRS_AFTER_FDF: Final = 2
+_FD_DLC_AFTER_FDF: Final = 7  # its last bit
+_DLC_AFTER_FDF: Final = 4
+_EXTENDED_DLC_AFTER_FDF: Final = 5
 _CRC_BITS: Final = 15
 _UNKNOWN: Final = 1 << 30
 
@@ -36,34 +59,54 @@ _ACK_DELIMITER: Final = 2
 _LAST_BUT_ONE: Final = 8
 _LAST: Final = 9
 
+# where a bit belongs
+_STUFFED: Final = 0
+_FIXED: Final = 1  # stuff count and CRC of CAN FD
+_TAIL: Final = 2
+
 
 @final
 class Reception:
-    """One frame as a receiver hears it. `hear` is called for each bit from start of frame on."""
+    """One frame as a receiver hears it. `hear` is called for each bit from start of frame on.
 
-    def __init__(self) -> None:
+    Attributes (read only):
+        fast: the next bit is at the data rate.
+    """
+
+    def __init__(self, support: FrameSupport) -> None:
+        self.fast = False
+        self._support = support
+        self._part = _STUFFED
         self._last = RECESSIVE
         self._run = 0
         self._value = 0
         self._number = -1  # of the last bit heard, stuff bits not counted
         self._stop = _IDE  # the next number at which something is decided
         self._extended = False
+        self._fdf = _FDF
+        self._fd = False
+        self._dlc_end = _UNKNOWN
+        self._length = 0
         self._crc_start = _UNKNOWN
         self._crc_end = _UNKNOWN
         self._crc_right = False
-        self._tail = -1  # number of the last bit heard after the CRC sequence
-        self._in_tail = False
+        self._checks = 0  # stuff count and CRC
+        self._position = -1  # of the last bit heard in this part, but the first
+        self._acknowledged = False
 
     def hear(self, level: int) -> int:
         """What the next bit means; after an error, nothing more may be heard."""
-        if self._in_tail:
+        if self._part == _TAIL:
             return self._hear_tail(level)
+        if self._part == _FIXED:
+            return self._hear_fixed(level)
         if self._run == STUFF_RUN:
             if level == self._last:
                 return STUFF
             self._last = level
             self._run = 1
-            self._in_tail = self._number == self._crc_end
+            if self._number == self._crc_end:
+                self._part = _TAIL
             return NOTHING
         if level == self._last:
             self._run += 1
@@ -78,59 +121,120 @@ class Reception:
 
     def place(self) -> int:
         """Where the last bit heard is (`error_message`)."""
-        if self._in_tail and self._tail >= 0:
-            return tail_place(self._tail)
-        return place_of(self._number, self._extended, self._crc_start)
+        if self._part == _TAIL and self._position >= 0:
+            return tail_place(self._position)
+        if self._part == _FIXED:
+            return place_of(self._crc_start, self._extended, self._crc_start, True)
+        return place_of(self._number, self._extended, self._crc_start, self._fd)
 
     def frame(self) -> bytes:
-        """The frame, once it is accepted (16-byte can_frame)."""
-        header = self._value >> self._crc_end - self._dlc_end()
-        dlc = min(header & 0xF, 8)
+        """The frame, once it is accepted (16-byte can_frame or 72-byte canfd_frame)."""
+        header = self._value >> self._number - self._dlc_end
+        after_rtr = header >> self._dlc_end - self._fdf + (1 if self._extended else 2)
+        remote = after_rtr & 1
+        can_id = after_rtr >> 1 & 0x7FF
         if self._extended:
-            can_id = EFF_FLAG | (header >> 27 & 0x7FF) << 18 | header >> 7 & 0x3FFFF
-            remote = header >> 6 & 1
-        else:
-            can_id = header >> 7 & 0x7FF
-            remote = header >> 6 & 1
-        if remote:
-            return pack_remote(can_id, dlc)
-        data = self._value >> _CRC_BITS & (1 << 8 * dlc) - 1
-        return pack(can_id, data.to_bytes(dlc, "big"))
-
-    def _dlc_end(self) -> int:
-        return _EXTENDED_DLC_END if self._extended else _DLC_END
+            can_id = EFF_FLAG | (after_rtr >> 21 & 0x7FF) << 18 | after_rtr >> 1 & 0x3FFFF
+        if remote and not self._fd:
+            return pack_remote(can_id, self._length)
+        bits = 8 * self._length
+        data = self._value >> self._number + 1 - self._crc_start & (1 << bits) - 1
+        octets = data.to_bytes(self._length, "big")
+        if not self._fd:
+            return pack(can_id, octets)
+        flags = (BRS if header >> 5 & 1 else 0) | (ESI if header >> 4 & 1 else 0)
+        return pack_fd(can_id, octets, flags)
 
     def _decide(self, level: int) -> int:
         """A bit on which the rest of the frame depends."""
         number = self._number
         if number == _IDE:
             self._extended = level == RECESSIVE
-            self._stop = _EXTENDED_FDF if self._extended else _FDF
+            self._fdf = self._stop = _EXTENDED_FDF if self._extended else _FDF
+        elif number == self._fdf:
+            return self._decide_format(level)
         elif number == self._crc_end:
             self._crc_right = not crc_of(self._value, number + 1)
-            self._in_tail = self._run < STUFF_RUN
-        elif number == self._dlc_end():
-            remote = self._value >> 6 & 1
-            length = 0 if remote else min(self._value & 0xF, 8)
-            self._crc_start = number + 1 + 8 * length
-            self._crc_end = self._stop = number + 8 * length + _CRC_BITS
-        elif level == RECESSIVE:
-            return FORM  # FDF: a CAN FD frame
+            if self._run < STUFF_RUN:
+                self._part = _TAIL
+        elif number == self._dlc_end:
+            self._read_dlc()
+        elif number == self._crc_start - 1:
+            self._part = _FIXED
+        elif number == self._fdf + _RES_AFTER_FDF:
+            if level == RECESSIVE:
+                return EXCEPTION
+            self._stop = self._fdf + _BRS_AFTER_FDF
         else:
-            self._stop = self._dlc_end()
+            self.fast = level == RECESSIVE
+            self._stop = self._dlc_end
+        return NOTHING
+
+    def _decide_format(self, level: int) -> int:
+        """Classical or CAN FD."""
+        if level == DOMINANT:
+            after = _EXTENDED_DLC_AFTER_FDF if self._extended else _DLC_AFTER_FDF
+            self._dlc_end = self._stop = self._fdf + after
+            return NOTHING
+        if self._support is FrameSupport.CLASSICAL:
+            return FORM
+        if self._support is FrameSupport.FD_TOLERANT:
+            return EXCEPTION
+        self._fd = True
+        self._dlc_end = self._fdf + _FD_DLC_AFTER_FDF
+        self._stop = self._fdf + _RES_AFTER_FDF
+        return NOTHING
+
+    def _read_dlc(self) -> None:
+        """The DLC is complete: how long the frame is."""
+        number = self._number
+        dlc = self._value & 0xF
+        if self._fd:
+            self._length = FD_LENGTHS[dlc]
+            self._crc_start = number + 1 + 8 * self._length
+            self._stop = self._crc_start - 1
+            if not self._length:
+                self._part = _FIXED
+            return
+        self._length = min(dlc, 8)
+        remote = self._value >> 6 & 1
+        data_bits = 0 if remote else 8 * self._length
+        self._crc_start = number + 1 + data_bits
+        self._crc_end = self._stop = number + data_bits + _CRC_BITS
+
+    def _hear_fixed(self, level: int) -> int:
+        """A bit of stuff count and CRC of a CAN FD frame."""
+        self._position += 1
+        last = self._last
+        self._last = level
+        if not self._position % FIXED_EVERY:
+            return FORM if level == last else NOTHING
+        self._checks = self._checks << 1 | level
+        if self._position == fd_field_bits(self._length) - 1:
+            levels, stuffed = stuff(bits_of(self._value, self._number + 1))
+            expected, _ = fd_check_bits(levels, sum(stuffed), self._length)
+            self._crc_right = self._checks == expected
+            self._part = _TAIL
+            self._position = -1
+            self.fast = False
         return NOTHING
 
     def _hear_tail(self, level: int) -> int:
-        self._tail += 1
-        tail = self._tail
-        if tail == _ACK_SLOT:
+        self._position += 1
+        position = self._position
+        if position == _ACK_SLOT:
+            self._acknowledged = level == DOMINANT
             return ACKNOWLEDGED
-        if tail == _LAST:
+        if position == _LAST:
             return COMPLETE if level == RECESSIVE else OVERLOAD
         if level != RECESSIVE:
+            if self._fd and position == _ACK_DELIMITER and self._acknowledged:
+                self._acknowledged = False
+                self._position -= 1
+                return NOTHING
             return FORM
-        if tail == _CRC_DELIMITER:
+        if position == _CRC_DELIMITER:
             return ACK_NEXT if self._crc_right else NOTHING
-        if tail == _ACK_DELIMITER:
+        if position == _ACK_DELIMITER:
             return NOTHING if self._crc_right else CRC
-        return ACCEPTED if tail == _LAST_BUT_ONE else NOTHING
+        return ACCEPTED if position == _LAST_BUT_ONE else NOTHING

@@ -10,11 +10,14 @@ Source: ISO 11898-1, medium access control; Bosch CAN 2.0, chapters 3 and 7.
 from typing import Final, final
 
 from emulators.media import error_message as told
+from emulators.media.can_frame import ESI, FD_FRAME_BYTES
+from emulators.media.can_node import FrameSupport
 from emulators.media.can_reception import (
     ACCEPTED,
     ACK_NEXT,
     ACKNOWLEDGED,
     COMPLETE,
+    EXCEPTION,
     FORM,
     OVERLOAD,
     STUFF,
@@ -51,6 +54,10 @@ class CanStation:
         frames: those it has to send, in their order.
         confinement: its counters.
         one_shot: a frame that fails or loses arbitration is dropped.
+        support: which frames it can stand, and send.
+
+    Raises:
+        ValueError: it has a frame that it cannot send.
 
     Attributes (read only):
         drives: the level it puts on the wire in the next bit.
@@ -65,8 +72,16 @@ class CanStation:
     """
 
     def __init__(
-        self, frames: list[bytes], confinement: Confinement, one_shot: bool = False
+        self,
+        frames: list[bytes],
+        confinement: Confinement,
+        one_shot: bool = False,
+        support: FrameSupport = FrameSupport.CLASSICAL,
     ) -> None:
+        for frame in frames:
+            if len(frame) == FD_FRAME_BYTES and support is not FrameSupport.FD:
+                raise ValueError(f"a {support.value} CAN controller sends no CAN FD frames")
+            wire_frame(frame)
         self.frames = frames
         self.confinement = confinement
         self.journal = ErrorJournal(confinement)
@@ -79,11 +94,13 @@ class CanStation:
         self.recessive_bits = 0
         self._one_shot = one_shot
         self._signalling = CanSignalling(confinement, self.journal)
-        self._reception = Reception()
+        self._support = support
+        self._reception = Reception(support)
         self._wire: WireFrame | None = None
         self._expected = b""
         self._levels = b""
         self._position = 0  # of the next bit to send
+        self._long_ack = False  # in a CAN FD frame a second dominant bit was its acknowledgement
 
     def begin_idle(self, suspended: int = 0) -> None:
         """It is ready to send, or to hear a start of frame; for so many bits it may not send."""
@@ -105,6 +122,17 @@ class CanStation:
         if self.phase == SENDING:
             return not self._position
         return self.phase in (IDLE, INTEGRATING, OFF)
+
+    def is_fast(self) -> bool:
+        """Whether the next bit of the frame it sends or hears is at the data rate."""
+        if self.phase == SENDING:
+            wire = self._wire
+            return wire is not None and wire.fast_from <= self._position < wire.fast_to
+        return self.phase == RECEIVING and self._reception.fast
+
+    def is_signalling(self) -> bool:
+        """Whether it sends an error or overload frame, or is in intermission."""
+        return self.phase == SIGNALLING
 
     def is_after_flag(self) -> bool:
         """Whether it waits for a recessive bit after its flag."""
@@ -151,13 +179,17 @@ class CanStation:
 
     def _start(self, position: int) -> None:
         """It sends its first frame, from this bit on."""
-        wire = wire_frame(self.frames[0])
+        frame = self.frames[0]
+        if len(frame) == FD_FRAME_BYTES and self.confinement.is_passive():
+            frame = frame[:5] + bytes([frame[5] | ESI]) + frame[6:]
+        wire = wire_frame(frame)
         self.phase = SENDING
         self._signalling.transmitter = True
         self._wire = wire
         self._expected = wire.expected
         self._levels = wire.levels
         self._position = position
+        self._long_ack = False
         self.drives = self._levels[position]
 
     def _differ(self, level: int) -> None:
@@ -166,6 +198,9 @@ class CanStation:
         assert wire is not None
         position = self._position
         place = wire.places[position]
+        if place == told.ACK_DELIMITER and wire.is_fd and not self._long_ack:
+            self._long_ack = True
+            return
         if level == DOMINANT and position <= wire.arbitration_end:
             if not wire.stuffed[position]:
                 self._lose(position)
@@ -210,7 +245,7 @@ class CanStation:
         self.drives = RECESSIVE
         self.suspended = 0
         self._signalling.transmitter = False
-        self._reception = Reception()
+        self._reception = Reception(self._support)
         self._reception.hear(DOMINANT)
 
     def _receive(self, meaning: int, level: int) -> None:
@@ -228,6 +263,8 @@ class CanStation:
         elif meaning == OVERLOAD:
             signalling.overload(told.END_OF_FRAME)
             self._signal(BUSY)
+        elif meaning == EXCEPTION:
+            self.begin_integrating()
         elif meaning == STUFF:
             self._signal(signalling.error(told.STUFF_ERROR, self._reception.place()))
         elif meaning == FORM:

@@ -6,7 +6,19 @@ Source: ISO 11898-1, frame formats, CRC sequence, bit stuffing.
 from typing import Final, final
 
 from emulators.media.can_bits import measure
-from emulators.media.can_frame import EFF_FLAG, EFF_MASK, RTR_FLAG, can_id_of, data_of
+from emulators.media.can_frame import (
+    BRS,
+    EFF_FLAG,
+    EFF_MASK,
+    ERR_FLAG,
+    ESI,
+    FD_FRAME_BYTES,
+    FD_LENGTHS,
+    RTR_FLAG,
+    can_id_of,
+    data_of,
+    pack_fd,
+)
 from emulators.media.error_message import (
     ACK_DELIMITER,
     ACK_SLOT,
@@ -27,42 +39,56 @@ from emulators.media.error_message import (
     SRTR,
     START_OF_FRAME,
 )
+from emulators.media.fd_checks import FIXED_EVERY, fd_check_bits, stuff
 
 DOMINANT: Final = 0
 RECESSIVE: Final = 1
 STUFF_RUN: Final = 5  # so many equal bits, then one of the other value
 
 # Where the bits before the data are, by their number among those not stuffed.
-_BASE_PLACES: Final = (
+_IDENTIFIER: Final[tuple[int, ...]] = (
     *(START_OF_FRAME,) * 1,
     *(ID_28_21,) * 8,
     *(ID_20_18,) * 3,
-    *(SRTR, IDE, RESERVED_0),
-    *(DLC,) * 4,
+    SRTR,
+    IDE,
 )
-_EXTENDED_PLACES: Final = (
-    *_BASE_PLACES[:14],
-    *(ID_17_13,) * 5,
-    *(ID_12_5,) * 8,
-    *(ID_4_0,) * 5,
-    *(RTR, RESERVED_1, RESERVED_0),
-    *(DLC,) * 4,
+_EXTENSION: Final[tuple[int, ...]] = (*(ID_17_13,) * 5, *(ID_12_5,) * 8, *(ID_4_0,) * 5, RTR)
+_DLC: Final[tuple[int, ...]] = (DLC,) * 4
+_FD_CONTROL: Final[tuple[int, ...]] = (*(RESERVED_0,) * 3, *_DLC)  # res, BRS, ESI
+_BASE_PLACES: Final[tuple[int, ...]] = (*_IDENTIFIER, RESERVED_0, *_DLC)
+_EXTENDED_PLACES: Final[tuple[int, ...]] = (
+    *_IDENTIFIER,
+    *_EXTENSION,
+    RESERVED_1,
+    RESERVED_0,
+    *_DLC,
 )
+_FD_BASE_PLACES: Final[tuple[int, ...]] = (*_IDENTIFIER, RESERVED_0, *_FD_CONTROL)
+_FD_EXTENDED_PLACES: Final[tuple[int, ...]] = (*_IDENTIFIER, *_EXTENSION, RESERVED_1, *_FD_CONTROL)
 _TAIL_PLACES: Final = (CRC_DELIMITER, ACK_SLOT, ACK_DELIMITER, *(END_OF_FRAME,) * 7)
+
+_RTR: Final = 12
+_EXTENDED_RTR: Final = 32
 _CRC_BITS: Final = 15
 _POLYNOMIAL: Final = 0x4599
-_FRAMES_KEPT: Final = 256  # then all are forgotten; a bound on memory, 0.2 MB at most
+_FRAMES_KEPT: Final = 256  # then all are forgotten; a bound on memory, 0.7 MB at most
 
 
-def place_of(number: int, extended: bool, crc_start: int) -> int:
+def place_of(number: int, extended: bool, crc_start: int, fd: bool = False) -> int:
     """Where (`error_message`) the bit with this number, stuff bits not counted, is.
 
     Args:
         number: from start of frame = 0 to the end of the CRC sequence.
         extended: the identifier has 29 bits.
-        crc_start: the number of the first bit of the CRC sequence; above `number` if not known.
+        crc_start: the number of the first bit of the CRC sequence, in CAN FD of the stuff count;
+            above `number` if not known.
+        fd: it is a CAN FD frame.
     """
-    places = _EXTENDED_PLACES if extended else _BASE_PLACES
+    if fd:
+        places = _FD_EXTENDED_PLACES if extended else _FD_BASE_PLACES
+    else:
+        places = _EXTENDED_PLACES if extended else _BASE_PLACES
     if number < len(places):
         return places[number]
     return DATA if number < crc_start else CRC_SEQUENCE
@@ -81,6 +107,11 @@ def crc_of(value: int, bits: int) -> int:
     return crc
 
 
+def bits_of(value: int, count: int) -> list[int]:
+    """So many bits of a number, the most significant first."""
+    return [value >> shift & 1 for shift in range(count - 1, -1, -1)]
+
+
 @final
 class WireFrame:
     """A frame as its sender sends it, from start of frame to end of frame.
@@ -91,39 +122,46 @@ class WireFrame:
         places: where the bit is (`error_message`); a stuff bit is where the bit before it is.
         stuffed: 1 for a stuff bit.
         arbitration_end: the last bit of the arbitration field, RTR.
+        is_fd: it is a CAN FD frame.
+        fast_from: the first bit at the data rate.
+        fast_to: the first one after them; the same if there are none.
 
     Raises:
-        ValueError: as of `can_bits.measure`.
+        ValueError: as of `can_bits.measure`, or of `pack_fd`.
     """
 
     def __init__(self, frame: bytes) -> None:
-        measure(frame)
-        bits, places, rtr = _unstuffed(frame)
-        levels = bytearray()
-        where = bytearray()
-        stuffed = bytearray()
-        run = 0
-        last = RECESSIVE
-        self.arbitration_end = 0
-        for number, bit in enumerate(bits):
-            run = run + 1 if bit == last else 1
-            last = bit
-            if number == rtr:
-                self.arbitration_end = len(levels)
-            levels.append(bit)
-            where.append(places[number])
-            stuffed.append(0)
-            if run == STUFF_RUN:
-                last = 1 - bit
-                run = 1
-                levels.append(last)
-                where.append(places[number])
+        fd = len(frame) == FD_FRAME_BYTES
+        header, width, rtr = _fd_header(frame) if fd else _classical_header(frame)
+        data = data_of(frame)
+        crc_start = width + 8 * len(data)
+        value = header << 8 * len(data) | int.from_bytes(data, "big")
+        if fd:
+            levels, stuffed = stuff(bits_of(value, crc_start))
+        else:
+            value = value << _CRC_BITS | crc_of(value, crc_start)
+            levels, stuffed = stuff(bits_of(value, crc_start + _CRC_BITS))
+            if len(set(levels[-STUFF_RUN:])) == 1:
+                levels.append(1 - levels[-1])
                 stuffed.append(1)
-        tail = len(_TAIL_PLACES)
-        self.levels = bytes(levels) + bytes([RECESSIVE]) * tail
+        positions = [position for position, is_stuff in enumerate(stuffed) if not is_stuff]
+        if fd:
+            _append_fd_checks(levels, stuffed, len(data))
+        places = bytearray()
+        number = -1
+        for is_stuff in stuffed:
+            number += 1 - is_stuff
+            places.append(place_of(number, rtr == _EXTENDED_RTR, crc_start, fd))
+        self.is_fd = fd
+        self.levels = bytes(levels) + bytes([RECESSIVE]) * len(_TAIL_PLACES)
         self.expected = bytes(levels) + bytes([RECESSIVE, DOMINANT]) + bytes([RECESSIVE]) * 8
-        self.places = bytes(where) + bytes(_TAIL_PLACES)
-        self.stuffed = bytes(stuffed) + bytes(tail)
+        self.places = bytes(places) + bytes(_TAIL_PLACES)
+        self.stuffed = bytes(stuffed) + bytes(len(_TAIL_PLACES))
+        self.arbitration_end = positions[rtr]
+        fast = fd and frame[5] & BRS
+        # ESI is the fifth bit after RTR; a stuff bit before it is sent at the data rate already
+        self.fast_from = positions[width - 6] + 1 if fast else 0
+        self.fast_to = len(levels) if fast else 0
 
 
 _frames: Final[dict[bytes, WireFrame]] = {}
@@ -133,7 +171,7 @@ def wire_frame(frame: bytes) -> WireFrame:
     """The frame's bits; remembered.
 
     Raises:
-        ValueError: as of `can_bits.measure`.
+        ValueError: as of `WireFrame`.
     """
     known = _frames.get(frame)
     if known is None:
@@ -143,25 +181,47 @@ def wire_frame(frame: bytes) -> WireFrame:
     return known
 
 
-def _unstuffed(frame: bytes) -> tuple[list[int], list[int], int]:
-    """The bits from start of frame to the end of the CRC, where they are, the number of RTR."""
+def _classical_header(frame: bytes) -> tuple[int, int, int]:
+    """Start of frame to DLC as a number; how many bits that are; the number of RTR."""
+    measure(frame)
     can_id = can_id_of(frame)
+    if can_id & EFF_FLAG:  # r1, r0
+        return _extended_identifier(can_id) << 6 | frame[4], _EXTENDED_RTR + 7, _EXTENDED_RTR
+    return _base_identifier(can_id) << 6 | frame[4], _RTR + 7, _RTR  # IDE, r0
+
+
+def _fd_header(frame: bytes) -> tuple[int, int, int]:
+    """As `_classical_header`."""
+    can_id = can_id_of(frame)
+    if can_id & ERR_FLAG:
+        raise ValueError("an error message (ERR_FLAG) is for a node, not for the bus")
+    pack_fd(can_id, data_of(frame))
+    # FDF, res, BRS, ESI, DLC; IDE before them in a base frame
+    control = 0b1000 | (0b10 if frame[5] & BRS else 0) | (0b01 if frame[5] & ESI else 0)
+    control = control << 4 | FD_LENGTHS.index(frame[4])
+    if can_id & EFF_FLAG:
+        return _extended_identifier(can_id) << 8 | control, _EXTENDED_RTR + 9, _EXTENDED_RTR
+    return _base_identifier(can_id) << 9 | control, _RTR + 10, _RTR
+
+
+def _base_identifier(can_id: int) -> int:
+    """From start of frame to RTR."""
+    return (can_id & EFF_MASK) << 1 | (1 if can_id & RTR_FLAG else 0)
+
+
+def _extended_identifier(can_id: int) -> int:
+    """From start of frame to RTR."""
     identifier = can_id & EFF_MASK
-    remote = 1 if can_id & RTR_FLAG else 0
-    extended = bool(can_id & EFF_FLAG)
-    if extended:
-        value = identifier >> 18 << 21 | 0b11 << 19 | (identifier & 0x3FFFF) << 1 | remote
-        value <<= 2  # r1, r0
-        rtr = 32
-    else:
-        value = (identifier << 1 | remote) << 2  # IDE, r0
-        rtr = 12
-    value = value << 4 | frame[4]
-    data = data_of(frame)
-    for byte in data:
-        value = value << 8 | byte
-    crc_start = (rtr + 7) + 8 * len(data)
-    count = crc_start + _CRC_BITS
-    value = value << _CRC_BITS | crc_of(value, crc_start)
-    bits = [value >> shift & 1 for shift in range(count - 1, -1, -1)]
-    return bits, [place_of(number, extended, crc_start) for number in range(count)], rtr
+    base = identifier >> 18 << 2 | 0b11  # SRR, IDE
+    return base << 19 | (identifier & 0x3FFFF) << 1 | (1 if can_id & RTR_FLAG else 0)
+
+
+def _append_fd_checks(levels: list[int], stuffed: list[int], length: int) -> None:
+    """Stuff count and CRC with their fixed stuff bits, after the data."""
+    checks, count = fd_check_bits(levels, sum(stuffed), length)
+    for number, bit in enumerate(bits_of(checks, count)):
+        if not number % (FIXED_EVERY - 1):
+            levels.append(1 - levels[-1])
+            stuffed.append(1)
+        levels.append(bit)
+        stuffed.append(0)

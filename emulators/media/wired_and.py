@@ -1,0 +1,210 @@
+"""A wire on which any dominant bit wins, and the CAN controllers on it, stepped bit by bit.
+
+While somebody is in the data phase of a CAN FD frame, a step is a bit at the data rate. Who is not
+(it sends an error flag, or waits for the bus to be idle) takes `ratio` such steps for a bit of its
+own, on a grid that begins with the first error flag; one that joins it later does so with what is
+left of a bit. Who waits for an idle bus hears a dominant level if there was one in any of them.
+Without an error the grid begins where the data phase ends.
+"""
+
+from collections.abc import Sequence
+from typing import final
+
+from emulators.media.can_station import (
+    IDLE,
+    INTEGRATING,
+    INTEGRATION_BITS,
+    OFF,
+    RECEIVING,
+    SENDING,
+    SIGNALLING,
+    CanStation,
+)
+from emulators.media.can_wire import DOMINANT, RECESSIVE
+from emulators.media.disturbance import ALL_PORTS, Disturbance, disturbed
+
+
+@final
+class Member:
+    """A controller on the wire.
+
+    Args:
+        node: the controller.
+        leaves_at: the bit from which on it is not there any more.
+        struck_by: the disturbances that strike it.
+    """
+
+    def __init__(
+        self, node: CanStation, leaves_at: int | None, struck_by: Sequence[Disturbance]
+    ) -> None:
+        self.node = node
+        self.leaves_at = leaves_at
+        self.struck_by = struck_by
+        self.fast = False
+        self.heard_dominant = False  # in the bit of its own that has begun
+
+    def is_stuck(self, bit: int) -> bool:
+        """Whether it will hear dominant bits as long as nothing changes, and nothing but."""
+        return self.node.is_stalled() and disturbed(RECESSIVE, self.struck_by, bit) == DOMINANT
+
+
+@final
+class WiredAnd:
+    """The wire, and who is on it.
+
+    Args:
+        members: those on it.
+        disturbances: all that strike any of them.
+        recessive_bits: so many go before the first bit.
+        ratio: how many bits at the data rate last as long as a nominal one; 0: no frame has any.
+
+    Attributes (read only):
+        bit: the number of the next one.
+        recessive_runs: runs of 11 recessive bits so far.
+        recessive_bits: since the last of them, or the last dominant bit.
+    """
+
+    def __init__(
+        self,
+        members: Sequence[Member],
+        disturbances: Sequence[Disturbance],
+        recessive_bits: int,
+        ratio: int,
+    ) -> None:
+        self.bit = 0
+        self.recessive_runs = 0
+        self.recessive_bits = recessive_bits
+        self._fast: list[tuple[int, int]] = []
+        self._ratio = ratio
+        self._live = list(members)
+        self._nodes = [member.node for member in members]
+        self._disturbances = disturbances
+        self._on_wire = [one for one in disturbances if one.ports == ALL_PORTS]
+        self._struck = False  # somebody may sample another level than there is
+        self._fast_from = -1  # where the data phase began that is not over; -1: none is
+        self._ticks = 0  # bits at the data rate since the last nominal bit ended
+        self._flagged = False  # the nominal grid is that of an error flag
+        self._wire_dominant = False  # as `Member.heard_dominant`
+        changes = [one.first for one in disturbances]
+        changes += [one.first + one.bits for one in disturbances if one.bits is not None]
+        changes += [member.leaves_at for member in members if member.leaves_at is not None]
+        self._changes = sorted(changes, reverse=True)
+
+    def step(self) -> None:
+        """One bit has passed."""
+        bit = self.bit
+        if self._changes and self._changes[-1] <= bit:
+            self._change(bit)
+        level = RECESSIVE
+        for node in self._nodes:
+            if node.drives == DOMINANT:
+                level = DOMINANT
+        if self._ratio and self._is_fast():
+            self._step_fast(level, bit)
+        else:
+            if self._struck:
+                for member in self._live:
+                    member.node.hear(disturbed(level, member.struck_by, bit), bit)
+                level = disturbed(level, self._on_wire, bit)
+            else:
+                for node in self._nodes:
+                    node.hear(level, bit)
+            self._count(level)
+        self.bit = bit + 1
+
+    def fast_stretches(self) -> tuple[tuple[int, int], ...]:
+        """(first, end) of each stretch of bits at the data rate so far."""
+        if self._fast_from < 0:
+            return tuple(self._fast)
+        return (*self._fast, (self._fast_from, self.bit))
+
+    def is_over(self) -> bool:
+        """Whether nobody need wait for anybody.
+
+        If all wait for the end of a disturbance, it is the next bit.
+        """
+        if not self.bit:
+            return not self._live
+        stuck = 0
+        ready = 0
+        for member in self._live:
+            node = member.node
+            if node.is_ready():
+                ready += node.phase in (IDLE, SENDING)
+            elif member.is_stuck(self.bit):
+                stuck += 1
+            else:
+                return False
+        if ready or not stuck or not self._changes:
+            return True
+        if disturbed(RECESSIVE, self._on_wire, self.bit) == RECESSIVE:
+            return True  # on the wire it is over
+        self.bit = max(self.bit, self._changes[-1])
+        return False
+
+    def _change(self, bit: int) -> None:
+        """Disturbances have begun or ended, or nodes have left."""
+        while self._changes and self._changes[-1] <= bit:
+            self._changes.pop()
+        self._live = [
+            member for member in self._live if member.leaves_at is None or bit < member.leaves_at
+        ]
+        self._nodes = [member.node for member in self._live]
+        self._struck = any(one.strikes(bit) for one in self._disturbances)
+
+    def _count(self, level: int) -> None:
+        """A nominal bit had this level on the wire."""
+        self.recessive_bits = self.recessive_bits + 1 if level else 0
+        if self.recessive_bits == INTEGRATION_BITS:
+            self.recessive_bits = 0
+            self.recessive_runs += 1
+
+    # --- at the data rate
+
+    def _is_fast(self) -> bool:
+        """Whether the next step is a bit at the data rate."""
+        fast = bool(self._ticks)
+        for member in self._live:
+            member.fast = member.node.is_fast()
+            fast = fast or member.fast
+        if fast and self._fast_from < 0:
+            self._fast_from = self.bit
+        elif not fast and self._fast_from >= 0:
+            self._fast.append((self._fast_from, self.bit))
+            self._fast_from = -1
+            self._flagged = False
+        return fast
+
+    def _step_fast(self, level: int, bit: int) -> None:
+        """A bit at the data rate has passed; with some of them, a nominal one."""
+        self._ticks += 1
+        whole = self._ticks == self._ratio
+        in_phase = False
+        first_flag = False
+        over = False
+        for member in self._live:
+            node = member.node
+            sampled = disturbed(level, member.struck_by, bit) if self._struck else level
+            if member.fast:
+                node.hear(sampled, bit)
+                in_phase = in_phase or node.is_fast()
+                first_flag = first_flag or node.phase == SIGNALLING
+                if node.phase in (SENDING, RECEIVING) and not node.is_fast():
+                    over = True
+                continue
+            member.heard_dominant = member.heard_dominant or sampled == DOMINANT
+            if whole:
+                waits = node.phase in (INTEGRATING, OFF) and member.heard_dominant
+                node.hear(DOMINANT if waits else sampled, bit)
+                member.heard_dominant = False
+        on_wire = disturbed(level, self._on_wire, bit) if self._struck else level
+        self._wire_dominant = self._wire_dominant or on_wire == DOMINANT
+        if whole:
+            self._count(DOMINANT if self._wire_dominant else RECESSIVE)
+            self._wire_dominant = False
+            self._ticks = 0
+        if first_flag and not self._flagged:
+            self._flagged = True
+            self._ticks = 0
+        elif over and not in_phase:
+            self._ticks = 0
