@@ -1,0 +1,211 @@
+"""CAN FD frames on the wire, and what comes of them when something goes wrong."""
+
+import pytest
+from hypothesis import event, given
+from hypothesis import strategies as st
+
+from emulators.media import error_message as told
+from emulators.media.can_episode import Disturbance, EventKind, Station, run_episode
+from emulators.media.can_node import FrameSupport
+from emulators.media.can_station import CanStation
+from emulators.media.can_wire import WireFrame
+from emulators.media.confinement import Confinement
+from tests.emulators.media import wire_fd
+from tests.emulators.media.wire_fd import FdFields, fd_fields
+
+FD = FrameSupport.FD
+ONES = FdFields(0x2AA, False, True, False, b"\xff" * 3)
+SENT = wire_fd.on_the_wire(ONES)
+FLAG = "000000"
+QUIET = "1" * 11
+
+
+def receiver(support: FrameSupport = FD) -> CanStation:
+    station = CanStation([], Confinement(), support=support)
+    station.begin_idle()
+    return station
+
+
+def play(station: CanStation, sampled: str) -> str:
+    """What it puts on the wire while it samples these levels."""
+    drives = ""
+    for bit, level in enumerate(sampled.replace(" ", "")):
+        drives += str(station.drives)
+        station.hear(int(level), bit)
+    return drives
+
+
+def errors(station: CanStation) -> list[tuple[int, int, int]]:
+    return [
+        (bit, m[10], m[11])
+        for bit, kind, m in station.journal.notes
+        if kind == EventKind.ERROR.value
+    ]
+
+
+def test_the_slow_way_divides_as_the_catalogue_of_crcs_says():
+    """CRC RevEng: check values of CRC-17/CAN-FD and CRC-21/CAN-FD, whose registers begin empty."""
+    bits = "".join(f"{byte:08b}" for byte in b"123456789")
+    assert wire_fd.remainder(bits, wire_fd.GENERATOR_17, 0) == 0x04F03
+    assert wire_fd.remainder(bits, wire_fd.GENERATOR_21, 0) == 0x0ED841
+
+
+@given(fd_fields())
+def test_a_sender_sends_what_the_slow_way_builds(frame):
+    sent = WireFrame(frame.can_frame())
+    assert "".join(map(str, sent.levels)) == wire_fd.on_the_wire(frame)
+    assert (sent.fast_from, sent.fast_to) == wire_fd.data_phase(frame)
+
+
+@given(fd_fields(), st.integers(2, 10))
+def test_all_who_know_can_fd_accept_it_and_the_tolerant_wait_until_it_is_over(frame, ratio):
+    stations = [Station(0, (frame.can_frame(),), support=FD), Station(1, support=FD)]
+    tolerant = Station(2, support=FrameSupport.FD_TOLERANT)
+    episode = run_episode([*stations, tolerant], ratio=ratio)
+    last = len(wire_fd.on_the_wire(frame)) - 1
+    assert [(e.bit, e.port, e.kind) for e in episode.events] == [
+        (last - 1, 1, EventKind.ACCEPTED),
+        (last, 0, EventKind.SENT),
+    ]
+    assert episode.events[0].frame == frame.can_frame()
+    assert episode.bits == last + 4
+    first, end = wire_fd.data_phase(frame)
+    assert episode.fast == (((first, end),) if frame.brs else ())
+    assert episode.end_ns(episode.bits - 1, 1000, 125) == 1000 * (last + 4) - 875 * (end - first)
+    assert [outcome.integrating for outcome in episode.outcomes] == [0, 0, 0]
+    event(f"{len(frame.data)} bytes")
+
+
+def test_five_equal_bits_before_the_fixed_stuff_bit_get_no_other():
+    zero = FdFields(0x2AA, False, False, False, b"\xe0")
+    sent = wire_fd.dynamically_stuffed(zero)
+    assert sent.endswith("11100000")
+    levels = "".join(map(str, WireFrame(zero.can_frame()).levels))
+    assert levels[len(sent)] == "1"  # the fixed one
+    # it is not counted: 0 01010101010 00 1 00000 [1] 01 11100000 has one stuff bit, not two
+    assert levels[len(sent) + 1 : len(sent) + 5] == "0011"
+
+
+def test_a_passive_sender_says_so_in_its_frame():
+    stations = [Station(0, (ONES.can_frame(),), tec=128, support=FD), Station(1, support=FD)]
+    accepted, sent = [
+        e for e in run_episode(stations).events if e.kind in (EventKind.ACCEPTED, EventKind.SENT)
+    ]
+    assert accepted.frame[5] == 0b111  # FDF, ESI, BRS
+    assert sent.frame == ONES.can_frame()
+
+
+def test_a_fixed_stuff_bit_like_the_bit_before_it_is_a_form_error():
+    start = len(wire_fd.dynamically_stuffed(ONES))
+    station = receiver()
+    wrong = SENT[:start] + SENT[start - 1] + FLAG + QUIET
+    assert play(station, wrong) == "1" * (start + 1) + FLAG + QUIET
+    assert errors(station) == [(start, told.FORM_ERROR, told.CRC_SEQUENCE)]
+
+
+@pytest.mark.parametrize("bit", [2, 22])
+def test_a_wrong_stuff_count_or_crc_is_told_after_the_ack_delimiter(bit):
+    """After the first fixed stuff bit come the 4 bits of the stuff count; none that is followed by
+    a fixed stuff bit, which would be wrong then."""
+    place = len(wire_fd.dynamically_stuffed(ONES)) + bit
+    wrong = SENT[:place] + ("0" if SENT[place] == "1" else "1") + SENT[place + 1 :]
+    ack_slot = len(SENT) - 9
+    station = receiver()
+    sampled = wrong[:ack_slot] + "01" + FLAG + QUIET
+    assert play(station, sampled) == "1" * (ack_slot + 2) + FLAG + QUIET
+    assert errors(station) == [(ack_slot + 1, 0, told.CRC_SEQUENCE)]
+
+
+@pytest.mark.parametrize(
+    ("support", "sampled"),
+    [
+        (FrameSupport.FD_TOLERANT, "0 01010101010 00 1"),  # FDF
+        (FrameSupport.FD, "0 01010101010 00 11"),  # FDF and res: a format to come
+    ],
+)
+def test_a_protocol_exception_is_no_error_and_waits_for_eleven_recessive_bits(support, sampled):
+    station = receiver(support)
+    assert play(station, sampled) == "1" * len(sampled.replace(" ", ""))
+    play(station, "1010" * 30 + "1111111111")
+    assert station.waits_for == 1
+    station.hear(1, 0)
+    assert station.is_ready()
+    assert station.journal.notes == []
+
+
+def test_a_second_dominant_bit_after_the_ack_slot_belongs_to_it():
+    ack_slot = len(SENT) - 9
+    stretched = SENT[:ack_slot] + "00" + SENT[ack_slot + 1 :]
+    station = receiver()
+    play(station, stretched + "111")
+    assert [kind for _, kind, _ in station.journal.notes] == [EventKind.ACCEPTED.value]
+    sender = CanStation([ONES.can_frame()], Confinement(), support=FD)
+    sender.begin_idle()
+    play(sender, stretched + "111")
+    assert [kind for _, kind, _ in sender.journal.notes] == [EventKind.SENT.value]
+    station = receiver()
+    play(station, SENT[:ack_slot] + "000")
+    assert errors(station) == [(ack_slot + 2, told.FORM_ERROR, told.ACK_DELIMITER)]
+
+
+def test_a_classical_controller_destroys_every_can_fd_frame():
+    stations = [Station(0, (ONES.can_frame(),), support=FD), Station(1, support=FD), Station(2)]
+    episode = run_episode(stations, ratio=4)
+    fdf = 14
+    assert [(e.bit, e.port) for e in episode.events if e.kind is EventKind.ERROR] == [
+        (fdf, 2),
+        (fdf + 2, 0),  # BRS, the first recessive bit after it
+        (fdf + 6, 1),  # five dominant bits from res on, and a sixth
+    ]
+    assert [(outcome.tec, outcome.rec) for outcome in episode.outcomes] == [(8, 0), (0, 1), (0, 9)]
+    assert episode.fast == ()
+
+
+def test_an_error_in_the_data_phase_is_told_at_the_nominal_rate():
+    """Drawn by hand, 4 bits at the data rate to a nominal one.
+
+    The sender misreads the third of five data bits 1. Its flag begins, the others sample 4 dominant
+    bits in its first nominal bit and the sixth in its second; their flags take what is left of it
+    and five more: together 7 nominal bits, then delimiter and intermission.
+    """
+    first, _ = wire_fd.data_phase(ONES)
+    struck = SENT.index("11111", first) + 2
+    stations = [Station(0, (ONES.can_frame(),), support=FD), Station(1, support=FD)]
+    episode = run_episode(stations, [Disturbance(struck, ports=0b01)], ratio=4)
+    assert [(e.bit, e.port, e.kind) for e in episode.events] == [
+        (struck, 0, EventKind.ERROR),
+        (struck, 0, EventKind.FAILED),
+        (struck + 6, 1, EventKind.ERROR),
+    ]
+    assert episode.fast == ((first, struck + 1 + 8),)
+    assert episode.bits == struck + 1 + 8 + (7 - 2) + 8 + 3
+    # of nominal bits: 17 to the data phase, and 7 + 8 + 3
+    in_phase = struck + 1 - first
+    nominal = first + 7 + 8 + 3
+    assert episode.end_ns(episode.bits - 1, 400, 100) == nominal * 400 + in_phase * 100
+    assert [(outcome.tec, outcome.rec) for outcome in episode.outcomes] == [(8, 0), (0, 1)]
+
+
+@given(fd_fields(), st.integers(0, 700), st.integers(-1, 7), st.sampled_from([1, 2, 4, 5, 8]))
+def test_a_flip_anywhere_loses_no_frame_unnoticed(frame, bit, ports, ratio):
+    stations = [
+        Station(0, (frame.can_frame(),), support=FD),
+        Station(1, support=FD),
+        Station(2, support=FD),
+    ]
+    episode = run_episode(stations, [Disturbance(bit, ports=ports)], ratio=ratio)
+    sent = [e for e in episode.events if e.kind is EventKind.SENT]
+    failed = [e for e in episode.events if e.kind is EventKind.FAILED]
+    got = [e.port for e in episode.events if e.kind is EventKind.ACCEPTED]
+    assert len(sent) + len(failed) == 1
+    if sent:
+        # a dominant ACK delimiter, heard by one, makes its end of frame a bit later
+        assert sorted(got) == [1, 2]
+    assert all(e.frame == frame.can_frame() for e in episode.events if e.kind is EventKind.ACCEPTED)
+    assert episode.bits < len(wire_fd.on_the_wire(frame)) + 60
+    event("sent" if sent else "failed")
+
+
+def test_a_frame_that_its_controller_cannot_send_is_refused():
+    with pytest.raises(ValueError, match="classical CAN controller sends no CAN FD"):
+        run_episode([Station(0, (ONES.can_frame(),))])

@@ -1,0 +1,96 @@
+"""CAN FD frames bit by bit, built the slow way, as `wire` does classical ones.
+
+Strings of bits; the CRC is the remainder of a long division of the whole string, with the first
+value of the register as a term of the dividend.
+Source: ISO 11898-1:2015, frame formats, CRC, bit stuffing.
+"""
+
+from dataclasses import dataclass
+
+from hypothesis import strategies as st
+
+from tests.emulators.media.wire import TAIL, stuffed
+
+LENGTHS = [0, 1, 2, 3, 4, 5, 6, 7, 8, 12, 16, 20, 24, 32, 48, 64]
+GENERATOR_17 = 0b11_0110_1000_0101_1011  # x17 x16 x14 x13 x11 x6 x4 x3 x 1
+GENERATOR_21 = 0b11_0000_0010_1000_1001_1001  # x21 x20 x13 x11 x7 x4 x3 1
+STUFF_COUNTS = ["0000", "0011", "0110", "0101", "1100", "1111", "1010", "1001"]
+
+
+@dataclass(frozen=True)
+class FdFields:
+    """A CAN FD frame, as a person would say it."""
+
+    identifier: int
+    extended: bool
+    brs: bool
+    esi: bool
+    data: bytes
+
+    def can_frame(self) -> bytes:
+        can_id = self.identifier | self.extended << 31
+        flags = self.brs | self.esi << 1 | 4
+        head = can_id.to_bytes(4, "little") + bytes([len(self.data), flags, 0, 0])
+        return head + self.data + bytes(64 - len(self.data))
+
+
+def header(frame: FdFields) -> str:
+    """Start of frame to the bit that switches the rate, or would."""
+    if frame.extended:
+        identifier = f"{frame.identifier:029b}"
+        return "0" + identifier[:11] + "11" + identifier[11:] + "0" + "10" + f"{frame.brs:b}"
+    return "0" + f"{frame.identifier:011b}" + "00" + "10" + f"{frame.brs:b}"
+
+
+def remainder(bits: str, generator: int, first: int) -> int:
+    """What is left of the bits, shifted, when divided; `first` is in the register before them."""
+    width = generator.bit_length() - 1
+    rest = int(bits, 2) << width ^ first << len(bits)
+    while rest.bit_length() > width:
+        rest ^= generator << rest.bit_length() - 1 - width
+    return rest
+
+
+def dynamically_stuffed(frame: FdFields) -> str:
+    """Start of frame to the end of the data; no stuff bit follows the last."""
+    rest = f"{frame.esi:b}{LENGTHS.index(len(frame.data)):04b}"
+    rest += "".join(f"{byte:08b}" for byte in frame.data)
+    bits = header(frame) + rest
+    return stuffed(bits[:-1]) + bits[-1]
+
+
+def checks(frame: FdFields) -> str:
+    """Stuff count and CRC, without fixed stuff bits."""
+    sent = dynamically_stuffed(frame)
+    plain = len(header(frame)) + 5 + 8 * len(frame.data)
+    count = STUFF_COUNTS[(len(sent) - plain) % 8]
+    if len(frame.data) <= 16:
+        return count + f"{remainder(sent + count, GENERATOR_17, 1 << 16):017b}"
+    return count + f"{remainder(sent + count, GENERATOR_21, 1 << 20):021b}"
+
+
+def on_the_wire(frame: FdFields) -> str:
+    """Every bit from start of frame to end of frame."""
+    sent = dynamically_stuffed(frame)
+    field = checks(frame)
+    for start in range(0, len(field), 4):
+        sent += ("0" if sent[-1] == "1" else "1") + field[start : start + 4]
+    return sent + TAIL
+
+
+def data_phase(frame: FdFields) -> tuple[int, int]:
+    """The first bit at the data rate, and the first one after them."""
+    end = len(on_the_wire(frame)) - len(TAIL)
+    return (len(stuffed(header(frame)[:-1]) + "?"), end) if frame.brs else (0, 0)
+
+
+_BYTES = st.sampled_from([0x00, 0xFF, 0x0F, 0xF0, 0xC3, 0x3C, 0x1F, 0xE0]) | st.integers(0, 255)
+
+
+@st.composite
+def fd_fields(draw: st.DrawFn) -> FdFields:
+    extended = draw(st.booleans())
+    identifier = draw(st.integers(0, 2**29 - 1 if extended else 0x7FF))
+    length = draw(st.sampled_from(LENGTHS))
+    data = bytes(draw(st.lists(_BYTES, min_size=length, max_size=length)))
+    return FdFields(identifier, extended, draw(st.booleans()), draw(st.booleans()), data)
