@@ -48,6 +48,7 @@ _VERBS: Final = (
     ),
     _Verb("conform", "check whether an adaptation keeps its promises", "harness.verbs.conform"),
     _Verb("judge", "judge a recording: what must hold in any, did it?", "harness.verbs.judge"),
+    _Verb("analyse", "say whether every message on a CAN bus is in time", "harness.verbs.analyse"),
     _Verb("report", "draw a recording on one page, on one time axis", "harness.verbs.report"),
     _Verb("convert", "turn recorded CAN traffic into another format", "harness.verbs.convert"),
     _Verb(

@@ -6,7 +6,8 @@ long a start takes at most. Nobody sends these messages because they stand here.
 """
 
 from collections.abc import Mapping
-from typing import TYPE_CHECKING, Final
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Final, final
 
 from harness.settings import Table
 from motorapi.bus_timing import bits_ns, worst_frame_bits
@@ -15,7 +16,9 @@ from motorapi.traffic import CanTraffic, PeriodicMessage, worst_of
 if TYPE_CHECKING:
     from harness.rig_file import ControllerDescription, RigDescription
 
-MESSAGE_KEYS: Final = ("identifier", "length", "period_s", "jitter_s", "extended")
+MESSAGE_KEYS: Final = (
+    *("identifier", "length", "period_s", "jitter_s", "extended", "deadline_s", "sender"),
+)
 _SFF_MAX: Final = 0x7FF
 _EFF_MAX: Final = 0x1FFF_FFFF
 _PERIOD_MIN_S: Final = 1e-6
@@ -36,7 +39,7 @@ def read_messages(bus: Table, bitrate_bit_s: int) -> tuple[PeriodicMessage, ...]
     messages: list[PeriodicMessage] = []
     busy = 0.0
     for table in bus.listed_tables("message"):
-        message = _message(table)
+        message = _declared(table).message
         for place, other in enumerate(messages):
             if other.rank == message.rank:
                 line = bus.source.line((*bus.path, "message", place))
@@ -55,6 +58,43 @@ def read_messages(bus: Table, bitrate_bit_s: int) -> tuple[PeriodicMessage, ...]
                 "a longer period, or a higher bit rate",
             )
     return tuple(messages)
+
+
+@final
+@dataclass(frozen=True, slots=True)
+class Declared:
+    """A declared message, with what only the analysis of response times asks.
+
+    Attributes:
+        message: as motorapi takes it.
+        deadline_s: how long it may take [s]; its period, if nobody says.
+        sender: whose queue it waits in; "": nothing else is in that.
+    """
+
+    message: PeriodicMessage
+    deadline_s: float
+    sender: str
+
+
+def declared(description: "RigDescription", bus: str) -> tuple[Declared, ...] | None:
+    """What others send on a bus; None: its traffic is not declared.
+
+    Raises:
+        RigError: the first thing wrong in it.
+    """
+    table = description.source.root().table("bus").table(bus)
+    if not table.has("message"):
+        return None
+    return tuple(_declared(one) for one in table.listed_tables("message"))
+
+
+def _declared(table: Table) -> Declared:
+    message = _message(table)
+    deadline_s = table.number(
+        "deadline_s", message.period_s, low=_PERIOD_MIN_S, high=_TIME_MAX_S, unit="s"
+    )
+    sender = table.text("sender", example='"battery"') if table.has("sender") else ""
+    return Declared(message, deadline_s, sender)
 
 
 def _message(table: Table) -> PeriodicMessage:
@@ -81,13 +121,17 @@ def traffic_of(description: "RigDescription", bus: str) -> CanTraffic | None:
     described = description.buses[bus]
     if described.messages is None:
         return None
-    nodes = [one for one in description.controllers.values() if one.bus == bus]
-    own = [
-        PeriodicMessage(_HEARTBEAT_ID + node.node_id, 1, _heartbeat_s(node))
-        for node in nodes
-        if node.node_id
-    ]
+    own = heartbeats(description, bus)
     return CanTraffic(described.bitrate_bit_s, worst_of([*described.messages, *own]))
+
+
+def heartbeats(description: "RigDescription", bus: str) -> list[PeriodicMessage]:
+    """What the controllers of a bus send though no motor has brought them up."""
+    return [
+        PeriodicMessage(_HEARTBEAT_ID + node.node_id, 1, _heartbeat_s(node))
+        for node in description.controllers.values()
+        if node.bus == bus and node.node_id
+    ]
 
 
 def _heartbeat_s(controller: "ControllerDescription") -> float:

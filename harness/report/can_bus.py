@@ -9,6 +9,7 @@ import struct
 from typing import Final, final
 
 from emulators.media.can_bits import frame_bits
+from harness.canopen_names import usual_name
 from harness.report.incidents import Incidents, Severity
 from harness.report.nodes import Nodes
 from harness.report.traffic import Traffic
@@ -135,22 +136,8 @@ class CanBus:
         rank = identifier << 2 | 1 if can_id & _EFF else identifier << 20
         if can_id & _RTR:
             return self.traffic.label(f"{text} remote", rank + 1)
-        name = "" if can_id & _EFF else self._usual(identifier)
+        name = "" if can_id & _EFF else usual_name(identifier, self._node_names)
         return self.traffic.label(text, rank, name)
-
-    def _usual(self, identifier: int) -> str:
-        """What the identifier is for by the pre-defined connection set, and whose."""
-        function, node = identifier >> 7, identifier & 0x7F
-        if identifier == 0:
-            return "NMT"
-        if identifier == 0x080:
-            return "SYNC"
-        if identifier == 0x100:
-            return "TIME"
-        what = _SERVICES.get(function)
-        if what is None or not node:
-            return ""
-        return f"{what} {self._node_names.get(node, f'node {node}')}"
 
     # ---------------------------------------------------------------------------------- nodes
 
@@ -271,20 +258,6 @@ _LEVELS: Final[dict[ControllerState | None, Severity]] = {
 }
 _MAY_BE_DRIVES: Final = (0, 402, 0xFFFF)
 """Low word of the device type 1000h: no profile is told, a drive, several devices in one."""
-_SERVICES: Final = {
-    1: "EMCY",
-    3: "TPDO 1",
-    4: "RPDO 1",
-    5: "TPDO 2",
-    6: "RPDO 2",
-    7: "TPDO 3",
-    8: "RPDO 3",
-    9: "TPDO 4",
-    10: "RPDO 4",
-    11: "SDO from",
-    12: "SDO to",
-    14: "heartbeat",
-}
 
 
 def nmt_text(code: int) -> str:

@@ -30,7 +30,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--bitrate",
         action="append",
-        type=_bitrate,
+        type=bus_rate,
         default=[],
         metavar="BUS=RATE",
         help="of a CAN bus whose bit rate the recording does not tell, as can0=500k",
@@ -105,7 +105,7 @@ def _progress() -> Callable[[int], None] | None:
     return told
 
 
-def _bitrate(text: str) -> tuple[str, int]:
+def bus_rate(text: str) -> tuple[str, int]:
     """A bus and its bit rate.
 
     Raises:

@@ -13,6 +13,19 @@ from tests.architecture.checkout import CHECKOUT, PACKAGES
 # (contract, where a line is planted, the line, what import-linter says of it)
 PLANTS = [
     (
+        "analysis",
+        "harness/analysis/message.py",
+        "import harness.analysis.margins",
+        "analysis.message -> harness.analysis.margins",
+    ),
+    ("analysis", "harness/analysis/novelty.py", "", "novelty"),
+    (
+        "analysis-alone",
+        "harness/analysis/response_time.py",
+        "import emulators.media.can_bits",
+        "analysis.response_time -> emulators.media.can_bits",
+    ),
+    (
         "conformance",
         "harness/conformance/claims.py",
         "import harness.conformance.run",

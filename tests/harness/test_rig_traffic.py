@@ -71,7 +71,7 @@ def test_no_message_is_no_declaration_and_none_of_them_is_one():
             "period_s",
             "periode_s",
             "6: bus.can0.message[0].periode_s: unknown key (known: identifier, length, period_s,"
-            " jitter_s, extended); did you mean period_s?",
+            " jitter_s, extended, deadline_s, sender); did you mean period_s?",
         ),
         (
             "length",

@@ -1,0 +1,194 @@
+"""Which identifiers to change so that every message is in time, as few as can be found.
+
+First a single message is moved, to every other place in the order of priorities where its format
+has a free identifier; the shortest move comes first. If none helps, a whole order is made from the
+bottom: at each level the least urgent message (as it is now) that meets its deadline there.
+Audsley's argument holds for CAN (Davis et al. 2007, section 7): how late a message is depends on
+which others are more urgent, not on their order; so if nothing fits at a level, no order exists.
+Messages that cannot move keep their order. Of those that can, as many as possible keep their
+identifiers; that this takes the fewest changes of all is not proved.
+
+A node with one queue, first in, first out, breaks Audsley's argument (a message holds up more
+urgent ones behind it): then only single moves are tried.
+"""
+
+from bisect import bisect_left
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
+from itertools import islice
+from typing import Final, final
+
+from harness.analysis.errors import NO_ERRORS, ErrorModel
+from harness.analysis.message import BusLoad, Message, rank_of
+from harness.analysis.response_time import are_in_time, response_between
+
+_SFF_MAX: Final = 0x7FF
+_EFF_MAX: Final = 0x1FFF_FFFF
+_MOVES_MAX: Final = 3_000
+
+Reserved = Callable[[int, bool], bool]
+"""Whether an identifier (extended or not) must not be given to a message."""
+
+
+@final
+@dataclass(frozen=True, slots=True)
+class Change:
+    """A message gets another identifier of its format."""
+
+    message: Message
+    identifier: int
+
+    @property
+    def label(self) -> str:
+        """The new identifier, as everywhere here."""
+        return replace(self.message, identifier=self.identifier).label
+
+
+@final
+@dataclass(frozen=True, slots=True)
+class Proposal:
+    """What to change.
+
+    Attributes:
+        changes: None: nothing was found.
+        is_impossible: it is proved that no identifiers help.
+        reason: in words why nothing was found.
+    """
+
+    changes: tuple[Change, ...] | None
+    is_impossible: bool = False
+    reason: str = ""
+
+
+def propose(load: BusLoad, errors: ErrorModel, is_reserved: Reserved) -> Proposal:
+    """The changes after which every message is in time; none, if all are now."""
+    if are_in_time(load, errors):
+        return Proposal(())
+    for change in islice(_moves(load, is_reserved), _MOVES_MAX):
+        if are_in_time(with_changes(load, (change,)), errors):
+            return Proposal((change,))
+    if _has_queues(load):
+        return Proposal(
+            None, reason="no change of one identifier helps; with FIFO queues no more is tried"
+        )
+    order = best_order(load, errors)
+    if order is None:
+        return Proposal(
+            None, is_impossible=True, reason="no identifiers help: proved level by level"
+        )
+    changes = _renamed(load, order, is_reserved)
+    if changes is None:
+        return Proposal(None, reason="an order exists, but its gaps have too few free identifiers")
+    return Proposal(changes)
+
+
+def with_changes(load: BusLoad, changes: Sequence[Change]) -> BusLoad:
+    """The bus with them."""
+    new = {change.message.rank: change.identifier for change in changes}
+    return replace(
+        load,
+        messages=tuple(
+            replace(one, identifier=new[one.rank]) if one.rank in new else one
+            for one in load.messages
+        ),
+    )
+
+
+def best_order(load: BusLoad, errors: ErrorModel = NO_ERRORS) -> tuple[Message, ...] | None:
+    """The most urgent first, near to what it is now, so that all are in time; None: there is none.
+
+    Every message is sent by priority.
+    """
+    left = sorted(load.messages, key=lambda one: one.rank)
+    below: list[Message] = []
+    while left:
+        fixed_seen = False
+        for place in range(len(left) - 1, -1, -1):
+            one = left[place]
+            if not one.movable and fixed_seen:
+                continue
+            fixed_seen = fixed_seen or not one.movable
+            rest = left[:place] + left[place + 1 :]
+            if response_between(load, rest, one, below, errors).is_in_time is not False:
+                below.insert(0, one)
+                left = rest
+                break
+        else:
+            return None
+    return tuple(below)
+
+
+def _has_queues(load: BusLoad) -> bool:
+    senders = [one.sender for one in load.messages if one.sender in load.fifo]
+    return len(senders) > len(set(senders))
+
+
+def _moves(load: BusLoad, is_reserved: Reserved) -> Iterator[Change]:
+    """Every message to every other place, short moves first."""
+    order = sorted(load.messages, key=lambda one: one.rank)
+    used = frozenset((one.identifier, one.extended) for one in order)
+    for step in range(1, len(order)):
+        for place, one in enumerate(order):
+            for to in (place - step, place + step):
+                if not one.movable or not 0 <= to < len(order):
+                    continue
+                others = order[:place] + order[place + 1 :]
+                low = others[to - 1].rank if to else -1
+                high = others[to].rank if to < len(others) else 1 << 40
+                free = _free(low, high, one.extended, used, is_reserved, upward=to > place)
+                identifier = next(free, None)
+                if identifier is not None:
+                    yield Change(one, identifier)
+
+
+def _free(
+    low: int,
+    high: int,
+    extended: bool,
+    used: frozenset[tuple[int, bool]],
+    is_reserved: Reserved,
+    *,
+    upward: bool,
+) -> Iterator[int]:
+    """Free identifiers with ranks between, not included; `upward`: from the lowest."""
+    last = _EFF_MAX if extended else _SFF_MAX
+    numbers = range(last + 1)
+    begin = bisect_left(numbers, low + 1, key=lambda n: rank_of(n, extended=extended))
+    end = bisect_left(numbers, high, key=lambda n: rank_of(n, extended=extended))
+    for number in range(begin, end) if upward else range(end - 1, begin - 1, -1):
+        if (number, extended) not in used and not is_reserved(number, extended):
+            yield number
+
+
+def _renamed(
+    load: BusLoad, order: Sequence[Message], is_reserved: Reserved
+) -> tuple[Change, ...] | None:
+    """What must change for this order, keeping as many identifiers as can be; None: no room."""
+    kept = _longest_kept(order)
+    used = frozenset((one.identifier, one.extended) for one in load.messages)
+    changes: list[Change] = []
+    low = -1
+    for place, one in enumerate(order):
+        if one.rank in kept:
+            low = one.rank
+            continue
+        high = next((later.rank for later in order[place:] if later.rank in kept), 1 << 40)
+        identifier = next(_free(low, high, one.extended, used, is_reserved, upward=True), None)
+        if identifier is None:
+            return None
+        used |= {(identifier, one.extended)}
+        low = rank_of(identifier, extended=one.extended)
+        changes.append(Change(one, identifier))
+    return tuple(changes)
+
+
+def _longest_kept(order: Sequence[Message]) -> frozenset[int]:
+    """Ranks of a longest part of it that stands in the order of today, all fixed ones in it."""
+    best: list[tuple[int, tuple[int, ...]]] = []
+    for one in order:
+        before = [
+            found for found, earlier in zip(best, order, strict=False) if earlier.rank < one.rank
+        ]
+        weight, ranks = max(before, default=(0, ()), key=lambda found: found[0])
+        best.append((weight + (1 if one.movable else len(order) + 1), (*ranks, one.rank)))
+    return frozenset(max(best, default=(0, ()), key=lambda found: found[0])[1])

@@ -1,0 +1,174 @@
+"""What the analysis of a bus says, as tables of text and for machines."""
+
+from harness.analysis.message import Arrival, Message
+from harness.analysis.response_time import Response
+from harness.analysis.subject import Findings
+from harness.text_table import print_table
+
+_MS = 1e-6  # of a nanosecond
+
+
+def print_findings(found: Findings, bit_error_rate: float | None) -> None:
+    """One bus, as a person reads it."""
+    _print_head(found)
+    stands = {one.message.rank: one for one in found.tolerances}
+    head = ["message", "what", "sender", "bytes", "period ms", "jitter", "deadline", "response"]
+    head += ["in time", "errors stood"]
+    if bit_error_rate is not None:
+        head.append(f"late, bit errors {bit_error_rate:g}")
+    rows = []
+    for one in found.responses:
+        message = one.message
+        stood = stands.get(message.rank)
+        row = [message.label, _what(message), message.sender, _bytes(message), _period(message)]
+        row += [_ms(message.jitter_ns), _ms(message.deadline_ns), _ms(one.response_ns)]
+        row += [_verdict(one), "-" if stood is None or stood.errors is None else str(stood.errors)]
+        if bit_error_rate is not None:
+            row.append("-" if stood is None else f"{stood.late_probability(bit_error_rate):.1e}")
+        rows.append(row)
+    print_table(head, rows, words=(0, 1, 2, 8))
+    for line in _advice(found):
+        print(line)
+    for note in found.subject.notes:
+        print(f"{found.subject.load.name}: {note}")
+
+
+def _print_head(found: Findings) -> None:
+    load, subject = found.subject.load, found.subject
+    rate = f"{load.bitrate_bit_s} bit/s"
+    if load.data_bitrate_bit_s is not None:
+        rate += f", data {load.data_bitrate_bit_s} bit/s"
+    used = f"{load.utilisation():.1%} of it used at most, {load.utilisation_unstuffed():.1%}"
+    measured = "" if subject.measured is None else f", {subject.measured:.1%} when recorded"
+    print(f"{load.name}: {rate}, {used} without stuff bits{measured}")
+    errors = found.errors
+    if errors.burst or errors.interval_ns is not None:
+        every = "" if errors.interval_ns is None else f", then every {_ms(errors.interval_ns)} ms"
+        print(f"{load.name}: errors: {errors.burst} at once{every}")
+
+
+def _advice(found: Findings) -> list[str]:
+    name = found.subject.load.name
+    lines = []
+    remedy = found.remedy
+    if remedy is not None:
+        proposal = remedy.proposal
+        if proposal.changes:
+            moves = ", ".join(f"{one.message.label} to {one.label}" for one in proposal.changes)
+            lines.append(f"{name}: all are in time with other identifiers: {moves}")
+        else:
+            lines.append(f"{name}: {proposal.reason}")
+        if remedy.queues is not None:
+            lines.append(
+                f"{name}: all are in time if the most urgent frame goes first in the queue of"
+                f" {', '.join(remedy.queues)}"
+            )
+        rate = remedy.rate_bit_s
+        helps = "no usual bit rate helps" if rate is None else f"all are in time at {rate} bit/s"
+        lines.append(f"{name}: {helps}")
+    if found.tolerances:
+        burst = max(1, found.errors.burst)
+        at_once = "an error" if burst == 1 else f"{burst} errors at once"
+        if found.interval_ns is None:
+            lines.append(f"{name}: {at_once} can make a message late")
+        else:
+            lines.append(f"{name}: after {at_once} it stands one every {_ms(found.interval_ns)} ms")
+    return lines
+
+
+def _what(message: Message) -> str:
+    return message.name or message.source
+
+
+def _bytes(message: Message) -> str:
+    return f"{message.length} FD" if message.fd else str(message.length)
+
+
+def _period(message: Message) -> str:
+    text = _ms(message.period_ns)
+    return text if message.arrival is Arrival.PERIODIC else f"> {text}"
+
+
+def _verdict(one: Response) -> str:
+    return {None: "-", True: "yes", False: "NO"}[one.is_in_time]
+
+
+def _ms(time_ns: int | None) -> str:
+    return "-" if time_ns is None else f"{time_ns * _MS:.3f}"
+
+
+def as_table(found: Findings, bit_error_rate: float | None) -> dict[str, object]:
+    """One bus for JSON; analyse.schema.json says what each key is."""
+    load, subject, remedy = found.subject.load, found.subject, found.remedy
+    stands = {one.message.rank: one for one in found.tolerances}
+    counted = dict(subject.counted)
+    messages: list[dict[str, object]] = []
+    for one in found.responses:
+        stood = stands.get(one.message.rank)
+        row = _message(one)
+        row["frames"] = counted.get(one.message.rank)
+        row["errors_stood"] = None if stood is None else stood.errors
+        if bit_error_rate is not None:
+            row["late_probability"] = (
+                None if stood is None else stood.late_probability(bit_error_rate)
+            )
+        messages.append(row)
+    table: dict[str, object] = {
+        "name": load.name,
+        "bitrate_bit_s": load.bitrate_bit_s,
+        "data_bitrate_bit_s": load.data_bitrate_bit_s,
+        "utilisation": load.utilisation(),
+        "utilisation_unstuffed": load.utilisation_unstuffed(),
+        "utilisation_recorded": subject.measured,
+        "fifo": sorted(load.fifo),
+        "errors": {"burst": found.errors.burst, "interval_s": _s(found.errors.interval_ns)},
+        "messages": messages,
+        "late": [one.message.label for one in found.late],
+        "shortest_error_interval_s": _s(found.interval_ns),
+        "remedy": None,
+        "notes": list(subject.notes),
+    }
+    if remedy is not None:
+        changes = remedy.proposal.changes
+        table["remedy"] = {
+            "identifiers": None
+            if changes is None
+            else [{"from": one.message.label, "to": one.label} for one in changes],
+            "is_impossible": remedy.proposal.is_impossible,
+            "reason": remedy.proposal.reason,
+            "queues": None if remedy.queues is None else list(remedy.queues),
+            "bitrate_bit_s": remedy.rate_bit_s,
+        }
+    return table
+
+
+def _message(one: Response) -> dict[str, object]:
+    message = one.message
+    return {
+        "identifier": message.identifier,
+        "extended": message.extended,
+        "label": message.label,
+        "name": message.name,
+        "source": message.source,
+        "sender": message.sender,
+        "length": message.length,
+        "fd": message.fd,
+        "bit_rate_switch": message.switched,
+        "arrival": message.arrival.value,
+        "period_s": _s(message.period_ns),
+        "jitter_s": _s(message.jitter_ns),
+        "irregular_s": _s(message.irregular_ns),
+        "distance_s": _s(message.distance_ns),
+        "deadline_s": _s(message.deadline_ns),
+        "takes_s": _s(one.takes_ns),
+        "response_s": _s(one.response_ns),
+        "received_s": _s(one.received_ns),
+        "blocking_s": _s(one.blocking_ns),
+        "busy_s": _s(one.busy_ns),
+        "instance": one.instance,
+        "in_time": one.is_in_time,
+    }
+
+
+def _s(time_ns: int | None) -> float | None:
+    return None if time_ns is None else time_ns / 1e9

@@ -1,0 +1,254 @@
+"""What is sent on the CAN buses of a rig, as the analysis of response times takes it.
+
+Declared messages stand in the rig. What motors have their controllers send, and this program for
+them, motorapi knows once it has brought them up: so the rig is opened and every motor asked where
+it is. Nothing moves.
+"""
+
+from collections.abc import Iterable
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Final, final
+
+from harness.analysis.message import Arrival, BusLoad, Message
+from harness.analysis.subject import Subject, is_canopen_reserved
+from harness.canopen_names import usual_name
+from harness.rig import Rig
+from harness.rig_traffic import Declared, declared, heartbeats
+from motorapi.errors import MotorError
+from motorapi.traffic import PeriodicMessage, own_traffic
+
+if TYPE_CHECKING:
+    from motorapi.adaptations.canopen_link import CanopenLink
+    from motorapi.traffic import NodeTraffic
+
+HOST: Final = "host"
+_SYNC_ID: Final = 0x080
+_SET_POINT_BYTES: Final = 6
+_NOT_COUNTED: Final = "SDO, NMT, EMCY, LSS and single commands to drives are not counted: sporadic"
+
+
+@final
+@dataclass(frozen=True, slots=True)
+class Assumptions:
+    """What a rig's file does not tell.
+
+    Attributes:
+        fifo: whether every node has one queue, first in, first out.
+        sync_s: SYNC comes so often [s]; None: as the rig's servos on the host need it.
+        streamed: set-points are streamed to every drive that can take them, one for each SYNC.
+    """
+
+    fifo: bool = True
+    sync_s: float | None = None
+    streamed: bool = False
+
+
+def subjects_of_rig(path: Path, assumptions: Assumptions) -> list[Subject]:
+    """Every CAN bus of the rig.
+
+    Raises:
+        RigError: the rig cannot be used as it is written.
+    """
+    with Rig.open(path) as rig:
+        failed: dict[str, str] = {}
+        for name, motor in rig.motors.items():
+            try:
+                motor.position()
+            except MotorError as error:
+                failed[name] = str(error)
+        buses = [bus.name for bus in rig.description.buses.values() if not bus.is_line]
+        return [_Bus(rig, name, assumptions, failed).subject() for name in buses]
+
+
+@final
+class _Bus:
+    """One bus of a rig whose motors were brought up."""
+
+    def __init__(
+        self, rig: Rig, name: str, assumptions: Assumptions, failed: dict[str, str]
+    ) -> None:
+        self._rig = rig
+        self._name = name
+        self._assumptions = assumptions
+        self._found: dict[int, Message] = {}
+        self._notes = [
+            f"motor {motor} cannot be brought up, what it would have sent is not counted: {text}"
+            for motor, text in failed.items()
+            if rig.description.motors[motor].bus == name
+        ]
+        controllers = rig.description.controllers.values()
+        self._repeats_ns = self._repeats()
+        self._nodes = {one.node_id: one.name for one in controllers if one.bus == name}
+
+    def subject(self) -> Subject:
+        """The bus with all that is known to be sent on it."""
+        description = self._rig.description
+        told = declared(description, self._name)
+        if told is None:
+            self._notes.append(
+                f"what others send is not declared ([[bus.{self._name}.message]]): taken as nothing"
+            )
+        self._add([_declared(one) for one in told or ()])
+        self._add(
+            self._message(one, self._nodes[one.can_id & 0x7F], "heartbeat or boot-up")
+            for one in heartbeats(description, self._name)
+        )
+        sync_s = self._sync_s()
+        own = own_traffic(self._rig.bus(self._name))
+        for node in own:
+            self._add_node(node, sync_s)
+        if sync_s is not None:
+            self._add([self._message(PeriodicMessage(_SYNC_ID, 0, sync_s), HOST, "SYNC")])
+        if self._assumptions.streamed:
+            self._add(self._set_points())
+        self._notes += [one.unknown for one in own if one.unknown]
+        self._notes.append(_NOT_COUNTED)
+        messages = tuple(self._found[rank] for rank in sorted(self._found))
+        senders = frozenset(one.sender for one in messages if one.sender)
+        return Subject(
+            load=BusLoad(
+                self._name,
+                description.buses[self._name].bitrate_bit_s,
+                messages,
+                fifo=senders if self._assumptions.fifo else frozenset(),
+            ),
+            is_reserved=is_canopen_reserved,
+            notes=tuple(self._notes),
+        )
+
+    def _add(self, messages: Iterable[Message]) -> None:
+        """These, too; of one identifier the worse counts."""
+        for message in messages:
+            known = self._found.get(message.rank)
+            self._found[message.rank] = message if known is None else _worse(known, message)
+
+    def _add_node(self, node: "NodeTraffic", sync_s: float | None) -> None:
+        sender = ""
+        for one in (*node.sent, *node.sent_at_sync):
+            sender = self._nodes.get(one.can_id & 0x7F, sender)
+        self._add(self._message(one, sender, "motorapi") for one in node.sent)
+        self._add(self._message(one, HOST, "motorapi") for one in node.ours)
+        if sync_s is None:
+            return
+        for messages, whose in ((node.sent_at_sync, sender), (node.ours_at_sync, HOST)):
+            self._add(
+                self._message(replace(one, period_s=sync_s, jitter_s=sync_s), whose, "at SYNC")
+                for one in messages
+            )
+
+    def _repeats(self) -> dict[int, int]:
+        """How often each node repeats what it tells by itself, by node-ID [ns]."""
+        found: dict[int, int] = {}
+        for name, described in self._rig.description.motors.items():
+            options = getattr(getattr(self._rig.motors[name], "hardware", None), "options", None)
+            repeated_ms = getattr(options, "status_period_ms", 0)
+            if described.bus == self._name and described.node_id is not None and repeated_ms:
+                found[described.node_id] = int(repeated_ms * 1_000_000)
+        return found
+
+    def _message(self, one: PeriodicMessage, sender: str, source: str) -> Message:
+        """Heartbeats and SYNC are sent by the clock; of all else only a least distance is known.
+
+        What a node tells by itself must arrive before it repeats it.
+        """
+        by_clock = one.can_id >= 0x700 or one.can_id == _SYNC_ID
+        period_ns = _floor_ns(one.period_s)
+        return Message(
+            identifier=one.can_id,
+            length=one.length,
+            period_ns=period_ns,
+            jitter_ns=-_floor_ns(-one.jitter_s),
+            deadline_ns=max(
+                period_ns, 0 if by_clock else self._repeats_ns.get(one.can_id & 0x7F, 0)
+            ),
+            extended=one.extended,
+            name="" if one.extended else usual_name(one.can_id, _numbered(self._nodes)),
+            sender=sender,
+            arrival=Arrival.PERIODIC if by_clock else Arrival.SPORADIC,
+            movable=not is_canopen_reserved(one.can_id, one.extended),
+            source=source,
+        )
+
+    def _link(self) -> "CanopenLink | None":
+        """What motors of this bus share."""
+        for name, described in self._rig.description.motors.items():
+            if described.bus == self._name:
+                hardware = getattr(self._rig.motors[name], "hardware", None)
+                link = getattr(hardware, "link", None)
+                found: CanopenLink | None = link or getattr(
+                    getattr(hardware, "node", None), "link", None
+                )
+                if found is not None:
+                    return found
+        return None
+
+    def _sync_s(self) -> float | None:
+        from motorapi.adaptations.bus_traffic import sync_period
+
+        if self._assumptions.sync_s is not None:
+            return self._assumptions.sync_s
+        link = self._link()
+        period_s = sync_period(link)[0] if link is not None else None
+        if period_s is None and self._assumptions.streamed:
+            periods = [one.period_ns for one in self._set_points()]
+            period_s = min(periods) / 1e9 if periods else None
+        if period_s is None:
+            self._notes.append("no cyclic SYNC; --sync S takes it as sent every S seconds")
+        return period_s
+
+    def _set_points(self) -> list[Message]:
+        """One for each drive that can take them, as motorapi streams them."""
+        from motorapi.adaptations.cia402_hardware import Cia402HwMotor
+
+        found: list[Message] = []
+        for name, described in self._rig.description.motors.items():
+            hardware = getattr(self._rig.motors[name], "hardware", None)
+            if described.bus != self._name or not isinstance(hardware, Cia402HwMotor):
+                continue
+            identifier = hardware.connect().latched_ids.get(0x607A)
+            if identifier is not None:
+                period_s = self._assumptions.sync_s
+                if period_s is None:
+                    period_s = hardware.options.set_point_period_ms / 1e3
+                one = PeriodicMessage(identifier, _SET_POINT_BYTES, period_s)
+                found.append(self._message(one, HOST, "set-points"))
+        return found
+
+
+def _declared(one: Declared) -> Message:
+    message = one.message
+    return Message(
+        identifier=message.can_id,
+        length=message.length,
+        period_ns=_floor_ns(message.period_s),
+        jitter_ns=-_floor_ns(-message.jitter_s),
+        deadline_ns=_floor_ns(one.deadline_s),
+        extended=message.extended,
+        sender=one.sender,
+        movable=not is_canopen_reserved(message.can_id, message.extended),
+        source="declared",
+    )
+
+
+def _worse(one: Message, other: Message) -> Message:
+    """At least as bad as both."""
+    deadlines = [each.deadline_ns for each in (one, other) if each.deadline_ns is not None]
+    return replace(
+        other,
+        length=max(one.length, other.length),
+        period_ns=min(one.period_ns, other.period_ns),
+        jitter_ns=max(one.jitter_ns, other.jitter_ns),
+        deadline_ns=min(deadlines, default=None),
+        name=other.name or one.name,
+        sender=other.sender or one.sender,
+    )
+
+
+def _numbered(nodes: dict[int | None, str]) -> dict[int, str]:
+    return {number: name for number, name in nodes.items() if number is not None}
+
+
+def _floor_ns(time_s: float) -> int:
+    """Rounded down to whole nanoseconds, but for what floating point adds."""
+    return int(round(time_s * 1e12) // 1000)

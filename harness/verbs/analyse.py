@@ -1,0 +1,195 @@
+"""`motorhil analyse RIG|FILE`: is every message in time, always?"""
+
+import argparse
+import json
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+from harness.analysis.errors import ErrorModel
+from harness.analysis.margins import at_rate
+from harness.analysis.message import Message
+from harness.analysis.subject import Findings, Subject, analyse
+from harness.analysis_text import as_table, print_findings
+from harness.exit_status import FAILED, NOT_JUDGED, PASSED
+from harness.number_options import identifier, real, whole
+from harness.settings import RigError
+from harness.verbs.report import bus_rate
+
+_TIME_MAX_S = 1e6
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """What `analyse` can be told."""
+    parser.add_argument(
+        "file", type=Path, metavar="RIG|FILE", help="a rig (.toml); or a recording, of any format"
+    )
+    parser.add_argument("--bus", action="append", default=[], metavar="NAME", help="only this one")
+    parser.add_argument(
+        "--bitrate",
+        action="append",
+        type=bus_rate,
+        default=[],
+        metavar="BUS=RATE",
+        help="as if it were so, or where a recording does not tell it: can0=500k",
+    )
+    parser.add_argument(
+        "--data-bitrate",
+        action="append",
+        type=bus_rate,
+        default=[],
+        metavar="BUS=RATE",
+        help="the same of the data phase of CAN FD",
+    )
+    parser.add_argument(
+        "--errors", type=whole(0, 4096), metavar="N", help="so many errors strike at once"
+    )
+    parser.add_argument(
+        "--error-interval",
+        type=real(1e-6, _TIME_MAX_S, "s"),
+        metavar="S",
+        help="and from then on one every S seconds at most",
+    )
+    parser.add_argument(
+        "--bit-error-rate",
+        type=real(0.0, 0.5),
+        metavar="P",
+        help="each bit is destroyed with this chance: how likely is a message late?",
+    )
+    parser.add_argument(
+        "--queue",
+        choices=("fifo", "priority"),
+        default="fifo",
+        help="what a node sends first: its oldest frame (default), or its most urgent one",
+    )
+    parser.add_argument(
+        "--deadline",
+        action="append",
+        type=_deadline,
+        default=[],
+        metavar="ID=S",
+        help="of a message, where it is not its period: 181=0.005",
+    )
+    parser.add_argument(
+        "--sync",
+        type=real(1e-4, _TIME_MAX_S, "s"),
+        metavar="S",
+        help="of a rig: SYNC is sent every S seconds",
+    )
+    parser.add_argument(
+        "--streamed",
+        action="store_true",
+        help="of a rig: a set-point is streamed to every drive at each SYNC",
+    )
+    parser.add_argument("--json", action="store_true", help="one JSON object")
+    parser.add_argument("--plot", type=Path, metavar="SVG", help="draw it, too")
+
+
+def run(options: argparse.Namespace) -> int:
+    """Exit status: 0 every deadline is met, 1 one is not, 3 there is nothing to analyse.
+
+    Raises:
+        RigError: the rig is wrong, or an option names what is not there.
+        TraceError: the recording cannot be read, or a bit rate is not known.
+    """
+    errors = _errors(options)
+    subjects = [_with_options(one, options) for one in _subjects(options)]
+    _refuse_unknown(subjects, options)
+    if options.bus:
+        subjects = [one for one in subjects if one.load.name in options.bus]
+    found = [analyse(one, errors) for one in subjects if one.load.messages]
+    verdict, status = _sum(found)
+    if options.json:
+        tables = [as_table(one, options.bit_error_rate) for one in found]
+        told = {"file": str(options.file), "verdict": verdict, "buses": tables}
+        print(json.dumps(told, allow_nan=False))
+    else:
+        for one in found:
+            print_findings(one, options.bit_error_rate)
+        print(f"{options.file}: {verdict}")
+    if options.plot is not None and found:
+        _draw(found, options.plot)
+    return status
+
+
+def _subjects(options: argparse.Namespace) -> list[Subject]:
+    is_fifo = options.queue == "fifo"
+    if options.file.suffix == ".toml":
+        from harness.rig_loads import Assumptions, subjects_of_rig
+
+        return subjects_of_rig(options.file, Assumptions(is_fifo, options.sync, options.streamed))
+    from harness.recorded_loads import subjects_of_recording
+
+    if options.sync is not None or options.streamed:
+        raise RigError(options.file, "--sync and --streamed are of rigs", "leave them out")
+    rates, data_rates = dict(options.bitrate), dict(options.data_bitrate)
+    return subjects_of_recording(options.file, rates, data_rates, fifo=is_fifo)
+
+
+def _with_options(subject: Subject, options: argparse.Namespace) -> Subject:
+    load = subject.load
+    rate = dict(options.bitrate).get(load.name)
+    if rate is not None and rate != load.bitrate_bit_s:
+        load = at_rate(load, rate)
+    data_rate = dict(options.data_bitrate).get(load.name)
+    if data_rate is not None:
+        load = replace(load, data_bitrate_bit_s=data_rate)
+    deadlines = dict(options.deadline)
+
+    def with_deadline(one: Message) -> Message:
+        deadline_ns = deadlines.get(one.identifier)
+        return one if deadline_ns is None else replace(one, deadline_ns=deadline_ns)
+
+    load = replace(load, messages=tuple(with_deadline(one) for one in load.messages))
+    return replace(subject, load=load)
+
+
+def _refuse_unknown(subjects: list[Subject], options: argparse.Namespace) -> None:
+    buses = [one.load.name for one in subjects]
+    for name in (*dict(options.bitrate), *dict(options.data_bitrate), *options.bus):
+        if name not in buses:
+            known = ", ".join(buses) or "none"
+            raise RigError(options.file, f"there is no CAN bus {name}", f"its buses: {known}")
+    sent = {one.identifier for subject in subjects for one in subject.load.messages}
+    for number, _ in options.deadline:
+        if number not in sent:
+            message = f"no message {number:03X}h is counted in it"
+            raise RigError(options.file, message, "look at the table without --deadline")
+
+
+def _errors(options: argparse.Namespace) -> ErrorModel:
+    interval = options.error_interval
+    burst = options.errors
+    if burst is None:
+        burst = 0 if interval is None else 1
+    return ErrorModel(burst, None if interval is None else round(interval * 1e9))
+
+
+def _sum(found: list[Findings]) -> tuple[str, int]:
+    if not any(one.message.deadline_ns is not None for each in found for one in each.responses):
+        return "nothing to analyse: no message with a period or a deadline", NOT_JUDGED
+    late = sum(len(one.late) for one in found)
+    if late:
+        return f"{late} message{'s' * (late > 1)} may be late", FAILED
+    return "all messages are in time", PASSED
+
+
+def _draw(found: list[Findings], target: Path) -> None:
+    from harness.analysis_plot import svg_of
+    from traces.regular_file import whole_file
+
+    with whole_file(str(target)) as file:
+        file.write(svg_of(found).encode())
+    print(f"{target}: response times and deadlines", file=sys.stderr)
+
+
+def _deadline(text: str) -> tuple[int, int]:
+    """A message's identifier, and its deadline [ns].
+
+    Raises:
+        argparse.ArgumentTypeError: it is not ID=S.
+    """
+    name, sign, value = text.partition("=")
+    if not sign:
+        raise argparse.ArgumentTypeError(f"{text!r} is not ID=S, as 181=0.005")
+    return identifier(name), round(real(1e-6, _TIME_MAX_S, "s")(value) * 1e9)

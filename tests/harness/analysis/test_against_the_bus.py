@@ -1,0 +1,244 @@
+"""The analysis against the simulated bus: never above it, and on it where it is exact.
+
+Who becomes ready within the first bit of another's start of frame takes part in that arbitration,
+here and on a real bus; so a frame that blocks has begun a bit before, and the theory's blocking is
+a bit too long. Where "exactly" is asked, the blocking frames of the theory are a bit shorter.
+"""
+
+from dataclasses import replace
+
+import pytest
+from hypothesis import event, given
+from hypothesis import strategies as st
+
+from emulators.media.can_bits import frame_bits
+from emulators.media.can_bus import CanBus
+from emulators.media.can_frame import EFF_FLAG, can_id_of, pack
+from emulators.media.can_node import CanNode, QueueOrder
+from harness.analysis.frame_length import Bits, longest
+from harness.analysis.message import BusLoad, Message
+from harness.analysis.response_time import response_times
+from tests.emulators.media.driving import run
+from tests.harness.analysis.sets import MS, SAE_RATES, sae
+
+RATE = 1_000_000
+BIT_NS = 1000
+FRAMES = 12  # of the slowest message
+Release = tuple[int, int, Message]  # queued, due, of what
+
+
+def latest(load: BusLoad, releases: list[Release], payload=lambda message, number: b"\0" * 8):
+    """By rank: how long after it was due the last bit of a frame came, at most [ns]."""
+    bus = CanBus("can0", load.bitrate_bit_s)
+    ports: dict[str, int] = {}
+    for message in load.messages:
+        owner = message.sender or message.label
+        if owner not in ports:
+            queue = QueueOrder.FIFO if owner in load.fifo else QueueOrder.PRIORITY
+            ports[owner] = bus.attach(owner, CanNode(queue=queue))
+    due: dict[int, list[int]] = {}
+    submissions = []
+    for number, (queued_ns, due_ns, message) in enumerate(releases):
+        can_id = message.identifier | (EFF_FLAG if message.extended else 0)
+        due.setdefault(can_id, []).append(due_ns)
+        frame = pack(can_id, payload(message, number)[: message.length])
+        submissions.append((queued_ns, ports[message.sender or message.label], frame))
+    worst: dict[int, int] = {}
+    for end_ns, (frame, _, _) in run(bus, submissions, until_ns=10**13):
+        can_id = can_id_of(frame)
+        worst[can_id] = max(worst.get(can_id, 0), end_ns - due[can_id].pop(0))
+    assert not any(due.values())
+    return {
+        one.rank: worst[one.identifier | (EFF_FLAG if one.extended else 0)]
+        for one in load.messages
+        if one.identifier | (EFF_FLAG if one.extended else 0) in worst
+    }
+
+
+@st.composite
+def buses(draw: st.DrawFn) -> BusLoad:
+    """Up to six messages of up to three nodes, queued in either way; what has a bound, mostly."""
+    identifiers = draw(
+        st.lists(
+            st.tuples(st.integers(0, 0x7FF), st.booleans()), min_size=2, max_size=6, unique=True
+        )
+    )
+    messages = tuple(
+        Message(
+            identifier << 18 if extended else identifier,
+            draw(st.integers(0, 8)),
+            draw(st.integers(400, 3_000)) * BIT_NS,
+            draw(st.sampled_from([0, 0, 100, 900])) * BIT_NS,
+            extended=extended,
+            sender=draw(st.sampled_from(["a", "b", "c"])),
+        )
+        for identifier, extended in identifiers
+    )
+    fifo = draw(st.frozensets(st.sampled_from(["a", "b", "c"])))
+    return BusLoad("can0", RATE, messages, fifo=fifo)
+
+
+@given(buses(), st.randoms(use_true_random=False), st.booleans())
+def test_no_frame_is_ever_later_than_the_analysis_says(load: BusLoad, chance, at_once: bool):
+    releases: list[Release] = []
+    until_ns = FRAMES * max(one.period_ns for one in load.messages)
+    for message in load.messages:
+        phase_ns = 0 if at_once else chance.randrange(message.period_ns)
+        # at once: the first is as late as it can be, all others are in time
+        first_ns = phase_ns - message.jitter_ns if at_once else phase_ns
+        for number, due_ns in enumerate(range(first_ns, until_ns, message.period_ns)):
+            late_ns = chance.randrange(message.jitter_ns + 1)
+            if at_once:
+                late_ns = message.jitter_ns if number == 0 else 0
+            queued_ns = max(0, due_ns + late_ns)
+            releases.append((queued_ns, due_ns, message))
+    releases.sort(key=lambda one: (one[0], one[2].rank if not at_once else -one[2].rank))
+    found = latest(load, releases, lambda message, number: chance.randbytes(8))
+    bounds = {one.message.rank: one.received_ns for one in response_times(load)}
+    for rank, late_ns in found.items():
+        bound_ns = bounds[rank]
+        event("no bound" if bound_ns is None else f"{late_ns / bound_ns:.1f} of its bound")
+        assert bound_ns is None or late_ns <= bound_ns
+
+
+# --- exactly
+
+
+def exact(load: BusLoad, message: Message) -> int | None:
+    """The bound of one message [ns], blocking frames a bit shorter."""
+    last = max(
+        one.rank
+        for one in load.messages
+        if one is message or (one.sender and one.sender == message.sender)
+    )
+    shorter = replace(
+        load,
+        messages=tuple(
+            replace(one, bits=Bits(one.longest.nominal - 1)) if one.rank > last else one
+            for one in load.messages
+        ),
+    )
+    found = next(r for r in response_times(shorter) if r.message.rank == message.rank)
+    return found.received_ns
+
+
+def from_the_critical_instant(load: BusLoad, message: Message) -> list[Release]:
+    """The longest less urgent frame has just begun, then all others are queued at once."""
+    mates = [
+        one
+        for one in load.messages
+        if one is message or (one.sender in load.fifo and one.sender == message.sender)
+    ]
+    last = max(one.rank for one in mates)
+    lower = [one for one in load.messages if one.rank > last]
+    releases: list[Release] = []
+    begin_ns = 0
+    if lower:
+        blocking = max(lower, key=lambda one: one.longest.nominal)
+        releases.append((0, 0, blocking))
+        begin_ns = 1_000_000_000 // load.bitrate_bit_s
+    level = [one for one in load.messages if one.rank <= last]
+    until_ns = begin_ns + FRAMES * max(one.period_ns for one in level)
+    for one in level:
+        first_ns = begin_ns - one.jitter_ns
+        for due_ns in range(first_ns, until_ns, one.period_ns):
+            queued_ns = due_ns + one.jitter_ns if due_ns == first_ns else due_ns
+            releases.append((max(begin_ns, queued_ns), due_ns, one))
+    releases.sort(key=lambda one: (one[0], one[2].rank == message.rank))
+    return releases
+
+
+def measured(load: BusLoad, fill: bytes) -> BusLoad:
+    """The same messages, each always with these data: so long is every frame of it."""
+    return replace(
+        load,
+        messages=tuple(
+            replace(
+                one,
+                bits=Bits(
+                    frame_bits(
+                        pack(one.identifier | (EFF_FLAG if one.extended else 0), fill[: one.length])
+                    )
+                ),
+            )
+            for one in load.messages
+        ),
+    )
+
+
+@given(buses(), st.binary(min_size=8, max_size=8), st.data())
+def test_from_the_critical_instant_a_message_is_exactly_as_late_as_the_analysis_says(
+    load: BusLoad, fill: bytes, data: st.DataObject
+):
+    """Each message by priority alone; frames of the length that the analysis is told."""
+    load = measured(
+        replace(load, messages=tuple(replace(one, sender="") for one in load.messages)), fill
+    )
+    message = data.draw(st.sampled_from(load.messages))
+    bound_ns = exact(load, message)
+    if bound_ns is None:
+        return
+    busy_ns = next(one.busy_ns for one in response_times(load) if one.message.rank == message.rank)
+    longest_ns = FRAMES * max(o.period_ns for o in load.messages if o.rank <= message.rank)
+    if busy_ns is None or busy_ns > longest_ns:
+        return
+    found = latest(load, from_the_critical_instant(load, message), lambda *_: fill)
+    assert found[message.rank] == bound_ns
+
+
+@given(buses(), st.binary(min_size=8, max_size=8), st.integers(2, 4), st.data())
+def test_in_one_queue_as_well_where_no_message_of_others_is_between(
+    load: BusLoad, fill: bytes, count: int, data: st.DataObject
+):
+    """Neighbours of equal period and no jitter in one queue, all others by priority."""
+    ordered = sorted(load.messages, key=lambda one: one.rank)
+    begin = data.draw(st.integers(0, max(0, len(ordered) - count)))
+    mates = ordered[begin : begin + count]
+    period_ns = max(one.period_ns for one in mates)
+    load = measured(
+        BusLoad(
+            "can0",
+            RATE,
+            tuple(
+                replace(one, sender="a", period_ns=period_ns, jitter_ns=0)
+                if one in mates
+                else replace(one, sender="")
+                for one in ordered
+            ),
+            fifo=frozenset({"a"}),
+        ),
+        fill,
+    )
+    message = data.draw(st.sampled_from([one for one in load.messages if one.sender]))
+    bound_ns = exact(load, message)
+    response = next(r for r in response_times(load) if r.message.rank == message.rank)
+    last = max(one.rank for one in load.messages if one.sender)
+    longest_ns = FRAMES * max(o.period_ns for o in load.messages if o.rank <= last)
+    if bound_ns is None or response.busy_ns is None or response.busy_ns > longest_ns:
+        return
+    found = latest(load, from_the_critical_instant(load, message), lambda *_: fill)
+    assert found[message.rank] == bound_ns
+
+
+@pytest.mark.parametrize("rate", SAE_RATES)
+def test_the_sae_benchmark_is_exactly_as_late_at_every_rate(rate: int):
+    load = measured(sae(rate), b"\x3c" * 8)
+    for message in load.messages:
+        releases = [one for one in from_the_critical_instant(load, message) if one[0] < 60 * MS]
+        found = latest(load, releases, lambda *_: b"\x3c" * 8)
+        assert found[message.rank] == exact(load, message), message.label
+
+
+def test_no_frame_has_all_the_stuff_bits_of_the_theory():
+    """IDE and r0, 0 in all of them, break the pattern: the theory's lengths are not quite reached.
+
+    So "exactly" above is with the lengths that frames have.
+    """
+    empty = [frame_bits(pack(identifier)) for identifier in range(0x800)]
+    assert max(empty) == longest(0, extended=False).nominal - 2
+    heartbeats = [
+        frame_bits(pack(identifier, bytes([state])))
+        for identifier in range(0x701, 0x780)
+        for state in range(256)
+    ]
+    assert max(heartbeats) < longest(1, extended=False).nominal

@@ -1,0 +1,194 @@
+"""`motorhil analyse`: rigs and recordings, tables and JSON, exit status and refusals."""
+
+import json
+from pathlib import Path
+from xml.etree import ElementTree
+
+import jsonschema
+import pytest
+
+import harness
+from emulators.media.can_frame import pack
+from harness.cli import main
+from traces.schema import Direction
+from traces.traffic import Frame
+from traces.traffic_mcap import record_frames
+
+SCHEMA = json.loads((Path(harness.__file__).parent / "analyse.schema.json").read_text())
+VALIDATOR = jsonschema.Draft202012Validator(SCHEMA)
+MS = 1_000_000
+EXAMPLES = Path(harness.__file__).parent / "examples"
+
+# The counter-example of Davis, Burns, Bril & Lukkien 2007.
+DAVIS = "[bus.can0]\nbitrate_bit_s = 125_000\n" + "".join(
+    f"[[bus.can0.message]]\nidentifier = {number}\nlength = 7\nperiod_s = {period_s}\n"
+    f"deadline_s = {deadline_s}\n"
+    for number, period_s, deadline_s in (
+        (1, 2.5e-3, 2.5e-3),
+        (2, 3.5e-3, 3.25e-3),
+        (3, 3.5e-3, 3.25e-3),
+    )
+)
+
+
+@pytest.fixture
+def rig(tmp_path: Path) -> Path:
+    """A rig with nothing but declared messages."""
+    path = tmp_path / "rig.toml"
+    path.write_text(DAVIS)
+    return path
+
+
+def as_json(capsys, *words: str) -> tuple[int, dict]:
+    status = main(["analyse", *words, "--json"])
+    told = json.loads(capsys.readouterr().out)
+    VALIDATOR.validate(told)
+    return status, told
+
+
+def recorded(path: Path, periods: dict[int, int], until_ns: int = 400 * MS) -> Path:
+    """A recording of strictly periodic messages of 4 bytes: [ns] by identifier."""
+    frames = sorted(
+        Frame(time_ns, "can0", pack(identifier, bytes(4)), Direction.UNKNOWN, "")
+        for identifier, period_ns in periods.items()
+        for time_ns in range(identifier, until_ns, period_ns)
+    )
+    record_frames(path, frames, {})
+    return path
+
+
+def test_a_message_that_may_be_late_is_told_with_what_would_help(rig, capsys):
+    assert main(["analyse", str(rig)]) == 1
+    told = capsys.readouterr().out.splitlines()
+    (row,) = [line.split() for line in told if line.startswith("003h")]
+    assert row == ["003h", "declared", "7", "3.500", "0.000", "3.250", "3.500", "NO", "-"]
+    assert "can0: no identifiers help: proved level by level" in told
+    assert "can0: all are in time at 250000 bit/s" in told
+    assert told[-1] == f"{rig}: 1 message may be late"
+
+
+def test_json_has_what_the_schema_says(rig, capsys):
+    status, told = as_json(capsys, str(rig), "--bit-error-rate", "1e-6")
+    assert status == 1
+    (bus,) = told["buses"]
+    assert [one["response_s"] for one in bus["messages"]] == [0.002, 0.003, 0.0035]
+    assert [one["in_time"] for one in bus["messages"]] == [True, True, False]
+    assert [one["late_probability"] for one in bus["messages"]][2] == 1.0
+    assert bus["remedy"]["is_impossible"] is True
+    assert bus["remedy"]["bitrate_bit_s"] == 250_000
+    assert bus["late"] == ["003h"]
+
+
+def test_what_if_another_bit_rate(rig, capsys):
+    status, told = as_json(capsys, str(rig), "--bitrate", "can0=250k")
+    assert (status, told["verdict"]) == (0, "all messages are in time")
+    assert told["buses"][0]["remedy"] is None
+
+
+def test_errors_can_make_late_what_was_in_time(rig, capsys):
+    rate = ("--bitrate", "can0=250k")
+    status, told = as_json(capsys, str(rig), *rate, "--errors", "1", "--error-interval", "1")
+    assert status == 0
+    status, late = as_json(capsys, str(rig), *rate, "--errors", "9")
+    assert status == 1
+    assert late["buses"][0]["errors"] == {"burst": 9, "interval_s": None}
+    fine_s = told["buses"][0]["shortest_error_interval_s"]
+    assert as_json(capsys, str(rig), *rate, "--error-interval", str(fine_s))[0] == 0
+    assert as_json(capsys, str(rig), *rate, "--error-interval", f"{fine_s - 1e-6:f}")[0] == 1
+
+
+def test_messages_of_one_sender_wait_in_one_queue_unless_told_otherwise(tmp_path, capsys):
+    path = tmp_path / "rig.toml"
+    path.write_text(
+        "[bus.can0]\nbitrate_bit_s = 1_000_000\n"
+        + "".join(
+            f"[[bus.can0.message]]\nidentifier = {number}\nlength = 8\nperiod_s = 0.01\n{sender}"
+            for number, sender in ((1, 'sender = "a"\n'), (2, ""), (3, 'sender = "a"\n'))
+        )
+    )
+    one_queue = as_json(capsys, str(path))[1]["buses"][0]
+    assert one_queue["fifo"] == ["a"]
+    assert [one["response_s"] for one in one_queue["messages"]] == [405e-6, 405e-6, 405e-6]
+    sorted_queue = as_json(capsys, str(path), "--queue", "priority")[1]["buses"][0]
+    assert [one["response_s"] for one in sorted_queue["messages"]] == [270e-6, 405e-6, 405e-6]
+
+
+def test_what_motors_have_their_drives_send_is_known(capsys):
+    status, told = as_json(capsys, str(EXAMPLES / "two_wheels.toml"))
+    assert status == 0
+    messages = {one["label"]: one for one in told["buses"][0]["messages"]}
+    assert list(messages) == ["181h", "182h", "701h", "702h", "77Fh"]
+    assert messages["181h"]["sender"] == "left"
+    assert messages["77Fh"]["sender"] == "host"
+    assert messages["181h"]["arrival"] == "sporadic"
+    notes = " ".join(told["buses"][0]["notes"])
+    assert "not declared" in notes
+    assert "SDO" in notes
+    status, streamed = as_json(capsys, str(EXAMPLES / "two_wheels.toml"), "--streamed")
+    sent = {one["label"]: one["period_s"] for one in streamed["buses"][0]["messages"]}
+    assert (sent["080h"], sent["301h"], sent["302h"]) == (0.005, 0.005, 0.005)
+
+
+def test_a_recording_tells_periods_and_jitter(tmp_path, capsys):
+    path = recorded(tmp_path / "some.mcap", {0x101: 5 * MS, 0x102: 20 * MS})
+    status, told = as_json(capsys, str(path), "--bitrate", "can0=500k")
+    assert status == 0
+    first, second = told["buses"][0]["messages"]
+    assert (first["period_s"], first["jitter_s"], first["frames"]) == (0.005, 0.0, 80)
+    assert first["response_s"] == 2 * 95 / 500_000
+    assert second["response_s"] == 2 * 95 / 500_000
+    assert main(["analyse", str(path), "--bitrate", "can0=500k", "--deadline", "102=0.0003"]) == 1
+    assert "NO" in capsys.readouterr().out
+
+
+def test_a_picture_has_a_bar_for_each_message(rig, capsys, tmp_path):
+    target = tmp_path / "times.svg"
+    assert main(["analyse", str(rig), "--plot", str(target)]) == 1
+    root = ElementTree.fromstring(target.read_text())
+    titles = [one.text for one in root.iter("{http://www.w3.org/2000/svg}title")]
+    assert titles == ["001h declared: 2 ms", "002h declared: 3 ms", "003h declared: 3.5 ms"]
+    capsys.readouterr()
+
+
+@pytest.mark.parametrize(
+    ("words", "told"),
+    [
+        (["--bus", "can9"], "there is no CAN bus can9; its buses: can0"),
+        (["--bitrate", "can9=500k"], "there is no CAN bus can9"),
+        (["--bitrate", "500k"], "'500k' is not BUS=RATE"),
+        (["--deadline", "7FF=1"], "no message 7FFh is counted in it"),
+        (["--deadline", "1"], "'1' is not ID=S, as 181=0.005"),
+        (["--deadline", "1=0"], "'0' is not a number from 1e-06 to 1e+06 s"),
+        (["--errors", "-1"], "'-1' is not a whole number from 0 to 4096"),
+        (["--error-interval", "0"], "'0' is not a number from 1e-06 to 1e+06 s"),
+        (["--bit-error-rate", "2"], "'2' is not a number from 0 to 0.5"),
+    ],
+)
+def test_wrong_usage_is_told(rig, capsys, words, told):
+    assert main(["analyse", str(rig), *words]) == 2
+    assert told in capsys.readouterr().err
+
+
+def test_a_wrong_rig_is_told_with_its_line(tmp_path, capsys):
+    path = tmp_path / "rig.toml"
+    path.write_text(DAVIS.replace("deadline_s = 0.0025", "deadline_s = -1"))
+    assert main(["analyse", str(path)]) == 2
+    told = capsys.readouterr().err
+    assert "rig.toml:7: bus.can0.message[0].deadline_s: -1 s is out of range" in told
+
+
+def test_a_recording_without_a_bit_rate_is_refused(tmp_path, capsys):
+    path = recorded(tmp_path / "some.mcap", {0x101: 5 * MS})
+    assert main(["analyse", str(path)]) == 2
+    assert "does not tell the bit rate of can0; say --bitrate can0=500k" in capsys.readouterr().err
+    assert main(["analyse", str(path), "--bitrate", "can0=500k", "--streamed"]) == 2
+    assert "--sync and --streamed are of rigs" in capsys.readouterr().err
+
+
+def test_where_nothing_is_periodic_nothing_is_judged(tmp_path, capsys):
+    path = tmp_path / "rig.toml"
+    path.write_text("[bus.can0]\nbitrate_bit_s = 125_000\nmessage = []\n")
+    assert main(["analyse", str(path)]) == 3
+    once = recorded(tmp_path / "once.mcap", {0x101: 500 * MS})
+    assert main(["analyse", str(once), "--bitrate", "can0=500k"]) == 3
+    capsys.readouterr()
