@@ -154,14 +154,14 @@ class _Bus:
         """
         by_clock = one.can_id >= 0x700 or one.can_id == _SYNC_ID
         period_ns = _floor_ns(one.period_s)
+        is_own = sender != HOST and not by_clock
+        repeated_ns = self._repeats_ns.get(one.can_id & 0x7F, 0) if is_own else 0
         return Message(
             identifier=one.can_id,
             length=one.length,
             period_ns=period_ns,
             jitter_ns=-_floor_ns(-one.jitter_s),
-            deadline_ns=max(
-                period_ns, 0 if by_clock else self._repeats_ns.get(one.can_id & 0x7F, 0)
-            ),
+            deadline_ns=max(period_ns, repeated_ns),
             extended=one.extended,
             name="" if one.extended else usual_name(one.can_id, _numbered(self._nodes)),
             sender=sender,

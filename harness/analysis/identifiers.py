@@ -6,7 +6,8 @@ bottom: at each level the least urgent message (as it is now) that meets its dea
 Audsley's argument holds for CAN (Davis et al. 2007, section 7): how late a message is depends on
 which others are more urgent, not on their order; so if nothing fits at a level, no order exists.
 Messages that cannot move keep their order. Of those that can, as many as possible keep their
-identifiers; that this takes the fewest changes of all is not proved.
+identifiers; that this takes the fewest changes of all is not proved. Where the gaps between those
+have too few free identifiers, messages exchange theirs.
 
 A node with one queue, first in, first out, breaks Audsley's argument (a message holds up more
 urgent ones behind it): then only single moves are tried.
@@ -76,7 +77,7 @@ def propose(load: BusLoad, errors: ErrorModel, is_reserved: Reserved) -> Proposa
         return Proposal(
             None, is_impossible=True, reason="no identifiers help: proved level by level"
         )
-    changes = _renamed(load, order, is_reserved)
+    changes = _renamed(load, order, is_reserved) or _exchanged(order)
     if changes is None:
         return Proposal(None, reason="an order exists, but its gaps have too few free identifiers")
     return Proposal(changes)
@@ -179,6 +180,18 @@ def _renamed(
         used |= {(identifier, one.extended)}
         low = rank_of(identifier, extended=one.extended)
         changes.append(Change(one, identifier))
+    return tuple(changes)
+
+
+def _exchanged(order: Sequence[Message]) -> tuple[Change, ...] | None:
+    """This order by the identifiers there are; None: who keeps his, or a format, forbids it."""
+    changes: list[Change] = []
+    for one, place in zip(order, sorted(order, key=lambda each: each.rank), strict=True):
+        if one is place:
+            continue
+        if not one.movable or one.extended != place.extended:
+            return None
+        changes.append(Change(one, place.identifier))
     return tuple(changes)
 
 

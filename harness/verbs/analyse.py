@@ -56,6 +56,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="P",
         help="each bit is destroyed with this chance: how likely is a message late?",
     )
+    _add_assumptions(parser)
+    parser.add_argument("--json", action="store_true", help="one JSON object")
+    parser.add_argument("--plot", type=Path, metavar="SVG", help="draw it, too")
+
+
+def _add_assumptions(parser: argparse.ArgumentParser) -> None:
+    """What neither rigs nor recordings tell."""
     parser.add_argument(
         "--queue",
         choices=("fifo", "priority"),
@@ -81,8 +88,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         action="store_true",
         help="of a rig: a set-point is streamed to every drive at each SYNC",
     )
-    parser.add_argument("--json", action="store_true", help="one JSON object")
-    parser.add_argument("--plot", type=Path, metavar="SVG", help="draw it, too")
 
 
 def run(options: argparse.Namespace) -> int:

@@ -192,3 +192,25 @@ def test_where_nothing_is_periodic_nothing_is_judged(tmp_path, capsys):
     once = recorded(tmp_path / "once.mcap", {0x101: 500 * MS})
     assert main(["analyse", str(once), "--bitrate", "can0=500k"]) == 3
     capsys.readouterr()
+
+
+def test_the_demo_and_its_recording_agree_but_for_what_is_explained(demo, capsys):
+    """Only commands are new in the recording; nothing came more often than the rig allows."""
+    status, rig = as_json(capsys, str(EXAMPLES / "rover.toml"))
+    again, record = as_json(capsys, str(demo))
+    assert (status, again) == (0, 0)
+    for told, seen in zip(rig["buses"], record["buses"], strict=True):
+        assert told["utilisation"] > seen["utilisation"]
+        known = {one["label"]: one for one in told["messages"]}
+        heard = {one["label"]: one for one in seen["messages"]}
+        assert set(known) <= set(heard)
+        commands = sorted(set(heard) - set(known))
+        assert all(heard[one]["sender"] == "host" for one in commands)
+        assert all(heard[one]["arrival"] == "sporadic" for one in commands)
+        for label, one in known.items():
+            other = heard[label]
+            assert (other["length"], other["sender"]) == (one["length"], one["sender"])
+            assert other["arrival"] == "periodic"
+            assert other["period_s"] >= one["period_s"] * 0.999
+            if one["arrival"] == "sporadic":  # stamps are of ends of frames: they waited
+                assert other["distance_s"] >= one["period_s"] - one["response_s"]

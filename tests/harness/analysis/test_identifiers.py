@@ -4,7 +4,7 @@ from dataclasses import replace
 from itertools import permutations
 
 import pytest
-from hypothesis import event, given
+from hypothesis import event, example, given
 from hypothesis import strategies as st
 
 from harness.analysis.errors import NO_ERRORS, ErrorModel
@@ -76,6 +76,7 @@ def test_what_cannot_move_does_not():
     assert [one.message.label for one in other.changes or ()] == ["100h", "102h"]
 
 
+@example([(4000, 4000), (4000, 3000), (4000, 2000), (4100, 4000)])  # two into a gap of one
 @given(
     st.lists(
         st.tuples(st.integers(40, 120), st.integers(15, 60)).map(
