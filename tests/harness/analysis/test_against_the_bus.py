@@ -15,6 +15,9 @@ from emulators.media.can_bits import frame_bits
 from emulators.media.can_bus import CanBus
 from emulators.media.can_frame import EFF_FLAG, can_id_of, pack
 from emulators.media.can_node import CanNode, QueueOrder
+from emulators.media.delivery import confirms
+from emulators.media.faults import FaultKind, FaultPlan, FaultRule
+from harness.analysis.errors import ErrorModel
 from harness.analysis.frame_length import Bits, longest
 from harness.analysis.message import BusLoad, Message
 from harness.analysis.response_time import response_times
@@ -27,9 +30,14 @@ FRAMES = 12  # of the slowest message
 Release = tuple[int, int, Message]  # queued, due, of what
 
 
-def latest(load: BusLoad, releases: list[Release], payload=lambda message, number: b"\0" * 8):
+def latest(
+    load: BusLoad,
+    releases: list[Release],
+    payload=lambda message, number: b"\0" * 8,
+    faults: FaultPlan | None = None,
+):
     """By rank: how long after it was due the last bit of a frame came, at most [ns]."""
-    bus = CanBus("can0", load.bitrate_bit_s)
+    bus = CanBus("can0", load.bitrate_bit_s, faults)
     ports: dict[str, int] = {}
     for message in load.messages:
         owner = message.sender or message.label
@@ -44,7 +52,9 @@ def latest(load: BusLoad, releases: list[Release], payload=lambda message, numbe
         frame = pack(can_id, payload(message, number)[: message.length])
         submissions.append((queued_ns, ports[message.sender or message.label], frame))
     worst: dict[int, int] = {}
-    for end_ns, (frame, _, _) in run(bus, submissions, until_ns=10**13):
+    for end_ns, (frame, _, kind) in run(bus, submissions, until_ns=10**13):
+        if not confirms(kind):  # it was struck, and is sent again
+            continue
         can_id = can_id_of(frame)
         worst[can_id] = max(worst.get(can_id, 0), end_ns - due[can_id].pop(0))
     assert not any(due.values())
@@ -99,6 +109,30 @@ def test_no_frame_is_ever_later_than_the_analysis_says(load: BusLoad, chance, at
         bound_ns = bounds[rank]
         event("no bound" if bound_ns is None else f"{late_ns / bound_ns:.1f} of its bound")
         assert bound_ns is None or late_ns <= bound_ns
+
+
+@given(buses(), st.randoms(use_true_random=False), st.integers(1, 4), st.floats(0.05, 1.0))
+def test_with_errors_as_well(load: BusLoad, chance, burst: int, probability: float):
+    """Errors in the last bit of frames, where most is lost: as often as they are counted."""
+    rule = FaultRule("struck", FaultKind.DUPLICATE, probability=probability, limit=burst)
+    releases: list[Release] = []
+    until_ns = FRAMES * max(one.period_ns for one in load.messages)
+    for message in load.messages:
+        first_ns = chance.choice([0, chance.randrange(message.period_ns)])
+        for due_ns in range(first_ns, until_ns, message.period_ns):
+            releases.append((due_ns + chance.randrange(message.jitter_ns + 1), due_ns, message))
+    releases.sort(key=lambda one: (one[0], -one[2].rank))
+    plan = FaultPlan([rule], chance.random)
+    found = latest(load, releases, lambda message, number: chance.randbytes(8), plan)
+    struck = plan.fired()["struck"]
+    plain = {one.message.rank: one.received_ns for one in response_times(load)}
+    for one in response_times(load, ErrorModel(burst)):
+        late_ns = found[one.message.rank]
+        if one.received_ns is not None:
+            assert late_ns <= one.received_ns
+            bound_ns = plain[one.message.rank]
+            assert bound_ns is not None
+            event(f"{struck} errors, later than without: {late_ns > bound_ns}")
 
 
 # --- exactly
