@@ -5,8 +5,9 @@ like a lost heartbeat: 1029h:1 says which NMT state it leads to, the device arou
 else (6007h). Off the bus nobody can be told, so that the node was is told when it is not any more
 (EMCY 8140h). The node does not boot by that: its configuration is as it was.
 
-What it would send meanwhile waits as in the mailboxes of a CAN controller, one for each identifier:
-newer data take the place of older ones. Emergencies each have their own.
+What waited for the bus when it went off is lost. What the node would send meanwhile waits as in the
+mailboxes of a CAN controller, one for each identifier: newer data take the place of older ones.
+Emergencies each have their own.
 
 Source: CiA 301, 7.2.7.1 (table 26) and 1029h; Linux include/uapi/linux/can/error.h.
 """

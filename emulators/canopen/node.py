@@ -100,6 +100,7 @@ class CanopenNode:
         if handler is not None:
             handler(data, now_ns)
         elif data[3] & _ERROR_BYTE and self.can.hear(data, now_ns):
+            self._pdos.abandon(now_ns)
             self._react(COMMUNICATION, now_ns)
             self._host.on_bus_off(now_ns)
 

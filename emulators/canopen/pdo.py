@@ -140,6 +140,11 @@ class PdoService:
             if self._window.length_ns and tpdo.transmission_type <= LAST_SYNCHRONOUS:
                 self._judge(tpdo.number, now_ns)
 
+    def abandon(self, now_ns: int) -> None:
+        """The node is off the bus, whose queue has given up what was in it."""
+        for tpdo in self.tpdos:
+            tpdo.abandon(now_ns)
+
     def deadline_ns(self) -> int:
         """The nearest event timer or end of an inhibit time [ns]."""
         deadline_ns = NEVER

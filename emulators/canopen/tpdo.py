@@ -103,6 +103,13 @@ class Tpdo:
         if self._is_wanted and self.transmission_type >= 254:
             self._send_if_allowed(now_ns)
 
+    def abandon(self, now_ns: int) -> None:
+        """The one in flight will never leave the bus: an event's is sent anew."""
+        if self._is_in_flight:
+            self._is_in_flight = False
+            if self.transmission_type >= 254:
+                self.want(now_ns)
+
     def expire(self, now_ns: int) -> None:
         """The event timer or the inhibit time has run out."""
         if self._event_due_ns <= now_ns:

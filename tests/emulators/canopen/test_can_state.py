@@ -126,6 +126,27 @@ def test_off_the_bus_it_is_silent_and_what_is_newest_waits():
     assert bench.frames() == ["702 05"]
 
 
+@pytest.mark.parametrize(("transmission_type", "after"), [(255, ["182 40 02"]), (1, [])])
+def test_a_tpdo_that_was_lost_with_the_bus_is_none_that_is_waited_for(transmission_type, after):
+    od = dictionary()
+    od.get(0x1029, 1).set_default(1)
+    put_pdo(od, 0x1800, (0x6041_0010,), transmission_type)
+    bench = Bench(od).boot()
+    bench.is_bus_stuck = True  # what it hands to the bus never leaves it
+    bench.tell(0x000, b"\x01\x02")
+    bench.tell(0x080)
+    assert bench.frames() == ["182 40 02"]
+    bench.tell(*OFF)
+    bench.is_bus_stuck = False
+    bench.tell(*RESTARTED)
+    assert bench.frames() == [*after, WAS_OFF, IS_OVER]
+    bench.node.object_changed(0x6041, 0, bench.now_ns)
+    bench.drain()
+    bench.tell(0x080)
+    assert bench.frames() == ["182 40 02"]
+    assert list(bench.node.take_events())[-1] == ("info", "recovered from bus-off")
+
+
 def test_the_boot_up_of_a_node_that_was_off_waits_too():
     bench = Bench()
     bench.tell(*OFF)
