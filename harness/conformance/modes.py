@@ -1,11 +1,12 @@
 """Every way in which a motor can be told to move, for clauses that hold in each of them."""
 
 from collections.abc import Callable, Iterator
+from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from math import sqrt
 from typing import Final, final
 
-from harness.conformance.bench import RigProtocol
+from harness.conformance.bench import Lost, RigProtocol
 from harness.conformance.capability import Capability
 from harness.conformance.clause import expect
 from harness.conformance.motions import (
@@ -39,6 +40,7 @@ _SPEED: Final = 0.5  # of the model's
 _TORQUE: Final = 0.06  # of the model's: it must not run away
 _CALM: Final = 0.5  # of the model's acceleration
 _LOOK_S: Final = 0.02
+_BACK_S: Final = 1.0
 
 
 @final
@@ -156,6 +158,42 @@ def expect_usable(bench: RigProtocol, motor: Motor, what: str) -> None:
         abs(moved - way) <= 2.0 * bench.facts.window,
         f"{what}: its next move, of {way:g} {unit}, was one of {moved:g} {unit}",
     )
+
+
+def move_through(
+    bench: RigProtocol, motor: Motor, trouble: AbstractContextManager[Lost], what: str
+) -> int:
+    """Through the trouble a move is made once and told so, or fails, and then it can be used.
+
+    Returns:
+        How often the trouble struck.
+    """
+    before, way = place(bench, motor), 0.25 * long_move(bench)
+    told: MotorError | None = None
+    with trouble as struck:
+        try:
+            aim(motor, way, relative=True)
+            finish(bench, motor, shortest_s(motor, way))
+        except PluginError:
+            raise
+        except MotorError as error:
+            told = error
+        hit = struck()
+    if told is not None:
+        rest_for(bench, shortest_s(motor, way) + _BACK_S)  # it may have been told all the same
+    moved, unit, window = place(bench, motor) - before, motor.model.unit, bench.facts.window
+    low, high = sorted((0.0, way))
+    expect(
+        low - window <= moved <= high + window,
+        f"{what}: told to move {way:g} {unit} once, it moved {moved:g} {unit}",
+    )
+    expect(
+        told is not None or abs(moved - way) <= window,
+        f"{what}: told to move {way:g} {unit}, it is done by its word, and moved {moved:g} {unit}",
+    )
+    if told is not None:
+        expect_usable(bench, motor, what)
+    return hit
 
 
 def _aim(bench: RigProtocol, motor: Motor) -> None:

@@ -357,8 +357,7 @@ class SoftwareMotor(Motor):
 
     def _slow_down(self, deceleration_inc_s2: float, *, quickly: bool = False) -> None:
         axis = self._hardware.axis
-        if axis.is_powered:
-            axis.failure = None  # of the motion before; this one can succeed
+        axis.failure = None  # of the motion before; this one can succeed
         axis.slow_down(deceleration_inc_s2, quickly=quickly)
 
     def _quick_stop(self) -> None:

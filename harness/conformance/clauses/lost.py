@@ -15,6 +15,7 @@ from harness.conformance.modes import (
     expect_usable,
     is_over_soon,
     modes_of,
+    move_through,
     until_rest_s,
 )
 from harness.conformance.motions import (
@@ -261,41 +262,12 @@ def a_single_frame_that_is_lost_makes_nothing_untrue(bench: RigProtocol) -> None
             bench.afresh()
             motor = bench.motor
             motor.enable()
-            hit += _move_with_a_loss(bench, motor, skip, lose_answers)
+            which = f"frame {skip + 1} of {'the drive' if lose_answers else 'the host'} was lost"
+            lose = bench.silence_host(skip=skip, limit=1)
+            if lose_answers:
+                lose = bench.lose_answers_of(motor, skip=skip, limit=1)
+            hit += move_through(bench, motor, lose, which)
     reached(hit > 0, "a frame that was lost")
-
-
-def _move_with_a_loss(bench: RigProtocol, motor: Motor, skip: int, lose_answers: bool) -> int:
-    before, way = place(bench, motor), 0.25 * long_move(bench)
-    which = f"frame {skip + 1} of {'the drive' if lose_answers else 'the host'} was lost"
-    lose = bench.silence_host(skip=skip, limit=1)
-    if lose_answers:
-        lose = bench.lose_answers_of(motor, skip=skip, limit=1)
-    told: MotorError | None = None
-    with lose as lost:
-        try:
-            aim(motor, way, relative=True)
-            finish(bench, motor, shortest_s(motor, way))
-        except PluginError:
-            raise
-        except MotorError as error:
-            told = error
-        hit = lost()
-    if told is not None:
-        rest_for(bench, shortest_s(motor, way) + _BACK_S)  # it may have been told all the same
-    moved, unit, window = place(bench, motor) - before, motor.model.unit, bench.facts.window
-    low, high = sorted((0.0, way))
-    expect(
-        low - window <= moved <= high + window,
-        f"{which}: told to move {way:g} {unit} once, it moved {moved:g} {unit}",
-    )
-    expect(
-        told is not None or abs(moved - way) <= window,
-        f"{which}: told to move {way:g} {unit}, it is done by its word, and moved {moved:g} {unit}",
-    )
-    if told is not None:
-        expect_usable(bench, motor, which)
-    return hit
 
 
 @clause(

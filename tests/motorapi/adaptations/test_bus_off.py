@@ -195,6 +195,8 @@ def test_a_servo_on_the_host_ends_and_can_be_used_again(open_rig: OpenRig):
     assert now_ns(rig) == off_ns
     assert motor.state() is MotorState.OFFLINE
     rig.runtime.run_for(2.0)
+    motor.stop()
+    motor.wait_until_done(timeout_s=5)
     motor.set_trajectory(TrapezoidalTrajectory(0.5))
     motor.start()
     motor.wait_until_done(timeout_s=5)

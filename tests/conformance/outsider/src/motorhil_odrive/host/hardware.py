@@ -109,7 +109,9 @@ class OdriveHwMotor:
         )
         if lock is not None:
             announce(self.physical.ownership, bus, node_id)
-        self._wire = Wire(bus, self.runtime, node_id, self.label, self._overheard)
+        self._wire = Wire(
+            bus, self.runtime, node_id, self.label, self._overheard, lambda: self.heard.news.grow()
+        )
         self.heard: Final = Heard(self._wire, self.label, self.options.heartbeat_timeout_ms)
         self.physical.news = self.heard.news
         self._every = self.runtime.every(self.options.watchdog_feed_ms / 1e3, self._look)
@@ -138,10 +140,11 @@ class OdriveHwMotor:
         """The drive is heard, and speaks the protocol we do; costs nothing if that is known.
 
         Raises:
-            LinkError: it is not heard, or this object is closed.
+            LinkError: it is not heard, or this object is closed, or the bus is off.
             PeerError: it speaks another protocol.
         """
         self.check_open()
+        self._wire.status.check()
         heard, timeout_s = self.heard, self.options.connect_timeout_s
         if heard.is_up():
             return
@@ -239,14 +242,17 @@ class OdriveHwMotor:
         def is_there() -> bool:
             if message.command in answers:
                 found.append(answers[message.command])
-            return bool(found)
+            return bool(found) or self._wire.status.is_off
 
         with self.physical.passage(self.label, of_holder=True):
             answers.pop(message.command, None)
             self._wire.ask(message)
             if not wait_until(self.runtime, is_there, _ANSWER_S):
                 what = f"{self.label}: answer to {message.command:02X}h"
-                raise DeadlineExceeded(awaited=what, timeout_s=_ANSWER_S, last_heard="nothing")
+                heard = self._wire.status.trouble() or "nothing"
+                raise DeadlineExceeded(awaited=what, timeout_s=_ANSWER_S, last_heard=heard)
+        if not found:
+            raise self._wire.status.failure()
         return found[-1]
 
     def ask_for_heartbeat(self) -> None:
@@ -300,7 +306,7 @@ class OdriveHwMotor:
         if self.heard.look(self.runtime.now_ns()):
             self._feeds = False
             self.doubt()
-        if self._feeds:
+        if self._feeds and not self._wire.status.is_off:
             try:
                 self.ask_for_heartbeat()
             except LinkError:

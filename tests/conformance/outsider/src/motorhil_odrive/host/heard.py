@@ -58,6 +58,7 @@ class Heard:
         self.is_homed = False
         self.watch: Watch | None = None
         self._label = label
+        self._wire = wire
         self._timeout_ms = timeout_ms
         self._before: Estimate | None = None
         self._fault_since_ns = 0
@@ -72,10 +73,16 @@ class Heard:
         return known and self.version is not None and self.lost_since_ns is None
 
     def check(self) -> None:
-        """Raises LinkError if it was heard, and is no more."""
+        """Raises LinkError if it was heard, and is no more; or if the bus is off."""
+        self._wire.status.check()
         if self.lost_since_ns is not None:
             reason = f"no heartbeat for {self._timeout_ms:g} ms"
             raise LinkError(link=self._label, reason=reason, since_ns=self.lost_since_ns)
+
+    @property
+    def is_lost(self) -> bool:
+        """Whether it cannot be heard now."""
+        return self.lost_since_ns is not None or self._wire.status.is_off
 
     def is_in(self, *states: int) -> bool:
         """Whether the last heartbeat told one of these axis states."""

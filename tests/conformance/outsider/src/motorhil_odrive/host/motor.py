@@ -116,7 +116,7 @@ class OdriveMotor(Motor):
     def _read_state(self) -> MotorState:
         hardware = self._hardware
         heartbeat = hardware.heard.heartbeat
-        if heartbeat is None or hardware.heard.lost_since_ns is not None or hardware.is_closed:
+        if heartbeat is None or hardware.heard.is_lost or hardware.is_closed:
             return MotorState.OFFLINE
         if heartbeat.error:
             return MotorState.FAULT
@@ -166,7 +166,7 @@ class OdriveMotor(Motor):
 
     def _refresh(self) -> float | None:
         """Both come by themselves; a heartbeat that is asked for comes sooner."""
-        if self._hardware.heard.lost_since_ns is None and not self._hardware.is_closed:
+        if not self._hardware.heard.is_lost and not self._hardware.is_closed:
             self._hardware.ask_for_heartbeat()
         return _REFRESH_S
 

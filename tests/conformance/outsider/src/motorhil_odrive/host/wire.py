@@ -5,6 +5,7 @@ from collections import deque
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Final, final
 
+from motorapi.bus_status import ERROR_FLAG, status_of
 from motorapi.errors import LinkError
 from motorhil_odrive.host.messages import Message, decoded, encoded
 
@@ -43,6 +44,10 @@ class Wire:
         node_id: its number there.
         label: what errors call it.
         on_command: is told of commands that others send to this drive.
+        on_bus_off: is told when the bus goes off: what waits then is lost.
+
+    Attributes:
+        status: of the bus, by what its CAN controller tells.
     """
 
     def __init__(
@@ -52,12 +57,15 @@ class Wire:
         node_id: int,
         label: str,
         on_command: Callable[[int, int], None],
+        on_bus_off: Callable[[], None],
     ) -> None:
         self._bus: Final = bus
         self._runtime: Final = runtime
         self._label: Final = label
         self._first: Final = node_id << 5
         self._on_command: Final = on_command
+        self._on_bus_off: Final = on_bus_off
+        self.status: Final = status_of(bus, label.partition(" node ")[0])
         self._handlers: dict[int, tuple[Message, Handler]] = {}
         self._waiting: deque[Sent] = deque(maxlen=_WAITING_MAX)
         self._registration = runtime.listen(bus, self._on_frame)
@@ -85,13 +93,18 @@ class Wire:
         """When the frame, and so all before it, was complete on the bus [ns].
 
         Raises:
-            LinkError: not within `timeout_s` [s].
+            LinkError: not within `timeout_s` [s], or the bus went off.
         """
-        if not self._runtime.wait_until(lambda: sent.time_ns is not None, timeout_s):
-            reason = f"a frame was not transmitted within {timeout_s:g} s"
-            raise LinkError(link=self._label, reason=reason)
-        assert sent.time_ns is not None
-        return sent.time_ns
+        status, offs = self.status, self.status.offs
+        status.check()
+        self._runtime.wait_until(lambda: sent.time_ns is not None or status.offs != offs, timeout_s)
+        if sent.time_ns is not None:
+            return sent.time_ns
+        if status.offs != offs:
+            raise status.failure()
+        reason = f"a frame was not transmitted within {timeout_s:g} s"
+        trouble = status.trouble()
+        raise LinkError(link=self._label, reason=f"{reason}; {trouble}" if trouble else reason)
 
     def close(self) -> None:
         """Nothing is heard any more."""
@@ -100,6 +113,7 @@ class Wire:
     def _send(self, frame: bytes, fence: "Fence | None") -> Sent:
         from can import CanError
 
+        self.status.check()
         sent = Sent(frame)
         self._waiting.append(sent)
         try:
@@ -117,9 +131,13 @@ class Wire:
 
     def _on_frame(self, frame: bytes, time_ns: int, transmitted: bool) -> None:
         can_id, length, data = _FRAME.unpack(frame)
+        if can_id & ERROR_FLAG:
+            self._hear_controller(frame, time_ns)
+            return
         if can_id & ~(_REMOTE | 0x1F) != self._first:
             return
         if transmitted:
+            self.status.sent()
             for sent in self._waiting:
                 if sent.frame == frame:
                     sent.time_ns = time_ns
@@ -136,3 +154,11 @@ class Wire:
         values = decoded(message, data[:length])
         if values is not None:
             handler(values, time_ns)
+
+    def _hear_controller(self, message: bytes, time_ns: int) -> None:
+        """Our own CAN controller tells of an error; that is no frame of anybody's."""
+        status, offs = self.status, self.status.offs
+        status.hear(message, time_ns)
+        if status.offs != offs:
+            self._waiting.clear()
+            self._on_bus_off()
