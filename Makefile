@@ -5,6 +5,7 @@ BIN := $(VENV)/bin
 READY := $(VENV)/.ready
 
 COMPILED := .venv-compiled
+DIST := dist
 OPTIMISE := 2
 PACKAGES := motorapi emulators traces harness
 # A third one would save a minute, and hurry what goes by the wall (tests/conftest.py).
@@ -15,10 +16,35 @@ WORKERS := -n 2 --dist loadfile --no-loadscope-reorder
 test test-compiled: export PYTHONDONTWRITEBYTECODE :=
 test test-compiled: export PYTHONPYCACHEPREFIX := $(CURDIR)/build/bytecode
 
-.PHONY: demo test check bench fuzz mutants clauses golden format clean compiled build-compiled test-compiled
+.PHONY: demo wheel test check bench fuzz mutants clauses golden format clean compiled build-compiled test-compiled
 
-demo: $(READY)  ## the rover manoeuvre on emulated drives; writes out/demo.mcap
+# It takes a second, compiling a minute or more: so nobody waits for compiled cores the first time.
+# What could not be built is not tried again before something has changed.
+demo: $(READY)  ## the rover manoeuvre on emulated drives; writes out/demo.mcap; PURE=1 without a compiler
+ifeq ($(PURE),1)
 	$(BIN)/motorhil demo
+else
+	@source=$(SOURCE); \
+	if $(built); then exec $(COMPILED)/bin/motorhil demo; fi; \
+	$(BIN)/motorhil demo || exit; \
+	if ! command -v $${CC:-cc} > /dev/null; then \
+	    echo "pure Python cores: no C compiler here ($${CC:-cc})"; \
+	elif [ "$$(cat build/.failed 2>/dev/null)" = "$$source" ]; then \
+	    echo "pure Python cores: the compiled ones could not be built; make compiled tells why"; \
+	else \
+	    echo "That was pure Python. Now compiled cores are built, once, in a minute or two (Ctrl-C leaves it):"; \
+	    if $(MAKE) --no-print-directory compiled; then rm -f build/.failed; exec $(COMPILED)/bin/motorhil demo; fi; \
+	    mkdir -p build; echo "$$source" > build/.failed; echo "pure Python cores then."; \
+	fi
+endif
+
+wheel: compiled  ## in dist: the sources, a wheel of pure Python, one with compiled cores for this Python
+	@rm -rf build/wheel && mkdir -p build/wheel/sources && cp -r $(COPIED) build/wheel/
+	@cd build/wheel && ../../$(call HOOK,build_sdist) . > ../wheel.log 2>&1
+	@tar -xzf build/wheel/*.tar.gz -C build/wheel/sources --strip-components 1  # the wheel is of what it holds
+	@cd build/wheel/sources && ../../../$(call HOOK,build_wheel) .. >> ../../wheel.log 2>&1
+	@mkdir -p $(DIST) && mv build/wheel/*.tar.gz build/wheel/*.whl $(DIST) && cp build/compiled/wheel/*.whl $(DIST)
+	@ls $(DIST)
 
 test: check  ## everything that must hold, on one machine, in minutes
 	$(BIN)/python -m pytest $(WORKERS)
@@ -54,27 +80,37 @@ $(READY): requirements.lock pyproject.toml
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-deps --no-build-isolation -e .
 	touch $@
 
+# What the cores are made of. Tests that ask for less than what ships take what ships, where it is.
+SOURCE = $$(find $(PACKAGES) setup.py pyproject.toml requirements.lock -type f ! -name '*.pyc' \
+    -exec sha256sum {} + | LC_ALL=C sort | sha256sum | cut -c1-64)
+built = case "$$(cat $(COMPILED)/.source 2>/dev/null)" in "$$source "[$(OPTIMISE)-3]) true;; *) false;; esac
+
 compiled: $(READY)  ## the hot cores as C extensions, in an environment of their own
-	@digest=$$(find $(PACKAGES) setup.py pyproject.toml requirements.lock -type f ! -name '*.pyc' \
-	    -exec sha256sum {} + | LC_ALL=C sort | sha256sum)$(OPTIMISE); \
-	if [ "$$(cat $(COMPILED)/.source 2>/dev/null)" != "$$digest" ]; then \
-	    $(MAKE) --no-print-directory build-compiled && echo "$$digest" > $(COMPILED)/.source; fi
+	@source=$(SOURCE); $(built) || { $(MAKE) --no-print-directory build-compiled && \
+	    echo "$$source $(OPTIMISE)" > $(COMPILED)/.source; }
 
 # Built from a copy, for a .so beside the sources would hide them; with the dependencies of .venv.
 # What was built before is used again, as long as the same modules are compiled in the same way.
 COPIED := $(PACKAGES) pyproject.toml setup.py README.md LICENSE
 PURELIB := import sysconfig; print(sysconfig.get_path('purelib'))
+HOOK = $(BIN)/python -c "import sys; from setuptools import build_meta; build_meta.$(1)(sys.argv[1])"
+LOG := build/compiled.log
+build-compiled: SHELL := bash
+build-compiled: .SHELLFLAGS := -o pipefail -c
 build-compiled: $(READY)
 	@mkdir -p build/compiled; \
 	names=$$( (find $(PACKAGES) -name '*.py' | LC_ALL=C sort; cat setup.py; echo $(OPTIMISE)) | sha256sum); \
 	if [ "$$(cat build/compiled/.names 2>/dev/null)" != "$$names" ]; then \
 	    rm -rf build/compiled && mkdir -p build/compiled && echo "$$names" > build/compiled/.names; fi
-	cd build/compiled && rm -rf $(COPIED) && find . -path './build/*' -name '*.py' -delete
-	cp -r $(COPIED) build/compiled/
-	rm -rf $(COMPILED) && $(PYTHON) -m venv --without-pip $(COMPILED)
-	$(BIN)/python -c "$(PURELIB)" > "$$($(COMPILED)/bin/python -c "$(PURELIB)")/dependencies.pth"
-	cd build/compiled && MOTORHIL_COMPILE=1 MOTORHIL_OPTIMISE=$(OPTIMISE) ../../$(COMPILED)/bin/python -m pip install --quiet \
-	    --disable-pip-version-check --no-deps --no-build-isolation --ignore-installed .
+	@cd build/compiled && rm -rf $(COPIED) wheel && find . -path './build/*' -name '*.py' -delete
+	@cp -r $(COPIED) build/compiled/
+	@cd build/compiled && MOTORHIL_COMPILE=1 MOTORHIL_OPTIMISE=$(OPTIMISE) ../../$(call HOOK,build_wheel) wheel 2>&1 | \
+	    tee ../../$(LOG) | sed -un '/ C files compiled$$/p' || { grep -m1 -E 'error:|Error' ../../$(LOG) >&2; \
+	    echo "the compiled cores could not be built, all of it: $(LOG)" >&2; exit 1; }
+	@rm -rf $(COMPILED) && $(PYTHON) -m venv --without-pip $(COMPILED)
+	@$(BIN)/python -c "$(PURELIB)" > "$$($(COMPILED)/bin/python -c "$(PURELIB)")/dependencies.pth"
+	@$(COMPILED)/bin/python -m pip install --quiet --disable-pip-version-check --no-deps --no-index \
+	    --ignore-installed build/compiled/wheel/*.whl
 
 test-compiled: compiled  ## the tests again, against the compiled cores
 	rm -rf build/tests && mkdir -p build/tests && cp -r tests pyproject.toml build/tests/
@@ -82,4 +118,4 @@ test-compiled: compiled  ## the tests again, against the compiled cores
 	    MOTORHIL_SHARED=$${MOTORHIL_SHARED:-$(CURDIR)/../shared} ../../$(COMPILED)/bin/python -m pytest $(TESTS)
 
 clean:
-	rm -rf $(VENV) .venv-compiled build out *.egg-info .mypy_cache .ruff_cache .pytest_cache .hypothesis
+	rm -rf $(VENV) .venv-compiled build dist out *.egg-info .mypy_cache .ruff_cache .pytest_cache .hypothesis

@@ -50,10 +50,14 @@ def source_digest() -> str:
     return digest.hexdigest()[:12]
 
 
+def cores() -> str:
+    """Which cores run, in words."""
+    return "compiled cores" if cores_are_compiled() else "pure Python cores"
+
+
 def describe() -> str:
     """All of it, in one line."""
-    kind = "compiled" if cores_are_compiled() else "pure Python"
-    return f"motorhil {version()}, {kind} cores, source {source_digest()} in {_root()}"
+    return f"motorhil {version()}, {cores()}, source {source_digest()} in {_root()}"
 
 
 def _root() -> Path:

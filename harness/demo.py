@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Final, final
 
 from emulators.line_segment import SerialSegment
+from harness.build_info import cores
 from harness.demo_eds import with_eds
 from harness.demo_mast import MASTS, with_modbus_mast
 from harness.exit_status import FAILED, PASSED, WRONG_USAGE
@@ -121,7 +122,7 @@ def run(options: argparse.Namespace) -> int:
     spent_s = time.perf_counter() - begun_s
     print(
         f"\n{simulated_s:.1f} s simulated in {spent_s:.2f} s: "
-        f"{simulated_s / spent_s:.1f} simulated seconds per second"
+        f"{simulated_s / spent_s:.1f} simulated seconds per second, {cores()}"
     )
     print(f"record {options.output}, digest {digest(options.output)} (seed {rig.seed})")
     if not arrived:

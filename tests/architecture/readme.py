@@ -14,7 +14,8 @@ included, in the order of a terminal. In between, and before a block, comments s
 
 Blocks of `pycon` are one session, and a doctest: each is run behind those before it.
 A line "..." in a text stands for any lines left out, and "..." within a line for any characters.
-The first `make demo` runs what the Makefile says; of other targets only that they exist is asked.
+The first `make demo` runs what the Makefile says of PURE=1; of other targets only that they exist
+is asked.
 """
 
 import os
@@ -42,7 +43,7 @@ PRELUDE = f"""set -euo pipefail
 make() {{
     grep -q "^$1:.*##" {CHECKOUT}/Makefile
     if [ "$*" = demo ] && [ ! -e out ]; then
-        commands=$(command make --no-print-directory -C {CHECKOUT} -n -o .venv/.ready demo)
+        commands=$(command make --no-print-directory -C {CHECKOUT} -n -o .venv/.ready demo PURE=1)
         eval "${{commands//.venv\\/bin\\//}}"
     fi
 }}

@@ -1,26 +1,29 @@
-"""Issue 2, item 10: the hot cores as machine code are the same cores.
+"""Issue 2, item 10; issue 9, item 5: the hot cores as machine code are the same cores; wheels, too.
 
 `make compiled` builds them into .venv-compiled, unless what is there is of these very sources. What
 Hypothesis draws is drawn less often than of the pure cores, which run just these tests at length.
 """
 
-import contextlib
-import fcntl
 import os
-import shutil
-import signal
+import re
 import subprocess
 import sys
+import sysconfig
+import venv
 
 import pytest
 
-from harness.build_info import cores_are_compiled, source_digest
-from tests.architecture.checkout import CHECKOUT
+from harness.build_info import source_digest
+from tests.architecture.checkout import CHECKOUT, PACKAGES
+from tests.compiled.building import LEVEL, clone, demo, digest_in, make, nobody_else_builds
 
 pytestmark = [pytest.mark.compiled, pytest.mark.timeout(1800)]
 
+PLATFORM = sysconfig.get_platform().replace("-", "_").replace(".", "_")
+INTERPRETER = f"cp{sys.version_info.major}{sys.version_info.minor}"
+TAGS = {"pure": "py3-none-any", "compiled": f"{INTERPRETER}-{INTERPRETER}-{PLATFORM}"}
+CORES = {"pure": "pure Python cores", "compiled": "compiled cores"}
 COMPILED = CHECKOUT / ".venv-compiled" / "bin"
-LEVEL = "OPTIMISE=0"  # of gcc's -O; 2, as shipped, takes it 80 s longer and rounds the same
 FOLDERS = ("determinism", "emulators", "traces", "harness", "motorapi")
 # What is in there is interpreted in both builds, or runs long over what others cover: without it
 # every compiled function that any of these folders calls is still called (seen by sys.settrace).
@@ -43,40 +46,10 @@ LEFT_OUT = (
 @pytest.fixture(scope="module")
 def built():
     """The environment is of these sources; nobody rebuilds it meanwhile."""
-    if cores_are_compiled():
-        pytest.skip("these tests themselves run in the compiled build")
-    compiler = os.environ.get("CC", "cc").split()[0]
-    for program in (compiler, "make"):
-        if shutil.which(program) is None:
-            pytest.skip(f"no {program!r} here: the compiled cores are not built")
-    (CHECKOUT / "build").mkdir(exist_ok=True)
-    with (CHECKOUT / "build" / ".lock").open("w") as lock:
-        fcntl.flock(lock, fcntl.LOCK_EX)
+    with nobody_else_builds():
         status, printed = make("compiled", LEVEL)
         assert status == 0, printed[-6000:]
         yield
-
-
-def make(*words):
-    """(exit status, what it printed); nothing of it goes on when these tests are interrupted."""
-    # The program that runs, by itself: an environment made by make would be taken for ready.
-    variables = {name: value for name, value in os.environ.items() if not name.startswith("MAKE")}
-    variables.setdefault("MOTORHIL_HYPOTHESIS", "brief")
-    with subprocess.Popen(
-        ["make", "--no-print-directory", *words, f"PYTHON={sys._base_executable}"],
-        cwd=CHECKOUT,
-        env=variables,
-        stdout=subprocess.PIPE,
-        stderr=subprocess.STDOUT,
-        text=True,
-        start_new_session=True,
-    ) as made:
-        try:
-            printed = made.communicate()[0]
-        finally:
-            with contextlib.suppress(ProcessLookupError):
-                os.killpg(made.pid, signal.SIGKILL)
-    return made.returncode, printed
 
 
 def run(program, folder, hash_seed, *words):
@@ -113,9 +86,81 @@ def test_what_is_hot_is_machine_code_and_nothing_compiled_lies_beside_the_source
     ] == []
 
 
+def test_the_demo_runs_what_is_compiled_unless_told_not_to(built, tmp_path):
+    folder = clone(tmp_path, *PACKAGES)
+    (folder / ".venv-compiled").symlink_to(CHECKOUT / ".venv-compiled")
+    compiled, pure = demo(folder, LEVEL), demo(folder, LEVEL, "PURE=1")
+    assert "seconds per second, compiled cores" in compiled
+    assert "seconds per second, pure Python cores" in pure
+    assert digest_in(compiled) == digest_in(pure)
+
+
 def test_the_compiled_cores_pass_the_same_tests(built):
     words = [f"tests/{folder}" for folder in FOLDERS]
     words += [f"--ignore-glob=tests/{place}" for place in LEFT_OUT]
     status, printed = make("test-compiled", LEVEL, "TESTS=" + " ".join(words))
     assert status == 0, printed[-7000:]
     assert " passed" in printed
+
+
+# --- wheels
+
+
+@pytest.fixture(scope="module")
+def dist(built, tmp_path_factory):
+    """Where the wheels are."""
+    folder = tmp_path_factory.mktemp("dist")
+    status, printed = make("wheel", LEVEL, f"DIST={folder}")
+    assert status == 0, printed[-6000:]
+    return folder
+
+
+@pytest.fixture(scope="module")
+def installed(dist, tmp_path_factory):
+    """A fresh environment for each wheel, with the dependencies of this one."""
+    places = {}
+    for kind, tag in TAGS.items():
+        place = places[kind] = tmp_path_factory.mktemp(kind)
+        venv.create(place, symlinks=True)
+        site = place / "lib" / f"python3.{sys.version_info.minor}" / "site-packages"
+        (site / "dependencies.pth").write_text(sysconfig.get_path("purelib") + "\n")
+        (wheel,) = dist.glob(f"motorhil-*-{tag}.whl")
+        words = ["install", "--quiet", "--no-deps", "--no-index", "--ignore-installed", wheel]
+        subprocess.run([place / "bin" / "python", "-m", "pip", *words], check=True)
+    return places
+
+
+def said_by(place, *words):
+    return subprocess.run(
+        [place / "bin" / "motorhil", *words],
+        cwd=place,
+        capture_output=True,
+        text=True,
+        check=True,
+    ).stdout
+
+
+def test_there_are_the_sources_and_a_wheel_of_each_kind_and_nothing_else(dist):
+    names = sorted(re.sub(r"motorhil-[\d.]+\d", "", path.name) for path in dist.iterdir())
+    assert names == sorted([".tar.gz", *(f"-{tag}.whl" for tag in TAGS.values())])
+
+
+@pytest.mark.parametrize("kind", TAGS)
+def test_a_wheel_tells_its_cores_and_needs_no_checkout(installed, kind):
+    said = said_by(installed[kind], "--version")
+    assert CORES[kind] in said
+    assert f"source {source_digest()} in {installed[kind]}" in said
+    assert list(installed[kind].glob("lib/**/event_queue*.so")) == (
+        [] if kind == "pure" else [installed_core(installed[kind])]
+    )
+
+
+def installed_core(place):
+    (site,) = place.glob("lib/python3*/site-packages")
+    return site / "emulators" / f"event_queue{sysconfig.get_config_var('EXT_SUFFIX')}"
+
+
+def test_every_wheel_drives_the_same_demo(installed):
+    said = {kind: said_by(installed[kind], "demo") for kind in TAGS}
+    assert {kind: CORES[kind] in said[kind] for kind in TAGS} == {"pure": True, "compiled": True}
+    assert digest_in(said["pure"]) == digest_in(said["compiled"])

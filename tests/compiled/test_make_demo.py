@@ -1,0 +1,37 @@
+"""Issue 9, item 5: `make demo` where nothing can be compiled."""
+
+import pytest
+
+from harness.build_info import cores_are_compiled
+from tests.architecture.checkout import PACKAGES
+from tests.compiled.building import clone, demo
+
+pytestmark = [
+    pytest.mark.compiled,
+    pytest.mark.skipif(cores_are_compiled(), reason="the demo of the sources is compared"),
+]
+
+
+def test_without_a_compiler_the_demo_is_pure_and_says_so(tmp_path):
+    printed = demo(clone(tmp_path, "traces"), CC="/no/such/cc")
+    assert "seconds per second, pure Python cores" in printed
+    assert "pure Python cores: no C compiler here (/no/such/cc)" in printed
+
+
+def test_what_cannot_be_compiled_is_named_and_the_demo_is_pure(tmp_path):
+    """Also where a module is new: the folders that are hot take it."""
+    folder = clone(tmp_path)
+    for name in PACKAGES:
+        (folder / name).mkdir()
+        (folder / name / "__init__.py").touch()
+    (folder / "emulators" / "plant").mkdir()
+    (folder / "emulators" / "plant" / "__init__.py").touch()
+    bad = folder / "emulators" / "plant" / "new.py"
+    bad.write_text("class Outer:\n    class Inner:\n        pass\n")
+    printed = demo(folder)
+    assert "emulators/plant/new.py:2: error: " in printed
+    assert "Traceback" not in printed
+    assert printed.count("seconds per second, pure Python cores") == 1
+    again = demo(folder)
+    assert "could not be built" in again
+    assert "new.py" not in again  # and is not tried again
