@@ -81,11 +81,12 @@ def test_tshark_reads_what_is_written(tmp_path):
         Frame(1_700_000_001_000_000_000, "drive", classic(EXT, b""), T),
         Frame(1_700_000_002_000_000_000, "can0", remote(0x701, 1)),
         Frame(1_700_000_003_000_000_000, "can0", flexible(0x77, 1, bytes(range(12))), R),
+        Frame(1_700_000_003_000_000_001, "drive", flexible(EXT, 2, bytes(64)), T),
         Frame(1_700_000_004_000_000_000, "can0", classic(traffic.ERR | 4, bytes(8)), R),
     ]
     with path.open("wb") as file:
         write_pcapng(file, ["can0", "drive"], iter(told))
-    names = "frame.time_epoch frame.interface_name can.id can.len"
+    names = "frame.time_epoch frame.interface_name can.id can.len canfd.flags.brs canfd.flags.esi"
     fields = [word for name in names.split() for word in ("-e", name)]
     command = ["tshark", "-r", str(path), "-T", "fields", "-E", "separator=;", *fields]
     done = subprocess.run(command, capture_output=True, text=True)
@@ -93,6 +94,8 @@ def test_tshark_reads_what_is_written(tmp_path):
     said = done.stdout
     rows = [line.split(";") for line in said.splitlines()]
     assert [row[0] for row in rows] == [traffic.decimal(frame.time_ns) for frame in told]
-    assert [row[1] for row in rows] == ["can0", "drive", "can0", "can0", "can0"]
-    assert [int(row[2], 0) for row in rows[:4]] == [0x123, 0x1ABCDEF0, 0x701, 0x77]
-    assert [row[3] for row in rows[:4]] == ["2", "0", "1", "12"]
+    assert [row[1] for row in rows] == ["can0", "drive", "can0", "can0", "drive", "can0"]
+    assert [int(row[2], 0) for row in rows[:5]] == [0x123, 0x1ABCDEF0, 0x701, 0x77, 0x1ABCDEF0]
+    assert [row[3] for row in rows[:5]] == ["2", "0", "1", "12", "64"]
+    marks = [[value in ("1", "True") for value in row[4:]] for row in rows]
+    assert marks[3:5] == [[True, False], [False, True]]
