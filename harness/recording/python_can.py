@@ -14,18 +14,27 @@ from traces.traffic import BRS, EFF, ERR, ESI, RTR, classic, fields, flexible, r
 _NS: Final = 1_000_000_000
 _FAR_S: Final = 86_400.0  # further from our clock, a stamp counts from something else than 1970
 _BATCH: Final = 4096
+_LINUX_ERRORS: Final = (
+    *("emulated", "gs_usb", "serial", "socketcan", "socketcand", "udp_multicast", "virtual"),
+)
+"""Interfaces of python-can 4.6.1 whose error frames have Linux's classes; others have their own."""
+_BUS_ERROR: Final = 0x80
 
 
-def frame_of(message: can.Message) -> bytes:
-    """The can_frame or canfd_frame of a message.
+def frame_of(message: can.Message, interface: str = "socketcan") -> bytes:
+    """The can_frame or canfd_frame of a message of this interface.
+
+    Where an error frame has other classes than Linux's, it is told as a bus error and no more.
 
     Raises:
         ValueError: it cannot be one.
     """
     can_id = message.arbitration_id
     if message.is_error_frame:
+        if interface not in _LINUX_ERRORS:
+            return classic(ERR | _BUS_ERROR, bytes(8))
         can_id |= ERR
-    if message.is_extended_id:
+    elif message.is_extended_id:
         can_id |= EFF
     if message.is_remote_frame:
         return remote(can_id & ~RTR, message.dlc)
@@ -107,6 +116,7 @@ class PythonCanTap:
         self.source = 0
         self._bus = open_bus(place, options)
         self._text = place.text
+        self._interface = place.interface
         self._backlog = _Backlog()
         self._moved_ns: int | None = None
         self._notifier = can.Notifier(self._bus, [self._backlog], timeout=0.1)
@@ -128,7 +138,7 @@ class PythonCanTap:
         while messages and len(entries) < _BATCH:
             message = messages.popleft()
             try:
-                frame = frame_of(message)
+                frame = frame_of(message, self._interface)
             except ValueError:
                 self.dropped += 1
                 continue

@@ -116,3 +116,10 @@ def test_a_driver_that_is_not_there_is_one_error_with_its_words():
     with pytest.raises(PlaceError, match=r"--on pcan:PCAN_USBBUS1: .*--bitrate") as caught:
         PythonCanTap(parse_place("pcan:PCAN_USBBUS1"), {})
     assert "\n" not in str(caught.value)
+
+
+def test_an_error_frame_of_an_adapter_with_codes_of_its_own_is_a_bus_error_and_no_more():
+    """PCAN-Basic: identifier 4 is a stuff error; Linux's class 4 would be the controller's."""
+    error = can.Message(arbitration_id=4, is_error_frame=True, data=bytes([1, 10, 0, 8]))
+    assert frame_of(error, "pcan") == bytes.fromhex("80000020 08 000000") + bytes(8)
+    assert frame_of(error, "gs_usb")[:4] != bytes.fromhex("80000020")

@@ -79,6 +79,15 @@ class TestOnVcan(ErrorFrames):
             assert word in told
 
 
+def test_hardware_is_sent_no_error_message(monkeypatch):
+    """Its driver would put a frame on the bus, with the class for its identifier."""
+    monkeypatch.setattr("emulators.socketcan.link_kind", lambda _: "can")
+    with contextlib.closing(VcanBench()) as bench, bench.open() as bus, bench.open() as other:
+        bench.tell(bus, PASSIVE)
+        other.send(message(0x123))
+        assert bus.recv(5.0).arbitration_id == 0x123
+
+
 def test_the_kernel_says_what_kind_of_interface_it_is():
     assert link_kind("vcan0") == "vcan"
     assert link_kind("lo") == ""

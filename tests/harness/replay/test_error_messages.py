@@ -1,0 +1,83 @@
+"""What CAN controllers told of errors while it was recorded is no traffic: it changes nothing."""
+
+import pytest
+
+from harness.oracles.judge import judge
+from harness.replay.as_host import DrivenRig, compared, drive
+from harness.replay.recorded_rig import with_recorded
+from harness.replay.verdict import unanswered
+from harness.rig import Rig
+from tests.golden import GOLDEN, described, golden
+from tests.harness.replay.altered import traffic
+from traces.fields import encode_can_frame
+from traces.reader import read_trace
+from traces.recorded_tapes import tapes_of
+from traces.schema import Direction
+from traces.semantic_diff import Tolerance
+from traces.traffic import ERR, classic
+from traces.writer import TraceWriter
+
+HEARD, OWN = Direction.RECEIVED, Direction.TRANSMITTED
+ERRORS = [  # some whose bits are those of NMT, SYNC, an SDO of node 1, were they identifiers
+    (classic(ERR | 0x204, bytes.fromhex("0008000000006000")), "left", HEARD),
+    (classic(ERR | 0x0A8, bytes.fromhex("0000801900000000")), "host", OWN),
+    (classic(ERR | 0x080, bytes.fromhex("0000000000000000")), "left", HEARD),
+    (classic(ERR, bytes.fromhex("0181000000000000")), "host", OWN),
+    (classic(ERR | 0x601, bytes.fromhex("2340600006000000")), "host", OWN),
+    (classic(ERR | 0x581, bytes.fromhex("6040600000000000")), "left", HEARD),
+]
+EVERY = 7
+
+
+@pytest.fixture
+def told(tmp_path):
+    """The golden recording of two drives, with an error message behind each seventh frame."""
+    with (
+        golden("cia402") as path,
+        read_trace(path) as trace,
+        TraceWriter(tmp_path / "told.mcap", trace.metadata) as writer,
+    ):
+        for one in trace.attachments:
+            writer.attach(one.name, one.data, one.media_type, one.log_time_ns)
+        channels, frames = {}, 0
+        for channel, time_ns, payload in trace.messages():
+            if channel.number not in channels:
+                channels[channel.number] = writer.channel(channel.topic, channel.schema)
+            writer.write(channels[channel.number], time_ns, payload)
+            if channel.topic == "/can/can0":
+                frames += 1
+                if not frames % EVERY:
+                    frame, sender, direction = ERRORS[frames // EVERY % len(ERRORS)]
+                    error = encode_can_frame(frame, sender, direction)
+                    writer.write(channels[channel.number], time_ns, error)
+    assert frames > len(ERRORS) * EVERY
+    return tmp_path / "told.mcap"
+
+
+def test_the_devices_in_it_answer_as_if_there_were_none(told, tmp_path):
+    with golden("cia402") as path, read_trace(path) as plain, read_trace(told) as trace:
+        assert tapes_of(trace).tapes == tapes_of(plain).tapes
+    again = tmp_path / "again.mcap"
+    with Rig(with_recorded(described("cia402"), told), record=again) as rig:
+        GOLDEN["cia402"][2](rig)
+        assert unanswered(rig) == []
+    with golden("cia402") as path:
+        assert traffic(again) == traffic(path)
+
+
+def test_the_host_in_it_waits_for_none_and_sends_none(told, tmp_path):
+    live = tmp_path / "live.mcap"
+    with Rig(described("cia402"), record=live) as rig:
+        player = drive(DrivenRig(rig), told)
+    objects, differing = compared(told, live, player.pairs, Tolerance())
+    assert (player.missed, differing) == ([], [])
+    assert {one.label: one.share for one in objects if one.share < 1.0} == {}
+
+
+def test_oracles_say_what_they_said_and_one_more_judges(told):
+    with golden("cia402") as path:
+        before = {one.oracle: one for one in judge(path)}
+    after = {one.oracle: one for one in judge(told)}
+    changed = [name for name in before if before[name] != after[name]]
+    assert changed == ["error-states"]
+    assert after["error-states"].looked > 5
