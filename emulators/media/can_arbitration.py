@@ -8,7 +8,16 @@ still takes part; nothing is scheduled for that, `submit` decides again.
 
 from heapq import heapify, heappop, heappush
 
-from emulators.media.can_bits import INTERMISSION_BITS, KEY_SHIFT, measure
+from emulators.media.can_bits import (
+    FD_MASK,
+    INTERMISSION_BITS,
+    KEY_SHIFT,
+    bits_of,
+    measure,
+    phases_of,
+)
+from emulators.media.can_frame import EFF_MASK, can_id_of
+from emulators.media.can_node import FrameSupport
 from emulators.media.can_port import LENGTHS_MASK, PORT_MASK, PORT_SHIFT, CanPort
 from emulators.media.can_statistics import CanStatistics
 
@@ -16,12 +25,14 @@ from emulators.media.can_statistics import CanStatistics
 class CanArbitration:
     """The frames of all ports, and the one in flight. `CanBus` is one, and tells what it carries.
 
-    Attributes (read only): name, bit_ns [ns], statistics.
+    Attributes (read only): name, bit_ns [ns], statistics; data_bit_ns, a bit at the data rate
+    [ns], 0 on a classical bus.
     """
 
-    def __init__(self, name: str, bit_ns: int) -> None:
+    def __init__(self, name: str, bit_ns: int, data_bit_ns: int = 0) -> None:
         self.name = name
         self.bit_ns = bit_ns
+        self.data_bit_ns = data_bit_ns
         self.statistics = CanStatistics()
         self._ports: list[CanPort] = []
         self._competing: list[int] = []  # heap of the entries of candidates not in flight
@@ -30,17 +41,21 @@ class CanArbitration:
         self._joinable_ns = 0  # until then (exclusive) others may still take part
         self._end_ns = 0  # end of EOF of the frame in flight
         self._free_ns = 0  # end of the last intermission
+        self._intermission_ns = INTERMISSION_BITS * bit_ns
         self._starts = 0  # arbitrations so far
         self._collided = False  # the frame in flight has won over one with its own key
 
     def submit(self, port: int, frame: bytes, now_ns: int) -> None:
-        """The frame (16-byte can_frame) waits for its turn at this port, or is on its way.
+        """The frame (can_frame or canfd_frame) waits for its turn at this port, or is on its way.
 
         Raises:
-            ValueError: it is no classical frame that a node can send, see `can_bits.measure`.
+            ValueError: it is no frame that a node can send, see `can_bits.measure`; or a CAN FD
+                frame, and the bus or the node is classical.
         """
         node = self._ports[port]
         entry = measure(frame) | node.tag
+        if entry & FD_MASK:
+            self._require_fd(node, frame)
         if node.entry:
             self._submit_behind(node, entry, frame, now_ns)
             return
@@ -86,7 +101,35 @@ class CanArbitration:
         self._flight = entry
         self._start_ns = start_ns
         self._joinable_ns = start_ns + bit_ns
-        self._end_ns = start_ns + ((entry & LENGTHS_MASK) - INTERMISSION_BITS) * bit_ns
+        if entry & FD_MASK:
+            self._end_ns = start_ns + self._fd_ns(entry) - self._intermission_ns
+        else:
+            self._end_ns = start_ns + (entry & LENGTHS_MASK) * bit_ns - self._intermission_ns
+
+    def _fd_ns(self, entry: int) -> int:
+        """How long a CAN FD frame takes [ns], intermission included."""
+        bits, data_bits = phases_of(entry & LENGTHS_MASK)
+        return bits * self.bit_ns + data_bits * self.data_bit_ns
+
+    def _require_fd(self, node: CanPort, frame: bytes) -> None:
+        """The node may send this CAN FD frame here."""
+        number = f"CAN FD frame {can_id_of(frame) & EFF_MASK:X}h"
+        if not self.data_bit_ns:
+            raise ValueError(
+                f"{number}: bus {self.name} is classical CAN; give it a data bit rate "
+                "(data_bitrate_bit_s)"
+            )
+        if node.chip.frames is not FrameSupport.FD:
+            raise ValueError(
+                f"{number}: {node.name} on bus {self.name} has a classical CAN controller (frames "
+                f'= "{node.chip.frames.value}"); an FD one sends it'
+            )
+        for other in self._ports:
+            if other.chip.frames is FrameSupport.CLASSICAL:
+                raise ValueError(
+                    f"{number}: {other.name} has a classical CAN controller, which destroys every "
+                    f"CAN FD frame on bus {self.name}; one that is fd_tolerant lets them pass"
+                )
 
     def _arbitrate(self, start_ns: int) -> None:
         """The best of those competing starts; the bus is idle if there is none."""
@@ -131,10 +174,12 @@ class CanArbitration:
         """A frame is sent: statistics, and the node's next one competes."""
         key = entry >> KEY_SHIFT
         bits = entry & LENGTHS_MASK
+        if entry & FD_MASK:
+            bits = bits_of(bits)
         self.statistics.count(key, bits)
         if self._collided:
             self.statistics.count_collision(key)
-        self._free_ns = self._start_ns + bits * self.bit_ns
+        self._free_ns = self._end_ns + self._intermission_ns
         self.statistics.busy.add(self._start_ns, self._free_ns)
         if not node.behind:
             node.entry = 0
@@ -142,9 +187,9 @@ class CanArbitration:
             node.starts_seen = self._starts
             heappush(self._competing, node.entry)
 
-    def _occupy(self, bits: int) -> None:
-        """What was in flight took so many bits, intermission included."""
-        self._free_ns = self._start_ns + bits * self.bit_ns
+    def _occupy(self, more_bits: int) -> None:
+        """What was in flight took its time and so many nominal bits more."""
+        self._free_ns = self._end_ns + self._intermission_ns + more_bits * self.bit_ns
         self.statistics.busy.add(self._start_ns, self._free_ns)
 
     def _submit_behind(self, node: CanPort, entry: int, frame: bytes, now_ns: int) -> None:

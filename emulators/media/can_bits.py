@@ -1,4 +1,4 @@
-"""How many bits a classical CAN frame is on the wire, and who wins arbitration with it.
+"""How many bits a CAN frame is on the wire, at which rate, and who wins arbitration with it.
 
 From start of frame to the end of the CRC sequence, after five equal bits the sender inserts one of
 the other value, which itself begins a new run; the run that ends with the CRC's last bit counts.
@@ -8,16 +8,30 @@ Stuffing is a machine of eight states (last bit, length of the run 1..4), so one
 advances it by a whole byte, and another one the CRC. The header (identifier, flags, length) is
 remembered with the state it leads to: a node sends few different ones.
 
-Source: ISO 11898-1, bit stuffing and frame formats; CRC-15 polynomial 4599h. Bounds: Davis, Burns,
-Bril & Lukkien, Controller Area Network schedulability analysis (2007).
+CAN FD is stuffed like this up to its last data bit only, after which no such bit follows: a fixed
+stuff bit goes before the stuff count and after every fourth bit from there, so that the stuff count
+(4), CRC-17 (up to 16 bytes) or CRC-21 and their fixed stuff bits (6 or 7) are as long whatever they
+say. With a bit rate switch, the rate changes at BRS's sample point and changes back at the CRC
+delimiter's. BRS counts as a nominal bit here and the CRC delimiter as one at the data rate: what
+the one is short of after its sample point the other is over, so the sum is exact wherever the
+sample points are (BRS lasts s Tn + (1 - t) Td and the delimiter t Td + (1 - s) Tn). BRS itself is
+never at the end of a run, as FDF and res before it differ: no stuff bit lies on the border.
+
+Source: ISO 11898-1:2015, bit stuffing, frame formats, bit rate switching; CRC-15 polynomial 4599h.
+Bounds: Davis, Burns, Bril & Lukkien, Controller Area Network schedulability analysis (2007); for
+CAN FD Linux include/linux/can/length.h.
 """
 
 from typing import Final
 
 from emulators.media.can_frame import (
+    BRS,
     EFF_FLAG,
     EFF_MASK,
     ERR_FLAG,
+    ESI,
+    FD_FRAME_BYTES,
+    FD_LENGTHS,
     FRAME_BYTES,
     RTR_FLAG,
     SFF_MASK,
@@ -25,11 +39,25 @@ from emulators.media.can_frame import (
 )
 
 INTERMISSION_BITS: Final = 3
-KEY_SHIFT: Final = 30  # `measure` answers key << KEY_SHIFT | lengths (`can_port`)
+KEY_SHIFT: Final = 30  # `measure` answers key << KEY_SHIFT | lengths
 
-_BITS: Final = (1 << KEY_SHIFT) - 1
+# Lengths are bits of an FD frame from ESI to CRC delimiter << DATA_SHIFT | other bits. The former
+# are at the data rate unless NO_SWITCH is among the latter; of classical frames there are none.
+LENGTHS_MASK: Final = 0x3FFFF
+FD_MASK: Final = (
+    0x3FF00  # of these bits some are set in the lengths of every FD frame, and no other
+)
+DATA_SHIFT: Final = 8
+NO_SWITCH: Final = 0x80
+_FD_NOMINAL_MASK: Final = 0x7F
+
 _POLYNOMIAL: Final = 0x4599
 _TAIL_BITS: Final = 13  # CRC delimiter, ACK slot and delimiter, end of frame, intermission
+_FD_TAIL_BITS: Final = 12  # the same, but for the CRC delimiter
+_FD_SHORT_BYTES: Final = 16
+_FD_SHORT_BITS: Final = 28  # stuff count, CRC-17, fixed stuff bits, CRC delimiter
+_FD_LONG_BITS: Final = 33  # with CRC-21
+_FD_CONTROL_BITS: Final = 5  # ESI, DLC
 _HEADERS_KEPT: Final = 4096  # then all are forgotten; a bound on memory, 1 MB at most
 _FRAMES_KEPT: Final = 8192  # as well, 2 MB at most
 
@@ -60,6 +88,15 @@ def _stuff(state: int, bit: int) -> int:
     return bit << 10 | (run - 1) << 8
 
 
+def _last_table() -> list[int]:
+    """For state << 8 | byte: 1 if its last bit is followed by a stuff bit, else 0."""
+    table: list[int] = []
+    for entry in range(1 << 11):
+        before = _STUFF_7[entry >> 1] & _STATE
+        table.append(_stuff(before, entry & 1) >> 16)
+    return table
+
+
 def _crc_table() -> list[int]:
     """For a byte: the CRC register after it, from an empty register."""
     table: list[int] = []
@@ -73,36 +110,41 @@ def _crc_table() -> list[int]:
 
 _STUFF: Final = _stuff_table(8)
 _STUFF_7: Final = _stuff_table(7)
+_LAST: Final = _last_table()
 _CRC: Final = _crc_table()
 
 # The first five bytes of a frame -> (key << KEY_SHIFT | bits without stuffing, where the data end
 # in the frame, CRC register, stuffing state, stuff bits << 16).
 _headers: Final[dict[bytes, tuple[int, int, int, int, int]]] = {}
+# The first six bytes of an FD frame -> (key << KEY_SHIFT | lengths without stuff bits of the data,
+# where the data end, stuffing state).
+_fd_headers: Final[dict[bytes, tuple[int, int, int]]] = {}
 # What `measure` answered to whole frames: heartbeats, questions and a status at rest come again.
 _frames: Final[dict[bytes, int]] = {}
 
 
 def length_bits(frame: bytes) -> int:
-    """Exact bits of a classical frame from its first to its last, without the intermission.
+    """Exact bits of a frame from its first to its last, at either rate, without the intermission.
 
     Raises:
         ValueError: as of `measure`.
     """
-    return (measure(frame) & _BITS) - INTERMISSION_BITS
+    return frame_bits(frame) - INTERMISSION_BITS
 
 
 def measure(frame: bytes) -> int:
-    """Arbitration key << KEY_SHIFT | exact bits incl. intermission, of a classical frame.
+    """Arbitration key << KEY_SHIFT | lengths, exact and incl. intermission.
 
     Raises:
-        ValueError: not a 16-byte can_frame, an error message, an identifier that its format has
-            no room for, or a length above 8.
+        ValueError: neither a 16-byte can_frame nor a 72-byte canfd_frame, an error message, an
+            identifier that its format has no room for, a length that it has not, or a remote
+            frame of CAN FD.
     """
     known = _frames.get(frame)
     if known is not None:
         return known
     if len(frame) != FRAME_BYTES:
-        raise ValueError(f"a classical CAN frame has {FRAME_BYTES} bytes here, not {len(frame)}")
+        return _measure_fd(frame)
     header = _headers.get(frame[:5])
     if header is None:
         header = _measure_header(frame)
@@ -126,7 +168,21 @@ def frame_bits(frame: bytes) -> int:
     Raises:
         ValueError: as `measure`.
     """
-    return measure(frame) & _BITS
+    return bits_of(measure(frame) & LENGTHS_MASK)
+
+
+def bits_of(lengths: int) -> int:
+    """How many bits they are, at whatever rate."""
+    if lengths & FD_MASK:
+        return (lengths >> DATA_SHIFT) + (lengths & _FD_NOMINAL_MASK)
+    return lengths
+
+
+def phases_of(lengths: int) -> tuple[int, int]:
+    """(bits at the nominal rate, bits at the data rate)."""
+    if lengths & FD_MASK and not lengths & NO_SWITCH:
+        return lengths & _FD_NOMINAL_MASK, lengths >> DATA_SHIFT
+    return bits_of(lengths), 0
 
 
 def arbitration_key(frame: bytes) -> int:
@@ -149,27 +205,86 @@ def can_id_of_key(key: int) -> int:
     return key >> 21 | (RTR_FLAG if key & 1 << 20 else 0)
 
 
+def _measure_fd(frame: bytes) -> int:
+    """As `measure`, of a frame that is not classical and not remembered."""
+    if len(frame) != FD_FRAME_BYTES:
+        raise ValueError(
+            f"a CAN frame has {FRAME_BYTES} bytes here, or {FD_FRAME_BYTES} in CAN FD, not "
+            f"{len(frame)}"
+        )
+    header = _fd_headers.get(frame[:6])
+    if header is None:
+        header = _measure_fd_header(frame)
+    measured, end, state = header
+    stuff_bits = 0
+    entry = 0
+    for byte in frame[8:end]:
+        entry = state | byte
+        found = _STUFF[entry]
+        stuff_bits += found >> 16
+        state = found & _STATE
+    if end > 8:
+        stuff_bits -= _LAST[entry]
+    if len(_frames) >= _FRAMES_KEPT:
+        _frames.clear()
+    known = _frames[frame] = measured + (stuff_bits << DATA_SHIFT)
+    return known
+
+
+def _key_of(can_id: int) -> int:
+    """The arbitration field; checks the identifier."""
+    if can_id & ERR_FLAG:
+        raise ValueError("an error message (ERR_FLAG) is for a node, not for the bus")
+    remote = 1 if can_id & RTR_FLAG else 0
+    identifier = can_id & EFF_MASK
+    if can_id & EFF_FLAG:
+        # identifier 28..18, SRR, IDE, identifier 17..0, RTR
+        return identifier >> 18 << 21 | 0b11 << 19 | (identifier & 0x3FFFF) << 1 | remote
+    if identifier > SFF_MASK:
+        raise ValueError(f"identifier {identifier:X}h has more than 11 bits; set EFF_FLAG")
+    return identifier << 21 | remote << 20  # identifier, RTR, IDE = 0
+
+
+def _measure_fd_header(frame: bytes) -> tuple[int, int, int]:
+    """What `_measure_fd` remembers of an identifier, a length and flags; checks them."""
+    can_id = can_id_of(frame)
+    length = frame[4]
+    key = _key_of(can_id)
+    if length not in FD_LENGTHS:
+        raise ValueError(f"{length} bytes of data: a CAN FD frame has 0..8, 12, 16, ... or 64")
+    if can_id & RTR_FLAG:
+        raise ValueError("there is no remote frame in CAN FD")
+    switch = frame[5] & BRS
+    # FDF, res, BRS, and ESI, DLC; SOF is a leading 0
+    arbitration, width = (key, 33) if can_id & EFF_FLAG else (key >> 19, 14)
+    bits = arbitration << 3 | (0b101 if switch else 0b100)
+    bits = bits << 5 | (0b10000 if frame[5] & ESI else 0) | FD_LENGTHS.index(length)
+    width += 3
+    entry = 0b100 << 8  # "a recessive bit before": the dominant start of frame begins a run
+    stuff_bits = [0, 0]
+    for shift in range(width + _FD_CONTROL_BITS - 1, -1, -1):
+        entry = _stuff(entry & _STATE, bits >> shift & 1)
+        if shift or length:
+            stuff_bits[shift < _FD_CONTROL_BITS] += entry >> 16
+    checks = _FD_SHORT_BITS if length <= _FD_SHORT_BYTES else _FD_LONG_BITS
+    nominal = width + stuff_bits[0] + _FD_TAIL_BITS + (0 if switch else NO_SWITCH)
+    data = _FD_CONTROL_BITS + stuff_bits[1] + 8 * length + checks
+    header = (key << KEY_SHIFT | data << DATA_SHIFT | nominal, 8 + length, entry & _STATE)
+    if len(_fd_headers) >= _HEADERS_KEPT:
+        _fd_headers.clear()
+    _fd_headers[frame[:6]] = header
+    return header
+
+
 def _measure_header(frame: bytes) -> tuple[int, int, int, int, int]:
     """What `measure` remembers of an identifier, its flags and a length; checks them."""
     can_id = can_id_of(frame)
     length = frame[4]
-    if can_id & ERR_FLAG:
-        raise ValueError("an error message (ERR_FLAG) is for a node, not for the bus")
+    key = _key_of(can_id)
     if length > 8:
         raise ValueError(f"a classical CAN frame has 0..8 bytes of data, not {length}")
-    remote = 1 if can_id & RTR_FLAG else 0
-    identifier = can_id & EFF_MASK
-    if can_id & EFF_FLAG:
-        # identifier 28..18, SRR, IDE, identifier 17..0, RTR; then r1, r0, DLC; SOF is a leading 0
-        key = identifier >> 18 << 21 | 0b11 << 19 | (identifier & 0x3FFFF) << 1 | remote
-        bits = key << 6 | length
-        width = 39
-    else:
-        if identifier > SFF_MASK:
-            raise ValueError(f"identifier {identifier:X}h has more than 11 bits; set EFF_FLAG")
-        key = identifier << 21 | remote << 20  # identifier, RTR, IDE = 0; then r0, DLC
-        bits = key >> 19 << 5 | length
-        width = 19
+    # then r1, r0, DLC, or after IDE = 0: r0, DLC; SOF is a leading 0
+    bits, width = (key << 6 | length, 39) if can_id & EFF_FLAG else (key >> 19 << 5 | length, 19)
     crc = 0
     entry = 0b100 << 8  # "a recessive bit before": the dominant start of frame begins a run
     total = 0
@@ -178,7 +293,7 @@ def _measure_header(frame: bytes) -> tuple[int, int, int, int, int]:
         entry = _stuff(entry & _STATE, bit)
         total += entry
         crc = (crc << 1 ^ (_POLYNOMIAL if crc >> 14 ^ bit else 0)) & 0x7FFF
-    data_bytes = 0 if remote else length
+    data_bytes = 0 if can_id & RTR_FLAG else length
     unstuffed = width + 8 * data_bytes + 15 + _TAIL_BITS
     header = (key << KEY_SHIFT | unstuffed, 8 + data_bytes, crc, entry & _STATE, total & ~0xFFFF)
     if len(_headers) >= _HEADERS_KEPT:

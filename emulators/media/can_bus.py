@@ -1,4 +1,4 @@
-"""A classical CAN bus with ports: who may send when, how long it takes, who hears it.
+"""A CAN bus with ports: who may send when, how long it takes, who hears it.
 
 A core like a controller: told frames, told the time, asked for its next deadline. Who may send is
 said in `can_arbitration`; here is what becomes of it.
@@ -6,16 +6,25 @@ said in `can_arbitration`; here is what becomes of it.
 Two nodes that send one identifier and frame type destroy each other's frames on a real bus. Here
 the lower port goes first, and `statistics.collisions` tells. Faults cost one flag while there are
 none. Left for later, and where: error frames, error counters and bus-off (where a frame is
-complete; a sender nobody acknowledges succeeds here), CAN FD (`can_bits.measure`, a second rate).
+complete; a sender nobody acknowledges succeeds here).
 """
 
 from heapq import heappush
 from typing import final
 
 from emulators.media.can_arbitration import CanArbitration
-from emulators.media.can_node import PLAIN, CanNode
-from emulators.media.can_port import CUT_OFF, LENGTHS_MASK, PORT_MASK, PORT_SHIFT, CanPort
-from emulators.media.delivery import DELIVERED, HEARD, KIND_MASK, LOST, Delivery, hears
+from emulators.media.can_bits import FD_MASK
+from emulators.media.can_node import PLAIN, CanNode, FrameSupport
+from emulators.media.can_port import CUT_OFF, PORT_MASK, PORT_SHIFT, CanPort
+from emulators.media.delivery import (
+    DELIVERED,
+    HEARD,
+    KIND_MASK,
+    LOST,
+    Delivery,
+    hears,
+    kind_without,
+)
 from emulators.media.fault_seam import ERROR_FRAME_BITS, FaultSeam
 from emulators.media.faults import NEVER_NS, FaultEvent, FaultPlan, FaultRule
 
@@ -24,7 +33,7 @@ __all__ = ["DELIVERED", "HEARD", "KIND_MASK", "LOST", "CanBus", "Delivery", "hea
 
 @final
 class CanBus(CanArbitration):
-    """A classical CAN bus. Sans-I/O; times are int nanoseconds on one timeline that starts at 0.
+    """A CAN bus, classical or FD. Sans-I/O; times are int nanoseconds on one timeline from 0 on.
 
     Whoever drives it calls `expire` with the time of each `next_deadline_ns` as it comes, and
     never submits at a time later than a deadline still due.
@@ -36,23 +45,35 @@ class CanBus(CanArbitration):
         name: how records call it.
         bitrate_bit_s: nominal bit rate [bit/s]; a bit must be a whole number of nanoseconds.
         faults: what goes wrong; None: nothing ever will. An empty plan costs nothing either.
+        data_bitrate_bit_s: of the data phase of CAN FD frames with a bit rate switch [bit/s]; as
+            the other one, and not below it. None: the bus is classical.
 
-    Attributes (read only): name, bitrate_bit_s, bit_ns [ns], statistics.
+    Attributes (read only): name, bitrate_bit_s, data_bitrate_bit_s, bit_ns [ns], data_bit_ns [ns],
+    statistics.
 
     Raises:
-        ValueError: a bit at this rate is no whole number of nanoseconds.
+        ValueError: a bit at these rates is no whole number of nanoseconds, or the data rate is the
+            lower one.
     """
 
     def __init__(
-        self, name: str, bitrate_bit_s: int = 1_000_000, faults: FaultPlan | None = None
+        self,
+        name: str,
+        bitrate_bit_s: int = 1_000_000,
+        faults: FaultPlan | None = None,
+        data_bitrate_bit_s: int | None = None,
     ) -> None:
-        if bitrate_bit_s <= 0 or 1_000_000_000 % bitrate_bit_s:
+        bit_ns = _bit_ns(name, bitrate_bit_s)
+        data_bit_ns = 0 if data_bitrate_bit_s is None else _bit_ns(name, data_bitrate_bit_s)
+        if data_bit_ns > bit_ns:
             raise ValueError(
-                f"bus {name}: a bit at {bitrate_bit_s} bit/s is no whole number of nanoseconds; "
-                "1M, 800k, 500k, 250k, 125k, 100k, 50k, 20k and 10k are"
+                f"bus {name}: the data bit rate of {data_bitrate_bit_s} bit/s is below the "
+                f"nominal one of {bitrate_bit_s} bit/s"
             )
-        super().__init__(name, 1_000_000_000 // bitrate_bit_s)
+        super().__init__(name, bit_ns, data_bit_ns)
         self.bitrate_bit_s = bitrate_bit_s
+        self.data_bitrate_bit_s = data_bitrate_bit_s
+        self._fd_kind = DELIVERED  # of a CAN FD frame: only FD nodes hear it
         self._faults = FaultSeam(faults) if faults is not None else None
         self._faulty = False
         if faults is not None:
@@ -71,6 +92,8 @@ class CanBus(CanArbitration):
             raise ValueError(f"bus {self.name}: a port is called {name} already")
         node = CanPort(number, name, chip)
         self._ports.append(node)
+        if chip.frames is not FrameSupport.FD:
+            self._fd_kind = kind_without(self._fd_kind, 1 << number)
         if self._faults is not None and self._faults.attach(name):
             node.entry = CUT_OFF
         return number
@@ -96,7 +119,8 @@ class CanBus(CanArbitration):
             entry = self._flight
             number = entry >> PORT_SHIFT & PORT_MASK
             node = self._ports[number]
-            deliveries.append((node.frame, number, DELIVERED))
+            kind = self._fd_kind if entry & FD_MASK else DELIVERED
+            deliveries.append((node.frame, number, kind))
             self._succeed(node, entry)
             if self._competing:
                 self._arbitrate(self._free_ns)
@@ -175,9 +199,8 @@ class CanBus(CanArbitration):
         entry = self._flight
         number = entry >> PORT_SHIFT & PORT_MASK
         node = self._ports[number]
-        bits = entry & LENGTHS_MASK
         if faults.was_cut(number):
-            self._occupy(bits)
+            self._occupy(0)
             self._send_again(node, faults.is_cut(number))
         elif node.frame == node.repeated:
             node.repeated = b""
@@ -185,7 +208,7 @@ class CanBus(CanArbitration):
             self._succeed(node, entry)
         elif faults.complete(node.frame, number, self._end_ns, out):
             node.repeated = node.frame
-            self._occupy(bits + ERROR_FRAME_BITS)
+            self._occupy(ERROR_FRAME_BITS)
             self._send_again(node, False)
         else:
             self._succeed(node, entry)
@@ -239,3 +262,13 @@ class CanBus(CanArbitration):
         heappush(self._competing, node.entry)
         if not self._flight:
             self._arbitrate(max(now_ns, self._free_ns))
+
+
+def _bit_ns(name: str, rate_bit_s: int) -> int:
+    """How long a bit takes [ns]."""
+    if rate_bit_s <= 0 or 1_000_000_000 % rate_bit_s:
+        raise ValueError(
+            f"bus {name}: a bit at {rate_bit_s} bit/s is no whole number of nanoseconds; 8M, 5M, "
+            "4M, 2M, 1M, 800k, 500k, 250k, 125k, 100k, 50k, 20k and 10k are"
+        )
+    return 1_000_000_000 // rate_bit_s

@@ -3,17 +3,15 @@
 from heapq import heappop, heappush
 from typing import Final, final
 
-from emulators.media.can_bits import KEY_SHIFT
+from emulators.media.can_bits import KEY_SHIFT, LENGTHS_MASK
 from emulators.media.can_node import CanNode, QueueOrder
 
+__all__ = ["CUT_OFF", "LENGTHS_MASK", "PORT_MASK", "PORT_SHIFT", "CanPort"]
+
 # An entry in an arbitration: key << 30 | port << 18 | lengths. The lowest wins. Its 62 bits fit
-# the tagged integers of compiled code. The lengths are bits at the data rate << 8 | bits at the
-# nominal rate; only frames with a bit rate switch (CAN FD) have any of the former.
+# the tagged integers of compiled code. The lengths are those of `can_bits`.
 PORT_SHIFT: Final = 18
 PORT_MASK: Final = 0xFFF
-LENGTHS_MASK: Final = 0x3FFFF
-NOMINAL_MASK: Final = 0xFF
-DATA_SHIFT: Final = 8
 CUT_OFF: Final = -1  # in place of the candidate's entry: off the bus, all frames wait
 
 

@@ -216,7 +216,6 @@ class Reception:
             self._crc_right = self._checks == expected
             self._part = _TAIL
             self._position = -1
-            self.fast = False
         return NOTHING
 
     def _hear_tail(self, level: int) -> int:
@@ -234,6 +233,7 @@ class Reception:
                 return NOTHING
             return FORM
         if position == _CRC_DELIMITER:
+            self.fast = False
             return ACK_NEXT if self._crc_right else NOTHING
         if position == _ACK_DELIMITER:
             return NOTHING if self._crc_right else CRC

@@ -123,8 +123,9 @@ class WireFrame:
         stuffed: 1 for a stuff bit.
         arbitration_end: the last bit of the arbitration field, RTR.
         is_fd: it is a CAN FD frame.
-        fast_from: the first bit at the data rate.
-        fast_to: the first one after them; the same if there are none.
+        fast_from: the first bit that counts as one at the data rate, the one after BRS.
+        fast_to: the first one after them, after the CRC delimiter (as in `can_bits`); the same if
+            there are none.
 
     Raises:
         ValueError: as of `can_bits.measure`, or of `pack_fd`.
@@ -161,7 +162,7 @@ class WireFrame:
         fast = fd and frame[5] & BRS
         # ESI is the fifth bit after RTR; a stuff bit before it is sent at the data rate already
         self.fast_from = positions[width - 6] + 1 if fast else 0
-        self.fast_to = len(levels) if fast else 0
+        self.fast_to = len(levels) + 1 if fast else 0
 
 
 _frames: Final[dict[bytes, WireFrame]] = {}

@@ -1,16 +1,18 @@
 """CAN frames bit by bit, built the slow way: what the tables of the bus are compared with.
 
 Nothing here is shared with the emulator: frames come in as fields, the CRC is the remainder of a
-long division of the whole bit string, and stuffing looks at the last five bits sent.
+long division of the whole bit string, and stuffing looks for five equal bits.
 Source: ISO 11898-1, frame formats, CRC sequence, bit stuffing.
 """
 
+import re
 from dataclasses import dataclass
 
 from hypothesis import strategies as st
 
 TAIL = "1" + "1" + "1" + "1111111"  # CRC delimiter, ACK slot (as sent), ACK delimiter, EOF
 INTERMISSION = 3
+_RUN = re.compile("00000|11111")
 GENERATOR = 0b1100010110011001  # x15 + x14 + x10 + x8 + x7 + x4 + x3 + 1
 
 
@@ -54,12 +56,11 @@ def with_crc(bits: str) -> str:
 
 
 def stuffed(bits: str) -> str:
-    sent = ""
-    for bit in bits:
-        sent += bit
-        if sent[-5:] in ("00000", "11111"):
-            sent += "1" if sent[-1] == "0" else "0"
-    return sent
+    start = 0
+    while (run := _RUN.search(bits, start)) is not None:
+        start = run.end()  # where the stuff bit goes, which the next run may begin with
+        bits = bits[:start] + ("1" if run[0][0] == "0" else "0") + bits[start:]
+    return bits
 
 
 def on_the_wire(frame: Fields) -> str:

@@ -6,10 +6,11 @@ Source: ISO 11898-1:2015, frame formats, CRC, bit stuffing.
 """
 
 from dataclasses import dataclass
+from random import Random
 
 from hypothesis import strategies as st
 
-from tests.emulators.media.wire import TAIL, stuffed
+from tests.emulators.media.wire import INTERMISSION, TAIL, stuffed
 
 LENGTHS = [0, 1, 2, 3, 4, 5, 6, 7, 8, 12, 16, 20, 24, 32, 48, 64]
 GENERATOR_17 = 0b11_0110_1000_0101_1011  # x17 x16 x14 x13 x11 x6 x4 x3 x 1
@@ -54,34 +55,58 @@ def remainder(bits: str, generator: int, first: int) -> int:
 def dynamically_stuffed(frame: FdFields) -> str:
     """Start of frame to the end of the data; no stuff bit follows the last."""
     rest = f"{frame.esi:b}{LENGTHS.index(len(frame.data)):04b}"
-    rest += "".join(f"{byte:08b}" for byte in frame.data)
+    if frame.data:
+        rest += f"{int.from_bytes(frame.data, 'big'):0{8 * len(frame.data)}b}"
     bits = header(frame) + rest
     return stuffed(bits[:-1]) + bits[-1]
 
 
-def checks(frame: FdFields) -> str:
-    """Stuff count and CRC, without fixed stuff bits."""
-    sent = dynamically_stuffed(frame)
-    plain = len(header(frame)) + 5 + 8 * len(frame.data)
-    count = STUFF_COUNTS[(len(sent) - plain) % 8]
+def stuff_bits(frame: FdFields, sent: str) -> int:
+    """How many dynamic stuff bits there are in what was sent to the end of the data."""
+    return len(sent) - (41 if frame.extended else 22) - 8 * len(frame.data)
+
+
+def checks(frame: FdFields, sent: str, divide: bool = True) -> str:
+    """Stuff count and CRC after what was sent to the end of the data, without fixed stuff bits.
+
+    `divide=False` has 0s in place of the CRC, for who only counts.
+    """
+    count = STUFF_COUNTS[stuff_bits(frame, sent) % 8]
+    if not divide:
+        return count + "0" * (17 if len(frame.data) <= 16 else 21)
     if len(frame.data) <= 16:
         return count + f"{remainder(sent + count, GENERATOR_17, 1 << 16):017b}"
     return count + f"{remainder(sent + count, GENERATOR_21, 1 << 20):021b}"
 
 
-def on_the_wire(frame: FdFields) -> str:
+def on_the_wire(frame: FdFields, divide: bool = True) -> str:
     """Every bit from start of frame to end of frame."""
     sent = dynamically_stuffed(frame)
-    field = checks(frame)
+    field = checks(frame, sent, divide)
     for start in range(0, len(field), 4):
         sent += ("0" if sent[-1] == "1" else "1") + field[start : start + 4]
     return sent + TAIL
 
 
-def data_phase(frame: FdFields) -> tuple[int, int]:
-    """The first bit at the data rate, and the first one after them."""
-    end = len(on_the_wire(frame)) - len(TAIL)
-    return (len(stuffed(header(frame)[:-1]) + "?"), end) if frame.brs else (0, 0)
+def data_phase(frame: FdFields, divide: bool = True) -> tuple[int, int]:
+    """The first bit that counts as one at the data rate, and the first one after them.
+
+    BRS and CRC delimiter are sent at both rates, and together last one bit of each: the former
+    counts as nominal.
+    """
+    if not frame.brs:
+        return 0, 0
+    end = len(on_the_wire(frame, divide)) - len(TAIL) + 1
+    return len(stuffed(header(frame)[:-1]) + "?"), end
+
+
+def phases(frame: FdFields, divide: bool = True) -> tuple[int, int]:
+    """(bits at the nominal rate, bits at the data rate), intermission included."""
+    whole = len(on_the_wire(frame, divide)) + INTERMISSION
+    if not frame.brs:
+        return whole, 0
+    nominal = len(stuffed(header(frame)[:-1]) + "?") + len(TAIL) - 1 + INTERMISSION
+    return nominal, whole - nominal
 
 
 _BYTES = st.sampled_from([0x00, 0xFF, 0x0F, 0xF0, 0xC3, 0x3C, 0x1F, 0xE0]) | st.integers(0, 255)
@@ -94,3 +119,23 @@ def fd_fields(draw: st.DrawFn) -> FdFields:
     length = draw(st.sampled_from(LENGTHS))
     data = bytes(draw(st.lists(_BYTES, min_size=length, max_size=length)))
     return FdFields(identifier, extended, draw(st.booleans()), draw(st.booleans()), data)
+
+
+_RUNS = (0x00, 0xFF, 0x0F, 0xF0, 0xC3, 0x3C, 0x1F, 0xE0, 0x83, 0x78, 0x87, 0x55)
+_IDENTIFIERS = (0, 0x1FFFFFFF, 0x00FF00FF, 0x07C1F07C, 0x15555555, 0x1555BFFF, 0x78)
+
+
+def random_fd_fields(random: Random) -> FdFields:
+    """One of a seed's frames; more often than not of runs, which are what stuffing is about."""
+    extended = random.random() < 0.5
+    identifier = random.choice(_IDENTIFIERS) if random.random() < 0.4 else random.getrandbits(29)
+    length = random.choice(LENGTHS)
+    kind = random.random()
+    if kind < 0.3:
+        data = random.randbytes(length)
+    elif kind < 0.6:
+        data = bytes([random.choice(_RUNS)]) * length
+    else:
+        data = bytes(random.choices(_RUNS, k=length))
+    identifier &= 0x1FFFFFFF if extended else 0x7FF
+    return FdFields(identifier, extended, random.random() < 0.8, random.random() < 0.3, data)
