@@ -108,3 +108,80 @@ def test_equal_frames_of_two_senders_are_one_on_the_wire():
         (len(BITS) - 1, 1, EventKind.SENT),
     ]
     assert episode.bits == len(BITS) + 3
+
+
+def test_a_short_of_ten_seconds_costs_no_more_than_a_brief_one():
+    ten_million = [Disturbance(0, Effect.DOMINANT, 10_000_000)]
+    episode = run_episode([Station(0), Station(1, rec=3), Station(2, integrating=11)], ten_million)
+    assert episode.bits == 10_000_000 + 8 + 3
+    assert counters(episode) == [(0, 255), (0, 255), (0, 0)]
+    assert not any(outcome.stalled for outcome in episode.outcomes)
+    assert (episode.recessive_runs, episode.recessive_bits) == (1, 0)
+
+
+def test_a_receiver_that_hears_nothing_but_dominant_bits_does_not_keep_the_others_from_going_on():
+    stations = [Station(0, SENDER.frames, one_shot=True), Station(1), Station(2)]
+    deaf = Disturbance(0, Effect.DOMINANT, None, 0b100)
+    first = run_episode(stations, [deaf])
+    assert not told(first, EventKind.SENT)  # its active error flags destroy the frame
+    rec = first.outcomes[2].rec
+    assert rec > 128
+    again = run_episode([SENDER, Station(1), Station(2, rec=rec, stalled=True)], [deaf])
+    assert [port for _, port, _ in told(again, EventKind.SENT, EventKind.ACCEPTED)] == [1, 0]
+    assert again.bits == len(BITS) + 3
+
+
+def test_who_hears_something_else_than_is_on_the_wire_is_not_waited_for():
+    brief = 20_000
+    both = [Disturbance(0, Effect.DOMINANT, brief, port) for port in (0b01, 0b10)]
+    episode = run_episode([Station(0), Station(1)], both)
+    assert episode.bits < 1000
+    assert [outcome.stalled for outcome in episode.outcomes] == [True, True]
+    short = Disturbance(0, Effect.DOMINANT, brief)
+    numb = Disturbance(0, Effect.RECESSIVE, brief, 0b01)
+    episode = run_episode([Station(0), Station(1)], [short, numb])
+    assert episode.bits < 1000
+    assert [outcome.stalled for outcome in episode.outcomes] == [False, True]
+
+
+def test_a_stalled_node_is_no_twin_of_one_that_is_not():
+    stations = [Station(1, rec=255), Station(0, rec=255, stalled=True)]
+    assert run_episode(stations).bits == 8 + 3
+
+
+def test_the_thirty_second_failure_in_a_row_takes_a_node_off_the_bus():
+    station = SENDER
+    for failure in range(1, 33):
+        episode = run_episode([station, Station(1)], [Disturbance(25, Effect.FLIP, 1, 0b01)])
+        outcome = episode.outcomes[0]
+        assert outcome.tec == 8 * failure
+        assert (outcome.off_at == 25) is (failure == 32)
+        station = Station(0, outcome.frames, tec=min(outcome.tec, 255))
+    assert episode.outcomes[0].recessive_runs == 1  # the delimiter, the intermission
+
+
+def test_a_wire_shorted_to_recessive_takes_its_senders_off_and_leaves_the_others_alone():
+    station = SENDER
+    short = [Disturbance(0, Effect.RECESSIVE, None)]
+    attempts = 0
+    while True:
+        episode = run_episode([station, Station(1)], short)
+        attempts += 1
+        assert counters(episode)[1] == (0, 0)  # it hears nothing at all
+        if episode.outcomes[0].off_at is not None:
+            break
+        station = Station(0, SENDER.frames, tec=episode.outcomes[0].tec)
+    # The first start of frame and its flag, restarted at each bit, make it passive; each further
+    # start of frame counts eight.
+    assert attempts == 1 + 15
+
+
+def test_a_classical_frame_of_ten_stations_is_the_same_to_equal_and_to_unequal_ones():
+    equal = run_episode([SENDER, *[Station(port) for port in range(1, 10)]], [Disturbance(40)])
+    unequal = run_episode(
+        [SENDER, *[Station(port, rec=port) for port in range(1, 10)]], [Disturbance(40)]
+    )
+    assert told(equal, *EventKind) == told(unequal, *EventKind)
+    assert [rec - port for port, (_, rec) in enumerate(counters(unequal))] == [
+        rec for _, rec in counters(equal)
+    ]

@@ -10,7 +10,7 @@ from emulators.media.can_node import FrameSupport
 from emulators.media.can_station import CanStation
 from emulators.media.can_wire import WireFrame
 from emulators.media.confinement import Confinement
-from tests.emulators.media import wire_fd
+from tests.emulators.media import wire, wire_fd
 from tests.emulators.media.wire_fd import FdFields, fd_fields
 
 FD = FrameSupport.FD
@@ -184,6 +184,36 @@ def test_an_error_in_the_data_phase_is_told_at_the_nominal_rate():
     nominal = first + 7 + 8 + 3
     assert episode.end_ns(episode.bits - 1, 400, 100) == nominal * 400 + in_phase * 100
     assert [(outcome.tec, outcome.rec) for outcome in episode.outcomes] == [(8, 0), (0, 1)]
+
+
+def test_an_fd_and_a_classical_frame_of_one_identifier_are_told_apart_too_late():
+    """FDF is not in the arbitration field, so it is a bit error, not a loss."""
+    for extended, fdf in ((False, 14), (True, 33)):
+        identifier = 0x0AAA_AAAA if extended else 0x2AA
+        fd = FdFields(identifier, extended, False, False, b"")
+        classical = wire.Fields(identifier, extended, False, 0, b"")
+        stations = [
+            Station(0, (fd.can_frame(),), support=FD),
+            Station(1, (classical.can_frame(),)),
+        ]
+        first = run_episode(stations).events[0]
+        assert (first.bit, first.port, first.kind) == (fdf, 0, EventKind.ERROR)
+        assert (first.frame[10], first.frame[11]) == (
+            told.BIT1_ERROR | told.TRANSMITTING,
+            told.RESERVED_1 if extended else told.RESERVED_0,
+        )
+
+
+@pytest.mark.parametrize("turn", range(5))
+def test_a_tolerant_controller_does_not_take_a_data_phase_for_an_idle_bus(turn):
+    """One bit in five is dominant, and a nominal bit has five: sampled, they may all look alike."""
+    pattern = ("01111" * 110)[turn : turn + 512]
+    frame = FdFields(0x2AA, False, True, False, int(pattern, 2).to_bytes(64, "big"))
+    stations = [Station(0, (frame.can_frame(),), support=FD), Station(1, support=FD)]
+    tolerant = Station(2, support=FrameSupport.FD_TOLERANT)
+    episode = run_episode([*stations, tolerant], ratio=5)
+    assert [e.kind for e in episode.events] == [EventKind.ACCEPTED, EventKind.SENT]
+    assert episode.outcomes[2].integrating == 0
 
 
 @given(fd_fields(), st.integers(0, 700), st.integers(-1, 7), st.sampled_from([1, 2, 4, 5, 8]))

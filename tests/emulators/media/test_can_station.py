@@ -114,6 +114,35 @@ def test_who_loses_arbitration_receives_and_acknowledges_the_winner():
     ]
 
 
+def test_a_remote_frame_loses_to_the_data_frame_of_its_identifier_in_rtr():
+    remote = wire.Fields(0x2AA, False, True, 1, b"")
+    station = CanStation([remote.can_frame()], Confinement())
+    station.begin_idle()
+    check(station, READ, "0 01010101010 1".replace(" ", "") + HEARD[13:])
+    assert [(bit, kind) for bit, kind, _ in station.journal.notes] == [
+        (12, NOTE_LOST),
+        (len(SENT) - 2, NOTE_ACCEPTED),
+    ]
+
+
+def test_who_has_lost_arbitration_counts_as_a_receiver():  # a
+    station = CanStation([wire.Fields(0x07F, False, False, 0, b"").can_frame()], Confinement())
+    station.begin_idle()
+    play(station, "0 0000 1 0 11111 1")  # lost in the second bit after the stuff bit
+    assert counters(station) == (0, 1)
+    assert kinds(station) == [NOTE_LOST, NOTE_ERROR]
+
+
+def test_a_dlc_above_eight_means_eight_bytes():
+    odd = wire.Fields(0x2AA, False, False, 15, bytes(range(8)))
+    bits = wire.on_the_wire(odd)
+    station = receiver()
+    play(station, bits[:-9] + "0" + bits[-8:])
+    ((_, kind, frame),) = station.journal.notes
+    assert kind == NOTE_ACCEPTED
+    assert frame == wire.Fields(0x2AA, False, False, 8, bytes(range(8))).can_frame()
+
+
 # --- errors of a receiver
 
 
@@ -191,6 +220,7 @@ def test_an_acknowledgement_that_does_not_come_through_is_a_bit_error():
     station = receiver(rec=10)
     check(station, SENT[: ACK_SLOT + 1] + FLAG, HEARD[: ACK_SLOT + 1] + FLAG)
     assert errors(station) == [(ACK_SLOT, told.BIT0_ERROR, told.ACK_SLOT)]
+    assert not station.journal.notes[0][2][0] & told.NO_ACKNOWLEDGE  # that is the sender's
     assert counters(station) == (0, 11)
 
 
@@ -431,6 +461,12 @@ def test_dominant_bits_after_an_overload_flag_count_by_f_alone():  # not b
     assert counters(station) == (0, 8)
 
 
+def test_they_do_so_after_an_error_flag_as_well():  # not b
+    station = receiver()
+    play(station, "000000" + FLAG + "1111111 0" + FLAG + "0")
+    assert counters(station) == (0, 1)
+
+
 def test_a_dominant_third_bit_of_intermission_is_a_start_of_frame():
     station = receiver()
     check(station, READ + "11" + READ, HEARD + "11" + HEARD)
@@ -442,6 +478,13 @@ def test_who_has_a_frame_takes_a_start_a_bit_early_for_its_own():
     station.begin_idle()
     check(station, READ + "11" + READ, SENT + "11" + "1" + SENT[1:])
     assert kinds(station) == [NOTE_SENT, NOTE_SENT]
+
+
+def test_but_not_if_it_has_to_wait():
+    station = CanStation([FRAME, FRAME], Confinement(tec=140))
+    station.begin_idle()
+    check(station, READ + "11" + READ, SENT + "11" + HEARD)
+    assert kinds(station) == [NOTE_SENT, NOTE_ACCEPTED]
 
 
 # --- coming back

@@ -1,0 +1,61 @@
+"""A node's error counters by themselves, and what is told of them."""
+
+import pytest
+
+from emulators.media import error_message as told
+from emulators.media.confinement import Confinement, ErrorState, state_of
+from emulators.media.error_journal import NOTE_STATE, ErrorJournal
+
+
+@pytest.mark.parametrize(
+    ("counter", "state"),
+    [
+        (0, ErrorState.ACTIVE),
+        (95, ErrorState.ACTIVE),
+        (96, ErrorState.WARNING),
+        (127, ErrorState.WARNING),
+        (128, ErrorState.PASSIVE),
+        (255, ErrorState.PASSIVE),
+        (256, ErrorState.BUS_OFF),
+    ],
+)
+def test_a_counter_makes_a_node_what_rule_i_says(counter, state):
+    assert state_of(counter) is state
+
+
+@pytest.mark.parametrize(("tec", "rec"), [(-1, 0), (256, 0), (0, -1), (0, 256)])
+def test_counters_that_no_node_on_the_bus_has_are_refused(tec, rec):
+    with pytest.raises(ValueError, match="0 to 255"):
+        Confinement(tec, rec)
+
+
+@pytest.mark.parametrize(
+    ("before", "after", "classes", "controller", "counters"),
+    [
+        ((88, 0), (96, 0), told.CONTROLLER, told.TX_WARNING, (96, 0)),
+        ((0, 95), (0, 96), told.CONTROLLER, told.RX_WARNING, (0, 96)),
+        ((96, 95), (96, 96), 0, 0, (0, 0)),  # it was at the warning level before
+        ((96, 120), (96, 128), told.CONTROLLER, told.RX_PASSIVE, (96, 128)),
+        ((120, 127), (128, 128), told.CONTROLLER, told.TX_PASSIVE | told.RX_PASSIVE, (128, 128)),
+        ((128, 0), (127, 0), told.CONTROLLER, told.TX_WARNING, (127, 0)),
+        ((0, 200), (0, 127), told.CONTROLLER, told.RX_WARNING, (0, 127)),
+        ((96, 0), (95, 0), told.CONTROLLER, told.ERROR_ACTIVE, (95, 0)),
+        ((250, 3), (258, 3), told.BUS_OFF, 0, (255, 3)),
+    ],
+)
+def test_a_change_of_state_is_told_as_linux_does(before, after, classes, controller, counters):
+    """drivers/net/can/dev/dev.c, can_change_state; data[6] and data[7] are the counters."""
+    confinement = Confinement(*before)
+    journal = ErrorJournal(confinement)
+    confinement.tec, confinement.rec = after
+    assert journal.note_state() is (classes == told.BUS_OFF)
+    assert not journal.note_state()  # once
+    if not classes:
+        assert journal.notes == []
+        return
+    ((_, kind, message),) = journal.notes
+    assert kind == NOTE_STATE
+    can_id = int.from_bytes(message[:4], "little")
+    assert can_id == 0x20000000 | classes | told.COUNTERS
+    assert message[9] == controller
+    assert (message[14], message[15]) == counters
