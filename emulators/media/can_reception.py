@@ -65,6 +65,9 @@ _FIXED: Final = 1  # stuff count and CRC of CAN FD
 _TAIL: Final = 2
 
 
+_checks: Final[dict[tuple[int, int, int], int]] = {}
+
+
 @final
 class Reception:
     """One frame as a receiver hears it. `hear` is called for each bit from start of frame on.
@@ -211,12 +214,20 @@ class Reception:
             return FORM if level == last else NOTHING
         self._checks = self._checks << 1 | level
         if self._position == fd_field_bits(self._length) - 1:
-            levels, stuffed = stuff(bits_of(self._value, self._number + 1))
-            expected, _ = fd_check_bits(levels, sum(stuffed), self._length)
-            self._crc_right = self._checks == expected
+            self._crc_right = self._checks == self._expected_checks()
             self._part = _TAIL
             self._position = -1
         return NOTHING
+
+    def _expected_checks(self) -> int:
+        """Stuff count and CRC of what was heard; all who heard the same need them once."""
+        key = (self._value, self._number, self._length)
+        expected = _checks.get(key)
+        if expected is None:
+            levels, stuffed = stuff(bits_of(self._value, self._number + 1))
+            _checks.clear()
+            expected = _checks[key] = fd_check_bits(levels, sum(stuffed), self._length)[0]
+        return expected
 
     def _hear_tail(self, level: int) -> int:
         self._position += 1

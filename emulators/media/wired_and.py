@@ -82,6 +82,7 @@ class WiredAnd:
         self._on_wire = [one for one in disturbances if one.ports == ALL_PORTS]
         self._struck = False  # somebody may sample another level than there is
         self._fast_from = -1  # where the data phase began that is not over; -1: none is
+        self._fast_count = 0  # members in the data phase
         self._ticks = 0  # bits at the data rate since the last nominal bit ended
         self._flagged = False  # the nominal grid is that of an error flag
         self._wire_dominant = False  # as `Member.heard_dominant`
@@ -99,7 +100,7 @@ class WiredAnd:
         for node in self._nodes:
             if node.drives == DOMINANT:
                 level = DOMINANT
-        if self._ratio and self._is_fast():
+        if self._fast_count or self._ticks:
             self._step_fast(level, bit)
         else:
             if self._struck:
@@ -110,6 +111,8 @@ class WiredAnd:
                 for node in self._nodes:
                     node.hear(level, bit)
             self._count(level)
+            if self._ratio:
+                self._look_for_data_phase()
         self.bit = bit + 1
 
     def fast_stretches(self) -> tuple[tuple[int, int], ...]:
@@ -151,6 +154,8 @@ class WiredAnd:
         ]
         self._nodes = [member.node for member in self._live]
         self._struck = any(one.strikes(bit) for one in self._disturbances)
+        self._fast_count = sum(member.fast for member in self._live)
+        self._end_data_phase(bit)
 
     def _count(self, level: int) -> None:
         """A nominal bit had this level on the wire."""
@@ -161,25 +166,25 @@ class WiredAnd:
 
     # --- at the data rate
 
-    def _is_fast(self) -> bool:
-        """Whether the next step is a bit at the data rate."""
-        fast = bool(self._ticks)
+    def _look_for_data_phase(self) -> None:
+        """After a nominal bit: for whom the next is at the data rate."""
         for member in self._live:
             member.fast = member.node.is_fast()
-            fast = fast or member.fast
-        if fast and self._fast_from < 0:
-            self._fast_from = self.bit
-        elif not fast and self._fast_from >= 0:
-            self._fast.append((self._fast_from, self.bit))
+            self._fast_count += member.fast
+        if self._fast_count:
+            self._fast_from = self.bit + 1
+
+    def _end_data_phase(self, bit: int) -> None:
+        """It was over before this bit, if nobody is in it and no bit of anybody has begun."""
+        if self._fast_from >= 0 and not self._fast_count and not self._ticks:
+            self._fast.append((self._fast_from, bit))
             self._fast_from = -1
             self._flagged = False
-        return fast
 
     def _step_fast(self, level: int, bit: int) -> None:
         """A bit at the data rate has passed; with some of them, a nominal one."""
         self._ticks += 1
         whole = self._ticks == self._ratio
-        in_phase = False
         first_flag = False
         over = False
         for member in self._live:
@@ -187,10 +192,11 @@ class WiredAnd:
             sampled = disturbed(level, member.struck_by, bit) if self._struck else level
             if member.fast:
                 node.hear(sampled, bit)
-                in_phase = in_phase or node.is_fast()
-                first_flag = first_flag or node.phase == SIGNALLING
-                if node.phase in (SENDING, RECEIVING) and not node.is_fast():
-                    over = True
+                if not node.is_fast():
+                    member.fast = False
+                    self._fast_count -= 1
+                    first_flag = first_flag or node.phase == SIGNALLING
+                    over = over or node.phase in (SENDING, RECEIVING)
                 continue
             member.heard_dominant = member.heard_dominant or sampled == DOMINANT
             if whole:
@@ -206,5 +212,6 @@ class WiredAnd:
         if first_flag and not self._flagged:
             self._flagged = True
             self._ticks = 0
-        elif over and not in_phase:
+        elif over and not self._fast_count:
             self._ticks = 0
+        self._end_data_phase(bit + 1)

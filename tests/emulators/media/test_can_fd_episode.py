@@ -180,6 +180,7 @@ def test_an_error_in_the_data_phase_is_told_at_the_nominal_rate():
     assert episode.fast == ((first, struck + 1 + 8),)
     assert episode.bits == struck + 1 + 8 + (7 - 2) + 8 + 3
     # of nominal bits: 17 to the data phase, and 7 + 8 + 3
+    assert episode.end_ns(first, 400, 100) == first * 400 + 100
     in_phase = struck + 1 - first
     nominal = first + 7 + 8 + 3
     assert episode.end_ns(episode.bits - 1, 400, 100) == nominal * 400 + in_phase * 100
