@@ -1,15 +1,17 @@
 """What kind of network interface a CAN interface is, asked of the kernel.
 
-Source: linux/rtnetlink.h, linux/if_link.h (RTM_GETLINK, IFLA_LINKINFO, IFLA_INFO_KIND).
+Source: linux/rtnetlink.h, linux/if_link.h (RTM_GETLINK, IFLA_MTU, IFLA_LINKINFO, IFLA_INFO_KIND).
 """
 
 import socket
 import struct
+import sys
 from typing import Final
 
 VIRTUAL: Final = ("vcan", "vxcan")
 _RTM_GETLINK: Final = 18
 _REQUEST: Final = 1
+_MTU: Final = 4
 _LINKINFO: Final = 18
 _KIND: Final = 1
 _MESSAGE: Final = struct.Struct("=IHHII BxHiII")  # nlmsghdr and ifinfomsg
@@ -23,12 +25,25 @@ def link_kind(interface: str) -> str:
     Raises:
         OSError: there is no such interface.
     """
+    return _part(_part(_attributes_of(interface), _LINKINFO), _KIND).rstrip(b"\0").decode()
+
+
+def link_mtu(interface: str) -> int:
+    """The largest frame it takes [bytes]: 16, or 72 and more where it takes CAN FD.
+
+    Raises:
+        OSError: there is no such interface.
+    """
+    return int.from_bytes(_part(_attributes_of(interface), _MTU), sys.byteorder)
+
+
+def _attributes_of(interface: str) -> bytes:
     index = socket.if_nametoindex(interface)
     with socket.socket(socket.AF_NETLINK, socket.SOCK_RAW, socket.NETLINK_ROUTE) as kernel:
         asked = (_MESSAGE.size, _RTM_GETLINK, _REQUEST, 1, 0)
         kernel.send(_MESSAGE.pack(*asked, socket.AF_UNSPEC, 0, index, 0, 0))
         answer = kernel.recv(_ANSWER_MAX)
-    return _part(_part(answer[_MESSAGE.size :], _LINKINFO), _KIND).rstrip(b"\0").decode()
+    return answer[_MESSAGE.size :]
 
 
 def _part(attributes: bytes, wanted: int) -> bytes:

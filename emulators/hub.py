@@ -12,6 +12,7 @@ from typing import Final, final
 
 from emulators.gateway import Source
 from emulators.hub_protocol import (
+    FD_GREETING,
     FENCED,
     FENCED_SIZE,
     GREETING,
@@ -29,11 +30,13 @@ from emulators.hub_protocol import (
     unpack_fenced,
     unpack_owns,
 )
+from emulators.media.can_frame import FD_FRAME_BYTES, FRAME_BYTES
 from emulators.segment import HostPort
 from emulators.world import World
 
 _BACKLOG_MAX: Final = 1_000_000
-_SUBMIT_SIZE: Final = 17
+_SUBMIT_SIZE: Final = 1 + FRAME_BYTES
+_FD_SUBMIT_SIZE: Final = 1 + FD_FRAME_BYTES
 _TAKING: Final = (1, 5, 6)  # actions of a notice by which somebody owns a motor from now on
 _ENDING: Final = (2, 7)  # and by which it does not
 CLIENTS_MAX: Final = 256  # select() takes no descriptor above 1023
@@ -76,6 +79,7 @@ class _Client:
         self._fences = fences
         self._port: HostPort | None = None
         self._bus = ""
+        self._fd = False
         self._told_stale: set[tuple[int, int]] = set()
         self._owned: dict[int, OwnershipNotice] = {}  # by resource: what it has said it owns
         self._waiting: deque[bytes] = deque()
@@ -107,7 +111,9 @@ class _Client:
             if newer is not None:
                 self._refuse_stale(port.name, resource, token, newer)
                 return True
-        elif kind == SUBMIT and len(record) == _SUBMIT_SIZE:
+        elif kind == SUBMIT and (
+            len(record) == _SUBMIT_SIZE or (self._fd and len(record) == _FD_SUBMIT_SIZE)
+        ):
             frame = record[1:]
         elif kind == OWNS:
             notice = unpack_owns(record)
@@ -162,21 +168,26 @@ class _Client:
         words = record.decode("utf-8", "replace").split(" ", 3)
         names = self._world.bus_names()
         refusal = ""
-        if not record.startswith(GREETING) or len(words) != 4:
-            refusal = "this is motorhil's hub, protocol 1; the client speaks another"
+        fd = record.startswith(FD_GREETING)
+        if not (fd or record.startswith(GREETING)) or len(words) != 4:
+            refusal = "this is motorhil's hub, protocol 1 and 2; the client speaks another"
         elif words[2] and words[2] not in names:
             refusal = f"no bus {words[2]!r} here; there is {', '.join(names)}"
+        bus = "" if refusal else words[2] or names[0]
+        if fd and bus and self._world.bus(bus).data_bitrate_bit_s is None:
+            refusal = f"fd=True: bus {bus} is classical CAN; the rig gives it no data_bitrate_bit_s"
         if refusal:
             self.refuse(refusal)
             return False
-        bus = words[2] or names[0]
+        self._fd = fd
         self._send(WELCOME + bus.encode())
         self._bus = bus
         self._port = self._world.add_host(bus, words[3], self._tell, self._tell_error)
         return True
 
     def _tell(self, frame: bytes, time_ns: int, transmitted: bool) -> None:
-        self._send(pack_told(SENT if transmitted else HEARD, time_ns, frame))
+        if self._fd or len(frame) == FRAME_BYTES:
+            self._send(pack_told(SENT if transmitted else HEARD, time_ns, frame))
 
     def _tell_error(self, message: bytes, time_ns: int, _: bool) -> None:
         self._send(pack_told(TOLD, time_ns, message))

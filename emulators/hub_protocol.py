@@ -5,13 +5,15 @@ one order in which the frames were on the bus. The connection opens with a text 
 client of another version is told so in words:
     client: b"motorhil-hub 1 BUS NAME"     BUS may be empty: the first one
     hub:    b"welcome BUS"  or  b"refused REASON"
+A client that opens with b"motorhil-hub 2 BUS NAME" may send CAN FD frames and hears them, on a bus
+that has them; to all others there are none.
 then, for as long as it lasts, binary records:
-    client -> hub   SUBMIT  | can_frame (16)
+    client -> hub   SUBMIT  | can_frame (16) or canfd_frame (72)
                     FENCED  | resource (u16) | token (u64) | can_frame      a commanding frame
                     OWNS    | resource | token | action (u8) | pid (u32) | waited_ns (i64)
                             | held_ns (i64) | owner NUL holder NUL purpose NUL program (UTF-8)
-    hub -> client   HEARD   | time_ns (i64, little-endian) | can_frame      somebody else's frame
-                    SENT    | time_ns | can_frame                           an own one, transmitted
+    hub -> client   HEARD   | time_ns (i64, little-endian) | frame          somebody else's frame
+                    SENT    | time_ns | frame                               an own one, transmitted
                     STALE   | resource | token | who (UTF-8)
                     TOLD    | time_ns | can_frame       an error message of the client's own port
 A client that sends what no bus can carry is told `refused REASON` once more, and disconnected.
@@ -30,6 +32,7 @@ from dataclasses import dataclass
 from typing import Final, final
 
 GREETING: Final = b"motorhil-hub 1 "
+FD_GREETING: Final = b"motorhil-hub 2 "
 WELCOME: Final = b"welcome "
 REFUSED: Final = b"refused "
 SUBMIT: Final = 1

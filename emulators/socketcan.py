@@ -5,13 +5,12 @@ import errno
 import os
 import socket
 from collections.abc import Sequence
-from typing import Final, final
+from typing import final
 
-from emulators.can_link import VIRTUAL, link_kind
+from emulators.can_link import VIRTUAL, link_kind, link_mtu
 from emulators.gateway import Source
+from emulators.media.can_frame import FD_FRAME_BYTES, FRAME_BYTES, padded_fd
 from emulators.world import World
-
-_FRAME_SIZE: Final = 16
 
 
 class SocketCanError(Exception):
@@ -30,16 +29,20 @@ class SocketCanGateway:
     frame. Error messages from outside never reach the emulated bus: the kernel gives them to
     sockets that ask for them, and this one does not.
 
+    CAN FD frames pass if the emulated bus is an FD bus; then the interface has to be one too. To a
+    classical bus there are none.
+
     Attributes:
         refused: frames the kernel would not take (its queue was full), given up.
-        ignored: CAN FD frames, which the bus does not carry yet.
+        ignored: frames the bus would not take.
     """
 
     def __init__(self, interface: str, world: World, bus: str) -> None:
         """The interface is open.
 
         Raises:
-            SocketCanError: no such interface, it is down, or this kernel has no CAN.
+            SocketCanError: no such interface, it is down, or this kernel has no CAN; or the bus is
+                an FD bus and the interface is not.
         """
         self.refused = 0
         self.ignored = 0
@@ -64,7 +67,24 @@ class SocketCanGateway:
             raise SocketCanError(
                 f"{interface}: {os.strerror(error.errno or 0)}; {remedy}"
             ) from None
+        if world.bus(bus).data_bitrate_bit_s is not None:
+            self._open_fd(interface, bus)
+        self._world = world
+        self._bus = bus
         self._port = world.add_host(bus, interface, self._tell, self._tell_error)
+
+    def _open_fd(self, interface: str, bus: str) -> None:
+        """CAN FD frames come and go."""
+        size = link_mtu(interface)
+        if size < FD_FRAME_BYTES:
+            self._socket.close()
+            raise SocketCanError(
+                f"{interface}: carries no CAN FD (MTU {size}), and bus {bus} does; of a virtual "
+                f"one 'ip link set down {interface}; ip link set {interface} mtu "
+                f"{FD_FRAME_BYTES} up' makes an FD one, of hardware 'ip link set {interface} type "
+                "can ... dbitrate ... fd on'"
+            )
+        self._socket.setsockopt(socket.SOL_CAN_RAW, socket.CAN_RAW_FD_FRAMES, 1)
 
     def _tell(self, frame: bytes, time_ns: int, transmitted: bool) -> None:
         if not transmitted:
@@ -88,11 +108,17 @@ class SocketCanGateway:
         """Frames from outside queue for the emulated bus."""
         with contextlib.suppress(BlockingIOError):
             while True:
-                frame = self._socket.recv(72)
-                if len(frame) == _FRAME_SIZE:
-                    self._port.send(frame)
-                else:
-                    self.ignored += 1
+                frame = self._socket.recv(FD_FRAME_BYTES)
+                try:
+                    self._port.send(frame if len(frame) == FRAME_BYTES else padded_fd(frame))
+                except ValueError as error:
+                    self._ignore(str(error))
+
+    def _ignore(self, reason: str) -> None:
+        if not self.ignored:
+            now_ns = self._world.queue.now_ns
+            self._world.report(now_ns, "warning", self._bus, f"{reason}; further ones are counted")
+        self.ignored += 1
 
     def backlogged(self) -> bool:
         """Never: what the kernel does not take is gone."""

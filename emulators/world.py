@@ -6,7 +6,7 @@ event and each node that listens to its identifier one call, however many nodes 
 """
 
 from collections.abc import Callable, Mapping
-from typing import final
+from typing import Final, final
 
 from emulators.can_segment import BusSegment, FrameTap
 from emulators.controller import Controller
@@ -15,6 +15,7 @@ from emulators.hub_protocol import OwnershipNotice
 from emulators.line_segment import LineHost, LineSegment, LineTap, SerialSegment, TcpSegment
 from emulators.media.byte_pipe import BytePipe
 from emulators.media.can_bus import CanBus
+from emulators.media.can_node import PLAIN, CanNode, FrameSupport
 from emulators.media.faults import FaultRule
 from emulators.media.serial_faults import SerialFaultPlan
 from emulators.media.serial_line import SerialLine
@@ -24,6 +25,9 @@ from emulators.segment import ControllerSlot, HostListener, HostPort, Overseer
 EventTap = Callable[[int, str, str, str], None]
 SampleTap = Callable[[int, str, Mapping[str, float]], None]
 OwnershipTap = Callable[[str, int, str, OwnershipNotice], None]
+
+
+_FD_HOST: Final = CanNode(frames=FrameSupport.FD)
 
 
 @final
@@ -95,12 +99,14 @@ class World(Overseer):
     ) -> HostPort:
         """An application's port on the bus; it hears every frame. A second "host" is "host-2".
 
-        What its CAN controller tells of errors comes to `on_error`, or without one among the
-        frames.
+        On a CAN FD bus its CAN controller is an FD one. What it tells of errors comes to
+        `on_error`, or without one among the frames.
         """
         segment = self._segments[bus]
         name = segment.free_name(name)
-        port = HostPort(name, segment.bus.attach(name), segment, on_frame, on_error or on_frame)
+        chip = _FD_HOST if segment.bus.data_bitrate_bit_s is not None else PLAIN
+        number = segment.bus.attach(name, chip)
+        port = HostPort(name, number, segment, on_frame, on_error or on_frame)
         segment.join(port)
         return port
 

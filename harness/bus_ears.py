@@ -3,6 +3,8 @@
 from collections import deque
 from typing import TYPE_CHECKING, final
 
+from emulators.media.can_frame import FRAME_BYTES
+
 if TYPE_CHECKING:
     from motorapi.runtime import FrameListener
 
@@ -18,12 +20,13 @@ class Ears:
         dropped: frames nobody read, given up oldest first.
     """
 
-    def __init__(self, own: bool, backlog_max: int) -> None:
+    def __init__(self, own: bool, backlog_max: int, fd: bool) -> None:
         """Frames are kept.
 
         Args:
             own: whether those that this connection has transmitted itself are kept too.
             backlog_max: how many; then the oldest one is dropped.
+            fd: whether CAN FD frames are kept too. Listeners hear classical ones only.
         """
         self.listeners: list[FrameListener] = []
         self.backlog: deque[tuple[bytes, int, bool]] = deque()
@@ -31,11 +34,15 @@ class Ears:
         self.dropped = 0
         self._own = own
         self._backlog_max = backlog_max
+        self._fd = fd
 
     def hear(self, frame: bytes, time_ns: int, transmitted: bool) -> None:
         """A frame was on the bus; `transmitted`: by this connection."""
-        for listener in self.listeners:
-            listener(frame, time_ns, transmitted)
+        if len(frame) == FRAME_BYTES:
+            for listener in self.listeners:
+                listener(frame, time_ns, transmitted)
+        elif not self._fd:
+            return
         if self.keeps and (self._own or not transmitted):
             if len(self.backlog) >= self._backlog_max:
                 self.backlog.popleft()

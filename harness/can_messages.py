@@ -1,11 +1,18 @@
-"""python-can's messages as frames of an emulated bus, and the other way round."""
+"""python-can's messages as frames of an emulated bus, and the other way round.
+
+A CAN FD message whose length is none of CAN FD's is filled up with 0 to the next one, as the kernel
+does it for python-can's SocketCAN interface.
+"""
 
 import struct
 from typing import Final
 
 from can import CanOperationError, Message
 
+from emulators.media.can_frame import BRS, ESI, FD_FRAME_BYTES, FD_LENGTHS, pack_fd
+
 _FRAME: Final = struct.Struct("<IB3x8s")
+_FD_FRAME: Final = struct.Struct("<IBB2x64s")
 _EFF: Final = 0x8000_0000
 _RTR: Final = 0x4000_0000
 _ERR: Final = 0x2000_0000
@@ -13,15 +20,11 @@ _ID_MAX: Final = 0x1FFF_FFFF
 
 
 def to_frame(message: Message) -> bytes:
-    """The Linux can_frame (16 bytes) of a python-can message.
+    """The Linux can_frame (16 bytes), or canfd_frame (72), of a python-can message.
 
     Raises:
-        CanOperationError: a CAN FD message, or one that is no valid classical frame.
+        CanOperationError: a message that is no valid frame.
     """
-    if message.is_fd:
-        raise CanOperationError(
-            f"CAN FD frame {message.arbitration_id:X}h on an emulated bus: it is classical CAN"
-        )
     can_id = message.arbitration_id
     if message.is_error_frame:
         raise CanOperationError(
@@ -36,6 +39,8 @@ def to_frame(message: Message) -> bytes:
         raise CanOperationError(
             f"identifier {can_id:X}h does not fit 11 bits: set is_extended_id=True"
         )
+    if message.is_fd:
+        return _to_fd_frame(message, can_id)
     if message.is_remote_frame:
         if message.dlc > 8:
             raise CanOperationError(f"a remote frame asks for 8 bytes at most, not {message.dlc}")
@@ -45,9 +50,27 @@ def to_frame(message: Message) -> bytes:
     return _FRAME.pack(can_id, len(message.data), bytes(message.data))
 
 
+def _to_fd_frame(message: Message, can_id: int) -> bytes:
+    if message.is_remote_frame:
+        raise CanOperationError(f"identifier {can_id & _ID_MAX:X}h: CAN FD has no remote frames")
+    size = len(message.data)
+    if size > FD_LENGTHS[-1]:
+        raise CanOperationError(f"{size} data bytes: a CAN FD frame holds {FD_LENGTHS[-1]}")
+    length = next(one for one in FD_LENGTHS if one >= size)
+    flags = BRS if message.bitrate_switch else 0
+    if message.error_state_indicator:
+        flags |= ESI
+    return pack_fd(can_id, bytes(message.data).ljust(length, b"\0"), flags)
+
+
 def to_message(frame: bytes, time_ns: int, channel: str, received: bool) -> Message:
-    """The python-can message of a Linux can_frame."""
-    can_id, length, data = _FRAME.unpack(frame)
+    """The python-can message of a Linux can_frame or canfd_frame."""
+    fd = len(frame) == FD_FRAME_BYTES
+    if fd:
+        can_id, length, flags, data = _FD_FRAME.unpack(frame)
+    else:
+        can_id, length, data = _FRAME.unpack(frame)
+        flags = 0
     extended = bool(can_id & _EFF)
     remote = bool(can_id & _RTR)
     return Message(
@@ -56,6 +79,9 @@ def to_message(frame: bytes, time_ns: int, channel: str, received: bool) -> Mess
         is_extended_id=extended,
         is_remote_frame=remote,
         is_error_frame=bool(can_id & _ERR),
+        is_fd=fd,
+        bitrate_switch=bool(flags & BRS),
+        error_state_indicator=bool(flags & ESI),
         dlc=length,
         data=None if remote else data[:length],
         channel=channel,

@@ -4,6 +4,9 @@
 socket that `motorhil serve --socket` made. A program written for python-can needs no other change.
 In a rig of this process, `recv` and `send_periodic` use the rig's time; over a socket, the wall's.
 
+CAN FD is as with SocketCAN: who does not ask for it with `fd=True` neither sends nor hears it. The
+bus has to be an FD bus (`data_bitrate_bit_s`).
+
 What the program's own CAN controller tells of errors comes as from SocketCAN: error frames, which
 no `can_filters` hold back, and none with `ignore_rx_error_frames=True`.
 """
@@ -12,7 +15,13 @@ from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, Any, Final, final
 
 import can
-from can import BusState, CanInitializationError, CanOperationError, Message
+from can import (
+    BusState,
+    CanInitializationError,
+    CanOperationError,
+    CanProtocol,
+    Message,
+)
 from can.broadcastmanager import (
     CyclicSendTaskABC,
     LimitedDurationCyclicSendTaskABC,
@@ -112,6 +121,7 @@ class EmulatedBus(can.BusABC):
         *,
         receive_own_messages: bool = False,
         ignore_rx_error_frames: bool = False,
+        fd: bool = False,
         **kwargs: Any,  # Any: python-can hands every option of its configuration through here
     ) -> None:
         self.channel_info = f"emulated bus {channel}"
@@ -119,7 +129,8 @@ class EmulatedBus(can.BusABC):
         self._own = receive_own_messages
         self._ignores_errors = ignore_rx_error_frames
         self._state = BusState.ACTIVE
-        self._ears = Ears(receive_own_messages, _BACKLOG_MAX)
+        self._ears = Ears(receive_own_messages, _BACKLOG_MAX, fd)
+        self._fd = fd
         self._has_received = False
         self._is_shutdown = True  # until it is truly open: BusABC.__del__ looks
         self._hub: HubLink | None = None
@@ -127,10 +138,15 @@ class EmulatedBus(can.BusABC):
         if self.channel in _OPEN:
             world, self.runtime = _OPEN[self.channel]
             self._world = world
+            if fd and world.bus(self.channel).data_bitrate_bit_s is None:
+                raise CanInitializationError(
+                    f"fd=True: bus {self.channel} is classical CAN; give [bus.{self.channel}] of "
+                    "the rig a data_bitrate_bit_s"
+                )
             self._port = world.add_host(self.channel, "host", self._ears.hear, self._hear_error)
         elif "/" in self.channel:
             _refuse_in_virtual_time(self.channel)
-            self._hub = HubLink(self.channel)
+            self._hub = HubLink(self.channel, fd)
         else:
             known = ", ".join(_OPEN) or "none"
             raise CanInitializationError(
@@ -140,6 +156,7 @@ class EmulatedBus(can.BusABC):
             )
         self._is_shutdown = False
         super().__init__(channel=self.channel, can_filters=can_filters, **kwargs)
+        self._can_protocol = CanProtocol.CAN_FD if fd else CanProtocol.CAN_20
 
     # --- the motor interface's side (16-byte frames) -----------------------------------------
 
@@ -207,7 +224,15 @@ class EmulatedBus(can.BusABC):
 
     def send(self, msg: Message, timeout: float | None = None) -> None:
         """The message waits its turn on the bus."""
-        self.transmit(to_frame(msg))
+        if msg.is_fd and not self._fd:
+            raise CanOperationError(
+                f"CAN FD frame {msg.arbitration_id:X}h: {self.channel_info} was opened for "
+                "classical CAN; open it with fd=True"
+            )
+        try:
+            self.transmit(to_frame(msg))
+        except ValueError as error:
+            raise CanOperationError(str(error)) from error
 
     def recv(self, timeout: float | None = None) -> Message | None:
         """The next message, or None after `timeout` [s] of the rig's time."""

@@ -12,6 +12,7 @@ from typing import Final, final
 from can import CanInitializationError, CanOperationError
 
 from emulators.hub_protocol import (
+    FD_GREETING,
     GREETING,
     HEARD,
     RECORD_MAX,
@@ -39,8 +40,10 @@ class HubLink:
         stale: what the hub has refused: resource -> (the greater token, whose it is).
     """
 
-    def __init__(self, channel: str) -> None:
+    def __init__(self, channel: str, fd: bool = False) -> None:
         """Connected. `channel` is "PATH" (the hub's first bus) or "PATH#BUS".
+
+        With `fd` CAN FD frames are heard, and may be sent; the hub refuses it for a classical bus.
 
         Raises:
             CanInitializationError: nobody serves there, or the hub refuses; says why.
@@ -53,7 +56,7 @@ class HubLink:
             self._socket.connect(path)
             name = f"{Path(sys.argv[0] or 'python').name}[{os.getpid()}]".replace(" ", "_")
             with suppress(BrokenPipeError):  # then it has said why, and left
-                self._socket.send(GREETING + f"{bus} {name}".encode())
+                self._socket.send((FD_GREETING if fd else GREETING) + f"{bus} {name}".encode())
             answer = self._read()
         except OSError as error:
             self._socket.close()

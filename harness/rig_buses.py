@@ -1,6 +1,6 @@
 """The `[bus.NAME]` tables of a rig: CAN buses, and lines that speak Modbus.
 
-kind = "can"          bitrate_bit_s, [[bus.NAME.message]]
+kind = "can"          bitrate_bit_s, data_bitrate_bit_s (CAN FD), [[bus.NAME.message]]
 kind = "modbus_rtu"   a serial line: baud_bit_s, parity, stop_bits
 kind = "modbus_tcp"   a gateway: latency_s, timeout_s
 """
@@ -26,11 +26,12 @@ UNIT_MAX: Final = 247
 
 _SECOND_NS: Final = 1_000_000_000
 _KEYS: Final = {
-    CAN: ("bitrate_bit_s", "message"),
+    CAN: ("bitrate_bit_s", "data_bitrate_bit_s", "message"),
     MODBUS_RTU: ("baud_bit_s", "parity", "stop_bits"),
     MODBUS_TCP: ("latency_s", "timeout_s"),
 }
 BUS_KEYS: Final = ("kind", *(key for keys in _KEYS.values() for key in keys))
+_DATA_RATE_MAX: Final = 20_000_000
 _BAUD: Final = 19_200
 _LATENCY_S: Final = 50e-6
 
@@ -44,6 +45,8 @@ class BusDescription:
         kind: one of BUS_KINDS.
         bitrate_bit_s: of a CAN bus it divides 1e9, so that a bit takes a whole number of
             nanoseconds; of a serial line it is the baud rate; 0: there is none.
+        data_bitrate_bit_s: of CAN FD frames between BRS and CRC delimiter, as bitrate_bit_s; None:
+            the bus is classical CAN.
         messages: what others send there (CAN); None: its traffic is not declared.
         parity, stop_bits: of a serial line.
         latency_ns: of a gateway: from sending to arriving [ns].
@@ -58,6 +61,7 @@ class BusDescription:
     stop_bits: int = 1
     latency_ns: int = 0
     timeout_ns: int = _SECOND_NS
+    data_bitrate_bit_s: int | None = None
 
     @property
     def is_line(self) -> bool:
@@ -103,7 +107,22 @@ def _can(name: str, table: Table) -> BusDescription:
             f"a bit of {rate} bit/s is not a whole number of nanoseconds",
             "usual: 1_000_000, 800_000, 500_000, 250_000, 125_000, 100_000, 50_000, 20_000, 10_000",
         )
-    return BusDescription(name, CAN, rate, read_messages(table, rate))
+    messages = read_messages(table, rate)
+    return BusDescription(name, CAN, rate, messages, data_bitrate_bit_s=_data_bitrate(table, rate))
+
+
+def _data_bitrate(table: Table, rate: int) -> int | None:
+    key = "data_bitrate_bit_s"
+    if not table.has(key):
+        return None
+    data_rate = table.integer(key, low=rate, high=_DATA_RATE_MAX, unit="bit/s")
+    if _SECOND_NS % data_rate:
+        raise table.error(
+            key,
+            f"a bit of {data_rate} bit/s is not a whole number of nanoseconds",
+            "usual: 8_000_000, 5_000_000, 4_000_000, 2_000_000, 1_000_000",
+        )
+    return data_rate
 
 
 def address_key(bus: BusDescription) -> str:

@@ -27,11 +27,12 @@ def add_bus(
     """
     if not bus.is_line:
         frames = [rule for rule in rules if isinstance(rule, FaultRule)]
-        world.add_bus(CanBus(bus.name, bus.bitrate_bit_s, FaultPlan(frames, random)))
+        plan = FaultPlan(frames, random)
+        world.add_bus(CanBus(bus.name, bus.bitrate_bit_s, plan, bus.data_bitrate_bit_s))
         return
-    plan = SerialFaultPlan([one for one in rules if isinstance(one, SerialFaultRule)], random)
+    line_plan = SerialFaultPlan([one for one in rules if isinstance(one, SerialFaultRule)], random)
     if bus.kind == MODBUS_RTU:
-        line = SerialLine(bus.name, bus.bitrate_bit_s, bus.parity, bus.stop_bits, plan)
-        world.add_serial_line(line, plan)
+        line = SerialLine(bus.name, bus.bitrate_bit_s, bus.parity, bus.stop_bits, line_plan)
+        world.add_serial_line(line, line_plan)
     else:
-        world.add_tcp(BytePipe(bus.name, bus.latency_ns, plan), plan, bus.timeout_ns)
+        world.add_tcp(BytePipe(bus.name, bus.latency_ns, line_plan), line_plan, bus.timeout_ns)

@@ -70,6 +70,19 @@ def pack_fd(can_id: int, data: bytes = b"", flags: int = BRS) -> bytes:
     return _FD_FRAME.pack(can_id, len(data), flags | FDF, data)
 
 
+def padded_fd(frame: bytes) -> bytes:
+    """A canfd_frame as the driver of a CAN controller sends it.
+
+    FDF is set, unknown flags are not, and the data are filled up with 0 to one of the FD_LENGTHS.
+
+    Raises:
+        ValueError: no such frame can be sent, as of `pack_fd`.
+    """
+    length = min((one for one in FD_LENGTHS if one >= frame[4]), default=frame[4])
+    data = frame[8 : 8 + frame[4]]
+    return pack_fd(can_id_of(frame), data.ljust(length, b"\0"), frame[5] & (BRS | ESI))
+
+
 def can_id_of(frame: bytes) -> int:
     """Identifier and flags, as in the frame's first four bytes."""
     return frame[0] | frame[1] << 8 | frame[2] << 16 | frame[3] << 24

@@ -34,21 +34,21 @@ class Order:
 
 
 class ErrorBench:
-    """The world is served by `gateway(world)`."""
+    """The world is served by `gateways(world)`."""
 
     channel = ""
 
-    def __init__(self, gateway):
+    def __init__(self, gateways, data_bitrate_bit_s=None):
         queue = EventQueue()
         self.world = World(queue)
-        self.world.add_bus(CanBus("can0", 1_000_000))
+        self.world.add_bus(CanBus("can0", 1_000_000, data_bitrate_bit_s=data_bitrate_bit_s))
         self._loop = WallLoop(queue)
         self._order = Order(self.world)
         self.heard = []  # what was on the emulated bus: sender, frame
         self.world.tap_frames(
             lambda bus, time_ns, sender, frame: self.heard.append((sender, frame))
         )
-        for one in (gateway(self.world), self._order):
+        for one in (*gateways(self.world), self._order):
             self._loop.add(one)
         self._stop = threading.Event()
         self._thread = threading.Thread(target=self._loop.run, args=(self._stop.is_set,))

@@ -16,7 +16,7 @@ pytestmark = pytest.mark.wall
 
 class HubBench(ErrorBench):
     def __init__(self, path):
-        super().__init__(lambda world: HubServer(path, world))
+        super().__init__(lambda world: [HubServer(path, world)])
         self.channel = path
         program = Path(sys.argv[0]).name.replace(" ", "_")
         self._name = f"{program}[{os.getpid()}]"

@@ -18,7 +18,7 @@ class VcanBench(ErrorBench):
     channel = "vcan0"
 
     def __init__(self):
-        super().__init__(lambda world: SocketCanGateway("vcan0", world, "can0"))
+        super().__init__(lambda world: [SocketCanGateway("vcan0", world, "can0")])
 
     def open(self, **options):
         return can.Bus(interface="socketcan", channel="vcan0", **options)

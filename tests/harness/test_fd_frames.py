@@ -1,0 +1,102 @@
+"""CAN FD of the `emulated` interface in a rig of this process."""
+
+import can
+import pytest
+
+from emulators.event_queue import EventQueue
+from emulators.media.can_bus import CanBus
+from emulators.media.can_frame import pack_fd
+from emulators.world import World
+from harness.bus_ears import Ears
+from harness.can_plugin import close_rig, open_rig
+from harness.rig import Rig
+from harness.virtual_time import VirtualRuntime
+from tests.harness.fd_frames import FdFrames, classical, fd_message
+
+RIG = """
+[rig]
+name = "fd"
+[bus.can0]
+bitrate_bit_s = 500_000
+{data}
+"""
+
+
+class Bench:
+    def __init__(self):
+        queue = EventQueue()
+        self.world = World(queue)
+        self.world.add_bus(CanBus("can0", 500_000, data_bitrate_bit_s=2_000_000))
+        self.runtime = VirtualRuntime(queue)
+        open_rig(self.world, self.runtime)
+
+    def open(self, **options):
+        return can.Bus(interface="emulated", channel="can0", **options)
+
+    def close(self):
+        close_rig(self.world)
+        self.runtime.close()
+
+
+@pytest.fixture
+def bench():
+    bench = Bench()
+    yield bench
+    bench.close()
+
+
+class TestInARig(FdFrames):
+    def test_it_comes_when_its_bits_at_both_rates_have_passed(self, bench):
+        # 17 nominal bits to BRS, 9 after the CRC delimiter, 99 at the data rate (test_can_bus_fd)
+        data = bytes.fromhex("0011223344556677")
+        with bench.open(fd=True) as bus, bench.open(fd=True) as other:
+            bus.send(fd_message(0x123, data, bitrate_switch=True))
+            assert other.recv(1.0).timestamp == 26 * 2e-6 + 99 * 0.5e-6
+
+    def test_what_cannot_be_sent_is_refused_in_words(self, bench):
+        with bench.open(fd=True) as bus:
+            remote = fd_message(0x123)
+            remote.is_remote_frame = True
+            too_long = fd_message(0x123)
+            too_long.data = bytearray(65)
+            for message, told in ((remote, "no remote frames"), (too_long, "65 data bytes")):
+                with pytest.raises(can.CanOperationError, match=told):
+                    bus.send(message)
+        with bench.open() as bus, pytest.raises(can.CanOperationError, match="with fd=True"):
+            bus.send(fd_message(0x123))
+
+    def test_who_reads_classical_frames_only_is_not_given_others(self):
+        heard = []
+        ears = Ears(False, 10, True)
+        ears.listeners.append(lambda *told: heard.append(told))
+        ears.hear(pack_fd(0x123), 0, False)
+        assert not heard
+        assert len(ears.backlog) == 1
+
+
+def test_a_rig_has_fd_buses_and_its_record_the_frames(tmp_path):
+    path = tmp_path / "fd.toml"
+    path.write_text(RIG.format(data="data_bitrate_bit_s = 2_000_000"))
+    with Rig.open(path) as rig:
+        with can.Bus(interface="emulated", channel="can0", fd=True) as bus:
+            bus.send(fd_message(0x123, bytes(64), bitrate_switch=True))
+            rig.runtime.run_for(0.01)
+        assert rig.world.bus("can0").statistics.counts() == {0x123: 1}
+
+
+def test_a_classical_bus_is_told_so_before_anything_is_sent(tmp_path):
+    path = tmp_path / "fd.toml"
+    path.write_text(RIG.format(data=""))
+    with Rig.open(path):
+        told = r"bus can0 is classical CAN; give \[bus.can0\] of the rig a data_bitrate_bit_s"
+        with pytest.raises(can.CanInitializationError, match=told):
+            can.Bus(interface="emulated", channel="can0", fd=True)
+        with can.Bus(interface="emulated", channel="can0") as bus:
+            bus.send(classical(0x123))
+
+
+def test_where_a_classical_node_would_destroy_it_that_is_told(bench):
+    bench.world.bus("can0").attach("drive")
+    told = "drive has a classical CAN controller, which destroys"
+    with bench.open(fd=True) as bus, pytest.raises(can.CanOperationError, match=told):
+        bus.send(fd_message(0x123))
