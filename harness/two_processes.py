@@ -283,6 +283,6 @@ def _received_by(trace: Trace, bus: str, node_id: int) -> Iterator[tuple[int, st
     """(when, who sent it) of each RPDO of a node (CiA 301: 200h, 300h, 400h, 500h + node-ID)."""
     for _, time_ns, data in trace.messages([f"/can/{bus}"]):
         frame = decode(CAN_FRAME, data)
-        can_id = frame.get("id", 0)
+        can_id = -1 if frame.get("error") else frame.get("id", 0)  # a class is no identifier
         if can_id in [0x200 + node_id, 0x300 + node_id, 0x400 + node_id, 0x500 + node_id]:
             yield time_ns, str(frame.get("sender", ""))
