@@ -5,8 +5,10 @@ from hypothesis import event, given
 from hypothesis import strategies as st
 
 from emulators.media import error_message as told
+from emulators.media.can_bits import measure, phases_of
 from emulators.media.can_episode import Disturbance, EventKind, Station, run_episode
 from emulators.media.can_node import FrameSupport
+from emulators.media.can_port import LENGTHS_MASK
 from emulators.media.can_station import CanStation
 from emulators.media.can_wire import WireFrame
 from emulators.media.confinement import Confinement
@@ -55,6 +57,13 @@ def test_a_sender_sends_what_the_slow_way_builds(frame):
     sent = WireFrame(frame.can_frame())
     assert "".join(map(str, sent.levels)) == wire_fd.on_the_wire(frame)
     assert (sent.fast_from, sent.fast_to) == wire_fd.data_phase(frame)
+
+
+@given(fd_fields())
+def test_the_bits_are_as_many_as_the_bus_reckons_with(frame):
+    first, end = wire_fd.data_phase(frame)
+    nominal = len(wire_fd.on_the_wire(frame)) + 3 - (end - first)
+    assert phases_of(measure(frame.can_frame()) & LENGTHS_MASK) == (nominal, end - first)
 
 
 @given(fd_fields(), st.integers(2, 10))
@@ -161,6 +170,17 @@ def test_a_classical_controller_destroys_every_can_fd_frame():
     assert episode.fast == ()
 
 
+def test_a_sender_that_falls_silent_in_the_data_phase_is_noticed_there():
+    """Five recessive bits, and a stuff bit that does not come; one flag of six nominal bits."""
+    first, _ = wire_fd.data_phase(ONES)
+    ones = SENT.index("11111", first)
+    stations = [Station(0, (ONES.can_frame(),), support=FD, leaves_at=ones + 5)]
+    episode = run_episode([*stations, Station(1, support=FD)], ratio=4)
+    assert [(e.bit, e.port, e.kind) for e in episode.events] == [(ones + 5, 1, EventKind.ERROR)]
+    assert episode.fast == ((first, ones + 6),)
+    assert episode.bits == ones + 6 + 6 + 8 + 3
+
+
 def test_an_error_in_the_data_phase_is_told_at_the_nominal_rate():
     """Drawn by hand, 4 bits at the data rate to a nominal one.
 
@@ -226,7 +246,8 @@ def test_a_flip_anywhere_loses_no_frame_unnoticed(frame, bit, ports, ratio):
     ]
     episode = run_episode(stations, [Disturbance(bit, ports=ports)], ratio=ratio)
     sent = [e for e in episode.events if e.kind is EventKind.SENT]
-    failed = [e for e in episode.events if e.kind is EventKind.FAILED]
+    # a sender that misreads a bit of its identifier believes that it has lost arbitration
+    failed = [e for e in episode.events if e.kind in (EventKind.FAILED, EventKind.LOST)]
     got = [e.port for e in episode.events if e.kind is EventKind.ACCEPTED]
     assert len(sent) + len(failed) == 1
     if sent:
