@@ -277,6 +277,11 @@ class EmulatedBus(can.BusABC):
         self._ears.hear(message, time_ns, False)
 
     @property
+    def bus_off_remedy(self) -> str:
+        """What to do when it is off the bus; errors of the motor interface tell it."""
+        return "it is on again by recovery_s of its node in the rig, or by rig.faults.restart()"
+
+    @property
     def state(self) -> BusState:
         """Of the CAN controller: PASSIVE is error passive, ERROR bus-off (harness.can_state).
 

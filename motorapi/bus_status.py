@@ -154,9 +154,10 @@ def _condition_in(classes: int, status: int) -> BusCondition | None:
 
 
 def status_of(bus: "can.BusABC", name: str) -> BusStatus:
-    """The status of this bus object, of which nothing is known yet; messages call it `name`."""
-    if callable(getattr(bus, "restart", None)):
-        remedy = "call restart() of the bus, or let its node restart by itself (recovery_s)"
-    else:
-        remedy = f"ip link set {name} type can restart, or restart-ms 100: it does so by itself"
-    return BusStatus(name, remedy)
+    """The status of this bus object, of which nothing is known yet; messages call it `name`.
+
+    A bus that is not SocketCAN's may tell by an attribute `bus_off_remedy` what to do.
+    """
+    remedy = getattr(bus, "bus_off_remedy", "")
+    usual = f"ip link set {name} type can restart, or restart-ms 100: it does so by itself"
+    return BusStatus(name, remedy or usual)

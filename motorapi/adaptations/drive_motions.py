@@ -333,7 +333,8 @@ class DriveMotions:
 
         def is_over() -> bool:
             ends = watch.started_ns is not None or self._control.is_halted
-            return ends or node.statusword & FAULT_BIT != 0 or node.is_lost
+            is_gone = node.is_lost or not node.is_up
+            return ends or node.statusword & FAULT_BIT != 0 or is_gone
 
         while True:
             node.refresh()

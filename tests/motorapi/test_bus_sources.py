@@ -1,5 +1,6 @@
 """Sources of frames: what a frame's age is, where the bus tells its own time."""
 
+import socket
 import struct
 from types import SimpleNamespace
 
@@ -60,3 +61,13 @@ def test_a_frame_is_as_old_as_the_bus_says_however_late_it_is_got_to(gaps_and_de
     )
     if settled is not None:
         assert told[settled:] == [row + least_ns[-1] for row in rows[settled:]]
+
+
+def test_error_messages_of_a_socket_are_heard_as_the_kernel_sends_them():
+    """linux/can/error.h: classes in the identifier, CAN_ERR_DLC (8) bytes; here error passive."""
+    message = struct.pack("<IB3x8s", 0x2000_0204, 8, bytes.fromhex("0020000000008000"))
+    ours, kernels = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+    with ours, kernels:
+        source = bus_sources._SocketCanSource(SimpleNamespace(channel_info="pair"), ours)
+        kernels.send(message)
+        assert source.receive(0.0) == (message, 0, False)
