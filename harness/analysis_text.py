@@ -1,5 +1,6 @@
 """What the analysis of a bus says, as tables of text and for machines."""
 
+from harness.analysis.margins import ERRORS_MAX, Tolerance
 from harness.analysis.message import Arrival, Message
 from harness.analysis.response_time import Response
 from harness.analysis.subject import Findings
@@ -21,8 +22,8 @@ def print_findings(found: Findings, bit_error_rate: float | None) -> None:
         message = one.message
         stood = stands.get(message.rank)
         row = [message.label, _what(message), message.sender, _bytes(message), _period(message)]
-        row += [_ms(message.jitter_ns), _ms(message.deadline_ns), _ms(one.response_ns)]
-        row += [_verdict(one), "-" if stood is None or stood.errors is None else str(stood.errors)]
+        row += [_jitter(message), _ms(message.deadline_ns), _ms(one.response_ns)]
+        row += [_verdict(one), _stood(stood)]
         if bit_error_rate is not None:
             row.append("-" if stood is None else f"{stood.late_probability(bit_error_rate):.1e}")
         rows.append(row)
@@ -76,6 +77,12 @@ def _advice(found: Findings) -> list[str]:
     return lines
 
 
+def _stood(stood: Tolerance | None) -> str:
+    if stood is None or stood.errors is None:
+        return "-"
+    return f"{stood.errors}+" if stood.errors == ERRORS_MAX else str(stood.errors)
+
+
 def _what(message: Message) -> str:
     return message.name or message.source
 
@@ -85,8 +92,15 @@ def _bytes(message: Message) -> str:
 
 
 def _period(message: Message) -> str:
-    text = _ms(message.period_ns)
-    return text if message.arrival is Arrival.PERIODIC else f"> {text}"
+    if message.arrival is Arrival.PERIODIC:
+        return _ms(message.period_ns)
+    return f"> {_ms(message.distance_ns or message.period_ns)}"
+
+
+def _jitter(message: Message) -> str:
+    """Of a burst there is none to tell: its least distance says how it comes."""
+    is_burst = message.arrival is Arrival.SPORADIC and message.distance_ns
+    return "-" if is_burst else _ms(message.jitter_ns)
 
 
 def _verdict(one: Response) -> str:

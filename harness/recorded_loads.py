@@ -53,7 +53,13 @@ def subjects_of_recording(
         if known is None:
             known = buses[bus] = _RecordedBus(bus)
         known.take(time_ns, frame, sender)
-    subjects = []
+    subjects: list[Subject] = []
+    if found.unstamped:
+        raise TraceError(
+            str(path),
+            f"has {found.unstamped} frames without a time: nothing can be said of periods",
+            remedy="record with time stamps (candump -L, candump -t a)",
+        )
     for name in sorted(buses):
         rate = bitrates.get(name, told.get(name))
         if rate is None:
@@ -80,7 +86,6 @@ def _told(source: Source) -> tuple[RecordedNames, dict[str, int]]:
 def _doubts(found: Findings) -> tuple[tuple[int, str], ...]:
     return (
         (len(found.problems), "rows of the file cannot be read, and are left out"),
-        (found.unstamped, "frames have no time: what is told of periods is wrong"),
         (found.backward, "frames are stamped earlier than the one before: ordered by stamp"),
     )
 
@@ -195,7 +200,10 @@ def _is_not_counted(message: Message) -> bool:
 
 
 def _at_home(message: Message, is_canopen: bool) -> Message:
+    """As a CANopen bus has it: what SDO is asked has no deadline, and not all can be moved."""
     if not is_canopen:
         return message
     movable = not is_canopen_reserved(message.identifier, message.extended)
-    return replace(message, movable=movable)
+    asked = not message.extended and is_sdo(message.identifier)  # periodically, but nobody waits
+    deadline_ns = None if asked else message.deadline_ns
+    return replace(message, movable=movable, deadline_ns=deadline_ns)

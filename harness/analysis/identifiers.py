@@ -1,8 +1,9 @@
 """Which identifiers to change so that every message is in time, as few as can be found.
 
 First a single message is moved, to every other place in the order of priorities where its format
-has a free identifier; the shortest move comes first. If none helps, a whole order is made from the
-bottom: at each level the least urgent message (as it is now) that meets its deadline there.
+has a free identifier; the shortest move comes first, and of large sets not all are tried. If none
+helps, a whole order is made from the bottom: at each level the least urgent message (as it is now)
+that meets its deadline there.
 Audsley's argument holds for CAN (Davis et al. 2007, section 7): how late a message is depends on
 which others are more urgent, not on their order; so if nothing fits at a level, no order exists.
 Messages that cannot move keep their order. Of those that can, as many as possible keep their
@@ -21,11 +22,12 @@ from typing import Final, final
 
 from harness.analysis.errors import NO_ERRORS, ErrorModel
 from harness.analysis.message import BusLoad, Message, rank_of
-from harness.analysis.response_time import are_in_time, response_between
+from harness.analysis.response_time import are_in_time, response_between, response_times
 
 _SFF_MAX: Final = 0x7FF
 _EFF_MAX: Final = 0x1FFF_FFFF
-_MOVES_MAX: Final = 3_000
+_WORK_MAX: Final = 10_000  # messages looked at, in all moves that are tried
+_MOVES_MIN: Final = 100
 
 Reserved = Callable[[int, bool], bool]
 """Whether an identifier (extended or not) must not be given to a message."""
@@ -65,12 +67,17 @@ def propose(load: BusLoad, errors: ErrorModel, is_reserved: Reserved) -> Proposa
     """The changes after which every message is in time; none, if all are now."""
     if are_in_time(load, errors):
         return Proposal(())
-    for change in islice(_moves(load, is_reserved), _MOVES_MAX):
+    late = [one.message.rank for one in response_times(load, errors) if one.is_in_time is False]
+    moves = _moves(load, is_reserved)
+    if not _has_queues(load):
+        moves = (move for move in moves if _may_help(move, late))
+    for change in islice(moves, max(_MOVES_MIN, _WORK_MAX // len(load.messages))):
         if are_in_time(with_changes(load, (change,)), errors):
             return Proposal((change,))
     if _has_queues(load):
         return Proposal(
-            None, reason="no change of one identifier helps; with FIFO queues no more is tried"
+            None,
+            reason="no change of one identifier was found; with FIFO queues no more is tried",
         )
     order = best_order(load, errors)
     if order is None:
@@ -140,6 +147,13 @@ def _moves(load: BusLoad, is_reserved: Reserved) -> Iterator[Change]:
                 identifier = next(free, None)
                 if identifier is not None:
                     yield Change(one, identifier)
+
+
+def _may_help(move: Change, late: Sequence[int]) -> bool:
+    """Whether each late message is moved up, or has the moved one above it no longer."""
+    old = move.message.rank
+    new = rank_of(move.identifier, extended=move.message.extended)
+    return all(new < old if rank == old else old < rank < new for rank in late)
 
 
 def _free(

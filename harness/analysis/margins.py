@@ -12,20 +12,21 @@ USUAL_BIT_S: Final = (
 )
 _INTERVAL_MAX_NS: Final = 100_000_000_000
 _STEP_NS: Final = 1_000
-_ERRORS_MAX: Final = 4_096
+ERRORS_MAX: Final = 99  # counted so far
 
 
 def shortest_error_interval_ns(load: BusLoad, burst: int = 1) -> int | None:
     """Errors no closer than this, after a burst of so many, make no message late.
 
-    To the microsecond, rounded up; None: not even the burst alone is stood.
+    To the microsecond or a thousandth, whichever is more, and never too short; None: not even the
+    burst alone is stood.
     """
     if not are_in_time(load, ErrorModel(burst)):
         return None
     low, high = 0, _INTERVAL_MAX_NS // _STEP_NS  # not stood, stood
     if not are_in_time(load, ErrorModel(burst, high * _STEP_NS)):
         return None
-    while high - low > 1:
+    while high - low > max(1, low // 1_000):
         middle = (low + high) // 2
         if are_in_time(load, ErrorModel(burst, middle * _STEP_NS)):
             high = middle
@@ -41,7 +42,8 @@ class Tolerance:
 
     Attributes:
         message: of the bus; it has a deadline.
-        errors: so many at any time in a busy period leave it in time; None: not even without.
+        errors: so many at any time in a busy period leave it in time, counted to ERRORS_MAX;
+            None: not even without.
         window_bits: the longest busy period with so many.
     """
 
@@ -64,7 +66,7 @@ def tolerances(load: BusLoad) -> tuple[Tolerance, ...]:
     found: dict[int, Tolerance] = {}
     timed = [one for one in load.messages if one.deadline_ns is not None]
     low: dict[int, int] = {one.rank: -1 for one in timed}  # stood
-    high: dict[int, int] = {one.rank: _ERRORS_MAX for one in timed}  # not stood
+    high: dict[int, int] = {one.rank: ERRORS_MAX + 1 for one in timed}  # not stood
     asked: set[int] = set()
     while True:
         open_ranks = [rank for rank in low if high[rank] - low[rank] > 1]

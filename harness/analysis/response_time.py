@@ -132,13 +132,12 @@ class _Flow:
         queue = message.sender if message.sender in load.fifo else ""
         return cls(message, message.rank, load.takes_ns(message), queue)
 
-    def competing(self, window_ns: int) -> int:
-        """How many may begin to compete in a window, its end not included."""
+    def term(self) -> tuple[int, int, int, int, int]:
+        """Period, how early, how late, distance, and what one takes: of what competes."""
         message = self.message
-        queued_ns = window_ns + (self.late_ns or 0)
-        early_ns = message.jitter_ns + message.irregular_ns
-        count = -(-(queued_ns + early_ns) // message.period_ns)
-        return min(count, -(-queued_ns // message.distance_ns)) if message.distance_ns else count
+        late_ns = self.late_ns or 0
+        early_ns = message.jitter_ns + message.irregular_ns + late_ns
+        return message.period_ns, early_ns, late_ns, message.distance_ns, self.takes_ns
 
     def queued_by(self, at_ns: int) -> int:
         """How many may be queued from 0 to `at_ns`, both included."""
@@ -274,6 +273,7 @@ class _Level:
         last = self._queue[-1].rank
         others = [one for one in levels.flows if id(one) not in mates]
         self._higher = [one for one in others if one.rank < last]
+        self._terms = [one.term() for one in self._higher]
         self.blocking_ns = max((one.takes_ns for one in others if one.rank > last), default=0)
         self._longest_ns = max(one.takes_ns for one in (*self._queue, *self._higher))
 
@@ -288,7 +288,7 @@ class _Level:
         busy_ns = self._flow.takes_ns
         for _ in range(_ROUNDS_MAX):
             again_ns = self._levels.errors_ns(busy_ns, self._longest_ns) + self.blocking_ns
-            again_ns += sum(one.competing(busy_ns) * one.takes_ns for one in self._higher)
+            again_ns += self._competing_ns(busy_ns)
             again_ns += sum(one.queued_by(busy_ns - 1) * one.takes_ns for one in self._queue)
             if again_ns <= busy_ns:
                 return busy_ns
@@ -324,6 +324,18 @@ class _Level:
             if waited_ns is None:
                 return
 
+    def _competing_ns(self, window_ns: int) -> int:
+        """What more urgent frames take that begin to compete in a window, its end not included."""
+        total_ns = 0
+        for period_ns, early_ns, late_ns, distance_ns, takes_ns in self._terms:
+            count = -(-(window_ns + early_ns) // period_ns)
+            if distance_ns:
+                least = -(-(window_ns + late_ns) // distance_ns)
+                if least < count:
+                    count = least
+            total_ns += count * takes_ns
+        return total_ns
+
     def _waited_ns(self, before_ns: int, least_ns: int) -> int | None:
         """When it begins, if so much of its queue is before it and it is not before `least_ns`."""
         fixed_ns = self.blocking_ns + before_ns
@@ -331,8 +343,7 @@ class _Level:
         for _ in range(_ROUNDS_MAX):
             again_ns = fixed_ns
             again_ns += self._levels.errors_ns(waited_ns + self._flow.takes_ns, self._longest_ns)
-            for one in self._higher:
-                again_ns += one.competing(waited_ns + self._levels.bit_ns) * one.takes_ns
+            again_ns += self._competing_ns(waited_ns + self._levels.bit_ns)
             if again_ns <= waited_ns:
                 return waited_ns
             waited_ns = again_ns

@@ -22,7 +22,7 @@ from harness.analysis.frame_length import Bits, longest
 from harness.analysis.message import BusLoad, Message
 from harness.analysis.response_time import response_times
 from tests.emulators.media.driving import run
-from tests.harness.analysis.sets import MS, SAE_RATES, sae
+from tests.harness.analysis.sets import MS, SAE_RATES, US, sae
 
 RATE = 1_000_000
 BIT_NS = 1000
@@ -109,6 +109,31 @@ def test_no_frame_is_ever_later_than_the_analysis_says(load: BusLoad, chance, at
         bound_ns = bounds[rank]
         event("no bound" if bound_ns is None else f"{late_ns / bound_ns:.1f} of its bound")
         assert bound_ns is None or late_ns <= bound_ns
+
+
+def test_what_waited_in_a_queue_comes_closer_together_than_its_period():
+    """K waits behind L, which waits for all of H; then two of K come before M, which H is below."""
+    fill = b"\x55" * 8
+    urgent = Message(0x100, 8, 900 * US, sender="node")
+    held = Message(0x400, 8, 100 * MS, sender="node")
+    victim = Message(0x200, 8, 100 * MS, sender="victim")
+    holding = tuple(Message(0x300 + n, 8, 100 * MS, sender=f"h{n}") for n in range(7))
+    load = measured(
+        BusLoad("can0", RATE, (urgent, victim, *holding, held), fifo=frozenset({"node"})), fill
+    )
+    urgent, victim, *holding, held = load.messages
+    held_until_ns = sum(load.takes_ns(one) for one in holding)
+    first = [(0, 0, one) for one in (*holding, held, urgent)]
+    later = [
+        (held_until_ns + BIT_NS, held_until_ns + BIT_NS, victim),
+        (900 * US, 900 * US, urgent),
+    ]
+    found = latest(load, first + later, lambda *_: fill)[victim.rank]
+    blocked_ns = load.takes_ns(held) - BIT_NS
+    after_ns = 2 * load.takes_ns(urgent) + load.takes_ns(victim) - 3 * BIT_NS
+    assert found == blocked_ns + after_ns
+    bound_ns = next(r for r in response_times(load) if r.message is victim).received_ns
+    assert bound_ns == found + BIT_NS
 
 
 @given(buses(), st.randoms(use_true_random=False), st.integers(1, 4), st.floats(0.05, 1.0))

@@ -117,6 +117,12 @@ def test_errors_cost_a_longest_error_frame_and_the_longest_frame_sent_again():
     assert two == [(190 + 2 * 86) * US, (325 + 2 * 166) * US, (325 + 2 * 166) * US]
 
 
+def test_a_more_urgent_frame_that_is_sent_again_costs_as_well():
+    load = BusLoad("can0", 1_000_000, (Message(1, 8, 10 * MS), Message(2, 0, 10 * MS)))
+    found = response_times(load, ErrorModel(1))[1]
+    assert found.response_ns == (135 + 55 + 31 + 135) * US
+
+
 def test_errors_that_come_again_are_counted_in_the_time_they_lengthen():
     load = BusLoad("can0", 1_000_000, (Message(1, 8, 10 * MS),))
     # 135 us, and 166 us for each error: one at once, then one every 200 us: in 135 + 166 us there
