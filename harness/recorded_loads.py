@@ -6,8 +6,8 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Final, final
 
-from emulators.media.can_bits import frame_bits
-from harness.analysis.frame_length import shortest
+from emulators.media.can_bits import measure, phases_of
+from emulators.media.can_port import LENGTHS_MASK
 from harness.analysis.message import Arrival, BusLoad, Message
 from harness.analysis.recorded import Heard, Measured, measured
 from harness.analysis.subject import Subject, is_canopen_reserved, reserves_nothing
@@ -98,7 +98,9 @@ class _RecordedBus:
         self._name = name
         self._heard: dict[int, Heard] = {}
         self._bits = 0
+        self._data_bits = 0
         self._errors = 0
+        self._odd = 0
         self._remote: dict[int, int] = {}
         self._first_ns: int | None = None
         self._last_ns = 0
@@ -109,6 +111,13 @@ class _RecordedBus:
         if can_id & ERR:
             self._errors += 1
             return
+        try:
+            nominal, data = phases_of(measure(frame) & LENGTHS_MASK)
+        except ValueError:  # recorded by somebody, and sent by nobody
+            self._odd += 1
+            return
+        self._bits += nominal
+        self._data_bits += data
         if self._first_ns is None:
             self._first_ns = self._last_ns = time_ns
         self._first_ns = min(self._first_ns, time_ns)
@@ -123,8 +132,6 @@ class _RecordedBus:
         heard.add(time_ns, 0 if can_id & RTR else length, sender)
         if can_id & RTR:
             self._remote[key] = self._remote.get(key, 0) + 1
-        bits = shortest(length, extended=bool(can_id & EFF), fd=True) if fd else None
-        self._bits += frame_bits(frame) if bits is None else bits.nominal
 
     def subject(
         self,
@@ -153,6 +160,7 @@ class _RecordedBus:
             notes.append(f"not counted, SDO and NMT are sporadic (frames): {', '.join(left_out)}")
         notes += self._notes(known)
         senders = frozenset(one.sender for one, _ in known if one.sender)
+        busy_s = self._bits / rate + self._data_bits / (data_rate or rate)
         load = BusLoad(
             self._name,
             rate,
@@ -164,7 +172,7 @@ class _RecordedBus:
             load,
             is_canopen_reserved if is_canopen else reserves_nothing,
             tuple((one.rank, found.frames) for one, found in known),
-            self._bits * 1e9 / rate / span_ns if span_ns > 1 else None,
+            busy_s * 1e9 / span_ns if span_ns > 1 else None,
             tuple(notes),
         )
 
@@ -186,6 +194,8 @@ class _RecordedBus:
             notes.append(f"of more than one sender, taken as one of a node of its own: {labels}")
         if self._remote:
             notes.append(f"{sum(self._remote.values())} remote frames, taken as without data")
+        if self._odd:
+            notes.append(f"{self._odd} frames are none that a bus could carry, and are left out")
         if self._errors:
             notes.append(f"{self._errors} error messages were recorded; --errors counts errors")
         return notes

@@ -187,6 +187,18 @@ def test_a_recording_without_a_bit_rate_is_refused(tmp_path, capsys):
     assert "--sync and --streamed are of rigs" in capsys.readouterr().err
 
 
+def test_a_recording_of_can_fd_is_measured_at_both_rates(tmp_path, capsys):
+    path = tmp_path / "fd.log"
+    rows = [f"({n * 0.005:.6f}) can0 123##1{'55' * 64}\n" for n in range(40)]
+    path.write_text("".join([*rows, f"(0.200000) can0 124##1{'55' * 9}\n"]))
+    rates = ("--bitrate", "can0=500k", "--data-bitrate", "can0=2M")
+    (bus,) = as_json(capsys, str(path), *rates)[1]["buses"]
+    (message,) = [one for one in bus["messages"] if one["label"] == "123h"]
+    assert (message["length"], message["fd"], message["bit_rate_switch"]) == (64, True, True)
+    # 712 bits at most (can-physics, 6.3), 33 of them before and behind the data phase
+    assert message["takes_s"] == pytest.approx(33 / 500_000 + 679 / 2_000_000, abs=1e-12)
+
+
 def test_frames_without_a_time_are_refused(tmp_path, capsys):
     path = tmp_path / "plain.txt"
     path.write_text("  can0  181   [2]  37 06\n  can0  181   [2]  37 06\n")

@@ -11,10 +11,11 @@ import pytest
 from hypothesis import event, given
 from hypothesis import strategies as st
 
-from emulators.media.can_bits import frame_bits
+from emulators.media.can_bits import frame_bits, measure, phases_of
 from emulators.media.can_bus import CanBus
-from emulators.media.can_frame import EFF_FLAG, can_id_of, pack
-from emulators.media.can_node import CanNode, QueueOrder
+from emulators.media.can_frame import BRS, EFF_FLAG, FD_LENGTHS, can_id_of, pack, pack_fd
+from emulators.media.can_node import CanNode, FrameSupport, QueueOrder
+from emulators.media.can_port import LENGTHS_MASK
 from emulators.media.delivery import confirms
 from emulators.media.faults import FaultKind, FaultPlan, FaultRule
 from harness.analysis.errors import ErrorModel
@@ -37,19 +38,18 @@ def latest(
     faults: FaultPlan | None = None,
 ):
     """By rank: how long after it was due the last bit of a frame came, at most [ns]."""
-    bus = CanBus("can0", load.bitrate_bit_s, faults)
+    bus = CanBus("can0", load.bitrate_bit_s, faults, load.data_bitrate_bit_s)
     ports: dict[str, int] = {}
     for message in load.messages:
         owner = message.sender or message.label
         if owner not in ports:
             queue = QueueOrder.FIFO if owner in load.fifo else QueueOrder.PRIORITY
-            ports[owner] = bus.attach(owner, CanNode(queue=queue))
+            ports[owner] = bus.attach(owner, CanNode(queue=queue, frames=FrameSupport.FD))
     due: dict[int, list[int]] = {}
     submissions = []
     for number, (queued_ns, due_ns, message) in enumerate(releases):
-        can_id = message.identifier | (EFF_FLAG if message.extended else 0)
-        due.setdefault(can_id, []).append(due_ns)
-        frame = pack(can_id, payload(message, number)[: message.length])
+        frame = frame_of(message, payload(message, number))
+        due.setdefault(can_id_of(frame), []).append(due_ns)
         submissions.append((queued_ns, ports[message.sender or message.label], frame))
     worst: dict[int, int] = {}
     for end_ns, (frame, _, kind) in run(bus, submissions, until_ns=10**13):
@@ -65,9 +65,18 @@ def latest(
     }
 
 
+def frame_of(message: Message, data: bytes) -> bytes:
+    """A frame of the message with these data, or as many of them as it has."""
+    can_id = message.identifier | (EFF_FLAG if message.extended else 0)
+    if not message.fd:
+        return pack(can_id, data[: message.length])
+    return pack_fd(can_id, (data * 8)[: message.length], BRS if message.switched else 0)
+
+
 @st.composite
-def buses(draw: st.DrawFn) -> BusLoad:
+def buses(draw: st.DrawFn, fd: bool = False) -> BusLoad:
     """Up to six messages of up to three nodes, queued in either way; what has a bound, mostly."""
+    fd_lengths = st.sampled_from(FD_LENGTHS if fd else FD_LENGTHS[:9])
     identifiers = draw(
         st.lists(
             st.tuples(st.integers(0, 0x7FF), st.booleans()), min_size=2, max_size=6, unique=True
@@ -76,19 +85,23 @@ def buses(draw: st.DrawFn) -> BusLoad:
     messages = tuple(
         Message(
             identifier << 18 if extended else identifier,
-            draw(st.integers(0, 8)),
+            draw(fd_lengths) if kind else draw(st.integers(0, 8)),
             draw(st.integers(400, 3_000)) * BIT_NS,
             draw(st.sampled_from([0, 0, 100, 900])) * BIT_NS,
             extended=extended,
             sender=draw(st.sampled_from(["a", "b", "c"])),
+            fd=kind > 0,
+            switched=kind > 1,
         )
         for identifier, extended in identifiers
+        for kind in [draw(st.integers(0, 2)) if fd else 0]
     )
     fifo = draw(st.frozensets(st.sampled_from(["a", "b", "c"])))
-    return BusLoad("can0", RATE, messages, fifo=fifo)
+    data_rate = draw(st.sampled_from([1_000_000, 2_000_000, 5_000_000])) if fd else None
+    return BusLoad("can0", RATE, messages, data_rate, fifo)
 
 
-@given(buses(), st.randoms(use_true_random=False), st.booleans())
+@given(buses() | buses(fd=True), st.randoms(use_true_random=False), st.booleans())
 def test_no_frame_is_ever_later_than_the_analysis_says(load: BusLoad, chance, at_once: bool):
     releases: list[Release] = []
     until_ns = FRAMES * max(one.period_ns for one in load.messages)
@@ -173,7 +186,9 @@ def exact(load: BusLoad, message: Message) -> int | None:
     shorter = replace(
         load,
         messages=tuple(
-            replace(one, bits=Bits(one.longest.nominal - 1)) if one.rank > last else one
+            replace(one, bits=Bits(one.longest.nominal - 1, one.longest.data))
+            if one.rank > last
+            else one
             for one in load.messages
         ),
     )
@@ -193,7 +208,7 @@ def from_the_critical_instant(load: BusLoad, message: Message) -> list[Release]:
     releases: list[Release] = []
     begin_ns = 0
     if lower:
-        blocking = max(lower, key=lambda one: one.longest.nominal)
+        blocking = max(lower, key=load.takes_ns)
         releases.append((0, 0, blocking))
         begin_ns = 1_000_000_000 // load.bitrate_bit_s
     level = [one for one in load.messages if one.rank <= last]
@@ -214,18 +229,14 @@ def measured(load: BusLoad, fill: bytes) -> BusLoad:
         messages=tuple(
             replace(
                 one,
-                bits=Bits(
-                    frame_bits(
-                        pack(one.identifier | (EFF_FLAG if one.extended else 0), fill[: one.length])
-                    )
-                ),
+                bits=Bits(*phases_of(measure(frame_of(one, fill)) & LENGTHS_MASK)),
             )
             for one in load.messages
         ),
     )
 
 
-@given(buses(), st.binary(min_size=8, max_size=8), st.data())
+@given(buses() | buses(fd=True), st.binary(min_size=8, max_size=8), st.data())
 def test_from_the_critical_instant_a_message_is_exactly_as_late_as_the_analysis_says(
     load: BusLoad, fill: bytes, data: st.DataObject
 ):
@@ -245,7 +256,7 @@ def test_from_the_critical_instant_a_message_is_exactly_as_late_as_the_analysis_
     assert found[message.rank] == bound_ns
 
 
-@given(buses(), st.binary(min_size=8, max_size=8), st.integers(2, 4), st.data())
+@given(buses() | buses(fd=True), st.binary(min_size=8, max_size=8), st.integers(2, 4), st.data())
 def test_in_one_queue_as_well_where_no_message_of_others_is_between(
     load: BusLoad, fill: bytes, count: int, data: st.DataObject
 ):
@@ -255,10 +266,9 @@ def test_in_one_queue_as_well_where_no_message_of_others_is_between(
     mates = ordered[begin : begin + count]
     period_ns = max(one.period_ns for one in mates)
     load = measured(
-        BusLoad(
-            "can0",
-            RATE,
-            tuple(
+        replace(
+            load,
+            messages=tuple(
                 replace(one, sender="a", period_ns=period_ns, jitter_ns=0)
                 if one in mates
                 else replace(one, sender="")
