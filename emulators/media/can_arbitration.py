@@ -9,14 +9,14 @@ still takes part; nothing is scheduled for that, `submit` decides again.
 from heapq import heapify, heappop, heappush
 
 from emulators.media.can_bits import (
-    FD_MASK,
+    CLASSICAL_MAX,
     INTERMISSION_BITS,
     KEY_SHIFT,
     bits_of,
     measure,
     phases_of,
 )
-from emulators.media.can_frame import EFF_MASK, can_id_of
+from emulators.media.can_frame import EFF_MASK, FRAME_BYTES, can_id_of
 from emulators.media.can_node import FrameSupport
 from emulators.media.can_port import LENGTHS_MASK, PORT_MASK, PORT_SHIFT, CanPort
 from emulators.media.can_statistics import CanStatistics
@@ -37,6 +37,7 @@ class CanArbitration:
         self._ports: list[CanPort] = []
         self._competing: list[int] = []  # heap of the entries of candidates not in flight
         self._flight = 0  # entry in flight; 0: idle
+        self._lengths = 0  # of the last in flight
         self._start_ns = 0
         self._joinable_ns = 0  # until then (exclusive) others may still take part
         self._end_ns = 0  # end of EOF of the frame in flight
@@ -54,7 +55,7 @@ class CanArbitration:
         """
         node = self._ports[port]
         entry = measure(frame) | node.tag
-        if entry & FD_MASK:
+        if len(frame) > FRAME_BYTES:
             self._require_fd(node, frame)
         if node.entry:
             self._submit_behind(node, entry, frame, now_ns)
@@ -101,14 +102,15 @@ class CanArbitration:
         self._flight = entry
         self._start_ns = start_ns
         self._joinable_ns = start_ns + bit_ns
-        if entry & FD_MASK:
-            self._end_ns = start_ns + self._fd_ns(entry) - self._intermission_ns
+        lengths = self._lengths = entry & LENGTHS_MASK
+        if lengths > CLASSICAL_MAX:
+            self._end_ns = start_ns + self._fd_ns(lengths) - self._intermission_ns
         else:
-            self._end_ns = start_ns + (entry & LENGTHS_MASK) * bit_ns - self._intermission_ns
+            self._end_ns = start_ns + lengths * bit_ns - self._intermission_ns
 
-    def _fd_ns(self, entry: int) -> int:
+    def _fd_ns(self, lengths: int) -> int:
         """How long a CAN FD frame takes [ns], intermission included."""
-        bits, data_bits = phases_of(entry & LENGTHS_MASK)
+        bits, data_bits = phases_of(lengths)
         return bits * self.bit_ns + data_bits * self.data_bit_ns
 
     def _require_fd(self, node: CanPort, frame: bytes) -> None:
@@ -173,8 +175,8 @@ class CanArbitration:
     def _succeed(self, node: CanPort, entry: int) -> None:
         """A frame is sent: statistics, and the node's next one competes."""
         key = entry >> KEY_SHIFT
-        bits = entry & LENGTHS_MASK
-        if entry & FD_MASK:
+        bits = self._lengths
+        if bits > CLASSICAL_MAX:
             bits = bits_of(bits)
         self.statistics.count(key, bits)
         if self._collided:

@@ -44,9 +44,7 @@ KEY_SHIFT: Final = 30  # `measure` answers key << KEY_SHIFT | lengths
 # Lengths are bits of an FD frame from ESI to CRC delimiter << DATA_SHIFT | other bits. The former
 # are at the data rate unless NO_SWITCH is among the latter; of classical frames there are none.
 LENGTHS_MASK: Final = 0x3FFFF
-FD_MASK: Final = (
-    0x3FF00  # of these bits some are set in the lengths of every FD frame, and no other
-)
+CLASSICAL_MAX: Final = 0xFF  # lengths above are those of an FD frame
 DATA_SHIFT: Final = 8
 NO_SWITCH: Final = 0x80
 _FD_NOMINAL_MASK: Final = 0x7F
@@ -173,14 +171,14 @@ def frame_bits(frame: bytes) -> int:
 
 def bits_of(lengths: int) -> int:
     """How many bits they are, at whatever rate."""
-    if lengths & FD_MASK:
+    if lengths > CLASSICAL_MAX:
         return (lengths >> DATA_SHIFT) + (lengths & _FD_NOMINAL_MASK)
     return lengths
 
 
 def phases_of(lengths: int) -> tuple[int, int]:
     """(bits at the nominal rate, bits at the data rate)."""
-    if lengths & FD_MASK and not lengths & NO_SWITCH:
+    if lengths > CLASSICAL_MAX and not lengths & NO_SWITCH:
         return lengths & _FD_NOMINAL_MASK, lengths >> DATA_SHIFT
     return bits_of(lengths), 0
 

@@ -13,7 +13,7 @@ from heapq import heappush
 from typing import final
 
 from emulators.media.can_arbitration import CanArbitration
-from emulators.media.can_bits import FD_MASK
+from emulators.media.can_bits import CLASSICAL_MAX
 from emulators.media.can_node import PLAIN, CanNode, FrameSupport
 from emulators.media.can_port import CUT_OFF, PORT_MASK, PORT_SHIFT, CanPort
 from emulators.media.delivery import (
@@ -119,7 +119,7 @@ class CanBus(CanArbitration):
             entry = self._flight
             number = entry >> PORT_SHIFT & PORT_MASK
             node = self._ports[number]
-            kind = self._fd_kind if entry & FD_MASK else DELIVERED
+            kind = DELIVERED if self._lengths <= CLASSICAL_MAX else self._fd_kind
             deliveries.append((node.frame, number, kind))
             self._succeed(node, entry)
             if self._competing:
