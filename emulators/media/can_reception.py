@@ -232,7 +232,6 @@ class Reception:
     def _hear_tail(self, level: int) -> int:
         self._position += 1
         position = self._position
-        self.fast = False
         if position == _ACK_SLOT:
             self._acknowledged = level == DOMINANT
             return ACKNOWLEDGED

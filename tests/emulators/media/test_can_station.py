@@ -389,6 +389,7 @@ def test_rec_stops_at_255_and_is_passive():
     station = receiver(rec=250)
     play(station, "000000" + "000000" + "0" * 64)
     assert counters(station) == (0, 255)
+    assert len(errors(station)) == 1  # from 255 on nothing more is told of dominant bits
 
 
 def test_above_255_it_is_off_the_wire_at_once_and_counts_runs_of_11():  # i
