@@ -123,6 +123,7 @@ def test_what_motors_have_their_drives_send_is_known(capsys):
     assert messages["181h"]["sender"] == "left"
     assert messages["77Fh"]["sender"] == "host"
     assert messages["181h"]["arrival"] == "sporadic"
+    assert messages["181h"]["deadline_s"] == 0.02  # the drive repeats it then
     notes = " ".join(told["buses"][0]["notes"])
     assert "not declared" in notes
     assert "SDO" in notes
