@@ -200,6 +200,8 @@ class ChannelClient(SdoClient):
 
     def _is_due(self, place: bytes, command: int = _ABORT) -> bool:
         """Whether an answer to a download of this object (b"": of any) comes for nobody."""
+        if not self._due:  # nearly always
+            return False
         now_ns = self._runtime.now_ns()
         self._due = [one for one in self._due if one[1] > now_ns]
         if command not in (_ABORT, _DOWNLOADED):
