@@ -6,7 +6,7 @@ event and each node that listens to its identifier one call, however many nodes 
 """
 
 from collections.abc import Callable, Mapping
-from typing import Final, final
+from typing import final
 
 from emulators.can_segment import BusSegment, FrameTap
 from emulators.controller import Controller
@@ -15,7 +15,7 @@ from emulators.hub_protocol import OwnershipNotice
 from emulators.line_segment import LineHost, LineSegment, LineTap, SerialSegment, TcpSegment
 from emulators.media.byte_pipe import BytePipe
 from emulators.media.can_bus import CanBus
-from emulators.media.can_node import PLAIN, CanNode, FrameSupport
+from emulators.media.can_node import CanNode
 from emulators.media.faults import FaultRule
 from emulators.media.serial_faults import SerialFaultPlan
 from emulators.media.serial_line import SerialLine
@@ -25,9 +25,6 @@ from emulators.segment import ControllerSlot, HostListener, HostPort, Overseer
 EventTap = Callable[[int, str, str, str], None]
 SampleTap = Callable[[int, str, Mapping[str, float]], None]
 OwnershipTap = Callable[[str, int, str, OwnershipNotice], None]
-
-
-_FD_HOST: Final = CanNode(frames=FrameSupport.FD)
 
 
 @final
@@ -46,9 +43,20 @@ class World(Overseer):
         self._sample_period_ns = 0
         self._sampler = queue.alarm(self._sample)
 
-    def add_bus(self, bus: CanBus) -> None:
-        """The bus exists, with nobody on it."""
-        self._segments[bus.name] = BusSegment(bus, self)
+    def add_bus(self, bus: CanBus, chips: Mapping[str, CanNode] | None = None) -> None:
+        """The bus exists, with nobody on it; `chips` of those to come that are not plain.
+
+        The chip named "host" is that of every application.
+        """
+        self._segments[bus.name] = BusSegment(bus, self, chips or {})
+
+    def reserve_host(self, bus: str) -> None:
+        """The host's interface is on the bus, and acknowledges; the first "host" will have it."""
+        self._segments[bus].reserve_host()
+
+    def add_silent(self, bus: str, name: str) -> None:
+        """A node that acknowledges, and says nothing, hangs on the bus."""
+        self._segments[bus].add_silent(name)
 
     def bus(self, name: str) -> CanBus:
         """The bus's core, for its statistics and its faults."""
@@ -88,7 +96,7 @@ class World(Overseer):
             line.join(slot, _unit_of(controller))
         else:
             segment = self._segments[bus]
-            slot = ControllerSlot(name, segment.bus.attach(name), controller, segment, self)
+            slot = ControllerSlot(name, segment.attach(name), controller, segment, self)
             segment.join(slot)
         self._slots[name] = slot
         controller.start(self.queue.now_ns)
@@ -103,9 +111,8 @@ class World(Overseer):
         `on_error`, or without one among the frames.
         """
         segment = self._segments[bus]
-        name = segment.free_name(name)
-        chip = _FD_HOST if segment.bus.data_bitrate_bit_s is not None else PLAIN
-        number = segment.bus.attach(name, chip)
+        number = segment.claim_host(name)
+        name = segment.bus.port_names()[number]
         port = HostPort(name, number, segment, on_frame, on_error or on_frame)
         segment.join(port)
         return port
@@ -143,6 +150,18 @@ class World(Overseer):
             ValueError: the bus has no such rule.
         """
         self._segments[bus].lift(name)
+
+    def restart(self, bus: str, node: str) -> None:
+        """A node that is bus-off begins now to wait for the 128 x 11 recessive bits.
+
+        Raises:
+            ValueError: there is no such node on the bus, or it is not bus-off.
+        """
+        segment = self._segments[bus]
+        names = segment.bus.port_names()
+        if node not in names:
+            raise ValueError(f"bus {bus}: no node {node} (known: {', '.join(names) or 'none'})")
+        segment.restart(names.index(node))
 
     def snapshot(self, name: str) -> Mapping[str, float]:
         """The truth inside the controller now."""

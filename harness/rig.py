@@ -197,6 +197,10 @@ class Rig:
             place = ("controller", controller.name, "kind")
             with self._plugins.blaming(named(CONTROLLERS, controller.kind), place):
                 self.world.add_controller(controller.name, core, controller.bus)
+        for name in self.world.bus_names():
+            self.world.reserve_host(name)
+            for node in self.description.buses[name].silent:
+                self.world.add_silent(name, node)
 
     def _build_controller(self, controller: ControllerDescription) -> Controller:
         place = ("controller", controller.name)

@@ -1,13 +1,17 @@
 """The `[bus.NAME]` tables of a rig: CAN buses, and lines that speak Modbus.
 
-kind = "can"          bitrate_bit_s, data_bitrate_bit_s (CAN FD), [[bus.NAME.message]]
+kind = "can"          bitrate_bit_s, data_bitrate_bit_s (CAN FD), [[bus.NAME.message]],
+                      [bus.NAME.node.NAME]
 kind = "modbus_rtu"   a serial line: baud_bit_s, parity, stop_bits
 kind = "modbus_tcp"   a gateway: latency_s, timeout_s
 """
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Final, final
 
+from emulators.media.can_node import CanNode
+from harness.rig_nodes import read_nodes, silent_nodes
 from harness.rig_traffic import read_messages
 from harness.settings import Table
 
@@ -26,7 +30,7 @@ UNIT_MAX: Final = 247
 
 _SECOND_NS: Final = 1_000_000_000
 _KEYS: Final = {
-    CAN: ("bitrate_bit_s", "data_bitrate_bit_s", "message"),
+    CAN: ("bitrate_bit_s", "data_bitrate_bit_s", "message", "node"),
     MODBUS_RTU: ("baud_bit_s", "parity", "stop_bits"),
     MODBUS_TCP: ("latency_s", "timeout_s"),
 }
@@ -48,6 +52,8 @@ class BusDescription:
         data_bitrate_bit_s: of CAN FD frames between BRS and CRC delimiter, as bitrate_bit_s; None:
             the bus is classical CAN.
         messages: what others send there (CAN); None: its traffic is not declared.
+        nodes: CAN controllers that are not plain, by controller, or "host".
+        silent: those of them that are no controllers, and only acknowledge.
         parity, stop_bits: of a serial line.
         latency_ns: of a gateway: from sending to arriving [ns].
         timeout_ns: how long a gateway waits for a unit before it answers itself (0Bh) [ns].
@@ -57,6 +63,8 @@ class BusDescription:
     kind: str
     bitrate_bit_s: int
     messages: "tuple[PeriodicMessage, ...] | None" = None
+    nodes: Mapping[str, CanNode] = field(default_factory=dict)
+    silent: tuple[str, ...] = ()
     parity: str = "E"
     stop_bits: int = 1
     latency_ns: int = 0
@@ -107,8 +115,9 @@ def _can(name: str, table: Table) -> BusDescription:
             f"a bit of {rate} bit/s is not a whole number of nanoseconds",
             "usual: 1_000_000, 800_000, 500_000, 250_000, 125_000, 100_000, 50_000, 20_000, 10_000",
         )
-    messages = read_messages(table, rate)
-    return BusDescription(name, CAN, rate, messages, data_bitrate_bit_s=_data_bitrate(table, rate))
+    messages, data_rate = read_messages(table, rate), _data_bitrate(table, rate)
+    nodes, silent = read_nodes(table), silent_nodes(table)
+    return BusDescription(name, CAN, rate, messages, nodes, silent, data_bitrate_bit_s=data_rate)
 
 
 def _data_bitrate(table: Table, rate: int) -> int | None:

@@ -2,21 +2,45 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Final, final
+from typing import Any, Final, final
 
+from emulators.can_segment import HOST as INTERFACE
 from emulators.media.can_frame import EFF_FLAG, EFF_MASK
-from emulators.media.faults import FaultKind, FaultRule
+from emulators.media.fault_rule import (
+    LASTING,
+    PARTING,
+    RATE_MAX,
+    FaultKind,
+    FaultRule,
+    FrameError,
+    WireLevel,
+)
 from emulators.media.serial_faults import SerialFaultRule
 from harness.rig_buses import BusDescription
 from harness.rig_line_faults import LINE_KEYS, read_hex, read_line_fault, read_times
 from harness.settings import Table
 
-HOST: Final = "host"  # what the application's ports are called on every bus
+HOST: Final = INTERFACE  # what the application's ports are called on every bus
 KINDS: Final = tuple(kind.value for kind in FaultKind)
 FAULT_KEYS: Final = (
     *("name", "bus", "kind", "identifier", "identifier_mask", "extended", "sender", "nodes"),
     *("from_s", "until_s", "probability", "skip", "limit", "delay_s", "flip"),
+    *("bit", "error", "bit_error_rate", "data", "level"),
 )
+ERRORS: Final = tuple(error.value for error in FrameError)
+LEVELS: Final = tuple(level.value for level in WireLevel)
+BIT_MAX: Final = 1023
+RATE_MIN: Final = 1e-12
+_OWNERS: Final = {
+    "delay_s": FaultKind.DELAY,
+    "flip": FaultKind.CORRUPT,
+    "bit": FaultKind.ERROR,
+    "error": FaultKind.ERROR,
+    "bit_error_rate": FaultKind.NOISE,
+    "data": FaultKind.BABBLE,
+    "level": FaultKind.SHORT,
+}
+_CONDITIONS: Final = ("probability", "skip", "limit")
 _SFF_MASK: Final = 0x7FF
 _DATA_MAX: Final = 8
 _COUNT_MAX: Final = 2**31
@@ -65,11 +89,13 @@ def _fault(
         if table.has(key):
             raise table.error(key, f'bus "{bus}" is no line', "take it out: it is for Modbus")
     kind = FaultKind(table.one_of("kind", KINDS, "fault kind"))
-    for key, owner in (("delay_s", FaultKind.DELAY), ("flip", FaultKind.CORRUPT)):
+    for key, owner in _OWNERS.items():
         if table.has(key) and kind is not owner:
             raise table.error(key, f'belongs to kind "{owner.value}"', "take it out")
-    if kind is FaultKind.CUT:
-        _refuse_conditions(table)
+    if kind in LASTING:
+        _refuse_conditions(table, kind)
+    if kind is FaultKind.ERROR and table.has("bit") is table.has("error"):
+        raise table.error("kind", "an error has a bit or an error, not both", "write bit = 20")
     identifier, mask = _identifier(table)
     ports = (HOST, *controllers[bus])
     nodes = table.texts("nodes", (), example='["left"]')
@@ -96,18 +122,47 @@ def _fault(
             limit=_limit(table),
             delay_ns=round(delay_s * 1e9),
             flip=read_hex(table, "flip", _DATA_MAX, must_change=True),
+            **_own(table, kind),
         )
     except ValueError as error:
         raise table.source.error(table.path, str(error), "see the keys of [[fault]]") from None
     return FaultDescription(bus, rule)
 
 
-def _refuse_conditions(cut: Table) -> None:
-    if not cut.values.get("nodes"):
-        raise cut.error("nodes", "a cut names who loses the bus", 'write nodes = ["left"]')
-    for key in ("identifier", "sender", "probability", "skip", "limit"):
-        if cut.has(key):
-            raise cut.error(key, "a cut has no condition but its time", "take it out")
+def _refuse_conditions(table: Table, kind: FaultKind) -> None:
+    """What lasts has no condition but its time, and who it is about."""
+    if kind in PARTING and not table.values.get("nodes"):
+        raise table.error(
+            "nodes", f"a {kind.value} names who loses the bus", 'write nodes = ["left"]'
+        )
+    refused = list(_CONDITIONS)
+    if kind is FaultKind.BABBLE:
+        for key, example in (("identifier", "0x080"), ("sender", '"left"')):
+            if not table.has(key):
+                raise table.missing(key, f"write {key} = {example}")
+    else:
+        refused += ["identifier", "sender"]
+    if kind in (FaultKind.BABBLE, FaultKind.SHORT):
+        refused.append("nodes")
+    for key in refused:
+        if table.has(key):
+            raise table.error(key, f"a {kind.value} has no condition but its time", "take it out")
+
+
+def _own(table: Table, kind: FaultKind) -> dict[str, Any]:
+    """What belongs to this kind alone."""
+    if kind is FaultKind.ERROR and table.has("bit"):
+        return {"bit": table.integer("bit", low=0, high=BIT_MAX, example="20")}
+    if kind is FaultKind.ERROR:
+        return {"error": FrameError(table.one_of("error", ERRORS, "error"))}
+    if kind is FaultKind.NOISE:
+        rate = table.number("bit_error_rate", low=RATE_MIN, high=RATE_MAX, example="1e-6")
+        return {"bit_error_rate": rate}
+    if kind is FaultKind.SHORT:
+        return {"level": WireLevel(table.one_of("level", LEVELS, "level"))}
+    if kind is FaultKind.BABBLE:
+        return {"data": read_hex(table, "data", _DATA_MAX, must_change=False)}
+    return {}
 
 
 def _identifier(table: Table) -> tuple[int | None, int]:

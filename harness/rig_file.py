@@ -6,6 +6,7 @@ and a motor's own settings are checked by whoever builds them, and told with the
 
     [rig]                       name, seed
     [bus.NAME]                  kind = "can", bitrate_bit_s; or a line (harness.rig_buses)
+    [bus.NAME.node.NAME]        the CAN controller of one on the bus (harness.rig_nodes)
     [[bus.NAME.message]]        what others send there: identifier, length, period_s, jitter_s
     [controller.NAME]           kind, bus, node_id, and the kind's own settings
     [motor.NAME]                adaptation, model, and its own; where it is: controller, or bus and
@@ -34,6 +35,7 @@ from harness.rig_buses import (
     read_bus,
 )
 from harness.rig_faults import HOST, FaultDescription, read_faults
+from harness.rig_nodes import refuse_strangers
 from harness.rig_stimuli import StimulusDescription, read_stimuli
 from harness.settings import SEED_MAX, RigError, Source, Table, read_source
 from harness.toml_lines import KeyPath
@@ -179,6 +181,8 @@ def parse_rig(source: Source, known: Known) -> RigDescription:
         name: _controller(name, table, buses, known) for name, table in _named(root, "controller")
     }
     _refuse_shared_nodes(source, controllers, buses)
+    for bus, names in _on_each(buses, controllers).items():
+        refuse_strangers(source, bus, buses[bus].nodes, buses[bus].silent, (HOST, *names))
     motors = {
         name: _motor(name, table, buses, controllers, known)
         for name, table in _named(root, "motor")

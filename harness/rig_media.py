@@ -28,7 +28,8 @@ def add_bus(
     if not bus.is_line:
         frames = [rule for rule in rules if isinstance(rule, FaultRule)]
         plan = FaultPlan(frames, random)
-        world.add_bus(CanBus(bus.name, bus.bitrate_bit_s, plan, bus.data_bitrate_bit_s))
+        can = CanBus(bus.name, bus.bitrate_bit_s, plan, bus.data_bitrate_bit_s)
+        world.add_bus(can, bus.nodes)
         return
     line_plan = SerialFaultPlan([one for one in rules if isinstance(one, SerialFaultRule)], random)
     if bus.kind == MODBUS_RTU:

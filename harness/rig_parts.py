@@ -1,9 +1,11 @@
 """What an open rig hands out: its controllers, its faults, and things by name."""
 
 from collections.abc import Callable, Iterable, Iterator, Mapping
+from dataclasses import dataclass
 from typing import Generic, TypeVar, final
 
 from emulators.controller import Controller
+from emulators.media.confinement import ErrorState
 from emulators.media.faults import FaultRule
 from emulators.media.serial_faults import SerialFaultPlan, SerialFaultRule
 from emulators.world import World
@@ -34,6 +36,25 @@ class RigController:
     def snapshot(self) -> Mapping[str, float]:
         """The truth inside now, units in the keys. Looking changes nothing."""
         return self._world.snapshot(self.name)
+
+
+@final
+@dataclass(frozen=True, slots=True)
+class NodeState:
+    """How a node of a CAN bus takes part.
+
+    Attributes:
+        state: error active, above the warning limit, error passive, or bus-off.
+        tec, rec: its error counters.
+        errors: how many errors it has noticed.
+        aborted: how many frames of its were given up: bus-off, or one-shot.
+    """
+
+    state: ErrorState
+    tec: int
+    rec: int
+    errors: int
+    aborted: int
 
 
 @final
@@ -73,6 +94,36 @@ class RigFaults:
             self._world.lift(bus, name)
         else:
             plan.remove(name)
+
+    def bus_state(self, bus: str) -> dict[str, NodeState]:
+        """How each node of the bus takes part now, by name, in the order of its ports.
+
+        Raises:
+            ValueError: there is no such CAN bus.
+        """
+        if bus not in self._world.bus_names():
+            known = ", ".join(self._world.bus_names()) or "none"
+            raise ValueError(f"no CAN bus {bus!r} in this rig (known: {known})")
+        core = self._world.bus(bus)
+        nodes = [core.node(port) for port in range(len(core.port_names()))]
+        return {
+            node.name: NodeState(
+                node.state(),
+                node.confinement.tec,
+                node.confinement.rec,
+                node.errors,
+                node.aborted,
+            )
+            for node in nodes
+        }
+
+    def restart(self, bus: str, node: str) -> None:
+        """A node that is bus-off begins now to wait for the 128 x 11 recessive bits.
+
+        Raises:
+            ValueError: there is no such node on the bus, or it is not bus-off.
+        """
+        self._world.restart(bus, node)
 
     def fired(self) -> dict[str, int]:
         """How often each rule has fired, over all buses, in the order of adding."""

@@ -29,6 +29,25 @@ class CanArbitration:
     [ns], 0 on a classical bus.
     """
 
+    __slots__ = (
+        "_collided",
+        "_competing",
+        "_end_ns",
+        "_faulty",
+        "_flight",
+        "_free_ns",
+        "_intermission_ns",
+        "_joinable_ns",
+        "_lengths",
+        "_ports",
+        "_start_ns",
+        "_starts",
+        "bit_ns",
+        "data_bit_ns",
+        "name",
+        "statistics",
+    )
+
     def __init__(self, name: str, bit_ns: int, data_bit_ns: int = 0) -> None:
         self.name = name
         self.bit_ns = bit_ns
@@ -45,6 +64,7 @@ class CanArbitration:
         self._intermission_ns = INTERMISSION_BITS * bit_ns
         self._starts = 0  # arbitrations so far
         self._collided = False  # the frame in flight has won over one with its own key
+        self._faulty = False  # something is wrong, or can go wrong
 
     def submit(self, port: int, frame: bytes, now_ns: int) -> None:
         """The frame (can_frame or canfd_frame) waits for its turn at this port, or is on its way.
@@ -143,7 +163,9 @@ class CanArbitration:
         node = self._ports[entry >> PORT_SHIFT & PORT_MASK]
         node.losses += self._starts - node.starts_seen
         self._starts += 1
-        self._collided = bool(competing) and competing[0] >> KEY_SHIFT == entry >> KEY_SHIFT
+        self._collided = False
+        if competing and competing[0] >> KEY_SHIFT == entry >> KEY_SHIFT:
+            self._collide()
         self._begin(entry, start_ns)
 
     def _compete(self, node: CanPort, now_ns: int) -> None:
@@ -160,7 +182,7 @@ class CanArbitration:
         entry = node.entry
         flight = self._flight
         if entry >> KEY_SHIFT == flight >> KEY_SHIFT:
-            self._collided = True
+            self._collide()
         elif entry < flight:
             self._collided = False
         if entry > flight:
@@ -171,6 +193,11 @@ class CanArbitration:
         self._ports[flight >> PORT_SHIFT & PORT_MASK].starts_seen = before
         heappush(self._competing, flight)
         self._begin(entry, self._start_ns)
+
+    def _collide(self) -> None:
+        """Two nodes send frames of one identifier and type at once."""
+        self._collided = True
+        self._faulty = True
 
     def _succeed(self, node: CanPort, entry: int) -> None:
         """A frame is sent: statistics, and the node's next one competes."""
@@ -196,6 +223,8 @@ class CanArbitration:
 
     def _submit_behind(self, node: CanPort, entry: int, frame: bytes, now_ns: int) -> None:
         """The node has a candidate already; the frame takes its place, or waits behind it."""
+        if self._faulty and self._submit_held(node, entry, frame, now_ns):
+            return
         flying = node.entry == self._flight
         if (
             not node.by_priority
@@ -217,6 +246,10 @@ class CanArbitration:
             self._join(node)
         else:
             heappush(self._competing, entry)
+
+    def _submit_held(self, node: CanPort, entry: int, frame: bytes, now_ns: int) -> bool:
+        """Whether the node's frame was taken care of otherwise; where something is wrong."""
+        return False
 
     def _drop_out(self, entry: int) -> None:
         """This entry competes no longer."""

@@ -1,21 +1,23 @@
-"""A CAN bus with ports: who may send when, how long it takes, who hears it.
+"""A CAN bus with ports: who may send when, how long it takes, who hears it, and what goes wrong.
 
 A core like a controller: told frames, told the time, asked for its next deadline. Who may send is
-said in `can_arbitration`; here is what becomes of it.
+said in `can_arbitration`; what becomes of a frame where something is wrong in `can_stretch` and
+what it rests on. While nothing is, and nothing can go wrong, all that costs one flag.
 
-Two nodes that send one identifier and frame type destroy each other's frames on a real bus. Here
-the lower port goes first, and `statistics.collisions` tells. Faults cost one flag while there are
-none. Left for later, and where: error frames, error counters and bus-off (where a frame is
-complete; a sender nobody acknowledges succeeds here).
+Here the wire may come apart: each part is a `CanStretch` of its own (the bus is the one that all
+others have left), with its own arbitration. A node that comes from one to another listens first,
+until it has heard 11 recessive bits; what it was sending is sent again.
 """
 
-from heapq import heappush
 from typing import final
 
-from emulators.media.can_arbitration import CanArbitration
 from emulators.media.can_bits import CLASSICAL_MAX
+from emulators.media.can_episode import ALL_PORTS
 from emulators.media.can_node import PLAIN, CanNode, FrameSupport
 from emulators.media.can_port import CUT_OFF, PORT_MASK, PORT_SHIFT, CanPort
+from emulators.media.can_presence import Presence, Role
+from emulators.media.can_stretch import CanStretch
+from emulators.media.confinement import ErrorState
 from emulators.media.delivery import (
     DELIVERED,
     HEARD,
@@ -25,15 +27,19 @@ from emulators.media.delivery import (
     hears,
     kind_without,
 )
-from emulators.media.fault_seam import ERROR_FRAME_BITS, FaultSeam
+from emulators.media.fault_rule import PARTING, FaultKind
+from emulators.media.fault_seam import FaultSeam
 from emulators.media.faults import NEVER_NS, FaultEvent, FaultPlan, FaultRule
+from emulators.media.noise import NoiseSource
 
 __all__ = ["DELIVERED", "HEARD", "KIND_MASK", "LOST", "CanBus", "Delivery", "hears"]
 
+_Place = tuple[str, ...]  # names of the rules that part a node from the others; none: on the bus
+
 
 @final
-class CanBus(CanArbitration):
-    """A CAN bus, classical or FD. Sans-I/O; times are int nanoseconds on one timeline from 0 on.
+class CanBus(CanStretch):
+    """A CAN bus. Sans-I/O; times are int nanoseconds on one timeline that starts at 0.
 
     Whoever drives it calls `expire` with the time of each `next_deadline_ns` as it comes, and
     never submits at a time later than a deadline still due.
@@ -48,13 +54,25 @@ class CanBus(CanArbitration):
         data_bitrate_bit_s: of the data phase of CAN FD frames with a bit rate switch [bit/s]; as
             the other one, and not below it. None: the bus is classical.
 
-    Attributes (read only): name, bitrate_bit_s, data_bitrate_bit_s, bit_ns [ns], data_bit_ns [ns],
-    statistics.
+    Attributes (read only): name, bitrate_bit_s, bit_ns [ns], statistics; eventful, whether
+    `take_fault_events` has any.
 
     Raises:
         ValueError: a bit at these rates is no whole number of nanoseconds, or the data rate is the
             lower one.
     """
+
+    __slots__ = (
+        "_fd_kind",
+        "_has_plan",
+        "_islands",
+        "_places",
+        "_sources",
+        "_where",
+        "bitrate_bit_s",
+        "data_bitrate_bit_s",
+        "eventful",
+    )
 
     def __init__(
         self,
@@ -70,16 +88,21 @@ class CanBus(CanArbitration):
                 f"bus {name}: the data bit rate of {data_bitrate_bit_s} bit/s is below the "
                 f"nominal one of {bitrate_bit_s} bit/s"
             )
-        super().__init__(name, bit_ns, data_bit_ns)
+        self._has_plan = faults is not None
+        seam = FaultSeam(FaultPlan((), _no_chance) if faults is None else faults)
+        super().__init__(name, bit_ns, data_bit_ns, seam, [])
         self.bitrate_bit_s = bitrate_bit_s
         self.data_bitrate_bit_s = data_bitrate_bit_s
         self._fd_kind = DELIVERED  # of a CAN FD frame: only FD nodes hear it
-        self._faults = FaultSeam(faults) if faults is not None else None
-        self._faulty = False
-        if faults is not None:
-            self._recheck_faults(0)
+        self.eventful = False
+        self._islands: dict[_Place, CanStretch] = {}
+        self._where: list[CanStretch] = []  # by port
+        self._places: list[_Place] = []  # by port
+        self._sources: dict[tuple[str, int, _Place], NoiseSource] = {}
+        self._keep_rules(0)
+        self._settle()
 
-    def attach(self, name: str, chip: CanNode = PLAIN) -> int:
+    def attach(self, name: str, chip: CanNode = PLAIN, now_ns: int = 0) -> int:
         """A new node is on the bus; its port number, counted from 0.
 
         Raises:
@@ -90,12 +113,23 @@ class CanBus(CanArbitration):
             raise ValueError(f"bus {self.name}: no more than {PORT_MASK + 1} ports")
         if name in self.port_names():
             raise ValueError(f"bus {self.name}: a port is called {name} already")
-        node = CanPort(number, name, chip)
-        self._ports.append(node)
+        node = Presence(number, name, chip)
+        self._nodes.append(node)
+        self._seam.attach(name)
+        self._ports.append(CanPort(number, name, chip))
+        self._ports[number].entry = CUT_OFF
         if chip.frames is not FrameSupport.FD:
             self._fd_kind = kind_without(self._fd_kind, 1 << number)
-        if self._faults is not None and self._faults.attach(name):
-            node.entry = CUT_OFF
+        for island in self._islands.values():
+            island.add_port(_empty_port(number, name, chip))
+        place = self._place_of(name)
+        where = self._stretch(place)
+        self._where.append(where)
+        self._places.append(place)
+        underway = self._faulty and where.is_under_way(now_ns)
+        where.enter(node, now_ns, integrated=not underway)
+        self._spread_rules(now_ns)
+        self._settle()
         return number
 
     def next_deadline_ns(self) -> int | None:
@@ -124,9 +158,49 @@ class CanBus(CanArbitration):
             self._succeed(node, entry)
             if self._competing:
                 self._arbitrate(self._free_ns)
+                if self._collided:
+                    break
             else:
                 self._flight = 0
         return deliveries
+
+    def pending(self, port: int) -> int:
+        """Frames of this port submitted and not yet sent completely."""
+        where = self._where[port]
+        return super().pending(port) if where is self else where.pending(port)
+
+    def withdraw(self, port: int) -> int:
+        """This port's pending frames are forgotten, except one in flight; how many they were."""
+        where = self._where[port]
+        return super().withdraw(port) if where is self else where.withdraw(port)
+
+    def arbitration_losses(self, port: int) -> int:
+        """How often a frame of this port competed and had to wait for another node's."""
+        where = self._where[port]
+        return super().arbitration_losses(port) if where is self else where.arbitration_losses(port)
+
+    # --- nodes
+
+    def node(self, port: int) -> Presence:
+        """How the node of this port takes part: its counters and state. To be read only."""
+        return self._nodes[port]
+
+    def error_state(self, port: int) -> ErrorState:
+        """Error active, above the warning limit, error passive, or bus-off."""
+        return self._nodes[port].state()
+
+    def restart(self, port: int, now_ns: int) -> None:
+        """A node that is bus-off begins now to wait for the 128 runs of recessive bits.
+
+        Raises:
+            ValueError: it is not bus-off.
+        """
+        node = self._nodes[port]
+        if node.role is not Role.OFF:
+            raise ValueError(f"bus {self.name}: {node.name} is not bus-off")
+        self._where[port].resume(now_ns)
+        node.leave(now_ns)
+        node.since_ns = now_ns
 
     # --- with faults
 
@@ -136,8 +210,9 @@ class CanBus(CanArbitration):
         Raises:
             ValueError: the bus was made without a fault plan, or has had a rule of that name.
         """
-        self._fault_seam().plan.add(rule)
-        self._recheck_faults(now_ns)
+        self._require_plan()
+        self._seam.plan.add(rule)
+        self._recheck(now_ns)
 
     def lift(self, name: str, now_ns: int) -> None:
         """The rule of this name holds no longer; what it delayed still comes.
@@ -145,123 +220,173 @@ class CanBus(CanArbitration):
         Raises:
             ValueError: the bus was made without a fault plan, or has no such rule.
         """
-        self._fault_seam().plan.remove(name)
-        self._recheck_faults(now_ns)
+        self._require_plan()
+        self._seam.plan.remove(name)
+        self._recheck(now_ns)
 
     def take_fault_events(self) -> list[FaultEvent]:
-        """(time [ns], rule, what happened, frame) of each firing since last asked."""
-        return self._faults.plan.take_events() if self._faults is not None else []
+        """(time [ns], rule or node, what, frame) of all that has gone wrong since last asked."""
+        self.eventful = False
+        return self._seam.plan.take_events()
 
     def faults_fired(self) -> dict[str, int]:
         """How often each rule has fired, by name, in the order of adding."""
-        return self._faults.plan.fired() if self._faults is not None else {}
+        return self._seam.plan.fired()
 
-    def _fault_seam(self) -> FaultSeam:
-        if self._faults is None:
+    def _require_plan(self) -> None:
+        if not self._has_plan:
             raise ValueError(f"bus {self.name} has no fault plan; give it one, empty if need be")
-        return self._faults
 
-    def _recheck_faults(self, now_ns: int) -> None:
+    def _stretches(self) -> list[CanStretch]:
+        return [self, *self._islands.values()]
+
+    def _recheck(self, now_ns: int) -> None:
         """The rules have changed."""
-        faults = self._fault_seam()
-        self._keep_cuts(faults, now_ns)
-        self._settle_faults(faults)
+        for stretch in self._stretches():
+            stretch.freeze(now_ns)
+            stretch.resume(now_ns)
+        self._keep_rules(now_ns)
+        for stretch in self._stretches():
+            stretch.count_members()
+        self._settle()
 
-    def _settle_faults(self, faults: FaultSeam) -> None:
+    def _settle(self) -> None:
         """From now on faults cost something, or nothing."""
-        self._faulty = not faults.is_idle()
+        for island in self._islands.values():
+            self.statistics.absorb(island.statistics)
+        self.eventful = self._seam.plan.has_events()
+        self._faulty = bool(self._islands) or not (self._seam.is_idle() and self._is_calm())
         if not self._faulty:
-            for node in self._ports:
-                node.repeated = b""
+            for port in self._ports:
+                port.repeated.clear()
 
     def _deadline_with_faults_ns(self) -> int:
-        due_ns = self._fault_seam().next_ns()
-        if self._flight and not 0 <= due_ns <= self._end_ns:
-            return self._end_ns
+        due_ns = self._seam.next_ns()
+        for stretch in self._stretches():
+            one_ns = stretch.due_ns()
+            if one_ns >= 0 and not 0 <= due_ns <= one_ns:
+                due_ns = one_ns
         return due_ns
 
     def _expire_with_faults(self, now_ns: int, out: list[Delivery]) -> None:
-        """As `expire`; of what is due at one time, cuts come first and late frames last."""
-        faults = self._fault_seam()
+        """As `expire`; of what is due at one time, rules come first and late frames last."""
+        seam = self._seam
         due_ns = self._deadline_with_faults_ns()
         while 0 <= due_ns <= now_ns:
-            if faults.is_cut_due(due_ns):
-                self._keep_cuts(faults, due_ns)
-            elif self._flight and self._end_ns == due_ns:
-                self._complete_with_faults(faults, out)
-            else:
-                faults.hear_late(due_ns, out)
+            if seam.is_change_due(due_ns):
+                self._keep_rules(due_ns)
+            elif not self._step_one(due_ns, out):
+                seam.hear_late(due_ns, out)
             due_ns = self._deadline_with_faults_ns()
-        self._settle_faults(faults)
+        self._settle()
 
-    def _complete_with_faults(self, faults: FaultSeam, out: list[Delivery]) -> None:
-        """The frame in flight is complete, or destroyed because its sender was cut off."""
-        entry = self._flight
-        number = entry >> PORT_SHIFT & PORT_MASK
-        node = self._ports[number]
-        if faults.was_cut(number):
-            self._occupy(0)
-            self._send_again(node, faults.is_cut(number))
-        elif node.frame == node.repeated:
-            node.repeated = b""
-            faults.deliver(node.frame, number, out)
-            self._succeed(node, entry)
-        elif faults.complete(node.frame, number, self._end_ns, out):
-            node.repeated = node.frame
-            self._occupy(ERROR_FRAME_BITS)
-            self._send_again(node, False)
-        else:
-            self._succeed(node, entry)
-        faults.forget_flight()
-        self._arbitrate(self._free_ns)
+    def _step_one(self, due_ns: int, out: list[Delivery]) -> bool:
+        for stretch in self._stretches():
+            if stretch.due_ns() == due_ns:
+                stretch.step(due_ns, out)
+                return True
+        return False
 
-    def _send_again(self, node: CanPort, cut_off: bool) -> None:
-        """The candidate was in flight and failed; it competes again, or waits cut off."""
-        if cut_off:
-            node.put_back()
-            node.entry = CUT_OFF
-        else:
-            node.starts_seen = self._starts
-            heappush(self._competing, node.entry)
+    # --- rules that last
 
-    def _keep_cuts(self, faults: FaultSeam, now_ns: int) -> None:
-        """Ports have left the bus or come back."""
-        changed = faults.keep_cuts(now_ns, self._flight != 0 and now_ns > self._start_ns)
-        for number, node in enumerate(self._ports):
-            if changed >> number & 1:
-                if faults.is_cut(number):
-                    self._cut_off(node, now_ns)
-                else:
-                    self._reconnect(node, now_ns)
+    def _keep_rules(self, now_ns: int) -> None:
+        """Rules have begun or are over: who is on which wire, and what is wrong there."""
+        if self._seam.keep(now_ns):
+            self._part(now_ns)
+            self._spread_rules(now_ns)
 
-    def _cut_off(self, node: CanPort, now_ns: int) -> None:
-        """The node competes no longer; what it has in flight runs on to its end, in vain."""
-        if node.entry == self._flight and self._flight:
-            if now_ns >= self._joinable_ns:
-                return
-            node.put_back()
-            self._starts -= 1  # the same arbitration, without this node
-            self._arbitrate(self._start_ns)
-        elif node.entry:
-            self._drop_out(node.entry)
-            node.losses += self._starts - node.starts_seen
-            node.put_back()
-        node.entry = CUT_OFF
+    def _place_of(self, name: str) -> _Place:
+        place: list[str] = []
+        for rule in self._seam.plan.lasting(*PARTING):
+            if name in rule.ports:
+                place.append(rule.name if rule.kind is FaultKind.SPLIT else f"{rule.name}/{name}")
+        return tuple(place)
 
-    def _reconnect(self, node: CanPort, now_ns: int) -> None:
-        """The node competes with what it has, unless it never stopped sending.
+    def _stretch(self, place: _Place) -> CanStretch:
+        if not place:
+            return self
+        island = self._islands.get(place)
+        if island is None:
+            island = CanStretch(self.name, self.bit_ns, self.data_bit_ns, self._seam, self._nodes)
+            for node in self._nodes:
+                island.add_port(_empty_port(node.number, node.name, node.chip))
+            self._islands[place] = island
+        return island
 
-        It cannot join a frame that has started: it was not there to see it.
-        """
-        if node.entry != CUT_OFF or not node.promote():
-            return
-        if self._flight and now_ns <= self._start_ns:
-            self._compete(node, now_ns)
-            return
-        node.starts_seen = self._starts
-        heappush(self._competing, node.entry)
-        if not self._flight:
-            self._arbitrate(max(now_ns, self._free_ns))
+    def _part(self, now_ns: int) -> None:
+        """Ports have left their wire for another one."""
+        moved: dict[tuple[_Place, _Place], list[Presence]] = {}
+        for node in self._nodes:
+            before, after = self._places[node.number], self._place_of(node.name)
+            if before != after:
+                moved.setdefault((before, after), []).append(node)
+        for (before, after), nodes in moved.items():
+            self._move(nodes, self._stretch(before), self._stretch(after), now_ns)
+            for node in nodes:
+                self._places[node.number] = after
+        for place in [place for place in self._islands if place not in self._places]:
+            self.statistics.absorb(self._islands.pop(place).statistics)
+        self._seam.deaf_mask = 0
+        for stretch in self._islands.values():
+            if len(stretch.members) == 1:
+                self._seam.deaf_mask |= 1 << stretch.members[0].number
+
+    def _move(
+        self, nodes: list[Presence], source: CanStretch, target: CanStretch, now_ns: int
+    ) -> None:
+        """These nodes are on another wire; a frame of theirs under way goes on there."""
+        going_on = None if target.members else source.under_way([n.number for n in nodes], now_ns)
+        for node in nodes:
+            source.leave(node, now_ns)
+            target.take_port(node.number, source)
+            self._where[node.number] = target
+        for node in nodes:
+            target.enter(node, now_ns, integrated=going_on is not None)
+        if going_on is not None:
+            target.go_on(*going_on)
+
+    def _spread_rules(self, now_ns: int) -> None:
+        """Each wire has the noise, the level and the babble that are on it."""
+        plan = self._seam.plan
+        sources: dict[tuple[str, int, _Place], NoiseSource] = {}
+        for place, stretch in [((), self), *self._islands.items()]:
+            noises: list[NoiseSource] = []
+            for rule in plan.lasting(FaultKind.NOISE):
+                for ports in self._ears(rule, stretch):
+                    key = (rule.name, ports, place)
+                    source = self._sources.get(key) or NoiseSource(rule, ports, plan.draw)
+                    sources[key] = source
+                    noises.append(source)
+            stretch.set_noises(noises, now_ns)
+            shorts = plan.lasting(FaultKind.SHORT) if stretch is self else []
+            stretch.set_level(shorts[0].level if shorts else None, now_ns)
+            stretch.go_on_babbling(now_ns)
+        self._sources = sources
+
+    def _ears(self, rule: FaultRule, stretch: CanStretch) -> list[int]:
+        """Who sees the bits that a noise inverts on a wire: all at once, or each its own."""
+        if not rule.ports:
+            return [ALL_PORTS]
+        return [1 << node.number for node in stretch.members if node.name in rule.ports]
+
+    def _submit_held(self, node: CanPort, entry: int, frame: bytes, now_ns: int) -> bool:
+        number = node.tag >> PORT_SHIFT
+        where = self._where[number]
+        if where is self:
+            return super()._submit_held(node, entry, frame, now_ns)
+        where.submit(number, frame, now_ns)
+        return True
+
+
+def _empty_port(number: int, name: str, chip: CanNode) -> CanPort:
+    """In a part of the bus where the node is not."""
+    port = CanPort(number, name, chip)
+    port.entry = CUT_OFF
+    return port
+
+
+def _no_chance() -> float:
+    raise AssertionError("a bus without a fault plan draws nothing")
 
 
 def _bit_ns(name: str, rate_bit_s: int) -> int:

@@ -31,6 +31,8 @@ class CanNode:
         one_shot: a frame that fails, or loses arbitration, is not sent again.
         recovery_ns: how long after bus-off it begins to wait for the 128 x 11 recessive bits [ns];
             None: only when it is told to.
+        shared: its port is that of one of several programs that share one CAN controller: of two
+            frames with one identifier that they send, one waits for the other.
         error_reporting: it is told every single error, not only when its state changes (SocketCAN:
             berr-reporting).
     """
@@ -40,6 +42,7 @@ class CanNode:
     one_shot: bool = False
     recovery_ns: int | None = 0
     error_reporting: bool = False
+    shared: bool = False
 
     def __post_init__(self) -> None:
         """Refuse what cannot be.

@@ -27,7 +27,8 @@ class CanPort:
         behind: heap of (rank, turn, entry, frame); rank is the key, or 0 in a FIFO.
         starts_seen: the bus's count of arbitrations before the candidate's first.
         losses: arbitrations lost by earlier candidates.
-        repeated: a frame that a fault made the node send again.
+        repeated: frames that a fault made the node send again.
+        babbling: the candidate is none of those that were submitted.
     """
 
     def __init__(self, number: int, name: str, chip: CanNode) -> None:
@@ -40,7 +41,8 @@ class CanPort:
         self.behind: list[tuple[int, int, int, bytes]] = []
         self.starts_seen = 0
         self.losses = 0
-        self.repeated = b""
+        self.repeated: set[bytes] = set()
+        self.babbling = False
         self._turn = 0
 
     def pending(self) -> int:
@@ -65,6 +67,13 @@ class CanPort:
             return False
         _, _, self.entry, self.frame = heappop(self.behind)
         return True
+
+    def adopt(self, other: "CanPort") -> None:
+        """The other's frames behind, and what is counted of it, are this one's."""
+        self.behind, other.behind = other.behind, []
+        self.losses = other.losses
+        self.repeated = other.repeated
+        self._turn, other._turn = other._turn, 0  # noqa: SLF001 -- another one of its own kind
 
     def _rank(self, entry: int) -> int:
         return entry >> KEY_SHIFT if self.by_priority else 0

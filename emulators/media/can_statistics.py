@@ -13,13 +13,16 @@ class CanStatistics:
     Grows by at most 16 bytes per frame (`BusyTime`) and an entry per different identifier.
 
     Attributes (read only): frames, and bits (incl. stuff bits and intermission), of frames sent;
-    busy, when the bus was busy with these, with frames that failed, and with intermissions.
+    busy, when the bus was busy with these, with frames that failed, and with intermissions;
+    errors, as often as nodes noticed one; bits_lost, to frames that failed and to error frames.
     """
 
     def __init__(self) -> None:
         self.frames = 0
         self.bits = 0
         self.busy = BusyTime()
+        self.errors = 0
+        self.bits_lost = 0
         self._counts: dict[int, int] = {}  # by arbitration key
         self._collisions: dict[int, int] = {}
 
@@ -33,6 +36,22 @@ class CanStatistics:
     def count_collision(self, key: int) -> None:
         """The frame sent had competed with one of another node with the same key."""
         self._collisions[key] = self._collisions.get(key, 0) + 1
+
+    def absorb(self, other: "CanStatistics") -> None:
+        """What the other has counted is counted here, and not there; when it was busy is not."""
+        self.frames += other.frames
+        self.bits += other.bits
+        self.errors += other.errors
+        self.bits_lost += other.bits_lost
+        other.give(self._counts, self._collisions)
+        other.frames = other.bits = other.errors = other.bits_lost = 0
+
+    def give(self, counts: dict[int, int], collisions: dict[int, int]) -> None:
+        """What was counted by key is added to these, and forgotten."""
+        for own, others in ((self._counts, counts), (self._collisions, collisions)):
+            for key, count in own.items():
+                others[key] = others.get(key, 0) + count
+            own.clear()
 
     def busy_ns(self) -> int:
         """How long the bus was busy altogether [ns]."""

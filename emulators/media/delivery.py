@@ -13,6 +13,7 @@ LOST: Final = 1  # the sender is told that it was sent; nobody hears it, or not 
 TOLD: Final = 3  # an error message, for the port named as sender alone: its CAN controller tells it
 HEARD: Final = 2  # all others hear it; the sender is told nothing: it was told, or will be
 KIND_MASK: Final = 3
+NOTED: Final = TOLD | 1 << 2  # an error message that the node does not ask for: for the record
 
 _KIND_BITS: Final = 2
 

@@ -248,10 +248,12 @@ def test_chance_is_the_seeds_and_only_the_seeds(write):
     assert heard(2) != first
 
 
-def test_a_cut_bus_is_silent_for_exactly_its_time(write):
-    cut = '[[fault]]\nbus="can0"\nkind="cut"\nnodes=["left"]\nfrom_s=0.05\nuntil_s=0.15\n'
+@pytest.mark.parametrize(("until_s", "first"), [(0.149989, 15), (0.14999, 16)])
+def test_a_cut_bus_is_silent_for_exactly_its_time(write, until_s, first):
+    """And for 11 recessive bits, 11 us at 1 Mbit/s, that who comes back has to hear first."""
+    cut = f'[[fault]]\nbus="can0"\nkind="cut"\nnodes=["left"]\nfrom_s=0.05\nuntil_s={until_s}\n'
     with Rig.open(write(GOOD + cut)) as rig:
-        assert answers(rig) == [0, 1, 2, 3, 4, *range(15, 20)]
+        assert answers(rig) == [0, 1, 2, 3, 4, *range(first, 20)]
         assert rig.faults.fired() == {"fault 1": 1}
 
 

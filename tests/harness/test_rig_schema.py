@@ -31,7 +31,7 @@ from emulators.protection_settings import (
     VOLTAGE_RANGE_V,
 )
 from emulators.setting_tables import JITTER_MAX_S, OSCILLATOR_KEYS, PHASE_MAX_S, PPM_MAX
-from harness import rig_buses, rig_faults, rig_file, rig_line_faults, rig_stimuli
+from harness import rig_buses, rig_faults, rig_file, rig_line_faults, rig_nodes, rig_stimuli
 from harness.conformance.capability import Capability
 from harness.conformance.facts import CONFORMANCE_KEYS, NOTHING_DECLARED
 from harness.plugins import ADAPTATIONS, installed
@@ -95,6 +95,10 @@ def test_the_schema_knows_the_keys_that_the_readers_know():
     kinds = [kind.value for kind in FaultKind]
     kinds += [kind for kind in rig_line_faults.KINDS if kind not in kinds]
     assert fault["kind"]["enum"] == kinds
+    assert tuple(DEFS["node"]["properties"]) == rig_nodes.NODE_KEYS
+    assert DEFS["node"]["properties"]["queue"]["enum"] == list(rig_nodes.QUEUES)
+    assert fault["error"]["enum"] == list(rig_faults.ERRORS)
+    assert fault["level"]["enum"] == list(rig_faults.LEVELS)
     bus = DEFS["bus"]["properties"]
     assert bus["kind"]["enum"] == list(rig_buses.BUS_KINDS)
     assert bus["parity"]["enum"] == list(rig_buses.PARITIES)

@@ -3,7 +3,7 @@
 from collections.abc import Iterable
 
 from emulators.media.can_bus import CanBus, Delivery
-from emulators.media.delivery import confirms, hears
+from emulators.media.delivery import KIND_MASK, TOLD, confirms, hears
 
 BIT = 1000  # [ns] at 1 Mbit/s
 Submission = tuple[int, int, bytes]  # (time [ns], port, frame)
@@ -46,3 +46,8 @@ def confirmed(deliveries: Iterable[Timed], port: int) -> list[tuple[int, bytes]]
         for time_ns, (frame, sender, kind) in deliveries
         if sender == port and confirms(kind)
     ]
+
+
+def traffic(deliveries: Iterable[Timed]) -> list[Timed]:
+    """What was on the wire: not what CAN controllers tell of errors."""
+    return [one for one in deliveries if one[1][2] & KIND_MASK != TOLD]

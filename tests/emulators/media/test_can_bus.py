@@ -4,7 +4,7 @@ from emulators.media.can_bits import frame_bits
 from emulators.media.can_bus import DELIVERED, CanBus
 from emulators.media.can_frame import EFF_FLAG, RTR_FLAG, pack, pack_remote
 from emulators.media.can_node import CanNode, QueueOrder
-from tests.emulators.media.driving import BIT, expire_all, heard, run
+from tests.emulators.media.driving import BIT, confirmed, expire_all, heard, run
 
 # Exact lengths with intermission: can-physics.md 6.2 (can-utils).
 SYNC = pack(0x080)  # 51 bits
@@ -17,6 +17,7 @@ def _bus(*names: str, queue: QueueOrder = QueueOrder.FIFO) -> CanBus:
     bus = CanBus("can0")
     for name in names:
         bus.attach(name, CanNode(queue))
+    bus.attach("ear")  # who acknowledges
     return bus
 
 
@@ -31,6 +32,7 @@ def _sent(deliveries):
 def test_a_frame_on_an_idle_bus_takes_its_bits_without_intermission(bitrate_bit_s):
     bus = CanBus("can0", bitrate_bit_s)
     port = bus.attach("left")
+    bus.attach("ear")
     bus.submit(port, STATUS, 7)
     end_ns = 7 + 63 * (10**9 // bitrate_bit_s)
     assert bus.next_deadline_ns() == end_ns
@@ -175,13 +177,38 @@ def test_everybody_but_the_sender_hears_a_frame():
     assert [len(heard(deliveries, port)) for port in range(3)] == [1, 0, 1]
 
 
-def test_two_nodes_with_one_identifier_are_counted_and_the_lower_port_goes_first():
+def test_two_nodes_that_send_the_same_frame_at_once_are_one_on_the_wire_and_both_know():
+    bus = _bus("left", "right")
+    deliveries = run(bus, [(0, 0, STATUS), (0, 1, STATUS)])
+    assert _sent(deliveries) == [(63 * BIT, STATUS)] * 2
+    assert [len(confirmed(deliveries, port)) for port in range(2)] == [1, 1]
+    assert [len(heard(deliveries, port)) for port in range(3)] == [0, 0, 1]
+    assert bus.statistics.frames == 1
+    assert bus.statistics.collisions() == {0x181: 1}
+
+
+def test_two_different_frames_with_one_identifier_destroy_each_other_until_one_is_passive():
+    # Of 01h and 02h the first is dominant where they differ: its sender reads no error there. After
+    # 16 attempts at TEC + 8 both are error passive, and the other's error flag destroys nothing.
     for order in ([0, 1], [1, 0]):
         bus = _bus("left", "right")
         twins = [pack(0x181, b"\x01"), pack(0x181, b"\x02")]
         deliveries = run(bus, [(0, port, twins[port]) for port in order])
-        assert [port for _, (_, port, _) in deliveries] == [0, 1]
-        assert bus.statistics.collisions() == {0x181: 1}
+        assert [frame for _, frame in heard(deliveries, 2)] == twins
+        assert bus.statistics.collisions() == {0x181: 17}
+        assert [bus.node(port).confinement.tec for port in range(2)] == [127, 135]
+
+
+def test_the_programs_of_a_host_share_a_controller_and_never_collide():
+    bus = CanBus("can0")
+    for name in ("host", "host-2"):
+        bus.attach(name, CanNode(shared=True))
+    bus.attach("ear")
+    twins = [pack(0x181, b"\x01"), pack(0x181, b"\x02")]
+    deliveries = run(bus, [(0, 1, twins[1]), (0, 0, twins[0])])
+    assert [frame for _, frame in heard(deliveries, 2)] == twins
+    assert bus.statistics.collisions() == {0x181: 1}
+    assert bus.statistics.errors == 0
 
 
 def test_one_identifier_of_two_nodes_at_different_times_is_no_collision():
@@ -256,7 +283,7 @@ def test_withdrawing_the_most_urgent_leaves_the_others_in_order():
 def test_statistics_count_frames_bits_and_identifiers():
     bus = _bus("left", "right")
     remote = pack_remote(0x701)
-    run(bus, [(0, 0, STATUS), (0, 1, SYNC), (0, 1, STATUS), (0, 0, remote)])
+    run(bus, [(0, 0, STATUS), (0, 1, SYNC), (60 * BIT, 0, remote), (60 * BIT, 0, STATUS)])
     statistics = bus.statistics
     assert statistics.frames == 4
     assert statistics.bits == 51 + 2 * 66 + frame_bits(remote)
@@ -284,8 +311,8 @@ def test_who_is_called_late_hears_everything_in_order():
 
 
 def test_ports_have_numbers_in_order_and_names_of_their_own():
-    bus = _bus("left", "right")
-    assert bus.port_names() == ["left", "right"]
+    bus = _bus("left")
+    assert bus.port_names() == ["left", "ear"]
     assert bus.attach("host") == 2
     with pytest.raises(ValueError, match="left already"):
         bus.attach("left")

@@ -107,6 +107,7 @@ def test_every_frame_ends_when_the_bits_say_and_losses_are_those_seen_on_the_wir
     for number, by_priority in enumerate(orders):
         order = QueueOrder.PRIORITY if by_priority else QueueOrder.FIFO
         bus.attach(f"{number}", CanNode(order))
+    bus.attach("ear")
     deliveries = run(
         bus, [(now * BIT, number, frame.can_frame()) for now, number, frame in submissions]
     )

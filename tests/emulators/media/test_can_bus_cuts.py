@@ -4,7 +4,7 @@ import pytest
 
 from emulators.media.can_bus import CanBus
 from emulators.media.faults import FaultKind, FaultPlan, FaultRule
-from tests.emulators.media.driving import BIT, confirmed, expire_all, heard, run
+from tests.emulators.media.driving import BIT, confirmed, expire_all, heard, run, traffic
 from tests.emulators.media.faulty import (
     END,
     HEARTBEAT,
@@ -40,10 +40,14 @@ def test_a_port_hears_the_frames_it_was_there_for_from_start_to_end(from_ns, unt
     assert confirmed(deliveries, LEFT) == [(END, SYNC)]
 
 
-def test_a_port_back_between_two_frames_hears_the_second():
-    bus = bus_with(cut(1, 49 * BIT, "right"))
-    deliveries = run(bus, [(0, LEFT, SYNC), (0, LEFT, STATUS)])
-    assert heard(deliveries, RIGHT) == [((51 + 63) * BIT, STATUS)]
+@pytest.mark.parametrize(("back_ns", "frames"), [(40 * BIT, 2), (40 * BIT + 1, 1), (49 * BIT, 1)])
+def test_a_port_that_is_back_hears_what_begins_after_11_recessive_bits(back_ns, frames):
+    # ISO 11898-1, bus integration. SYNC is recessive from its ACK delimiter (40) on, STATUS begins
+    # at 51; who came too late for that has the same 11 bits between STATUS and HEARTBEAT.
+    bus = bus_with(cut(1, back_ns, "right"))
+    deliveries = run(bus, [(0, LEFT, SYNC), (0, LEFT, STATUS), (0, HOST, HEARTBEAT)])
+    both = [((51 + 63) * BIT, STATUS), ((51 + 66 + 55) * BIT, HEARTBEAT)]
+    assert heard(deliveries, RIGHT) == both[-frames:]
 
 
 def test_what_a_port_cut_off_wants_to_send_waits_until_it_is_back():
@@ -51,11 +55,13 @@ def test_what_a_port_cut_off_wants_to_send_waits_until_it_is_back():
     deliveries = run(bus, [(BIT, LEFT, STATUS), (BIT, LEFT, SYNC), (2 * BIT, RIGHT, HEARTBEAT)])
     assert heard(deliveries, HOST) == [
         (57 * BIT, HEARTBEAT),
-        (563 * BIT, STATUS),
-        (614 * BIT, SYNC),
+        ((500 + 11 + 63) * BIT, STATUS),
+        ((500 + 11 + 66 + 48) * BIT, SYNC),
     ]
+    # On its stub: ACK slot 54, error flag 6, delimiter 8, intermission 3: 72 bits an attempt.
     assert bus.take_fault_events() == [
         (0, "cable", "left cut off", b""),
+        ((1 + 72) * BIT, "left", "nobody acknowledges", STATUS),
         (500 * BIT, "cable", "left back", b""),
     ]
 
@@ -66,13 +72,13 @@ def test_a_port_that_comes_back_while_the_bus_is_taken_waits_for_its_turn():
     assert [frame for _, (frame, _, _) in deliveries] == [STATUS, SYNC, HEARTBEAT]
 
 
-@pytest.mark.parametrize(("back_ns", "first"), [(BIT - 1, SYNC), (BIT, SYNC), (BIT + 1, STATUS)])
-def test_a_port_that_comes_back_takes_part_until_a_frame_has_started(back_ns, first):
-    bus = bus_with(cut(0, back_ns, "left"))
+@pytest.mark.parametrize(("back", "first"), [(-1, SYNC), (0, SYNC), (1, STATUS)])
+def test_a_port_that_comes_back_takes_part_until_a_frame_has_started(back, first):
+    bus = bus_with(cut(0, 9 * BIT + back, "left"))  # 11 recessive bits, then it is there
     bus.submit(LEFT, SYNC, 0)
-    run(bus, until_ns=BIT - 1)
-    bus.submit(RIGHT, STATUS, BIT)
-    deliveries = expire_all(bus, 10**9)
+    run(bus, until_ns=20 * BIT - 2)
+    bus.submit(RIGHT, STATUS, 20 * BIT)
+    deliveries = traffic(expire_all(bus, 10**9))
     assert deliveries[0][1][0] == first
     assert bus.statistics.busy_ns() == (51 + 66) * BIT
     assert len(deliveries) == 2
@@ -80,25 +86,29 @@ def test_a_port_that_comes_back_takes_part_until_a_frame_has_started(back_ns, fi
 
 def test_a_frame_whose_sender_is_cut_off_is_destroyed_and_sent_again_later():
     bus = bus_with(cut(20 * BIT, 500 * BIT, "left"))
+    # STATUS is recessive in bits 18 and 19, and from 20 on: bit 23 is the sixth. Error flags of all
+    # (24 to 29), delimiter (8), intermission (3): the next frame begins at 41.
     deliveries = run(bus, [(0, LEFT, STATUS), (0, LEFT, SYNC), (0, RIGHT, HEARTBEAT)])
     assert heard(deliveries, HOST) == [
-        ((66 + 55) * BIT, HEARTBEAT),
-        (563 * BIT, STATUS),
-        ((566 + 48) * BIT, SYNC),
+        ((41 + 55) * BIT, HEARTBEAT),
+        ((500 + 11 + 63) * BIT, STATUS),
+        ((500 + 11 + 66 + 48) * BIT, SYNC),
     ]
-    assert bus.statistics.busy_ns() == (66 + 58 + 66 + 51) * BIT
+    assert bus.statistics.busy_ns() == (41 + 58 + 66 + 51) * BIT
+    assert [bus.node(port).confinement.rec for port in (RIGHT, HOST)] == [0, 0]  # 1, and received
 
 
 def test_a_sender_back_before_its_destroyed_frame_ends_sends_it_again_at_once():
     bus = bus_with(cut(20 * BIT, 30 * BIT, "left"))
     deliveries = run(bus, [(0, LEFT, STATUS), (0, LEFT, SYNC)])
-    assert heard(deliveries, HOST) == [((66 + 63) * BIT, STATUS), ((132 + 48) * BIT, SYNC)]
+    # The bus is recessive from 30 on, for 11 bits until 41 (see above).
+    assert heard(deliveries, HOST) == [((41 + 63) * BIT, STATUS), ((41 + 66 + 48) * BIT, SYNC)]
 
 
 @pytest.mark.parametrize("from_ns", [0, 999])
 def test_a_sender_cut_off_at_the_start_leaves_the_bus_to_the_next(from_ns):
     bus = bus_with(cut(from_ns, None, "left"))
-    deliveries = run(bus, [(0, LEFT, SYNC), (0, RIGHT, STATUS), (0, HOST, HEARTBEAT)])
+    deliveries = traffic(run(bus, [(0, LEFT, SYNC), (0, RIGHT, STATUS), (0, HOST, HEARTBEAT)]))
     assert [(time_ns, frame) for time_ns, (frame, _, _) in deliveries] == [
         (63 * BIT, STATUS),
         ((66 + 55) * BIT, HEARTBEAT),
@@ -110,19 +120,21 @@ def test_a_sender_cut_off_at_the_start_leaves_the_bus_to_the_next(from_ns):
 def test_a_sender_cut_off_in_its_first_bit_leaves_its_start_to_the_other():
     bus = bus_with(cut(100 * BIT + 999, None, "left"))
     deliveries = run(bus, [(100 * BIT, LEFT, SYNC), (100 * BIT, RIGHT, STATUS)])
-    assert deliveries == [(163 * BIT, (STATUS, RIGHT, 1 << LEFT << 2))]
+    assert traffic(deliveries) == [(163 * BIT, (STATUS, RIGHT, 1 << LEFT << 2))]
 
 
 def test_a_sender_cut_off_alone_at_its_start_leaves_the_bus_idle():
     bus = bus_with(cut(1, None, "left"))
-    assert run(bus, [(0, LEFT, SYNC)]) == []
+    assert traffic(run(bus, [(0, LEFT, SYNC)])) == []
     assert bus.next_deadline_ns() is None
-    assert run(bus, [(10 * BIT, RIGHT, STATUS)]) == [(73 * BIT, (STATUS, RIGHT, 1 << LEFT << 2))]
+    deliveries = run(bus, [(10**9, RIGHT, STATUS)])
+    assert deliveries == [(10**9 + 63 * BIT, (STATUS, RIGHT, 1 << LEFT << 2))]
 
 
 def test_a_candidate_cut_off_while_it_waits_competes_no_more():
     bus = bus_with(cut(20 * BIT, None, "left"))
-    deliveries = run(bus, [(0, RIGHT, STATUS), (10 * BIT, LEFT, SYNC), (10 * BIT, HOST, HEARTBEAT)])
+    submissions = [(0, RIGHT, STATUS), (10 * BIT, LEFT, SYNC), (10 * BIT, HOST, HEARTBEAT)]
+    deliveries = traffic(run(bus, submissions))
     assert [frame for _, (frame, _, _) in deliveries] == [STATUS, HEARTBEAT]
     assert bus.arbitration_losses(LEFT) == 0
 
@@ -135,8 +147,8 @@ def test_arbitrations_lost_before_a_cut_count():
 
 def test_a_port_that_comes_back_in_the_intermission_waits_for_its_end():
     bus = bus_with(cut(0, 49 * BIT, "left"))
-    deliveries = run(bus, [(0, LEFT, STATUS), (0, RIGHT, SYNC)])
-    assert [time_ns for time_ns, _ in deliveries] == [48 * BIT, (51 + 63) * BIT]
+    deliveries = run(bus, [(49 * BIT, LEFT, STATUS), (0, RIGHT, SYNC)][::-1])
+    assert [time_ns for time_ns, _ in traffic(deliveries)] == [48 * BIT, (49 + 11 + 63) * BIT]
 
 
 def test_a_port_attached_during_a_cut_is_cut_off():
@@ -161,5 +173,6 @@ def test_withdrawing_from_a_port_cut_off_forgets_all_its_frames():
     bus = bus_with(cut(0, 10 * BIT, "left"))
     run(bus, [(0, LEFT, SYNC), (0, LEFT, STATUS)], until_ns=BIT)
     assert bus.pending(LEFT) == 2
-    assert bus.withdraw(LEFT) == 2
-    assert expire_all(bus, 10**9) == []
+    assert bus.withdraw(LEFT) == 1  # the other one is on its stub
+    deliveries = expire_all(bus, 10**9)
+    assert [frame for _, (frame, _, _) in traffic(deliveries)] == [SYNC]

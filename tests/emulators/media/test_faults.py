@@ -135,9 +135,11 @@ def test_a_frame_without_data_cannot_be_corrupted(frame):
 def test_cuts_are_told_when_they_begin_and_when_they_end():
     rule = FaultRule("cable", FaultKind.CUT, ports=("left", "right"), from_ns=5, until_ns=9)
     plan = FaultPlan([rule], _no_draw)
-    assert [plan.next_cut_ns(time_ns) for time_ns in (0, 4, 5, 8, 9)] == [5, 5, 9, 9, NEVER_NS]
-    ports = [plan.keep_cuts(time_ns) for time_ns in (4, 5, 8, 9)]
-    assert ports == [[], ["left", "right"], ["left", "right"], []]
+    assert [plan.next_change_ns(time_ns) for time_ns in (0, 4, 5, 8, 9)] == [5, 5, 9, 9, NEVER_NS]
+    changed = []
+    for time_ns in (4, 5, 8, 9):
+        changed.append((plan.keep(time_ns), plan.lasting(FaultKind.CUT) == [rule]))
+    assert changed == [(False, False), (True, True), (False, True), (True, False)]
     assert plan.take_events() == [
         (5, "cable", "left, right cut off", b""),
         (9, "cable", "left, right back", b""),
@@ -152,10 +154,14 @@ def test_the_next_change_is_the_first_of_all_cuts():
     ]
     plan = FaultPlan(cuts, _no_draw)
     changes = [0]
-    while (next_ns := plan.next_cut_ns(changes[-1])) != NEVER_NS:
+    while (next_ns := plan.next_change_ns(changes[-1])) != NEVER_NS:
         changes.append(next_ns)
     assert changes == [0, 10, 20, 30, 35, 40, 50]
-    assert [len(plan.keep_cuts(time_ns)) for time_ns in changes] == [0, 1, 2, 3, 2, 1, 0]
+    lasting = []
+    for time_ns in changes:
+        plan.keep(time_ns)
+        lasting.append(len(plan.lasting(FaultKind.CUT)))
+    assert lasting == [0, 1, 2, 3, 2, 1, 0]
 
 
 @pytest.mark.parametrize(

@@ -45,6 +45,7 @@ def latest(
         if owner not in ports:
             queue = QueueOrder.FIFO if owner in load.fifo else QueueOrder.PRIORITY
             ports[owner] = bus.attach(owner, CanNode(queue=queue, frames=FrameSupport.FD))
+    bus.attach("ear", CanNode(frames=FrameSupport.FD))  # who acknowledges the only sender
     due: dict[int, list[int]] = {}
     submissions = []
     for number, (queued_ns, due_ns, message) in enumerate(releases):

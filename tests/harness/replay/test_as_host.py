@@ -20,6 +20,8 @@ from traces.writer import TraceWriter
 
 SET_POINT = classic(0x205, b"\x0f\0")
 RESET_ALL = classic(0x000, b"\x81\0")  # CiA 301, NMT: reset node, to all
+# With a node that acknowledges, and says nothing.
+EMPTY = "bus.can0 = {{ bitrate_bit_s = {}, node.ear.silent = true }}\n"
 
 
 @pytest.fixture
@@ -39,7 +41,7 @@ def recording(path, times_ns, metadata):
 
 
 def driven(folder, path, bitrate_bit_s, **options):
-    (folder / "empty.toml").write_text(f"bus.can0.bitrate_bit_s = {bitrate_bit_s}\n")
+    (folder / "empty.toml").write_text(EMPTY.format(bitrate_bit_s))
     with Rig.open(folder / "empty.toml") as rig:
         return drive(DrivenRig(rig), path, **options)
 
@@ -123,7 +125,7 @@ def test_how_far_a_quantity_may_be_off_is_a_share_of_its_range(folder, say):
 
 def test_pauses_can_be_shorter(folder, say):
     recording(folder / "a.mcap", [10 * MS, 1_010 * MS], {"run": {}})
-    (folder / "empty.toml").write_text("bus.can0.bitrate_bit_s = 1_000_000\n")
+    (folder / "empty.toml").write_text(EMPTY.format(1_000_000))
     words = ("replay", "a.mcap", "--as", "host", "--rig", "empty.toml", "-o", "live.mcap")
     assert say(*words, "--speed", "10")[0] == 0
     first, second = (time_ns for time_ns, _ in traffic("live.mcap", "/can/can0"))

@@ -77,7 +77,7 @@ def test_as_host_it_drives_the_same_devices_to_the_same(name, tmp_path):
 def test_as_traffic_its_frames_are_on_another_bus_when_they_were(name, tmp_path, capsys):
     """Each is sent when it was recorded, and so ends a frame later; a longer one may hold it up."""
     bench, live = tmp_path / "bench.toml", tmp_path / "live.mcap"
-    bench.write_text("bus.bench.bitrate_bit_s = 1_000_000\n")
+    bench.write_text("bus.bench = { bitrate_bit_s = 1_000_000, node.ear.silent = true }\n")
     with golden(name) as path:
         words = ["replay", str(path), "--as", "traffic", "--on", "can0=bench"]
         status = main([*words, "--rig", str(bench), "-o", str(live)])

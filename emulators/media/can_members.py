@@ -1,0 +1,160 @@
+"""Who is on one wire, how each takes part, and what becomes of the frames of those who do not.
+
+Nodes that may not send keep their frames: their port's entry is CUT_OFF.
+"""
+
+from heapq import heappush
+
+from emulators.media.can_arbitration import CanArbitration
+from emulators.media.can_frame import FRAME_BYTES
+from emulators.media.can_node import FrameSupport
+from emulators.media.can_port import CUT_OFF, CanPort
+from emulators.media.can_presence import Presence, Role
+from emulators.media.fault_rule import WireLevel
+from emulators.media.fault_seam import FaultSeam
+from emulators.media.noise import NoiseSource
+
+
+class CanMembers(CanArbitration):
+    """One wire, and the nodes on it.
+
+    Args:
+        name: of the bus.
+        bit_ns, data_bit_ns: how long a bit takes [ns], as of `CanArbitration`.
+        seam: what goes wrong on the bus.
+        nodes: of the whole bus, by number.
+
+    Attributes (read only): members, who is on this wire, by number.
+    """
+
+    __slots__ = (
+        "_hearing",
+        "_hearing_fd",
+        "_held",
+        "_is_alone",
+        "_level",
+        "_nodes",
+        "_noises",
+        "_now_ns",
+        "_seam",
+        "_unwell",
+        "_watchful",
+        "members",
+    )
+
+    def __init__(
+        self, name: str, bit_ns: int, data_bit_ns: int, seam: FaultSeam, nodes: list[Presence]
+    ) -> None:
+        super().__init__(name, bit_ns, data_bit_ns)
+        self._seam = seam
+        self._nodes = nodes
+        self.members: list[Presence] = []
+        self._held: list[Presence] = []  # members that may not send now
+        self._hearing = 0  # mask of the members that hear, and acknowledge
+        self._hearing_fd = 0  # those of them that see CAN FD frames
+        self._watchful = False  # more can happen to a frame than noise
+        self._unwell = False  # a member has a counter above 0
+        self._noises: list[NoiseSource] = []
+        self._level: WireLevel | None = None  # at which the wire is stuck
+        self._now_ns = 0  # of the step that is made
+        self._is_alone = False  # nobody acknowledges, and that was told
+
+    def add_port(self, port: CanPort) -> None:
+        """The bus has another port; its node is not on this wire."""
+        self._ports.append(port)
+
+    def take_port(self, number: int, other: "CanMembers") -> None:
+        """What waits at this port on the other wire, waits on this one."""
+        self._ports[number].adopt(other.port(number))
+
+    def port(self, number: int) -> CanPort:
+        """The transmit side of this node, as far as this wire is concerned."""
+        return self._ports[number]
+
+    def _add(self, node: Presence) -> None:
+        """The node is on this wire."""
+        self.members.append(node)
+        self.members.sort(key=_number_of)
+        self._keep(node)
+        self.count_members()
+
+    def _remove(self, node: Presence) -> None:
+        """The node is on this wire no longer. Its frame is in flight no longer."""
+        port = self._ports[node.number]
+        if port.entry > 0:
+            if port.entry != self._flight:
+                self._drop_out(port.entry)
+                port.losses += self._starts - port.starts_seen
+            self._put_back(port)
+        port.entry = CUT_OFF
+        self.members.remove(node)
+        self.count_members()
+
+    def _keep(self, node: Presence) -> None:
+        """The node competes with what it has, or does not, as its role is."""
+        port = self._ports[node.number]
+        if node.role is Role.ON:
+            if port.entry == CUT_OFF and port.promote():
+                port.starts_seen = self._starts
+                heappush(self._competing, port.entry)
+        elif port.entry != CUT_OFF:
+            if port.entry > 0:
+                self._drop_out(port.entry)
+                port.losses += self._starts - port.starts_seen
+                self._put_back(port)
+            port.entry = CUT_OFF
+        if node.role is Role.OFF:
+            self._abort_all(node)
+
+    def count_members(self) -> None:
+        """What follows from who is there, and how."""
+        members = self.members
+        self._held = [node for node in members if node.role is not Role.ON]
+        hearing = 0
+        unwell = False
+        fd = 0
+        for node in members:
+            if node.hears():
+                hearing |= 1 << node.number
+                if node.chip.frames is FrameSupport.FD:
+                    fd |= 1 << node.number
+            unwell = unwell or not node.is_well()
+        self._hearing = hearing
+        self._hearing_fd = fd
+        self._unwell = unwell
+        self._watchful = (
+            hearing & (hearing - 1) == 0
+            or bool(self._held)
+            or self._level is not None
+            or self._seam.plan.has_errors()
+            or any(node.chip.one_shot for node in members)
+        )
+        self._is_alone = self._is_alone and hearing & (hearing - 1) == 0
+
+    def _ears_for(self, frame: bytes) -> int:
+        """Mask of the members that hear this frame, and acknowledge it."""
+        return self._hearing_fd if len(frame) > FRAME_BYTES else self._hearing
+
+    def _put_back(self, port: CanPort) -> None:
+        """The candidate waits behind; a babble is forgotten."""
+        if port.babbling:
+            port.babbling = False
+            port.entry = 0
+        else:
+            port.put_back()
+
+    def _abort_all(self, node: Presence) -> None:
+        """A bus-off node gives up what it has; `pending` frames would be stale afterwards."""
+        port = self._ports[node.number]
+        for _, _, _, frame in sorted(port.behind):
+            self._abort(node, frame, "bus-off")
+        port.behind.clear()
+
+    def _abort(self, node: Presence, frame: bytes, why: str) -> None:
+        """The frame is given up, and that is told."""
+        node.aborted += 1
+        self._seam.plan.note(self._now_ns, node.name, f"not sent: {why}", frame)
+
+
+def _number_of(node: Presence) -> int:
+    return node.number

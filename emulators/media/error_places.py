@@ -1,0 +1,64 @@
+"""Where in a frame an error is struck, so that it is the one that was asked for."""
+
+from typing import Final
+
+from emulators.media.can_episode import ALL_PORTS, Disturbance, Effect
+from emulators.media.can_wire import DOMINANT, WireFrame, wire_frame
+from emulators.media.error_message import ACK_SLOT, CRC_DELIMITER, DATA, DLC
+from emulators.media.fault_rule import FaultRule, FrameError
+
+STUFF_RUN: Final = 5
+
+
+def struck(rule: FaultRule, frame: bytes, sender: int, ports: int) -> Disturbance | None:
+    """What an ERROR does to this frame; None: it has no such bit, or no place for such an error.
+
+    Args:
+        rule: the ERROR.
+        frame: as it is sent.
+        sender: its port.
+        ports: who sees it, as a mask; ALL_PORTS: all that can notice it.
+    """
+    if rule.bit is not None:
+        return Disturbance(rule.bit, ports=ports)
+    wire = wire_frame(frame)
+    receivers = ports if ports != ALL_PORTS else ~(1 << sender)
+    match rule.error:
+        case FrameError.BIT:
+            return Disturbance(wire.places.index(DLC), ports=ports)
+        case FrameError.STUFF:
+            first = wire.places.index(DLC)
+            return Disturbance(first, Effect.DOMINANT, STUFF_RUN + 1, receivers)
+        case FrameError.FORM:
+            return Disturbance(wire.places.index(CRC_DELIMITER), Effect.DOMINANT, 1, ports)
+        case FrameError.ACK:
+            return Disturbance(wire.places.index(ACK_SLOT), Effect.RECESSIVE, 1, 1 << sender)
+        case _:
+            place = _unnoticed_until_crc(wire)
+            return None if place is None else Disturbance(place, ports=receivers)
+
+
+def _unnoticed_until_crc(wire: WireFrame) -> int | None:
+    """The last bit of the CRC or before that, inverted, leaves all stuff bits where they are."""
+    end = wire.places.index(CRC_DELIMITER)
+    data = [place for place, where in enumerate(wire.places) if where == DATA]
+    for place in range(end - 1, data[0] if data else wire.places.index(DLC) + 4, -1):
+        levels = bytearray(wire.levels[:end])
+        levels[place] ^= 1
+        if not wire.stuffed[place] and _stuff_bits(levels) == list(wire.stuffed[:end]):
+            return place
+    return None
+
+
+def _stuff_bits(levels: bytearray) -> list[int]:
+    """Which of these a receiver takes for stuff bits; more than it is given, if one is wrong."""
+    stuffed: list[int] = []
+    run, last, due = 0, 1 - DOMINANT, False
+    for level in levels:
+        if due and level == last:
+            return []
+        stuffed.append(1 if due else 0)
+        run = 1 if due or level != last else run + 1
+        last = level
+        due = run == STUFF_RUN
+    return stuffed

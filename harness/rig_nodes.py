@@ -1,0 +1,79 @@
+"""The `[bus.NAME.node.NAME]` tables of a rig: how a node's CAN controller is set up.
+
+queue = "fifo"            or "priority": which of its pending frames competes
+one_shot = false          a frame that fails, or loses arbitration, is not sent again
+recovery_s = 0.0          after bus-off, before it counts the 128 x 11 recessive bits; or "command"
+error_reporting = false   it is told every error, not only when its state changes
+silent = false            it is no controller of the rig: a node that acknowledges, and says nothing
+"""
+
+from collections.abc import Mapping, Sequence
+from types import MappingProxyType
+from typing import Final
+
+from emulators.can_segment import HOST
+from emulators.media.can_node import CanNode, QueueOrder
+from harness.settings import Source, Table
+
+NODE_KEYS: Final = ("queue", "one_shot", "recovery_s", "error_reporting", "silent")
+QUEUES: Final = tuple(order.value for order in QueueOrder)
+BY_COMMAND: Final = "command"
+RECOVERY_MAX_S: Final = 1e6
+
+
+def read_nodes(bus: Table) -> Mapping[str, CanNode]:
+    """The CAN controllers that a bus says something of, by node.
+
+    Raises:
+        RigError: the first thing wrong in them.
+    """
+    tables = bus.table("node")
+    return MappingProxyType({name: _chip(name, tables.table(name)) for name in tables.values})
+
+
+def silent_nodes(bus: Table) -> tuple[str, ...]:
+    """Those of them that are no controllers.
+
+    Raises:
+        RigError: one says so of the host's interface.
+    """
+    tables = bus.table("node")
+    silent = [name for name in tables.values if tables.table(name).flag("silent", False)]
+    if HOST in silent:
+        raise tables.table(HOST).error("silent", "applications send by it", "take it out")
+    return tuple(silent)
+
+
+def refuse_strangers(
+    source: Source,
+    bus: str,
+    nodes: Mapping[str, CanNode],
+    silent: Sequence[str],
+    known: Sequence[str],
+) -> None:
+    """Raises RigError at the first of a bus's `nodes` that is not `known` there, nor `silent`."""
+    for name in nodes:
+        path = ("bus", bus, "node", name)
+        if name in silent and name in known:
+            raise source.error((*path, "silent"), f'"{name}" is a controller', "take it out")
+        if name not in known and name not in silent:
+            raise source.no_such(path, name, known, "controller")
+
+
+def _chip(name: str, table: Table) -> CanNode:
+    table.refuse_unknown(NODE_KEYS)
+    recovery_ns: int | None = 0
+    if table.values.get("recovery_s") == BY_COMMAND:
+        recovery_ns = None
+    elif table.has("recovery_s"):
+        example = f'0.1, or "{BY_COMMAND}"'
+        high = RECOVERY_MAX_S
+        recovery_s = table.number("recovery_s", low=0.0, high=high, unit="s", example=example)
+        recovery_ns = round(recovery_s * 1e9)
+    return CanNode(
+        queue=QueueOrder(table.one_of("queue", QUEUES, "queue", default=QueueOrder.FIFO.value)),
+        one_shot=table.flag("one_shot", False),
+        recovery_ns=recovery_ns,
+        error_reporting=table.flag("error_reporting", False),
+        shared=name == HOST,
+    )
