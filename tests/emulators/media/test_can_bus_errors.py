@@ -1,0 +1,243 @@
+"""Errors on a bus: bus-off and recovery to the bit, lone nodes, noise, babble, shorts, splits."""
+
+import random
+
+import pytest
+
+from emulators.media import error_message as told
+from emulators.media.can_bus import CanBus
+from emulators.media.can_frame import can_id_of, pack
+from emulators.media.can_node import CanNode
+from emulators.media.confinement import ErrorState
+from emulators.media.delivery import KIND_MASK, TOLD
+from emulators.media.fault_rule import FaultKind, FaultRule, FrameError, WireLevel
+from emulators.media.faults import FaultPlan
+from tests.emulators.media.driving import (
+    BIT,
+    Timed,
+    confirmed,
+    expire_all,
+    heard,
+    run,
+    traffic,
+)
+from tests.emulators.media.faulty import HEARTBEAT, HOST, LEFT, RIGHT, STATUS, SYNC, bus_with
+
+RATES = [125_000, 250_000, 500_000, 1_000_000]
+# The bits of STATUS around the one that is struck, 20: ...1 1 [0] 0 0 1 1...
+STRUCK = 20
+OFF_BITS = 16 * 44 + 8 + 15 * 49 + STRUCK + 1
+BACK_BITS = OFF_BITS - (STRUCK + 1) + 30 + 128 * 11
+
+
+def classes(deliveries: list[Timed], port: int, wanted: int) -> list[int]:
+    """When this port's controller told of these classes of errors."""
+    return [
+        time_ns
+        for time_ns, (frame, sender, kind) in deliveries
+        if sender == port and kind & KIND_MASK == TOLD and can_id_of(frame) & wanted
+    ]
+
+
+def struck_bus(rate: int, chip: CanNode) -> CanBus:
+    rule = FaultRule("strike", FaultKind.ERROR, identifier=0x181, bit=STRUCK)
+    bus = CanBus("can0", rate, FaultPlan([rule], random.Random(1).random))
+    bus.attach("left", chip)
+    bus.attach("right")
+    return bus
+
+
+@pytest.mark.parametrize("rate", RATES)
+def test_bus_off_and_recovery_are_exact_to_the_bit(rate):
+    """By hand, from ISO 11898-1.
+
+    Active, 44 bits an attempt: bit error in 20, its flag 21 to 26, whose sixth bit is the stuff
+    error of the others, theirs 27 to 32, delimiter to 40, intermission to 43. After 16 of them TEC
+    is 128, and it suspends 8 bits. Passive, 41 + 8: its flag is recessive, the others see the sixth
+    recessive bit in 23, their flags are 24 to 29, delimiter to 37, intermission to 40. In the 32nd
+    attempt TEC is 256 at the end of bit 20. The wire is recessive from that attempt's bit 30 on.
+    """
+    bit_ns = 10**9 // rate
+    bus = struck_bus(rate, CanNode())
+    deliveries = run(bus, [(0, 0, STATUS)])
+    assert classes(deliveries, 0, told.BUS_OFF) == [OFF_BITS * bit_ns]
+    assert classes(deliveries, 0, told.RESTARTED) == [BACK_BITS * bit_ns]
+    assert bus.node(0).aborted == 1
+    assert bus.node(0).confinement.tec == 0
+    assert bus.node(1).confinement.rec == 32
+    assert bus.pending(0) == 0
+
+
+@pytest.mark.parametrize("rate", RATES)
+def test_recovery_by_command_takes_128_runs_of_11_bits_from_then_on(rate):
+    bit_ns = 10**9 // rate
+    bus = struck_bus(rate, CanNode(recovery_ns=None))
+    deliveries = run(bus, [(0, 0, STATUS)])
+    assert classes(deliveries, 0, told.RESTARTED) == []
+    assert bus.error_state(0) is ErrorState.BUS_OFF
+    bus.restart(0, 10**12)
+    deliveries = expire_all(bus, 2 * 10**12)
+    assert classes(deliveries, 0, told.RESTARTED) == [10**12 + 1408 * bit_ns]
+    with pytest.raises(ValueError, match="left is not bus-off"):
+        bus.restart(0, 2 * 10**12)
+
+
+def test_a_frame_without_errors_counts_as_one_run_of_11_recessive_bits():
+    """ACK delimiter, end of frame and intermission; nothing else in a frame is as long."""
+    rule = FaultRule("strike", FaultKind.ERROR, identifier=0x181, bit=STRUCK)
+    bus = bus_with(rule)
+    run(bus, [(0, LEFT, STATUS)], until_ns=OFF_BITS * BIT)
+    start_ns = (OFF_BITS + 20) * BIT
+    deliveries = run(bus, [(start_ns, RIGHT, SYNC)] * 200)
+    last = [time_ns for time_ns, _ in heard(deliveries, HOST)]
+    (back_ns,) = classes(deliveries, LEFT, told.RESTARTED)
+    # From bit 30 of its last attempt on the wire is recessive until the first SYNC, which may begin
+    # in bit 41: that is the first run, and each SYNC's is another.
+    assert back_ns == last[126] + 3 * BIT
+
+
+def test_what_a_node_that_is_off_has_and_submits_is_given_up_and_told():
+    bus = struck_bus(1_000_000, CanNode(recovery_ns=None))
+    run(bus, [(0, 0, STATUS), (0, 0, SYNC)], until_ns=10**9)
+    bus.submit(0, HEARTBEAT, 10**9)
+    assert bus.pending(0) == 0
+    events = [event[2:] for event in bus.take_fault_events() if event[1] == "left"]
+    assert events == [
+        ("bus-off", b""),
+        ("not sent: bus-off", STATUS),
+        ("not sent: bus-off", SYNC),
+        ("not sent: bus-off", HEARTBEAT),
+    ]
+
+
+# --- nobody acknowledges
+
+
+def test_a_lone_node_is_passive_after_16_attempts_and_never_off():
+    """72 bits an attempt (54 to the ACK slot, 1, flag 6, delimiter 8, intermission 3)."""
+    bus = CanBus("can0")
+    bus.attach("left")
+    deliveries = run(bus, [(0, 0, STATUS)], until_ns=3600 * 10**9)
+    passive_ns = classes(deliveries, 0, told.CONTROLLER)
+    assert passive_ns == [(11 * 72 + 55) * BIT, (15 * 72 + 55) * BIT]  # warning at 96, and 128
+    assert bus.node(0).confinement.tec == 128
+    assert len(deliveries) < 40  # an hour of attempts costs nothing
+    assert [what for _, _, what, _ in bus.take_fault_events()] == ["nobody acknowledges"]
+    bus.attach("right", now_ns=3600 * 10**9)
+    deliveries = expire_all(bus, 3601 * 10**9)
+    assert [frame for _, frame in heard(deliveries, 1)] == [STATUS]
+    assert len(confirmed(deliveries, 0)) == 1
+    assert bus.node(0).confinement.tec == 127
+
+
+def test_one_shot_frames_are_tried_once():
+    bus = CanBus("can0")
+    bus.attach("left", CanNode(one_shot=True))
+    assert traffic(run(bus, [(0, 0, STATUS)])) == []
+    assert (bus.pending(0), bus.node(0).aborted) == (0, 1)
+    assert ("left", "not sent: one-shot", STATUS) in [
+        event[1:] for event in bus.take_fault_events()
+    ]
+
+
+def test_one_shot_frames_that_lose_arbitration_are_not_sent():
+    bus = CanBus("can0")
+    bus.attach("left", CanNode(one_shot=True))
+    bus.attach("right")
+    deliveries = run(bus, [(0, 0, STATUS), (0, 1, SYNC)])
+    assert [frame for _, (frame, _, _) in traffic(deliveries)] == [SYNC]
+    assert bus.node(0).aborted == 1
+
+
+# --- one error
+
+
+@pytest.mark.parametrize("error", FrameError)
+def test_each_kind_of_error_is_struck_once_and_the_frame_is_sent_again(error):
+    bus = bus_with(FaultRule("strike", FaultKind.ERROR, error=error, limit=1))
+    deliveries = run(bus, [(0, LEFT, STATUS)])
+    assert [frame for _, frame in heard(deliveries, HOST)] == [STATUS]
+    assert bus.faults_fired() == {"strike": 1}
+    assert bus.node(LEFT).confinement.tec == 7  # 8, and sent
+    seen = {
+        frame[10]
+        for _, (frame, _, kind) in deliveries
+        if kind & KIND_MASK == TOLD and can_id_of(frame) & told.PROTOCOL
+    }
+    wanted = {
+        FrameError.BIT: told.BIT0_ERROR,  # a dominant bit of the length
+        FrameError.STUFF: told.STUFF_ERROR,
+        FrameError.FORM: told.FORM_ERROR,
+        FrameError.CRC: 0,
+        FrameError.ACK: told.TRANSMITTING,
+    }[error]
+    assert any(one & 0x7F == wanted & 0x7F for one in seen), [hex(one) for one in seen]
+
+
+# --- noise, babble, shorts, splits
+
+
+def test_noise_inverts_as_many_bits_as_its_rate_says():
+    """1e-3 over 2000 frames: 150 or so expected; a binomial's 5 sigma around it."""
+    bus = bus_with(FaultRule("noise", FaultKind.NOISE, bit_error_rate=1e-3), seed=3)
+    frames = 2000
+    submissions = [(number * 400 * BIT, LEFT, STATUS) for number in range(frames)]
+    deliveries = run(bus, submissions)
+    assert len(confirmed(deliveries, LEFT)) == frames
+    bits = bus.statistics.bits + bus.statistics.bits_lost
+    expected = bits * 1e-3
+    assert abs(bus.faults_fired()["noise"] - expected) < 5 * expected**0.5
+    assert bus.statistics.errors > 100
+
+
+def test_a_babbling_node_leaves_the_bus_to_the_more_urgent_only():
+    babble = FaultRule(
+        "idiot", FaultKind.BABBLE, identifier=0x100, sender="right", until_ns=2000 * BIT
+    )
+    bus = bus_with(babble)
+    deliveries = run(bus, [(10 * BIT, LEFT, STATUS), (10 * BIT, HOST, SYNC)])
+    order = [frame for _, frame in heard(deliveries, HOST)]
+    assert order[-1] == STATUS
+    assert set(order[:-1]) == {pack(0x100)}
+    assert confirmed(deliveries, RIGHT) == []  # its node has submitted nothing
+    assert confirmed(deliveries, HOST)[0][0] < 200 * BIT
+
+
+@pytest.mark.parametrize("level", WireLevel)
+def test_a_short_stops_the_bus_and_its_end_lets_it_go_on(level):
+    short = FaultRule("short", FaultKind.SHORT, level=level, from_ns=20 * BIT, until_ns=400 * BIT)
+    bus = bus_with(short)
+    deliveries = run(bus, [(0, LEFT, STATUS), (100 * BIT, RIGHT, SYNC)])
+    assert all(time_ns > 400 * BIT for time_ns, _ in traffic(deliveries))
+    given_up = bus.node(LEFT).aborted + bus.node(RIGHT).aborted
+    assert len(heard(deliveries, HOST)) + given_up == 2
+    assert bus.node(LEFT).errors > 0
+
+
+def test_a_bus_that_is_split_is_two_buses():
+    split = FaultRule("cable", FaultKind.SPLIT, ports=("a", "b"), from_ns=0)
+    whole = CanBus("can0", faults=FaultPlan([split], random.Random(1).random))
+    for name in "abcd":
+        whole.attach(name)
+    halves = [CanBus("one"), CanBus("two")]
+    for number, name in enumerate("abcd"):
+        halves[number // 2].attach(name)
+    draw = random.Random(7)
+    plans: list[list[tuple[int, int, bytes]]] = [[], []]
+    both = []
+    for number in range(300):
+        port = draw.randrange(4)
+        time_ns = number * 60 * BIT + draw.randrange(40 * BIT)
+        frame = pack(0x100 + 4 * draw.randrange(64) + port, draw.randbytes(draw.randrange(9)))
+        both.append((time_ns, port, frame))
+        plans[port // 2].append((time_ns, port % 2, frame))
+    deliveries = run(whole, both)
+    for half in range(2):
+        alone = run(halves[half], plans[half])
+        here = [one for one in deliveries if one[1][1] // 2 == half]
+        assert [(time_ns, frame) for time_ns, (frame, _, _) in here] == [
+            (time_ns, frame) for time_ns, (frame, _, _) in alone
+        ]
+        for port in range(2):
+            assert heard(deliveries, 2 * half + port) == heard(alone, port)
+    assert whole.statistics.frames == 300
