@@ -75,6 +75,19 @@ class RigProtocol(Protocol):
     ) -> AbstractContextManager[Lost]:
         """Within it what its drive answers is lost, what it is told is not (Ability.LOSE)."""
 
+    def strike(
+        self, motor: Motor | None, times: int, *, skip: int = 0
+    ) -> AbstractContextManager[Lost]:
+        """Within it so many attempts to send, of its drive or (None) the host, are destroyed.
+
+        By bit errors, one attempt after another (Ability.BUS_ERRORS): 16 make a CAN controller
+        error passive, 32 put it off the bus, on which it is again by itself a moment later. `skip`
+        frames are spared first; where none is, the host has one to send.
+        """
+
+    def noise(self, bit_error_rate: float) -> AbstractContextManager[Lost]:
+        """Within it so many of the bits on the bus are wrong (Ability.BUS_ERRORS)."""
+
     def stop_sync(self) -> AbstractContextManager[Lost]:
         """Within it the signal that streamed motions go by reaches nobody (Ability.STOP_SYNC)."""
 

@@ -46,6 +46,7 @@ class Ability(Enum):
     CUT = "cut a drive off the bus for a time"
     LOSE = "lose frames or answers of a drive"
     SILENCE_HOST = "keep all that the host sends off the bus"
+    BUS_ERRORS = "disturb frames on a CAN bus, till a node gives up"
     AFRESH = "switch everything on anew"
     STOP_SYNC = "lose the signal that streamed motions go by"
     RESTART = "switch a drive off and on again"

@@ -23,6 +23,7 @@ _MODULES: Final = (
     "groups",
     "parting",
     "lost",
+    "disturbed",
 )
 """The modules of `harness.conformance.clauses`, each with the clauses of one topic."""
 

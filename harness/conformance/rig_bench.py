@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Final, Self, final
 
 from emulators.media.can_frame import can_id_of, data_of, pack
+from emulators.media.fault_rule import FrameError
 from emulators.media.faults import FaultKind, FaultRule
 from emulators.media.serial_faults import SerialFaultKind, SerialFaultRule
 from harness.conformance.bench import Lost
@@ -27,6 +28,8 @@ _FAULT_NS: Final = 50_000_000
 _CANOPEN: Final = ("cia402", "cia401")
 """Kinds of controllers that go by SYNC and NMT, and whose commands the bench can tell."""
 _SYNC: Final = 0x080
+_FOR_NOBODY: Final = 0x7FF
+_LAST_BIT: Final = 0.02
 _MODBUS_WRITES: Final = (0x05, 0x06, 0x0F, 0x10, 0x16, 0x17)
 
 
@@ -136,6 +139,8 @@ class RigBench:
             kind = self._description.controllers[first.controller].kind
             if kind in _CANOPEN or self._is_on_a_line(self.motor):
                 able.add(Ability.TRAFFIC)
+            if not self._is_on_a_line(self.motor):
+                able.add(Ability.BUS_ERRORS)
             if kind in _CANOPEN:
                 able |= {Ability.STOP_SYNC, Ability.RESTART}
         return tuple(one for one in Ability if one in able)
@@ -184,13 +189,15 @@ class RigBench:
     @contextmanager
     def cut(self, motor: Motor) -> Iterator[Lost]:
         """Within it its drive is off the bus, with power; yields how often that took effect."""
-        with self._rule(motor, FaultKind.CUT, ports=(self._controller(motor),)) as lost:
+        rule = FaultRule("", FaultKind.CUT, ports=(self._controller(motor),))
+        with self._rule(motor, rule) as lost:
             yield lost
 
     @contextmanager
     def silence_host(self, *, skip: int = 0, limit: int | None = None) -> Iterator[Lost]:
         """Within it what the host sends, after so many frames and so often, reaches nobody."""
-        with self._rule(self.motor, FaultKind.DROP, sender=HOST, skip=skip, limit=limit) as lost:
+        rule = FaultRule("", FaultKind.DROP, sender=HOST, skip=skip, limit=limit)
+        with self._rule(self.motor, rule) as lost:
             yield lost
 
     @contextmanager
@@ -199,13 +206,42 @@ class RigBench:
     ) -> Iterator[Lost]:
         """Within it what its drive sends, after so many frames and so often, is lost."""
         sender = self._controller(motor)
-        with self._rule(motor, FaultKind.DROP, sender=sender, skip=skip, limit=limit) as lost:
+        rule = FaultRule("", FaultKind.DROP, sender=sender, skip=skip, limit=limit)
+        with self._rule(motor, rule) as lost:
+            yield lost
+
+    @contextmanager
+    def strike(self, motor: Motor | None, times: int, *, skip: int = 0) -> Iterator[Lost]:
+        """Within it so many attempts to send, of its drive or (None) the host, are destroyed."""
+        sender = HOST if motor is None else self._controller(motor)
+        rule = FaultRule(
+            "", FaultKind.ERROR, sender=sender, error=FrameError.BIT, skip=skip, limit=times
+        )
+        struck = self.motor if motor is None else motor
+        with self._rule(struck, rule) as lost:
+            if (
+                motor is None and not skip
+            ):  # it may have nothing to say just now; this is for nobody
+                self.rig.bus(self._bus(struck)).transmit(pack(_FOR_NOBODY))
+            yield lost
+
+    @contextmanager
+    def noise(self, bit_error_rate: float) -> Iterator[Lost]:
+        """Within it so many of the bits on the bus are wrong.
+
+        The last one of a frame more often: then all but the sender have heard it, and hear it again
+        (ISO 11898-1), which by that rate alone nobody would live to see.
+        """
+        noise = FaultRule("", FaultKind.NOISE, bit_error_rate=bit_error_rate)
+        last = FaultRule("", FaultKind.DUPLICATE, probability=_LAST_BIT)
+        with self._rule(self.motor, noise) as lost, self._rule(self.motor, last):
             yield lost
 
     @contextmanager
     def stop_sync(self) -> Iterator[Lost]:
         """Within it SYNC (CiA 301) reaches nobody."""
-        with self._rule(self.motor, FaultKind.DROP, identifier=_SYNC) as lost:
+        rule = FaultRule("", FaultKind.DROP, identifier=_SYNC)
+        with self._rule(self.motor, rule) as lost:
             yield lost
 
     def restart(self, motor: Motor) -> None:
@@ -283,35 +319,20 @@ class RigBench:
             raise NotApplicable(f"its controller cannot be stimulated so: {error}") from None
 
     @contextmanager
-    def _rule(
-        self,
-        motor: Motor,
-        kind: FaultKind,
-        *,
-        sender: str | None = None,
-        ports: tuple[str, ...] = (),
-        identifier: int | None = None,
-        skip: int = 0,
-        limit: int | None = None,
-    ) -> Iterator[Lost]:
+    def _rule(self, motor: Motor, wanted: FaultRule) -> Iterator[Lost]:
         """Such a fault is on the motor's bus; on a line all that it says is lost."""
         self._rules += 1
         name, bus = f"conformance {self._rules}", self._bus(motor)
-        rule: FaultRule | SerialFaultRule
+        rule: FaultRule | SerialFaultRule = replace(wanted, name=name)
         if self._is_on_a_line(motor):
             unit = self._description.controllers[self._controller(motor)].node_id
             rule = SerialFaultRule(
-                name, SerialFaultKind.LOSE, sender=sender, unit=unit, skip=skip, limit=limit
-            )
-        else:
-            rule = FaultRule(
                 name,
-                kind,
-                identifier=identifier,
-                sender=sender,
-                ports=ports,
-                skip=skip,
-                limit=limit,
+                SerialFaultKind.LOSE,
+                sender=wanted.sender,
+                unit=unit,
+                skip=wanted.skip,
+                limit=wanted.limit,
             )
         self.rig.faults.inject(bus, rule)
         try:

@@ -182,6 +182,16 @@ class WallBench:
         """Raises NotApplicable."""
         _refuse(Ability.LOSE)
 
+    def strike(
+        self, motor: Motor | None, times: int, *, skip: int = 0
+    ) -> AbstractContextManager[Lost]:
+        """Raises NotApplicable."""
+        _refuse(Ability.BUS_ERRORS)
+
+    def noise(self, bit_error_rate: float) -> AbstractContextManager[Lost]:
+        """Raises NotApplicable."""
+        _refuse(Ability.BUS_ERRORS)
+
     def stop_sync(self) -> AbstractContextManager[Lost]:
         """Raises NotApplicable."""
         _refuse(Ability.STOP_SYNC)

@@ -3,6 +3,7 @@
 from tests.conformance.mutants import (
     access,
     commands,
+    disturbed,
     ends,
     failures,
     groups,
@@ -13,4 +14,16 @@ from tests.conformance.mutants import (
     units,
 )
 
-MODULES = (access, commands, ends, failures, groups, lost, refusals, sharing, stops, units)
+MODULES = (
+    access,
+    commands,
+    disturbed,
+    ends,
+    failures,
+    groups,
+    lost,
+    refusals,
+    sharing,
+    stops,
+    units,
+)

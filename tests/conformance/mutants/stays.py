@@ -23,4 +23,6 @@ WHY_IT_STAYS: dict[str, str] = {
     "LOST-01": "HEAR-02 sees what is not heard, too; this one waits for a motion, in every mode",
     "LOST-09": "HEAR-01 loses answers only; this one any frame of a move, one by one",
     "HEAR-03": "LOST-04 and LOST-09 lose a motion, this one a motor that stands",
+    "BUS-02": "noise strikes where nobody chose, and doubles what no other clause doubles",
+    "SHARE-02": "BUS-01 meets who sends before it may by another way; this one names it",
 }

@@ -1,0 +1,137 @@
+"""Mistakes that show only when frames are destroyed, and CAN controllers count."""
+
+from motorapi.adaptations.canopen_link import CanopenLink
+from motorapi.adaptations.cia402_objects import error_text
+from motorapi.adaptations.drive_reader import DriveReader
+from motorapi.adaptations.sdo_client import ChannelClient
+from motorapi.adaptations.transmissions import Transmissions
+from motorapi.bus_status import BusCondition, BusStatus
+from motorapi.state import Fault, MotorState
+from tests.conformance.mutants import mutant, replaced
+
+
+@mutant("cia402", "BUS-01")
+def error_messages_are_of_no_interest():
+    """What the CAN controller tells of itself is dropped: who waits, waits for the drive."""
+    with replaced(BusStatus, "hear", lambda _: lambda status, message, time_ns: None):
+        yield
+
+
+@mutant("cia402", "BUS-01")
+def once_off_always_off():
+    """That the bus is off is noted, and that it is on again is not."""
+
+    def wrong(hear):
+        def heard(status, message, time_ns):
+            if not status.is_off:
+                hear(status, message, time_ns)
+
+        return heard
+
+    with replaced(BusStatus, "hear", wrong):
+        yield
+
+
+@mutant("cia402", "BUS-04")
+def what_was_lost_with_the_bus_is_still_awaited():
+    """An own frame confirms the oldest equal one, though that was lost when the bus went off."""
+    with replaced(Transmissions, "forget", lambda _: lambda transmissions: None):
+        yield
+
+
+@mutant("software", "BUS-01")
+def a_failure_is_for_ever():
+    """What the bus has ended is told again by whatever comes to rest afterwards."""
+    from motorapi.adaptations.software_motor import SoftwareMotor
+
+    def wrong(slow_down):
+        def slowed(motor, deceleration, *, quickly=False):
+            axis = motor._hardware.axis
+            failure = axis.failure
+            slow_down(motor, deceleration, quickly=quickly)
+            if not axis.is_powered:
+                axis.failure = failure
+
+        return slowed
+
+    with replaced(SoftwareMotor, "_slow_down", wrong):
+        yield
+
+
+@mutant("cia402", "BUS-02")
+def whatever_comes_is_the_answer():
+    """An SDO response is taken for the answer to what is asked next, also one that came twice."""
+
+    def believing(_heard):
+        return lambda client, frame, time_ns: client._answers.append(frame[8:16])
+
+    def keeping(send_request):
+        def sent(client, request):
+            kept = list(client._answers)
+            send_request(client, request)
+            client._answers.extendleft(reversed(kept))
+
+        return sent
+
+    with (
+        replaced(ChannelClient, "heard", believing),
+        replaced(ChannelClient, "send_request", keeping),
+    ):
+        yield
+
+
+@mutant("cia402", "BUS-03")
+def passive_is_off():
+    """A CAN controller that is error passive is taken for one that is off the bus."""
+
+    def wrong(hear):
+        def heard(status, message, time_ns):
+            hear(status, message, time_ns)
+            status.is_off = status.condition in (BusCondition.PASSIVE, BusCondition.OFF)
+
+        return heard
+
+    with replaced(BusStatus, "hear", wrong):
+        yield
+
+
+@mutant("cia402", "BUS-03")
+def every_emcy_is_a_fault():
+    """A drive that has sent an EMCY is told to have a fault, whatever its statusword says."""
+
+    def wrong(fault):
+        def told(reader):
+            error = reader._node.error
+            if error is None:
+                return fault(reader)
+            return Fault(error.code, error_text(error.code), error.time_ns)
+
+        return told
+
+    with replaced(DriveReader, "fault", wrong):
+        yield
+
+
+@mutant("cia402", "BUS-03")
+def any_error_message_is_the_end():
+    """Whatever the CAN controller tells of errors: the motor counts as lost until it is set up."""
+
+    def wrong(on_error):
+        def heard(link, message, time_ns):
+            on_error(link, message, time_ns)
+            link.had_errors = True
+
+        return heard
+
+    def offline(state):
+        def told(reader):
+            is_lost = getattr(reader._node.link, "had_errors", False)
+            return MotorState.OFFLINE if is_lost else state(reader)
+
+        return told
+
+    with (
+        replaced(CanopenLink, "_on_error", wrong),
+        replaced(DriveReader, "fresh_state", offline),
+    ):
+        yield

@@ -1,0 +1,121 @@
+"""From a struck frame to who reacts: drive, application, record, and what a user is told."""
+
+import re
+
+import pytest
+
+from harness.rig import Rig
+from motorapi import ControlMode, DeadlineExceeded, LinkError, MotorState
+from traces.reader import read_trace
+
+RIG = """
+[rig]
+name = "disturbed"
+seed = 3
+[bus.can0]
+bitrate_bit_s = 500_000
+{bus}
+[controller.left]
+kind = "cia402"
+bus = "can0"
+node_id = 1
+plant = {{ preset = "wheel_60w" }}
+{controller}
+[motor.left]
+adaptation = "cia402"
+controller = "left"
+[motor.left.model]
+velocity_max_rad_s = 2.0
+acceleration_max_rad_s2 = 4.0
+increments_per_rad = 21008.45
+velocity_unit_rad_s = 4.76e-05
+acceleration_unit_rad_s2 = 4.76e-05
+[[fault]]
+bus = "can0"
+{fault}
+"""
+STRUCK = 'kind = "error"\nerror = "bit"\nsender = "{sender}"\nlimit = {limit}\nfrom_s = 1.0'
+
+
+def opened(tmp_path, fault, bus="", controller="", **options):
+    path = tmp_path / "rig.toml"
+    path.write_text(RIG.format(fault=fault, bus=bus, controller=controller))
+    return Rig.open(path, **options)
+
+
+def start(rig, target=3.0):
+    motor = rig.motors["left"]
+    motor.set_control_mode(ControlMode.SETPOINT)
+    motor.set_setpoint(target)
+    motor.start()
+    return motor
+
+
+def test_a_host_off_the_bus_by_command_is_told_until_it_is_restarted(tmp_path):
+    chip = '[bus.can0.node.host]\nrecovery_s = "command"'
+    with opened(tmp_path, STRUCK.format(sender="host", limit=32), chip) as rig:
+        motor = start(rig)
+        with pytest.raises(LinkError, match=r"can0: bus-off: nothing is sent or heard since 1\."):
+            motor.wait_until_done(timeout_s=5)
+        at_ns = rig.runtime.now_ns()
+        assert at_ns < 1_200_000_000
+        rig.runtime.run_for(0.05)  # the drive's dead-man is more patient
+        assert motor.state() is MotorState.OFFLINE
+        rig.faults.restart("can0", "host")
+        rig.runtime.run_for(0.05)
+        assert motor.state() is MotorState.ENABLED
+        start(rig, 0.5).wait_until_done(timeout_s=5)
+        assert motor.position() == pytest.approx(0.5, abs=0.001)
+
+
+def test_a_drive_off_the_bus_tells_it_when_it_is_on_again(tmp_path):
+    record = tmp_path / "run.mcap"
+    with opened(tmp_path, STRUCK.format(sender="left", limit=32), record=record) as rig:
+        motor = start(rig)
+        with pytest.raises(LinkError, match="its NMT state is 7Fh, not OPERATIONAL"):  # 1029h is 0
+            motor.wait_until_done(timeout_s=5)
+        assert [one.code for one in motor.hardware.emergencies][:2] == [0x8140, 0x0000]
+        rig.runtime.run_for(2.0)
+        motor.reset_fault()
+        start(rig, 0.5).wait_until_done(timeout_s=5)
+    with read_trace(record) as trace:
+        told = [data for _, _, data in trace.messages({"/events"})]
+    for text in (b"bus-off (TEC 255", b"recovered from bus-off"):
+        assert sum(text in one for one in told) == 1
+
+
+def test_a_drive_made_passive_says_so_and_works_on(tmp_path):
+    with opened(tmp_path, STRUCK.format(sender="left", limit=24)) as rig:
+        motor = start(rig)
+        motor.wait_until_done(timeout_s=5)
+        rig.runtime.run_for(10.0)
+        assert [one.code for one in motor.hardware.emergencies] == [0x8120, 0x0000]
+        assert motor.fault() is None
+
+
+def test_a_host_alone_on_its_bus_is_told_so(tmp_path):
+    fault = 'kind = "cut"\nnodes = ["left"]\nfrom_s = 1.0'
+    with opened(tmp_path, fault) as rig:
+        motor = start(rig, 0.1)
+        motor.wait_until_done(timeout_s=5)
+        rig.runtime.run_for(1.2 - rig.runtime.now_ns() / 1e9)
+        with pytest.raises(DeadlineExceeded, match=r"nobody acknowledges on can0 since 1\.\d+ s"):
+            motor.hardware.read(0x6064)
+
+
+SCRIPT = """
+import can
+from motorapi.adaptations.cia402 import Cia402HwMotor
+drive = Cia402HwMotor(can.Bus(), node_id=1)
+drive.connect()
+while True:
+    drive.read("position_actual_value")
+"""
+
+
+def test_who_runs_a_script_reads_since_when_the_bus_is_off_and_what_to_do(tmp_path, say):
+    opened(tmp_path, STRUCK.format(sender="host", limit=32)).close()
+    (tmp_path / "script.py").write_text(SCRIPT)
+    status, out, err = say("run", str(tmp_path / "rig.toml"), str(tmp_path / "script.py"))
+    assert (status, out) == (1, "")
+    assert re.search(r"LinkError: can0: bus-off: .* since 1\.\d+ s; .*rig\.faults\.restart", err)
