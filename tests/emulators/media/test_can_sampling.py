@@ -1,0 +1,94 @@
+"""Whether a bit is read as sent, against a receiver that lives in continuous time."""
+
+from fractions import Fraction
+
+import pytest
+from hypothesis import event, given
+from hypothesis import strategies as st
+
+from emulators.media.can_sampling import ONE, BitTiming, first_misread
+from tests.emulators.media import wire
+
+TIMINGS = st.sampled_from(
+    [BitTiming(), BitTiming(16, 12, 4), BitTiming(8, 7, 1), BitTiming(25, 20, 2)]
+)
+
+PPM = st.integers(-100_000, 100_000) | st.sampled_from([-90_000, -40_000, 30_000, 60_000, 99_000])
+
+
+def levels_of(frame: wire.Fields) -> bytes:
+    return bytes(int(bit) for bit in wire.on_the_wire(frame))
+
+
+def misread_in_time(levels: bytes, drift: Fraction, timing: BitTiming) -> int | None:
+    """A receiver that looks at a wire at its sample points, and goes by the edges."""
+    bit = 1 + drift  # its bit time, where the sender's is 1
+    sample = bit * timing.sample / timing.quanta
+    jump = Fraction(timing.jump, timing.quanta)
+    edges = [
+        place for place in range(1, len(levels)) if levels[place - 1] == 1 and levels[place] == 0
+    ]
+    begins = Fraction(0)
+    for number, sent in enumerate(levels):
+        if (
+            number in edges
+        ):  # where it expects it, or near: it begins its bit there, or nearer to it
+            error = begins - number
+            begins -= max(-jump, min(jump, error))
+        place = int(begins + sample) if begins + sample >= 0 else 0
+        if levels[min(place, len(levels) - 1)] != sent:
+            return number
+        begins += bit
+    return None
+
+
+@given(wire.fields(), TIMINGS, PPM)
+def test_a_misread_bit_is_the_one_that_a_receiver_in_time_misreads(frame, timing, ppm):
+    levels = levels_of(frame)
+    found = first_misread(levels, ppm * ONE // 1_000_000, timing)
+    event("misread" if found is not None else "read")
+    assert found == misread_in_time(levels, Fraction(ppm, 1_000_000), timing)
+
+
+@given(wire.fields(), TIMINGS, st.integers(0, 100))
+def test_within_tolerance_no_frame_is_misread(frame, timing, percent):
+    drift = timing.tolerance_1e12() * percent // 100
+    for error in (drift, -drift):
+        assert first_misread(levels_of(frame), error, timing) is None
+
+
+def test_beyond_tolerance_the_frame_with_the_rarest_edges_is_misread():
+    """Fives and fives: an edge to go by every ten bits, and each lets more of the drift stand."""
+    frame = wire.Fields(0x078, False, False, 8, bytes([0x3C]) * 8)
+    worst = bytes([0] * 5 + [1] * 5) * 10
+    timing = BitTiming()
+    tolerance = timing.tolerance_1e12()
+    assert first_misread(worst, tolerance, timing) is None
+    # In bit times: 0.09375 of drift in ten bits, 0.0625 of it made good; in bit 29 the sample is
+    # 2 * 0.03125 + 9 * 0.009375 + 0.0082 late, and 0.125 is what there is.
+    assert first_misread(worst, tolerance * 3 // 2, timing) == 29
+    assert first_misread(levels_of(frame), tolerance * 8, timing) is not None
+
+
+# Hartwich & Bassemir: df <= SJW / (20 NBT) and min(PS1, PS2) / (2 (13 NBT - PS2)) for each of two
+# clocks, so twice that between them.
+@pytest.mark.parametrize(
+    ("timing", "ppm"),
+    [(BitTiming(16, 14, 1), 6250), (BitTiming(16, 14, 2), 9708), (BitTiming(16, 12, 4), 19607)],
+)
+def test_the_tolerance_is_that_of_the_two_conditions(timing, ppm):
+    assert timing.tolerance_1e12() // 1_000_000 == ppm
+
+
+@pytest.mark.parametrize(
+    ("quanta", "sample", "jump", "told"),
+    [
+        (16, 16, 1, "sample point 16"),
+        (16, 1, 1, "sample point 1"),
+        (16, 14, 3, "jump width 3"),
+        (16, 14, 0, "jump width 0"),
+    ],
+)
+def test_a_bit_that_cannot_be_divided_so_is_refused(quanta, sample, jump, told):
+    with pytest.raises(ValueError, match=told):
+        BitTiming(quanta, sample, jump)
