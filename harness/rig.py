@@ -31,7 +31,7 @@ from harness.rig_file import (
     RigDescription,
     read_rig,
 )
-from harness.rig_media import add_bus
+from harness.rig_media import add_bus, own_clocks
 from harness.rig_models import read_models
 from harness.rig_parts import Named, RigController, RigFaults
 from harness.rig_plugins import RigPlugins
@@ -186,7 +186,8 @@ class Rig:
         for bus in self.description.buses.values():
             rules = [fault.rule for fault in self.description.faults if fault.bus == bus.name]
             stream = Random(f"{self.seed}:bus.{bus.name}.faults")
-            add_bus(self.world, bus, rules, stream.random)
+            clocks = own_clocks(self.description, bus.name, self.seed)
+            add_bus(self.world, bus, rules, stream.random, clocks)
 
     def _add_controllers(self) -> None:
         built = [

@@ -4,6 +4,9 @@ queue = "fifo"            or "priority": which of its pending frames competes
 one_shot = false          a frame that fails, or loses arbitration, is not sent again
 recovery_s = 0.0          after bus-off, before it counts the 128 x 11 recessive bits; or "command"
 error_reporting = false   it is told every error, not only when its state changes
+oscillator_ppm = 0.0      how much too fast its CAN controller's clock runs; without it, as the
+                          controller's own table `oscillator` says
+time_quanta = 16          in a bit time; with sample_point = 14 and jump_width = 1 of them
 silent = false            it is no controller of the rig: a node that acknowledges, and says nothing
 """
 
@@ -13,9 +16,17 @@ from typing import Final
 
 from emulators.can_segment import HOST
 from emulators.media.can_node import CanNode, QueueOrder
+from emulators.media.can_sampling import USUAL_TIMING, BitTiming
 from harness.settings import Source, Table
 
-NODE_KEYS: Final = ("queue", "one_shot", "recovery_s", "error_reporting", "silent")
+_TIMING: Final = ("time_quanta", "sample_point", "jump_width")
+NODE_KEYS: Final = (
+    *("queue", "one_shot", "recovery_s", "error_reporting", "oscillator_ppm"),
+    *_TIMING,
+    "silent",
+)
+PPM_MAX: Final = 100_000.0
+QUANTA_MAX: Final = 400
 QUEUES: Final = tuple(order.value for order in QueueOrder)
 BY_COMMAND: Final = "command"
 RECOVERY_MAX_S: Final = 1e6
@@ -70,10 +81,25 @@ def _chip(name: str, table: Table) -> CanNode:
         high = RECOVERY_MAX_S
         recovery_s = table.number("recovery_s", low=0.0, high=high, unit="s", example=example)
         recovery_ns = round(recovery_s * 1e9)
+    ppm = table.number("oscillator_ppm", 0.0, low=-PPM_MAX, high=PPM_MAX, unit="ppm")
     return CanNode(
         queue=QueueOrder(table.one_of("queue", QUEUES, "queue", default=QueueOrder.FIFO.value)),
         one_shot=table.flag("one_shot", False),
         recovery_ns=recovery_ns,
         error_reporting=table.flag("error_reporting", False),
         shared=name == HOST,
+        clock_error_1e12=round(ppm * 1e6),
+        timing=_timing(table),
     )
+
+
+def _timing(table: Table) -> BitTiming:
+    quanta = table.integer("time_quanta", USUAL_TIMING.quanta, low=4, high=QUANTA_MAX)
+    sample = table.integer("sample_point", USUAL_TIMING.sample, low=2, high=QUANTA_MAX)
+    jump = table.integer("jump_width", USUAL_TIMING.jump, low=1, high=QUANTA_MAX)
+    try:
+        return BitTiming(quanta, sample, jump)
+    except ValueError as error:
+        key = next(key for key in (*_TIMING, "time_quanta") if table.has(key))
+        remedy = "sample_point is below time_quanta, and jump_width fits behind it"
+        raise table.error(key, str(error), remedy) from None

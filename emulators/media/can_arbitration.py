@@ -19,6 +19,7 @@ from emulators.media.can_bits import (
 from emulators.media.can_frame import EFF_MASK, FRAME_BYTES, can_id_of
 from emulators.media.can_node import FrameSupport
 from emulators.media.can_port import LENGTHS_MASK, PORT_MASK, PORT_SHIFT, CanPort
+from emulators.media.can_sampling import ONE
 from emulators.media.can_statistics import CanStatistics
 
 
@@ -37,6 +38,7 @@ class CanArbitration:
         "_flight",
         "_free_ns",
         "_intermission_ns",
+        "_is_skewed",
         "_joinable_ns",
         "_lengths",
         "_ports",
@@ -64,6 +66,7 @@ class CanArbitration:
         self._intermission_ns = INTERMISSION_BITS * bit_ns
         self._starts = 0  # arbitrations so far
         self._collided = False  # the frame in flight has won over one with its own key
+        self._is_skewed = False  # a node's clock is not true
         self._faulty = False  # something is wrong, or can go wrong
 
     def submit(self, port: int, frame: bytes, now_ns: int) -> None:
@@ -127,6 +130,16 @@ class CanArbitration:
             self._end_ns = start_ns + self._fd_ns(lengths) - self._intermission_ns
         else:
             self._end_ns = start_ns + lengths * bit_ns - self._intermission_ns
+        if self._is_skewed:
+            self._end_ns = self._ends_by_own_clock_ns(entry)
+
+    def _ends_by_own_clock_ns(self, entry: int) -> int:
+        """When the frame in flight ends: its bits are so long by its sender's clock."""
+        number = entry >> PORT_SHIFT & PORT_MASK
+        if number >= len(self._ports):  # a wire that is taken by no node
+            return self._end_ns
+        error = self._ports[number].chip.clock_error_1e12
+        return self._start_ns + (self._end_ns - self._start_ns) * ONE // (ONE + error)
 
     def _fd_ns(self, lengths: int) -> int:
         """How long a CAN FD frame takes [ns], intermission included."""

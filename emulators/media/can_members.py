@@ -7,9 +7,10 @@ from heapq import heappush
 
 from emulators.media.can_arbitration import CanArbitration
 from emulators.media.can_frame import FRAME_BYTES
-from emulators.media.can_node import FrameSupport
+from emulators.media.can_node import CanNode, FrameSupport
 from emulators.media.can_port import CUT_OFF, CanPort
 from emulators.media.can_presence import Presence, Role
+from emulators.media.can_sampling import ONE
 from emulators.media.fault_rule import WireLevel
 from emulators.media.fault_seam import FaultSeam
 from emulators.media.noise import NoiseSource
@@ -32,6 +33,7 @@ class CanMembers(CanArbitration):
         "_hearing_fd",
         "_held",
         "_is_alone",
+        "_is_apart",
         "_level",
         "_nodes",
         "_noises",
@@ -54,6 +56,7 @@ class CanMembers(CanArbitration):
         self._hearing_fd = 0  # those of them that see CAN FD frames
         self._watchful = False  # more can happen to a frame than noise
         self._unwell = False  # a member has a counter above 0
+        self._is_apart = False  # two members' clocks differ by more than both can stand
         self._noises: list[NoiseSource] = []
         self._level: WireLevel | None = None  # at which the wire is stuck
         self._now_ns = 0  # of the step that is made
@@ -73,10 +76,15 @@ class CanMembers(CanArbitration):
 
     def _add(self, node: Presence) -> None:
         """The node is on this wire."""
+        self._is_skewed = self._is_skewed or node.chip.clock_error_1e12 != 0
         self.members.append(node)
         self.members.sort(key=_number_of)
         self._keep(node)
+        before = self._is_apart
         self.count_members()
+        if self._is_apart and not before:
+            told = "its clock and another node's are too far apart: not all frames can be read"
+            self._seam.plan.note(self._now_ns, node.name, told, b"")
 
     def _remove(self, node: Presence) -> None:
         """The node is on this wire no longer. Its frame is in flight no longer."""
@@ -119,12 +127,14 @@ class CanMembers(CanArbitration):
                 if node.chip.frames is FrameSupport.FD:
                     fd |= 1 << node.number
             unwell = unwell or not node.is_well()
+        self._is_apart = self._is_skewed and clocks_are_apart([node.chip for node in members])
         self._hearing = hearing
         self._hearing_fd = fd
         self._unwell = unwell
         self._watchful = (
             hearing & (hearing - 1) == 0
             or bool(self._held)
+            or self._is_apart
             or self._level is not None
             or self._seam.plan.has_errors()
             or any(node.chip.one_shot for node in members)
@@ -154,6 +164,16 @@ class CanMembers(CanArbitration):
         """The frame is given up, and that is told."""
         node.aborted += 1
         self._seam.plan.note(self._now_ns, node.name, f"not sent: {why}", frame)
+
+
+def clocks_are_apart(chips: list[CanNode]) -> bool:
+    """Whether two of these may misread one another's frames, because of their clocks."""
+    if not chips:
+        return False
+    errors = [chip.clock_error_1e12 for chip in chips]
+    slowest = min(errors)
+    drift = (max(errors) - slowest) * ONE // (ONE + slowest)
+    return drift > min(chip.timing.tolerance_1e12() for chip in chips)
 
 
 def _number_of(node: Presence) -> int:

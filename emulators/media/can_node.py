@@ -4,6 +4,8 @@ from dataclasses import dataclass
 from enum import Enum
 from typing import Final, final
 
+from emulators.media.can_sampling import ONE, USUAL_TIMING, BitTiming
+
 
 class QueueOrder(Enum):
     """Which of a node's pending frames competes for the bus."""
@@ -35,6 +37,9 @@ class CanNode:
             frames with one identifier that they send, one waits for the other.
         error_reporting: it is told every single error, not only when its state changes (SocketCAN:
             berr-reporting).
+        clock_error_1e12: how much faster than true its oscillator runs [1e-12]; so much shorter
+            are the frames it sends. Below 0: slower.
+        timing: of its bits: whose frames it can read depends on it.
     """
 
     queue: QueueOrder = QueueOrder.FIFO
@@ -43,13 +48,17 @@ class CanNode:
     recovery_ns: int | None = 0
     error_reporting: bool = False
     shared: bool = False
+    clock_error_1e12: int = 0
+    timing: BitTiming = USUAL_TIMING
 
     def __post_init__(self) -> None:
         """Refuse what cannot be.
 
         Raises:
-            ValueError: recovery_ns is below 0.
+            ValueError: recovery_ns is below 0, or the clock does not run.
         """
+        if self.clock_error_1e12 <= -ONE:
+            raise ValueError(f"clock_error_1e12 {self.clock_error_1e12}: a clock goes on")
         if self.recovery_ns is not None and self.recovery_ns < 0:
             raise ValueError(f"recovery_ns {self.recovery_ns} is below 0")
 

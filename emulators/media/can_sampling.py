@@ -63,6 +63,9 @@ class BitTiming:
         return min(by_jump, by_sample)
 
 
+USUAL_TIMING: Final = BitTiming()
+
+
 def first_misread(levels: bytes, drift_1e12: int, timing: BitTiming) -> int | None:
     """The first bit that the receiver reads as another level than was sent; None: it reads all.
 

@@ -12,9 +12,11 @@ from typing import Final
 
 from emulators.media.can_bits import KEY_SHIFT
 from emulators.media.can_episode import ALL_PORTS, Disturbance, Effect
+from emulators.media.can_frame import FRAME_BYTES
 from emulators.media.can_outcomes import NOBODY, CanOutcomes, bits_in
 from emulators.media.can_port import CUT_OFF, PORT_MASK, PORT_SHIFT, CanPort
 from emulators.media.can_presence import NEVER_NS, Presence, Role
+from emulators.media.can_sampling import ONE, first_misread
 from emulators.media.can_wire import wire_frame
 from emulators.media.delivery import TOLD, Delivery
 from emulators.media.error_message import ACK_SLOT
@@ -166,6 +168,8 @@ class CanStretch(CanOutcomes):
             strike = struck(rule, frame, number, ports)
             if strike is not None:
                 strikes.append(strike)
+        if self._is_apart and len(frame) == FRAME_BYTES:
+            strikes += misreadings(frame, self._nodes[number], self.members)
         if self._level is not None:
             strikes.append(Disturbance(0, _EFFECTS[self._level], None))
         return strikes
@@ -366,3 +370,19 @@ class CanStretch(CanOutcomes):
         self._babble()
         if not self._flight and self._competing:
             self._arbitrate(max(now_ns, self._free_ns))
+
+
+def misreadings(frame: bytes, sender: Presence, members: list[Presence]) -> list[Disturbance]:
+    """Which bit of a classical frame each node misreads first whose clock is too far off."""
+    levels = bytes(wire_frame(frame).expected)
+    fast = ONE + sender.chip.clock_error_1e12
+    found: list[Disturbance] = []
+    for node in members:
+        own = ONE + node.chip.clock_error_1e12
+        drift = (fast - own) * ONE // own
+        if node is sender or not node.hears() or abs(drift) <= node.chip.timing.tolerance_1e12():
+            continue
+        bit = first_misread(levels, drift, node.chip.timing)
+        if bit is not None:
+            found.append(Disturbance(bit, Effect.FLIP, 1, 1 << node.number))
+    return found

@@ -40,6 +40,9 @@ MIXES = (
     ("software", "ideal", "latched"),
     ("software", "latched", "alone"),
 )
+# Bit timing by which nodes understand one another whose clocks are nearly 2 % apart.
+WIDE_TIMING = "time_quanta = 8\nsample_point = 6\njump_width = 2\n"
+_PPM_USUAL = 3000.0  # more than twice that apart, nodes with the usual bit timing do not
 _TPDO_SHARE = 0.3  # of a bus
 
 
@@ -194,6 +197,9 @@ def rig_text(scenario: Scenario) -> str:
                 f"period_s = {one.period_us / 1e6}\njitter_s = {one.jitter_us / 1e6}\n"
                 f"extended = {str(one.extended).lower()}\n"
             )
+        nodes = {f"m{n}": one for n, one in enumerate(scenario.members, 1) if one.bus == bus}
+        if any(abs(one.ppm) > _PPM_USUAL for one in nodes.values()):
+            parts += [f"[bus.can{bus}.node.{name}]\n{WIDE_TIMING}" for name in ("host", *nodes)]
     for number, member in enumerate(scenario.members, 1):
         parts.append(_motor_text(scenario, number, member))
     return "".join(parts)

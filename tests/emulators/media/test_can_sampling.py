@@ -6,8 +6,13 @@ import pytest
 from hypothesis import event, given
 from hypothesis import strategies as st
 
-from emulators.media.can_sampling import ONE, BitTiming, first_misread
+from emulators.media.can_bus import CanBus
+from emulators.media.can_frame import pack
+from emulators.media.can_node import CanNode
+from emulators.media.can_sampling import ONE, USUAL_TIMING, BitTiming, first_misread
+from emulators.media.faults import FaultPlan
 from tests.emulators.media import wire
+from tests.emulators.media.driving import heard, run
 
 TIMINGS = st.sampled_from(
     [BitTiming(), BitTiming(16, 12, 4), BitTiming(8, 7, 1), BitTiming(25, 20, 2)]
@@ -92,3 +97,42 @@ def test_the_tolerance_is_that_of_the_two_conditions(timing, ppm):
 def test_a_bit_that_cannot_be_divided_so_is_refused(quanta, sample, jump, told):
     with pytest.raises(ValueError, match=told):
         BitTiming(quanta, sample, jump)
+
+
+def two_nodes(ppm: float, timing: BitTiming = USUAL_TIMING) -> CanBus:
+    bus = CanBus("can0", 500_000, FaultPlan((), lambda: 1.0))
+    bus.attach("true", CanNode(timing=timing))
+    bus.attach("off", CanNode(clock_error_1e12=round(ppm * 1e6), timing=timing))
+    return bus
+
+
+# 00000000h, 8 bytes of 00h: 127 bits (can-physics.md 6.2), 124 of them up to the end of frame.
+@pytest.mark.parametrize(
+    ("port", "ppm", "end_ns"),
+    [(0, 100.0, 248_000), (1, 100.0, 247_975), (1, -100.0, 248_024), (1, 5000.0, 246_766)],
+)
+def test_a_frame_takes_as_long_as_its_sender_s_clock_makes_it(port, ppm, end_ns):
+    bus = two_nodes(ppm)
+    deliveries = run(bus, [(0, port, pack(0, bytes(8)))])
+    assert [time_ns for time_ns, _ in deliveries] == [end_ns]
+    assert bus.statistics.frames == 1
+
+
+def test_two_nodes_whose_clocks_are_too_far_apart_do_not_understand_one_another():
+    bus = two_nodes(40_000.0)
+    deliveries = run(bus, [(0, 0, pack(0, bytes(8)))], until_ns=100_000_000)
+    assert heard(deliveries, 1) == []
+    assert "too far apart" in bus.take_fault_events()[0][2]
+    assert bus.node(0).confinement.tec >= 128
+    assert bus.statistics.frames == 0
+
+
+def test_a_wide_jump_and_an_early_sample_point_let_them():
+    """The receiver is the slow one: it samples late, and there is an eighth of a bit behind."""
+    fives = pack(0x078, bytes([0x3C]) * 8)
+    wide = two_nodes(15_000.0, BitTiming(8, 6, 2))
+    assert [frame for _, frame in heard(run(wide, [(0, 1, fives)]), 0)] == [fives]
+    assert wide.node(1).confinement.tec == 0
+    narrow = two_nodes(15_000.0)
+    assert heard(run(narrow, [(0, 1, fives)], until_ns=10_000_000), 0) == []
+    assert narrow.node(1).confinement.tec >= 128
