@@ -12,7 +12,7 @@ from harness.analysis.message import Arrival, BusLoad, Message
 from harness.analysis.recorded import Heard, Measured, measured
 from harness.analysis.subject import Subject, is_canopen_reserved, reserves_nothing
 from harness.canopen_names import is_sdo, usual_name
-from harness.report.rig_facts import facts_of
+from harness.report.rig_facts import RigFacts, facts_of
 from traces.errors import TraceError
 from traces.formats import Source, open_source
 from traces.reader import read_trace
@@ -45,7 +45,8 @@ def subjects_of_recording(
         TraceError: it cannot be read, or a bit rate is not known.
     """
     source = open_source(path)
-    names, told = _told(source)
+    names, facts = _told(source)
+    told = facts.bitrates
     found = Findings()
     buses: dict[str, _RecordedBus] = {}
     for time_ns, bus, frame, _, sender in source.frames(found):
@@ -71,16 +72,17 @@ def subjects_of_recording(
         notes = [f"{count} {what}" for count, what in _doubts(found) if count]
         nodes = {number: node for (bus, number), node in names.nodes.items() if bus == name}
         one = buses[name]
-        subjects.append(one.subject(rate, data_bitrates.get(name), nodes, notes, fifo=fifo))
+        data_rate = data_bitrates.get(name, facts.data_bitrates.get(name))
+        subjects.append(one.subject(rate, data_rate, nodes, notes, fifo=fifo))
     return subjects
 
 
-def _told(source: Source) -> tuple[RecordedNames, dict[str, int]]:
+def _told(source: Source) -> tuple[RecordedNames, RigFacts]:
     """Names of nodes and bit rates that the recording itself tells."""
     if source.format != "mcap":
-        return RecordedNames(), {}
+        return RecordedNames(), RigFacts()
     with read_trace(source.path) as trace:
-        return names_of(trace.attachments), facts_of(trace.attachments).bitrates
+        return names_of(trace.attachments), facts_of(trace.attachments)
 
 
 def _doubts(found: Findings) -> tuple[tuple[int, str], ...]:

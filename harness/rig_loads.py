@@ -111,6 +111,7 @@ class _Bus:
                 self._name,
                 description.buses[self._name].bitrate_bit_s,
                 messages,
+                description.buses[self._name].data_bitrate_bit_s,
                 fifo=senders if self._assumptions.fifo else frozenset(),
             ),
             is_reserved=is_canopen_reserved,

@@ -4,7 +4,8 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Final, Protocol, final
 
-from emulators.media.can_bits import length_bits
+from emulators.media.can_bits import INTERMISSION_BITS, measure, phases_of
+from emulators.media.can_port import LENGTHS_MASK
 from harness.recorded_meaning import meaning_in
 from harness.replay.ears import Ears
 from harness.replay.host_player import PATIENCE_NS, HostPlayer
@@ -40,8 +41,8 @@ class Driven(Protocol):
     lines: Sequence[str]
     what: str
 
-    def bit_ns(self, bus: str) -> int:
-        """How long a bit is on a bus [ns]."""
+    def bit_times_ns(self, bus: str) -> tuple[int, int]:
+        """How long a bit is on a bus [ns]: at the nominal rate, at the data rate of CAN FD."""
 
     def send(self, bus: str, frame: bytes) -> None:
         """A can_frame waits its turn on a bus, or an ADU goes out on a line."""
@@ -71,10 +72,12 @@ def drive(
         RigError: there is no host in it, or it uses a bus or line that is not there.
     """
     buses, lines = driven.buses, driven.lines
-    bits_ns = {bus: driven.bit_ns(bus) for bus in buses}
+    bits_ns = {bus: driven.bit_times_ns(bus) for bus in buses}
 
     def length_ns(bus: str, frame: bytes) -> int:
-        return length_bits(frame) * bits_ns.get(bus, 1000)
+        bit_ns, data_bit_ns = bits_ns.get(bus, (1000, 1000))
+        nominal, data = phases_of(measure(frame) & LENGTHS_MASK)
+        return (nominal - INTERMISSION_BITS) * bit_ns + data * data_bit_ns
 
     with read_trace(recording) as trace:
         steps, unsent = host_of(trace, Listener({}), length_ns)
@@ -132,9 +135,10 @@ class DrivenRig:
         self._rig = rig
         self._rests: dict[str, bytearray] = {}  # of answers that are not whole, by line
 
-    def bit_ns(self, bus: str) -> int:
-        """How long a bit is on a bus [ns]."""
-        return self._rig.world.bus(bus).bit_ns
+    def bit_times_ns(self, bus: str) -> tuple[int, int]:
+        """How long a bit is on a bus [ns]: at the nominal rate, at the data rate of CAN FD."""
+        found = self._rig.world.bus(bus)
+        return found.bit_ns, found.data_bit_ns or found.bit_ns
 
     def send(self, bus: str, frame: bytes) -> None:
         """It waits its turn, or goes out."""

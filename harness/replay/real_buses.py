@@ -76,9 +76,9 @@ class DrivenBuses:
     def __exit__(self, *_: object) -> None:
         self._cleanup.close()
 
-    def bit_ns(self, bus: str) -> int:
-        """How long a bit is on a bus [ns]."""
-        return self._bit_ns
+    def bit_times_ns(self, bus: str) -> tuple[int, int]:
+        """How long a bit is on a bus [ns]; a data rate of its own nobody tells."""
+        return self._bit_ns, self._bit_ns
 
     def send(self, bus: str, frame: bytes) -> None:
         """The frame waits its turn."""

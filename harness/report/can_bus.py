@@ -8,7 +8,8 @@ it; all other CANopen frames are the decoder's. Heartbeats that repeat the last 
 import struct
 from typing import Final, final
 
-from emulators.media.can_bits import frame_bits
+from emulators.media.can_bits import frame_bits, measure, phases_of
+from emulators.media.can_port import LENGTHS_MASK
 from harness.canopen_names import usual_name
 from harness.report.incidents import Incidents, Severity
 from harness.report.nodes import Nodes
@@ -55,7 +56,8 @@ class CanBus:
     """Takes the frames of one bus.
 
     Attributes: traffic; unmapped (frames that would be PDOs, of which no mapping is known);
-    fd_frames; untyped (nodes whose device type tells no profile: what they call as CiA 402 does is
+    switched (frames with a bit rate switch, on a bus whose data bit rate is not known);
+    untyped (nodes whose device type tells no profile: what they call as CiA 402 does is
     read so); doubtful (frames that would be emergencies, on a bus where nothing else says that it
     is CANopen: they are told only after something has).
     """
@@ -67,13 +69,15 @@ class CanBus:
         names: RecordedNames,
         nodes: Nodes,
         incidents: Incidents,
+        data_bitrate_bit_s: int | None = None,
     ) -> None:
         """What its nodes tell goes to `nodes`, what happens to `incidents`."""
         why = "" if bitrate_bit_s else "its bit rate is not in the recording; give it by --bitrate"
         capacity = float(bitrate_bit_s) if bitrate_bit_s else None
         self.traffic = Traffic(name, "CAN", "bit", capacity, why)
         self.unmapped = 0
-        self.fd_frames = 0
+        self.switched = 0
+        self._rates = bitrate_bit_s, data_bitrate_bit_s
         self.untyped: set[int] = set()
         self._name = name
         self._nodes = nodes
@@ -123,12 +127,18 @@ class CanBus:
         key = self._labels.get(can_id)
         if key is None:
             key = self._labels[can_id] = self._new_label(can_id)
-        if len(frame) == 16 and length <= 8:
-            bits = frame_bits(frame)
-        else:
-            self.fd_frames += 1
-            bits = fd_bits(length, extended=bool(can_id & _EFF))
+        bits = frame_bits(frame) if len(frame) == 16 else self._fd_bits(frame)
         self.traffic.add(time_ns, key, bits)
+
+    def _fd_bits(self, frame: bytes) -> int:
+        """How many nominal bits fit in the time that a CAN FD frame takes."""
+        nominal, data = phases_of(measure(frame) & LENGTHS_MASK)
+        rate, data_rate = self._rates
+        if data and not data_rate:
+            self.switched += 1
+        if not data or not rate or not data_rate:
+            return nominal + data
+        return nominal + round(data * rate / data_rate)
 
     def _new_label(self, can_id: int) -> int:
         identifier = can_id & 0x1FFF_FFFF
@@ -263,15 +273,3 @@ _MAY_BE_DRIVES: Final = (0, 402, 0xFFFF)
 def nmt_text(code: int) -> str:
     """A state of the NMT slave in words."""
     return NMT_STATES.get(code, f"state {code:02X}h")
-
-
-def fd_bits(length: int, *, extended: bool) -> int:
-    """Bits of a CAN FD frame without stuff bits, intermission included, as if at one bit rate.
-
-    Source: ISO 11898-1, FD base and extended frame format: 17 or 21 bits of CRC behind 4 of stuff
-    count, each with its fixed stuff bits.
-    """
-    head = 41 if extended else 22  # SOF to DLC
-    crc = 17 if length <= 16 else 21
-    fixed = (crc + 4 + 3) // 4 + 1
-    return head + 8 * length + 4 + crc + fixed + 13

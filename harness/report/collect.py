@@ -95,6 +95,7 @@ def collect(
     trace: Trace,
     bitrates: Mapping[str, int] | None = None,
     progress: Callable[[int], None] | None = None,
+    data_bitrates: Mapping[str, int] | None = None,
 ) -> Findings:
     """What the recording tells, of a cut one as far as it goes.
 
@@ -102,12 +103,14 @@ def collect(
         trace: the open recording.
         bitrates: of CAN buses [bit/s]; they go before what the recording tells.
         progress: called now and then with how many messages have been read.
+        data_bitrates: the same as bitrates, of the data phase of CAN FD.
 
     Raises:
         TraceError: the recording is damaged.
     """
     found = Findings(facts_of(trace.attachments), names_of(trace.attachments))
     found.rig.bitrates.update(bitrates or {})
+    found.rig.data_bitrates.update(data_bitrates or {})
     span = trace.span_ns()
     if span is None:
         return found
@@ -161,8 +164,11 @@ class _Pass:
         if schema.name == CAN_FRAME.name:
             bus = found.buses.get(name)
             if bus is None:
-                rate = found.rig.bitrates.get(name)
-                bus = CanBus(name, rate, found.names, found.nodes, found.incidents)
+                rate, data_rate = (
+                    rates.get(name) for rates in (found.rig.bitrates, found.rig.data_bitrates)
+                )
+                nodes, incidents = found.nodes, found.incidents
+                bus = CanBus(name, rate, found.names, nodes, incidents, data_rate)
                 found.buses[name] = bus
             return bus.take
         if schema.name == MODBUS_ADU.name:

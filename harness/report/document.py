@@ -154,9 +154,10 @@ def _notes(trace: Trace, found: Findings) -> list[str]:
                 f"{name}: the device type 1000h of node {nodes} tells no profile; its objects are"
                 " read as those of CiA 402"
             )
-        if bus.fd_frames:
+        if bus.switched:
             notes.append(
-                f"{name}: {bus.fd_frames:,} CAN FD frames count by their bits without stuff bits"
+                f"{name}: the data bit rate of {bus.switched:,} CAN FD frames is not in the"
+                " recording (give it by --data-bitrate): counted as if all were at the nominal one"
             )
     return notes + found.incidents.left_out()
 

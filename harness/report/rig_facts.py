@@ -40,12 +40,14 @@ class MotorFacts:
 class RigFacts:
     """What is known of a rig.
 
-    Attributes: name; bitrates [bit/s] of CAN buses and serial lines; motors, in the rig's order;
-    groups (their motors); settings (of controllers, as the rig has them).
+    Attributes: name; bitrates [bit/s] of CAN buses and serial lines; data_bitrates [bit/s] of
+    CAN FD buses; motors, in the rig's order; groups (their motors); settings (of controllers, as the rig
+    has them).
     """
 
     name: str = ""
     bitrates: dict[str, int] = field(default_factory=dict)
+    data_bitrates: dict[str, int] = field(default_factory=dict)
     motors: dict[str, MotorFacts] = field(default_factory=dict)
     groups: dict[str, list[str]] = field(default_factory=dict)
     settings: dict[str, Table] = field(default_factory=dict)
@@ -70,6 +72,9 @@ def facts_of(attachments: Iterable[Attachment]) -> RigFacts:
         rate = bus.get("bitrate_bit_s", bus.get("baud_bit_s"))
         if isinstance(rate, int) and rate > 0:
             facts.bitrates[name] = rate
+        data_rate = bus.get("data_bitrate_bit_s")
+        if isinstance(data_rate, int) and data_rate > 0:
+            facts.data_bitrates[name] = data_rate
     controllers = facts.settings = _tables(rig, "controller")
     for name, motor in _tables(rig, "motor").items():
         facts.motors[name] = _motor(name, motor, controllers, tables)

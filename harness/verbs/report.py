@@ -36,6 +36,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="of a CAN bus whose bit rate the recording does not tell, as can0=500k",
     )
     parser.add_argument(
+        "--data-bitrate",
+        action="append",
+        type=bus_rate,
+        default=[],
+        metavar="BUS=RATE",
+        help="the same of the data phase of CAN FD",
+    )
+    parser.add_argument(
         "--foxglove-layout",
         type=Path,
         metavar="JSON",
@@ -56,7 +64,8 @@ def run(options: argparse.Namespace) -> int:
     target = options.output or Path(options.file).with_suffix(".html")
     with read_trace(options.file) as trace:
         _refuse_lost(options.file, target, options.foxglove_layout)
-        found = collect(trace, dict(options.bitrate), _progress())
+        rates, data_rates = dict(options.bitrate), dict(options.data_bitrate)
+        found = collect(trace, rates, _progress(), data_rates)
         title = options.title or Path(options.file).name
         document, packed = document_of(trace, found, title)
         page = render(document, packed)
@@ -65,7 +74,7 @@ def run(options: argparse.Namespace) -> int:
         print(f"{target}: {messages} messages, {len(page.encode()) / 1e6:.1f} MB")
         if options.foxglove_layout is not None:
             _write_layout(trace, options.foxglove_layout)
-    for name in sorted(set(dict(options.bitrate)) - set(found.buses)):
+    for name in sorted({*rates, *data_rates} - set(found.buses)):
         print(f"motorhil report: there is no CAN bus {name} in it", file=sys.stderr)
     return PASSED
 

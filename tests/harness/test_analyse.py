@@ -10,9 +10,11 @@ import pytest
 import harness
 from emulators.media.can_frame import pack
 from harness.cli import main
-from traces.schema import Direction
-from traces.traffic import Frame
+from traces.fields import encode_can_frame
+from traces.schema import CAN_FRAME, Direction, Schema
+from traces.traffic import BRS, Frame, flexible
 from traces.traffic_mcap import record_frames
+from traces.writer import TraceWriter
 
 SCHEMA = json.loads((Path(harness.__file__).parent / "analyse.schema.json").read_text())
 VALIDATOR = jsonschema.Draft202012Validator(SCHEMA)
@@ -198,6 +200,24 @@ def test_a_recording_of_can_fd_is_measured_at_both_rates(tmp_path, capsys):
     assert (message["length"], message["fd"], message["bit_rate_switch"]) == (64, True, True)
     # 712 bits at most (can-physics, 6.3), 33 of them before and behind the data phase
     assert message["takes_s"] == pytest.approx(33 / 500_000 + 679 / 2_000_000, abs=1e-12)
+
+
+def test_the_data_bit_rate_stands_in_the_rig_or_in_the_rig_that_was_recorded(tmp_path, capsys):
+    rig = "[bus.can0]\nbitrate_bit_s = 500_000\ndata_bitrate_bit_s = 2_000_000\n"
+    path = tmp_path / "rig.toml"
+    path.write_text(rig + "[[bus.can0.message]]\nidentifier = 1\nlength = 8\nperiod_s = 0.01\n")
+    (bus,) = as_json(capsys, str(path))[1]["buses"]
+    assert bus["data_bitrate_bit_s"] == 2_000_000
+    recording = tmp_path / "fd.mcap"
+    with TraceWriter(recording) as writer:
+        writer.attach("rig.toml", rig.encode(), "application/toml")
+        channel = writer.channel("/can/can0", Schema.of(CAN_FRAME))
+        for n in range(12):
+            frame = flexible(0x123, BRS, bytes([0x55]) * 64)
+            writer.write(channel, n * 5 * MS, encode_can_frame(frame))
+    (bus,) = as_json(capsys, str(recording))[1]["buses"]
+    assert bus["data_bitrate_bit_s"] == 2_000_000
+    assert bus["messages"][0]["takes_s"] == pytest.approx(33 / 5e5 + 679 / 2e6, abs=1e-12)
 
 
 def test_frames_without_a_time_are_refused(tmp_path, capsys):

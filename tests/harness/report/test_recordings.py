@@ -12,6 +12,7 @@ from harness.report.reduce import cells, extremes
 from tests.harness.recorded import MS, Recorded, S
 from traces.fields import encode_can_frame
 from traces.schema import CAN_FRAME, GROUP_SYNC, MODBUS_ADU, MOTOR_LOCK, Schema
+from traces.traffic import BRS, flexible
 from traces.writer import TraceWriter
 
 WALL_NS = 1_700_000_000 * S
@@ -183,6 +184,25 @@ def test_two_clocks_are_told_and_drawn_by_stamp(tmp_path, report_of):
     assert times == sorted(times)
     assert len(times) == 5
     assert any("2 messages are stamped earlier" in note for note in document["notes"])
+
+
+def test_can_fd_frames_count_as_long_as_they_are_at_both_rates(tmp_path, report_of):
+    told = flexible(0x123, BRS, bytes([0x55]) * 64)
+    path = tmp_path / "fd.mcap"
+    rig = "[bus.can0]\nbitrate_bit_s = 500_000\n"
+    weights = {}
+    for rate in ("", "data_bitrate_bit_s = 2_000_000\n"):
+        with TraceWriter(path) as writer:
+            writer.attach("rig.toml", (rig + rate).encode(), "application/toml")
+            channel = writer.channel("/can/can0", Schema.of(CAN_FRAME))
+            writer.write(channel, MS, encode_can_frame(told))
+            writer.write(channel, 2 * MS, encode_can_frame(told))
+        _, document, arrays = report_of(path)
+        weights[rate] = arrays.whole(document["traffic"][0]["weight"])[0]
+        assert any("data bit rate of 2 CAN FD" in note for note in document["notes"]) is (not rate)
+    # Without stuff bits but the fixed: 17 + 13 nominal, 5 + 512 + 32 at the data rate.
+    assert weights[""] in range(579, 579 + 10)
+    assert weights["data_bitrate_bit_s = 2_000_000\n"] in range(30 + 549 // 4, 30 + 549 // 4 + 10)
 
 
 def test_error_frames_are_incidents_and_no_traffic(tmp_path, report_of):
