@@ -41,8 +41,8 @@ class RigFacts:
     """What is known of a rig.
 
     Attributes: name; bitrates [bit/s] of CAN buses and serial lines; data_bitrates [bit/s] of
-    CAN FD buses; motors, in the rig's order; groups (their motors); settings (of controllers, as the rig
-    has them).
+    CAN FD buses; motors, in the rig's order; groups (their motors); settings (of controllers, as
+    the rig has them).
     """
 
     name: str = ""
