@@ -45,12 +45,12 @@ def _unnoticed_until_crc(wire: WireFrame) -> int | None:
     for place in range(end - 1, data[0] if data else wire.places.index(DLC) + 4, -1):
         levels = bytearray(wire.levels[:end])
         levels[place] ^= 1
-        if not wire.stuffed[place] and _stuff_bits(levels) == list(wire.stuffed[:end]):
+        if not wire.stuffed[place] and _stuff_bits(bytes(levels)) == list(wire.stuffed[:end]):
             return place
     return None
 
 
-def _stuff_bits(levels: bytearray) -> list[int]:
+def _stuff_bits(levels: bytes) -> list[int]:
     """Which of these a receiver takes for stuff bits; more than it is given, if one is wrong."""
     stuffed: list[int] = []
     run, last, due = 0, 1 - DOMINANT, False
