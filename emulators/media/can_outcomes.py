@@ -157,8 +157,11 @@ class CanOutcomes(CanMembers):
 
     # --- something happens to it
 
-    def _play(self, senders: list[int], strikes: list[Disturbance]) -> Playback:
-        """An episode begins, with the frames of these ports, at the start of frame."""
+    def _play(self, senders: list[int], strikes: list[Disturbance], past: int = 0) -> Playback:
+        """An episode begins, with the frames of these ports, at the start of frame.
+
+        So many of its bits are past: noise that has begun since strikes none of them.
+        """
         self._senders = senders
         self._sent = []
         stations = [
@@ -167,7 +170,8 @@ class CanOutcomes(CanMembers):
             if node.role is not Role.OFF
         ]
         rates_ns = (self.bit_ns, self.data_bit_ns or self.bit_ns)
-        playback = Playback(self._start_ns, rates_ns, stations, strikes, list(self._noises))
+        noises = [source for source in self._noises if source.left >= past]
+        playback = Playback(self._start_ns, rates_ns, stations, strikes, noises)
         self._playback = playback
         return playback
 

@@ -145,6 +145,8 @@ class Presence:
             if self.since_ns != NEVER_NS and self.since_ns <= off_ns:
                 self.runs_left -= outcome.recessive_runs
                 self.since_ns = over_ns - outcome.recessive_bits * bit_ns
+            elif self.since_ns != NEVER_NS:
+                self.since_ns = max(self.since_ns, over_ns - outcome.recessive_bits * bit_ns)
             return
         self.stalled = outcome.stalled
         self.confinement = Confinement(outcome.tec, outcome.rec)

@@ -246,7 +246,7 @@ class CanStretch(CanOutcomes):
                 return
             sender = self._nodes[flight >> PORT_SHIFT & PORT_MASK]
             if flying or not self._hearing & ~(1 << number | 1 << sender.number):
-                self._play_from_start(None).leave(number, now_ns)
+                self._play_from_start(None, now_ns).leave(number, now_ns)
         elif flight and port.entry == flight:
             self._leave_at_start(node)
             return
@@ -329,12 +329,13 @@ class CanStretch(CanOutcomes):
                 self._play([], [])
         if level is None:
             return
+        playback = self._playback
         lasting = Disturbance(0, _EFFECTS[level], None)
         if playback is not None:
             playback.strike(replace(lasting, first=playback.bit_at(now_ns)))
         elif self._flight and self._joinable_ns <= now_ns:
             self._decided = self._starts
-            self._play_from_start(replace(lasting, first=self._bit_at(now_ns)))
+            self._play_from_start(replace(lasting, first=self._bit_at(now_ns)), now_ns)
         elif not self._flight and level is WireLevel.DOMINANT:
             self._take_wire(max(now_ns, self._free_ns))
             self._play([], [lasting])
@@ -350,12 +351,13 @@ class CanStretch(CanOutcomes):
         if self._flight and self._joinable_ns <= now_ns and not self._repeat_ns:
             self._decided = self._starts
 
-    def _play_from_start(self, strike: Disturbance | None) -> Playback:
+    def _play_from_start(self, strike: Disturbance | None, now_ns: int) -> Playback:
         """What has gone well so far is struck."""
         number = self._flight >> PORT_SHIFT & PORT_MASK
         rivals = self._rivals(number)
         senders = [number, *(rival.tag >> PORT_SHIFT for rival in rivals)]
-        return self._play(senders, [] if strike is None else [strike])
+        strikes = [] if strike is None else [strike]
+        return self._play(senders, strikes, self._bit_at(now_ns))
 
     def _bit_at(self, now_ns: int) -> int:
         return (now_ns - self._start_ns + self.bit_ns - 1) // self.bit_ns

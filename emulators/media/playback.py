@@ -66,7 +66,9 @@ class Playback:
         """The node is not there any more."""
         bit = self.bit_at(now_ns)
         self.stations = [
-            replace(station, leaves_at=bit) if station.port == port else station
+            replace(station, leaves_at=bit)
+            if station.port == port and station.leaves_at is None
+            else station
             for station in self.stations
         ]
         self._compute()

@@ -22,6 +22,7 @@ from tests.emulators.media.driving import (
     traffic,
 )
 from tests.emulators.media.faulty import HEARTBEAT, HOST, LEFT, RIGHT, STATUS, SYNC, bus_with
+from tests.emulators.media.noisy import noisy_hours
 
 RATES = [125_000, 250_000, 500_000, 1_000_000]
 # The bits of STATUS around the one that is struck, 20: ...1 1 [0] 0 0 1 1...
@@ -241,3 +242,55 @@ def test_a_bus_that_is_split_is_two_buses():
         for port in range(2):
             assert heard(deliveries, 2 * half + port) == heard(alone, port)
     assert whole.statistics.frames == 300
+
+
+def test_no_frame_of_a_noisy_hour_is_lost_or_doubled_without_a_trace():
+    """24 hours of it are in `make bench`: 15 CPU s on one core."""
+    bus, (submitted, known, heard_of) = noisy_hours(1, rate=1e-5)
+    struck = bus.faults_fired()["noise"]
+    assert struck > 30
+    assert known == submitted
+    # A bit of the end of frame may make receivers keep a frame that is sent again.
+    assert submitted <= heard_of <= submitted + struck
+    assert bus.statistics.errors >= struck
+
+
+def test_the_same_seed_makes_the_same_errors():
+    def story(seed):
+        rule = FaultRule("noise", FaultKind.NOISE, bit_error_rate=1e-3)
+        bus = bus_with(rule, seed=seed)
+        return run(bus, [(number * 300 * BIT, number % 3, STATUS) for number in range(300)])
+
+    assert story(1) == story(1)
+    assert story(1) != story(2)
+
+
+# --- found by the state machine
+
+
+def test_noise_that_begins_in_a_frame_strikes_none_of_its_bits_even_if_something_else_does():
+    bus = bus_with(seed=2)
+    bus.submit(LEFT, STATUS, 0)
+    expire_all(bus, 40 * BIT)
+    noise = FaultRule("noise", FaultKind.NOISE, bit_error_rate=0.1)
+    bus.inject(noise, 40 * BIT + 500)
+    bus.inject(FaultRule("short", FaultKind.SHORT, level=WireLevel.DOMINANT), 40 * BIT + 500)
+    due_ns = bus.next_deadline_ns()
+    assert due_ns is not None
+    assert due_ns > 40 * BIT + 500
+
+
+def test_a_short_that_changes_its_level_is_over_when_both_are():
+    bus = bus_with(
+        FaultRule("low", FaultKind.SHORT, level=WireLevel.DOMINANT, until_ns=500 * BIT),
+        FaultRule("high", FaultKind.SHORT, level=WireLevel.RECESSIVE, until_ns=600 * BIT),
+    )
+    deliveries = run(bus, [(700 * BIT, LEFT, STATUS)])
+    assert heard(deliveries, HOST) == [(763 * BIT, STATUS)]
+
+
+def test_recovery_waits_before_it_counts():
+    """As exact to the bit as without; what is recessive before the wait is over does not count."""
+    bus = struck_bus(1_000_000, CanNode(recovery_ns=5000 * BIT))
+    deliveries = run(bus, [(0, 0, STATUS)])
+    assert classes(deliveries, 0, told.RESTARTED) == [(OFF_BITS + 5000 + 1408) * BIT]
