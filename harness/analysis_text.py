@@ -1,5 +1,8 @@
 """What the analysis of a bus says, as tables of text and for machines."""
 
+from collections.abc import Sequence
+
+from harness.analysis.clocks import Clock
 from harness.analysis.margins import ERRORS_MAX, Tolerance
 from harness.analysis.message import Arrival, Message
 from harness.analysis.response_time import Response
@@ -30,6 +33,9 @@ def print_findings(found: Findings, bit_error_rate: float | None) -> None:
     print_table(head, rows, words=(0, 1, 2, 8))
     for line in _advice(found):
         print(line)
+    sync = found.subject.sync
+    if sync is not None:
+        print(f"{found.subject.load.name}: {_sync(sync)}")
     for note in found.subject.notes:
         print(f"{found.subject.load.name}: {note}")
 
@@ -75,6 +81,26 @@ def _advice(found: Findings) -> list[str]:
         else:
             lines.append(f"{name}: after {at_once} it stands one every {_ms(found.interval_ns)} ms")
     return lines
+
+
+def _sync(sync: Clock) -> str:
+    text = f"SYNC every {sync.period_ns * _MS:.6f} ms"
+    if sync.nominal_ns is not None and sync.error_ppm is not None:
+        whence = "told by 1006h" if sync.is_told else "the nearest round period"
+        text += f", its clock {sync.error_ppm:+.1f} ppm off {sync.nominal_ns * _MS:g} ms ({whence})"
+    jitter = f"jitter {sync.peak_to_peak_ns / 1e3:.3f} us peak to peak"
+    return f"{text}; {jitter}, {sync.deviation_ns / 1e3:.3f} us standard deviation"
+
+
+def sync_drifts(found: Sequence[Findings]) -> list[dict[str, object]]:
+    """How much faster each bus's SYNC goes than that of the first, for JSON."""
+    timed = [(one.subject.load.name, one.subject.sync) for one in found]
+    known = [(name, sync) for name, sync in timed if sync is not None]
+    return [
+        {"bus": name, "from": known[0][0], "drift_ppm": drift_ppm}
+        for name, sync in known[1:]
+        if (drift_ppm := sync.drift_ppm(known[0][1])) is not None
+    ]
 
 
 def _stood(stood: Tolerance | None) -> str:
@@ -140,6 +166,7 @@ def as_table(found: Findings, bit_error_rate: float | None) -> dict[str, object]
         "late": [one.message.label for one in found.late],
         "shortest_error_interval_s": _s(found.interval_ns),
         "remedy": None,
+        "sync": None if subject.sync is None else _clock(subject.sync),
         "notes": list(subject.notes),
     }
     if remedy is not None:
@@ -154,6 +181,18 @@ def as_table(found: Findings, bit_error_rate: float | None) -> dict[str, object]
             "bitrate_bit_s": remedy.rate_bit_s,
         }
     return table
+
+
+def _clock(clock: Clock) -> dict[str, object]:
+    nominal_ns = clock.nominal_ns
+    return {
+        "period_s": clock.period_ns / 1e9,
+        "peak_to_peak_s": clock.peak_to_peak_ns / 1e9,
+        "deviation_s": clock.deviation_ns / 1e9,
+        "nominal_s": None if nominal_ns is None else nominal_ns / 1e9,
+        "nominal_is_told": clock.is_told,
+        "error_ppm": clock.error_ppm,
+    }
 
 
 def _message(one: Response) -> dict[str, object]:

@@ -8,7 +8,8 @@ from typing import Final, final
 
 from emulators.media.can_bits import measure, phases_of
 from emulators.media.can_port import LENGTHS_MASK
-from harness.analysis.message import Arrival, BusLoad, Message
+from harness.analysis.clocks import Clock, clock_of
+from harness.analysis.message import Arrival, BusLoad, Message, rank_of
 from harness.analysis.recorded import Heard, Measured, measured
 from harness.analysis.subject import Subject, is_canopen_reserved, reserves_nothing
 from harness.canopen_names import is_sdo, usual_name
@@ -22,6 +23,9 @@ from traces.traffic import BRS, EFF, EFF_MASK, ERR, RTR, Findings
 _HEAD: Final = struct.Struct("<IBB")
 _FD_BYTES: Final = 72
 _NMT: Final = 0x000
+_SYNC: Final = 0x080
+_CYCLE_TOLD: Final = (b"\x23\x06\x10\x00", b"\x43\x06\x10\x00")
+"""SDO that writes, or answers, communication cycle period 1006h [us] (CiA 301)."""
 _LSS: Final = (0x7E4, 0x7E5)
 _HEARTBEATS: Final = range(0x701, 0x780)
 
@@ -104,6 +108,7 @@ class _RecordedBus:
         self._errors = 0
         self._odd = 0
         self._remote: dict[int, int] = {}
+        self._cycles_ns: list[int] = []
         self._first_ns: int | None = None
         self._last_ns = 0
 
@@ -132,6 +137,8 @@ class _RecordedBus:
         heard.fd = heard.fd or fd
         heard.switched = heard.switched or (fd and bool(flags & BRS))
         heard.add(time_ns, 0 if can_id & RTR else length, sender)
+        if frame[8:12] in _CYCLE_TOLD and is_sdo(can_id):
+            self._cycles_ns.append(int.from_bytes(frame[12:16], "little") * 1000)
         if can_id & RTR:
             self._remote[key] = self._remote.get(key, 0) + 1
 
@@ -176,7 +183,16 @@ class _RecordedBus:
             tuple((one.rank, found.frames) for one, found in known),
             busy_s * 1e9 / span_ns if span_ns > 1 else None,
             tuple(notes),
+            self._sync(known) if is_canopen else None,
         )
+
+    def _sync(self, known: list[tuple[Message, Measured]]) -> Clock | None:
+        """What is known of SYNC; nobody else's message has its place on a CANopen bus."""
+        for message, _ in known:
+            is_sync = message.rank == rank_of(_SYNC, extended=False)
+            if is_sync and message.arrival is Arrival.PERIODIC:
+                return clock_of(sorted(self._heard[_SYNC].times_ns), self._cycles_ns)
+        return None
 
     def _notes(self, known: list[tuple[Message, Measured]]) -> list[str]:
         notes = []

@@ -3,6 +3,7 @@
 from dataclasses import dataclass
 from typing import Final, final
 
+from harness.analysis.clocks import Clock
 from harness.analysis.errors import NO_ERRORS, ErrorModel
 from harness.analysis.identifiers import Proposal, Reserved, propose
 from harness.analysis.margins import (
@@ -27,6 +28,7 @@ class Subject:
         counted: by rank, on how many recorded frames a message stands; a rig has none.
         measured: the share of the bus that was used while it was recorded; None: not known.
         notes: what whoever reads the results must know, a line each.
+        sync: what was measured of SYNC; None: it was not recorded, or is not periodic.
     """
 
     load: BusLoad
@@ -34,6 +36,7 @@ class Subject:
     counted: tuple[tuple[int, int], ...] = ()
     measured: float | None = None
     notes: tuple[str, ...] = ()
+    sync: Clock | None = None
 
 
 @final

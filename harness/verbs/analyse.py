@@ -10,7 +10,7 @@ from harness.analysis.errors import ErrorModel
 from harness.analysis.margins import at_rate
 from harness.analysis.message import Message
 from harness.analysis.subject import Findings, Subject, analyse
-from harness.analysis_text import as_table, print_findings
+from harness.analysis_text import as_table, print_findings, sync_drifts
 from harness.exit_status import FAILED, NOT_JUDGED, PASSED
 from harness.number_options import identifier, real, whole
 from harness.settings import RigError
@@ -107,10 +107,14 @@ def run(options: argparse.Namespace) -> int:
     if options.json:
         tables = [as_table(one, options.bit_error_rate) for one in found]
         told = {"file": str(options.file), "verdict": verdict, "buses": tables}
+        told["sync_drifts"] = sync_drifts(found)
         print(json.dumps(told, allow_nan=False))
     else:
         for one in found:
             print_findings(one, options.bit_error_rate)
+        for drift in sync_drifts(found):
+            text = f"{drift['drift_ppm']:+.1f} ppm from that of {drift['from']}"
+            print(f"{drift['bus']}: SYNC drifts by {text}")
         print(f"{options.file}: {verdict}")
     if options.plot is not None and found:
         _draw(found, options.plot)

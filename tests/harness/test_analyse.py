@@ -256,3 +256,26 @@ def test_the_demo_and_its_recording_agree_but_for_what_is_explained(demo, capsys
             assert other["period_s"] >= one["period_s"] * 0.999
             if one["arrival"] == "sporadic":  # stamps are of ends of frames: they waited
                 assert other["distance_s"] >= one["period_s"] - one["response_s"]
+
+
+def test_recorded_syncs_tell_their_clocks_and_how_they_drift(tmp_path, capsys):
+    """40 ppm fast on can0, where 1006h says 10 ms; 30 ppm slow on can1, where nothing is said."""
+    path = tmp_path / "two.log"
+    rows = [(5 * MS, "can0 601#2306100010270000")]
+    for n in range(200):
+        rows += [(n * 9_999_600, "can0 080#"), (n * 10_000_300, "can1 080#")]
+        rows += [(n * 100 * MS, f"can{bus} 701#05") for bus in (0, 1) if n < 20]
+    path.write_text("".join(f"({at / 1e9:.9f}) {row}\n" for at, row in sorted(rows)))
+    rates = ("--bitrate", "can0=1M", "--bitrate", "can1=1M")
+    _, told = as_json(capsys, str(path), *rates)
+    clocks = [bus["sync"] for bus in told["buses"]]
+    assert [one["nominal_is_told"] for one in clocks] == [True, False]
+    assert [one["error_ppm"] for one in clocks] == pytest.approx([40.0, -30.0], abs=0.1)
+    (drift,) = told["sync_drifts"]
+    assert (drift["bus"], drift["from"]) == ("can1", "can0")
+    assert drift["drift_ppm"] == pytest.approx(-70.0, abs=0.2)
+    assert main(["analyse", str(path), *rates]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    (line,) = [one for one in lines if one.startswith("can0: SYNC every")]
+    assert "its clock +40.0 ppm off 10 ms (told by 1006h); jitter 0.000 us peak to peak" in line
+    assert "can1: SYNC drifts by -70.0 ppm from that of can0" in lines
