@@ -1,7 +1,6 @@
 """A CAN bus of a world: who hears which identifier, at the cost of one look-up a frame."""
 
 from collections.abc import Callable, Mapping
-from dataclasses import replace
 from typing import Final, final
 
 from emulators.event_queue import Alarm
@@ -42,9 +41,8 @@ class BusSegment(Segment):
 
     def attach_host(self, name: str) -> int:
         """A host's interface is on the bus; its port."""
-        chip = self._chips.get(HOST, CanNode(shared=True))
-        if self.bus.data_bitrate_bit_s is not None:
-            chip = replace(chip, frames=FrameSupport.FD)
+        usual = FrameSupport.CLASSICAL if self.bus.data_bitrate_bit_s is None else FrameSupport.FD
+        chip = self._chips.get(HOST, CanNode(frames=usual, shared=True))
         return self.bus.attach(name, chip, self.queue.now_ns)
 
     def reserve_host(self) -> None:

@@ -1,6 +1,8 @@
 """The `[bus.NAME.node.NAME]` tables of a rig: how a node's CAN controller is set up.
 
 queue = "fifo"            or "priority": which of its pending frames competes
+frames = "classical"      or "fd_tolerant", "fd": which frames it can stand; hosts on a bus with a
+                          data bit rate are "fd"
 one_shot = false          a frame that fails, or loses arbitration, is not sent again
 recovery_s = 0.0          after bus-off, before it counts the 128 x 11 recessive bits; or "command"
 error_reporting = false   it is told every error, not only when its state changes
@@ -15,19 +17,20 @@ from types import MappingProxyType
 from typing import Final
 
 from emulators.can_segment import HOST
-from emulators.media.can_node import CanNode, QueueOrder
+from emulators.media.can_node import CanNode, FrameSupport, QueueOrder
 from emulators.media.can_sampling import USUAL_TIMING, BitTiming
 from harness.settings import Source, Table
 
 _TIMING: Final = ("time_quanta", "sample_point", "jump_width")
 NODE_KEYS: Final = (
-    *("queue", "one_shot", "recovery_s", "error_reporting", "oscillator_ppm"),
+    *("queue", "frames", "one_shot", "recovery_s", "error_reporting", "oscillator_ppm"),
     *_TIMING,
     "silent",
 )
 PPM_MAX: Final = 100_000.0
 QUANTA_MAX: Final = 400
 QUEUES: Final = tuple(order.value for order in QueueOrder)
+SUPPORTS: Final = tuple(support.value for support in FrameSupport)
 BY_COMMAND: Final = "command"
 RECOVERY_MAX_S: Final = 1e6
 
@@ -39,7 +42,9 @@ def read_nodes(bus: Table) -> Mapping[str, CanNode]:
         RigError: the first thing wrong in them.
     """
     tables = bus.table("node")
-    return MappingProxyType({name: _chip(name, tables.table(name)) for name in tables.values})
+    fd = bus.has("data_bitrate_bit_s")
+    chips = {name: _chip(name, tables.table(name), fd) for name in tables.values}
+    return MappingProxyType(chips)
 
 
 def silent_nodes(bus: Table) -> tuple[str, ...]:
@@ -71,8 +76,9 @@ def refuse_strangers(
             raise source.no_such(path, name, known, "controller")
 
 
-def _chip(name: str, table: Table) -> CanNode:
+def _chip(name: str, table: Table, has_data_rate: bool) -> CanNode:
     table.refuse_unknown(NODE_KEYS)
+    usual = FrameSupport.FD if name == HOST and has_data_rate else FrameSupport.CLASSICAL
     recovery_ns: int | None = 0
     if table.values.get("recovery_s") == BY_COMMAND:
         recovery_ns = None
@@ -84,6 +90,9 @@ def _chip(name: str, table: Table) -> CanNode:
     ppm = table.number("oscillator_ppm", 0.0, low=-PPM_MAX, high=PPM_MAX, unit="ppm")
     return CanNode(
         queue=QueueOrder(table.one_of("queue", QUEUES, "queue", default=QueueOrder.FIFO.value)),
+        frames=FrameSupport(
+            table.one_of("frames", SUPPORTS, "kind of CAN controller", default=usual.value)
+        ),
         one_shot=table.flag("one_shot", False),
         recovery_ns=recovery_ns,
         error_reporting=table.flag("error_reporting", False),

@@ -159,12 +159,6 @@ class CanArbitration:
                 f"{number}: {node.name} on bus {self.name} has a classical CAN controller (frames "
                 f'= "{node.chip.frames.value}"); an FD one sends it'
             )
-        for other in self._ports:
-            if other.chip.frames is FrameSupport.CLASSICAL:
-                raise ValueError(
-                    f"{number}: {other.name} has a classical CAN controller, which destroys every "
-                    f"CAN FD frame on bus {self.name}; one that is fd_tolerant lets them pass"
-                )
 
     def _arbitrate(self, start_ns: int) -> None:
         """The best of those competing starts; the bus is idle if there is none."""

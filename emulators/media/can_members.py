@@ -34,6 +34,8 @@ class CanMembers(CanArbitration):
         "_held",
         "_is_alone",
         "_is_apart",
+        "_is_mixed",
+        "_is_mixed_told",
         "_level",
         "_nodes",
         "_noises",
@@ -56,6 +58,8 @@ class CanMembers(CanArbitration):
         self._hearing_fd = 0  # those of them that see CAN FD frames
         self._watchful = False  # more can happen to a frame than noise
         self._unwell = False  # a member has a counter above 0
+        self._is_mixed = False  # a member that hears destroys CAN FD frames
+        self._is_mixed_told = False  # who it is was told
         self._is_apart = False  # two members' clocks differ by more than both can stand
         self._noises: list[NoiseSource] = []
         self._level: WireLevel | None = None  # at which the wire is stuck
@@ -121,12 +125,15 @@ class CanMembers(CanArbitration):
         hearing = 0
         unwell = False
         fd = 0
+        mixed = False
         for node in members:
             if node.hears():
                 hearing |= 1 << node.number
+                mixed = mixed or node.chip.frames is FrameSupport.CLASSICAL
                 if node.chip.frames is FrameSupport.FD:
                     fd |= 1 << node.number
             unwell = unwell or not node.is_well()
+        self._is_mixed = mixed and self.data_bit_ns != 0
         self._is_apart = self._is_skewed and clocks_are_apart([node.chip for node in members])
         self._hearing = hearing
         self._hearing_fd = fd
@@ -135,11 +142,23 @@ class CanMembers(CanArbitration):
             hearing & (hearing - 1) == 0
             or bool(self._held)
             or self._is_apart
+            or self._is_mixed
+            or (self.data_bit_ns != 0 and fd & (fd - 1) == 0)
             or self._level is not None
             or self._seam.plan.has_errors()
             or any(node.chip.one_shot for node in members)
         )
         self._is_alone = self._is_alone and hearing & (hearing - 1) == 0
+
+    def tell_mixed(self) -> None:
+        """Who cannot stand the CAN FD frame that is sent here is told, once."""
+        if self._is_mixed_told:
+            return
+        self._is_mixed_told = True
+        for node in self.members:
+            if node.hears() and node.chip.frames is FrameSupport.CLASSICAL:
+                told = "destroys CAN FD frames: its CAN controller is classical"
+                self._seam.plan.note(self._now_ns, node.name, told, b"")
 
     def _ears_for(self, frame: bytes) -> int:
         """Mask of the members that hear this frame, and acknowledge it."""

@@ -130,6 +130,7 @@ class CanStretch(CanOutcomes):
 
     def _decide(self, now_ns: int) -> None:
         """Nobody can join any more: it is known what the frame in flight will suffer."""
+        self._now_ns = now_ns
         self._decided = self._starts
         number = self._flight >> PORT_SHIFT & PORT_MASK
         port = self._ports[number]
@@ -189,6 +190,9 @@ class CanStretch(CanOutcomes):
 
     def _is_struck(self, strikes: list[Disturbance], rivals: list[CanPort], port: CanPort) -> bool:
         """Whether anything happens to the frame in flight."""
+        if self._is_mixed and len(port.frame) > FRAME_BYTES:
+            self.tell_mixed()
+            return True
         if strikes or any(rival.frame != port.frame for rival in rivals):
             return True
         bits = bits_in(self._flight)

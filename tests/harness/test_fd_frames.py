@@ -10,6 +10,7 @@ from emulators.world import World
 from harness.bus_ears import Ears
 from harness.can_plugin import close_rig, open_rig
 from harness.rig import Rig
+from harness.settings import RigError
 from harness.virtual_time import VirtualRuntime
 from tests.harness.fd_frames import FdFrames, classical, fd_message
 
@@ -20,6 +21,15 @@ name = "fd"
 bitrate_bit_s = 500_000
 {data}
 """
+
+MIXED = (
+    RIG.format(data="data_bitrate_bit_s = 2_000_000")
+    + """
+[bus.can0.node.ear]
+silent = true
+{frames}
+"""
+)
 
 
 class Bench:
@@ -76,7 +86,7 @@ class TestInARig(FdFrames):
 
 def test_a_rig_has_fd_buses_and_its_record_the_frames(tmp_path):
     path = tmp_path / "fd.toml"
-    path.write_text(RIG.format(data="data_bitrate_bit_s = 2_000_000"))
+    path.write_text(MIXED.format(frames='frames = "fd"'))
     with Rig.open(path) as rig:
         with can.Bus(interface="emulated", channel="can0", fd=True) as bus:
             bus.send(fd_message(0x123, bytes(64), bitrate_switch=True))
@@ -95,8 +105,29 @@ def test_a_classical_bus_is_told_so_before_anything_is_sent(tmp_path):
             bus.send(classical(0x123))
 
 
-def test_where_a_classical_node_would_destroy_it_that_is_told(bench):
-    bench.world.bus("can0").attach("drive")
-    told = "drive has a classical CAN controller, which destroys"
-    with bench.open(fd=True) as bus, pytest.raises(can.CanOperationError, match=told):
-        bus.send(fd_message(0x123))
+@pytest.mark.parametrize(
+    ("frames", "told", "heard"),
+    [
+        ("", ["ear: destroys CAN FD frames: its CAN controller is classical"], 0),
+        ('frames = "fd_tolerant"', [], 0),
+        ('frames = "fd"', [], 1),
+    ],
+)
+def test_what_a_node_makes_of_an_fd_frame_is_as_its_controller_is(tmp_path, frames, told, heard):
+    path = tmp_path / "fd.toml"
+    path.write_text(MIXED.format(frames=frames))
+    events = []
+    with Rig.open(path) as rig:
+        rig.world.tap_events(lambda *event: events.append(event[3]))
+        with can.Bus(interface="emulated", channel="can0", fd=True) as bus:
+            bus.send(fd_message(0x123))
+            rig.runtime.run_for(0.0005)
+        assert [event for event in events if "destroys" in event] == told
+        assert rig.world.bus("can0").statistics.frames == heard
+
+
+def test_a_kind_of_can_controller_that_there_is_not_is_refused(tmp_path):
+    path = tmp_path / "fd.toml"
+    path.write_text(MIXED.format(frames='frames = "xl"'))
+    with pytest.raises(RigError, match=r'fd.toml:10: .*"xl".*classical, fd_tolerant, fd'):
+        Rig.open(path)

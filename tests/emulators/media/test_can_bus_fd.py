@@ -6,6 +6,7 @@ from emulators.media.can_bits import frame_bits
 from emulators.media.can_bus import CanBus
 from emulators.media.can_frame import BRS, EFF_FLAG, can_id_of, pack, pack_fd
 from emulators.media.can_node import CanNode, FrameSupport
+from emulators.media.confinement import ErrorState
 from tests.emulators.media.driving import confirmed, expire_all, heard, run
 from tests.emulators.media.wire_fd import FdFields, phases
 
@@ -84,6 +85,12 @@ def test_who_tolerates_fd_hears_classical_frames_only():
     assert sorted(can_id_of(frame) for _, frame in heard(deliveries, 2)) == [0x80, 0x81, 0x123]
 
 
+def test_who_tolerates_fd_frames_does_not_acknowledge_them():
+    bus = fd_bus(FD, TOLERANT)
+    assert confirmed(run(bus, [(0, 0, FRAME)], until_ns=100_000_000), 0) == []
+    assert bus.node(0).confinement.tec == 128
+
+
 def test_a_classical_bus_carries_no_fd_frame():
     bus = CanBus("can0", 500_000)
     port = bus.attach("node", FD)
@@ -102,11 +109,37 @@ def test_a_classical_node_sends_no_fd_frame(support):
     assert bus.statistics.frames == 2
 
 
-def test_an_fd_frame_is_refused_where_a_classical_node_would_destroy_it():
+def test_a_classical_node_destroys_every_fd_frame_at_its_fdf_bit():
+    """It is a form error to it in bit 14; 6 bits of flag follow, the others' 6 from the next on.
+
+    By hand, 123h: 0 00100100011 0 0 1: start of frame, identifier, RRS, IDE and FDF are bits 0 to
+    14, no stuff bit among them. The flag is dominant from 15 to 20. The sender sends res (0), BRS
+    (1) ...: it sees a recessive bit of its own dominated in bit 16, and its flag is 17 to 22; so
+    the delimiter is 23 to 30, and intermission ends with 33.
+    """
     bus = fd_bus(FD, TOLERANT, CanNode())
-    with pytest.raises(ValueError, match="node-2 has a classical CAN controller, which destroys"):
-        bus.submit(0, FRAME, 0)
-    assert len(run(bus, [(0, 0, pack(0x80))])) == 1
+    bus.submit(0, FRAME, 0)
+    deliveries = expire_all(bus, 34 * 2000)
+    assert heard(deliveries, 2) == heard(deliveries, 1) == confirmed(deliveries, 0) == []
+    told = [(frame[3], port) for _, (frame, port, kind) in deliveries if frame[3] & 0x20]
+    assert {port for _, port in told} >= {0, 2}
+    assert bus.node(0).confinement.tec == 8
+    assert bus.node(2).confinement.rec == 9  # form error: a; its flag is followed by a bit more: b
+    assert bus.pending(0) == 1
+
+
+def test_a_classical_node_destroys_frames_until_that_has_made_it_passive():
+    """Rules a and b: each frame costs it 9. With 15 of them it is passive at 135, and its flag
+    recessive; its neighbour's TEC is at 120 then, and goes down with what now gets through.
+    """
+    bus = fd_bus(FD, FD, CanNode())
+    deliveries = run(bus, [(0, 0, FRAME)], until_ns=100_000_000)
+    assert [frame for _, frame in heard(deliveries, 1)] == [FRAME]
+    assert heard(deliveries, 2) == []
+    assert bus.node(0).confinement.tec == 15 * 8 - 1
+    assert bus.node(2).state() is ErrorState.PASSIVE
+    again = [(frame, end) for end, frame in heard(run(bus, [(200_000_000, 2, pack(0x80))]), 1)]
+    assert again[0][0] == pack(0x80)  # and it is not off the bus
 
 
 def test_a_frame_that_waits_is_checked_before_it_does():
