@@ -5,6 +5,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Final, Protocol, final
 
 from emulators.media.can_bits import INTERMISSION_BITS, measure, phases_of
+from emulators.media.can_frame import FRAME_BYTES
 from emulators.media.can_port import LENGTHS_MASK
 from harness.recorded_meaning import meaning_in
 from harness.replay.ears import Ears
@@ -76,6 +77,8 @@ def drive(
 
     def length_ns(bus: str, frame: bytes) -> int:
         bit_ns, data_bit_ns = bits_ns.get(bus, (1000, 1000))
+        if len(frame) > FRAME_BYTES and not data_bit_ns:
+            raise ValueError("a classical bus carries no CAN FD frame")
         nominal, data = phases_of(measure(frame) & LENGTHS_MASK)
         return (nominal - INTERMISSION_BITS) * bit_ns + data * data_bit_ns
 
@@ -136,9 +139,12 @@ class DrivenRig:
         self._rests: dict[str, bytearray] = {}  # of answers that are not whole, by line
 
     def bit_times_ns(self, bus: str) -> tuple[int, int]:
-        """How long a bit is on a bus [ns]: at the nominal rate, at the data rate of CAN FD."""
+        """How long a bit is on a bus [ns]: at the nominal rate, at the data rate of CAN FD.
+
+        The latter is 0 on a classical bus.
+        """
         found = self._rig.world.bus(bus)
-        return found.bit_ns, found.data_bit_ns or found.bit_ns
+        return found.bit_ns, found.data_bit_ns
 
     def send(self, bus: str, frame: bytes) -> None:
         """It waits its turn, or goes out."""

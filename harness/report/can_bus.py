@@ -9,6 +9,7 @@ import struct
 from typing import Final, final
 
 from emulators.media.can_bits import frame_bits, measure, phases_of
+from emulators.media.can_frame import FD_LENGTHS
 from emulators.media.can_port import LENGTHS_MASK
 from harness.canopen_names import usual_name
 from harness.report.incidents import Incidents, Severity
@@ -132,6 +133,10 @@ class CanBus:
 
     def _fd_bits(self, frame: bytes) -> int:
         """How many nominal bits fit in the time that a CAN FD frame takes."""
+        length = frame[4]
+        if length not in FD_LENGTHS:  # as some tools write it; on the wire it was padded
+            length = next((one for one in FD_LENGTHS if one > length), FD_LENGTHS[-1])
+            frame = frame[:4] + bytes([length]) + frame[5:]
         nominal, data = phases_of(measure(frame) & LENGTHS_MASK)
         rate, data_rate = self._rates
         if data and not data_rate:

@@ -42,6 +42,7 @@ class ErrorBench:
         queue = EventQueue()
         self.world = World(queue)
         self.world.add_bus(CanBus("can0", 1_000_000, data_bitrate_bit_s=data_bitrate_bit_s))
+        self.world.add_host("can0", "ear", lambda *_: None)  # somebody acknowledges
         self._loop = WallLoop(queue)
         self._order = Order(self.world)
         self.heard = []  # what was on the emulated bus: sender, frame

@@ -102,7 +102,7 @@ def test_how_long_a_bit_is_the_bit_rate_tells(channel, tmp_path, bitrate_bit_s, 
         golden("cia402") as path,
         opened(channel, tmp_path / "live.mcap", path, bitrate_bit_s) as driven,
     ):
-        assert driven.bit_ns("can0") == bit_ns
+        assert driven.bit_times_ns("can0") == (bit_ns, bit_ns)
 
 
 def test_places_are_for_the_bus_that_they_name_and_the_only_bus_needs_no_name():

@@ -13,11 +13,13 @@ HERE = Path(__file__).parent / "programs"
 EDS = str(files(emulators) / "eds" / "motorhil_cia402.eds")
 RIG = str(files("harness") / "examples" / "two_wheels.toml")
 
+# Two drives of one identity answer the question for the node-ID at once, and destroy each other's
+# frames until one is error passive (ISO 11898-1): that takes a millisecond.
 MOVED = """\
 booted at 0.3 s; LSS finds node 1
 OPERATIONAL, EMCY: None
-50000 at 2.322 s
-0 at 3.082 s
+50000 at 2.323 s
+0 at 3.083 s
 31 places seen, the farthest 49987
 """
 HEARD = """\
