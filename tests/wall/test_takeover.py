@@ -226,4 +226,4 @@ def test_a_write_that_is_not_closed_against_takeovers_is_found_out():
 
 
 def test_a_write_without_a_look_whether_it_is_still_his_is_found_out():
-    assert stress(1.0, 3, "no look")["stale"] > 0
+    assert any(stress(1.0, seed, "no look")["stale"] for seed in range(5))
