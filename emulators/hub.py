@@ -30,7 +30,7 @@ from emulators.hub_protocol import (
     unpack_fenced,
     unpack_owns,
 )
-from emulators.media.can_frame import FD_FRAME_BYTES, FRAME_BYTES
+from emulators.media.can_frame import FD_FRAME_BYTES, FRAME_BYTES, padded_fd
 from emulators.segment import HostPort
 from emulators.world import World
 
@@ -121,7 +121,7 @@ class _Client:
                 self._note(port.name, notice)
         if frame:
             try:
-                port.send(frame)
+                port.send(frame if len(frame) == FRAME_BYTES else padded_fd(frame))
             except ValueError as error:  # no frame that a bus could carry
                 self.refuse(f"frame {frame.hex()}: {error}")
                 return False

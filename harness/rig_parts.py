@@ -68,7 +68,8 @@ class RigFaults:
         """The rule holds on the bus, or line, from now on.
 
         Raises:
-            ValueError: the bus has had a rule of that name, or the rule is for another kind of bus.
+            ValueError: there is no such bus, it has had a rule of that name, or the rule is for
+                another kind of bus.
         """
         plan = self._plan(bus)
         if plan is None and isinstance(rule, FaultRule):
@@ -81,13 +82,22 @@ class RigFaults:
 
     def _plan(self, bus: str) -> SerialFaultPlan | None:
         """Of a line; None: it is a CAN bus."""
-        return self._world.line(bus).plan if bus in self._world.line_names() else None
+        if bus in self._world.line_names():
+            return self._world.line(bus).plan
+        self._require_bus(bus)
+        return None
+
+    def _require_bus(self, bus: str) -> None:
+        names = self._world.bus_names()
+        if bus not in names:
+            known = ", ".join(names) or "none"
+            raise ValueError(f"no CAN bus {bus!r} in this rig (known: {known})")
 
     def lift(self, bus: str, name: str) -> None:
         """The rule of this name holds no longer; its count stays.
 
         Raises:
-            ValueError: the bus has no such rule.
+            ValueError: there is no such bus, or it has no such rule.
         """
         plan = self._plan(bus)
         if plan is None:
@@ -101,9 +111,7 @@ class RigFaults:
         Raises:
             ValueError: there is no such CAN bus.
         """
-        if bus not in self._world.bus_names():
-            known = ", ".join(self._world.bus_names()) or "none"
-            raise ValueError(f"no CAN bus {bus!r} in this rig (known: {known})")
+        self._require_bus(bus)
         core = self._world.bus(bus)
         nodes = [core.node(port) for port in range(len(core.port_names()))]
         return {
@@ -121,8 +129,9 @@ class RigFaults:
         """A node that is bus-off begins now to wait for the 128 x 11 recessive bits.
 
         Raises:
-            ValueError: there is no such node on the bus, or it is not bus-off.
+            ValueError: there is no such bus, no such node on it, or it is not bus-off.
         """
+        self._require_bus(bus)
         self._world.restart(bus, node)
 
     def fired(self) -> dict[str, int]:

@@ -197,7 +197,7 @@ class CanBus(CanStretch):
         """
         node = self._nodes[port]
         if node.role is not Role.OFF:
-            raise ValueError(f"bus {self.name}: {node.name} is not bus-off")
+            raise ValueError(f"bus {self.name}: {node.name} is not bus-off ({node.confinement})")
         self._where[port].resume(now_ns)
         node.leave(now_ns)
         node.since_ns = now_ns

@@ -11,7 +11,7 @@ from typing import Final, final
 from emulators.media import error_message as told
 from emulators.media.can_episode import Outcome, Station
 from emulators.media.can_node import CanNode
-from emulators.media.confinement import Confinement, ErrorState, state_of
+from emulators.media.confinement import TEC_MAX, Confinement, ErrorState, state_of
 
 RUN_BITS: Final = 11  # recessive: what a node integrates by, and what recovery counts
 RECOVERY_RUNS: Final = 128
@@ -99,6 +99,7 @@ class Presence:
     def leave(self, off_ns: int) -> None:
         """It is bus-off, and knows when it will begin to recover."""
         self.role = Role.OFF
+        self.confinement = Confinement(TEC_MAX, self.confinement.rec)
         self.runs_left = RECOVERY_RUNS
         recovery_ns = self.chip.recovery_ns
         self.since_ns = NEVER_NS if recovery_ns is None else off_ns + recovery_ns

@@ -28,6 +28,7 @@ from typing import Final, final
 WARNING: Final = 96
 PASSIVE: Final = 128
 BUS_OFF: Final = 256
+TEC_MAX: Final = 255  # that a register holds: what one that is bus-off shows
 REC_MAX: Final = 255
 
 _ERROR: Final = 8  # what an error costs that cannot be somebody else's
@@ -67,6 +68,9 @@ class Confinement:
             raise ValueError(f"TEC {tec}, REC {rec}: a node on the bus has 0 to 255 of each")
         self.tec = tec
         self.rec = rec
+
+    def __str__(self) -> str:
+        return f"TEC {self.tec}, REC {self.rec}"
 
     def is_passive(self) -> bool:
         """Whether its error flags are passive."""

@@ -22,7 +22,7 @@ from motorapi.adaptations.cia402_objects import (
     type_of,
 )
 from motorapi.adaptations.emergencies import Emergency as Emergency
-from motorapi.adaptations.emergencies import standing_error
+from motorapi.adaptations.emergencies import last_error, standing_error
 from motorapi.errors import DeadlineExceeded, DeviceFault, LinkError, MotionInterrupted
 from motorapi.waiting import News
 
@@ -31,6 +31,8 @@ if TYPE_CHECKING:
     from motorapi.runtime import Registration
 
 EMCY_ID: Final = 0x080
+NMT_STATES: Final = {0x04: "STOPPED", 0x05: "OPERATIONAL", 0x7F: "PRE-OPERATIONAL"}
+LOST_REMEDY: Final = "look at its power and its cable"
 _EMCY: Final = struct.Struct("<8xHB5s")
 _STATUS_POSITION: Final = struct.Struct("<8xHi").unpack_from
 _STATUSWORD: Final = 0x6041
@@ -75,6 +77,7 @@ class DriveNode:
         self.statusword = 0
         self.position_inc = 0
         self.status_ns = -1
+        self._operational_ns = -1  # when it said so last
         self.values: dict[tuple[int, int], int] = {}
         self.status_is_cyclic = False
         self.watch: MotionWatch | None = None
@@ -163,8 +166,9 @@ class DriveNode:
             self.error = None
             self.sdo.rebooted()
         self.nmt_state = state
-        if state == OPERATIONAL and self._watches_nmt:
-            self._was_operational = True
+        if state == OPERATIONAL:
+            self._operational_ns = time_ns
+            self._was_operational = self._was_operational or self._watches_nmt
         self.lost_since_ns = None
         self._heartbeat_ns = self.link.runtime.now_ns()
         if is_news:
@@ -246,12 +250,15 @@ class DriveNode:
 
     def check_heard(self) -> None:
         """Raises LinkError if the drive is not heard, or the bus is off."""
-        self.link.status.check()
+        status = self.link.status
+        status.check()
         if self.lost_since_ns is not None:
+            trouble = status.trouble()
             raise LinkError(
                 link=self.label,
                 reason=f"no heartbeat for {self._heartbeat_timeout_ms} ms",
                 since_ns=self.lost_since_ns,
+                remedy=f"look at the bus first: {trouble}" if trouble else LOST_REMEDY,
             )
 
     def check_link(self) -> None:
@@ -260,10 +267,13 @@ class DriveNode:
         if self.has_booted:
             raise LinkError(link=self.label, reason="it has booted: its configuration is gone")
         if not self.is_up:
-            reason = f"its NMT state is {self.nmt_state or 0:02X}h, not OPERATIONAL any more"
-            if self.error is not None:
-                reason += f", after {self.error}"
-            raise LinkError(link=self.label, reason=reason)
+            state = self.nmt_state or 0
+            name = NMT_STATES.get(state, "none of CiA 301")
+            reason = f"its NMT state is {state:02X}h ({name}), not OPERATIONAL any more"
+            cause = self.error or last_error(self.emergencies, self._operational_ns)
+            if cause is not None:
+                reason += f", after {cause}"
+            raise LinkError(link=self.label, reason=reason, remedy="start() brings it up again")
 
     def check_motion(self, motor: str) -> None:
         """Raises what ends a motion from outside; see `Motor._is_done`."""

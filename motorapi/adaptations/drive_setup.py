@@ -220,10 +220,12 @@ def first_answer(node: DriveNode, timeout_s: float) -> int:
             return _PROFILE_402  # it answers, that is all we need
         except DeadlineExceeded as error:
             if runtime.now_ns() >= deadline_ns:
+                heard = "a boot-up" if node.boots else "nothing"
+                trouble = node.link.status.trouble()
                 raise DeadlineExceeded(
                     awaited=f"{node.label}: any answer",
                     timeout_s=timeout_s,
-                    last_heard="a boot-up" if node.boots else "nothing",
+                    last_heard=f"{heard}; {trouble}" if trouble else heard,
                 ) from error
 
 

@@ -1,5 +1,6 @@
 """EMCY as a host hears it (CiA 301, 7.2.7), and which of several errors is told as the drive's."""
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Final, final
 
@@ -23,7 +24,15 @@ class Emergency:
     time_ns: int
 
     def __str__(self) -> str:
-        return f"EMCY {self.code:04X}h at {self.time_ns / 1e9:.6f} s: {error_text(self.code)}"
+        gone = "no error, or one is gone"
+        text = error_text(self.code) if self.code & _ERROR_CLASS else gone
+        return f"EMCY {self.code:04X}h at {self.time_ns / 1e9:.6f} s: {text}"
+
+
+def last_error(heard: Iterable[Emergency], from_ns: int) -> Emergency | None:
+    """The last EMCY of an error, gone by now or not, that came at `from_ns` or later."""
+    errors = [one for one in heard if one.code & _ERROR_CLASS and one.time_ns >= from_ns]
+    return errors[-1] if errors else None
 
 
 def standing_error(before: Emergency | None, heard: Emergency) -> Emergency | None:

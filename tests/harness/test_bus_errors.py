@@ -72,8 +72,11 @@ def test_a_drive_off_the_bus_tells_it_when_it_is_on_again(tmp_path):
     record = tmp_path / "run.mcap"
     with opened(tmp_path, STRUCK.format(sender="left", limit=32), record=record) as rig:
         motor = start(rig)
-        with pytest.raises(LinkError, match="its NMT state is 7Fh, not OPERATIONAL"):  # 1029h is 0
+        with pytest.raises(LinkError) as lost:  # 1029h is 0
             motor.wait_until_done(timeout_s=5)
+        assert "its NMT state is 7Fh (PRE-OPERATIONAL), not OPERATIONAL" in str(lost.value)
+        assert "after EMCY 8140h at 1." in str(lost.value)
+        assert lost.value.remedy == "start() brings it up again"
         assert [one.code for one in motor.hardware.emergencies][:2] == [0x8140, 0x0000]
         rig.runtime.run_for(2.0)
         motor.reset_fault()
@@ -91,6 +94,44 @@ def test_a_drive_made_passive_says_so_and_works_on(tmp_path):
         rig.runtime.run_for(10.0)
         assert [one.code for one in motor.hardware.emergencies] == [0x8120, 0x0000]
         assert motor.fault() is None
+
+
+@pytest.mark.parametrize(
+    ("fault", "told"),
+    [
+        (
+            'kind = "short"\nlevel = "dominant"',
+            r"can0 is error passive since 1\.\d+ s \(TEC 0, REC",
+        ),
+        ('kind = "split"\nnodes = ["host"]', r"nobody acknowledges on can0 since 1\.\d+ s"),
+    ],
+)
+def test_who_loses_a_drive_reads_what_is_wrong_with_the_bus(tmp_path, fault, told):
+    """A cable of the host's, and none of the drive's."""
+    with opened(tmp_path, fault + "\nfrom_s = 1.0") as rig:
+        motor = start(rig)
+        lost = rf"no heartbeat for 300 ms since 1\.\d+ s; look at the bus first: {told}"
+        with pytest.raises(LinkError, match=lost):
+            motor.wait_until_done(timeout_s=5)
+
+
+def test_who_never_hears_a_drive_reads_what_is_wrong_with_the_bus(tmp_path):
+    told = "last heard: nothing; nobody acknowledges on can0"
+    alone = 'kind = "split"\nnodes = ["host"]'
+    with opened(tmp_path, alone) as rig, pytest.raises(DeadlineExceeded, match=told):
+        start(rig)
+
+
+def test_names_that_there_are_not_are_refused_with_those_there_are(tmp_path):
+    with opened(tmp_path, STRUCK.format(sender="host", limit=1)) as rig:
+        with pytest.raises(ValueError, match=r"no CAN bus 'can1' in this rig \(known: can0\)"):
+            rig.faults.restart("can1", "host")
+        with pytest.raises(ValueError, match=r"no node lef \(known: left, host\)"):
+            rig.faults.restart("can0", "lef")
+        with pytest.raises(ValueError, match=r"host is not bus-off \(TEC 0, REC 0\)"):
+            rig.faults.restart("can0", "host")
+        with pytest.raises(ValueError, match="no CAN bus 'can1'"):
+            rig.faults.lift("can1", "fault 1")
 
 
 def test_a_host_alone_on_its_bus_is_told_so(tmp_path):

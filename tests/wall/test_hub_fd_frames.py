@@ -1,5 +1,7 @@
 """CAN FD of the `emulated` interface over a hub's socket; clients that do not know it."""
 
+import struct
+
 import can
 import pytest
 
@@ -38,6 +40,19 @@ class TestOverAHub(FdFrames):
         older.close()
         assert (len(frame), frame[:2]) == (16, b"\x24\x01")
         assert GREETING == b"motorhil-hub 1 "
+
+    def test_a_frame_is_sent_as_a_driver_would_whatever_its_client_left_out(self, bench):
+        """Else what records the bus is handed a canfd_frame that is none (seen in `serve`)."""
+        raw = HubLink(bench.channel, True)
+        with bench.open(fd=True) as bus:
+            flags_unknown, length = 0xF8, 9  # no FDF; and no length of CAN FD
+            raw.send(struct.pack("<IBB2x64s", 0x123, length, flags_unknown, b"123456789"))
+            raw.send(struct.pack("<IBB2x64s", 0x124, 65, 0x04, b""))
+            heard = bus.recv(5.0)
+            assert (heard.is_fd, bytes(heard.data)) == (True, b"123456789\0\0\0")
+            with pytest.raises(can.CanOperationError, match="65 bytes of data"):
+                raw.receive(5.0)  # its own client is told, and has to go
+        raw.close()
 
 
 def test_a_classical_bus_is_told_so_before_anything_is_sent(tmp_path):

@@ -76,10 +76,11 @@ def test_recovery_by_command_takes_128_runs_of_11_bits_from_then_on(rate):
     deliveries = run(bus, [(0, 0, STATUS)])
     assert classes(deliveries, 0, told.RESTARTED) == []
     assert bus.error_state(0) is ErrorState.BUS_OFF
+    assert bus.node(0).confinement.tec == 255  # as the message told
     bus.restart(0, 10**12)
     deliveries = expire_all(bus, 2 * 10**12)
     assert classes(deliveries, 0, told.RESTARTED) == [10**12 + 1408 * bit_ns]
-    with pytest.raises(ValueError, match="left is not bus-off"):
+    with pytest.raises(ValueError, match=r"left is not bus-off \(TEC 0, REC 0\)"):
         bus.restart(0, 2 * 10**12)
 
 
