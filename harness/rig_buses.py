@@ -115,7 +115,8 @@ def _can(name: str, table: Table) -> BusDescription:
             f"a bit of {rate} bit/s is not a whole number of nanoseconds",
             "usual: 1_000_000, 800_000, 500_000, 250_000, 125_000, 100_000, 50_000, 20_000, 10_000",
         )
-    messages, data_rate = read_messages(table, rate), _data_bitrate(table, rate)
+    data_rate = _data_bitrate(table, rate)
+    messages = read_messages(table, rate, data_rate)
     nodes, silent = read_nodes(table), silent_nodes(table)
     return BusDescription(name, CAN, rate, messages, nodes, silent, data_bitrate_bit_s=data_rate)
 

@@ -226,6 +226,8 @@ def _declared(one: Declared) -> Message:
         jitter_ns=-_floor_ns(-message.jitter_s),
         deadline_ns=_floor_ns(one.deadline_s),
         extended=message.extended,
+        fd=message.fd,
+        switched=message.bit_rate_switch,
         sender=one.sender,
         movable=not is_canopen_reserved(message.can_id, message.extended),
         source="declared",
@@ -233,7 +235,7 @@ def _declared(one: Declared) -> Message:
 
 
 def _worse(one: Message, other: Message) -> Message:
-    """At least as bad as both."""
+    """At least as bad as both: a CAN FD frame that is not switched is longer than a classical."""
     deadlines = [each.deadline_ns for each in (one, other) if each.deadline_ns is not None]
     return replace(
         other,
@@ -241,6 +243,8 @@ def _worse(one: Message, other: Message) -> Message:
         period_ns=min(one.period_ns, other.period_ns),
         jitter_ns=max(one.jitter_ns, other.jitter_ns),
         deadline_ns=min(deadlines, default=None),
+        fd=one.fd or other.fd,
+        switched=one.switched and other.switched,
         name=other.name or one.name,
         sender=other.sender or one.sender,
     )

@@ -10,26 +10,35 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final, final
 
 from harness.settings import Table
-from motorapi.bus_timing import bits_ns, worst_frame_bits
-from motorapi.traffic import CanTraffic, PeriodicMessage, worst_of
+from motorapi.bus_timing import worst_frame_ns
+from motorapi.traffic import FD_LENGTHS, CanTraffic, PeriodicMessage, worst_of
 
 if TYPE_CHECKING:
     from harness.rig_file import ControllerDescription, RigDescription
 
 MESSAGE_KEYS: Final = (
     *("identifier", "length", "period_s", "jitter_s", "extended", "deadline_s", "sender"),
+    *("fd", "bit_rate_switch"),
 )
 _SFF_MAX: Final = 0x7FF
 _EFF_MAX: Final = 0x1FFF_FFFF
 _PERIOD_MIN_S: Final = 1e-6
 _TIME_MAX_S: Final = 1e6
+_CLASSICAL_MAX: Final = 8
 _BOOT_UP_S: Final = 1.0  # between two boots of a node that sends no heartbeat
 _HEARTBEAT_ID: Final = 0x700
 _HEARTBEAT_OBJECTS: Final = ("1017h", "1017")
 
 
-def read_messages(bus: Table, bitrate_bit_s: int) -> tuple[PeriodicMessage, ...] | None:
+def read_messages(
+    bus: Table, bitrate_bit_s: int, data_bitrate_bit_s: int | None
+) -> tuple[PeriodicMessage, ...] | None:
     """What others send on a bus; None: its traffic is not declared.
+
+    Args:
+        bus: its table.
+        bitrate_bit_s: of the bus.
+        data_bitrate_bit_s: of its CAN FD frames; None: it is classical.
 
     Raises:
         RigError: the first thing wrong in it.
@@ -40,6 +49,12 @@ def read_messages(bus: Table, bitrate_bit_s: int) -> tuple[PeriodicMessage, ...]
     busy = 0.0
     for table in bus.listed_tables("message"):
         message = _declared(table).message
+        if message.fd and data_bitrate_bit_s is None:
+            raise table.error(
+                "fd",
+                f'bus "{bus.path[-1]}" is classical CAN',
+                "give it a data_bitrate_bit_s, or take fd out",
+            )
         for place, other in enumerate(messages):
             if other.rank == message.rank:
                 line = bus.source.line((*bus.path, "message", place))
@@ -49,8 +64,8 @@ def read_messages(bus: Table, bitrate_bit_s: int) -> tuple[PeriodicMessage, ...]
                     "one sender each: give the shorter period and the greater length once",
                 )
         messages.append(message)
-        bits = worst_frame_bits(message.length, extended=message.extended)
-        busy += bits_ns(bits, bitrate_bit_s) / (message.period_s * 1e9)
+        traffic = CanTraffic(bitrate_bit_s, data_bitrate_bit_s=data_bitrate_bit_s)
+        busy += worst_frame_ns(message, traffic) / (message.period_s * 1e9)
         if busy > 1.0:
             raise table.error(
                 "period_s",
@@ -101,15 +116,33 @@ def _message(table: Table) -> PeriodicMessage:
     table.refuse_unknown(MESSAGE_KEYS)
     extended = table.flag("extended", False)
     high = _EFF_MAX if extended else _SFF_MAX
+    fd, switched = table.flag("fd", False), table.flag("bit_rate_switch", False)
+    if switched and not fd:
+        message = "only CAN FD frames switch the bit rate"
+        raise table.error("bit_rate_switch", message, "write fd = true, or take it out")
     return PeriodicMessage(
         can_id=table.integer("identifier", low=0, high=high, example="0x181"),
-        length=table.integer("length", low=0, high=8, unit="bytes", example="8"),
+        length=_length(table, fd),
         period_s=table.number(
             "period_s", low=_PERIOD_MIN_S, high=_TIME_MAX_S, unit="s", example="0.01"
         ),
         jitter_s=table.number("jitter_s", 0.0, low=0.0, high=_TIME_MAX_S, unit="s"),
         extended=extended,
+        fd=fd,
+        bit_rate_switch=switched,
     )
+
+
+def _length(table: Table, fd: bool) -> int:
+    length = table.integer("length", low=0, high=FD_LENGTHS[-1], unit="bytes", example="8")
+    if length > _CLASSICAL_MAX and not fd:
+        message = f"{length} bytes is out of range; allowed: 0 to {_CLASSICAL_MAX} bytes"
+        raise table.error("length", message, "of CAN FD, with fd = true, up to 64")
+    if length not in FD_LENGTHS:
+        padded = next(one for one in FD_LENGTHS if one > length)
+        message = f"no CAN FD frame has {length} bytes"
+        raise table.error("length", message, f"it is padded: write length = {padded}")
+    return length
 
 
 def traffic_of(description: "RigDescription", bus: str) -> CanTraffic | None:
@@ -122,7 +155,11 @@ def traffic_of(description: "RigDescription", bus: str) -> CanTraffic | None:
     if described.messages is None:
         return None
     own = heartbeats(description, bus)
-    return CanTraffic(described.bitrate_bit_s, worst_of([*described.messages, *own]))
+    return CanTraffic(
+        described.bitrate_bit_s,
+        worst_of([*described.messages, *own]),
+        data_bitrate_bit_s=described.data_bitrate_bit_s,
+    )
 
 
 def heartbeats(description: "RigDescription", bus: str) -> list[PeriodicMessage]:

@@ -28,6 +28,11 @@ from motorapi.traffic import CanTraffic, PeriodicMessage, rank_of, worst_of
 INTERMISSION_BITS: Final = 3
 _STUFFED_BITS: Final = (34, 54)  # SOF to CRC without data, of 11 and 29 bits: may be stuffed
 _PLAIN_BITS: Final = 10 + INTERMISSION_BITS  # CRC delimiter, ACK, ACK delimiter, EOF
+_FD_TO_BRS_BITS: Final = (17, 36)  # CAN FD, SOF to BRS, of 11 and 29 bits
+_FD_STUFF_TO_BRS: Final = (3, 8)  # at most: a run of five cannot end with FDF, res or BRS
+_FD_ESI_TO_DLC_BITS: Final = 5
+_FD_CHECK_BITS: Final = (27, 32)  # stuff count, CRC-17 or CRC-21, fixed stuff bits
+_FD_SHORT_CRC_BYTES: Final = 16
 _FIRST_SDO_RANK: Final = rank_of(0x580)
 _ROUNDS_MAX: Final = 10_000
 _INSTANCES_MAX: Final = 1_000
@@ -37,6 +42,27 @@ def worst_frame_bits(length: int, *, extended: bool = False) -> int:
     """The bits of a frame with the most stuff bits there can be, intermission included."""
     stuffed = _STUFFED_BITS[extended] + 8 * length
     return stuffed + (stuffed - 1) // 4 + _PLAIN_BITS
+
+
+def worst_frame_ns(message: PeriodicMessage, traffic: CanTraffic) -> int:
+    """How long a frame of a message takes at most on the bus of this traffic [ns].
+
+    Of CAN FD frames with a bit rate switch only SOF to BRS, and CRC delimiter to intermission, are
+    at the nominal bit rate, with the stuff bits that can be there. Source: ISO 11898-1:2015, frame
+    formats; of dynamic stuff bits after BRS as many are counted as the rest of them can be.
+    """
+    rate, fast = traffic.bitrate_bit_s, traffic.data_bitrate_bit_s
+    if not message.fd:
+        return bits_ns(worst_frame_bits(message.length, extended=message.extended), rate)
+    first = _FD_TO_BRS_BITS[message.extended]
+    stuffed = first + _FD_ESI_TO_DLC_BITS + 8 * message.length
+    stuff = (stuffed - 1) // 4
+    check = _FD_CHECK_BITS[message.length > _FD_SHORT_CRC_BYTES]
+    if not message.bit_rate_switch or fast is None:
+        return bits_ns(stuffed + stuff + check + _PLAIN_BITS, rate)
+    early = _FD_STUFF_TO_BRS[message.extended]
+    data = _FD_ESI_TO_DLC_BITS + 8 * message.length + stuff - early + check
+    return bits_ns(first + early + _PLAIN_BITS, rate) + bits_ns(data, fast)
 
 
 def least_frame_bits(length: int, *, extended: bool = False) -> int:
@@ -98,10 +124,7 @@ class _Timed:
             cls(
                 message,
                 message.rank,
-                bits_ns(
-                    worst_frame_bits(message.length, extended=message.extended),
-                    traffic.bitrate_bit_s,
-                ),
+                worst_frame_ns(message, traffic),
                 max(1, int(round(message.period_s * 1e12) // 1000)),
                 -(-round(message.jitter_s * 1e12) // 1000),
             )
@@ -297,7 +320,8 @@ class _Bus:
         for one in known:
             queued |= one.queued
         messages = worst_of([message for one in known for message in one.messages])
-        traffic = CanTraffic(known[0].bitrate_bit_s, messages, queued)
+        first = known[0]
+        traffic = CanTraffic(first.bitrate_bit_s, messages, queued, first.data_bitrate_bit_s)
         frames = [frame for one in here for frame in one.frames]
         at_once = len(frames) == 1 and not any(one.idle_s for one in firings)
         return cls(traffic, frames, at_once=at_once)

@@ -25,7 +25,9 @@ _SFF_MAX: Final = 0x7FF
 _EFF_MAX: Final = 0x1FFF_FFFF
 _SHIFT_EFF: Final = 18
 _LENGTH_MAX: Final = 8
+FD_LENGTHS: Final = (*range(9), 12, 16, 20, 24, 32, 48, 64)
 _RATE_MAX_BIT_S: Final = 1_000_000
+_DATA_RATE_MAX_BIT_S: Final = 20_000_000
 _TIME_MAX_S: Final = 1e6
 _PERIOD_MIN_S: Final = 1e-6
 
@@ -41,6 +43,8 @@ class PeriodicMessage:
         period_s: at least so long between two of them, but for the jitter [s].
         jitter_s: how much later than its due time one may be queued [s].
         extended: the identifier has 29 bits.
+        fd: CAN FD frames; of `length` then one of FD_LENGTHS.
+        bit_rate_switch: their data go at the bus's data bit rate.
     """
 
     can_id: int
@@ -48,6 +52,8 @@ class PeriodicMessage:
     period_s: float
     jitter_s: float = 0.0
     extended: bool = False
+    fd: bool = False
+    bit_rate_switch: bool = False
 
     def __post_init__(self) -> None:
         """Refuse what no bus carries.
@@ -58,7 +64,12 @@ class PeriodicMessage:
         id_max = _EFF_MAX if self.extended else _SFF_MAX
         if not _is_whole(self.can_id) or not 0 <= self.can_id <= id_max:
             raise UsageError(f"can_id = {self.can_id!r}: must be 0 to {id_max:X}h")
-        if not _is_whole(self.length) or not 0 <= self.length <= _LENGTH_MAX:
+        if self.bit_rate_switch and not self.fd:
+            raise UsageError("bit_rate_switch = True: only a CAN FD frame has it; give fd=True")
+        if self.fd and (not _is_whole(self.length) or self.length not in FD_LENGTHS):
+            lengths = ", ".join(str(one) for one in FD_LENGTHS[_LENGTH_MAX + 1 :])
+            raise UsageError(f"length = {self.length!r}: a CAN FD frame has 0 to 8, {lengths}")
+        if not self.fd and (not _is_whole(self.length) or not 0 <= self.length <= _LENGTH_MAX):
             raise UsageError(f"length = {self.length!r}: a frame has 0 to 8 data bytes")
         if not _is_number(self.period_s) or not _PERIOD_MIN_S <= self.period_s <= _TIME_MAX_S:
             raise UsageError(f"period_s = {self.period_s!r}: must be 1e-6 to 1e6 s")
@@ -94,11 +105,14 @@ class CanTraffic:
         messages: no two of one identifier.
         queued: ranks of messages that wait in the one queue of this program, first in, first out,
             whatever their priority.
+        data_bitrate_bit_s: of CAN FD frames with a bit rate switch [bit/s]; None: they take as
+            long as without.
     """
 
     bitrate_bit_s: int
     messages: tuple[PeriodicMessage, ...] = ()
     queued: frozenset[int] = field(default_factory=frozenset)
+    data_bitrate_bit_s: int | None = None
 
     def __post_init__(self) -> None:
         """Refuse what cannot be.
@@ -109,6 +123,9 @@ class CanTraffic:
         rate = self.bitrate_bit_s
         if not _is_whole(rate) or not 1_000 <= rate <= _RATE_MAX_BIT_S:
             raise UsageError(f"bitrate_bit_s = {rate!r}: must be 1000 to 1000000 bit/s")
+        fast = self.data_bitrate_bit_s
+        if fast is not None and (not _is_whole(fast) or not rate <= fast <= _DATA_RATE_MAX_BIT_S):
+            raise UsageError(f"data_bitrate_bit_s = {fast!r}: must be {rate} to 20000000 bit/s")
         ranks: set[int] = set()
         for message in self.messages:
             if not isinstance(message, PeriodicMessage):
@@ -147,6 +164,7 @@ class CanTraffic:
             self.bitrate_bit_s,
             worst_of([*self.messages, *theirs, *ours]),
             self.queued | frozenset(one.rank for one in ours),
+            self.data_bitrate_bit_s,
         )
 
 
@@ -160,7 +178,10 @@ def replace_period(message: PeriodicMessage, period_s: float) -> PeriodicMessage
 
 
 def worst_of(messages: Sequence[PeriodicMessage]) -> tuple[PeriodicMessage, ...]:
-    """One message of each identifier that is at least as bad as all of that identifier."""
+    """One message of each identifier that is at least as bad as all of that identifier.
+
+    A CAN FD frame without a bit rate switch is longer than a classical one.
+    """
     found: dict[int, PeriodicMessage] = {}
     for message in messages:
         known = found.get(message.rank)
@@ -170,6 +191,8 @@ def worst_of(messages: Sequence[PeriodicMessage]) -> tuple[PeriodicMessage, ...]
                 length=max(message.length, known.length),
                 period_s=min(message.period_s, known.period_s),
                 jitter_s=max(message.jitter_s, known.jitter_s),
+                fd=message.fd or known.fd,
+                bit_rate_switch=message.bit_rate_switch and known.bit_rate_switch,
             )
         found[message.rank] = message
     return tuple(found[rank] for rank in sorted(found))

@@ -12,6 +12,7 @@ from harness import rig_traffic
 from harness.rig import Rig
 from harness.rig_file import Known, parse_rig
 from harness.settings import RigError, Source
+from motorapi.bus_timing import worst_frame_ns
 from motorapi.traffic import PeriodicMessage, declared_traffic
 from tests.motorapi.adaptations.conftest import HEAD, drive
 
@@ -50,7 +51,8 @@ def test_no_message_is_no_declaration_and_none_of_them_is_one():
         (
             "length = 8",
             "length = 9",
-            "5: bus.can0.message[0].length: 9 bytes is out of range; allowed: 0 to 8 bytes",
+            "5: bus.can0.message[0].length: 9 bytes is out of range; allowed: 0 to 8 bytes;"
+            " of CAN FD, with fd = true, up to 64",
         ),
         (
             "0x181",
@@ -71,7 +73,7 @@ def test_no_message_is_no_declaration_and_none_of_them_is_one():
             "period_s",
             "periode_s",
             "6: bus.can0.message[0].periode_s: unknown key (known: identifier, length, period_s,"
-            " jitter_s, extended, deadline_s, sender); did you mean period_s?",
+            " jitter_s, extended, deadline_s, sender, fd, bit_rate_switch); did you mean period_s?",
         ),
         (
             "length",
@@ -113,6 +115,54 @@ def test_messages_that_cannot_be_together_are_told_at_the_later_one(second: str,
     with pytest.raises(RigError) as caught:
         parsed(MESSAGE + second)
     assert str(caught.value) == f"rig.toml:{told}"
+
+
+FD = MESSAGE.replace("length = 8", "length = 64\nfd = true\nbit_rate_switch = true")
+FD_BUS = "data_bitrate_bit_s = 5_000_000\n"
+
+
+def test_can_fd_messages_are_read_and_take_both_rates():
+    text = FD_BUS + FD.replace("bit_rate_switch = true\n", "") + FD.replace("0x181", "0x182")
+    assert parsed(text).messages == (
+        PeriodicMessage(0x181, 64, 0.01, fd=True),
+        PeriodicMessage(0x182, 64, 0.01, fd=True, bit_rate_switch=True),
+    )
+    assert VALIDATOR.is_valid(tomllib.loads(text_of(text)))
+    # 712 bits at most, of them 33 at 1 Mbit/s and 679 at 5 Mbit/s: 168.8 us, (can-physics, 6.3)
+    assert parsed(FD_BUS + FD.replace("0.01", "169e-6")).messages is not None
+    with pytest.raises(RigError, match="take 101% of the bus"):
+        parsed(FD_BUS + FD.replace("0.01", "167e-6"))
+
+
+@pytest.mark.parametrize(
+    ("text", "told"),
+    [
+        (FD, '6: bus.can0.message[0].fd: bus "can0" is classical CAN; give it a'
+         " data_bitrate_bit_s, or take fd out"),
+        (FD_BUS + FD.replace("64", "9"), "6: bus.can0.message[0].length: no CAN FD frame has 9"
+         " bytes; it is padded: write length = 12"),
+        (FD_BUS + FD.replace("64", "65"), "6: bus.can0.message[0].length: 65 bytes is out of"
+         " range; allowed: 0 to 64 bytes"),
+        (FD_BUS + FD.replace("fd = true\n", ""), "7: bus.can0.message[0].bit_rate_switch: only CAN"
+         " FD frames switch the bit rate; write fd = true, or take it out"),
+        (FD_BUS + FD.replace("fd = true\nbit_rate_switch = true\n", ""), "6:"
+         " bus.can0.message[0].length: 64 bytes is out of range; allowed: 0 to 8 bytes; of CAN FD,"
+         " with fd = true, up to 64"),
+    ],
+)  # fmt: skip
+def test_what_can_fd_has_not_is_told_and_refused_by_the_schema(text: str, told: str):
+    with pytest.raises(RigError) as caught:
+        parsed(text)
+    assert str(caught.value) == f"rig.toml:{told}"
+    assert not VALIDATOR.is_valid(tomllib.loads(text_of(text)))
+
+
+def test_motorapi_is_told_of_can_fd_and_of_the_data_bit_rate(tmp_path: Path):
+    with opened(tmp_path, f"{HEAD}{FD_BUS}{FD}{drive('left', 1)}") as rig:
+        traffic = declared_traffic(rig.bus("can0"))
+    assert traffic is not None
+    assert traffic.data_bitrate_bit_s == 5_000_000
+    assert worst_frame_ns(traffic.messages[0], traffic) == 33_000 + 679 * 200
 
 
 def test_the_schema_knows_a_messages_keys():

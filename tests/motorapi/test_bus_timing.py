@@ -14,9 +14,10 @@ from motorapi.bus_timing import (
     overload_of,
     response_times,
     worst_frame_bits,
+    worst_frame_ns,
 )
 from motorapi.errors import UsageError
-from motorapi.traffic import CanTraffic, NodeTraffic, PeriodicMessage
+from motorapi.traffic import CanTraffic, NodeTraffic, PeriodicMessage, worst_of
 
 # Frame bits with intermission, shortest and longest: can-utils canframelen.c and Linux
 # include/linux/can/length.h, which follow Davis et al. 2007, by data bytes 0 to 8.
@@ -88,6 +89,28 @@ def test_the_sae_benchmark_comes_out_to_the_microsecond(column: int):
     assert received_us == [row[2 + column] for row in SAE]
 
 
+@pytest.mark.parametrize(
+    ("length", "bits"),
+    [(0, (67, 91)), (8, (147, 171)), (16, (227, 251)), (20, (272, 296)), (64, (712, 736))],
+)
+def test_can_fd_frames_are_as_long_as_the_kernel_says(length: int, bits: tuple[int, int]):
+    """Source: Linux include/linux/can/length.h, longest frames (can-physics, 6.3)."""
+    slow, fast = (CanTraffic(1_000_000, data_bitrate_bit_s=rate) for rate in (1_000_000, 5_000_000))
+    for extended, worst, nominal in zip((False, True), bits, (33, 57), strict=True):
+        plain = PeriodicMessage(1, length, 1.0, extended=extended, fd=True)
+        switched = replace(plain, bit_rate_switch=True)
+        for one in (plain, switched):
+            assert worst_frame_ns(one, slow) == worst * 1000
+        assert worst_frame_ns(plain, fast) == worst * 1000
+        assert worst_frame_ns(switched, fast) == nominal * 1000 + (worst - nominal) * 200
+
+
+def test_of_one_identifier_a_can_fd_frame_without_a_switch_is_the_worst():
+    classical = PeriodicMessage(1, 8, 0.01)
+    switched = PeriodicMessage(1, 8, 0.02, fd=True, bit_rate_switch=True)
+    assert worst_of([classical, switched]) == (PeriodicMessage(1, 8, 0.01, fd=True),)
+
+
 def test_of_equal_base_identifiers_the_shorter_one_wins():
     short = PeriodicMessage(0x123, 0, 1.0)
     long = PeriodicMessage(0x123 << 18, 0, 1.0, extended=True)
@@ -120,6 +143,18 @@ def test_jitter_lets_several_come_at_once():
         (lambda: PeriodicMessage(0x800, 8, 1.0), "can_id = 2048: must be 0 to 7FFh"),
         (lambda: PeriodicMessage(True, 8, 1.0), "can_id = True"),
         (lambda: PeriodicMessage(1, 9, 1.0), "length = 9: a frame has 0 to 8 data bytes"),
+        (
+            lambda: PeriodicMessage(1, 9, 1.0, fd=True),
+            "length = 9: a CAN FD frame has 0 to 8, 12, 16, 20, 24, 32, 48, 64",
+        ),
+        (
+            lambda: PeriodicMessage(1, 8, 1.0, bit_rate_switch=True),
+            "bit_rate_switch = True: only a CAN FD frame has it",
+        ),
+        (
+            lambda: CanTraffic(500_000, data_bitrate_bit_s=250_000),
+            "data_bitrate_bit_s = 250000: must be 500000 to 20000000 bit/s",
+        ),
         (lambda: PeriodicMessage(1, 8, 0.0), "period_s = 0.0: must be 1e-6 to 1e6 s"),
         (lambda: PeriodicMessage(1, 8, float("nan")), "period_s = nan"),
         (lambda: PeriodicMessage(1, 8, 1.0, -1.0), "jitter_s = -1.0: must be 0 to 1e6 s"),

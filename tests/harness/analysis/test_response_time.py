@@ -59,13 +59,20 @@ def test_fd_frames_are_as_long_as_the_kernel_says(length: int):
             assert split.nominal in ((49, 57) if extended else (30, 33))
 
 
+TIMES = (
+    st.integers(500, 50_000).map(lambda us: us / 1e6),
+    st.integers(0, 5_000).map(lambda us: us / 1e6),
+)
+IDENTIFIERS = st.integers(0, 0x7FF)
 MESSAGES = st.lists(
-    st.builds(
+    st.builds(PeriodicMessage, IDENTIFIERS, st.integers(0, 8), *TIMES, st.booleans())
+    | st.builds(
         PeriodicMessage,
-        st.integers(0, 0x7FF),
-        st.integers(0, 8),
-        st.integers(500, 50_000).map(lambda us: us / 1e6),
-        st.integers(0, 5_000).map(lambda us: us / 1e6),
+        IDENTIFIERS,
+        st.sampled_from(FD_LENGTHS),
+        *TIMES,
+        st.booleans(),
+        st.just(True),
         st.booleans(),
     ),
     min_size=1,
@@ -74,9 +81,16 @@ MESSAGES = st.lists(
 )
 
 
-@given(MESSAGES, st.sampled_from([1_000_000, 500_000, 125_000]))
-def test_it_agrees_with_the_reading_in_motorapi(messages: list[PeriodicMessage], rate: int):
-    theirs = bus_timing.response_times(CanTraffic(rate, tuple(messages)))
+@given(
+    MESSAGES,
+    st.sampled_from([1_000_000, 500_000, 125_000]),
+    st.sampled_from([None, 2_000_000, 5_000_000]),
+)
+def test_it_agrees_with_the_reading_in_motorapi(
+    messages: list[PeriodicMessage], rate: int, data_rate: int | None
+):
+    traffic = CanTraffic(rate, tuple(messages), data_bitrate_bit_s=data_rate)
+    theirs = bus_timing.response_times(traffic)
     ours = response_times(
         BusLoad(
             "can0",
@@ -88,9 +102,12 @@ def test_it_agrees_with_the_reading_in_motorapi(messages: list[PeriodicMessage],
                     round(one.period_s * 1e9),
                     round(one.jitter_s * 1e9),
                     extended=one.extended,
+                    fd=one.fd,
+                    switched=one.bit_rate_switch,
                 )
                 for one in messages
             ),
+            data_rate,
         )
     )
     for mine, other in zip(ours, theirs, strict=True):
