@@ -2,11 +2,10 @@
 
 from collections.abc import Sequence
 
-from harness.analysis.clocks import Clock
 from harness.analysis.margins import ERRORS_MAX, Tolerance
 from harness.analysis.message import Arrival, Message
 from harness.analysis.response_time import Response
-from harness.analysis.subject import Findings
+from harness.analysis.subject import Findings, Sync
 from harness.text_table import print_table
 
 _MS = 1e-6  # of a nanosecond
@@ -83,19 +82,22 @@ def _advice(found: Findings) -> list[str]:
     return lines
 
 
-def _sync(sync: Clock) -> str:
-    text = f"SYNC every {sync.period_ns * _MS:.6f} ms"
-    if sync.nominal_ns is not None and sync.error_ppm is not None:
-        whence = "told by 1006h" if sync.is_told else "the nearest round period"
-        text += f", its clock {sync.error_ppm:+.1f} ppm off {sync.nominal_ns * _MS:g} ms ({whence})"
-    jitter = f"jitter {sync.peak_to_peak_ns / 1e3:.3f} us peak to peak"
-    return f"{text}; {jitter}, {sync.deviation_ns / 1e3:.3f} us standard deviation"
+def _sync(sync: Sync) -> str:
+    clock = sync.clock
+    moved = "" if sync.label == "080h" else f" {sync.label}"
+    text = f"SYNC{moved} every {clock.period_ns * _MS:.6f} ms"
+    nominal_ns, error_ppm = clock.nominal_ns, clock.error_ppm
+    if nominal_ns is not None and error_ppm is not None:
+        whence = "told by 1006h" if clock.is_told else "the nearest round period"
+        text += f", its clock {error_ppm:+.1f} ppm off {nominal_ns * _MS:g} ms ({whence})"
+    jitter = f"jitter {clock.peak_to_peak_ns / 1e3:.3f} us peak to peak"
+    return f"{text}; {jitter}, {clock.deviation_ns / 1e3:.3f} us standard deviation"
 
 
 def sync_drifts(found: Sequence[Findings]) -> list[dict[str, object]]:
     """How much faster each bus's SYNC goes than that of the first, for JSON."""
     timed = [(one.subject.load.name, one.subject.sync) for one in found]
-    known = [(name, sync) for name, sync in timed if sync is not None]
+    known = [(name, sync.clock) for name, sync in timed if sync is not None]
     return [
         {"bus": name, "from": known[0][0], "drift_ppm": drift_ppm}
         for name, sync in known[1:]
@@ -141,7 +143,7 @@ def as_table(found: Findings, bit_error_rate: float | None) -> dict[str, object]
     """One bus for JSON; analyse.schema.json says what each key is."""
     load, subject, remedy = found.subject.load, found.subject, found.remedy
     stands = {one.message.rank: one for one in found.tolerances}
-    counted = dict(subject.counted)
+    counted = {one.message.rank: one.frames for one in subject.recorded}
     messages: list[dict[str, object]] = []
     for one in found.responses:
         stood = stands.get(one.message.rank)
@@ -183,9 +185,11 @@ def as_table(found: Findings, bit_error_rate: float | None) -> dict[str, object]
     return table
 
 
-def _clock(clock: Clock) -> dict[str, object]:
+def _clock(sync: Sync) -> dict[str, object]:
+    clock = sync.clock
     nominal_ns = clock.nominal_ns
     return {
+        "label": sync.label,
         "period_s": clock.period_ns / 1e9,
         "peak_to_peak_s": clock.peak_to_peak_ns / 1e9,
         "deviation_s": clock.deviation_ns / 1e9,

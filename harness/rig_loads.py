@@ -10,11 +10,12 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Final, final
 
+from emulators.media.can_node import QueueOrder
 from harness.analysis.message import Arrival, BusLoad, Message
-from harness.analysis.subject import Subject, is_canopen_reserved
+from harness.analysis.subject import Queues, Subject, is_canopen_reserved
 from harness.canopen_names import usual_name
 from harness.rig import Rig
-from harness.rig_traffic import Declared, declared, heartbeats
+from harness.rig_traffic import Declared, declared, heartbeats, syncs
 from motorapi.errors import MotorError
 from motorapi.traffic import PeriodicMessage, own_traffic
 
@@ -34,12 +35,12 @@ class Assumptions:
     """What a rig's file does not tell.
 
     Attributes:
-        fifo: whether every node has one queue, first in, first out.
+        fifo: whether every node has one queue, first in, first out; None: as the rig has it.
         sync_s: SYNC comes so often [s]; None: as the rig's servos on the host need it.
         streamed: set-points are streamed to every drive that can take them, one for each SYNC.
     """
 
-    fifo: bool = True
+    fifo: bool | None = None
     sync_s: float | None = None
     streamed: bool = False
 
@@ -79,6 +80,7 @@ class _Bus:
         ]
         controllers = rig.description.controllers.values()
         self._repeats_ns = self._repeats()
+        self._syncs = {_SYNC_ID}
         self._nodes = {one.node_id: one.name for one in controllers if one.bus == name}
 
     def subject(self) -> Subject:
@@ -94,11 +96,14 @@ class _Bus:
             self._message(one, self._nodes[one.can_id & 0x7F], "heartbeat or boot-up")
             for one in heartbeats(description, self._name)
         )
-        sync_s = self._sync_s()
+        produced = syncs(description, self._name)
+        self._syncs.update(one.can_id for _, one in produced)
+        self._add(self._message(one, sender, "SYNC producer") for sender, one in produced)
+        sync_s = self._sync_s(produced)
         own = own_traffic(self._rig.bus(self._name))
         for node in own:
             self._add_node(node, sync_s)
-        if sync_s is not None:
+        if sync_s is not None and (self._assumptions.sync_s is not None or not produced):
             self._add([self._message(PeriodicMessage(_SYNC_ID, 0, sync_s), HOST, "SYNC")])
         if self._assumptions.streamed:
             self._add(self._set_points())
@@ -106,13 +111,17 @@ class _Bus:
         self._notes.append(_NOT_COUNTED)
         messages = tuple(self._found[rank] for rank in sorted(self._found))
         senders = frozenset(one.sender for one in messages if one.sender)
+        bus = description.buses[self._name]
+        by_priority = frozenset(
+            name for name, chip in bus.nodes.items() if chip.queue is QueueOrder.PRIORITY
+        )
         return Subject(
             load=BusLoad(
                 self._name,
-                description.buses[self._name].bitrate_bit_s,
+                bus.bitrate_bit_s,
                 messages,
-                description.buses[self._name].data_bitrate_bit_s,
-                fifo=senders if self._assumptions.fifo else frozenset(),
+                bus.data_bitrate_bit_s,
+                fifo=Queues(self._assumptions.fifo, by_priority).one_each(senders),
             ),
             is_reserved=is_canopen_reserved,
             notes=tuple(self._notes),
@@ -153,7 +162,8 @@ class _Bus:
 
         What a node tells by itself must arrive before it repeats it.
         """
-        by_clock = one.can_id >= 0x700 or one.can_id == _SYNC_ID
+        is_sync = one.can_id in self._syncs
+        by_clock = one.can_id >= 0x700 or is_sync
         period_ns = _floor_ns(one.period_s)
         is_own = sender != HOST and not by_clock
         repeated_ns = self._repeats_ns.get(one.can_id & 0x7F, 0) if is_own else 0
@@ -164,12 +174,17 @@ class _Bus:
             jitter_ns=-_floor_ns(-one.jitter_s),
             deadline_ns=max(period_ns, repeated_ns),
             extended=one.extended,
-            name="" if one.extended else usual_name(one.can_id, _numbered(self._nodes)),
+            name=self._name_of(one, is_sync),
             sender=sender,
             arrival=Arrival.PERIODIC if by_clock else Arrival.SPORADIC,
-            movable=not is_canopen_reserved(one.can_id, one.extended),
+            movable=not (is_sync or is_canopen_reserved(one.can_id, one.extended)),
             source=source,
         )
+
+    def _name_of(self, one: PeriodicMessage, is_sync: bool) -> str:
+        if is_sync:
+            return "SYNC"
+        return "" if one.extended else usual_name(one.can_id, _numbered(self._nodes))
 
     def _link(self) -> "CanopenLink | None":
         """What motors of this bus share."""
@@ -184,11 +199,13 @@ class _Bus:
                     return found
         return None
 
-    def _sync_s(self) -> float | None:
+    def _sync_s(self, produced: list[tuple[str, PeriodicMessage]]) -> float | None:
         from motorapi.adaptations.bus_traffic import sync_period
 
         if self._assumptions.sync_s is not None:
             return self._assumptions.sync_s
+        if produced:
+            return min(one.period_s for _, one in produced)
         link = self._link()
         period_s = sync_period(link)[0] if link is not None else None
         if period_s is None and self._assumptions.streamed:

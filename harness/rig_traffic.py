@@ -27,7 +27,11 @@ _TIME_MAX_S: Final = 1e6
 _CLASSICAL_MAX: Final = 8
 _BOOT_UP_S: Final = 1.0  # between two boots of a node that sends no heartbeat
 _HEARTBEAT_ID: Final = 0x700
-_HEARTBEAT_OBJECTS: Final = ("1017h", "1017")
+_HEARTBEAT_TIME: Final = 0x1017
+_SYNC_COB_ID: Final = 0x1005
+_SYNC_PERIOD: Final = 0x1006
+_SYNC_COUNTER: Final = 0x1019
+_SENDS_SYNC: Final = 1 << 30
 
 
 def read_messages(
@@ -149,12 +153,12 @@ def traffic_of(description: "RigDescription", bus: str) -> CanTraffic | None:
     """What is sent on a bus beside what motors have their controllers send; None: not declared.
 
     A controller that no motor has brought up says no more than that it has booted, and its
-    heartbeat where its table sets one.
+    heartbeat and SYNC where its table sets them.
     """
     described = description.buses[bus]
     if described.messages is None:
         return None
-    own = heartbeats(description, bus)
+    own = heartbeats(description, bus) + [sync for _, sync in syncs(description, bus)]
     return CanTraffic(
         described.bitrate_bit_s,
         worst_of([*described.messages, *own]),
@@ -172,10 +176,28 @@ def heartbeats(description: "RigDescription", bus: str) -> list[PeriodicMessage]
 
 
 def _heartbeat_s(controller: "ControllerDescription") -> float:
+    period_ms = _object(controller, _HEARTBEAT_TIME)
+    return min(_BOOT_UP_S, period_ms / 1e3) if period_ms > 0 else _BOOT_UP_S
+
+
+def syncs(description: "RigDescription", bus: str) -> list[tuple[str, PeriodicMessage]]:
+    """SYNC, with its sender's name, of controllers whose table makes them send it (CiA 301)."""
+    found: list[tuple[str, PeriodicMessage]] = []
+    for node in description.controllers.values():
+        cob_id, period_us = _object(node, _SYNC_COB_ID), _object(node, _SYNC_PERIOD)
+        if node.bus == bus and cob_id & _SENDS_SYNC and period_us > 0:
+            length = 1 if _object(node, _SYNC_COUNTER) else 0
+            message = PeriodicMessage(cob_id & _SFF_MAX, length, period_us / 1e6)
+            found.append((node.name, message))
+    return found
+
+
+def _object(controller: "ControllerDescription", index: int) -> int:
+    """A power-on value that the controller's table sets; 0: it sets none."""
     objects = controller.settings.get("objects")
     if isinstance(objects, Mapping):
-        for key in _HEARTBEAT_OBJECTS:
-            period_ms = objects.get(key)
-            if isinstance(period_ms, int) and period_ms > 0:
-                return min(_BOOT_UP_S, period_ms / 1e3)
-    return _BOOT_UP_S
+        for key in (f"{index:04X}h", f"{index:04X}"):
+            value = objects.get(key)
+            if isinstance(value, int):
+                return value
+    return 0

@@ -8,7 +8,9 @@ over the whole recording, its jitter how far its bursts run ahead of that. Of bo
 distance is known. So what comes out allows all that was recorded, and not much more; what was not
 recorded it does not know.
 
-Stamps are of the ends of frames: waiting for the bus is in the jitter already.
+Stamps are of the ends of frames: waiting for the bus is in the jitter already. How late a frame was
+is not recorded, but those after it prove some of it: if one comes closer than it should, those
+before it were late by as much.
 """
 
 from array import array
@@ -17,7 +19,7 @@ from dataclasses import dataclass, field
 from itertools import pairwise
 from typing import Final, final
 
-from harness.analysis.frame_length import FD_LENGTHS
+from harness.analysis.frame_length import FD_LENGTHS, Bits
 from harness.analysis.message import Arrival, Message
 
 SAMPLES_MIN: Final = 10
@@ -31,7 +33,8 @@ class Heard:
     """All frames of one identifier, as they were recorded.
 
     Attributes: identifier, extended; times_ns (of their ends, in order); length (data bytes, the
-    most); fd, switched; senders (in the order met); bits (all together, 0: not known).
+    most); fd (some of them); switched (all of them); senders (in the order met); shortest (none
+    has fewer bits, at either rate; None: not known).
     """
 
     identifier: int
@@ -41,7 +44,7 @@ class Heard:
     fd: bool = False
     switched: bool = False
     senders: list[str] = field(default_factory=list)
-    bits: int = 0
+    shortest: Bits | None = None
 
     def add(self, time_ns: int, length: int, sender: str) -> None:
         """One more frame."""
@@ -61,6 +64,9 @@ class Measured:
         frames: it stands on so many.
         least_ns, most_ns: distances between two of them; None: there is one frame only.
         irregular: how many distances of a periodic message are not like the others.
+        usual_late_ns: half of the frames of a periodic message were proved no later than this
+            after they could have come; the latest one by its jitter.
+        shortest: none of its frames was shorter; None: not known.
     """
 
     message: Message
@@ -68,6 +74,8 @@ class Measured:
     least_ns: int | None
     most_ns: int | None
     irregular: int
+    usual_late_ns: int = 0
+    shortest: Bits | None = None
 
 
 def measured(heard: Heard, span_ns: int, name: str = "") -> Measured:
@@ -82,13 +90,18 @@ def measured(heard: Heard, span_ns: int, name: str = "") -> Measured:
     gaps = [after - before for before, after in pairwise(times)]
     positive = [gap for gap in gaps if gap > 0]
     regular = _regular(positive)
+    irregular = usual_late_ns = irregular_ns = 0
+    arrival = Arrival.SPORADIC
     if regular:
-        message = _periodic(times, gaps, regular)
+        arrival = Arrival.PERIODIC
+        period_ns = sum(regular) // len(regular)
+        late_ns = _late_ns(times, gaps, regular, period_ns)
+        usual_late_ns, jitter_ns = sorted(late_ns)[len(late_ns) // 2], max(late_ns)
+        irregular_ns = max(0, _ahead_ns(times, period_ns) - jitter_ns)
         irregular = len(gaps) - len(regular)
     else:
-        message = _sporadic(times, gaps, span_ns)
-        irregular = 0
-    period_ns, jitter_ns, irregular_ns, arrival = message
+        period_ns = max(1, span_ns // len(times))
+        jitter_ns = _ahead_ns(times, period_ns)
     found = Message(
         identifier=heard.identifier,
         length=next(length for length in FD_LENGTHS if length >= heard.length),
@@ -105,7 +118,15 @@ def measured(heard: Heard, span_ns: int, name: str = "") -> Measured:
         arrival=arrival,
         source=f"{len(times)} frames",
     )
-    return Measured(found, len(times), min(gaps, default=None), max(gaps, default=None), irregular)
+    return Measured(
+        found,
+        len(times),
+        min(gaps, default=None),
+        max(gaps, default=None),
+        irregular,
+        usual_late_ns,
+        heard.shortest,
+    )
 
 
 def _regular(gaps: list[int]) -> list[int]:
@@ -117,24 +138,18 @@ def _regular(gaps: list[int]) -> list[int]:
     return regular if len(regular) >= _REGULAR_SHARE * len(gaps) else []
 
 
-def _periodic(
-    times: list[int], gaps: list[int], regular: list[int]
-) -> tuple[int, int, int, Arrival]:
-    period_ns = sum(regular) // len(regular)
+def _late_ns(times: list[int], gaps: list[int], regular: list[int], period_ns: int) -> list[int]:
+    """Of each frame how late it was at least, by those up to the next irregular distance."""
     low, high = min(regular), max(regular)
-    jitter_ns = 0
-    begin = 0
-    for place, gap in enumerate([*gaps, -1]):
-        if not low <= gap <= high:
-            jitter_ns = max(jitter_ns, _ahead_ns(times[begin : place + 1], period_ns))
-            begin = place + 1
-    all_ns = _ahead_ns(times, period_ns)
-    return period_ns, jitter_ns, max(0, all_ns - jitter_ns), Arrival.PERIODIC
-
-
-def _sporadic(times: list[int], gaps: list[int], span_ns: int) -> tuple[int, int, int, Arrival]:
-    period_ns = max(1, span_ns // len(times))
-    return period_ns, _ahead_ns(times, period_ns), 0, Arrival.SPORADIC
+    late_ns: list[int] = []
+    lead_ns: int | None = None  # of a period's grid over the frame that came soonest in it
+    for number in range(len(times) - 1, -1, -1):
+        if number < len(gaps) and not low <= gaps[number] <= high:
+            lead_ns = None
+        place_ns = number * period_ns - times[number]
+        lead_ns = place_ns if lead_ns is None else max(lead_ns, place_ns)
+        late_ns.append(lead_ns - place_ns)
+    return late_ns
 
 
 def _ahead_ns(times: Iterable[int], period_ns: int) -> int:

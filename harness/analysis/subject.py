@@ -14,7 +14,37 @@ from harness.analysis.margins import (
     tolerances,
 )
 from harness.analysis.message import BusLoad
+from harness.analysis.recorded import Measured
 from harness.analysis.response_time import Response, are_in_time, response_times
+
+
+@final
+@dataclass(frozen=True, slots=True)
+class Queues:
+    """How nodes queue what they send.
+
+    Attributes:
+        fifo: all of them in one queue, first in, first out, or none; None: as each is set up.
+        by_priority: those that are set up to send their most urgent frame first.
+    """
+
+    fifo: bool | None = None
+    by_priority: frozenset[str] = frozenset()
+
+    def one_each(self, senders: frozenset[str]) -> frozenset[str]:
+        """Which of these have one queue, first in, first out."""
+        if self.fifo is None:
+            return senders - self.by_priority
+        return senders if self.fifo else frozenset()
+
+
+@final
+@dataclass(frozen=True, slots=True)
+class Sync:
+    """A SYNC that was recorded: its identifier, as `Message.label` has it, and its clock."""
+
+    label: str
+    clock: Clock
 
 
 @final
@@ -25,7 +55,7 @@ class Subject:
     Attributes:
         load: what is sent on it.
         is_reserved: identifiers that nothing may be moved to.
-        counted: by rank, on how many recorded frames a message stands; a rig has none.
+        recorded: what was measured of each message; a rig has none.
         measured: the share of the bus that was used while it was recorded; None: not known.
         notes: what whoever reads the results must know, a line each.
         sync: what was measured of SYNC; None: it was not recorded, or is not periodic.
@@ -33,10 +63,10 @@ class Subject:
 
     load: BusLoad
     is_reserved: Reserved
-    counted: tuple[tuple[int, int], ...] = ()
+    recorded: tuple[Measured, ...] = ()
     measured: float | None = None
     notes: tuple[str, ...] = ()
-    sync: Clock | None = None
+    sync: Sync | None = None
 
 
 @final

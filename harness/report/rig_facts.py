@@ -41,13 +41,15 @@ class RigFacts:
     """What is known of a rig.
 
     Attributes: name; bitrates [bit/s] of CAN buses and serial lines; data_bitrates [bit/s] of
-    CAN FD buses; motors, in the rig's order; groups (their motors); settings (of controllers, as
+    CAN FD buses; by_priority, of each CAN bus (nodes that send their most urgent frame first);
+    motors, in the rig's order; groups (their motors); settings (of controllers, as
     the rig has them).
     """
 
     name: str = ""
     bitrates: dict[str, int] = field(default_factory=dict)
     data_bitrates: dict[str, int] = field(default_factory=dict)
+    by_priority: dict[str, frozenset[str]] = field(default_factory=dict)
     motors: dict[str, MotorFacts] = field(default_factory=dict)
     groups: dict[str, list[str]] = field(default_factory=dict)
     settings: dict[str, Table] = field(default_factory=dict)
@@ -75,6 +77,9 @@ def facts_of(attachments: Iterable[Attachment]) -> RigFacts:
         data_rate = bus.get("data_bitrate_bit_s")
         if isinstance(data_rate, int) and data_rate > 0:
             facts.data_bitrates[name] = data_rate
+        nodes = _tables(bus, "node").items()
+        urgent = frozenset(node for node, chip in nodes if chip.get("queue") == "priority")
+        facts.by_priority[name] = urgent
     controllers = facts.settings = _tables(rig, "controller")
     for name, motor in _tables(rig, "motor").items():
         facts.motors[name] = _motor(name, motor, controllers, tables)

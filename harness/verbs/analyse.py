@@ -66,8 +66,8 @@ def _add_assumptions(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--queue",
         choices=("fifo", "priority"),
-        default="fifo",
-        help="what a node sends first: its oldest frame (default), or its most urgent one",
+        help="what every node sends first: its oldest frame, or its most urgent one (default: as"
+        " the rig has it, and fifo where it says nothing)",
     )
     parser.add_argument(
         "--deadline",
@@ -122,17 +122,17 @@ def run(options: argparse.Namespace) -> int:
 
 
 def _subjects(options: argparse.Namespace) -> list[Subject]:
-    is_fifo = options.queue == "fifo"
+    fifo = None if options.queue is None else options.queue == "fifo"
     if options.file.suffix == ".toml":
         from harness.rig_loads import Assumptions, subjects_of_rig
 
-        return subjects_of_rig(options.file, Assumptions(is_fifo, options.sync, options.streamed))
+        return subjects_of_rig(options.file, Assumptions(fifo, options.sync, options.streamed))
     from harness.recorded_loads import subjects_of_recording
 
     if options.sync is not None or options.streamed:
         raise RigError(options.file, "--sync and --streamed are of rigs", "leave them out")
     rates, data_rates = dict(options.bitrate), dict(options.data_bitrate)
-    return subjects_of_recording(options.file, rates, data_rates, fifo=is_fifo)
+    return subjects_of_recording(options.file, rates, data_rates, fifo)
 
 
 def _with_options(subject: Subject, options: argparse.Namespace) -> Subject:

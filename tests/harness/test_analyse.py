@@ -1,6 +1,9 @@
 """`motorhil analyse`: rigs and recordings, tables and JSON, exit status and refusals."""
 
 import json
+import os
+import subprocess
+import sys
 from pathlib import Path
 from xml.etree import ElementTree
 
@@ -115,6 +118,51 @@ def test_messages_of_one_sender_wait_in_one_queue_unless_told_otherwise(tmp_path
     assert [one["response_s"] for one in one_queue["messages"]] == [405e-6, 405e-6, 405e-6]
     sorted_queue = as_json(capsys, str(path), "--queue", "priority")[1]["buses"][0]
     assert [one["response_s"] for one in sorted_queue["messages"]] == [270e-6, 405e-6, 405e-6]
+
+
+def test_how_a_nodes_queue_is_set_up_needs_no_telling_twice(tmp_path, capsys):
+    """left sends its most urgent frame first; the other is as emulated nodes are by default."""
+    path = tmp_path / "rig.toml"
+    path.write_text(
+        "[bus.can0]\nbitrate_bit_s = 1_000_000\n"
+        '[bus.can0.node.left]\nqueue = "priority"\nsilent = true\n'
+        + "".join(
+            f"[[bus.can0.message]]\nidentifier = {number}\nlength = 8\nperiod_s = 0.01\n"
+            f'sender = "{sender}"\n'
+            for number, sender in ((1, "left"), (2, "other"), (3, "other"), (4, "left"))
+        )
+    )
+    for words, fifo in (
+        ((), ["other"]),
+        (("--queue", "fifo"), ["left", "other"]),
+        (("--queue", "priority"), []),
+    ):
+        assert as_json(capsys, str(path), *words)[1]["buses"][0]["fifo"] == fifo
+    recording = tmp_path / "some.mcap"
+    with TraceWriter(recording) as writer:
+        writer.attach("rig.toml", path.read_bytes(), "application/toml")
+        channel = writer.channel("/can/can0", Schema.of(CAN_FRAME))
+        for n in range(12):
+            for number, sender in enumerate(("left", "other")):
+                frame = encode_can_frame(pack(1 + number), sender=sender)
+                writer.write(channel, n * 5 * MS + number, frame)
+    assert as_json(capsys, str(recording))[1]["buses"][0]["fifo"] == ["other"]
+
+
+def test_declared_can_fd_messages_take_both_rates(tmp_path, capsys):
+    """64 bytes: 33 bits at 500 kbit/s and 679 at 2 Mbit/s, 712 without a switch (can-physics)."""
+    path = tmp_path / "rig.toml"
+    fd = "length = 64\nperiod_s = 0.01\nfd = true\n"
+    path.write_text(
+        "[bus.can0]\nbitrate_bit_s = 500_000\ndata_bitrate_bit_s = 2_000_000\n"
+        f"[[bus.can0.message]]\nidentifier = 1\nbit_rate_switch = true\n{fd}"
+        f"[[bus.can0.message]]\nidentifier = 2\n{fd}"
+    )
+    first, second = as_json(capsys, str(path))[1]["buses"][0]["messages"]
+    assert first["takes_s"] == pytest.approx(33 / 5e5 + 679 / 2e6, abs=1e-12)
+    assert second["takes_s"] == pytest.approx(712 / 5e5, abs=1e-12)
+    assert second["response_s"] == pytest.approx(first["takes_s"] + second["takes_s"], abs=1e-12)
+    assert [one["bit_rate_switch"] for one in (first, second)] == [True, False]
 
 
 def test_what_motors_have_their_drives_send_is_known(capsys):
@@ -279,3 +327,42 @@ def test_recorded_syncs_tell_their_clocks_and_how_they_drift(tmp_path, capsys):
     (line,) = [one for one in lines if one.startswith("can0: SYNC every")]
     assert "its clock +40.0 ppm off 10 ms (told by 1006h); jitter 0.000 us peak to peak" in line
     assert "can1: SYNC drifts by -70.0 ppm from that of can0" in lines
+
+
+def test_a_sync_with_another_identifier_is_measured_as_one(tmp_path, capsys):
+    """1005h of node 1 is read, that of node 2 written: SYNC is 090h, an EMCY by default."""
+    path = tmp_path / "moved.log"
+    rows = [(1 * MS, "581#4305100090000000"), (2 * MS, "602#2305100090000000")]
+    rows += [(n * 10 * MS, "090#") for n in range(40)]
+    rows += [(n * 100 * MS + 50, "701#05") for n in range(4)]
+    path.write_text("".join(f"({at / 1e9:.9f}) can0 {row}\n" for at, row in sorted(rows)))
+    _, told = as_json(capsys, str(path), "--bitrate", "can0=1M")
+    (bus,) = told["buses"]
+    assert (bus["sync"]["label"], bus["sync"]["period_s"]) == ("090h", 0.01)
+    (sync,) = [one for one in bus["messages"] if one["label"] == "090h"]
+    assert sync["name"] == "SYNC"
+    main(["analyse", str(path), "--bitrate", "can0=1M"])
+    assert "can0: SYNC 090h every 10.000000 ms" in capsys.readouterr().out
+
+
+def test_a_controller_that_sends_sync_is_counted(tmp_path, capsys):
+    path = tmp_path / "rig.toml"
+    path.write_text(
+        "[bus.can0]\nbitrate_bit_s = 500_000\nmessage = []\n[controller.left]\nkind = 'cia402'\n"
+        "bus = 'can0'\nnode_id = 1\nplant = { preset = 'wheel_60w' }\n"
+        'objects = { "1005h" = 0x40000090, "1006h" = 4000 }\n'
+    )
+    (bus,) = as_json(capsys, str(path))[1]["buses"]
+    (sync,) = [one for one in bus["messages"] if one["label"] == "090h"]
+    facts = [sync[key] for key in ("name", "sender", "period_s", "arrival")]
+    assert facts == ["SYNC", "left", 0.004, "periodic"]
+
+
+def test_a_reader_that_has_left_is_no_error(rig):
+    """As of any verb: silent, exit status 1."""
+    command = f"{sys.executable} -m harness analyse {rig} --json; echo $? >&2"
+    read, write = os.pipe()
+    os.close(read)
+    told = subprocess.run(["sh", "-c", command], stdout=write, stderr=subprocess.PIPE, text=True)
+    os.close(write)
+    assert told.stderr == "1\n"

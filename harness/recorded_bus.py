@@ -1,0 +1,228 @@
+"""The frames of one CAN bus as they were recorded, as the analysis of response times takes them."""
+
+import struct
+from collections.abc import Iterable, Mapping
+from dataclasses import replace
+from typing import Final, final
+
+from emulators.media.can_bits import measure, phases_of
+from emulators.media.can_frame import FD_FRAME_BYTES, FD_LENGTHS
+from emulators.media.can_port import LENGTHS_MASK
+from harness.analysis.clocks import clock_of
+from harness.analysis.frame_length import Bits
+from harness.analysis.message import Arrival, BusLoad, Message
+from harness.analysis.recorded import Heard, Measured, measured
+from harness.analysis.subject import (
+    Queues,
+    Subject,
+    Sync,
+    is_canopen_reserved,
+    reserves_nothing,
+)
+from harness.canopen_names import is_sdo, usual_name
+from traces.traffic import BRS, EFF, EFF_MASK, ERR, RTR
+
+_HEAD: Final = struct.Struct("<IBB")
+_NMT: Final = 0x000
+_SYNC: Final = 0x080
+_BASE_MASK: Final = 0x7FF
+_COB_ID_EXTENDED: Final = 1 << 29
+_WHOLE_TOLD: Final = (0x23, 0x43)
+"""SDO that writes, or answers, four bytes at once (CiA 301)."""
+_SYNC_COB_ID: Final = b"\x05\x10\x00"
+_CYCLE_PERIOD: Final = b"\x06\x10\x00"  # [us]
+_LSS: Final = (0x7E4, 0x7E5)
+_HEARTBEATS: Final = range(0x701, 0x780)
+
+
+@final
+class RecordedBus:
+    """The frames of one bus."""
+
+    def __init__(self, name: str) -> None:
+        """None yet."""
+        self._name = name
+        self._heard: dict[int, Heard] = {}
+        self._bits = 0
+        self._data_bits = 0
+        self._errors = 0
+        self._odd = 0
+        self._switched = 0
+        self._remote = 0
+        self._cycles_ns: list[int] = []
+        self._syncs = [_SYNC]
+        self._first_ns: int | None = None
+        self._last_ns = 0
+
+    def take(self, time_ns: int, frame: bytes, sender: str) -> tuple[int, int] | None:
+        """One more frame: its bits at the nominal and at the data rate; None: no bus carries it."""
+        can_id, length, flags = _HEAD.unpack_from(frame)
+        if can_id & ERR:
+            self._errors += 1
+            return None
+        fd = len(frame) == FD_FRAME_BYTES
+        if fd and length not in FD_LENGTHS:  # as some tools write it; on the wire it was padded
+            length = next((one for one in FD_LENGTHS if one > length), FD_LENGTHS[-1])
+            frame = frame[:4] + bytes([length]) + frame[5:]
+        try:
+            nominal, data = phases_of(measure(frame) & LENGTHS_MASK)
+        except ValueError:  # recorded by somebody, and sent by nobody
+            self._odd += 1
+            return None
+        self._bits += nominal
+        self._data_bits += data
+        if self._first_ns is None:
+            self._first_ns = self._last_ns = time_ns
+        self._first_ns = min(self._first_ns, time_ns)
+        self._last_ns = max(self._last_ns, time_ns)
+        switched = fd and bool(flags & BRS)
+        key = can_id & (EFF | EFF_MASK)
+        heard = self._heard.get(key)
+        if heard is None:
+            heard = self._heard[key] = Heard(can_id & EFF_MASK, bool(can_id & EFF))
+            heard.switched = switched
+        heard.fd = heard.fd or fd
+        heard.switched = heard.switched and switched
+        heard.add(time_ns, 0 if can_id & RTR else length, sender)
+        least = heard.shortest
+        if least is None or nominal < least.nominal or data < least.data:
+            known = least or Bits(nominal, data)
+            heard.shortest = Bits(min(nominal, known.nominal), min(data, known.data))
+        if switched:
+            self._switched += 1
+        elif can_id & RTR:
+            self._remote += 1
+        elif is_sdo(can_id):
+            self._learn(frame)
+        return nominal, data
+
+    def _learn(self, frame: bytes) -> None:
+        """What an SDO tells of SYNC."""
+        if frame[8] not in _WHOLE_TOLD:
+            return
+        value = int.from_bytes(frame[12:16], "little")
+        if frame[9:12] == _CYCLE_PERIOD:
+            self._cycles_ns.append(value * 1000)
+        elif frame[9:12] == _SYNC_COB_ID:
+            extended = bool(value & _COB_ID_EXTENDED)
+            identifier = value & (EFF_MASK if extended else _BASE_MASK)
+            self._syncs.append(identifier | (EFF if extended else 0))
+
+    def subject(
+        self,
+        rate: int,
+        data_rate: int | None,
+        nodes: Mapping[int, str],
+        queues: Queues,
+        doubts: Iterable[str] = (),
+    ) -> Subject:
+        """The bus with all that was periodic, and what was not.
+
+        Args:
+            rate: the nominal bit rate.
+            data_rate: of CAN FD; None: not known.
+            nodes: names by node-ID.
+            queues: of senders that are known.
+            doubts: what is to be known of the file.
+        """
+        assert self._first_ns is not None or not self._heard
+        span_ns = max(1, self._last_ns - (self._first_ns or 0))
+        is_canopen = any(one.identifier in _HEARTBEATS for one in self._heard.values())
+        known: list[tuple[Message, Measured]] = []
+        left_out: list[str] = []
+        notes = list(doubts)
+        for key in sorted(self._heard):
+            heard = self._heard[key]
+            found = measured(heard, span_ns, self._name_of(key, nodes) if is_canopen else "")
+            if is_canopen and _is_not_counted(found.message):
+                left_out.append(f"{found.message.label} ({found.frames})")
+                continue
+            is_sync = is_canopen and key in self._syncs
+            known.append((_at_home(found.message, is_canopen, is_sync), found))
+        if left_out:
+            notes.append(f"not counted, SDO and NMT are sporadic (frames): {', '.join(left_out)}")
+        notes += self._notes(known)
+        if self._switched and data_rate is None:
+            notes.append(
+                f"the data bit rate of {self._switched} CAN FD frames is not known"
+                f" (--data-bitrate {self._name}=2M): counted as if all were at the nominal one"
+            )
+        senders = frozenset(one.sender for one, _ in known if one.sender)
+        busy_s = self._bits / rate + self._data_bits / (data_rate or rate)
+        load = BusLoad(
+            self._name,
+            rate,
+            tuple(sorted((one for one, _ in known), key=lambda one: one.rank)),
+            data_rate,
+            queues.one_each(senders),
+        )
+        return Subject(
+            load,
+            is_canopen_reserved if is_canopen else reserves_nothing,
+            tuple(found for _, found in known),
+            busy_s * 1e9 / span_ns if span_ns > 1 else None,
+            tuple(notes),
+            self._sync(known) if is_canopen else None,
+        )
+
+    def _name_of(self, key: int, nodes: Mapping[int, str]) -> str:
+        if key in self._syncs:
+            return "SYNC"
+        return "" if key & EFF else usual_name(key, nodes)
+
+    def _sync(self, known: list[tuple[Message, Measured]]) -> Sync | None:
+        """What is known of the SYNC that came most often."""
+        periodic = {
+            message.identifier | (EFF if message.extended else 0): message
+            for message, _ in known
+            if message.arrival is Arrival.PERIODIC
+        }
+        syncs = [key for key in dict.fromkeys(self._syncs) if key in periodic]
+        if not syncs:
+            return None
+        key = max(syncs, key=lambda one: len(self._heard[one].times_ns))
+        clock = clock_of(sorted(self._heard[key].times_ns), self._cycles_ns)
+        return Sync(periodic[key].label, clock)
+
+    def _notes(self, known: list[tuple[Message, Measured]]) -> list[str]:
+        notes = []
+        once = [found.message.label for _, found in known if found.frames == 1]
+        if once:
+            notes.append(f"seen once, nothing is known of how often they come: {', '.join(once)}")
+        irregular = [
+            f"{found.message.label} ({found.irregular} of {found.frames - 1})"
+            for _, found in known
+            if found.irregular
+        ]
+        if irregular:
+            notes.append(f"periodic, but for some of their distances: {', '.join(irregular)}")
+        several = [heard for heard in self._heard.values() if len(heard.senders) > 1]
+        if several:
+            labels = ", ".join(f"{one.identifier:03X}h" for one in several)
+            notes.append(f"of more than one sender, taken as one of a node of its own: {labels}")
+        if self._remote:
+            notes.append(f"{self._remote} remote frames, taken as without data")
+        if self._odd:
+            notes.append(f"{self._odd} frames are none that a bus could carry, and are left out")
+        if self._errors:
+            notes.append(f"{self._errors} error messages were recorded; --errors counts errors")
+        return notes
+
+
+def _is_not_counted(message: Message) -> bool:
+    """What the analysis of a rig leaves out too: it comes when somebody asks."""
+    if message.extended or message.arrival is Arrival.PERIODIC:
+        return False
+    identifier = message.identifier
+    return identifier == _NMT or identifier in _LSS or is_sdo(identifier)
+
+
+def _at_home(message: Message, is_canopen: bool, is_sync: bool) -> Message:
+    """As a CANopen bus has it: what SDO is asked has no deadline, and not all can be moved."""
+    if not is_canopen:
+        return message
+    reserved = is_canopen_reserved(message.identifier, message.extended)
+    movable = not (reserved or is_sync)
+    asked = not message.extended and is_sdo(message.identifier)  # periodically, but nobody waits
+    deadline_ns = None if asked else message.deadline_ns
+    return replace(message, movable=movable, deadline_ns=deadline_ns)
