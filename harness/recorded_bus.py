@@ -205,7 +205,10 @@ class RecordedBus:
         if self._odd:
             notes.append(f"{self._odd} frames are none that a bus could carry, and are left out")
         if self._errors:
-            notes.append(f"{self._errors} error messages were recorded; --errors counts errors")
+            notes.append(
+                f"{self._errors} error messages were recorded; how late errors can make a message"
+                " is told by motorhil analyse --errors N"
+            )
         return notes
 
 

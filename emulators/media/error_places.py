@@ -39,8 +39,13 @@ def struck(rule: FaultRule, frame: bytes, sender: int, ports: int) -> Disturbanc
 
 
 def _unnoticed_until_crc(wire: WireFrame) -> int | None:
-    """The last bit of the CRC or before that, inverted, leaves all stuff bits where they are."""
+    """The last bit of the CRC or before that, inverted, leaves all stuff bits where they are.
+
+    In CAN FD those of the CRC are fixed, and none is behind its last bit (ISO 11898-1:2015).
+    """
     end = wire.places.index(CRC_DELIMITER)
+    if wire.is_fd:
+        return end - 1
     data = [place for place, where in enumerate(wire.places) if where == DATA]
     for place in range(end - 1, data[0] if data else wire.places.index(DLC) + 4, -1):
         levels = bytearray(wire.levels[:end])

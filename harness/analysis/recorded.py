@@ -1,12 +1,13 @@
 """Periods and jitter of messages as a recording shows them.
 
-A message is periodic if nearly all of its distances are like their median. Its period is the mean
-of those; its jitter is how much closer than that any of its frames came, where none of the
-distances between them is irregular; what irregular ones add (a boot-up message between heartbeats,
-a change that is told at once) is kept apart. Everything else is sporadic: its period is the mean
-over the whole recording, its jitter how far its bursts run ahead of that. Of both the least
-distance is known. So what comes out allows all that was recorded, and not much more; what was not
-recorded it does not know.
+A message is periodic if nearly all of its distances are like their median. Its period is the one
+with which its frames were least late, all from one due time on where no distance between them is
+irregular: with no other is their spread smaller, with their real one neither. Its jitter is how
+much closer than that any of them came; what irregular distances add (a boot-up message between
+heartbeats, a change that is told at once) is kept apart. Everything else is sporadic: its period is
+the mean over the whole recording, its jitter how far its bursts run ahead of that. Of both the
+least distance is known. So what comes out allows all that was recorded, and not much more; what was
+not recorded it does not know.
 
 Stamps are of the ends of frames: waiting for the bus is in the jitter already. How late a frame was
 is not recorded, but those after it prove some of it: if one comes closer than it should, those
@@ -25,6 +26,7 @@ from harness.analysis.message import Arrival, Message
 SAMPLES_MIN: Final = 10
 _REGULAR_SHARE: Final = 0.9
 _REGULAR_WITHIN: Final = 4  # a quarter of the median
+_FINE: Final = 1 << 16  # of a nanosecond: a period's error grows with the number of frames
 
 
 @final
@@ -94,8 +96,9 @@ def measured(heard: Heard, span_ns: int, name: str = "") -> Measured:
     arrival = Arrival.SPORADIC
     if regular:
         arrival = Arrival.PERIODIC
-        period_ns = sum(regular) // len(regular)
-        late_ns = _late_ns(times, gaps, regular, period_ns)
+        runs = _runs(times, gaps, regular)
+        period_ns = _period_ns(runs, min(regular), max(regular))
+        late_ns = [late_ns for run in runs for late_ns in _late_ns(run, period_ns)]
         usual_late_ns, jitter_ns = sorted(late_ns)[len(late_ns) // 2], max(late_ns)
         irregular_ns = max(0, _ahead_ns(times, period_ns) - jitter_ns)
         irregular = len(gaps) - len(regular)
@@ -138,15 +141,60 @@ def _regular(gaps: list[int]) -> list[int]:
     return regular if len(regular) >= _REGULAR_SHARE * len(gaps) else []
 
 
-def _late_ns(times: list[int], gaps: list[int], regular: list[int], period_ns: int) -> list[int]:
-    """Of each frame how late it was at least, by those up to the next irregular distance."""
+def _runs(times: list[int], gaps: list[int], regular: list[int]) -> list[list[int]]:
+    """Parts without an irregular distance."""
     low, high = min(regular), max(regular)
+    ends = [place + 1 for place, gap in enumerate(gaps) if not low <= gap <= high]
+    return [times[begin:end] for begin, end in pairwise([0, *ends, len(times)])]
+
+
+def _period_ns(runs: list[list[int]], low_ns: int, high_ns: int) -> int:
+    """The one with which the frames of no run spread more than they must, rounded down.
+
+    How much they spread is the larger, the further a period is from that one, on either side.
+    """
+    hulls = [(_hull(run, 1), _hull(run, -1)) for run in runs]
+
+    def spread(period: int) -> int:
+        return max(
+            max(_FINE * at_ns - number * period for number, at_ns in above)
+            - min(_FINE * at_ns - number * period for number, at_ns in below)
+            for above, below in hulls
+        )
+
+    low, high = _FINE * low_ns, _FINE * high_ns
+    while low < high:
+        middle = (low + high) // 2
+        if spread(middle + 1) < spread(middle):
+            low = middle + 1
+        else:
+            high = middle
+    return low // _FINE
+
+
+def _hull(run: list[int], side: int) -> list[tuple[int, int]]:
+    """Of the points (number, time) those on the convex hull; side 1: above all others, -1: below.
+
+    Source: A. M. Andrew, Another efficient algorithm for convex hulls in two dimensions (1979).
+    """
+    hull: list[tuple[int, int]] = []
+    for number, at_ns in enumerate(run):
+        while len(hull) > 1:
+            (first, first_ns), (last, last_ns) = hull[-2:]
+            turn = (last - first) * (at_ns - first_ns) - (number - first) * (last_ns - first_ns)
+            if side * turn < 0:
+                break
+            hull.pop()
+        hull.append((number, at_ns))
+    return hull
+
+
+def _late_ns(run: list[int], period_ns: int) -> list[int]:
+    """Of each frame how late it was at least, by those after it."""
     late_ns: list[int] = []
-    lead_ns: int | None = None  # of a period's grid over the frame that came soonest in it
-    for number in range(len(times) - 1, -1, -1):
-        if number < len(gaps) and not low <= gaps[number] <= high:
-            lead_ns = None
-        place_ns = number * period_ns - times[number]
+    lead_ns: int | None = None  # of a grid of periods over the frame that came soonest in it
+    for number in range(len(run) - 1, -1, -1):
+        place_ns = number * period_ns - run[number]
         lead_ns = place_ns if lead_ns is None else max(lead_ns, place_ns)
         late_ns.append(lead_ns - place_ns)
     return late_ns

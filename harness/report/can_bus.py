@@ -8,10 +8,9 @@ it; all other CANopen frames are the decoder's. Heartbeats that repeat the last 
 import struct
 from typing import Final, final
 
-from emulators.media.can_bits import frame_bits, measure, phases_of
-from emulators.media.can_frame import FD_LENGTHS
-from emulators.media.can_port import LENGTHS_MASK
+from harness.analysis.subject import Queues, Subject
 from harness.canopen_names import usual_name
+from harness.recorded_bus import RecordedBus
 from harness.report.incidents import Incidents, Severity
 from harness.report.nodes import Nodes
 from harness.report.traffic import Traffic
@@ -79,6 +78,7 @@ class CanBus:
         self.unmapped = 0
         self.switched = 0
         self._rates = bitrate_bit_s, data_bitrate_bit_s
+        self._recorded = RecordedBus(name)
         self.untyped: set[int] = set()
         self._name = name
         self._nodes = nodes
@@ -104,9 +104,10 @@ class CanBus:
         frame, _, sender = self._frames.decode(payload)
         can_id, length, _ = _HEAD.unpack_from(frame)
         if can_id & _ERR:
+            self._recorded.take(time_ns, frame, sender)
             self._error(time_ns, frame, sender)
             return
-        self._weigh(time_ns, can_id, length, frame)
+        self._weigh(time_ns, can_id, frame, sender)
         if can_id & (_EFF | _RTR) or len(frame) != 16:
             return
         function = can_id >> 7
@@ -124,26 +125,32 @@ class CanBus:
 
     # ----------------------------------------------------------------------------------- load
 
-    def _weigh(self, time_ns: int, can_id: int, length: int, frame: bytes) -> None:
+    def _weigh(self, time_ns: int, can_id: int, frame: bytes, sender: str) -> None:
+        bits = self._recorded.take(time_ns, frame, sender)
+        if bits is None:
+            raise ValueError(f"{frame.hex()}: no bus carries it")
         key = self._labels.get(can_id)
         if key is None:
             key = self._labels[can_id] = self._new_label(can_id)
-        bits = frame_bits(frame) if len(frame) == 16 else self._fd_bits(frame)
-        self.traffic.add(time_ns, key, bits)
-
-    def _fd_bits(self, frame: bytes) -> int:
-        """How many nominal bits fit in the time that a CAN FD frame takes."""
-        length = frame[4]
-        if length not in FD_LENGTHS:  # as some tools write it; on the wire it was padded
-            length = next((one for one in FD_LENGTHS if one > length), FD_LENGTHS[-1])
-            frame = frame[:4] + bytes([length]) + frame[5:]
-        nominal, data = phases_of(measure(frame) & LENGTHS_MASK)
+        nominal, data = bits
         rate, data_rate = self._rates
-        if data and not data_rate:
+        if data and rate and data_rate:  # how many nominal bits fit in that time
+            data = round(data * rate / data_rate)
+        elif data and not data_rate:
             self.switched += 1
-        if not data or not rate or not data_rate:
-            return nominal + data
-        return nominal + round(data * rate / data_rate)
+        self.traffic.add(time_ns, key, nominal + data)
+
+    def subject(self, by_priority: frozenset[str]) -> Subject | None:
+        """What was sent, for the analysis of response times; None: the bit rate is not known.
+
+        Args:
+            by_priority: nodes that send their most urgent frame first.
+        """
+        rate, data_rate = self._rates
+        if rate is None:
+            return None
+        queues = Queues(by_priority=by_priority)
+        return self._recorded.subject(rate, data_rate, self._node_names, queues)
 
     def _new_label(self, can_id: int) -> int:
         identifier = can_id & 0x1FFF_FFFF

@@ -8,6 +8,7 @@ from harness.report.incidents import Severity
 from harness.report.motors import Line, Motor, Plot, motors_of
 from harness.report.pack import Packed, Packer
 from harness.report.reduce import FRAMES_MAX, POINTS_MAX, cells, extremes, share
+from harness.report.responses import responses_of
 from harness.report.timelines import (
     Timeline,
     lock_timeline,
@@ -77,6 +78,7 @@ def document_of(
         ],
         "groups": _groups(found, packer),
         "traffic": [_traffic(one, packer, frames, frames_max) for one in found.traffics()],
+        "responses": responses_of(found),
         "incidents": _incidents(found, packer),
         "notes": notes,
     }

@@ -16,6 +16,7 @@ SCRIPTS: Final = (
     "traffic.js",
     "timelines.js",
     "moves.js",
+    "responses.js",
     "page.js",
 )
 

@@ -10,15 +10,19 @@ function section(id, title, about, open = true) {
   make("h2", summary, title);
   if (about) make("span", summary, " " + about, "about");
   holder.addEventListener("toggle", () => redraw());
+  linkTo(title, element, holder);
+  return holder;
+}
+
+function linkTo(title, element, holder) {
   const link = make("a", $("places"), title);
-  link.href = "#" + id;
+  link.href = "#" + element.id;
   link.addEventListener("click", (event) => {
     event.preventDefault();
     holder.open = true;
     element.scrollIntoView();
     redraw();
   });
-  return holder;
 }
 
 function head() {
@@ -290,6 +294,7 @@ async function start() {
   await unpack();
   head();
   build();
+  responses();
   list();
   layout();
   redrawn.forEach((draw) => draw());

@@ -6,8 +6,8 @@ import pytest
 
 from emulators.media import error_message as told
 from emulators.media.can_bus import CanBus
-from emulators.media.can_frame import can_id_of, pack
-from emulators.media.can_node import CanNode
+from emulators.media.can_frame import BRS, can_id_of, pack, pack_fd
+from emulators.media.can_node import CanNode, FrameSupport
 from emulators.media.confinement import ErrorState
 from emulators.media.delivery import KIND_MASK, TOLD
 from emulators.media.fault_rule import FaultKind, FaultRule, FrameError, WireLevel
@@ -174,6 +174,28 @@ def test_each_kind_of_error_is_struck_once_and_the_frame_is_sent_again(error):
         FrameError.ACK: told.TRANSMITTING,
     }[error]
     assert any(one & 0x7F == wanted & 0x7F for one in seen), [hex(one) for one in seen]
+
+
+@pytest.mark.parametrize("error", FrameError)
+@pytest.mark.parametrize(("length", "flags"), [(0, 0), (16, BRS), (20, BRS), (64, 0)])
+def test_each_kind_of_error_strikes_can_fd_frames_as_well(error, length, flags):
+    """CRC-17 and CRC-21, with and without a switch; a CRC error shows at the end."""
+    chip = CanNode(frames=FrameSupport.FD)
+    rule = FaultRule("strike", FaultKind.ERROR, error=error, limit=1)
+    bus = CanBus("can0", 500_000, FaultPlan([rule], random.Random(1).random), 2_000_000)
+    sender, ear = bus.attach("sender", chip), bus.attach("ear", chip)
+    frame = pack_fd(0x123, bytes(length), flags)
+    deliveries = run(bus, [(0, sender, frame)])
+    ((end_ns, _),) = heard(deliveries, ear)
+    plain = CanBus("can0", 500_000, data_bitrate_bit_s=2_000_000)
+    for name in ("sender", "ear"):
+        plain.attach(name, chip)
+    ((plain_ns, _),) = heard(run(plain, [(0, sender, frame)]), ear)
+    assert end_ns > plain_ns
+    assert bus.node(sender).confinement.tec == 7
+    if error is FrameError.CRC:
+        first = min(classes(deliveries, ear, told.PROTOCOL))
+        assert 0 < plain_ns - first <= 9 * 2 * BIT  # CRC delimiter, ACK, its delimiter, EOF
 
 
 # --- noise, babble, shorts, splits

@@ -348,3 +348,28 @@ def test_nothing_can_be_loaded_even_by_the_pages_own_script(browser, demo_page):
     assert refused == "refused"
     policy = browser.run("document.querySelector('meta[http-equiv]').content")
     assert policy.startswith("default-src 'none'; img-src data:; script-src 'sha256-")
+
+
+def test_response_times_stand_on_an_axis_of_their_own(opened):
+    """A row for each periodic message; the bound is right of the bar, the deadline of the bound."""
+    opened.run("document.querySelector('#places a[href=\"#responses\"]').click()")
+    rows = opened.run("document.querySelectorAll('#responses tr').length")
+    told = opened.run("report.responses.map(bus => bus.messages.length)")
+    assert len(told) == 2
+    assert rows == sum(told) + 2
+    first = opened.run(
+        "(() => { const row = document.querySelectorAll('#responses tr')[1];"
+        " const right = (kind) => row.querySelector(kind).getBoundingClientRect().right;"
+        " return [row.children[0].textContent, right('.seen'), right('.bound'),"
+        " right('.deadline'), row.className]; })()"
+    )
+    assert first[0] == "181h"
+    assert first[1] < first[2] < first[3]
+    assert first[4] == ""
+    late = opened.run(
+        "(() => { const table = document.createElement('table'), row = make('tr', table);"
+        " const one = {...report.responses[0].messages[0], bound_s: null};"
+        " responseRow(row, one, new TimeScale([1]));"
+        " return [row.className, row.children[7].textContent]; })()"
+    )
+    assert late == ["late", "▲ no bound"]
