@@ -17,9 +17,10 @@ from emulators.media.can_frame import BRS, EFF_FLAG, FD_LENGTHS, can_id_of, pack
 from emulators.media.can_node import CanNode, FrameSupport, QueueOrder
 from emulators.media.can_port import LENGTHS_MASK
 from emulators.media.delivery import confirms
+from emulators.media.fault_rule import FrameError
 from emulators.media.faults import FaultKind, FaultPlan, FaultRule
 from harness.analysis.errors import ErrorModel
-from harness.analysis.frame_length import Bits, longest
+from harness.analysis.frame_length import INTERMISSION_BITS, Bits, longest
 from harness.analysis.message import BusLoad, Message
 from harness.analysis.response_time import response_times
 from tests.emulators.media.driving import run
@@ -150,15 +151,40 @@ def test_what_waited_in_a_queue_comes_closer_together_than_its_period():
     assert bound_ns == found + BIT_NS
 
 
-@given(buses(), st.randoms(use_true_random=False), st.integers(1, 4), st.floats(0.05, 1.0))
-def test_with_errors_as_well(load: BusLoad, chance, burst: int, probability: float):
-    """Errors in the last bit of frames, where most is lost: as often as they are counted.
+STRIKES = st.builds(
+    FaultRule,
+    st.just("struck"),
+    st.just(FaultKind.ERROR),
+    ports=st.sampled_from([(), ("a",), ("ear",), ("b", "ear")]),
+    probability=st.floats(0.05, 1.0),
+    limit=st.integers(1, 4),
+    error=st.sampled_from(FrameError),
+) | st.builds(
+    FaultRule,
+    st.just("struck"),
+    st.just(FaultKind.ERROR),
+    ports=st.sampled_from([(), ("a",), ("ear",), ("b", "ear")]),
+    probability=st.floats(0.05, 1.0),
+    limit=st.integers(1, 4),
+    bit=st.integers(0, 160),
+)
+NOISE = st.builds(
+    FaultRule,
+    st.just("struck"),
+    st.just(FaultKind.NOISE),
+    ports=st.sampled_from([(), ("a",), ("b", "ear")]),
+    bit_error_rate=st.floats(1e-5, 1e-4),
+)
+
+
+@given(buses() | buses(fd=True), st.randoms(use_true_random=False), STRIKES | NOISE)
+def test_with_errors_as_well(load: BusLoad, chance, rule: FaultRule):
+    """As many errors as struck, wherever in a frame, on the wire or at some nodes.
 
     Of nodes with one queue each: a node that sends by priority repeats a struck frame here before
     a more urgent one of its own, which the theory does not allow for.
     """
     load = replace(load, fifo=frozenset("abc"))
-    rule = FaultRule("struck", FaultKind.DUPLICATE, probability=probability, limit=burst)
     releases: list[Release] = []
     until_ns = FRAMES * max(one.period_ns for one in load.messages)
     for message in load.messages:
@@ -166,17 +192,37 @@ def test_with_errors_as_well(load: BusLoad, chance, burst: int, probability: flo
         for due_ns in range(first_ns, until_ns, message.period_ns):
             releases.append((due_ns + chance.randrange(message.jitter_ns + 1), due_ns, message))
     releases.sort(key=lambda one: (one[0], -one[2].rank))
-    plan = FaultPlan([rule], chance.random)
+    senders = {one.sender for one in load.messages} | {"ear"}
+    ports = tuple(port for port in rule.ports if port in senders)
+    plan = FaultPlan([replace(rule, ports=ports)], chance.random)
     found = latest(load, releases, lambda message, number: chance.randbytes(8), plan)
     struck = plan.fired()["struck"]
     plain = {one.message.rank: one.received_ns for one in response_times(load)}
-    for one in response_times(load, ErrorModel(burst)):
+    for one in response_times(load, ErrorModel(struck)):
         late_ns = found[one.message.rank]
         if one.received_ns is not None:
             assert late_ns <= one.received_ns
             bound_ns = plain[one.message.rank]
             assert bound_ns is not None
-            event(f"{struck} errors, later than without: {late_ns > bound_ns}")
+            event(f"{rule.kind.value}, later than without: {late_ns > bound_ns}")
+
+
+def test_an_error_costs_what_is_counted_but_for_what_did_not_happen():
+    """Struck in the last bit of its end: a flag of 6, a delimiter of 8, 3 of intermission, again.
+
+    The theory counts 31 bits, for two flags and a suspended transmission, and the intermission
+    behind the frame that was struck.
+    """
+    fill = b"\x55" * 8
+    load = measured(BusLoad("can0", RATE, (Message(0x100, 8, 10 * MS, sender="a"),)), fill)
+    (message,) = load.messages
+    last = message.longest.nominal - INTERMISSION_BITS - 1
+    rule = FaultRule("struck", FaultKind.ERROR, bit=last, limit=1)
+    found = latest(load, [(0, 0, message)], lambda *_: fill, FaultPlan([rule], lambda: 0.0))
+    (bound,) = response_times(load, ErrorModel(1))
+    assert bound.received_ns is not None
+    assert found[message.rank] == 2 * load.takes_ns(message) + (17 - 6) * BIT_NS
+    assert found[message.rank] == bound.received_ns - (6 + 8 + 3) * BIT_NS
 
 
 # --- exactly
