@@ -95,14 +95,12 @@ def _fault(
     if kind in LASTING:
         _refuse_conditions(table, kind)
     if kind is FaultKind.ERROR and table.has("bit") is table.has("error"):
-        raise table.error("kind", "an error has a bit or an error, not both", "write bit = 20")
+        if not table.has("bit"):
+            raise table.missing("bit", 'write bit = 20, or error = "crc"')
+        raise table.error("error", "an error has a bit or an error, not both", "take one out")
     identifier, mask = _identifier(table)
-    ports = (HOST, *controllers[bus])
-    nodes = table.texts("nodes", (), example='["left"]')
-    for index, node in enumerate(nodes):
-        if node not in ports:
-            path = (*table.path, "nodes", index)
-            raise table.source.no_such(path, node, ports, "controller")
+    ports = (HOST, *controllers[bus], *buses[bus].silent)
+    nodes = _nodes(table, ports)
     start_s, end_s = read_times(table)
     delay_s = 0.0
     if kind is FaultKind.DELAY:
@@ -129,6 +127,17 @@ def _fault(
     return FaultDescription(bus, rule)
 
 
+def _nodes(table: Table, ports: Sequence[str]) -> tuple[str, ...]:
+    nodes = table.texts("nodes", (), example='["left"]')
+    for index, node in enumerate(nodes):
+        path = (*table.path, "nodes", index)
+        if node not in ports:
+            raise table.source.no_such(path, node, ports, "controller")
+        if node in nodes[:index]:
+            raise table.source.error(path, f'"{node}" is named twice', "take one out")
+    return nodes
+
+
 def _refuse_conditions(table: Table, kind: FaultKind) -> None:
     """What lasts has no condition but its time, and who it is about."""
     if kind in PARTING and not table.values.get("nodes"):
@@ -140,6 +149,8 @@ def _refuse_conditions(table: Table, kind: FaultKind) -> None:
         for key, example in (("identifier", "0x080"), ("sender", '"left"')):
             if not table.has(key):
                 raise table.missing(key, f"write {key} = {example}")
+        if table.has("identifier_mask"):
+            raise table.error("identifier_mask", "a babble sends one identifier", "take it out")
     else:
         refused += ["identifier", "sender"]
     if kind in (FaultKind.BABBLE, FaultKind.SHORT):

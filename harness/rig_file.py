@@ -17,7 +17,6 @@ and a motor's own settings are checked by whoever builds them, and told with the
     [conformance]               what is declared of the motors under test
 """
 
-import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -47,7 +46,6 @@ TOP_KEYS: Final = (
     *("rig", "bus", "controller", "motor", "group", "fault", "stimulus", "conformance"),
 )
 
-NAME: Final = re.compile(r"[A-Za-z][A-Za-z0-9_-]*")
 _NEW_REMEDY: Final = "check the path, or write a new rig: motorhil new DIR"
 
 
@@ -221,14 +219,11 @@ def _rig_name(rig: Table) -> str:
 
 
 def _named(root: Table, key: str) -> "list[tuple[str, Table]]":
-    """The tables [key.NAME]; names go into topics of the record, so they are plain."""
+    """The tables [key.NAME]."""
     outer = root.table(key)
     tables = []
     for name in outer.values:
-        if not NAME.fullmatch(name):
-            raise outer.error(
-                name, "is not a name", "use a letter, then letters, digits, - and _ only"
-            )
+        outer.refuse_no_name(name)
         tables.append((name, outer.table(name)))
     return tables
 

@@ -51,12 +51,16 @@ def silent_nodes(bus: Table) -> tuple[str, ...]:
     """Those of them that are no controllers.
 
     Raises:
-        RigError: one says so of the host's interface.
+        RigError: one says so of the host's interface, or has no name of its own.
     """
     tables = bus.table("node")
     silent = [name for name in tables.values if tables.table(name).flag("silent", False)]
     if HOST in silent:
         raise tables.table(HOST).error("silent", "applications send by it", "take it out")
+    for name in silent:
+        tables.refuse_no_name(name)
+        if name.startswith(f"{HOST}-"):
+            raise tables.error(name, "is what applications' ports are called", "rename it")
     return tuple(silent)
 
 
@@ -104,11 +108,17 @@ def _chip(name: str, table: Table, has_data_rate: bool) -> CanNode:
 
 def _timing(table: Table) -> BitTiming:
     quanta = table.integer("time_quanta", USUAL_TIMING.quanta, low=4, high=QUANTA_MAX)
-    sample = table.integer("sample_point", USUAL_TIMING.sample, low=2, high=QUANTA_MAX)
-    jump = table.integer("jump_width", USUAL_TIMING.jump, low=1, high=QUANTA_MAX)
-    try:
-        return BitTiming(quanta, sample, jump)
-    except ValueError as error:
-        key = next(key for key in (*_TIMING, "time_quanta") if table.has(key))
-        remedy = "sample_point is below time_quanta, and jump_width fits behind it"
-        raise table.error(key, str(error), remedy) from None
+    last = quanta - 1
+    sample = USUAL_TIMING.sample
+    if table.has("sample_point"):
+        sample = table.integer("sample_point", low=2, high=last, unit="quanta")
+    elif sample > last:
+        raise table.error(
+            "time_quanta",
+            f"{quanta} quanta have no place for the usual sample point, {sample}",
+            f"write sample_point = {quanta * 7 // 8}",  # CiA 301 wants 87.5 %
+        )
+    high = quanta - sample
+    unit = "quanta behind the sample point"
+    jump = table.integer("jump_width", USUAL_TIMING.jump, low=1, high=high, unit=unit)
+    return BitTiming(quanta, sample, jump)

@@ -17,6 +17,7 @@ from harness.toml_lines import KeyPath, key_lines
 from harness.wording import dotted, kind_of, listed, nearest, one_line, shown
 
 _REQUIRED: Final = object()
+_NAME: Final = re.compile(r"[A-Za-z][A-Za-z0-9_-]*")
 SEED_MAX: Final = 2**32 - 1
 _INTEGER_MAX: Final = 2**63 - 1  # TOML 1.0, "Integer": 64-bit signed is what all must take
 
@@ -180,6 +181,12 @@ class Table:
     def error(self, key: str, message: str, remedy: str = "") -> RigError:
         """The RigError for one of the table's keys; to be raised."""
         return self.source.error((*self.path, key), message, remedy)
+
+    def refuse_no_name(self, key: str) -> None:
+        """Raises RigError for a key that goes into topics of the record and is not plain."""
+        if not _NAME.fullmatch(key):
+            remedy = "use a letter, then letters, digits, - and _ only"
+            raise self.error(key, "is not a name", remedy)
 
     def missing(self, key: str, remedy: str) -> RigError:
         """The RigError for a key that should be there: at the table's line."""
