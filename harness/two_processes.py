@@ -18,8 +18,9 @@ import signal
 import sys
 import tempfile
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import ExitStack, contextmanager, suppress
+from itertools import pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING, Final, final
 
@@ -28,7 +29,7 @@ from emulators.serve import WallLoop
 from harness.examples.driving_program import LEGS
 from harness.examples.rover_kinematics import WHEELS
 from harness.exit_status import FAILED, PASSED
-from harness.ownership_record import Ended, Tenure, read_ownership
+from harness.ownership_record import Ended, OwnershipRecord, Tenure, read_ownership
 from harness.rig import Rig
 from harness.rig_file import RigDescription
 from harness.scaffold import EXAMPLES
@@ -250,10 +251,7 @@ def _print_owners(
         record = read_ownership(trace)
         sent = list(_received_by(trace, motor.bus, motor.node_id))
     tenures = record.tenures.get(SHARED, ())
-    commands: Counter[tuple[Tenure | None, bool]] = Counter()
-    for time_ns, sender in sent:
-        owner = record.owner_at(SHARED, time_ns)
-        commands[owner, owner is not None and owner.sender == sender] += 1
+    commands = commands_by_tenure(record, sent)
     rows = [
         (
             f"{tenure.from_ns / 1e9:.3f}",
@@ -277,6 +275,26 @@ def _print_owners(
     elif any(one.pid != driving.pid for one in tenures[died[0] + 1 :]):
         wrong.append(f"the record shows somebody else than {driving.file} with it afterwards")
     return wrong
+
+
+def commands_by_tenure(
+    record: OwnershipRecord, sent: Iterable[tuple[int, str]]
+) -> Counter[tuple[Tenure | None, bool]]:
+    """How many commands (when, sender) the shared motor got in each tenure, and if its owner's.
+
+    What a program sends in the instant of its death, its CAN controller still brings to the bus:
+    until its heir commands for the first time, it is the dead one's, as is what it began.
+    """
+    tenures = record.tenures.get(SHARED, ())
+    heirs = {after: dead for dead, after in pairwise(tenures) if dead.ended is Ended.DIED}
+    commands: Counter[tuple[Tenure | None, bool]] = Counter()
+    for time_ns, sender in sent:
+        owner = record.owner_at(SHARED, time_ns)
+        dead = None if owner is None else heirs.get(owner)
+        if dead is not None and dead.sender == sender and not commands[owner, True]:
+            owner = dead
+        commands[owner, owner is not None and owner.sender == sender] += 1
+    return commands
 
 
 def _received_by(trace: Trace, bus: str, node_id: int) -> Iterator[tuple[int, str]]:
