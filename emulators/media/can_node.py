@@ -17,7 +17,7 @@ class QueueOrder(Enum):
 class FrameSupport(Enum):
     """Which frames a CAN controller can stand, and send (ISO 11898-1:2015)."""
 
-    CLASSICAL = "classical"  # a recessive FDF bit is an error to it: it destroys every FD frame
+    CLASSICAL = "classical"  # it takes FD frames for classical ones, finds errors: destroys them
     FD_TOLERANT = "fd_tolerant"  # it lets FD frames pass, and does not see them
     FD = "fd"  # both
 

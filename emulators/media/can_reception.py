@@ -1,10 +1,14 @@
 """What a receiver makes of the levels of one frame: fields, stuff and form errors, CRC.
 
-Left open by the standard, decided here:
-- A recessive FDF bit is a form error to a classical controller that does not tolerate CAN FD, and a
-  protocol exception to one that does; a recessive res bit is one to all others.
-- A fixed stuff bit that equals the bit before it is a form error, a wrong stuff count a CRC error.
-- In a CAN FD frame a second dominant bit after the ACK slot still belongs to it.
+What the standard's own tests (ISO 16845-1) take it to mean:
+- To a classical controller that does not tolerate CAN FD, a recessive FDF bit is a reserved bit: it
+  reads on as in a classical frame, until that cannot be one (7.1.4, 7.1.5). To one that does it is
+  a protocol exception; a recessive res bit is one to all others (7.1.6).
+- In a CAN FD frame the CRC delimiter, or the ACK slot, may have a second bit (8.2.7): after a
+  recessive ACK slot, or before a dominant ACK delimiter, another bit belongs to it (7.6.7, 7.6.10).
+
+Left open, decided here: a fixed stuff bit that equals the bit before it is a form error, a wrong
+stuff count a CRC error.
 
 Source: ISO 11898-1:2015, frame formats, error detection, frame validation.
 """
@@ -96,6 +100,7 @@ class Reception:
         self._checks = 0  # stuff count and CRC
         self._position = -1  # of the last bit heard in this part, but the first
         self._acknowledged = False
+        self._long_ack = False  # a CAN FD frame has had the second bit of its ACK slot
 
     def hear(self, level: int) -> int:
         """What the next bit means; after an error, nothing more may be heard."""
@@ -175,12 +180,10 @@ class Reception:
 
     def _decide_format(self, level: int) -> int:
         """Classical or CAN FD."""
-        if level == DOMINANT:
+        if level == DOMINANT or self._support is FrameSupport.CLASSICAL:
             after = _EXTENDED_DLC_AFTER_FDF if self._extended else _DLC_AFTER_FDF
             self._dlc_end = self._stop = self._fdf + after
             return NOTHING
-        if self._support is FrameSupport.CLASSICAL:
-            return FORM
         if self._support is FrameSupport.FD_TOLERANT:
             return EXCEPTION
         self._fd = True
@@ -237,11 +240,12 @@ class Reception:
             return ACKNOWLEDGED
         if position == _LAST:
             return COMPLETE if level == RECESSIVE else OVERLOAD
+        may_last = self._fd and position == _ACK_DELIMITER and not self._long_ack
+        if may_last and (level == DOMINANT or not self._acknowledged):
+            self._long_ack = True
+            self._position -= 1
+            return NOTHING
         if level != RECESSIVE:
-            if self._fd and position == _ACK_DELIMITER and self._acknowledged:
-                self._acknowledged = False
-                self._position -= 1
-                return NOTHING
             return FORM
         if position == _CRC_DELIMITER:
             self.fast = False

@@ -76,12 +76,12 @@ class CanSignalling:
         """
         confinement = self._confinement
         passive = confinement.is_passive()
-        self._unacknowledged = unacknowledged and passive
+        unacknowledged = unacknowledged and passive
         if not self.transmitter:
             confinement.receiver_error()
-        elif counts and not self._unacknowledged:
+        elif counts and not unacknowledged:
             confinement.transmitter_error()
-        return self._flag(kind, place, passive)
+        return self._flag(kind, place, passive, unacknowledged)
 
     def overload(self, place: int) -> None:
         """An overload flag begins with the next bit."""
@@ -126,8 +126,9 @@ class CanSignalling:
         self._count = 0
         self.drives = drives
 
-    def _flag(self, kind: int, place: int, passive: bool) -> int:
+    def _flag(self, kind: int, place: int, passive: bool, unacknowledged: bool = False) -> int:
         """An error flag begins with the next bit."""
+        self._unacknowledged = unacknowledged
         self._journal.note_error(kind, place, self.transmitter)
         self._after_error = True
         if passive:

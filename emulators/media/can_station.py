@@ -100,7 +100,7 @@ class CanStation:
         self._expected = b""
         self._levels = b""
         self._position = 0  # of the next bit to send
-        self._long_ack = False  # in a CAN FD frame a second dominant bit was its acknowledgement
+        self._long_ack = False  # a CAN FD frame has had the second bit of its ACK slot
 
     def begin_idle(self, suspended: int = 0) -> None:
         """It is ready to send, or to hear a start of frame; for so many bits it may not send."""
@@ -198,7 +198,7 @@ class CanStation:
         assert wire is not None
         position = self._position
         place = wire.places[position]
-        if place == told.ACK_DELIMITER and wire.is_fd and not self._long_ack:
+        if wire.is_fd and not self._long_ack and place in (told.ACK_SLOT, told.ACK_DELIMITER):
             self._long_ack = True
             return
         if level == DOMINANT and position <= wire.arbitration_end:

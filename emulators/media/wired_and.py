@@ -1,9 +1,10 @@
 """A wire on which any dominant bit wins, and the CAN controllers on it, stepped bit by bit.
 
 While somebody is in the data phase of a CAN FD frame, a step is a bit at the data rate. Who is not
-(it sends an error flag, or waits for the bus to be idle) takes `ratio` such steps for a bit of its
-own, on a grid that begins with the first error flag; one that joins it later does so with what is
-left of a bit. Who waits for an idle bus hears a dominant level if there was one in any of them.
+(it sends an error flag, waits for the bus to be idle, or takes the frame for a classical one) takes
+`ratio` such steps for a bit of its own, sampled in the last of them, on a grid that begins with the
+first error flag; one that joins it later does so with what is left of a bit. Who waits for an idle
+bus hears a dominant level if there was one in any of them.
 Without an error the grid begins where the data phase ends.
 """
 
@@ -201,8 +202,11 @@ class WiredAnd:
             member.heard_dominant = member.heard_dominant or sampled == DOMINANT
             if whole:
                 waits = node.phase in (INTEGRATING, OFF) and member.heard_dominant
+                signalled = node.phase == SIGNALLING
                 node.hear(DOMINANT if waits else sampled, bit)
                 member.heard_dominant = False
+                if node.phase == SIGNALLING and not signalled:
+                    self._flagged = True  # by who takes it for a classical frame, on its own grid
         on_wire = disturbed(level, self._on_wire, bit) if self._struck else level
         self._wire_dominant = self._wire_dominant or on_wire == DOMINANT
         if whole:

@@ -109,17 +109,14 @@ def test_a_classical_node_sends_no_fd_frame(support):
     assert bus.statistics.frames == 2
 
 
-def test_a_classical_node_destroys_every_fd_frame_at_its_fdf_bit():
-    """It is a form error to it in bit 14; 6 bits of flag follow, the others' 6 from the next on.
+NO_SWITCH = pack_fd(0x123, bytes.fromhex("0011223344556677"), 0)
 
-    By hand, 123h: 0 00100100011 0 0 1: start of frame, identifier, RRS, IDE and FDF are bits 0 to
-    14, no stuff bit among them. The flag is dominant from 15 to 20. The sender sends res (0), BRS
-    (1) ...: it sees a recessive bit of its own dominated in bit 16, and its flag is 17 to 22; so
-    the delimiter is 23 to 30, and intermission ends with 33.
-    """
+
+def test_a_classical_node_destroys_an_fd_frame_which_it_takes_for_a_classical_one():
+    """Its form error is in bit 44, the sender's bit error in 46: test_can_fd_episode, by hand."""
     bus = fd_bus(FD, TOLERANT, CanNode())
-    bus.submit(0, FRAME, 0)
-    deliveries = expire_all(bus, 34 * 2000)
+    bus.submit(0, NO_SWITCH, 0)
+    deliveries = expire_all(bus, (47 + 6 + 8 + 3) * 2000)
     assert heard(deliveries, 2) == heard(deliveries, 1) == confirmed(deliveries, 0) == []
     told = [(frame[3], port) for _, (frame, port, kind) in deliveries if frame[3] & 0x20]
     assert {port for _, port in told} >= {0, 2}
@@ -133,8 +130,8 @@ def test_a_classical_node_destroys_frames_until_that_has_made_it_passive():
     recessive; its neighbour's TEC is at 120 then, and goes down with what now gets through.
     """
     bus = fd_bus(FD, FD, CanNode())
-    deliveries = run(bus, [(0, 0, FRAME)], until_ns=100_000_000)
-    assert [frame for _, frame in heard(deliveries, 1)] == [FRAME]
+    deliveries = run(bus, [(0, 0, NO_SWITCH)], until_ns=100_000_000)
+    assert [frame for _, frame in heard(deliveries, 1)] == [NO_SWITCH]
     assert heard(deliveries, 2) == []
     assert bus.node(0).confinement.tec == 15 * 8 - 1
     assert bus.node(2).state() is ErrorState.PASSIVE

@@ -112,17 +112,51 @@ def test_a_fixed_stuff_bit_like_the_bit_before_it_is_a_form_error():
     assert errors(station) == [(start, told.FORM_ERROR, told.CRC_SEQUENCE)]
 
 
+@pytest.mark.parametrize("acknowledged", ["1 1", "1 0", "0 0", "0"])
 @pytest.mark.parametrize("bit", [2, 22])
-def test_a_wrong_stuff_count_or_crc_is_told_after_the_ack_delimiter(bit):
+def test_a_wrong_stuff_count_or_crc_is_told_after_the_ack_delimiter(bit, acknowledged):
     """After the first fixed stuff bit come the 4 bits of the stuff count; none that is followed by
-    a fixed stuff bit, which would be wrong then."""
+    a fixed stuff bit, which would be wrong then. With two bits of ACK slot the flag begins in the
+    fourth bit after the CRC delimiter (ISO 16845-1, 7.6.10).
+    """
     place = len(wire_fd.dynamically_stuffed(ONES)) + bit
     wrong = SENT[:place] + ("0" if SENT[place] == "1" else "1") + SENT[place + 1 :]
     ack_slot = len(SENT) - 9
     station = receiver()
-    sampled = wrong[:ack_slot] + "01" + FLAG + QUIET
-    assert play(station, sampled) == "1" * (ack_slot + 2) + FLAG + QUIET
-    assert errors(station) == [(ack_slot + 1, 0, told.CRC_SEQUENCE)]
+    sampled = wrong[:ack_slot] + acknowledged.replace(" ", "") + "1"
+    assert play(station, sampled + FLAG + QUIET) == "1" * len(sampled) + FLAG + QUIET
+    assert errors(station) == [(len(sampled) - 1, 0, told.CRC_SEQUENCE)]
+
+
+def test_nobody_acknowledges_in_two_bits_of_ack_slot():
+    """ISO 16845-1, 8.2.6 and 8.6.8: the error flag begins after both."""
+    ack_slot = len(SENT) - 9
+    sender = CanStation([ONES.can_frame()], Confinement(), support=FD)
+    sender.begin_idle()
+    assert (
+        play(sender, SENT[:ack_slot] + "11" + FLAG + QUIET) == SENT[: ack_slot + 2] + FLAG + QUIET
+    )
+    assert errors(sender) == [(ack_slot + 1, told.TRANSMITTING, told.ACK_SLOT)]
+    assert sender.confinement.tec == 8
+
+
+def test_an_acknowledgement_may_come_a_bit_late():
+    """ISO 16845-1, 8.2.7: the CRC delimiter up to two bits long."""
+    ack_slot = len(SENT) - 9
+    sender = CanStation([ONES.can_frame()], Confinement(), support=FD)
+    sender.begin_idle()
+    play(sender, SENT[:ack_slot] + "10" + SENT[ack_slot + 1 :] + "111")
+    assert [kind for _, kind, _ in sender.journal.notes] == [EventKind.SENT.value]
+
+
+@pytest.mark.parametrize("third", ["000", "100"])
+def test_a_third_bit_is_the_ack_delimiter(third):
+    ack_slot = len(SENT) - 9
+    sender = CanStation([ONES.can_frame()], Confinement(), support=FD)
+    sender.begin_idle()
+    play(sender, SENT[:ack_slot] + third)
+    ((bit, _, place),) = errors(sender)
+    assert (bit, place) == (ack_slot + 2, told.ACK_DELIMITER)
 
 
 @pytest.mark.parametrize(
@@ -157,17 +191,51 @@ def test_a_second_dominant_bit_after_the_ack_slot_belongs_to_it():
     assert errors(station) == [(ack_slot + 2, told.FORM_ERROR, told.ACK_DELIMITER)]
 
 
-def test_a_classical_controller_destroys_every_can_fd_frame():
+def test_a_classical_controller_reads_on_until_it_finds_an_error():
+    """Drawn by hand: ONES, 4 bits at the data rate to a nominal one, sampled in the last.
+
+    ... FDF 1, res 0, BRS 1 is bit 16; then 0 0011 and ones, whose stuff bits are 25, 31, 37 and 43.
+    The classical one samples 20, 24, 28 and 32 as 1 after BRS: five; and 36, a stuff error. Its
+    flag is on the wire from 37. The sender's 1 in bit 38 is the first to be dominated; the other
+    receiver's sixth dominant bit is 42, so its flag is a nominal bit behind that of the other two:
+    they end with the sixth nominal bit (40, 44, 45, ... 48) and with 49; then 8 and 3.
+    """
     stations = [Station(0, (ONES.can_frame(),), support=FD), Station(1, support=FD), Station(2)]
     episode = run_episode(stations, ratio=4)
-    fdf = 14
-    assert [(e.bit, e.port) for e in episode.events if e.kind is EventKind.ERROR] == [
-        (fdf, 2),
-        (fdf + 2, 0),  # BRS, the first recessive bit after it
-        (fdf + 6, 1),  # five dominant bits from res on, and a sixth
+    assert SENT.startswith(
+        "0" + "01010101010" + "00" + "101" + "00011" + "111" + "0" + "11111" + "0"
+    )
+    assert [(e.bit, e.port, e.frame[10]) for e in episode.events if e.kind is EventKind.ERROR] == [
+        (36, 2, told.STUFF_ERROR),
+        (38, 0, told.BIT1_ERROR | told.TRANSMITTING),
+        (42, 1, told.STUFF_ERROR),
     ]
+    assert episode.fast == ((17, 45),)
+    assert episode.bits == 50 + 8 + 3
     assert [(outcome.tec, outcome.rec) for outcome in episode.outcomes] == [(8, 0), (0, 1), (0, 9)]
-    assert episode.fast == ()
+
+
+def test_without_a_bit_rate_switch_it_is_a_classical_frame_with_another_end():
+    """By hand, 123h: FDF is r0; res, BRS, ESI and the first bit of the DLC, 0001, are a DLC of 1.
+
+    The other three bits and five of the first byte are its data; the last three of that byte, 11h
+    and 2h are its CRC; the next bit, of the next 2h, the CRC delimiter: with two stuff bits it is
+    44, and dominant, a form error. The sender's next recessive bit is 46.
+    """
+    frame = FdFields(0x123, False, False, False, bytes.fromhex("0011223344556677"))
+    stations = [Station(0, (frame.can_frame(),), support=FD), Station(1)]
+    episode = run_episode([*stations, Station(2, support=FrameSupport.FD_TOLERANT)])
+    sent = wire_fd.on_the_wire(frame)
+    assert sent.startswith(
+        "0" + "00100100011" + "00" + "1" + "0001" + "00000" + "1" + "00000" + "1"
+    )
+    assert sent[44] == sent[45] == "0" != sent[46]
+    assert [(e.bit, e.port, e.frame[11]) for e in episode.events if e.kind is EventKind.ERROR] == [
+        (44, 1, told.CRC_DELIMITER),
+        (46, 0, told.DATA),
+    ]
+    assert episode.bits == 47 + 6 + 8 + 3
+    assert [(outcome.tec, outcome.rec) for outcome in episode.outcomes] == [(8, 0), (0, 9), (0, 0)]
 
 
 def test_a_sender_that_falls_silent_in_the_data_phase_is_noticed_there():

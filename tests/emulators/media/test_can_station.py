@@ -224,11 +224,23 @@ def test_an_acknowledgement_that_does_not_come_through_is_a_bit_error():
     assert counters(station) == (0, 11)
 
 
-def test_a_recessive_fdf_bit_is_an_error_to_a_classical_controller():
+@pytest.mark.parametrize(("extended", "reserved"), [(False, 1), (True, 1), (True, 2), (True, 3)])
+def test_a_recessive_reserved_bit_is_none_to_a_classical_controller(extended, reserved):
+    """ISO 16845-1, 7.1.4 and 7.1.5: r1 and r0 of either level are accepted, and acknowledged."""
+    fields = wire.Fields(0x0AAAAAAA if extended else 0x2AA, extended, False, 1, b"\x0f")
+    field = wire.unstuffed(fields)
+    places = 2 if extended else 1
+    first = 33 if extended else 14
+    odd = field[:first] + f"{reserved:0{places}b}" + field[first + places :]
+    bits = wire.stuffed(wire.with_crc(odd)) + wire.TAIL
     station = receiver()
-    # start of frame, identifier 2AAh, RTR, IDE, and there
-    check(station, "0 01010101010 0 0 1" + FLAG, "1" * 15 + FLAG)
-    assert errors(station) == [(14, told.FORM_ERROR, told.RESERVED_0)]
+    ack = len(bits) - 9
+    check(
+        station,
+        bits[:ack] + "0" + bits[ack + 1 :] + INTERMISSION,
+        "1" * ack + "0" + "1" * 8 + INTERMISSION,
+    )
+    assert station.journal.notes == [(len(bits) - 2, NOTE_ACCEPTED, fields.can_frame())]
 
 
 # --- errors of a transmitter
@@ -286,6 +298,18 @@ def test_but_does_if_it_sees_a_dominant_bit_in_its_flag():  # c, exception 1 doe
     play(station, SENT[: ACK_SLOT + 1] + "11 0")
     assert counters(station) == (136, 0)
     play(station, "00000")
+    assert counters(station) == (136, 0)
+
+
+def test_the_exception_is_over_with_its_flag():  # c, exception 1; then d alone
+    """Unacknowledged and passive; the first bit of intermission dominant, and an overload flag of
+    which a bit does not come through: 8 for that. Dominant bits in the passive error flag after it
+    are others' flags.
+    """
+    station = sender(tec=128)
+    play(station, SENT[: ACK_SLOT + 1] + "111111" + DELIMITER)
+    assert counters(station) == (128, 0)
+    check(station, "0 001 000000 1".replace(" ", ""), "1" + "000" + "111111" + "1")
     assert counters(station) == (136, 0)
 
 
