@@ -4,7 +4,7 @@ A pure function. Bits are counted from 0, the start of frame; what happens at a 
 its end, (bit + 1) bit times after the start of frame. It is causal: of two episodes that differ
 only in what happens from some bit on (a disturbance that lasts longer, a node that leaves), all is
 equal before. So an episode may be computed as if nothing more would happen, and again when
-something does.
+something does; and only so far, for under enough noise nodes need not agree for hours.
 
 Nodes that are off the bus are no stations here; that they count recessive bits is told by
 `recessive_runs` and `recessive_bits`. Distances are no matter: in one bit all hear one level.
@@ -86,6 +86,7 @@ class EventKind(Enum):
     STATE = NOTE_STATE  # its error state changed; the frame is an error message
 
 
+ALL_BITS: Final = 1 << 62
 _KINDS: Final = tuple(EventKind)  # by their values, which count from 0
 
 
@@ -136,6 +137,7 @@ class Episode:
     """What came of it.
 
     Attributes:
+        is_over: all agree. Else it goes on after `bits`, and the outcomes are as they are then.
         bits: it is over after so many; the bit with this number may be the next start of frame.
         events: in the order of their bits; within a bit in that of the stations.
         outcomes: of the stations, in their order; of one that left, as it was then.
@@ -144,6 +146,7 @@ class Episode:
         fast: (first, end) of each stretch of bits at the data rate, in order.
     """
 
+    is_over: bool
     bits: int
     events: tuple[Event, ...]
     outcomes: tuple[Outcome, ...]
@@ -165,6 +168,7 @@ def run_episode(
     disturbances: Sequence[Disturbance] = (),
     recessive_bits: int = 0,
     ratio: int = 1,
+    until_bit: int = ALL_BITS,
 ) -> Episode:
     """All that happens from a start of frame until every node could start the next one.
 
@@ -177,6 +181,7 @@ def run_episode(
         recessive_bits: as in `Episode`, before the start of frame.
         ratio: how many bits at the data rate (CAN FD, bit rate switch) last as long as a nominal
             one, rounded, at least 1.
+        until_bit: it is computed no further, unless nothing changes any more before a later one.
 
     Raises:
         ValueError: a frame that its node cannot send, or counters that no node on the bus has.
@@ -198,9 +203,12 @@ def run_episode(
     members = [twins.member for twins in groups.values()]
     switching = any(_switches(frame) for station in stations for frame in station.frames)
     wire = WiredAnd(members, disturbances, recessive_bits, ratio if switching else 0)
-    while not wire.is_over():
+    is_over = wire.is_over()
+    while not is_over and wire.bit < until_bit:
         wire.step()
+        is_over = wire.is_over()
     return Episode(
+        is_over,
         wire.bit,
         _events(list(groups.values()), stations),
         tuple(

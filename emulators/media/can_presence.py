@@ -11,14 +11,12 @@ from typing import Final, final
 from emulators.media import error_message as told
 from emulators.media.can_episode import Outcome, Station
 from emulators.media.can_node import CanNode
-from emulators.media.confinement import TEC_MAX, Confinement, ErrorState, state_of
+from emulators.media.confinement import TEC_MAX, Confinement, ErrorState
+from emulators.media.error_journal import state_message
 
 RUN_BITS: Final = 11  # recessive: what a node integrates by, and what recovery counts
 RECOVERY_RUNS: Final = 128
 NEVER_NS: Final = -1
-
-_CONTROLLER_TX: Final = (told.ERROR_ACTIVE, told.TX_WARNING, told.TX_PASSIVE)
-_CONTROLLER_RX: Final = (told.ERROR_ACTIVE, told.RX_WARNING, told.RX_PASSIVE)
 
 
 class Role(Enum):
@@ -111,7 +109,7 @@ class Presence:
         self.since_ns = NEVER_NS
         self.confinement = Confinement()
         self._told = ErrorState.ACTIVE
-        return told.pack_error(told.RESTARTED, counters=(0, 0))
+        return told.pack_error(told.RESTARTED)
 
     def dominant_from(self, now_ns: int, bit_ns: int) -> None:
         """A frame has begun: the run of recessive bits is over."""
@@ -169,10 +167,4 @@ class Presence:
         if state is self._told:
             return b""
         self._told = state
-        tx, rx = state_of(counters.tec), state_of(counters.rec)
-        controller = _CONTROLLER_TX[tx] if tx >= rx else 0
-        if rx >= tx:
-            controller |= _CONTROLLER_RX[rx]
-        return told.pack_error(
-            told.CONTROLLER, controller=controller, counters=(counters.tec, counters.rec)
-        )
+        return state_message(counters)

@@ -96,10 +96,10 @@ class CanStretch(CanOutcomes):
                     return
         if self._playback is not None:
             event = self._playback.take(now_ns)
-            if event is None:
-                self._finish(self._playback, out)
-            else:
+            if event is not None:
                 self._happen(event, now_ns, out)
+            elif not self._playback.go_on():
+                self._finish(self._playback, out)
         elif self._repeat_ns:
             self.resume(now_ns)
         elif self._decided == self._starts or self._is_quiet():
@@ -367,9 +367,11 @@ class CanStretch(CanOutcomes):
         return (now_ns - self._start_ns + self.bit_ns - 1) // self.bit_ns
 
     def set_noises(self, noises: list[NoiseSource], now_ns: int) -> None:
-        """These invert bits, from the next frame on."""
+        """These invert bits, from the next frame on; others do not, from now on."""
         self.resume(now_ns)
         self._noises = noises
+        if self._playback is not None:
+            self._playback.spare(noises, now_ns)
 
     def go_on_babbling(self, now_ns: int) -> None:
         """If the wire is free, who babbles begins."""

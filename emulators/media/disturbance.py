@@ -40,12 +40,42 @@ class Disturbance:
         return self.first <= bit and (self.bits is None or bit < self.first + self.bits)
 
 
-def disturbed(level: int, by: Sequence[Disturbance], bit: int) -> int:
-    """The level sampled in this bit by who is struck by these."""
-    for one in by:
-        if one.strikes(bit):
+@final
+class Strikes:
+    """Disturbances, and which of them last in the bit looked at; bits are looked at in order.
+
+    Args:
+        all_of_them: in the order in which they have their say.
+    """
+
+    def __init__(self, all_of_them: Sequence[Disturbance]) -> None:
+        self._to_come = sorted(enumerate(all_of_them), key=_first, reverse=True)
+        self._lasting: list[tuple[int, Disturbance]] = []
+
+    def look_at(self, bit: int) -> bool:
+        """Whether any of them lasts in this bit."""
+        lasting = [one for one in self._lasting if one[1].strikes(bit)]
+        while self._to_come and self._to_come[-1][1].first <= bit:
+            begun = self._to_come.pop()
+            if begun[1].strikes(bit):
+                lasting.append(begun)
+        lasting.sort(key=_turn)
+        self._lasting = lasting
+        return bool(lasting)
+
+    def disturbed(self, level: int) -> int:
+        """The level sampled in the bit looked at by who is struck by these."""
+        for _, one in self._lasting:
             if one.effect is Effect.FLIP:
                 level = 1 - level
             else:
                 level = DOMINANT if one.effect is Effect.DOMINANT else RECESSIVE
-    return level
+        return level
+
+
+def _first(numbered: tuple[int, Disturbance]) -> int:
+    return numbered[1].first
+
+
+def _turn(numbered: tuple[int, Disturbance]) -> int:
+    return numbered[0]

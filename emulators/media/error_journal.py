@@ -2,7 +2,10 @@
 
 Error messages are those of a driver that tells each error: its type, its place, whether the node
 was sending, and the counters after it; and the node's error state when that changes, as Linux's
-`can_change_state` does.
+`can_change_state` does. Of a node that is bus-off no counters are told: they would not fit.
+
+Source: Linux drivers/net/can/dev/dev.c; "can: do not report txerr and rxerr during bus-off" (2022)
+in its drivers.
 """
 
 from typing import Final, final
@@ -46,31 +49,32 @@ class ErrorJournal:
         classes = told.PROTOCOL | told.BUS_ERROR
         if place == told.ACK_SLOT and not kind:
             classes |= told.NO_ACKNOWLEDGE
+        confinement = self._confinement
         message = told.pack_error(
             classes,
             protocol=kind | told.TRANSMITTING if transmitter else kind,
             location=place,
-            counters=(self._confinement.tec, self._confinement.rec),
+            counters=None if confinement.is_off() else (confinement.tec, confinement.rec),
         )
         self.note(NOTE_ERROR, message)
 
     def note_state(self) -> bool:
         """The counters have changed; whether that made the node bus-off."""
-        confinement = self._confinement
-        state = confinement.state()
+        state = self._confinement.state()
         if state == self._state:
             return False
         self._state = state
-        counters = (confinement.tec, confinement.rec)
-        if state == ErrorState.BUS_OFF:
-            self.note(NOTE_STATE, told.pack_error(told.BUS_OFF, counters=counters))
-            return True
-        tx = state_of(confinement.tec)
-        rx = state_of(confinement.rec)
-        controller = _TX[tx] if tx >= rx else 0
-        if rx >= tx:
-            controller |= _RX[rx]
-        self.note(
-            NOTE_STATE, told.pack_error(told.CONTROLLER, controller=controller, counters=counters)
-        )
-        return False
+        self.note(NOTE_STATE, state_message(self._confinement))
+        return state == ErrorState.BUS_OFF
+
+
+def state_message(confinement: Confinement) -> bytes:
+    """What tells a node of the state that its counters have come to."""
+    if confinement.is_off():
+        return told.pack_error(told.BUS_OFF)
+    tx, rx = state_of(confinement.tec), state_of(confinement.rec)
+    controller = _TX[tx] if tx >= rx else 0
+    if rx >= tx:
+        controller |= _RX[rx]
+    counters = (confinement.tec, confinement.rec)
+    return told.pack_error(told.CONTROLLER, controller=controller, counters=counters)

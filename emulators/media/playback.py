@@ -1,10 +1,15 @@
-"""An episode, played in time: what happens in each bit comes at the end of that bit."""
+"""An episode, played in time: what happens in each bit comes at the end of that bit.
+
+It is computed some bits ahead, and when these are played as far again: what it costs in all is in
+proportion to its length, and one that does not end costs no more than the time that it has lasted.
+"""
 
 from collections.abc import Sequence
 from dataclasses import replace
 from typing import Final, final
 
 from emulators.media.can_episode import (
+    ALL_BITS,
     Disturbance,
     Episode,
     Event,
@@ -28,8 +33,8 @@ class Playback:
     Attributes (read only):
         start_ns: its start of frame [ns].
         stations: as they were then.
-        over_ns: when the next frame may start [ns].
-        end: the episode itself.
+        over_ns: when the next frame may start [ns]; that of what is computed, if it is not over.
+        end: the episode itself, as far as it is computed.
     """
 
     def __init__(
@@ -45,8 +50,18 @@ class Playback:
         self._bit_ns, self._data_bit_ns = rates_ns
         self._disturbances = list(disturbances)
         self._noises = noises
+        self._quiet_from = [ALL_BITS] * len(noises)  # from this bit on each of them strikes no more
         self._played = 0
+        self._until_bit = _MARGIN_BITS
         self._compute()
+
+    def go_on(self) -> bool:
+        """All that is computed is played; whether there is more, which is computed then."""
+        if self.end.is_over:
+            return False
+        self._until_bit = max(2 * self._until_bit, self.end.bits + _MARGIN_BITS)
+        self._compute()
+        return True
 
     def strike(self, disturbance: Disturbance) -> None:
         """This happens as well, from a bit on that is not past."""
@@ -61,6 +76,15 @@ class Playback:
             for one in self._disturbances
         ]
         self._compute()
+
+    def spare(self, noises: Sequence[NoiseSource], now_ns: int) -> None:
+        """No more bits are inverted, but by these."""
+        gone = [number for number, source in enumerate(self._noises) if source not in noises]
+        if gone:
+            bit = self.bit_at(now_ns)
+            for number in gone:
+                self._quiet_from[number] = min(bit, self._quiet_from[number])
+            self._compute()
 
     def leave(self, port: int, now_ns: int) -> None:
         """The node is not there any more."""
@@ -111,7 +135,7 @@ class Playback:
         hits = [
             (bit, number, source.rule)
             for number, source in enumerate(self._noises)
-            for bit in source.within(self.end.bits)
+            for bit in source.within(min(self.end.bits, self._quiet_from[number]))
         ]
         hits.sort(key=lambda hit: hit[:2])
         return [(self._at(bit), bit, rule) for bit, _, rule in hits]
@@ -122,22 +146,23 @@ class Playback:
             source.pass_by(self.end.bits)
 
     def _compute(self) -> None:
-        """The episode, with as much noise as it is long."""
-        bits = _MARGIN_BITS
-        self.end = self._run(bits)
-        while self._noises and self.end.bits > bits:
-            bits = self.end.bits + _MARGIN_BITS
-            self.end = self._run(bits)
+        """The episode so far, with as much noise as it is long."""
+        self.end = self._run()
+        while self._noises and self.end.bits > self._until_bit:
+            self._until_bit = self.end.bits + _MARGIN_BITS
+            self.end = self._run()
         self.over_ns = self._at(self.end.bits - 1)
 
-    def _run(self, bits: int) -> Episode:
+    def _run(self) -> Episode:
         ratio = max(1, round(self._bit_ns / self._data_bit_ns))
-        return run_episode(self.stations, self._with_noise(bits), 0, ratio)
+        until_bit = self._until_bit
+        return run_episode(self.stations, self._with_noise(until_bit), 0, ratio, until_bit)
 
     def _with_noise(self, bits: int) -> list[Disturbance]:
         disturbances = list(self._disturbances)
-        for source in self._noises:
-            disturbances += [Disturbance(bit, ports=source.ports) for bit in source.within(bits)]
+        for source, quiet_from in zip(self._noises, self._quiet_from, strict=True):
+            struck = source.within(min(bits, quiet_from))
+            disturbances += [Disturbance(bit, ports=source.ports) for bit in struck]
         return disturbances
 
     def _at(self, bit: int) -> int:

@@ -22,7 +22,7 @@ from emulators.media.can_station import (
     CanStation,
 )
 from emulators.media.can_wire import DOMINANT, RECESSIVE
-from emulators.media.disturbance import ALL_PORTS, Disturbance, disturbed
+from emulators.media.disturbance import ALL_PORTS, Disturbance, Strikes
 
 
 @final
@@ -40,13 +40,16 @@ class Member:
     ) -> None:
         self.node = node
         self.leaves_at = leaves_at
-        self.struck_by = struck_by
+        self.strikes = Strikes(struck_by)
         self.fast = False
         self.heard_dominant = False  # in the bit of its own that has begun
 
     def is_stuck(self, bit: int) -> bool:
         """Whether it will hear dominant bits as long as nothing changes, and nothing but."""
-        return self.node.is_stalled() and disturbed(RECESSIVE, self.struck_by, bit) == DOMINANT
+        if not self.node.is_stalled():
+            return False
+        self.strikes.look_at(bit)
+        return self.strikes.disturbed(RECESSIVE) == DOMINANT
 
 
 @final
@@ -79,8 +82,7 @@ class WiredAnd:
         self._ratio = ratio
         self._live = list(members)
         self._nodes = [member.node for member in members]
-        self._disturbances = disturbances
-        self._on_wire = [one for one in disturbances if one.ports == ALL_PORTS]
+        self._on_wire = Strikes([one for one in disturbances if one.ports == ALL_PORTS])
         self._struck = False  # somebody may sample another level than there is
         self._fast_from = -1  # where the data phase began that is not over; -1: none is
         self._fast_count = 0  # members in the data phase
@@ -106,8 +108,8 @@ class WiredAnd:
         else:
             if self._struck:
                 for member in self._live:
-                    member.node.hear(disturbed(level, member.struck_by, bit), bit)
-                level = disturbed(level, self._on_wire, bit)
+                    member.node.hear(member.strikes.disturbed(level), bit)
+                level = self._on_wire.disturbed(level)
             else:
                 for node in self._nodes:
                     node.hear(level, bit)
@@ -141,7 +143,8 @@ class WiredAnd:
                 return False
         if ready or not stuck or not self._changes:
             return True
-        if disturbed(RECESSIVE, self._on_wire, self.bit) == RECESSIVE:
+        self._on_wire.look_at(self.bit)
+        if self._on_wire.disturbed(RECESSIVE) == RECESSIVE:
             return True  # on the wire it is over
         self.bit = max(self.bit, self._changes[-1])
         return False
@@ -154,7 +157,10 @@ class WiredAnd:
             member for member in self._live if member.leaves_at is None or bit < member.leaves_at
         ]
         self._nodes = [member.node for member in self._live]
-        self._struck = any(one.strikes(bit) for one in self._disturbances)
+        self._struck = self._on_wire.look_at(bit)
+        for member in self._live:
+            if member.strikes.look_at(bit):
+                self._struck = True
         self._fast_count = sum(member.fast for member in self._live)
         self._end_data_phase(bit)
 
@@ -190,7 +196,7 @@ class WiredAnd:
         over = False
         for member in self._live:
             node = member.node
-            sampled = disturbed(level, member.struck_by, bit) if self._struck else level
+            sampled = member.strikes.disturbed(level) if self._struck else level
             if member.fast:
                 node.hear(sampled, bit)
                 if not node.is_fast():
@@ -207,7 +213,7 @@ class WiredAnd:
                 member.heard_dominant = False
                 if node.phase == SIGNALLING and not signalled:
                     self._flagged = True  # by who takes it for a classical frame, on its own grid
-        on_wire = disturbed(level, self._on_wire, bit) if self._struck else level
+        on_wire = self._on_wire.disturbed(level) if self._struck else level
         self._wire_dominant = self._wire_dominant or on_wire == DOMINANT
         if whole:
             self._count(DOMINANT if self._wire_dominant else RECESSIVE)

@@ -278,6 +278,28 @@ def test_no_frame_of_a_noisy_hour_is_lost_or_doubled_without_a_trace():
     assert bus.statistics.errors >= struck
 
 
+def test_noise_under_which_nodes_never_agree_costs_no_more_than_the_time_that_it_lasts():
+    """Eight nodes, each of which misreads one bit in ten: that all hear the 11 recessive bits of a
+    delimiter and an intermission has a chance of 0.9 ** 88, once in 10,000 tries. Computing all of
+    an episode before any of it is played would not end; what is played next is known soon.
+    """
+    names = tuple("abcdefgh")
+    rule = FaultRule("storm", FaultKind.NOISE, bit_error_rate=0.1, ports=names, until_ns=3000 * BIT)
+    bus = CanBus("can0", faults=FaultPlan([rule], random.Random(1).random))
+    for name in names:
+        bus.attach(name)
+    bus.submit(0, STATUS, 0)
+    expire_all(bus, 3000 * BIT - 1)
+    assert bus._playback is not None
+    assert not bus._playback.end.is_over
+    assert 3000 <= bus._playback.end.bits <= 2 * 3000 + 512
+    expire_all(bus, 3000 * BIT)  # its last bit inverted was before
+    assert bus._playback.end.is_over
+    assert bus._playback.end.bits <= 3000 + 14 + 8 + 3
+    deliveries = expire_all(bus, 10**9)
+    assert bus.node(0).aborted + len(confirmed(deliveries, 0)) == 1
+
+
 def test_the_same_seed_makes_the_same_errors():
     def story(seed):
         rule = FaultRule("noise", FaultKind.NOISE, bit_error_rate=1e-3)

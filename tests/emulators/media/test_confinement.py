@@ -40,11 +40,14 @@ def test_counters_that_no_node_on_the_bus_has_are_refused(tec, rec):
         ((128, 0), (127, 0), told.CONTROLLER, told.TX_WARNING, (127, 0)),
         ((0, 200), (0, 127), told.CONTROLLER, told.RX_WARNING, (0, 127)),
         ((96, 0), (95, 0), told.CONTROLLER, told.ERROR_ACTIVE, (95, 0)),
-        ((250, 3), (258, 3), told.BUS_OFF, 0, (255, 3)),
+        ((250, 3), (258, 3), told.BUS_OFF, 0, (0, 0)),
     ],
 )
 def test_a_change_of_state_is_told_as_linux_does(before, after, classes, controller, counters):
-    """drivers/net/can/dev/dev.c, can_change_state; data[6] and data[7] are the counters."""
+    """drivers/net/can/dev/dev.c, can_change_state; data[6] and data[7] are the counters.
+
+    When it is bus-off, drivers tell none (sja1000, m_can, rkcanfd: new_state != CAN_STATE_BUS_OFF).
+    """
     confinement = Confinement(*before)
     journal = ErrorJournal(confinement)
     confinement.tec, confinement.rec = after
@@ -56,6 +59,20 @@ def test_a_change_of_state_is_told_as_linux_does(before, after, classes, control
     ((_, kind, message),) = journal.notes
     assert kind == NOTE_STATE
     can_id = int.from_bytes(message[:4], "little")
-    assert can_id == 0x20000000 | classes | told.COUNTERS
+    counted = 0 if classes == told.BUS_OFF else told.COUNTERS
+    assert can_id == 0x20000000 | classes | counted
     assert message[9] == controller
     assert (message[14], message[15]) == counters
+
+
+def test_a_bus_error_of_a_node_that_it_took_off_the_bus_has_no_counters():
+    confinement = Confinement(255, 7)
+    journal = ErrorJournal(confinement)
+    journal.note_error(told.BIT0_ERROR, told.DATA, transmitter=True)
+    confinement.tec = 263
+    journal.note_error(told.BIT0_ERROR, told.DATA, transmitter=True)
+    with_them, without = [message for _, _, message in journal.notes]
+    assert int.from_bytes(with_them[:4], "little") & told.COUNTERS
+    assert (with_them[14], with_them[15]) == (255, 7)
+    assert not int.from_bytes(without[:4], "little") & told.COUNTERS
+    assert (without[14], without[15]) == (0, 0)
