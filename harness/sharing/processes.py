@@ -98,7 +98,7 @@ class Outcome:
     def taken_after_last_kill(self) -> int:
         """How often somebody was given it after the last one was killed."""
         return sum(
-            use.called_ns > self.last_kill_ns
+            use.returned_ns > self.last_kill_ns
             for use in self.uses
             if use.action is Action.TAKE and use.answer is Answer.DONE
         )

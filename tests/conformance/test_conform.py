@@ -41,7 +41,7 @@ def conform(*words, seed):
         env={**os.environ, "PYTHONPATH": str(ROOT), "PYTHONHASHSEED": str(seed)},
         capture_output=True,
         text=True,
-        timeout=60,
+        timeout=200,
     )
 
 

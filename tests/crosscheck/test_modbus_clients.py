@@ -201,7 +201,7 @@ def libmodbus(tmp_path_factory: pytest.TempPathFactory) -> str:
         [compiler, "-I/usr/include/modbus", str(source), "-o", str(program), "-lmodbus"],
         capture_output=True,
         text=True,
-        timeout=60,
+        timeout=200,
         check=False,
     )
     if built.returncode and ("modbus.h" in built.stderr or "-lmodbus" in built.stderr):
@@ -214,7 +214,7 @@ def libmodbus(tmp_path_factory: pytest.TempPathFactory) -> str:
 def test_libmodbus_reads_and_writes(libmodbus, server, kind):
     words = ["127.0.0.1", str(server.port)] if kind == "tcp" else [str(server.link), "115200"]
     done = subprocess.run(
-        [libmodbus, kind, *words], capture_output=True, text=True, timeout=60, check=False
+        [libmodbus, kind, *words], capture_output=True, text=True, timeout=200, check=False
     )
     assert done.stdout.split() == ["0", "123", "1", "1", "1", "-10"], done.stderr
     assert done.returncode == 0
@@ -252,7 +252,7 @@ def dissected(tshark: str, path: Path, protocol: str) -> list[list[str]]:
     command += ["-o", "mbrtu.crc_verification:TRUE", "-T", "fields"]
     for field in fields:
         command += ["-e", field]
-    done = subprocess.run(command, capture_output=True, text=True, timeout=60, check=True)
+    done = subprocess.run(command, capture_output=True, text=True, timeout=200, check=True)
     return [line.split("\t") for line in done.stdout.splitlines()]
 
 

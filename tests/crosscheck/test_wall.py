@@ -49,7 +49,7 @@ def connected(path: Path) -> Iterator[tuple[canopen.Network, PatientNode402]]:
         finally:
             network.disconnect()
             server.terminate()
-            server.communicate(timeout=20)
+            server.communicate(timeout=60)
     assert server.returncode == 0
 
 

@@ -260,10 +260,10 @@ def test_closed_standard_streams_are_no_matter(rig):
             env=environment(),
             capture_output=True,
             text=True,
-            timeout=30,
+            timeout=120,
         )
         assert (done.returncode, done.stderr) == (0, "")
-        done = subprocess.run([*command, "check", "x"], env=environment(), timeout=30)
+        done = subprocess.run([*command, "check", "x"], env=environment(), timeout=120)
         assert done.returncode == 2
 
 

@@ -25,7 +25,7 @@ def wheel(tmp_path_factory):
         shutil.copy(CHECKOUT / name, folder)
     command = [sys.executable, "-m", "pip", "wheel", "--quiet", "--no-deps", "--no-index"]
     command += ["--no-build-isolation", "--disable-pip-version-check", "-w", str(folder), "."]
-    subprocess.run(command, cwd=folder, check=True, timeout=50)
+    subprocess.run(command, cwd=folder, check=True, timeout=200)
     return next(folder.glob("*.whl"))
 
 
@@ -54,7 +54,7 @@ def installed(wheel, tmp_path_factory):
 
     def run(*words):
         command = [sys.executable, "-P", "-c", start + f"sys.exit(main({list(words)!r}))"]
-        return subprocess.run(command, cwd=site, capture_output=True, text=True, timeout=30)
+        return subprocess.run(command, cwd=site, capture_output=True, text=True, timeout=120)
 
     return run
 

@@ -137,7 +137,7 @@ def test_tshark_reads_what_is_written(path):
     names += " frame.packet_flags_direction can.err.ack"
     fields = [word for name in names.split() for word in ("-e", name)]
     command = ["tshark", "-r", str(path), "-T", "fields", "-E", "separator=;", *fields]
-    done = subprocess.run(command, capture_output=True, text=True, timeout=60)
+    done = subprocess.run(command, capture_output=True, text=True, timeout=200)
     assert done.returncode == 0, done.stderr
     rows = [line.split(";") for line in done.stdout.splitlines()]
     stamps = [traffic.decimal(frame.time_ns) for frame in frames]

@@ -169,7 +169,7 @@ def dissected(tshark, path, *fields):
     command = [tshark, "-n", "-r", str(path), "-T", "fields", "-E", "separator=;", *words]
     command += ["-o", "tcp.check_checksum:TRUE", "-o", "ip.check_checksum:TRUE"]
     command += ["-d", "rtacser.data,mbrtu", "-o", "mbrtu.crc_verification:TRUE"]
-    done = subprocess.run(command, capture_output=True, text=True, timeout=60)
+    done = subprocess.run(command, capture_output=True, text=True, timeout=200)
     assert done.returncode == 0, done.stderr
     return [line.split(";") for line in done.stdout.splitlines()]
 

@@ -2,6 +2,9 @@
 
     python -m tests.wall.takeover_stress SECONDS SEED [FAULT]
 
+It lasts so long; then until there was enough of everything (ENOUGH, or what FAULT leads to), but
+SPARE_S at most: what a busy machine makes of a second is nobody's merit or fault.
+
 Each worker takes the lock, mostly with a short lease, sometimes on demand, and writes while it has
 it, and a little longer; some are paused anywhere, some killed. A write is made as a commanding one
 is: between begin_write and end_write it notes its token in a page of memory that all share.
@@ -35,6 +38,9 @@ from motorapi.wall_runtime import WallRuntime
 PAGE = struct.Struct("<qqqqqq")  # over, last token, writing token, intruders, stale, writes
 NOTE = struct.Struct("<qq")  # token, 1 if taken over
 WORKERS = 4
+ENOUGH = {"killed": 3, "paused": 3, "taken_over": 10, "writes": 200}
+FOUND = {"no fence": {"intruders": 1}, "no look": {"stale": 1}}
+SPARE_S = 40.0
 
 
 def put(page, place, value):
@@ -99,7 +105,23 @@ def work(folder, page, notes, chance, fault):
             hold.release()
 
 
+def told(page, notes, counts):
+    """What has come of it so far."""
+    data = Path(notes).read_bytes()
+    taken = [NOTE.unpack_from(data, at) for at in range(0, len(data), NOTE.size)]
+    _, _, _, intruders, stale, writes = PAGE.unpack_from(page)
+    return counts | {
+        "turns": len(taken),
+        "taken_over": sum(over for _, over in taken),
+        "writes": writes,
+        "intruders": intruders,
+        "stale": stale,
+        "repeated": len(taken) - len({token for token, _ in taken}),
+    }
+
+
 def run(seconds, seed, fault):
+    wanted = FOUND[fault] if fault else ENOUGH
     page = mmap.mmap(-1, mmap.PAGESIZE)
     chance = random.Random(seed)
     counts = {"killed": 0, "paused": 0}
@@ -125,7 +147,15 @@ def run(seconds, seed, fault):
 
         pids = [spawn() for _ in range(WORKERS)]
         end_s = time.monotonic() + seconds
-        while time.monotonic() < end_s:
+
+        def is_over():
+            late_s = time.monotonic() - end_s
+            if late_s < 0.0:
+                return False
+            reached = told(page, notes, counts)
+            return late_s > SPARE_S or all(reached[one] >= enough for one, enough in wanted.items())
+
+        while not is_over():
             select.select([], [], [], 0.01)
             pid = chance.choice(pids)
             if chance.random() < 0.15:
@@ -141,17 +171,7 @@ def run(seconds, seed, fault):
         put(page, 0, 1)
         for pid in pids:
             os.waitpid(pid, 0)
-        data = Path(notes).read_bytes()
-    taken = [NOTE.unpack_from(data, at) for at in range(0, len(data), NOTE.size)]
-    _, _, _, intruders, stale, writes = PAGE.unpack_from(page)
-    return counts | {
-        "turns": len(taken),
-        "taken_over": sum(over for _, over in taken),
-        "writes": writes,
-        "intruders": intruders,
-        "stale": stale,
-        "repeated": len(taken) - len({token for token, _ in taken}),
-    }
+        return told(page, notes, counts)
 
 
 if __name__ == "__main__":

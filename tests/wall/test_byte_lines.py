@@ -23,6 +23,7 @@ pytestmark = pytest.mark.wall
 
 MUCH = bytes(60_000)  # bytes; sent again and again, it fills whatever buffers there are
 TIMES = 400
+LONG_S = 60.0  # for a busy machine; nothing waits for it when all is well
 
 
 def fill(line):
@@ -36,7 +37,7 @@ def test_a_connection_whose_other_end_reads_nothing_is_a_broken_link():
         began_s = time.monotonic()
         with pytest.raises(LinkError, match="cannot send"):
             fill(line)
-        assert time.monotonic() - began_s < 5.0
+        assert time.monotonic() - began_s < LONG_S
         line.close()
 
 
@@ -47,7 +48,7 @@ def test_a_serial_line_that_takes_nothing_is_a_broken_link():
         began_s = time.monotonic()
         with pytest.raises(LinkError, match="cannot send"):
             fill(line)
-        assert time.monotonic() - began_s < 5.0
+        assert time.monotonic() - began_s < LONG_S
         line.close()
     finally:
         os.close(slave)
@@ -98,7 +99,7 @@ def test_of_two_that_have_a_serial_device_open_nobody_reads_the_others_answers(t
         port = ports[unit]
         lock = ProcessLock("port-exchange", "the port", LockDirectory(tmp_path))
         line = ModbusLine(port, runtime, lock)
-        client = UnitClient(line, unit, 0.5)
+        client = UnitClient(line, unit, LONG_S / 2)
         for _ in range(30):
             heard[unit] += client.read_holding_registers(5).registers
         line.close()
@@ -106,7 +107,7 @@ def test_of_two_that_have_a_serial_device_open_nobody_reads_the_others_answers(t
 
     parties = [runtime.spawn(f"unit {unit}", lambda unit=unit: ask(unit)) for unit in (1, 2)]
     for party in parties:
-        assert party.join(30.0)
+        assert party.join(LONG_S)
         assert party.error is None
     assert heard == {1: [1] * 30, 2: [2] * 30}
     runtime.close()

@@ -6,6 +6,7 @@ new owner and the drive have sent.
 
 import re
 import signal
+import struct
 import threading
 from collections import Counter
 from contextlib import ExitStack
@@ -29,6 +30,7 @@ pytestmark = pytest.mark.wall
 
 SYNC, NMT, REQUEST = 0x080, 0x000, 0x601
 SET_POINTS = 0x301
+MARK = 0x7FF  # nobody's, and whatever else is to be sent goes first
 RPDOS = tuple(base + node for base in (0x200, 0x300, 0x400, 0x500) for node in (1, 2))
 
 
@@ -36,7 +38,7 @@ def is_commanding(can_id, data):
     """Whether a frame may start or change a motion, or a setting: no upload, no abort."""
     if can_id == REQUEST:
         return data[0] >> 5 not in (2, 3, 4, 5)
-    return can_id in RPDOS or can_id in (SYNC, NMT)
+    return can_id in RPDOS or can_id in (SYNC, NMT, MARK)
 
 
 class Listener:
@@ -61,6 +63,46 @@ class Listener:
         self._bus.shutdown()
 
 
+class Sent:
+    """Commanding frames that the runtime has sent on the bus, once it has carried them."""
+
+    def __init__(self, bus, runtime):
+        self.frames = []
+        self._bus, self._runtime = bus, runtime
+        self._marks = 0
+        runtime.listen(bus, self._on_frame)
+
+    def _on_frame(self, frame, time_ns, transmitted):
+        can_id, data = int.from_bytes(frame[:4], "little"), frame[8 : 8 + frame[4]]
+        if transmitted and is_commanding(can_id, data):
+            self.frames.append((can_id, data))
+
+    def mark(self, listener):
+        """All that anybody has sent so far is on the bus: how much of it is known there and here.
+
+        Where several have sent the hub reads one after another: what it read only after the first
+        mark is on the bus before the second.
+        """
+        for _ in range(2):
+            self._marks += 1
+            mark = (MARK, self._marks.to_bytes(2, "big"))
+            self._runtime.send(self._bus, struct.pack("<IB3x8s", MARK, 2, mark[1]))
+            both = (listener.frames, self.frames)
+            known = self._runtime.wait_until(
+                lambda mark=mark, both=both: all(mark in frames for frames in both), LONG_S
+            )
+            assert known
+        return tuple(frames.index(mark) + 1 for frames in both)
+
+
+def not_of_the_heir(listener, sent, since):
+    """What was on the bus from one mark to another, which is made now, but what the heir sent."""
+    heard_to, sent_to = sent.mark(listener)
+    heard_from, sent_from = since
+    heard = Counter(listener.frames[heard_from:heard_to])
+    return heard - Counter(sent.frames[sent_from:sent_to])
+
+
 class Heir:
     """Another owner of the same drive; it knows what it has sent itself."""
 
@@ -68,13 +110,7 @@ class Heir:
         self.bus = open_bus(path)
         self.hardware = Cia402HwMotor(self.bus, 1, runtime=runtime, options=OPTIONS)
         self.motor = Cia402Motor(self.hardware, MODEL, name="heir")
-        self.sent = []
-        runtime.listen(self.bus, self._on_frame)
-
-    def _on_frame(self, frame, time_ns, transmitted):
-        can_id, data = int.from_bytes(frame[:4], "little"), frame[8 : 8 + frame[4]]
-        if transmitted and is_commanding(can_id, data):
-            self.sent.append((can_id, data))
+        self.sent = Sent(self.bus, runtime)
 
     def move(self):
         self.motor.set_control_mode(ControlMode.SETPOINT)
@@ -123,12 +159,8 @@ class Stage:
         self.wait_for(lambda: read_process(self.owner.pid)[0] in "Tt")
 
     def settle(self):
-        """What was sent so far is on the bus, and heard."""
-        with open_bus(self.path) as bus:
-            bus.send(can.Message(arbitration_id=NMT, data=b"\x01\x7f", is_extended_id=False))
-            mark = (NMT, b"\x01\x7f")
-            self.wait_for(lambda: mark in self.listener.frames)
-            self.listener.frames.remove(mark)
+        """What was sent so far is on the bus, and heard: a mark, for `others`."""
+        return self.heir.sent.mark(self.listener)
 
     def take_over(self, **how):
         """The heir has reserved it; the owner is paused, and not in the middle of a write."""
@@ -144,14 +176,14 @@ class Stage:
             else:
                 return
 
-    def others(self, since, since_sent):
+    def others(self, since):
         """Commanding frames on the bus that the heir has not sent, since then."""
-        self.settle()
-        return self.heard(since, since_sent)
+        return not_of_the_heir(self.listener, self.heir.sent, since)
 
-    def heard(self, since, since_sent):
+    def heard(self, since):
         """As `others`, but only as far as they were heard by now."""
-        return Counter(self.listener.frames[since:]) - Counter(self.heir.sent[since_sent:])
+        heard, sent = since
+        return Counter(self.listener.frames[heard:]) - Counter(self.heir.sent.frames[sent:])
 
     def close(self):
         self.reserved.close()
@@ -182,33 +214,32 @@ def stage(tmp_path, monkeypatch):
 
 
 def lose(stage, how, word="stream 0", *, streams=False, **taking):
-    """The heir has the drive and has moved it; what was heard and sent before, for `others`."""
+    """The heir has the drive and has moved it; since when, for `others`."""
     stage.begin(how, word)
     stage.wait_for(lambda: stage.set_points() > 20 or word == "run")
     stage.take_over(**taking)
-    stage.settle()
-    since, since_sent = len(stage.listener.frames), len(stage.heir.sent)
+    since = stage.settle()
     if streams:
         stage.heir.stream(0.5, 2.0)
     else:
         stage.heir.move()
     stage.owner.signal(signal.SIGCONT)
-    return since, since_sent
+    return since
 
 
 def test_not_one_frame_of_a_resumed_stream_reaches_the_bus(stage):
-    since, since_sent = lose(stage, "fenced", take_over=True)
+    since = lose(stage, "fenced", take_over=True)
     ended = r"owner: the motion was ended by pid \d+ \(.*, which took it over \(on demand\)"
     lost = r"hub node 1 was taken over \(on demand\) by pid \d+ .* for rescue"
     assert re.match(f"{ended}.*; the stream: .*{lost}", stage.owner.ask("told"))
     assert re.match(f"interrupted {ended}", stage.owner.ask("wait"))
     stage.heir.move()
-    assert stage.others(since, since_sent) == Counter()
+    assert stage.others(since) == Counter()
     assert not any("refused" in event for event in stage.events)  # it did not even get so far
     assert stage.owner.ask("again").startswith("busy owner was taken over (on demand) by pid ")
     assert stage.owner.ask("write").startswith("busy ")
     assert stage.owner.ask("renew").startswith("busy ")
-    assert stage.others(since, since_sent) == Counter()
+    assert stage.others(since) == Counter()
     assert stage.owner.ask("end") == "ended"
     write = stage.owner.ask("write")  # by the hardware object alone, which owns it for the frame
     assert " is held by pid " in write
@@ -221,38 +252,37 @@ def test_not_one_frame_of_a_resumed_stream_reaches_the_bus(stage):
 
 
 def test_the_next_owner_streams_with_a_sync_of_his_own_and_is_not_disturbed(stage):
-    since, since_sent = lose(stage, "fenced", take_over=True, streams=True)
+    since = lose(stage, "fenced", take_over=True, streams=True)
     assert stage.owner.ask("wait").startswith("interrupted ")
     stage.heir.motor.wait_until_done(LONG_S)
     assert stage.heir.hardware.stream.error is None
-    assert stage.others(since, since_sent) == Counter()
-    assert Counter(stage.heir.sent)[SYNC, b""] >= 200
+    assert stage.others(since) == Counter()
+    assert Counter(stage.heir.sent.frames)[SYNC, b""] >= 200
 
 
 def test_a_lease_that_is_over_is_as_good_as_a_takeover(stage):
-    since, since_sent = lose(stage, "fenced", "stream 0.3", timeout_s=LONG_S)
+    since = lose(stage, "fenced", "stream 0.3", timeout_s=LONG_S)
     assert stage.owner.ask("wait").startswith("interrupted ")
-    assert stage.others(since, since_sent) == Counter()
+    assert stage.others(since) == Counter()
 
 
 def test_a_drive_that_moves_by_itself_is_brought_to_rest_and_then_left_alone(stage):
-    since, since_sent = lose(stage, "fenced", "run", take_over=True)
+    since = lose(stage, "fenced", "run", take_over=True)
     assert stage.owner.ask("write").startswith("busy ")
     assert stage.owner.ask("wait").startswith("interrupted ")
-    assert stage.others(since, since_sent) == Counter()
+    assert stage.others(since) == Counter()
 
 
 def test_a_stream_that_fails_when_it_goes_on_does_not_halt_the_next_owner(stage):
     stage.begin("fenced")
     assert stage.owner.ask("spoil") == "spoilt"
     stage.take_over(take_over=True)
-    stage.settle()
-    since, since_sent = len(stage.listener.frames), len(stage.heir.sent)
+    since = stage.settle()
     stage.owner.signal(signal.SIGCONT)
     assert stage.owner.ask("wait").startswith("interrupted ")
     for _ in range(3):
         stage.heir.move()
-    assert stage.others(since, since_sent) == Counter()
+    assert stage.others(since) == Counter()
 
 
 def test_a_stop_that_was_under_way_does_not_stop_the_next_owner(stage):
@@ -260,12 +290,11 @@ def test_a_stop_that_was_under_way_does_not_stop_the_next_owner(stage):
     assert stage.owner.ask("wait") == "done"  # its velocity is reached
     assert stage.owner.ask("stop") == "stopped"  # and said again every 0.1 s, until it stands
     stage.take_over(take_over=True)
-    stage.settle()
-    since, since_sent = len(stage.listener.frames), len(stage.heir.sent)
+    since = stage.settle()
     stage.owner.signal(signal.SIGCONT)
     for _ in range(5):
         stage.heir.move()
-    assert stage.others(since, since_sent) == Counter()
+    assert stage.others(since) == Counter()
     assert stage.owner.ask("write").startswith("busy ")
 
 
@@ -281,26 +310,25 @@ def test_what_a_paused_process_has_armed_is_started_by_no_sync_after_a_takeover(
         stage.settle()
     moved = stage.runtime.wait_until(lambda: abs(stage.heir.motor.position() - begin) > 0.01, 0.5)
     assert not moved
-    stage.settle()
-    since, since_sent = len(stage.listener.frames), len(stage.heir.sent)
+    since = stage.settle()
     stage.owner.signal(signal.SIGCONT)
     assert stage.owner.hear().startswith("busy ")
-    sent = stage.others(since, since_sent)
+    sent = stage.others(since)
     assert not [can_id for can_id, _ in sent if can_id & 0x7F == 1]  # nothing to node 1
     assert stage.heir.motor.position() == pytest.approx(begin, abs=1e-3)
 
 
 def test_the_hub_refuses_what_a_program_sends_that_does_not_look(stage):
-    since, since_sent = lose(stage, "careless", take_over=True)
+    since = lose(stage, "careless", take_over=True)
     stage.wait_for(lambda: any("are refused: token" in event for event in stage.events))
-    sent = stage.others(since, since_sent)
+    sent = stage.others(since)
     assert not [can_id for can_id, _ in sent if can_id in RPDOS or can_id == REQUEST]
 
 
 def test_without_a_fence_its_set_points_do_reach_the_bus(stage):
-    since, since_sent = lose(stage, "unfenced", take_over=True)
+    since = lose(stage, "unfenced", take_over=True)
     # Nobody waits for the motor there: who waits is told first, now and then, and ends the stream.
-    stage.wait_for(lambda: any(SET_POINTS in frame for frame in stage.heard(since, since_sent)))
+    stage.wait_for(lambda: any(SET_POINTS in frame for frame in stage.heard(since)))
 
 
 def test_the_hub_hears_who_owns_the_drive(stage):

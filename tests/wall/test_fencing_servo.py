@@ -1,7 +1,6 @@
 """A servo of a process that lost its motor while it was paused: no output of it gets on the bus."""
 
 import signal
-from collections import Counter
 from contextlib import suppress
 from pathlib import Path
 
@@ -21,7 +20,7 @@ from motorapi.lock_directory import VARIABLE
 from motorapi.lock_view import read_process
 from tests.wall.fenced_servo import servo_on
 from tests.wall.programs import LONG_S, Program
-from tests.wall.test_fencing import Listener, is_commanding
+from tests.wall.test_fencing import Listener, Sent, not_of_the_heir
 from tests.wall.test_hub import serving
 
 pytestmark = pytest.mark.wall
@@ -36,17 +35,11 @@ class Servos:
         self.path = path
         self.runtime = WallRuntime()
         self.bus = can.Bus(interface="emulated", channel=path)
-        self.sent = []
         self.heir = servo_on(self.bus, "heir", self.runtime)
-        self.runtime.listen(self.bus, self._on_frame)
+        self.sent = Sent(self.bus, self.runtime)
         self.listener = Listener(path)
         self.owner = Program("fenced_servo", path, how)
         assert self.owner.hear() == "holding"
-
-    def _on_frame(self, frame, time_ns, transmitted):
-        can_id, data = int.from_bytes(frame[:4], "little"), frame[8 : 8 + frame[4]]
-        if transmitted and is_commanding(can_id, data):
-            self.sent.append((can_id, data))
 
     def pause(self):
         self.owner.signal(signal.SIGSTOP)
@@ -61,10 +54,18 @@ class Servos:
         motor.start()
         motor.wait_until_done(LONG_S)
 
-    def others(self, since, since_sent):
+    def others(self, since):
         """Outputs and enable bits on the bus that the heir has not sent, since then."""
-        difference = Counter(self.listener.frames[since:]) - Counter(self.sent[since_sent:])
+        difference = not_of_the_heir(self.listener, self.sent, since)
         return [can_id for can_id, _ in difference if can_id in (OUTPUTS, ENABLE)]
+
+    def other(self, since):
+        """There is one of them."""
+        for _ in range(round(LONG_S / 0.02)):
+            if self.others(since):
+                return
+            self.runtime.wait_until(lambda: False, 0.02)
+        pytest.fail("the heir alone has commanded it")
 
     def close(self):
         self.owner.end()
@@ -106,16 +107,17 @@ def test_no_output_of_a_resumed_servo_reaches_the_bus(servos, how):
             break
     try:
         stage.move()
-        since, since_sent = len(stage.listener.frames), len(stage.sent)
+        since = stage.sent.mark(stage.listener)
         stage.owner.signal(signal.SIGCONT)
         if how == "fenced":
             ended = stage.owner.ask("wait")
             assert ended.startswith("ended: ")
             assert "was taken over (on demand) by pid " in ended
             stage.move()
+            assert stage.others(since) == []
         else:
             with suppress(MotorError):  # two servos on one node
                 stage.move()
-        assert bool(stage.others(since, since_sent)) is (how == "unfenced")
+            stage.other(since)
     finally:
         reservation.__exit__(None, None, None)

@@ -51,7 +51,7 @@ def message(can_id, data=b""):
 def test_a_program_talks_to_a_controller_in_another_loop(path):
     with serving(path, Echo(0x180)), can.Bus(interface="emulated", channel=path) as bus:
         bus.send(message(0x100, b"\x2a"))
-        answer = bus.recv(5.0)
+        answer = bus.recv(30.0)
     assert (answer.arbitration_id, bytes(answer.data), answer.is_rx) == (0x180, b"\x2a", True)
 
 
@@ -66,8 +66,8 @@ def test_nothing_is_lost_and_everybody_hears_one_order(path):
         for number in range(count):
             one.send(message(0x101, number.to_bytes(2, "big")))
             two.send(message(0x102, number.to_bytes(2, "big")))
-        heard = [witness.recv(10.0) for _ in range(2 * count)]
-        two_heard = [two.recv(10.0) for _ in range(count)]
+        heard = [witness.recv(30.0) for _ in range(2 * count)]
+        two_heard = [two.recv(30.0) for _ in range(count)]
     for sender in (0x101, 0x102):
         numbers = [int.from_bytes(m.data, "big") for m in heard if m.arbitration_id == sender]
         assert numbers == list(range(count))
@@ -83,7 +83,7 @@ def test_own_frames_come_back_when_transmitted_if_asked_for(path):
         can.Bus(interface="emulated", channel=path) as other,
     ):
         own.send(message(0x123))
-        echo, heard = own.recv(5.0), other.recv(5.0)
+        echo, heard = own.recv(30.0), other.recv(30.0)
     assert (echo.is_rx, heard.is_rx) == (False, True)
     assert echo.timestamp == heard.timestamp > 0.0
 
@@ -122,7 +122,7 @@ def test_a_hub_that_goes_away_is_an_error_not_silence(path):
     with serving(path):
         bus = can.Bus(interface="emulated", channel=path)
     with bus, pytest.raises(can.CanOperationError, match="closed the connection"):
-        bus.recv(5.0)
+        bus.recv(30.0)
 
 
 def test_a_bus_is_known_to_be_shut_down_before_its_connection_ends(path, monkeypatch):
@@ -178,9 +178,9 @@ def test_who_sends_what_no_bus_carries_is_told_so_and_the_others_stay(path, fram
         with can.Bus(interface="emulated", channel=path) as broken:
             broken.transmit(frame)
             with pytest.raises(can.CanOperationError, match=f"{path}: frame {frame.hex()}: "):
-                broken.recv(5.0)
+                broken.recv(30.0)
         bus.send(message(0x100, b"\x2a"))
-        assert bytes(bus.recv(5.0).data) == b"\x2a"
+        assert bytes(bus.recv(30.0).data) == b"\x2a"
 
 
 def test_there_is_room_for_many_and_the_next_is_told_so(path, monkeypatch):
@@ -193,7 +193,7 @@ def test_there_is_room_for_many_and_the_next_is_told_so(path, monkeypatch):
         with pytest.raises(can.CanInitializationError, match="2 programs are connected"):
             can.Bus(interface="emulated", channel=path)
         bus.send(message(0x100, b"\x2a"))
-        assert bytes(bus.recv(5.0).data) == b"\x2a"
+        assert bytes(bus.recv(30.0).data) == b"\x2a"
 
 
 def test_a_path_that_would_read_as_path_and_bus_is_refused(tmp_path):

@@ -38,7 +38,7 @@ def heard_until(witness, can_id):
     """The first bytes of what was heard, before the frame that ends it."""
     values = []
     while True:
-        one = witness.recv(10.0)
+        one = witness.recv(30.0)
         assert one is not None, "the last frame was not heard"
         if one.arbitration_id == can_id:
             return values

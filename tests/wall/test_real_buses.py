@@ -57,7 +57,7 @@ def test_what_is_sent_and_heard_is_recorded_with_whose_it_is(channel, peer, tmp_
         hearing = Hearing()
         driven.listen("can0", hearing)
         driven.send("can0", classic(0x205, b"\x0f"))
-        assert peer.recv(10.0).arbitration_id == 0x205
+        assert peer.recv(30.0).arbitration_id == 0x205
         driven.runtime.wait_until(hearing.has_heard.is_set, 10.0)
         hearing.has_heard.clear()
         peer.send(told(b"\x37"))

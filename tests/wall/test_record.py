@@ -23,7 +23,7 @@ from traces.traffic_mcap import record_frames, recorded_frames
 pytestmark = pytest.mark.wall
 
 MOTORHIL = (sys.executable, "-c", "import sys; from harness.cli import main; sys.exit(main())")
-COUNT = 300
+COUNT = 200  # a socket holds 278 such frames for a recorder that has no turn meanwhile
 
 
 @pytest.fixture
@@ -53,7 +53,7 @@ def send(channel, count=COUNT, first=0):
             data = number.to_bytes(2, "big")
             bus.send(can.Message(arbitration_id=0x123, data=data, is_extended_id=False))
         for _ in range(count):
-            assert bus.recv(10.0) is not None
+            assert bus.recv(30.0) is not None
 
 
 def numbers(path, bus="can0"):
@@ -72,7 +72,7 @@ def test_a_signal_completes_the_file_with_everything_sent_before_it(hub, tmp_pat
         send(hub)
         send(hub + "#can1", 5)
         process.send_signal(number)
-        out, err = process.communicate(timeout=20)
+        out, err = process.communicate(timeout=60)
     assert (process.returncode, err) == (0, "")
     assert f"{COUNT} frames of can0, 5 of arm in" in out
     assert "none lost" in out
@@ -88,10 +88,9 @@ def test_a_signal_completes_the_file_with_everything_sent_before_it(hub, tmp_pat
 def test_killed_it_leaves_what_was_there_a_second_ago(hub, tmp_path):
     file = tmp_path / "run.mcap"
     with recording("--on", hub, "-o", str(file)) as process:
-        begun = file.stat().st_size
         send(hub)
         first = 0
-        while file.stat().st_size == begun:  # as soon as the second is over
+        while len(numbers(file)) < COUNT:  # as soon as the second is over in which they came
             first += 1
             send(hub, 1, COUNT + first)
         process.kill()
@@ -110,7 +109,7 @@ def test_a_hub_that_goes_ends_the_recording_and_that_is_told(tmp_path):
         with recording("--on", path, "-o", str(file)) as process:
             send(path)
             hub.close()
-            out, err = process.communicate(timeout=20)
+            out, err = process.communicate(timeout=60)
     assert process.returncode == 1
     assert "the hub has closed the connection" in err
     assert f"{COUNT} frames of can0" in out
@@ -123,9 +122,9 @@ def test_rotation_and_the_summary_for_a_machine(hub, tmp_path):
     file = tmp_path / "run.mcap"
     words = ("--on", hub, "-o", str(file), "--rotate-s", "0.01", "--json")
     with recording(*words) as process:
-        send(hub)  # 300 frames of 63 bits and more at 1 Mbit/s take 19 ms at least
+        send(hub)  # 200 frames of 63 bits and more at 1 Mbit/s take 12 ms at least
         process.send_signal(signal.SIGINT)
-        out, _ = process.communicate(timeout=20)
+        out, _ = process.communicate(timeout=60)
     told = json.loads(out)
     assert told["buses"] == {"can0": {"frames": COUNT, "lost": 0}}
     assert told["files"][0] == str(tmp_path / "run-0001.mcap")
@@ -204,7 +203,7 @@ def test_a_recording_sent_to_a_hub_is_on_its_bus_in_order(hub, tmp_path, capsys,
         words = ["replay", path, "--as", "traffic", "--on", hub, "--speed", speed, "--json"]
         assert main(words) == 0
         process.send_signal(signal.SIGINT)
-        process.communicate(timeout=20)
+        process.communicate(timeout=60)
     told = json.loads(capsys.readouterr().out)
     assert told["sent"] == {"can0": COUNT}
     assert numbers(file) == list(range(COUNT))

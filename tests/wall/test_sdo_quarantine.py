@@ -17,7 +17,7 @@ MS = 1_000_000
 
 
 class SlowServer:
-    """Answers an upload `late_ns` after it was asked, by how often it was asked before that."""
+    """Answers an upload, the first one `late_ns` later, by how often it was asked before that."""
 
     def __init__(self, late_ns):
         self._late_ns = late_ns
@@ -32,6 +32,7 @@ class SlowServer:
         self.asked += 1
         answer = b"\x43" + data[9:12] + self.asked.to_bytes(4, "little")
         self._due.append((now_ns + self._late_ns, answer))
+        self._late_ns = 0
 
     def sent(self, data, now_ns):
         return False
@@ -74,7 +75,7 @@ def test_the_answer_to_one_who_was_killed_is_not_taken_for_an_answer_to_the_next
     locks.mkdir(mode=0o700)
     monkeypatch.setenv(VARIABLE, str(locks))
     path = str(tmp_path / "hub")
-    server = SlowServer(800 * MS)
+    server = SlowServer(3000 * MS)  # long enough to kill somebody and to ask again
     with serving(path, server), can.Bus(interface="emulated", channel=path) as bus:
         runtime = runtime_of(bus)
         link = open_link(bus, runtime)

@@ -23,7 +23,12 @@ def test_a_host_that_is_late_takes_longer_and_says_so(tmp_path):
     core = build({"node_id": 1}, ControllerContext(name="drive", folder=Path(), seed=1))
     runtime = WallRuntime()
     with serving(path, core), can.Bus(interface="emulated", channel=path) as bus:
-        options = HwOptions(set_point_period_ms=10)
+        options = HwOptions(
+            set_point_period_ms=10,
+            heartbeat_timeout_ms=30_000,
+            sdo_timeout_s=10.0,
+            connect_timeout_s=30.0,
+        )
         hardware = Cia402HwMotor(bus, 1, runtime=runtime, options=options)
         motor = set_function(Cia402Motor(hardware, MODEL, name="wheel"), quintic(0.5, 1.0))
         motor.start()

@@ -10,6 +10,7 @@ from itertools import pairwise
 import pytest
 
 from motorapi.errors import MotorBusyError
+from tests.wall.takeover_stress import ENOUGH
 from tests.wall.test_process_lock import (
     LONG_S,
     base,
@@ -25,6 +26,7 @@ __all__ = ["base", "lock", "programs", "wall"]
 pytestmark = pytest.mark.wall
 
 LEASE_S = 1.0
+LONG_LEASE_S = 3.0  # renewed every tenth of it: a busy machine may stand still for the rest
 
 
 def pause(wall, lock, program):
@@ -70,13 +72,13 @@ def test_while_he_uses_it_a_lease_lasts_and_when_he_is_paused_the_first_who_wait
     holder, first, second = programs(3)
     for one in (first, second):
         assert one.ask("write").startswith("busy")  # it is there
-    assert holder.ask(f"lease driving {LEASE_S}") == "has 1 True"
+    assert holder.ask(f"lease driving {LONG_LEASE_S}") == "has 1 True"
     first.say(f"take first {LONG_S}")
     until_waiting(wall, lock, [first.pid])
     second.say(f"take second {LONG_S}")
     until_waiting(wall, lock, [first.pid, second.pid])
-    for word in ("renew", "write") * 4:
-        wall.wait_until(lambda: False, LEASE_S / 5)
+    for word in ("renew", "write") * 6:
+        wall.wait_until(lambda: False, LONG_LEASE_S / 10)
         assert holder.ask(word).startswith(("renewed", "wrote 1"))
     assert holder_pid(lock) == holder.pid
     pause(wall, lock, holder)
@@ -84,7 +86,7 @@ def test_while_he_uses_it_a_lease_lasts_and_when_he_is_paused_the_first_who_wait
     assert holder_pid(lock) == first.pid
     until_waiting(wall, lock, [second.pid])
     holder.signal(signal.SIGCONT)
-    reason = f"its lease of {LEASE_S:g} s was over"
+    reason = f"its lease of {LONG_LEASE_S:g} s was over"
     for word in ("write", "renew"):
         told = holder.ask(word)
         assert told.startswith(f"busy the pan was taken over ({reason}) by pid {first.pid} (")
@@ -208,7 +210,7 @@ def test_a_taker_that_dies_at_any_step_leaves_it_as_it_was_or_abandoned(programs
 
 def stress(seconds, seed, fault=""):
     words = [sys.executable, "-m", "tests.wall.takeover_stress", str(seconds), str(seed), fault]
-    done = subprocess.run(words, capture_output=True, text=True, timeout=60, check=False)
+    done = subprocess.run(words, capture_output=True, text=True, timeout=120, check=False)
     assert done.stderr == "", done.stderr
     return json.loads(done.stdout)
 
@@ -216,14 +218,12 @@ def stress(seconds, seed, fault=""):
 def test_of_many_who_take_it_from_each_other_paused_and_killed_anywhere_one_writes_at_a_time():
     told = stress(2.0, 1)
     assert (told["intruders"], told["stale"], told["repeated"]) == (0, 0, 0)
-    assert told["taken_over"] >= 10
-    assert told["writes"] >= 200
-    assert min(told["paused"], told["killed"]) >= 3
+    assert all(told[one] >= enough for one, enough in ENOUGH.items()), told
 
 
 def test_a_write_that_is_not_closed_against_takeovers_is_found_out():
-    assert any(stress(2.0, seed, "no fence")["intruders"] for seed in range(5))
+    assert stress(0.0, 1, "no fence")["intruders"] > 0
 
 
 def test_a_write_without_a_look_whether_it_is_still_his_is_found_out():
-    assert any(stress(1.0, seed, "no look")["stale"] for seed in range(5))
+    assert stress(0.0, 3, "no look")["stale"] > 0
