@@ -37,6 +37,7 @@ class HubLink:
     """One connection to one bus of a hub. May be read in one thread and written in another.
 
     Attributes:
+        fd: whether CAN FD frames are heard.
         stale: what the hub has refused: resource -> (the greater token, whose it is).
     """
 
@@ -48,6 +49,7 @@ class HubLink:
         Raises:
             CanInitializationError: nobody serves there, or the hub refuses; says why.
         """
+        self.fd = fd
         self.stale: dict[int, tuple[int, str]] = {}
         path, _, bus = channel.partition("#")
         self._socket = socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET)
@@ -72,6 +74,17 @@ class HubLink:
         self.bus = answer[len(WELCOME) :].decode()
         self.path = path
         self._socket.setblocking(True)
+
+    @classmethod
+    def with_all(cls, channel: str) -> "HubLink":
+        """Connected, and CAN FD frames heard where the bus has any.
+
+        Raises: as of a new one.
+        """
+        try:
+            return cls(channel, True)
+        except CanInitializationError:  # a classical bus, or an older hub; or none, which it says
+            return cls(channel)
 
     def fileno(self) -> int:
         """For select and event loops."""

@@ -68,7 +68,7 @@ class HubTap:
             PlaceError: nobody serves there, or the hub refuses.
         """
         try:
-            self._link = HubLink(place.channel)
+            self._link = HubLink.with_all(place.channel)
         except CanError as error:
             raise PlaceError(f"--on {place.text}: {error}") from None
         self.default_name = self._link.bus

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Final, final
 
 import can
 
+from emulators.can_segment import HOST
 from harness.hub_client import HubLink
 from harness.recording.places import Kind, Place, PlaceError
 from harness.recording.python_can import message_of, open_bus
@@ -48,25 +49,26 @@ def open_sink(place: Place, options: Mapping[str, object]) -> Sink:
 class RigSink:
     """A bus of an open rig, in the rig's time."""
 
-    carries_fd = False
-
     def __init__(self, rig: "Rig", bus: str) -> None:
         """Joined. Raises PlaceError: the rig has no such bus."""
         self.name = bus
-        try:
-            self._bus = rig.bus(bus)
-        except KeyError as error:
-            raise PlaceError(f"--on {bus}: {error.args[0]}") from None
+        known = rig.world.bus_names()
+        if bus not in known:
+            raise PlaceError(f"--on {bus}: the rig has no such bus (known: {', '.join(known)})")
+        self.carries_fd = rig.world.bus(bus).data_bitrate_bit_s is not None
         self._queued = 0
-        self._heard = self._bus.subscribe(self._hear)
+        self._port = rig.world.add_host(bus, HOST, self._hear, self._hear_error)
 
     def _hear(self, frame: bytes, time_ns: int, transmitted: bool) -> None:
         self._queued -= transmitted
 
+    def _hear_error(self, message: bytes, time_ns: int, _: bool) -> None:
+        """That frames take long is seen without it."""
+
     def send(self, frame: bytes) -> None:
         """The frame waits its turn."""
         self._queued += 1
-        self._bus.transmit(frame)
+        self._port.send(frame)
 
     def is_ready(self) -> bool:
         """Whether not too many wait."""
@@ -78,22 +80,21 @@ class RigSink:
 
     def close(self) -> None:
         """It hears nothing any more."""
-        self._heard.cancel()
+        self._port.close()
 
 
 @final
 class HubSink:
     """A bus of `motorhil serve --socket`, which tells when a frame was carried."""
 
-    carries_fd = False
-
     def __init__(self, place: Place) -> None:
         """Connected. Raises PlaceError: nobody serves there, or the hub refuses."""
         self.name = place.text
         try:
-            self._link = HubLink(place.channel)
+            self._link = HubLink.with_all(place.channel)
         except can.CanError as error:
             raise PlaceError(f"--on {place.text}: {error}") from None
+        self.carries_fd = self._link.fd
         self._queued = 0
 
     def send(self, frame: bytes) -> None:

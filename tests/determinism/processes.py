@@ -13,7 +13,7 @@ FROM_SOURCES = f"import sys; sys.path.insert(0, {str(CHECKOUT)!r}); " + INSTALLE
 
 def start(folder: Path, hash_seed: int, *words, program=INSTALLED, text=None):
     """A motorhil that has begun to run in `folder`, which is made; `text` is its standard input."""
-    folder.mkdir(parents=True)
+    folder.mkdir(parents=True, exist_ok=True)
     process = subprocess.Popen(
         [sys.executable, "-P", "-c", program, *words],
         cwd=folder,

@@ -1,5 +1,7 @@
 """CAN FD of the `emulated` interface over a hub's socket; clients that do not know it."""
 
+import contextlib
+import select
 import struct
 
 import can
@@ -7,7 +9,11 @@ import pytest
 
 from emulators.hub import HubServer
 from emulators.hub_protocol import GREETING
+from emulators.media.can_frame import pack_fd
 from harness.hub_client import HubLink
+from harness.recording.places import parse_place
+from harness.recording.taps import HubClocks, HubTap
+from harness.replay.sinks import HubSink
 from tests.harness.fd_frames import FdFrames, classical, fd_message
 from tests.wall.error_bench import ErrorBench
 
@@ -48,11 +54,21 @@ class TestOverAHub(FdFrames):
             flags_unknown, length = 0xF8, 9  # no FDF; and no length of CAN FD
             raw.send(struct.pack("<IBB2x64s", 0x123, length, flags_unknown, b"123456789"))
             raw.send(struct.pack("<IBB2x64s", 0x124, 65, 0x04, b""))
-            heard = bus.recv(5.0)
+            heard = bus.recv(30.0)
             assert (heard.is_fd, bytes(heard.data)) == (True, b"123456789\0\0\0")
             with pytest.raises(can.CanOperationError, match="65 bytes of data"):
-                raw.receive(5.0)  # its own client is told, and has to go
+                raw.receive(30.0)  # its own client is told, and has to go
         raw.close()
+
+    def test_what_records_a_hub_and_sends_a_recording_to_it_has_all_its_frames(self, bench):
+        place = parse_place(bench.channel)
+        tap, sink = HubTap(place, HubClocks([place])), HubSink(place)
+        sent = pack_fd(0x123, bytes(64))
+        with contextlib.closing(tap), contextlib.closing(sink):
+            assert sink.carries_fd
+            sink.send(sent)
+            assert select.select([tap], [], [], 30.0)[0]
+            assert [frame for _, _, frame in tap.read(0)] == [sent]
 
 
 def test_a_classical_bus_is_told_so_before_anything_is_sent(tmp_path):
@@ -63,5 +79,7 @@ def test_a_classical_bus_is_told_so_before_anything_is_sent(tmp_path):
         with bench.open() as bus, bench.open() as other:
             bus.send(classical(0x123))
             assert other.recv(30.0).arbitration_id == 0x123
+        with contextlib.closing(HubSink(parse_place(bench.channel))) as sink:
+            assert not sink.carries_fd
     finally:
         bench.close()
