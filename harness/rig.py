@@ -91,6 +91,7 @@ class Rig:
             self._add_controllers()
             schedule(description, self.world, self._build_controller)
             self.notes += [f"{name}: {level}: {text}" for _, level, name, text in started]
+            self.notes += [note for bus in description.buses for note in self._destroyers(bus)]
             if record is not None:
                 self._record(record, started, cleanup)
             self.runtime = VirtualRuntime(queue, WallPace() if realtime else None)
@@ -294,6 +295,19 @@ class Rig:
 
             watch_motor(self.recording, built, motor, self.world)
         return built
+
+    def _destroyers(self, bus: str) -> list[str]:
+        controllers = self.description.controllers.values()
+        names = self.description.buses[bus].destroyers(
+            [c.name for c in controllers if c.bus == bus]
+        )
+        if not names:
+            return []
+        return [
+            f"{bus}: warning: classical CAN controllers destroy its CAN FD frames:"
+            f' {", ".join(names)}; give them frames = "fd_tolerant" or "fd" in'
+            f" [bus.{bus}.node.{names[0]}]"
+        ]
 
     def _link(self, bus: str) -> "EmulatedBus | EmulatedLine":
         return self.line(bus) if self.description.buses[bus].is_line else self.bus(bus)

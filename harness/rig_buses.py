@@ -6,11 +6,11 @@ kind = "modbus_rtu"   a serial line: baud_bit_s, parity, stop_bits
 kind = "modbus_tcp"   a gateway: latency_s, timeout_s
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Final, final
 
-from emulators.media.can_node import CanNode
+from emulators.media.can_node import CanNode, FrameSupport
 from harness.rig_nodes import read_nodes, silent_nodes
 from harness.rig_traffic import read_messages
 from harness.settings import Table
@@ -75,6 +75,18 @@ class BusDescription:
     def is_line(self) -> bool:
         """Whether it speaks Modbus: its controllers have units, not node-IDs."""
         return self.kind in LINES
+
+    def destroyers(self, controllers: Sequence[str]) -> list[str]:
+        """Which nodes destroy the CAN FD frames of this bus; none of a classical bus.
+
+        Args:
+            controllers: on the bus.
+        """
+        if self.data_bitrate_bit_s is None:
+            return []
+        plain = [name for name in controllers if name not in self.nodes]
+        told = [name for name, chip in self.nodes.items() if chip.frames is FrameSupport.CLASSICAL]
+        return plain + told
 
 
 def read_bus(name: str, table: Table) -> BusDescription:

@@ -21,6 +21,7 @@ from traces.schema import Direction
 from traces.tape import START, Key, Role, Sent, Step, Tape, Turn, period_ns
 from traces.traffic import EFF, ERR, RTR, Frame, classic
 
+_CLASSIC_BYTES: Final = 16  # of a can_frame
 _NMT: Final = 0x000
 _SYNCHRONOUS_MAX: Final = 240
 _SYNCS_MIN: Final = 8
@@ -93,9 +94,13 @@ class CanopenTapes:
     def take(self, time_ns: int, frame: bytes, direction: Direction, sender: str) -> None:
         """This frame was complete at that time."""
         can_id = int.from_bytes(frame[:4], "little")
-        if can_id & (EFF | ERR) or len(frame) != 16:
+        if can_id & (EFF | ERR):
             return
         identifier = can_id & 0x7FF
+        if len(frame) > _CLASSIC_BYTES:
+            if sender in self._numbers:
+                self._flexible(self._numbers[sender], time_ns, identifier, frame)
+            return
         data = frame[8 : 8 + frame[4]]
         function, number = identifier >> 7, identifier & 0x7F
         if can_id & RTR:
@@ -265,6 +270,13 @@ class CanopenTapes:
             if kind <= _SYNCHRONOUS_MAX and node.sync is not None:
                 node.sync.answers.append(Sent(time_ns - node.sync.time_ns, frame))
                 return
+        node.command.reactions.append(Sent(time_ns - node.command.time_ns, frame))
+
+    def _flexible(self, number: int, time_ns: int, identifier: int, frame: bytes) -> None:
+        """A CAN FD frame, which CANopen has not: it was sent by itself."""
+        node = self._node(number)
+        node.has_sent = True
+        node.times_ns.setdefault(identifier, []).append(time_ns)
         node.command.reactions.append(Sent(time_ns - node.command.time_ns, frame))
 
     @staticmethod

@@ -7,7 +7,8 @@ node_id = 1                     # on a line: unit
 recording = "bench.mcap"        # starts at the rig's folder
 recorded_bus = "can0"           # where the recording has it on more than one bus
 recorded_unit = 255             # on a line: where the recording has it as another unit
-bitrate_bit_s = 1_000_000       # of the recorded bus
+bitrate_bit_s = 1_000_000       # of the bus
+data_bitrate_bit_s = 2_000_000  # of a bus where it may send CAN FD frames
 """
 
 from collections.abc import Mapping
@@ -28,11 +29,12 @@ from traces.tape import Tape
 KIND: Final = "recorded"
 _KEYS: Final = (
     *("node_id", "unit", "recording", "recorded_bus", "recorded_unit"),
-    *("bitrate_bit_s", "set_points"),
+    *("bitrate_bit_s", "data_bitrate_bit_s", "set_points"),
 )
 _BYTE_MAX: Final = 255
 SET_POINTS: Final = ("exact", "any")
 _RATE_MAX: Final = 1_000_000
+_DATA_RATE_MAX: Final = 20_000_000
 
 
 def build(settings: Mapping[str, object], context: ControllerContext) -> Controller:
@@ -62,7 +64,12 @@ def build(settings: Mapping[str, object], context: ControllerContext) -> Control
     if is_unit:
         return RecordedUnit(tape, number, note)
     rate = whole(settings.get("bitrate_bit_s", _RATE_MAX), ("bitrate_bit_s",), 1000, _RATE_MAX)
-    return RecordedNode(tape, found.decoders[tape.bus], number, 1_000_000_000 // rate, note)
+    data_bit_ns = 0
+    key = "data_bitrate_bit_s"
+    if key in settings:
+        data_bit_ns = 1_000_000_000 // whole(settings[key], (key,), rate, _DATA_RATE_MAX)
+    decoder = found.decoders[tape.bus]
+    return RecordedNode(tape, decoder, number, 1_000_000_000 // rate, note, data_bit_ns)
 
 
 build.bus_kinds = BUS_KINDS  # type: ignore[attr-defined]  # how a plugin says where it can be

@@ -11,7 +11,9 @@ from dataclasses import replace
 from itertools import pairwise
 from typing import Final, final
 
-from emulators.media.can_bits import length_bits
+from emulators.media.can_bits import INTERMISSION_BITS, measure, phases_of
+from emulators.media.can_frame import FRAME_BYTES
+from emulators.media.can_port import LENGTHS_MASK
 from harness.replay.player import TapePlayer
 from harness.replay.recorded_controller import RecordedController
 from traces.canopen_tapes import (
@@ -47,6 +49,7 @@ class RecordedNode(RecordedController):
         node_id: on this bus, as in the recording.
         bit_ns: of the bus [ns]; recorded frames began so much before they were complete.
         note: what is to be known of the recording; it is told at power-on.
+        data_bit_ns: of CAN FD [ns]; 0: the node sends none, and its recorded ones are left out.
 
     Attributes:
         player: what was found, and what was not.
@@ -59,8 +62,15 @@ class RecordedNode(RecordedController):
         node_id: int,
         bit_ns: int = 1000,
         note: str = "",
+        data_bit_ns: int = 0,
     ) -> None:
-        super().__init__(TapePlayer(_with_durations(tape, bit_ns)), "drive", note)
+        timed, left_out = _timed(tape, bit_ns, data_bit_ns)
+        notes = [note] if note else []
+        if left_out:
+            notes.append(
+                f"{left_out} CAN FD frames of node {node_id} are left out: it is classical"
+            )
+        super().__init__(TapePlayer(timed), "drive", "; ".join(notes))
         self.node_id: Final = node_id
         self._decoder = decoder
         self._dialogue: Step | None = None
@@ -231,15 +241,27 @@ def _is_same(step: Step, recorded: bytes, frame: bytes) -> bool:
     return not is_block_download and same_head and meant(recorded[8:]) == meant(frame[8:])
 
 
-def _with_durations(tape: Tape, bit_ns: int) -> Tape:
-    """The tape with what each frame takes on a bus of this bit time."""
+def _timed(tape: Tape, bit_ns: int, data_bit_ns: int) -> tuple[Tape, int]:
+    """The tape with what each frame takes at these bit times; how many are left out of it."""
+    left_out = 0
 
-    def timed(one: Sent) -> Sent:
-        return replace(one, duration_ns=length_bits(one.data) * bit_ns)
+    def length_ns(frame: bytes) -> int:
+        nominal, data = phases_of(measure(frame) & LENGTHS_MASK)
+        return (nominal - INTERMISSION_BITS) * bit_ns + data * data_bit_ns
 
-    for step in tape.steps:
-        step.reactions = [timed(one) for one in step.reactions]
-        step.answers = [timed(one) for one in step.answers]
-        for turn in step.turns:
-            turn.answers = [timed(one) for one in turn.answers]
-    return tape
+    def timed(sent: list[Sent]) -> list[Sent]:
+        nonlocal left_out
+        kept = [one for one in sent if data_bit_ns or len(one.data) == FRAME_BYTES]
+        left_out += len(sent) - len(kept)
+        return [replace(one, duration_ns=length_ns(one.data)) for one in kept]
+
+    steps = [
+        replace(
+            step,
+            reactions=timed(step.reactions),
+            answers=timed(step.answers),
+            turns=[replace(turn, answers=timed(turn.answers)) for turn in step.turns],
+        )
+        for step in tape.steps
+    ]
+    return replace(tape, steps=steps), left_out

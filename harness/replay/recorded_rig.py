@@ -12,6 +12,7 @@ from dataclasses import replace
 from pathlib import Path, PurePosixPath
 from typing import TYPE_CHECKING, Final
 
+from emulators.media.can_node import PLAIN, FrameSupport
 from harness.replay.factory import KIND, SET_POINTS, recorded_tapes
 from harness.rig_attachments import named_files
 from harness.rig_buses import CAN, MODBUS_RTU, MODBUS_TCP, UNIT_MAX, address_key
@@ -69,6 +70,9 @@ def with_recorded(
         if bus.kind == CAN:
             settings["bitrate_bit_s"] = bus.bitrate_bit_s
             settings["set_points"] = set_points
+            chip = bus.nodes.get(name, PLAIN)
+            if bus.data_bitrate_bit_s is not None and chip.frames is FrameSupport.FD:
+                settings["data_bitrate_bit_s"] = bus.data_bitrate_bit_s
         settings |= (places or {}).get(name, {})
         controllers[name] = replace(controller, kind=KIND, settings=settings, plants_from_model=())
     return replace(description, controllers=controllers, faults=(), stimuli=())

@@ -200,6 +200,36 @@ def test_warnings_at_power_on_are_notes(write):
         assert rig.notes == ["right: warning: a.eds:3: mended"]
 
 
+@pytest.mark.parametrize(
+    ("nodes", "destroyers"),
+    [
+        ("", "left, right"),
+        ('[bus.can0.node.right]\nframes = "fd_tolerant"\n', "left"),
+        ('[bus.can0.node.left]\nqueue = "priority"\n', "right, left"),
+        ('[bus.can0.node.host]\nframes = "classical"\n', "left, right, host"),
+    ],
+)
+def test_a_bus_of_two_rates_is_told_who_destroys_its_frames(write, nodes, destroyers):
+    fd = "bitrate_bit_s = 1_000_000\ndata_bitrate_bit_s = 2_000_000\n"
+    assert "bitrate_bit_s = 1_000_000\n" in GOOD
+    with Rig.open(write(GOOD.replace("bitrate_bit_s = 1_000_000\n", fd + nodes))) as rig:
+        (note,) = rig.notes
+    assert note == (
+        f"can0: warning: classical CAN controllers destroy its CAN FD frames: {destroyers}; give"
+        ' them frames = "fd_tolerant" or "fd" in [bus.can0.node.' + destroyers.split(", ")[0] + "]"
+    )
+
+
+def test_nobody_is_told_of_where_all_stand_can_fd_or_there_is_none(write):
+    tolerant = "".join(
+        f'[bus.can0.node.{name}]\nframes = "fd_tolerant"\n' for name in ("left", "right")
+    )
+    for rates in ("", "data_bitrate_bit_s = 2_000_000\n" + tolerant):
+        text = GOOD.replace("bitrate_bit_s = 1_000_000\n", "bitrate_bit_s = 1_000_000\n" + rates)
+        with Rig.open(write(text)) as rig:
+            assert rig.notes == []
+
+
 def test_a_plant_takes_numbers_from_the_motor_model_only_if_asked_and_tells(write):
     path = write(GOOD)
     with Rig.open(path) as rig:

@@ -5,9 +5,11 @@ import pytest
 from harness.replay.recorded_node import NO_DATA, RecordedNode
 from harness.replay.recorded_unit import RecordedUnit
 from tests.traces.test_tapes import MS, adu, cut, frame
+from traces.canopen_tapes import CanopenTapes
 from traces.decode_canopen import CanopenDecoder
 from traces.modbus_tapes import modbus_tapes
-from traces.traffic import RTR, Frame, classic, remote
+from traces.schema import Direction
+from traces.traffic import BRS, RTR, Frame, classic, flexible, remote
 
 BOOT = frame(0, 0x706, b"\0")
 READ, KIND = bytes.fromhex("4000100000000000"), bytes.fromhex("4300100092010200")
@@ -263,3 +265,43 @@ def test_a_request_that_is_not_recorded_is_refused_as_a_failure_of_the_device(un
     refused = with_crc(bytes.fromhex("018604"))
     assert answer(unit, with_crc(b"\1" + WRITE[:-1] + b"\4")) == [refused]
     assert unit.snapshot(0)["mismatches"] == 1.0
+
+
+def flexible_node(data_bit_ns, frames):
+    """Node 6 of a recording at 500 kbit/s, whose frames are known to be its own, and its player."""
+    tapes = CanopenTapes("can0", 0, {6: "left"})
+    for at_ns, sent in frames:
+        tapes.take(at_ns, sent, Direction.UNKNOWN, "left")
+    made = RecordedNode(tapes.tapes()[6], CanopenDecoder(), 6, 2_000, "", data_bit_ns)
+    made.start(0)
+    return made
+
+
+def test_can_fd_frames_begin_so_much_before_their_end_as_both_rates_make_them():
+    """123h with 8 bytes: 26 nominal bits to its end, 99 at the data rate (test_can_bus_fd)."""
+    data = bytes.fromhex("0011223344556677")
+    frames = [
+        (1 * MS, classic(0x706, b"\0")),
+        (20 * MS, flexible(0x123, BRS, data)),
+        (30 * MS, flexible(0x123, 0, data)),
+    ]
+    one = flexible_node(500, frames)
+    due = []
+    while (at_ns := one.next_deadline_ns()) is not None:
+        one.expire(at_ns)
+        due += [(at_ns, sent) for sent in one.take_output()]
+    assert [sent for _, sent in due] == [sent for _, sent in frames]
+    assert due[1][0] == 20 * MS - (26 * 2_000 + 99 * 500)
+    assert due[2][0] == 30 * MS - (26 + 99) * 2_000
+    assert one.take_events() == []
+
+
+def test_a_classical_node_sends_no_can_fd_frame_and_says_so():
+    frames = [(1 * MS, classic(0x706, b"\0")), (20 * MS, flexible(0x123, 0, bytes(64)))]
+    one = flexible_node(0, frames)
+    one.expire(50 * MS)
+    assert one.take_output() == [frames[0][1]]
+    assert one.take_events() == [
+        ("warning", "1 CAN FD frames of node 6 are left out: it is classical")
+    ]
+    assert len(flexible_node(500, frames).player.tape.steps[0].reactions) == 2
