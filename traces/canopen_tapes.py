@@ -94,16 +94,15 @@ class CanopenTapes:
     def take(self, time_ns: int, frame: bytes, direction: Direction, sender: str) -> None:
         """This frame was complete at that time."""
         can_id = int.from_bytes(frame[:4], "little")
-        if can_id & (EFF | ERR):
+        is_fd = len(frame) > _CLASSIC_BYTES  # no service of CANopen, whatever its identifier
+        if can_id & (EFF | ERR) or (is_fd and sender not in self._numbers):
             return
         identifier = can_id & 0x7FF
-        if len(frame) > _CLASSIC_BYTES:
-            if sender in self._numbers:
-                self._flexible(self._numbers[sender], time_ns, identifier, frame)
-            return
         data = frame[8 : 8 + frame[4]]
         function, number = identifier >> 7, identifier & 0x7F
-        if can_id & RTR:
+        if is_fd:
+            self._sent(self._numbers[sender], time_ns, identifier, frame)
+        elif can_id & RTR:
             self._remote(time_ns, identifier, frame)
         elif len(data) < 2 and self.decoder.maps.is_sync(identifier):
             self._sync(time_ns, frame, self._numbers.get(sender))
@@ -246,7 +245,8 @@ class CanopenTapes:
     def _sent(self, number: int, time_ns: int, identifier: int, frame: bytes) -> None:
         node = self._node(number)
         node.has_sent = True
-        function, low = identifier >> 7, identifier & 0x7F
+        function = identifier >> 7 if len(frame) == _CLASSIC_BYTES else 0
+        low = identifier & 0x7F
         if function == 11 and low == number:
             self._answered(node, time_ns, self.decoder.decode(frame), frame)
             return
@@ -270,13 +270,6 @@ class CanopenTapes:
             if kind <= _SYNCHRONOUS_MAX and node.sync is not None:
                 node.sync.answers.append(Sent(time_ns - node.sync.time_ns, frame))
                 return
-        node.command.reactions.append(Sent(time_ns - node.command.time_ns, frame))
-
-    def _flexible(self, number: int, time_ns: int, identifier: int, frame: bytes) -> None:
-        """A CAN FD frame, which CANopen has not: it was sent by itself."""
-        node = self._node(number)
-        node.has_sent = True
-        node.times_ns.setdefault(identifier, []).append(time_ns)
         node.command.reactions.append(Sent(time_ns - node.command.time_ns, frame))
 
     @staticmethod
