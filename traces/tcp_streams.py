@@ -109,12 +109,17 @@ def _take(
         if old >= len(data):
             return
         sequence, arrived = stream.next, (time_ns, data[old:], number)
-    known = stream.held.get(sequence)
-    if known is None or len(known[1]) < len(arrived[1]):
-        stream.held[sequence] = arrived
+    _hold(stream, sequence, arrived)
     yield from _in_order(stream, way, 0)
     if len(stream.held) > _HELD_MAX:
         yield from _skip(stream, way)
+
+
+def _hold(stream: _Stream, sequence: int, arrived: tuple[int, bytes, int]) -> None:
+    """Of what begins there the longest is held."""
+    known = stream.held.get(sequence)
+    if known is None or len(known[1]) < len(arrived[1]):
+        stream.held[sequence] = arrived
 
 
 def _in_order(stream: _Stream, way: Way, gap: int) -> Iterator[Piece]:
@@ -143,7 +148,7 @@ def _drop_old(stream: _Stream) -> None:
         if 0 < behind < _SPAN // 2:
             time_ns, data, number = stream.held.pop(sequence)
             if behind < len(data):
-                stream.held.setdefault(stream.next, (time_ns, data[behind:], number))
+                _hold(stream, stream.next, (time_ns, data[behind:], number))
 
 
 def _segment(packet: Packet) -> tuple[Way, int, int, bytes] | None:

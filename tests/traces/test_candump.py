@@ -163,6 +163,13 @@ def test_what_is_written_is_read_again(time_ns, frame, direction):
     assert one(log_row(told, places=9)) == told
 
 
+@pytest.mark.parametrize("bus", ["[", "[8]", "(1)", "123", "RX"])
+def test_an_interface_may_have_any_name_without_a_blank(bus):
+    told = Frame(1, bus, classic(0x123, bytes(8)), R)
+    for row in (plain_row(told, places=9), log_row(told, places=9)):
+        assert one(row) == told
+
+
 @given(st.text(alphabet=" ()#[]0189AFRT.:_can'-\t", max_size=60))
 def test_no_line_is_passed_over_in_silence_and_none_ends_the_reading(line):
     frames, findings = read(line)

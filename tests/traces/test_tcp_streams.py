@@ -38,6 +38,13 @@ def test_what_was_sent_is_there_once_and_in_order(data, first):
     assert [piece.gap for piece in found] == [-1] + [0] * (len(found) - 1)
 
 
+def test_of_two_that_are_cut_to_begin_at_one_place_the_longer_goes_on():
+    parts = (4, b"456"), (5, b"567"), (3, b"345"), (0, b"012")
+    segments = [tcp(7 + at, part) for at, part in parts]
+    found = list(pieces(captured(tcp(6, b"", SYN), *segments)))
+    assert joined(found) == b"01234567"
+
+
 def test_a_capture_that_begins_in_the_middle_of_a_connection_begins_there():
     found = list(pieces(captured(tcp(500, b"abc"), tcp(503, b"def"))))
     assert joined(found) == b"abcdef"

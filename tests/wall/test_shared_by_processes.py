@@ -22,22 +22,23 @@ NODES = {"left": ("can0", 1), "right": ("can0", 2)}
 def shared(tmp_path):
     """Runs a plan on a hub of two wheels, and gives what came of it and what the bus proves."""
 
-    def on_hub(**plan):
-        path, record = tmp_path / "hub", tmp_path / "run.mcap"
+    def on_hub(portion=1, **plan):
+        path, record = tmp_path / f"hub{portion}", tmp_path / f"run{portion}.mcap"
+        plan["seconds"] *= portion
         command = [*SERVE, "serve", str(EXAMPLES / "two_wheels.toml"), "--socket", str(path)]
         facts = {
             "channel": str(path),
             "model": str(EXAMPLES / "wheel_model.toml"),
             "node_ids": [1, 2],
         }
-        facts |= plan.pop("facts")
+        facts |= plan["facts"]
         with subprocess.Popen(
             [*command, "-o", str(record)], stdout=subprocess.PIPE, stderr=subprocess.DEVNULL
         ) as server:
             try:
                 assert server.stdout.readline().startswith(b"can0: ")
                 await_boot(path)
-                outcome = run(Plan(facts=facts, **plan))
+                outcome = run(Plan(**{**plan, "facts": facts}))
             finally:
                 server.send_signal(signal.SIGINT)
                 server.wait(LONG_S)
@@ -66,18 +67,25 @@ def test_two_groups_with_motors_in_opposite_orders_never_wait_for_each_other_for
 
 
 def test_with_kills_pauses_leases_and_takeovers_only_who_has_the_motor_commands_it(shared):
-    outcome, evidence = shared(
-        work="harness.sharing.drivers:work_motor",
-        workers=4,
-        seconds=8.0 * LONGER,
-        kill_period_s=2.3,
-        pause_period_s=1.1,
-        pause_s=0.5,
-        pause_inside=True,
-        facts={"node_ids": [1], "lease_s": 0.2, "take_over": 0.1, "commands": 3},
-    )
-    reached = outcome.reached()
-    assert reached["killed"] >= 1
-    assert reached["paused inside"] >= 1
-    assert reached["take: done from a living owner"] >= 1
-    assert evidence.counts["left: own"] >= 20
+    for portion in (1, 3, 6):  # a busy machine gets more time
+        outcome, evidence = shared(
+            portion,
+            work="harness.sharing.drivers:work_motor",
+            workers=4,
+            seconds=8.0 * LONGER,
+            kill_period_s=2.3,
+            pause_period_s=1.1,
+            pause_s=0.5,
+            pause_inside=True,
+            facts={"node_ids": [1], "lease_s": 0.2, "take_over": 0.1, "commands": 3},
+        )
+        reached = outcome.reached()
+        enough = {
+            "killed": reached["killed"] >= 1,
+            "paused inside": reached["paused inside"] >= 1,
+            "taken": reached["take: done from a living owner"] >= 1,
+            "own": evidence.counts["left: own"] >= 20,
+        }
+        if all(enough.values()):
+            return
+    pytest.fail(f"too little of something: {enough}")

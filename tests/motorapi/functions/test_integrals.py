@@ -6,10 +6,10 @@ from math import exp, inf, log, sqrt
 
 import numpy as np
 import pytest
-from hypothesis import assume, given
+from hypothesis import assume, given, reject
 from hypothesis import strategies as st
 
-from motorapi.errors import DomainError
+from motorapi.errors import DomainError, UsageError
 from motorapi.functions import (
     Constant,
     Cosine,
@@ -210,6 +210,13 @@ def test_values_of_an_integral_are_those_from_the_beginning(function, x, bounded
     if bounded:
         function = function.restricted(-3.0, 70.0)
     begin = -3.0 if bounded else 0.0
+    try:
+        for end in (-3.0, 70.0):
+            function.integrate(begin, end)
+    except UsageError as beyond:
+        if "is too large" not in str(beyond):
+            raise
+        reject()  # e to the power of more than 709: no float holds what is asked
     fresh, used = Integral(function), Integral(function)
     for other in (-2.9, 69.0, 0.0, 33.3):
         used.value(other)
