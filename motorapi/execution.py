@@ -215,7 +215,8 @@ def require_no_fault(motor: "Motor") -> MotorState:
     """
     state = motor._call(motor._read_state)
     if state is MotorState.OFFLINE:
-        raise LinkError(link=motor._physical.label, reason=f"{motor.name} is not heard")
+        reason, remedy = f"{motor.name} is not heard", "look at its power, its cable and the bus"
+        raise LinkError(link=motor._physical.label, reason=reason, remedy=remedy)
     if state is MotorState.FAULT:
         fault = motor._call(motor._read_fault)
         if fault is None:

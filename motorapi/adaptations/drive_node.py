@@ -32,7 +32,7 @@ if TYPE_CHECKING:
 
 EMCY_ID: Final = 0x080
 NMT_STATES: Final = {0x04: "STOPPED", 0x05: "OPERATIONAL", 0x7F: "PRE-OPERATIONAL"}
-LOST_REMEDY: Final = "look at its power and its cable"
+LOST_REMEDY: Final = "look at its power and cable, and whether others fill the bus"
 _EMCY: Final = struct.Struct("<8xHB5s")
 _STATUS_POSITION: Final = struct.Struct("<8xHi").unpack_from
 _STATUSWORD: Final = 0x6041
