@@ -283,7 +283,10 @@ class CanStretch(CanOutcomes):
             return None
         frame = self._ports[number].frame
         slot = wire_frame(frame).places.index(ACK_SLOT)
-        return entry, frame, self._start_ns, self._bit_at(now_ns) > slot
+        acknowledged = self._bit_at(now_ns) > slot
+        if acknowledged and not self._ears_for(frame) & ~(1 << number):
+            return None  # a lone node's: nobody did
+        return entry, frame, self._start_ns, acknowledged
 
     def go_on(self, entry: int, frame: bytes, start_ns: int, acknowledged: bool) -> None:
         """A frame that began on another wire ends on this one."""

@@ -339,3 +339,20 @@ def test_recovery_waits_before_it_counts():
     bus = struck_bus(1_000_000, CanNode(recovery_ns=5000 * BIT))
     deliveries = run(bus, [(0, 0, STATUS)])
     assert classes(deliveries, 0, told.RESTARTED) == [(OFF_BITS + 5000 + 1408) * BIT]
+
+
+def test_a_lone_node_that_comes_to_another_wire_was_not_acknowledged_on_the_way():
+    """Wherever in its frame it is alone on another wire: nobody has heard it.
+
+    Behind the ACK slot it was taken for acknowledged, and the frame for sent: lost unnoticed.
+    """
+    confinement = []
+    for bit in range(80):  # an attempt has 8 fewer
+        until_ns = 20_000_000 + bit * BIT
+        cut = FaultRule("cut", FaultKind.CUT, ports=("left",), until_ns=until_ns)
+        split = FaultRule("split", FaultKind.SPLIT, ports=("left",), from_ns=10_000_000)
+        bus = bus_with(cut, split)
+        deliveries = run(bus, [(0, LEFT, STATUS)], until_ns=until_ns + 100 * BIT)
+        assert traffic(deliveries) == []
+        confinement.append(bus.node(LEFT).confinement.tec)
+    assert confinement == [128] * 80
