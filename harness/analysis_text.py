@@ -1,11 +1,12 @@
 """What the analysis of a bus says, as tables of text and for machines."""
 
 from collections.abc import Sequence
+from typing import Final
 
 from harness.analysis.margins import ERRORS_MAX, Tolerance
 from harness.analysis.message import Arrival, Message
 from harness.analysis.response_time import Response
-from harness.analysis.subject import Findings, Sync
+from harness.analysis.subject import Findings, Subject, Sync
 from harness.text_table import print_table
 
 _MS = 1e-6  # of a nanosecond
@@ -15,8 +16,8 @@ def print_findings(found: Findings, bit_error_rate: float | None) -> None:
     """One bus, as a person reads it."""
     _print_head(found)
     stands = {one.message.rank: one for one in found.tolerances}
-    head = ["message", "what", "sender", "bytes", "period ms", "jitter", "deadline", "response"]
-    head += ["in time", "errors stood"]
+    head = ["message", "what", "sender", "bytes", "period ms", "jitter ms", "deadline ms"]
+    head += ["response ms", "in time", "errors stood"]
     if bit_error_rate is not None:
         head.append(f"late, bit errors {bit_error_rate:g}")
     rows = []
@@ -35,8 +36,15 @@ def print_findings(found: Findings, bit_error_rate: float | None) -> None:
     sync = found.subject.sync
     if sync is not None:
         print(f"{found.subject.load.name}: {_sync(sync)}")
-    for note in found.subject.notes:
-        print(f"{found.subject.load.name}: {note}")
+    print_notes(found.subject)
+
+
+def print_notes(subject: Subject) -> None:
+    """What whoever reads the results must know."""
+    if not subject.load.messages:
+        print(f"{subject.load.name}: nothing is known to be sent")
+    for note in subject.notes:
+        print(f"{subject.load.name}: {note}")
 
 
 def _print_head(found: Findings) -> None:
@@ -57,6 +65,9 @@ def _advice(found: Findings) -> list[str]:
     name = found.subject.load.name
     lines = []
     remedy = found.remedy
+    if found.late:
+        lines.append(f"{name}: may be late: {', '.join(one.message.label for one in found.late)}")
+        lines += [f"{name}: {one.message.label}: {_ALONE}" for one in found.late if _is_alone(one)]
     if remedy is not None:
         proposal = remedy.proposal
         if proposal.changes:
@@ -72,14 +83,24 @@ def _advice(found: Findings) -> list[str]:
         rate = remedy.rate_bit_s
         helps = "no usual bit rate helps" if rate is None else f"all are in time at {rate} bit/s"
         lines.append(f"{name}: {helps}")
-    if found.tolerances:
+    if found.tolerances and all(one.errors is not None for one in found.tolerances):
         burst = max(1, found.errors.burst)
-        at_once = "an error" if burst == 1 else f"{burst} errors at once"
         if found.interval_ns is None:
+            at_once = "an error" if burst == 1 else f"{burst} errors at once"
             lines.append(f"{name}: {at_once} can make a message late")
         else:
-            lines.append(f"{name}: after {at_once} it stands one every {_ms(found.interval_ns)} ms")
+            first = "" if burst == 1 else f"after {burst} errors at once, "
+            apart = f"errors {_ms(found.interval_ns)} ms apart or more make no message late"
+            lines.append(f"{name}: {first}{apart}")
     return lines
+
+
+_ALONE: Final = "its jitter and its own frame take longer than its deadline, whatever else is sent"
+
+
+def _is_alone(one: Response) -> bool:
+    jitter_ns = one.message.jitter_ns if one.message.arrival is Arrival.PERIODIC else 0
+    return one.takes_ns + jitter_ns > (one.message.deadline_ns or 0)
 
 
 def _sync(sync: Sync) -> str:
@@ -89,7 +110,8 @@ def _sync(sync: Sync) -> str:
     nominal_ns, error_ppm = clock.nominal_ns, clock.error_ppm
     if nominal_ns is not None and error_ppm is not None:
         whence = "told by 1006h" if clock.is_told else "the nearest round period"
-        text += f", its clock {error_ppm:+.1f} ppm off {nominal_ns * _MS:g} ms ({whence})"
+        off_ppm = round(error_ppm, 1) + 0.0  # never -0.0
+        text += f", its clock {off_ppm:+.1f} ppm off {nominal_ns * _MS:g} ms ({whence})"
     jitter = f"jitter {clock.peak_to_peak_ns / 1e3:.3f} us peak to peak"
     return f"{text}; {jitter}, {clock.deviation_ns / 1e3:.3f} us standard deviation"
 

@@ -3,6 +3,7 @@
 import struct
 from collections.abc import Iterable, Mapping
 from dataclasses import replace
+from math import gcd
 from typing import Final, final
 
 from emulators.media.can_bits import measure, phases_of
@@ -32,6 +33,7 @@ _WHOLE_TOLD: Final = (0x23, 0x43)
 _SYNC_COB_ID: Final = b"\x05\x10\x00"
 _CYCLE_PERIOD: Final = b"\x06\x10\x00"  # [us]
 _LSS: Final = (0x7E4, 0x7E5)
+_COARSE_NS: Final = 1_000_000  # a stamp that is no finer hides the jitter of most buses
 _HEARTBEATS: Final = range(0x701, 0x780)
 
 
@@ -53,6 +55,8 @@ class RecordedBus:
         self._syncs = [_SYNC]
         self._first_ns: int | None = None
         self._last_ns = 0
+        self._step_ns = 0
+        self._at_once = 0
 
     def take(self, time_ns: int, frame: bytes, sender: str) -> tuple[int, int] | None:
         """One more frame: its bits at the nominal and at the data rate; None: no bus carries it."""
@@ -73,6 +77,9 @@ class RecordedBus:
         self._data_bits += data
         if self._first_ns is None:
             self._first_ns = self._last_ns = time_ns
+        elif time_ns == self._last_ns:
+            self._at_once += 1
+        self._step_ns = gcd(self._step_ns, time_ns - self._last_ns)
         self._first_ns = min(self._first_ns, time_ns)
         self._last_ns = max(self._last_ns, time_ns)
         switched = fd and bool(flags & BRS)
@@ -127,7 +134,9 @@ class RecordedBus:
         """
         assert self._first_ns is not None or not self._heard
         span_ns = max(1, self._last_ns - (self._first_ns or 0))
-        is_canopen = any(one.identifier in _HEARTBEATS for one in self._heard.values())
+        is_canopen = any(
+            key in _HEARTBEATS and heard.length == 1 for key, heard in self._heard.items()
+        )
         known: list[tuple[Message, Measured]] = []
         left_out: list[str] = []
         notes = list(doubts)
@@ -186,6 +195,9 @@ class RecordedBus:
 
     def _notes(self, known: list[tuple[Message, Measured]]) -> list[str]:
         notes = []
+        if self._at_once and self._step_ns >= _COARSE_NS:
+            step_ms = self._step_ns / 1e6
+            notes.append(f"stamps are in steps of {step_ms:g} ms: nothing finer can be seen")
         once = [found.message.label for _, found in known if found.frames == 1]
         if once:
             notes.append(f"seen once, nothing is known of how often they come: {', '.join(once)}")

@@ -48,6 +48,10 @@ def subjects_of_recording(
             f"has {found.unstamped} frames without a time: nothing can be said of periods",
             remedy="record with time stamps (candump -L, candump -t a)",
         )
+    for name in (*bitrates, *data_bitrates):
+        if name not in buses:
+            remedy = f"its buses: {', '.join(sorted(buses)) or 'none'}"
+            raise TraceError(str(path), f"has no CAN bus {name}", remedy=remedy)
     for name in sorted(buses):
         rate = bitrates.get(name, told.get(name))
         if rate is None:

@@ -11,8 +11,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Final, final
 
 from emulators.media.can_node import QueueOrder
+from harness.analysis.identifiers import Reserved
 from harness.analysis.message import Arrival, BusLoad, Message
-from harness.analysis.subject import Queues, Subject, is_canopen_reserved
+from harness.analysis.subject import Queues, Subject, is_canopen_reserved, reserves_nothing
 from harness.canopen_names import usual_name
 from harness.rig import Rig
 from harness.rig_traffic import Declared, declared, heartbeats, syncs
@@ -82,6 +83,9 @@ class _Bus:
         self._repeats_ns = self._repeats()
         self._syncs = {_SYNC_ID}
         self._nodes = {one.node_id: one.name for one in controllers if one.bus == name}
+        motors = rig.description.motors.values()
+        self._is_canopen = bool(self._nodes) or any(one.bus == name for one in motors)
+        self._is_reserved = is_canopen_reserved if self._is_canopen else reserves_nothing
 
     def subject(self) -> Subject:
         """The bus with all that is known to be sent on it."""
@@ -91,7 +95,7 @@ class _Bus:
             self._notes.append(
                 f"what others send is not declared ([[bus.{self._name}.message]]): taken as nothing"
             )
-        self._add([_declared(one) for one in told or ()])
+        self._add([_declared(one, self._is_reserved) for one in told or ()])
         self._add(
             self._message(one, self._nodes[one.can_id & 0x7F], "heartbeat or boot-up")
             for one in heartbeats(description, self._name)
@@ -108,7 +112,8 @@ class _Bus:
         if self._assumptions.streamed:
             self._add(self._set_points())
         self._notes += [one.unknown for one in own if one.unknown]
-        self._notes.append(_NOT_COUNTED)
+        if self._is_canopen:
+            self._notes.append(_NOT_COUNTED)
         messages = tuple(self._found[rank] for rank in sorted(self._found))
         senders = frozenset(one.sender for one in messages if one.sender)
         bus = description.buses[self._name]
@@ -123,7 +128,7 @@ class _Bus:
                 bus.data_bitrate_bit_s,
                 fifo=Queues(self._assumptions.fifo, by_priority).one_each(senders),
             ),
-            is_reserved=is_canopen_reserved,
+            is_reserved=self._is_reserved,
             notes=tuple(self._notes),
         )
 
@@ -211,7 +216,7 @@ class _Bus:
         if period_s is None and self._assumptions.streamed:
             periods = [one.period_ns for one in self._set_points()]
             period_s = min(periods) / 1e9 if periods else None
-        if period_s is None:
+        if period_s is None and self._is_canopen:
             self._notes.append("no cyclic SYNC; --sync S takes it as sent every S seconds")
         return period_s
 
@@ -234,7 +239,7 @@ class _Bus:
         return found
 
 
-def _declared(one: Declared) -> Message:
+def _declared(one: Declared, is_reserved: Reserved) -> Message:
     message = one.message
     return Message(
         identifier=message.can_id,
@@ -246,7 +251,7 @@ def _declared(one: Declared) -> Message:
         fd=message.fd,
         switched=message.bit_rate_switch,
         sender=one.sender,
-        movable=not is_canopen_reserved(message.can_id, message.extended),
+        movable=not is_reserved(message.can_id, message.extended),
         source="declared",
     )
 

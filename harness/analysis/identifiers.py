@@ -63,6 +63,9 @@ class Proposal:
     reason: str = ""
 
 
+_NO_ROOM: Final = "another order helps, but between identifiers that stay too few are free"
+
+
 def propose(load: BusLoad, errors: ErrorModel, is_reserved: Reserved) -> Proposal:
     """The changes after which every message is in time; none, if all are now."""
     if are_in_time(load, errors):
@@ -82,11 +85,11 @@ def propose(load: BusLoad, errors: ErrorModel, is_reserved: Reserved) -> Proposa
     order = best_order(load, errors)
     if order is None:
         return Proposal(
-            None, is_impossible=True, reason="no identifiers help: proved level by level"
+            None, is_impossible=True, reason="no order of identifiers helps (proved level by level)"
         )
     changes = _renamed(load, order, is_reserved) or _exchanged(order)
     if changes is None:
-        return Proposal(None, reason="an order exists, but its gaps have too few free identifiers")
+        return Proposal(None, reason=_NO_ROOM)
     return Proposal(changes)
 
 

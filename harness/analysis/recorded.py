@@ -119,7 +119,7 @@ def measured(heard: Heard, span_ns: int, name: str = "") -> Measured:
         fd=heard.fd,
         switched=heard.switched,
         arrival=arrival,
-        source=f"{len(times)} frames",
+        source=f"{len(times)} frame{'s' * (len(times) > 1)}",
     )
     return Measured(
         found,

@@ -10,7 +10,7 @@ from harness.analysis.errors import ErrorModel
 from harness.analysis.margins import at_rate
 from harness.analysis.message import Message
 from harness.analysis.subject import Findings, Subject, analyse
-from harness.analysis_text import as_table, print_findings, sync_drifts
+from harness.analysis_text import as_table, print_findings, print_notes, sync_drifts
 from harness.exit_status import FAILED, NOT_JUDGED, PASSED
 from harness.number_options import identifier, real, whole
 from harness.settings import RigError
@@ -103,15 +103,18 @@ def run(options: argparse.Namespace) -> int:
     if options.bus:
         subjects = [one for one in subjects if one.load.name in options.bus]
     found = [analyse(one, errors) for one in subjects if one.load.messages]
-    verdict, status = _sum(found)
+    verdict, status = _sum(found) if subjects else ("it has no CAN bus", NOT_JUDGED)
     if options.json:
         tables = [as_table(one, options.bit_error_rate) for one in found]
         told = {"file": str(options.file), "verdict": verdict, "buses": tables}
         told["sync_drifts"] = sync_drifts(found)
         print(json.dumps(told, allow_nan=False))
     else:
-        for one in found:
-            print_findings(one, options.bit_error_rate)
+        for one in subjects:
+            if not one.load.messages:
+                print_notes(one)
+        for each in found:
+            print_findings(each, options.bit_error_rate)
         for drift in sync_drifts(found):
             text = f"{drift['drift_ppm']:+.1f} ppm from that of {drift['from']}"
             print(f"{drift['bus']}: SYNC drifts by {text}")
@@ -142,6 +145,9 @@ def _with_options(subject: Subject, options: argparse.Namespace) -> Subject:
         load = at_rate(load, rate)
     data_rate = dict(options.data_bitrate).get(load.name)
     if data_rate is not None:
+        if data_rate < load.bitrate_bit_s:
+            message = f"--data-bitrate {load.name}={data_rate} is below {load.bitrate_bit_s} bit/s"
+            raise RigError(options.file, message, "the data phase is never the slower one")
         load = replace(load, data_bitrate_bit_s=data_rate)
     deadlines = dict(options.deadline)
 

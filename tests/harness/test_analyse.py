@@ -67,7 +67,9 @@ def test_a_message_that_may_be_late_is_told_with_what_would_help(rig, capsys):
     told = capsys.readouterr().out.splitlines()
     (row,) = [line.split() for line in told if line.startswith("003h")]
     assert row == ["003h", "declared", "7", "3.500", "0.000", "3.250", "3.500", "NO", "-"]
-    assert "can0: no identifiers help: proved level by level" in told
+    assert "can0: may be late: 003h" in told
+    assert "can0: no order of identifiers helps (proved level by level)" in told
+    assert not any("errors" in one for one in told[2:])  # it may be late without any
     assert "can0: all are in time at 250000 bit/s" in told
     assert told[-1] == f"{rig}: 1 message may be late"
 
@@ -209,6 +211,7 @@ def test_a_picture_has_a_bar_for_each_message(rig, capsys, tmp_path):
         (["--bus", "can9"], "there is no CAN bus can9; its buses: can0"),
         (["--bitrate", "can9=500k"], "there is no CAN bus can9"),
         (["--bitrate", "500k"], "'500k' is not BUS=RATE"),
+        (["--data-bitrate", "can0=1k"], "--data-bitrate can0=1000 is below 125000 bit/s"),
         (["--deadline", "7FF=1"], "no message 7FFh is counted in it"),
         (["--deadline", "1"], "'1' is not ID=S, as 181=0.005"),
         (["--deadline", "1=0"], "'0' is not a number from 1e-06 to 1e+06 s"),
@@ -236,6 +239,8 @@ def test_a_recording_without_a_bit_rate_is_refused(tmp_path, capsys):
     assert "does not tell the bit rate of can0; say --bitrate can0=500k" in capsys.readouterr().err
     assert main(["analyse", str(path), "--bitrate", "can0=500k", "--streamed"]) == 2
     assert "--sync and --streamed are of rigs" in capsys.readouterr().err
+    assert main(["analyse", str(path), "--bitrate", "nosuch=500k"]) == 2
+    assert "has no CAN bus nosuch; its buses: can0" in capsys.readouterr().err
 
 
 def test_a_recording_of_can_fd_is_measured_at_both_rates(tmp_path, capsys):
@@ -366,3 +371,45 @@ def test_a_reader_that_has_left_is_no_error(rig):
     told = subprocess.run(["sh", "-c", command], stdout=write, stderr=subprocess.PIPE, text=True)
     os.close(write)
     assert told.stderr == "1\n"
+
+
+def test_a_message_that_is_late_by_itself_is_told_so(tmp_path, capsys):
+    path = tmp_path / "rig.toml"
+    text = "[bus.can0]\nbitrate_bit_s = 500_000\n[[bus.can0.message]]\nidentifier = 1\nlength = 8\n"
+    path.write_text(f"{text}period_s = 0.01\ndeadline_s = 0.0001\n")
+    assert main(["analyse", str(path)]) == 1
+    told = capsys.readouterr().out
+    assert "can0: 001h: its jitter and its own frame take longer than its deadline" in told
+    assert "SDO" not in told  # nobody there is of CANopen
+
+
+def test_on_a_bus_without_canopen_every_identifier_may_be_changed(tmp_path, capsys):
+    """300h is late behind 10h and 20h; below 081h CANopen would have none to give."""
+    path = tmp_path / "rig.toml"
+    path.write_text(
+        "[bus.can0]\nbitrate_bit_s = 125_000\n"
+        + "".join(
+            f"[[bus.can0.message]]\nidentifier = {n}\nlength = {length}\nperiod_s = {period_s}\n"
+            for n, length, period_s in ((0x10, 8, 0.1), (0x20, 8, 0.05), (0x300, 1, 0.002))
+        )
+    )
+    remedy = as_json(capsys, str(path))[1]["buses"][0]["remedy"]
+    (change,) = remedy["identifiers"]
+    assert change["from"] == "300h"
+    assert change["to"] < "020h"
+
+
+def test_a_car_is_not_taken_for_canopen_and_coarse_stamps_are_told(tmp_path, capsys):
+    path = tmp_path / "car.log"
+    path.write_text("".join(f"({n // 20}.0) can0 7A8#0102\n" for n in range(200)))
+    _, told = as_json(capsys, str(path), "--bitrate", "can0=500k")
+    (bus,) = told["buses"]
+    assert [one["name"] for one in bus["messages"]] == [""]
+    assert "stamps are in steps of 1000 ms: nothing finer can be seen" in bus["notes"]
+
+
+def test_where_no_can_bus_is_it_says_so(tmp_path, capsys):
+    path = tmp_path / "rig.toml"
+    path.write_text('[bus.line]\nkind = "modbus_rtu"\n')
+    assert main(["analyse", str(path)]) == 3
+    assert capsys.readouterr().out == f"{path}: it has no CAN bus\n"

@@ -92,6 +92,17 @@ def test_can_fd_takes_both_rates(tmp_path, report_of):
     assert "the data bit rate of 39 CAN FD frames is not known" in slow["notes"][0]
 
 
+def test_one_frame_without_a_switch_makes_them_all_count_as_such(tmp_path, report_of):
+    data = bytes([0x55]) * 64
+    switched = every(10 * MS, flexible(0x123, BRS, data))
+    rig = RIG + "data_bitrate_bit_s = 2_000_000\n"
+    for place in (0, 20):
+        frames = list(switched)
+        frames[place] = (frames[place][0], flexible(0x123, 0, data))
+        (bus,) = report_of(recorded(tmp_path / f"{place}.mcap", frames, rig))[1]["responses"]
+        assert seconds(bus["messages"][0], "bound") == [712 * BIT_S]
+
+
 def test_a_rig_with_errors_and_can_fd_records_what_can_be_drawn(tmp_path):
     """Struck frames are sent again: later than without, and errors are told of."""
     path = tmp_path / "rig.toml"
