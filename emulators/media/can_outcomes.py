@@ -37,6 +37,7 @@ class CanOutcomes(CanMembers):
         "_repeat_until_ns",
         "_senders",
         "_sent",
+        "_sent_bit",
     )
 
     def __init__(
@@ -47,6 +48,7 @@ class CanOutcomes(CanMembers):
         self._playback: Playback | None = None
         self._senders: list[int] = []  # ports whose frames take part in what is played
         self._sent: list[int] = []  # those of them that were sent
+        self._sent_bit = -1  # in which the last of these was
         self._accepted = 0  # mask of who has received what was sent last, and is not delivered yet
         self._accepted_frame = b""
         self._attempt = (0, 0, 0, 0, 0)  # of a lone node: entry, TEC, REC, bits, ns to the next
@@ -164,6 +166,7 @@ class CanOutcomes(CanMembers):
         """
         self._senders = senders
         self._sent = []
+        self._sent_bit = -1
         stations = [
             node.station((self._ports[node.number].frame,) if node.number in senders else ())
             for node in self.members
@@ -199,9 +202,10 @@ class CanOutcomes(CanMembers):
     def _deliver_sent(self, event: Event, now_ns: int, out: list[Delivery]) -> None:
         port = self._ports[event.port]
         ears = self._accepted & ~(1 << event.port)
-        if len(self._sent) > 1:  # another node has sent the very same bits
+        if event.bit == self._sent_bit:  # another node has sent the very same bits
             out.append((event.frame, event.port, LOST))
             return
+        self._sent_bit = event.bit
         self._accepted = 0
         silent = port.babbling
         if self._seam.complete(event.frame, event.port, now_ns, ears, silent, out) and not silent:

@@ -1,34 +1,71 @@
 """A bus with modest traffic and bit errors, for hours: two TPDOs every 100 ms at 500 kbit/s."""
 
 import random
+from dataclasses import dataclass, field
 
+from emulators.media import error_message as told
 from emulators.media.can_bus import CanBus
 from emulators.media.can_frame import pack
-from emulators.media.delivery import HEARD, KIND_MASK, TOLD
+from emulators.media.delivery import KIND_MASK, TOLD, Delivery, confirms, hears
 from emulators.media.fault_rule import FaultKind, FaultRule
 from emulators.media.faults import FaultPlan
 
 PERIOD_NS = 100_000_000
 HOUR_NS = 3600 * 10**9
+HOST = 2
 
 
-def noisy_hours(hours: int, rate: float = 1e-6, seed: int = 1) -> tuple[CanBus, list[int]]:
-    """The bus afterwards; [frames submitted, confirmed, heard by the third node]."""
+@dataclass
+class Tally:
+    """What became of each frame; frames are numbered, so that one lost and one doubled show."""
+
+    submitted: int = 0
+    confirmed: int = 0
+    doubled: int = 0  # heard again by the third node, after its sender told of an error
+    wrong: list[str] = field(default_factory=list)  # frames lost, or doubled without a trace
+    _heard: list[int] = field(default_factory=lambda: [-1, -1])  # number of the last, by sender
+    _failed: list[bool] = field(default_factory=lambda: [False, False])  # since it was sent
+
+    def hear(self, delivery: Delivery) -> None:
+        frame, sender, kind = delivery
+        if kind & KIND_MASK == TOLD:
+            if frame[10] & told.TRANSMITTING and frame[11] == told.END_OF_FRAME:
+                self._failed[sender] = True
+            return
+        self.confirmed += confirms(kind)
+        if hears(kind, HOST):
+            self._count(int.from_bytes(frame[8:16], "little"), sender)
+        if confirms(kind):
+            self._failed[sender] = False
+
+    def _count(self, number: int, sender: int) -> None:
+        before = self._heard[sender]
+        if number == before and self._failed[sender]:
+            self.doubled += 1
+        elif number == before:
+            self.wrong.append(f"{number} of {sender} came twice")
+        elif number != before + 1:
+            self.wrong.append(f"{before + 1} of {sender} is lost")
+        self._heard[sender] = number
+
+
+def noisy_hours(
+    hours: int, rate: float = 1e-6, seed: int = 1, planted: tuple[FaultRule, ...] = ()
+) -> tuple[CanBus, Tally]:
+    """The bus afterwards, and what became of the frames on it."""
     noise = FaultRule("noise", FaultKind.NOISE, bit_error_rate=rate)
-    bus = CanBus("can0", 500_000, FaultPlan([noise], random.Random(seed).random))
+    bus = CanBus("can0", 500_000, FaultPlan([noise, *planted], random.Random(seed).random))
     for name in ("left", "right", "host"):
         bus.attach(name)
-    counts = [0, 0, 0]
+    tally = Tally()
     for turn in range(hours * HOUR_NS // PERIOD_NS):
         now_ns = turn * PERIOD_NS
         for port in (0, 1):
             bus.submit(port, pack(0x181 + port, turn.to_bytes(8, "little")), now_ns)
-            counts[0] += 1
+            tally.submitted += 1
         due_ns = bus.next_deadline_ns()
         while due_ns is not None and due_ns < now_ns + PERIOD_NS:
-            for _, _, kind in bus.expire(due_ns):
-                if kind & KIND_MASK != TOLD:
-                    counts[1] += kind & KIND_MASK != HEARD
-                    counts[2] += 1
+            for delivery in bus.expire(due_ns):
+                tally.hear(delivery)
             due_ns = bus.next_deadline_ns()
-    return bus, counts
+    return bus, tally

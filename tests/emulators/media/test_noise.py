@@ -1,0 +1,58 @@
+"""Bits inverted at random: at the very places that the draws say."""
+
+import random
+
+import pytest
+
+from emulators.media.can_episode import ALL_PORTS
+from emulators.media.fault_rule import FaultKind, FaultRule
+from emulators.media.noise import NoiseSource
+
+
+def source(rate: float, seed: int) -> NoiseSource:
+    rule = FaultRule("noise", FaultKind.NOISE, bit_error_rate=rate)
+    return NoiseSource(rule, ALL_PORTS, random.Random(seed).random)
+
+
+def places(rate: float, seed: int, bits: int) -> list[int]:
+    """One bit after another: a draw is spent when the chance to have been spared so far is not
+    above it. Products in another order than the emulator's: equal but for their last digits.
+    """
+    draws = random.Random(seed)
+    found: list[int] = []
+    chance, spared = draws.random(), 1.0
+    for bit in range(bits):
+        spared *= 1.0 - rate
+        if spared <= chance:
+            found.append(bit)
+            chance, spared = draws.random(), 1.0
+    return found
+
+
+@pytest.mark.parametrize(("rate", "bits"), [(0.1, 20_000), (1e-2, 50_000), (1e-4, 300_000)])
+def test_bits_are_inverted_at_geometric_distances(rate, bits):
+    expected = places(rate, 7, bits)
+    assert source(rate, 7).within(bits) == expected
+    assert len(expected) == pytest.approx(bits * rate, abs=5 * (bits * rate) ** 0.5)
+
+
+def test_a_draw_of_nothing_spares_nothing_but_the_age_of_a_bus():
+    rule = FaultRule("noise", FaultKind.NOISE, bit_error_rate=0.1)
+    assert NoiseSource(rule, ALL_PORTS, lambda: 0.95).within(3) == [0, 1, 2]  # 0.9 is not above it
+    assert NoiseSource(rule, ALL_PORTS, lambda: 0.0).left > 2000  # until a product is 0
+
+
+def test_looking_ahead_and_passing_by_change_no_place():
+    expected = places(0.03, 3, 30_000)
+    looked_at = source(0.03, 3)
+    pace = random.Random(1)
+    found: list[int] = []
+    start = 0
+    while start < 29_000:
+        looked_at.within(pace.randrange(400))  # what may come, and then does not
+        bits = pace.randrange(1, 300)
+        assert looked_at.left == next(one for one in expected if one >= start) - start
+        found += [start + place for place in looked_at.within(bits)]
+        looked_at.pass_by(bits)
+        start += bits
+    assert found == [place for place in expected if place < start]
