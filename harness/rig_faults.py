@@ -153,7 +153,7 @@ def _refuse_conditions(table: Table, kind: FaultKind) -> None:
             raise table.error("identifier_mask", "a babble sends one identifier", "take it out")
     else:
         refused += ["identifier", "sender"]
-    if kind in (FaultKind.BABBLE, FaultKind.SHORT):
+    if kind is FaultKind.BABBLE:
         refused.append("nodes")
     for key in refused:
         if table.has(key):

@@ -354,11 +354,12 @@ class CanBus(CanStretch):
             for rule in plan.lasting(FaultKind.NOISE):
                 for ports in self._ears(rule, stretch):
                     key = (rule.name, ports, place)
-                    source = self._sources.get(key) or NoiseSource(rule, ports, plan.draw)
-                    sources[key] = source
-                    noises.append(source)
+                    sources[key] = self._sources.get(key) or NoiseSource(rule, ports, plan.draw)
+                    noises.append(sources[key])
             stretch.set_noises(noises, now_ns)
-            shorts = plan.lasting(FaultKind.SHORT) if stretch is self else []
+            names = [node.name for node in stretch.members]
+            rules = plan.lasting(FaultKind.SHORT)
+            shorts = [rule for rule in rules if rule.shorts(names, stretch is self)]
             stretch.set_level(shorts[0].level if shorts else None, now_ns)
             stretch.go_on_babbling(now_ns)
         self._sources = sources

@@ -33,6 +33,11 @@ def struck(rule: FaultRule, frame: bytes, sender: int, ports: int) -> Disturbanc
             return Disturbance(wire.places.index(CRC_DELIMITER), Effect.DOMINANT, 1, ports)
         case FrameError.ACK:
             return Disturbance(wire.places.index(ACK_SLOT), Effect.RECESSIVE, 1, 1 << sender)
+        case FrameError.LAST:
+            last = len(wire.levels) - 1
+            if ports == ALL_PORTS:
+                return Disturbance(last, Effect.DOMINANT, 1, 1 << sender)
+            return Disturbance(last - 1, Effect.DOMINANT, 1, ports & ~(1 << sender))
         case _:
             place = _unnoticed_until_crc(wire)
             return None if place is None else Disturbance(place, ports=receivers)

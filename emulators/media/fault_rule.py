@@ -5,22 +5,27 @@ What a receiver can notice is modelled, in CAN's own terms where it has them:
 - DROP: the sender believes the frame sent; the ports hit do not hear it (with some ports: CAN's
   inconsistent omission).
 - DELAY: the ports hit hear it later, as behind a gateway or a slow driver; others may overtake it.
-- DUPLICATE: an error in the last bit of the end of frame. The ports hit have accepted the frame by
-  then, the sender has not and sends it again: an error flag and its delimiter (14 bits), and a new
-  arbitration. Who was not hit hears it once (with some ports: CAN's inconsistent duplicate).
+- DUPLICATE: a stand-in for the error `last`, which takes its time and wears no counters out: the
+  ports hit hear the frame, its sender sends it again once, after an error frame (15 bits) and a new
+  arbitration. Who was not hit hears it once. It may strike each frame for ever, from all that ends
+  in a window of time; by ERROR, 32 such failures in a row would take the sender off the bus.
 - CORRUPT: the ports hit hear other data than were sent. No CRC catches it: it happened in a
   gateway's or a node's memory. (What the CRC catches is repeated by CAN itself: ERROR, NOISE.)
 - CUT: ports are off the bus for a time, each alone on its stub: nobody acknowledges what it sends,
   and it sends again and again, until it is back.
 - SPLIT: the ports named stay together, the others too: two buses, until the rule is over.
 - ERROR: a bit of a frame is inverted, for all or for some ports: at `bit`, or where it makes the
-  `error` wanted. What follows is CAN's own: error flags, counters, the frame sent again.
+  `error` wanted. What follows is CAN's own: error flags, counters, the frame sent again. `last`
+  makes all others hear it twice; with ports, these refuse it first, and hear it once (CAN's
+  inconsistent duplicate).
 - NOISE: bits of frames are inverted at random, each with the probability `bit_error_rate`, on the
   wire or for each of some ports on its own.
 - BABBLE: the sender named sends one frame again and again, whenever it may.
-- SHORT: the wire is stuck at one level.
+- SHORT: the wire is stuck at one level; of one in several parts, that with any of the ports, by
+  default the one that all others have left.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import Enum
 from typing import Final, final
@@ -54,6 +59,7 @@ class FrameError(Enum):
     FORM = "form"  # a delimiter is dominant
     CRC = "crc"  # the receivers compute another check sum
     ACK = "ack"  # the sender reads no acknowledgement
+    LAST = "last"  # the sender reads another last bit; all others have accepted the frame by then
 
 
 class WireLevel(Enum):
@@ -93,8 +99,8 @@ class FaultRule:
         level: SHORT: what everybody reads.
 
     `from_ns` and `until_ns` of ERROR: hit frames that begin then; of CUT, SPLIT, NOISE, BABBLE and
-    SHORT: when it begins and is over. `ports` of SPLIT: who stays together; of ERROR and NOISE: who
-    sees it, empty: it is on the wire.
+    SHORT: when it begins and is over. `ports` of SPLIT: who stays together; of SHORT: who is
+    on the part that is shorted; of ERROR and NOISE: who sees it, empty: it is on the wire.
 
     Raises:
         ValueError: values that make no sense, by name.
@@ -145,8 +151,8 @@ class FaultRule:
             self._refuse("a babble names its sender and the identifier")
         if self.data and (not babble or len(self.data) > DATA_MAX):
             self._refuse(f"data is for babble, {DATA_MAX} bytes at most")
-        if self.ports and self.kind in (FaultKind.BABBLE, FaultKind.SHORT):
-            self._refuse(f"a {self.kind.value} is for all ports")
+        if self.ports and babble:
+            self._refuse("a babble is for all ports")
 
     def _check_errors(self) -> None:
         error = self.kind is FaultKind.ERROR
@@ -165,6 +171,10 @@ class FaultRule:
 
     def _refuse(self, reason: str) -> None:
         raise ValueError(f"fault {self.name}: {reason}")
+
+    def shorts(self, names: Sequence[str], is_main: bool) -> bool:
+        """Whether a SHORT is on the part of the bus where these are, which all others have left."""
+        return any(name in self.ports for name in names) if self.ports else is_main
 
     def is_met_by(self, can_id: int, sender: str, now_ns: int) -> bool:
         """Whether all conditions but chance and number hold."""

@@ -9,7 +9,8 @@ from emulators.media.delivery import DELIVERED, HEARD, LOST, Delivery, kind_with
 from emulators.media.fault_rule import FaultKind
 from emulators.media.faults import NEVER_NS, FaultPlan
 
-ERROR_FRAME_BITS: Final = 14  # an error flag nobody adds to (6) and its delimiter (8)
+# the sender's error flag (6), the last bit of the overload flags that answer it, a delimiter (8)
+ERROR_FRAME_BITS: Final = 15
 
 
 @final

@@ -193,12 +193,13 @@ def _corruptible(rule: FaultRule, frame: bytes) -> bool:
 
 def _begun(rule: FaultRule) -> str:
     ports = ", ".join(rule.ports)
+    on = f" of {ports}" if ports else ""
     return {
         FaultKind.CUT: f"{ports} cut off",
         FaultKind.SPLIT: f"{ports} split off",
         FaultKind.NOISE: f"bit error rate {rule.bit_error_rate:g}",
         FaultKind.BABBLE: f"{rule.sender} babbles",
-        FaultKind.SHORT: f"the wire is stuck {rule.level.value if rule.level else ''}",
+        FaultKind.SHORT: f"the wire{on} is stuck {rule.level.value if rule.level else ''}",
     }[rule.kind]
 
 

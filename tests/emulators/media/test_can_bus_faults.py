@@ -82,14 +82,15 @@ def test_frames_delayed_alike_stay_in_order():
 
 
 def test_a_duplicate_is_heard_sent_again_after_an_error_frame_and_confirmed_once():
-    # Source: ISO 11898-1: an error in the last bit of EOF; error flag 6 bits, delimiter 8 bits.
+    # Source: ISO 11898-1: an error in the last bit of EOF; the error flag is intermission's first
+    # six bits to the others, whose overload flags end a bit later; delimiter 8 bits.
     bus = bus_with(FaultRule("eof", FaultKind.DUPLICATE, limit=1))
     deliveries = run(bus, [(0, LEFT, STATUS)])
-    again_ns = (66 + 14 + 63) * BIT
+    again_ns = (66 + 15 + 63) * BIT
     assert heard(deliveries, HOST) == [(63 * BIT, STATUS), (again_ns, STATUS)]
     assert confirmed(deliveries, LEFT) == [(again_ns, STATUS)]
     assert bus.statistics.frames == 1
-    assert bus.statistics.busy_ns() == (66 + 14 + 66) * BIT
+    assert bus.statistics.busy_ns() == (66 + 15 + 66) * BIT
 
 
 def test_a_rule_that_duplicates_everything_sends_everything_twice_not_for_ever():
