@@ -275,6 +275,28 @@ def test_an_error_in_the_data_phase_is_told_at_the_nominal_rate():
     assert [(outcome.tec, outcome.rec) for outcome in episode.outcomes] == [(8, 0), (0, 1)]
 
 
+def test_each_data_phase_has_a_grid_of_its_own():
+    """As the one above, twice in one episode: an error passive receiver misreads a bit of the first
+    error delimiter, and so is not ready when the frame is sent again.
+    """
+    first, _ = wire_fd.data_phase(ONES)
+    struck = SENT.index("11111", first) + 2
+    again = struck + 1 + 8 + (7 - 2) + 8 + 3
+    stations = [Station(0, (ONES.can_frame(),), support=FD), Station(1, support=FD)]
+    strikes = [
+        Disturbance(struck, ports=0b001),
+        Disturbance(again - 5, ports=0b100),
+        Disturbance(again + struck, ports=0b001),
+    ]
+    episode = run_episode([*stations, Station(2, rec=200, support=FD)], strikes, ratio=4)
+    assert episode.fast[:2] == (
+        (first, struck + 1 + 8),
+        (again + first, again + struck + 1 + 8),
+    )
+    failed = [e.bit for e in episode.events if e.kind is EventKind.FAILED]
+    assert failed == [struck, again + struck]
+
+
 def test_an_fd_and_a_classical_frame_of_one_identifier_are_told_apart_too_late():
     """FDF is not in the arbitration field, so it is a bit error, not a loss."""
     for extended, fdf in ((False, 14), (True, 33)):
