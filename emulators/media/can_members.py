@@ -144,6 +144,7 @@ class CanMembers(CanArbitration):
             or self._is_apart
             or self._is_mixed
             or (self.data_bit_ns != 0 and fd & (fd - 1) == 0)
+            or (self.data_bit_ns != 0 and any(node.confinement.is_passive() for node in members))
             or self._level is not None
             or self._seam.plan.has_errors()
             or any(node.chip.one_shot for node in members)

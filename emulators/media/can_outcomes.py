@@ -208,8 +208,13 @@ class CanOutcomes(CanMembers):
         self._sent_bit = event.bit
         self._accepted = 0
         silent = port.babbling
-        if self._seam.complete(event.frame, event.port, now_ns, ears, silent, out) and not silent:
-            out.append((event.frame, event.port, LOST))
+        frame = event.frame
+        if ears and self._accepted_frame != frame:  # others see that its sender is error passive
+            self._seam.complete(self._accepted_frame, event.port, now_ns, ears, True, out)
+            if not silent:
+                out.append((frame, event.port, LOST))
+        elif self._seam.complete(frame, event.port, now_ns, ears, silent, out) and not silent:
+            out.append((frame, event.port, LOST))
 
     def _deliver_in_vain(self, sender: int, out: list[Delivery]) -> None:
         """Who has accepted the frame has it; its sender will send it again."""

@@ -193,12 +193,15 @@ class CanStretch(CanOutcomes):
         if self._is_mixed and len(port.frame) > FRAME_BYTES:
             self.tell_mixed()
             return True
+        number = port.tag >> PORT_SHIFT
+        if len(port.frame) > FRAME_BYTES and self._nodes[number].confinement.is_passive():
+            return True  # it says so in the frame, which may have other stuff bits for that
         if strikes or any(rival.frame != port.frame for rival in rivals):
             return True
         bits = bits_in(self._flight)
         if any(source.left < bits for source in self._noises):
             return True
-        senders = 1 << (port.tag >> PORT_SHIFT)
+        senders = 1 << number
         for rival in rivals:
             senders |= 1 << (rival.tag >> PORT_SHIFT)
         return not self._ears_for(port.frame) & ~senders
@@ -302,8 +305,7 @@ class CanStretch(CanOutcomes):
         self._begin(entry, start_ns)
         self._decided = self._starts
         slot = wire_frame(frame).places.index(ACK_SLOT)
-        strikes = [Disturbance(slot, Effect.DOMINANT)] if acknowledged else []
-        self._play([number], strikes)
+        self._play([number], [Disturbance(slot, Effect.DOMINANT)] if acknowledged else [])
 
     def _submit_held(self, node: CanPort, entry: int, frame: bytes, now_ns: int) -> bool:
         number = node.tag >> PORT_SHIFT
@@ -363,8 +365,7 @@ class CanStretch(CanOutcomes):
         number = self._flight >> PORT_SHIFT & PORT_MASK
         rivals = self._rivals(number)
         senders = [number, *(rival.tag >> PORT_SHIFT for rival in rivals)]
-        strikes = [] if strike is None else [strike]
-        return self._play(senders, strikes, self._bit_at(now_ns))
+        return self._play(senders, [] if strike is None else [strike], self._bit_at(now_ns))
 
     def _bit_at(self, now_ns: int) -> int:
         return (now_ns - self._start_ns + self.bit_ns - 1) // self.bit_ns

@@ -2,7 +2,8 @@
 
 A 16-byte can_frame with ERR_FLAG: the identifier's bits are classes of errors, 8 bytes of data say
 more. They are never on the bus; the medium makes them, for the node that noticed something, and for
-the record.
+the record. Lost arbitration is not told: of common controllers few do (SJA1000, CTU CAN FD), and on
+a busy bus each frame would cost a message for each node that waits.
 
 Source: Linux include/uapi/linux/can/error.h.
 """
@@ -79,7 +80,6 @@ def pack_error(
     controller: int = 0,
     protocol: int = 0,
     location: int = 0,
-    lost_in_bit: int = 0,
     counters: tuple[int, int] | None = None,
 ) -> bytes:
     """The error message (16 bytes).
@@ -89,11 +89,9 @@ def pack_error(
         controller: data[1].
         protocol: data[2].
         location: data[3].
-        lost_in_bit: data[0].
         counters: TEC and REC, if they are to be told; above 255 they are told as 255.
     """
     data = bytearray(8)
-    data[0] = lost_in_bit
     data[1] = controller
     data[2] = protocol
     data[3] = location

@@ -7,7 +7,10 @@ from emulators.media.can_bus import CanBus
 from emulators.media.can_frame import BRS, EFF_FLAG, can_id_of, pack, pack_fd
 from emulators.media.can_node import CanNode, FrameSupport
 from emulators.media.confinement import ErrorState
+from emulators.media.fault_rule import FaultKind, FaultRule
+from emulators.media.faults import FaultPlan
 from tests.emulators.media.driving import confirmed, expire_all, heard, run
+from tests.emulators.media.faulty import no_draw
 from tests.emulators.media.wire_fd import FdFields, phases
 
 FD = CanNode(frames=FrameSupport.FD)
@@ -159,6 +162,18 @@ def test_a_frame_that_waits_is_checked_before_it_does():
 def test_rates_that_cannot_be_are_refused(rates, told):
     with pytest.raises(ValueError, match=told):
         CanBus("can0", rates[0], data_bitrate_bit_s=rates[1])
+
+
+def test_who_is_error_passive_says_so_in_its_frames():
+    """ESI, after 16 failures: TEC is 128, and with each frame sent one less."""
+    rule = FaultRule("strike", FaultKind.ERROR, bit=14, limit=16)
+    bus = CanBus("can0", 500_000, FaultPlan([rule], no_draw), 2_000_000)
+    for name in ("sender", "ear"):
+        bus.attach(name, FD)
+    frames = [pack_fd(number, b"") for number in (0, 0, 1)]
+    deliveries = run(bus, [(0, 0, frame) for frame in frames])
+    assert [frame[5] for _, frame in heard(deliveries, 1)] == [7, 5, 5]  # at 128, 127, 126
+    assert [frame for _, frame in confirmed(deliveries, 0)] == frames
 
 
 def test_the_flags_of_a_frame_arrive():
