@@ -114,6 +114,12 @@ def own_locks(tmp_path_factory: pytest.TempPathFactory) -> None:
     os.environ["MOTORHIL_LOCK_DIR"] = str(tmp_path_factory.mktemp("locks"))
 
 
+@pytest.fixture(scope="session", autouse=True)
+def own_width() -> None:
+    """Help and tables are as wide as where there is no terminal, whoever runs this."""
+    os.environ["COLUMNS"] = "80"
+
+
 @pytest.fixture(scope="session")
 def shared() -> Path:
     """The folder of third-party data beside the checkout; without it, a skip that says so."""

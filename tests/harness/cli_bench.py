@@ -15,7 +15,7 @@ def environment():
 
 def in_another_process(*words, **options):
     pipe = subprocess.PIPE
-    usual = {"env": environment(), "stdout": pipe, "stderr": pipe, "text": True, "timeout": 30}
+    usual = {"env": environment(), "stdout": pipe, "stderr": pipe, "text": True, "timeout": 120}
     return subprocess.run([sys.executable, "-m", "harness", *words], **{**usual, **options})
 
 
