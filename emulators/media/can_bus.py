@@ -11,10 +11,10 @@ until it has heard 11 recessive bits; what it was sending is sent again.
 
 from typing import final
 
-from emulators.media.can_bits import CLASSICAL_MAX
+from emulators.media.can_bits import CLASSICAL_MAX, bits_of
 from emulators.media.can_episode import ALL_PORTS
 from emulators.media.can_node import PLAIN, CanNode, FrameSupport
-from emulators.media.can_port import CUT_OFF, PORT_MASK, PORT_SHIFT, CanPort
+from emulators.media.can_port import CUT_OFF, LENGTHS_MASK, PORT_MASK, PORT_SHIFT, CanPort
 from emulators.media.can_presence import Presence, Role
 from emulators.media.can_stretch import CanStretch
 from emulators.media.confinement import ErrorState
@@ -153,9 +153,13 @@ class CanBus(CanStretch):
             entry = self._flight
             number = entry >> PORT_SHIFT & PORT_MASK
             node = self._ports[number]
-            kind = DELIVERED if self._lengths <= CLASSICAL_MAX else self._fd_kind
-            deliveries.append((node.frame, number, kind))
-            self._succeed(node, entry)
+            bits = entry & LENGTHS_MASK
+            if bits <= CLASSICAL_MAX:
+                deliveries.append((node.frame, number, DELIVERED))
+            else:
+                deliveries.append((node.frame, number, self._fd_kind))
+                bits = bits_of(bits)
+            self._succeed(node, entry, bits)
             if self._competing:
                 self._arbitrate(self._free_ns)
                 if self._collided:

@@ -80,7 +80,8 @@ class CanMembers(CanArbitration):
 
     def _add(self, node: Presence) -> None:
         """The node is on this wire."""
-        self._is_skewed = self._is_skewed or node.chip.clock_error_1e12 != 0
+        if node.chip.clock_error_1e12:
+            self._skew()
         self.members.append(node)
         self.members.sort(key=_number_of)
         self._keep(node)

@@ -77,7 +77,7 @@ class CanOutcomes(CanMembers):
                 out.append((port.frame, other, LOST))
                 self._withdraw_candidate(other, again=False)
             port.babbling = False
-            self._succeed(port, entry)
+            self._succeed(port, entry, bits_in(entry))
         for node in self._held:
             node.recessive_from(end_ns - _TAIL_BITS * self.bit_ns, 0)
         sender = self._nodes[number]

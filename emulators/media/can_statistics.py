@@ -23,14 +23,14 @@ class CanStatistics:
         self.busy = BusyTime()
         self.errors = 0
         self.bits_lost = 0
-        self._counts: dict[int, int] = {}  # by arbitration key
+        self.by_key: dict[int, int] = {}  # frames sent, by arbitration key
         self._collisions: dict[int, int] = {}
 
     def count(self, key: int, bits: int) -> None:
         """A frame was sent."""
         self.frames += 1
         self.bits += bits
-        counts = self._counts
+        counts = self.by_key
         counts[key] = counts.get(key, 0) + 1
 
     def count_collision(self, key: int) -> None:
@@ -43,12 +43,12 @@ class CanStatistics:
         self.bits += other.bits
         self.errors += other.errors
         self.bits_lost += other.bits_lost
-        other.give(self._counts, self._collisions)
+        other.give(self.by_key, self._collisions)
         other.frames = other.bits = other.errors = other.bits_lost = 0
 
     def give(self, counts: dict[int, int], collisions: dict[int, int]) -> None:
         """What was counted by key is added to these, and forgotten."""
-        for own, others in ((self._counts, counts), (self._collisions, collisions)):
+        for own, others in ((self.by_key, counts), (self._collisions, collisions)):
             for key, count in own.items():
                 others[key] = others.get(key, 0) + count
             own.clear()
@@ -75,7 +75,7 @@ class CanStatistics:
 
     def counts(self) -> dict[int, int]:
         """Frames sent, by can_id (identifier and flags), most urgent first."""
-        return {can_id_of_key(key): count for key, count in sorted(self._counts.items())}
+        return {can_id_of_key(key): count for key, count in sorted(self.by_key.items())}
 
     def collisions(self) -> dict[int, int]:
         """Times two nodes competed with one identifier and frame type, by can_id."""
