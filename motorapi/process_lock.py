@@ -24,7 +24,7 @@ from motorapi.lock_directory import LockDirectory
 from motorapi.lock_file import LockFile
 from motorapi.lock_layout import LEASE, pack_record, pack_words
 from motorapi.lock_takeover import TakeoverAttempt
-from motorapi.lock_taking import Taking, Wait, Wakeable, Wish, busy_error, plain_wait
+from motorapi.lock_taking import Taking, Wait, Wish, busy_error, plain_wait
 from motorapi.lock_view import LockView, Occupant, ThisProcess, find_takeover, look
 from motorapi.lock_watch import QueueWatcher
 from motorapi.runtime import Runtime
@@ -38,7 +38,7 @@ _NO_LEASE: Final = LEASE.pack(0, 0)
 
 def can_share_time(runtime: Runtime) -> bool:
     """Whether another process can end a wait in this runtime: it is the wall's."""
-    return isinstance(runtime, Wakeable)
+    return hasattr(runtime, "wake")  # as Wakeable; isinstance would take 40 us to say so
 
 
 @final

@@ -21,6 +21,7 @@ if TYPE_CHECKING:
 _RTR: Final = 0x4000_0000
 _EFF: Final = 0x8000_0000
 _ABORT: Final = 0x80
+_TIMED_OUT: Final = 0x0504_0000
 _NOT_NOW: Final = 0x0800_0021  # "... because of local control"
 _TOGGLE: Final = 0x10
 _DOWNLOADED: Final = 0x60
@@ -75,8 +76,6 @@ class NoAnswer(SdoCommunicationError):  # noqa: N818 -- never leaves the channel
 class ChannelClient(SdoClient):
     """canopen's SDO client, blocking in the runtime instead of on the wall clock."""
 
-    MAX_RETRIES = 1  # a request is sent once: who asks again is the caller, after quarantine
-
     def __init__(self, link: CanopenLink, node_id: int, timeout_s: float) -> None:
         super().__init__(  # type: ignore[no-untyped-call]  # canopen's
             REQUEST_ID + node_id, RESPONSE_ID + node_id, _NothingKnown()
@@ -101,7 +100,19 @@ class ChannelClient(SdoClient):
 
     # --- canopen's hooks
 
-    def send_request(self, request: bytearray) -> None:
+    def request_response(self, sdo_request: bytes | bytearray) -> bytes:
+        """The answer. A request is sent once: who asks again is the caller, after quarantine.
+
+        The inherited one looks into a queue, which nothing comes into here, and takes its lock.
+        """
+        self.send_request(sdo_request)
+        try:
+            return self.read_response()
+        except SdoCommunicationError:
+            self.abort(_TIMED_OUT)
+            raise
+
+    def send_request(self, request: bytes | bytearray) -> None:
         """The request is on its way; what came before it is no answer to it."""
         data = bytes(request)
         service = data[0] >> 5
