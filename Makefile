@@ -16,7 +16,7 @@ WORKERS := -n 2 --dist loadfile --no-loadscope-reorder
 test test-compiled: export PYTHONDONTWRITEBYTECODE :=
 test test-compiled: export PYTHONPYCACHEPREFIX := $(CURDIR)/build/bytecode
 
-.PHONY: demo wheel test check bench fuzz mutants clauses golden format clean compiled build-compiled test-compiled
+.PHONY: demo wheel test check bench bench-against fuzz mutants clauses golden format clean compiled build-compiled test-compiled
 
 # It takes a second, compiling a minute or more: so nobody waits for compiled cores the first time.
 # What could not be built is not tried again before something has changed.
@@ -57,6 +57,9 @@ check: $(READY)  ## style, types and who may import whom
 
 bench: $(READY)  ## figures against a peer in the same run; asserts no wall time
 	$(BIN)/python -m tests.benchmarks
+
+bench-against: $(READY)  ## REV, another revision, built once: what the demo, csp and the bus cost beside it
+	$(BIN)/python -m tests.benchmarks.against $(REV) $(AGAINST)
 
 fuzz: $(READY)  ## a million random, mutated and recorded frames at the drive; FUZZ="--seed N --frames N"
 	$(BIN)/python -m tests.fuzz $(FUZZ)

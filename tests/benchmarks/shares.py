@@ -1,10 +1,10 @@
-"""Which layer a workload's time is spent in, by the pure cores: a table.
+"""Which layer a workload's time is spent in: a table.
 
-    python -m tests.benchmarks.shares [demo | csp | rest]
+    python -m tests.benchmarks.shares [demo | csp | rest | kit] [--compiled]
 
-By cProfile: what Python itself does (dictionaries, struct, heapq) counts for whoever asked for it.
-Calls cost more while they are counted, so layers of many short functions look dearer than they
-are; what the compiled cores spend where, only a profiler of the system can tell.
+The pure cores by cProfile: what Python itself does (dictionaries, struct, heapq) counts for whoever
+asked for it. Calls cost more while they are counted, so layers of many short functions look dearer
+than they are. The compiled ones by perf, if it is installed, which sees no Python functions.
 """
 
 import argparse
@@ -12,8 +12,11 @@ import cProfile
 import pstats
 import threading
 from collections import Counter
+from collections.abc import Callable
+from pathlib import Path
 from typing import Final
 
+from tests.benchmarks.native_shares import native_shares
 from tests.benchmarks.workloads import WORKLOADS
 
 _LAYERS: Final = (  # the first whose part stands in a file's path
@@ -29,7 +32,8 @@ _LAYERS: Final = (  # the first whose part stands in a file's path
     ("host libraries", ("/canopen/", "/can/", "/pymodbus/")),
 )
 _REST: Final = "Python and its library"
-
+_SCRIPT: Final = Path(__file__).with_name("workloads.py")
+_COMPILED: Final = Path(__file__).parents[2] / ".venv-compiled" / "bin" / "python"
 
 _WAITING: Final = "<method 'acquire' of '_thread.lock' objects>"  # while another party works
 
@@ -82,16 +86,24 @@ def main() -> None:
     """Prints the shares, the largest first."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else "")
     parser.add_argument("workload", nargs="?", default="demo", choices=sorted(WORKLOADS))
-    workload = WORKLOADS[parser.parse_args().workload]
+    parser.add_argument("--compiled", action="store_true", help="by perf; after make compiled")
+    options = parser.parse_args()
+    if options.compiled:
+        spent = native_shares(_COMPILED, ["-P", str(_SCRIPT), options.workload], layer_of)
+    else:
+        spent = _pure_shares(WORKLOADS[options.workload])
+    whole = sum(spent.values())
+    for layer, part in spent.most_common():
+        print(f"{layer:<54} {100 * part / whole:5.1f} %")
+
+
+def _pure_shares(workload: Callable[[], object]) -> Counter[str]:
     profiles = _Profiles()
     threading.setprofile(profiles.begin)  # of threads begun from now on
     profiles.begin()
     workload()
     threading.setprofile(None)  # type: ignore[arg-type]  # as its documentation has it
-    spent = shares(profiles.stats())
-    whole_s = sum(spent.values())
-    for layer, layer_s in spent.most_common():
-        print(f"{layer:<28} {100 * layer_s / whole_s:5.1f} %")
+    return shares(profiles.stats())
 
 
 if __name__ == "__main__":

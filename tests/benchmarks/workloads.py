@@ -13,6 +13,7 @@ import sys
 import time
 from collections.abc import Callable
 from pathlib import Path
+from random import Random
 from tempfile import TemporaryDirectory
 
 MS = 1_000_000
@@ -21,6 +22,8 @@ CYCLES = 2_000
 ROUNDS = 3
 SETPOINT = struct.Struct("<IB3xHi2x")
 SYNC = struct.pack("<IB3x8x", 0x080, 0)
+BUS_FRAMES = 5_000
+BUS_ROUNDS = 15
 TARGETS = [round(8_000 - 8_000 * math.cos(2 * math.pi * k / 1_000)) for k in range(1_000)]
 
 Figures = list[tuple[str, float, str]]
@@ -226,7 +229,95 @@ def rest() -> Figures:
         ]
 
 
-WORKLOADS = {"demo": demo, "csp": csp, "rest": rest}
+# --- the bus alone
+
+
+def bus_traffic() -> list[bytes]:
+    """TPDOs of 14 nodes, 8 bytes of data, no two alike."""
+    from emulators.media.can_frame import pack
+
+    draw = Random("bench_media")
+    return [pack(0x181 + number % 14, draw.randbytes(8)) for number in range(BUS_FRAMES)]
+
+
+def best_us(work: Callable[[], None]) -> float:
+    """The fastest of some rounds over `bus_traffic`, per frame [us]."""
+
+    def once() -> float:
+        begun = time.process_time()
+        work()
+        return time.process_time() - begun
+
+    return best(once, BUS_ROUNDS) / BUS_FRAMES * 1e6
+
+
+def one_by_one(bus, frames: list[bytes]) -> None:  # type: ignore[no-untyped-def]
+    """Each frame is submitted when the one before has gone."""
+    port = bus.attach("node")
+    bus.attach("host")
+    now_ns = 0
+    for frame in frames:
+        bus.submit(port, frame, now_ns)
+        now_ns = _all_gone(bus, now_ns) + 10_000
+
+
+def _all_at_once(bus, frames: list[bytes]) -> None:  # type: ignore[no-untyped-def]
+    """14 nodes answer at the same time, as to a SYNC."""
+    for number in range(14):
+        bus.attach(f"node {number}")
+    now_ns = 0
+    for first in range(0, len(frames), 14):
+        for port, frame in enumerate(frames[first : first + 14]):
+            bus.submit(port, frame, now_ns)
+        now_ns = _all_gone(bus, now_ns)
+
+
+def _all_gone(bus, now_ns: int) -> int:  # type: ignore[no-untyped-def]
+    """When the last frame had gone."""
+    due_ns = bus.next_deadline_ns()
+    while due_ns is not None:
+        now_ns = due_ns
+        bus.expire(now_ns)
+        due_ns = bus.next_deadline_ns()
+    return now_ns
+
+
+def bus() -> Figures:
+    """Frames through the CAN bus, no world around it."""
+    from emulators.media.can_bits import frame_bits
+    from emulators.media.can_bus import CanBus
+
+    frames = bus_traffic()
+    return [
+        ("CAN frame length, 8 bytes", best_us(lambda: [*map(frame_bits, frames)].clear()), "us"),
+        ("CAN bus: submit to expire", best_us(lambda: one_by_one(CanBus("can0"), frames)), "us"),
+        ("CAN bus: of 14 at once", best_us(lambda: _all_at_once(CanBus("can0"), frames)), "us"),
+    ]
+
+
+# --- the conformance kit
+
+
+def kit() -> Figures:
+    """All clauses of the kit, one after another, on the bench of cia402; its imports left out."""
+    from harness.conformance.claims import Claims
+    from harness.conformance.job import Job
+    from harness.conformance.kit import all_clauses
+    from harness.conformance.run import run_clause
+    from harness.conformance.target import Target
+
+    target = Target(Job("cia402"))
+    clauses = all_clauses().values()
+    begun = time.process_time()
+    claims = Claims(target.opener())
+    for clause in clauses:
+        verdict = run_clause(clause, target.opener(None), claims, target.home)
+        assert verdict.result.name in ("PASSED", "NOT_APPLICABLE"), verdict
+    spent = time.process_time() - begun
+    return [("conformance kit, cia402, CPU", spent, "s")]
+
+
+WORKLOADS = {"demo": demo, "csp": csp, "rest": rest, "bus": bus, "kit": kit}
 
 if __name__ == "__main__":
     for name, figure, unit in WORKLOADS[sys.argv[1]]():

@@ -1,0 +1,91 @@
+"""Whether this revision is slower than another one: both are built and measured in turn.
+
+    python -m tests.benchmarks.against REV [--rounds N] [--cores pure | compiled] [WORKLOAD ...]
+
+Builds REV once, in build/against, and runs the workloads of this revision with the Python of each.
+Figures are CPU time, each the best of its process. Printed for each: what it costs here by what it
+costs there (1.05: 5 % more here), by the best of all rounds, and from and to in single rounds.
+"""
+
+import argparse
+import subprocess
+import sys
+from pathlib import Path
+from typing import Final
+
+from tests.benchmarks.workloads import WORKLOADS
+
+ROOT: Final = Path(__file__).parents[2]
+SCRIPT: Final = Path(__file__).with_name("workloads.py")
+MAX: Final = 1.05  # as much more as a revision may cost
+_PYTHON: Final = {"pure": ".venv", "compiled": ".venv-compiled"}
+_GROWS_WITH_COST: Final = {"us": True, "s": True, "x real time": False}  # others are no costs
+
+Costs = dict[str, float]
+
+
+def built(revision: str) -> Path:
+    """The folder of the revision, its sources and both its builds."""
+    asked = ["git", "-C", str(ROOT), "rev-parse", "--short=12", f"{revision}^{{commit}}"]
+    name = subprocess.run(asked, check=True, capture_output=True, text=True).stdout.strip()
+    folder = ROOT / "build" / "against" / name
+    done = folder / ".built"
+    if not done.exists():
+        folder.mkdir(parents=True, exist_ok=True)
+        packed = subprocess.run(
+            ["git", "-C", str(ROOT), "archive", name], check=True, capture_output=True
+        )
+        subprocess.run(["tar", "-x", "-C", str(folder)], input=packed.stdout, check=True)
+        subprocess.run(["make", "-C", str(folder), "compiled"], check=True, stdout=sys.stderr)
+        done.touch()
+    return folder
+
+
+def costs(folder: Path, cores: str, workload: str) -> Costs:
+    """What each figure of the workload says it costs there."""
+    python = folder / _PYTHON[cores] / "bin" / "python"
+    ran = subprocess.run(
+        [str(python), "-P", str(SCRIPT), workload], check=True, capture_output=True, text=True
+    )
+    found = {}
+    for line in ran.stdout.splitlines():
+        name, figure, unit = line.split("\t")
+        if unit in _GROWS_WITH_COST:
+            found[name] = float(figure) if _GROWS_WITH_COST[unit] else 1.0 / float(figure)
+    return found
+
+
+def told(name: str, here: list[float], there: list[float]) -> str:
+    """One line: the ratio of the best, and between which those of single rounds were."""
+    ratio = min(here) / min(there)
+    single = [mine / other for mine, other in zip(here, there, strict=True)]
+    mark = f"  more than {MAX}" if ratio > MAX else ""
+    return f"{name:<58} {ratio:6.3f}  ({min(single):.3f} to {max(single):.3f}){mark}"
+
+
+def main() -> None:
+    """Prints a line a figure."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else "")
+    parser.add_argument("revision", metavar="REV")
+    parser.add_argument("workloads", nargs="*", metavar="WORKLOAD", help=", ".join(WORKLOADS))
+    parser.add_argument("--rounds", type=int, default=5, metavar="N")
+    parser.add_argument("--cores", choices=sorted(_PYTHON), action="append")
+    options = parser.parse_args()
+    if options.rounds < 1 or not set(options.workloads) <= set(WORKLOADS):
+        parser.error(f"--rounds from 1; WORKLOAD one of {', '.join(WORKLOADS)}")
+    folder = built(options.revision)
+    for cores in options.cores or sorted(_PYTHON):
+        for workload in options.workloads or ("demo", "csp", "bus"):
+            pairs = []
+            for turn in range(options.rounds):
+                first, second = (ROOT, folder) if turn % 2 else (folder, ROOT)
+                one, other = costs(first, cores, workload), costs(second, cores, workload)
+                pairs.append((one, other) if first is ROOT else (other, one))
+            for name in pairs[0][0]:
+                if name in pairs[0][1]:
+                    line = told(name, [h[name] for h, _ in pairs], [t[name] for _, t in pairs])
+                    print(f"{cores:<9} {line}", flush=True)
+
+
+if __name__ == "__main__":
+    main()
