@@ -3,6 +3,7 @@
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
+from functools import cached_property
 from pathlib import Path
 from typing import Final, Self, final
 
@@ -122,7 +123,7 @@ class RigBench:
         """Where a clause waits."""
         return self.rig.runtime
 
-    @property
+    @cached_property
     def abilities(self) -> Sequence[Ability]:
         """What an emulated rig can do to these motors."""
         able = {Ability.AFRESH, Ability.SEVERAL_USERS}
