@@ -70,22 +70,23 @@ def propose(load: BusLoad, errors: ErrorModel, is_reserved: Reserved) -> Proposa
     """The changes after which every message is in time; none, if all are now."""
     if are_in_time(load, errors):
         return Proposal(())
+    queues = _has_queues(load)
+    order = None if queues else best_order(load, errors)
+    if order is None and not queues:
+        return Proposal(
+            None, is_impossible=True, reason="no order of identifiers helps (proved level by level)"
+        )
     late = [one.message.rank for one in response_times(load, errors) if one.is_in_time is False]
     moves = _moves(load, is_reserved)
-    if not _has_queues(load):
+    if not queues:
         moves = (move for move in moves if _may_help(move, late))
     for change in islice(moves, max(_MOVES_MIN, _WORK_MAX // len(load.messages))):
         if are_in_time(with_changes(load, (change,)), errors):
             return Proposal((change,))
-    if _has_queues(load):
+    if order is None:
         return Proposal(
             None,
             reason="no change of one identifier was found; with FIFO queues no more is tried",
-        )
-    order = best_order(load, errors)
-    if order is None:
-        return Proposal(
-            None, is_impossible=True, reason="no order of identifiers helps (proved level by level)"
         )
     changes = _renamed(load, order, is_reserved) or _exchanged(order)
     if changes is None:
