@@ -132,6 +132,7 @@ def _answer(requests: TextIO, reply: Callable[[object], None], told: TextIO) -> 
                 sys.path[:] = request["path"]
                 gc.disable()  # while modules are loaded, which make no garbage
                 worker = _Worker(request["job"])
+                gc.freeze()  # nor need each clause's collection look through them (`leaks`)
                 gc.enable()
                 answer = {"ready": worker.ready()}
             elif "claims" in request:
