@@ -17,6 +17,8 @@ from traces.schema import Level
 _IDLE_S: Final = 0.25
 _POLL_S: Final = 0.01
 _PAUSE_S: Final = 0.003
+_QUIET_S: Final = 0.05  # nothing for so long: nobody holds anything back for us
+_LAST_S: Final = 1.0
 _ROUND_FRAMES: Final = 8192  # of one bus; then the others have a turn
 
 
@@ -92,7 +94,20 @@ class RecordingLoop:
             if self._round() and not stopped():
                 select.select(self._woken_by, (), (), _PAUSE_S)
             tell(time.monotonic_ns())
-        self._round()  # what had come when we were told to stop
+        self._catch_up()
+
+    def _catch_up(self) -> None:
+        """What had come when we were told to stop, also what a hub still held back for us."""
+        stop_ns = time.time_ns()
+        end_s = time.monotonic() + _LAST_S
+        while self._round() or self._is_readable():
+            if (self._pump.last_ns or 0) >= stop_ns or time.monotonic() > end_s:
+                break
+
+    def _is_readable(self) -> bool:
+        """Whether something comes within a moment; of what has to be polled nothing is known."""
+        readable = [tap.fileno() for tap in self._alive if tap.fileno() != POLLED]
+        return bool(readable and select.select(readable, (), (), _QUIET_S)[0])
 
     def _wait(self, longest_s: float) -> None:
         readable = [tap.fileno() for tap in self._alive if tap.fileno() != POLLED]

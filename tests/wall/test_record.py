@@ -85,6 +85,21 @@ def test_a_signal_completes_the_file_with_everything_sent_before_it(hub, tmp_pat
         assert trace.span_ns()[1] < 1e11  # the hub's time, not the world's
 
 
+def test_what_a_hub_held_back_for_a_recorder_without_a_turn_is_recorded_before_it_ends(
+    hub, tmp_path
+):
+    file = tmp_path / "run.mcap"
+    with recording("--on", hub, "-o", str(file)) as process:
+        process.send_signal(signal.SIGSTOP)
+        send(hub, 4 * COUNT)
+        process.send_signal(signal.SIGINT)
+        process.send_signal(signal.SIGCONT)
+        out, err = process.communicate(timeout=60)
+    assert (process.returncode, err) == (0, "")
+    assert "none lost" in out
+    assert numbers(file) == list(range(4 * COUNT))
+
+
 def test_killed_it_leaves_what_was_there_a_second_ago(hub, tmp_path):
     file = tmp_path / "run.mcap"
     with recording("--on", hub, "-o", str(file)) as process:
