@@ -74,10 +74,6 @@ _INTEGERS: Final[dict[int, tuple[int, bool]]] = {
     _D.TIME_OF_DAY: (48, False),
     _D.TIME_DIFFERENCE: (48, False),
 }
-_RANGES: Final[dict[int, tuple[int, int]]] = {
-    data_type: (-(1 << bits >> 1), (1 << bits >> 1) - 1) if signed else (0, (1 << bits) - 1)
-    for data_type, (bits, signed) in _INTEGERS.items()
-}
 _REALS: Final[dict[int, tuple[int, struct.Struct]]] = {
     _D.REAL32: (32, struct.Struct("<f")),
     _D.REAL64: (64, struct.Struct("<d")),
@@ -117,7 +113,8 @@ def is_signed(data_type: int) -> bool:
 
 def integer_range(data_type: int) -> tuple[int, int]:
     """The smallest and the largest value of a whole-number data type."""
-    return _RANGES[data_type]
+    bits, signed = _INTEGERS[data_type]
+    return (-(1 << (bits - 1)), (1 << (bits - 1)) - 1) if signed else (0, (1 << bits) - 1)
 
 
 def zero(data_type: int) -> Value:
@@ -215,8 +212,7 @@ class Variable:
         self.high: int | None = high
         self.has_default = default is not None
         self.default: Value = zero(data_type) if default is None else default
-        if default is not None:
-            encode(data_type, default)
+        encode(data_type, self.default)
         self.value: Value = self.default
         self.reader: Reader | None = None
         self.writer: Writer | None = None

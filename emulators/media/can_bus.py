@@ -116,8 +116,7 @@ class CanBus(CanStretch):
         node = Presence(number, name, chip)
         self._nodes.append(node)
         self._seam.attach(name)
-        self._ports.append(CanPort(number, name, chip))
-        self._ports[number].entry = CUT_OFF
+        self._ports.append(_empty_port(number, name, chip))
         if chip.frames is not FrameSupport.FD:
             self._fd_kind = kind_without(self._fd_kind, 1 << number)
         for island in self._islands.values():
@@ -126,8 +125,7 @@ class CanBus(CanStretch):
         where = self._stretch(place)
         self._where.append(where)
         self._places.append(place)
-        underway = self._faulty and where.is_under_way(now_ns)
-        where.enter(node, now_ns, integrated=not underway)
+        where.enter(node, now_ns, integrated=not (self._faulty and where.is_under_way(now_ns)))
         self._spread_rules(now_ns)
         self._settle()
         return number
@@ -153,12 +151,10 @@ class CanBus(CanStretch):
             entry = self._flight
             number = entry >> PORT_SHIFT & PORT_MASK
             node = self._ports[number]
-            bits = entry & LENGTHS_MASK
-            if bits <= CLASSICAL_MAX:
-                deliveries.append((node.frame, number, DELIVERED))
-            else:
-                deliveries.append((node.frame, number, self._fd_kind))
-                bits = bits_of(bits)
+            bits, kind = entry & LENGTHS_MASK, DELIVERED
+            if bits > CLASSICAL_MAX:
+                bits, kind = bits_of(bits), self._fd_kind
+            deliveries.append((node.frame, number, kind))
             self._succeed(node, entry, bits)
             if self._competing:
                 self._arbitrate(self._free_ns)
