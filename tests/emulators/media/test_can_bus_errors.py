@@ -112,6 +112,27 @@ def test_what_a_node_that_is_off_has_and_submits_is_given_up_and_told():
     ]
 
 
+@pytest.mark.parametrize("waits", [False, True], ids=["nobody waits", "a less urgent frame waits"])
+def test_a_passive_node_lets_others_begin_first_also_after_a_frame_that_went_well(waits):
+    """16 attempts of 44 bits, then passive: 8, and one of 41 + 8; STATUS has 66, HEARTBEAT 58.
+
+    By can-utils, with intermission; then TEC is 135, and SYNC (51) has to wait for 8 bits more, or
+    for the frame that another node begins in them.
+    """
+    rule = FaultRule("strike", FaultKind.ERROR, identifier=0x181, bit=STRUCK, limit=17)
+    bus = bus_with(rule)
+    begins = 16 * 44 + 8 + 49
+    submitted = [(0, LEFT, STATUS), (0, LEFT, SYNC)]
+    if waits:
+        submitted.append(((begins + 30) * BIT, RIGHT, HEARTBEAT))
+    deliveries = run(bus, submitted)
+    assert bus.node(LEFT).confinement.tec == 134
+    after = begins + 66
+    sync_begins = after + (58 if waits else 8)
+    ends = [(begins + 63, STATUS), (sync_begins + 48, SYNC)]
+    assert confirmed(deliveries, LEFT) == [(bit * BIT, frame) for bit, frame in ends]
+
+
 # --- nobody acknowledges
 
 
