@@ -5,8 +5,11 @@ import random
 import pytest
 
 from emulators.media.can_episode import ALL_PORTS
+from emulators.media.delivery import KIND_MASK, TOLD
 from emulators.media.fault_rule import FaultKind, FaultRule
 from emulators.media.noise import NoiseSource
+from tests.emulators.media.driving import BIT, confirmed, run
+from tests.emulators.media.faulty import LEFT, SYNC, bus_with
 
 
 def source(rate: float, seed: int) -> NoiseSource:
@@ -56,3 +59,16 @@ def test_looking_ahead_and_passing_by_change_no_place():
         looked_at.pass_by(bits)
         start += bits
     assert found == [place for place in expected if place < start]
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_on_a_bus_every_bit_counts_also_those_between_frames(seed):
+    """SYNC after SYNC, 51 bits with intermission by can-utils: the first struck one is known."""
+    rule = FaultRule("noise", FaultKind.NOISE, bit_error_rate=1e-3)
+    bus = bus_with(rule, seed=seed)
+    first = places(1e-3, seed, 100_000)[0]
+    deliveries = run(bus, [(0, LEFT, SYNC)] * (first // 51 + 5))
+    errors_ns = [time_ns for time_ns, (_, _, kind) in deliveries if kind & KIND_MASK == TOLD]
+    good = [time_ns for time_ns, _ in confirmed(deliveries, LEFT) if time_ns < errors_ns[0]]
+    assert good == [(number * 51 + 48) * BIT for number in range(len(good))]
+    assert first - 48 < len(good) * 51 <= first  # an error is told when it is seen, in its frame
