@@ -2,6 +2,7 @@
 
 from typing import Final
 
+from emulators.media.can_bits import INTERMISSION_BITS
 from emulators.media.can_episode import ALL_PORTS, Disturbance, Effect
 from emulators.media.can_wire import DOMINANT, WireFrame, wire_frame
 from emulators.media.error_message import ACK_SLOT, CRC_DELIMITER, DATA, DLC
@@ -10,8 +11,13 @@ from emulators.media.fault_rule import FaultRule, FrameError
 STUFF_RUN: Final = 5
 
 
+def has_bit(frame: bytes, bit: int) -> bool:
+    """Whether a bit of this number is one of the frame's, or of the intermission behind it."""
+    return bit < len(wire_frame(frame).levels) + INTERMISSION_BITS
+
+
 def struck(rule: FaultRule, frame: bytes, sender: int, ports: int) -> Disturbance | None:
-    """What an ERROR does to this frame; None: it has no such bit, or no place for such an error.
+    """What an ERROR does to this frame; None: it has no place for such an error.
 
     Args:
         rule: the ERROR.

@@ -92,7 +92,8 @@ class FaultRule:
         limit: it fires no more often than this; None: no limit.
         delay_ns: DELAY: how much later the frame is heard [ns].
         flip: CORRUPT: the data bits that change, from the first byte on; empty: one bit, drawn.
-        bit: ERROR: which bit, from the start of frame (0) on, stuff bits counted; None: see error.
+        bit: ERROR: which bit, from the start of frame (0) on, stuff bits counted; frames that have
+            it not, nor in the intermission behind them, are not hit. None: see error.
         error: ERROR: what is found wrong; None: see bit.
         bit_error_rate: NOISE: how likely a bit of a frame is to be inverted.
         data: BABBLE: of the frame with the `identifier` that its `sender` repeats.

@@ -8,6 +8,7 @@ from collections.abc import Callable, Sequence
 from typing import Final, final
 
 from emulators.media.can_frame import RTR_FLAG, can_id_of
+from emulators.media.error_places import has_bit
 from emulators.media.fault_rule import LASTING, FaultKind, FaultRule
 
 __all__ = ["NEVER_NS", "FaultEvent", "FaultKind", "FaultPlan", "FaultRule"]
@@ -117,6 +118,8 @@ class FaultPlan:
         if rule.limit is not None and self._fired[name] >= rule.limit:
             return False
         if rule.kind is FaultKind.CORRUPT and not _corruptible(rule, frame):
+            return False
+        if rule.bit is not None and not has_bit(frame, rule.bit):
             return False
         if rule.probability < 1.0 and self._random() >= rule.probability:
             return False

@@ -133,6 +133,17 @@ def test_a_passive_node_lets_others_begin_first_also_after_a_frame_that_went_wel
     assert confirmed(deliveries, LEFT) == [(bit * BIT, frame) for bit, frame in ends]
 
 
+def test_a_bit_that_a_frame_has_not_strikes_none_and_counts_for_nothing():
+    """SYNC has 51 bits with intermission, STATUS 66 (can-utils): 51 is the 52nd."""
+    bus = bus_with(FaultRule("strike", FaultKind.ERROR, bit=51, limit=1))
+    deliveries = run(bus, [(0, LEFT, SYNC), (0, LEFT, STATUS), (0, LEFT, STATUS)])
+    assert bus.faults_fired() == {"strike": 1}
+    assert [frame for _, frame in confirmed(deliveries, LEFT)] == [SYNC, STATUS, STATUS]
+    assert [what for _, _, what, frame in bus.take_fault_events() if frame == SYNC] == []
+    (struck_ns,) = classes(deliveries, LEFT, told.PROTOCOL)
+    assert struck_ns == (51 + 52) * BIT
+
+
 # --- nobody acknowledges
 
 
