@@ -103,8 +103,7 @@ class CanArbitration:
         count = len(node.behind)
         node.behind.clear()
         if node.entry > 0 and node.entry != self._flight:
-            self._drop_out(node.entry)
-            node.losses += self._starts - node.starts_seen
+            self._leave_race(node)
             node.entry = 0
             count += 1
         return count
@@ -263,6 +262,11 @@ class CanArbitration:
     def _submit_held(self, node: CanPort, entry: int, frame: bytes, now_ns: int) -> bool:
         """Whether the node's frame was taken care of otherwise; where something is wrong."""
         return False
+
+    def _leave_race(self, node: CanPort) -> None:
+        """The node's candidate, which is not in flight, competes no longer; its losses count."""
+        self._drop_out(node.entry)
+        node.losses += self._starts - node.starts_seen
 
     def _drop_out(self, entry: int) -> None:
         """This entry competes no longer."""

@@ -96,8 +96,7 @@ class CanMembers(CanArbitration):
         port = self._ports[node.number]
         if port.entry > 0:
             if port.entry != self._flight:
-                self._drop_out(port.entry)
-                port.losses += self._starts - port.starts_seen
+                self._leave_race(port)
             self._put_back(port)
         port.entry = CUT_OFF
         self.members.remove(node)
@@ -112,8 +111,7 @@ class CanMembers(CanArbitration):
                 heappush(self._competing, port.entry)
         elif port.entry != CUT_OFF:
             if port.entry > 0:
-                self._drop_out(port.entry)
-                port.losses += self._starts - port.starts_seen
+                self._leave_race(port)
                 self._put_back(port)
             port.entry = CUT_OFF
         if node.role is Role.OFF:

@@ -124,8 +124,7 @@ class CanOutcomes(CanMembers):
         if port.entry <= 0:
             return
         if port.entry != self._flight:
-            self._drop_out(port.entry)
-            port.losses += self._starts - port.starts_seen
+            self._leave_race(port)
         if again:
             self._put_back(port)
         port.babbling = False
@@ -148,8 +147,7 @@ class CanOutcomes(CanMembers):
             if port.entry > 0:
                 if port.entry == self._flight and self._flight:
                     continue
-                self._drop_out(port.entry)
-                port.losses += self._starts - port.starts_seen
+                self._leave_race(port)
                 port.put_back()
             port.babbling = True
             port.entry = measure(frame) | port.tag

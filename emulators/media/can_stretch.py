@@ -220,8 +220,7 @@ class CanStretch(CanOutcomes):
         for entry in sorted(self._competing):
             port = self._ports[entry >> PORT_SHIFT & PORT_MASK]
             if port.chip.one_shot and entry >> KEY_SHIFT != self._flight >> KEY_SHIFT:
-                self._drop_out(entry)
-                port.losses += self._starts - port.starts_seen
+                self._leave_race(port)
                 node = self._nodes[entry >> PORT_SHIFT & PORT_MASK]
                 self._abort(node, port.frame, "lost arbitration")
                 port.entry = CUT_OFF
