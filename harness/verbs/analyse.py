@@ -14,7 +14,7 @@ from harness.analysis_text import as_table, print_findings, print_notes, sync_dr
 from harness.exit_status import FAILED, NOT_JUDGED, PASSED
 from harness.number_options import identifier, real, whole
 from harness.settings import RigError
-from harness.verbs.report import bus_rate
+from harness.verbs.report import add_bit_rates
 
 _TIME_MAX_S = 1e6
 
@@ -25,22 +25,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "file", type=Path, metavar="RIG|FILE", help="a rig (.toml); or a recording, of any format"
     )
     parser.add_argument("--bus", action="append", default=[], metavar="NAME", help="only this one")
-    parser.add_argument(
-        "--bitrate",
-        action="append",
-        type=bus_rate,
-        default=[],
-        metavar="BUS=RATE",
-        help="as if it were so, or where a recording does not tell it: can0=500k",
-    )
-    parser.add_argument(
-        "--data-bitrate",
-        action="append",
-        type=bus_rate,
-        default=[],
-        metavar="BUS=RATE",
-        help="the same of the data phase of CAN FD",
-    )
+    add_bit_rates(parser, "as if it were so, or where a recording does not tell it: can0=500k")
     parser.add_argument(
         "--errors", type=whole(0, 4096), metavar="N", help="so many errors strike at once"
     )

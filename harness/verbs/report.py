@@ -27,22 +27,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="the page (default: FILE with the ending .html)",
     )
     parser.add_argument("--title", help="of the page (default: the recording's name)")
-    parser.add_argument(
-        "--bitrate",
-        action="append",
-        type=bus_rate,
-        default=[],
-        metavar="BUS=RATE",
-        help="of a CAN bus whose bit rate the recording does not tell, as can0=500k",
-    )
-    parser.add_argument(
-        "--data-bitrate",
-        action="append",
-        type=bus_rate,
-        default=[],
-        metavar="BUS=RATE",
-        help="the same of the data phase of CAN FD",
-    )
+    add_bit_rates(parser, "of a CAN bus whose bit rate the recording does not tell, as can0=500k")
     parser.add_argument(
         "--foxglove-layout",
         type=Path,
@@ -112,6 +97,15 @@ def _progress() -> Callable[[int], None] | None:
             print(f"{count:,} messages read", file=sys.stderr, flush=True)
 
     return told
+
+
+def add_bit_rates(parser: argparse.ArgumentParser, told: str) -> None:
+    """Bit rates of buses, nominal (`told` says what for) and of the data phase of CAN FD."""
+    data = "the same of the data phase of CAN FD"
+    for option, text in (("--bitrate", told), ("--data-bitrate", data)):
+        parser.add_argument(
+            option, action="append", type=bus_rate, default=[], metavar="BUS=RATE", help=text
+        )
 
 
 def bus_rate(text: str) -> tuple[str, int]:
