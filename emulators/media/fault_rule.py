@@ -31,6 +31,7 @@ from enum import Enum
 from typing import Final, final
 
 from emulators.media.can_frame import EFF_FLAG, EFF_MASK
+from emulators.media.rule_conditions import wrong_condition
 
 DATA_MAX: Final = 8
 RATE_MAX: Final = 0.1  # with more of them, error frames seldom end
@@ -127,12 +128,11 @@ class FaultRule:
     level: WireLevel | None = None
 
     def __post_init__(self) -> None:
-        if not 0.0 <= self.probability <= 1.0:
-            self._refuse(f"probability {self.probability} is not 0.0 to 1.0")
-        if self.from_ns < 0 or (self.until_ns is not None and self.until_ns <= self.from_ns):
-            self._refuse(f"from_ns {self.from_ns} until_ns {self.until_ns} is no span of time")
-        if self.skip < 0 or (self.limit is not None and self.limit < 1):
-            self._refuse(f"skip {self.skip} is below 0, or limit {self.limit} below 1")
+        wrong = wrong_condition(
+            self.probability, self.from_ns, self.until_ns, self.skip, self.limit
+        )
+        if wrong:
+            self._refuse(wrong)
         if (self.delay_ns > 0) is not (self.kind is FaultKind.DELAY) or self.delay_ns < 0:
             self._refuse(f"delay_ns is {self.delay_ns}; a delay has one above 0, others have none")
         if self.flip and (self.kind is not FaultKind.CORRUPT or not any(self.flip)):

@@ -17,6 +17,8 @@ from dataclasses import dataclass
 from enum import Enum
 from typing import final
 
+from emulators.media.rule_conditions import wrong_condition
+
 # (characters, how much later they begin [ns], pause after so many, pause [ns], whether heard)
 Fate = tuple[bytes, int, int, int, bool]
 
@@ -81,12 +83,11 @@ class SerialFaultRule:
     noise: bytes = b""
 
     def __post_init__(self) -> None:
-        if not 0.0 <= self.probability <= 1.0:
-            self._refuse(f"probability {self.probability} is not 0.0 to 1.0")
-        if self.from_ns < 0 or (self.until_ns is not None and self.until_ns <= self.from_ns):
-            self._refuse(f"from_ns {self.from_ns} until_ns {self.until_ns} is no span of time")
-        if self.skip < 0 or (self.limit is not None and self.limit < 1):
-            self._refuse(f"skip {self.skip} is below 0, or limit {self.limit} below 1")
+        wrong = wrong_condition(
+            self.probability, self.from_ns, self.until_ns, self.skip, self.limit
+        )
+        if wrong:
+            self._refuse(wrong)
         if (self.delay_ns > 0) is not (self.kind in _TIMED) or self.delay_ns < 0:
             self._refuse(f"delay_ns is {self.delay_ns}; delay, pause and repeat have one above 0")
         if (self.after > 0) is not (self.kind in _PLACED) or self.after < 0:
