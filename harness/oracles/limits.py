@@ -10,6 +10,7 @@ Source: CiA 402-2: software position limit 607Dh, max profile velocity 607Fh, ma
 current 6073h, controlword in pp (bit 4: new set-point, bit 6: relative); the paper, 3.2.
 """
 
+from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from typing import ClassVar, Final, final
 
@@ -30,7 +31,7 @@ _NEW_SET_POINT: Final = 0x10
 _RELATIVE: Final = 0x40
 
 
-class _Limit(Oracle):
+class _Limit(Oracle, ABC):
     """What limits have in common. quantity: of a motor's limits, as keys begin."""
 
     quantity: ClassVar[str] = ""
@@ -95,9 +96,9 @@ class _Limit(Oracle):
         text = f"{self.quantity.replace('_', ' ')}, {what}"
         self.beyond(time_ns, axis, one.name, text, value, *self.of(one, suffix), unit)
 
+    @abstractmethod
     def si(self, one: Subject) -> tuple[str, str]:
         """How keys of this motor end, and the unit."""
-        raise NotImplementedError
 
     def modelled(
         self, time_ns: int, one: Subject, value: float, values: Mapping[str, float]

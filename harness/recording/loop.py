@@ -106,12 +106,14 @@ class RecordingLoop:
 
     def _is_readable(self) -> bool:
         """Whether something comes within a moment; of what has to be polled nothing is known."""
-        readable = [tap.fileno() for tap in self._alive if tap.fileno() != POLLED]
-        return bool(readable and select.select(readable, (), (), _QUIET_S)[0])
+        descriptors = self._descriptors()
+        return bool(descriptors and select.select(descriptors, (), (), _QUIET_S)[0])
 
     def _wait(self, longest_s: float) -> None:
-        readable = [tap.fileno() for tap in self._alive if tap.fileno() != POLLED]
-        select.select([*self._woken_by, *readable], (), (), longest_s)
+        select.select([*self._woken_by, *self._descriptors()], (), (), longest_s)
+
+    def _descriptors(self) -> list[int]:
+        return [tap.fileno() for tap in self._alive if tap.fileno() != POLLED]
 
     def _round(self) -> int:
         """All buses were read until empty, within bounds; how many frames that gave."""
