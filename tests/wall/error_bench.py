@@ -46,15 +46,18 @@ class ErrorBench:
         self._loop = WallLoop(queue)
         self._order = Order(self.world)
         self.heard = []  # what was on the emulated bus: sender, frame
-        self.world.tap_frames(
-            lambda bus, time_ns, sender, frame: self.heard.append((sender, frame))
-        )
+        self.came = threading.Event()  # something was
+        self.world.tap_frames(self._hear)
         for one in (*gateways(self.world), self._order):
             self._loop.add(one)
         self._stop = threading.Event()
         self._thread = threading.Thread(target=self._loop.run, args=(self._stop.is_set,))
         self._loop.start()
         self._thread.start()
+
+    def _hear(self, bus, time_ns, sender, frame):
+        self.heard.append((sender, frame))
+        self.came.set()
 
     def tell_node(self, name, message):
         self._order.outside.send(name.encode() + b"\0" + message)
