@@ -1,7 +1,8 @@
-"""What a motor may be able to do, and what a bench may be able to do to it.
+"""Capabilities of a motor, and abilities of a bench.
 
-A clause names what it needs of both. What the motor does not claim, or the bench cannot do, is not
-applicable, with the reason; what is claimed and fails is a failure.
+A clause names the capabilities and abilities that it needs. If the motor does not claim one, or the
+bench does not have one, the clause is not applicable, and the reason is reported. A claimed
+capability that does not work is a failure.
 """
 
 from enum import Enum
@@ -10,46 +11,46 @@ from typing import final
 
 @final
 class Capability(Enum):
-    """Something that an adaptation claims its motors can do; every other thing all motors must."""
+    """An optional capability that an adaptation claims; everything else is mandatory."""
 
-    POSITION_SET_POINT = "set-points of position"
-    VELOCITY_SET_POINT = "set-points of velocity"
-    TORQUE_SET_POINT = "set-points of torque"
-    CURRENT_SET_POINT = "set-points of current"
-    POSITION_TRAJECTORY = "trajectories of position"
-    VELOCITY_TRAJECTORY = "trajectories of velocity"
-    TORQUE_TRAJECTORY = "trajectories of torque"
-    COMPLEX_POSITION = "complex trajectories of position"
-    COMPLEX_VELOCITY = "complex trajectories of velocity"
-    LIMITED_SET_POINT = "set-points with a limit of velocity"
-    MEASURED_TORQUE = "measuring torque"
-    MEASURED_FOLLOWING_ERROR = "measuring the following error"
+    POSITION_SET_POINT = "position set-points"
+    VELOCITY_SET_POINT = "velocity set-points"
+    TORQUE_SET_POINT = "torque set-points"
+    CURRENT_SET_POINT = "current set-points"
+    POSITION_TRAJECTORY = "position trajectories"
+    VELOCITY_TRAJECTORY = "velocity trajectories"
+    TORQUE_TRAJECTORY = "torque trajectories"
+    COMPLEX_POSITION = "complex position trajectories"
+    COMPLEX_VELOCITY = "complex velocity trajectories"
+    LIMITED_SET_POINT = "set-points with a velocity limit"
+    MEASURED_TORQUE = "torque measurement"
+    MEASURED_FOLLOWING_ERROR = "following error measurement"
     HOMING = "homing"
     LOW_LEVEL = "low-level access"
-    FAULTS = "telling faults"
+    FAULTS = "fault reports"
     DEAD_MAN = "stopping when the host is lost"
-    COMMON_TRIGGER = "starting together with others by one signal"
+    COMMON_TRIGGER = "starting together by a common signal"
 
     @property
     def key(self) -> str:
-        """What a rig file calls it."""
+        """The name of the capability in rig files."""
         return self.name.lower()
 
 
 @final
 class Ability(Enum):
-    """Something that a bench can do, or see."""
+    """Something that a bench can do or see."""
 
     TRUTH = "see the true position of the motor"
     LOAD = "load the motor"
-    FAULT = "make the drive fail"
+    FAULT = "cause a drive fault"
     CUT = "cut a drive off the bus for a time"
     LOSE = "lose frames or answers of a drive"
-    SILENCE_HOST = "keep all that the host sends off the bus"
-    BUS_ERRORS = "disturb frames on a CAN bus, till a node gives up"
-    AFRESH = "switch everything on anew"
-    STOP_SYNC = "lose the signal that streamed motions go by"
+    SILENCE_HOST = "drop everything the host sends"
+    BUS_ERRORS = "disturb frames on a CAN bus until a node goes bus-off"
+    AFRESH = "switch everything off and on again"
+    STOP_SYNC = "stop the signal that clocks streamed motions"
     RESTART = "switch a drive off and on again"
-    TRAFFIC = "see what commands a drive on the bus"
+    TRAFFIC = "see the commands sent to a drive"
     SECOND_MOTOR = "move a second motor"
-    SEVERAL_USERS = "have several logical motors of one physical motor"
+    SEVERAL_USERS = "create several logical motors for one physical motor"

@@ -1,4 +1,7 @@
-"""A worker's process, from its supervisor's side: asked, heard, and ended whatever it does."""
+"""Worker process, as seen by its supervisor.
+
+A supervisor sends requests to a worker, reads its answers and ends it, whatever the worker does.
+"""
 
 import json
 import os
@@ -22,16 +25,16 @@ _PROGRAM: Final = "import sys; from harness.conformance.worker import main; main
 
 
 class ChildEndedError(Exception):
-    """The worker is of no use any more; the text says how it ended, or why."""
+    """The worker is no longer usable; the text says how it ended, or why."""
 
 
 @final
 class Child:
-    """A worker that has been started; it is gone after `close`, and whatever it has started too.
+    """A running worker; `close` ends it and all processes that it has started.
 
-    It is in a process group of its own, so that Ctrl-C is ours alone to hear.
+    The worker has its own process group, so that only the supervisor receives Ctrl-C.
 
-    Attributes: said, the last of what was printed in it, since this was emptied.
+    Attributes: said, the last output of the worker since this was emptied.
     """
 
     def __init__(self) -> None:
@@ -67,18 +70,18 @@ class Child:
         self._poll.register(self._ended, select.POLLIN)
 
     def ask(self, request: Mapping[str, Any]) -> None:
-        """It has been told; what comes of it, `answer` tells."""
+        """Send a request to the worker; `answer` returns its result."""
         self._is_idle = False
         self._asked += 1
         line = json.dumps({**request, "number": self._asked}).encode() + b"\n"
-        with suppress(BrokenPipeError):  # it has ended, as `answer` tells
+        with suppress(BrokenPipeError):  # the worker has ended; `answer` reports this
             os.write(self._requests, line)
 
     def answer(self, timeout_s: float) -> dict[str, Any] | None:
-        """Its next answer; None if there is none within `timeout_s` [s].
+        """Return the next answer of the worker, or None if none comes within `timeout_s` [s].
 
         Raises:
-            ChildEndedError: it has ended instead, or can be understood no more.
+            ChildEndedError: the worker has ended, or its answer cannot be decoded.
         """
         end_s = time.monotonic() + timeout_s
         while b"\n" not in self._heard:
@@ -96,10 +99,11 @@ class Child:
         return answer
 
     def _understood(self, line: bytes) -> dict[str, Any]:
-        """The answer that it holds.
+        """Decode an answer line.
 
         Raises:
-            ChildEndedError: it is none to what was asked: whatever is tested wrote it.
+            ChildEndedError: the line is not an answer to the last request; code under test wrote
+                it.
         """
         try:
             number, answer = json.loads(line)
@@ -108,26 +112,28 @@ class Child:
         except (ValueError, TypeError):
             pass
         told = line[:40].decode(errors="replace")
-        raise ChildEndedError(f"it wrote {told!r} where the kit's answers go")
+        raise ChildEndedError(f"worker: wrote {told!r} to the pipe reserved for the kit's answers")
 
     def forget(self) -> None:
-        """What was printed and written of stacks so far does not count."""
+        """Discard the output and the stack dumps received so far."""
         self.said = b""
         os.ftruncate(self._stacks.fileno(), 0)
-        os.lseek(self._stacks.fileno(), 0, os.SEEK_SET)  # its own too: the file was inherited
+        os.lseek(
+            self._stacks.fileno(), 0, os.SEEK_SET
+        )  # the worker's position too: it inherited the file
 
     def signal(self, number: signal.Signals) -> None:
-        """It was sent this signal."""
+        """Send a signal to the worker."""
         with suppress(ProcessLookupError):
             self._process.send_signal(number)
 
     def stacks(self) -> str:
-        """What it has written of where its threads are."""
+        """Return the stack dumps that the worker has written."""
         size = os.fstat(self._stacks.fileno()).st_size
         return os.pread(self._stacks.fileno(), min(size, _READ_MAX), 0).decode(errors="replace")
 
     def _read(self, descriptor: int, ready: Container[int]) -> bytes:
-        """What has come there; at its end it is heard no more."""
+        """Read available data from a descriptor; unregister the descriptor at its end."""
         data = b""
         if descriptor in ready:
             with suppress(BlockingIOError):
@@ -140,17 +146,19 @@ class Child:
         facts = os.waitid(os.P_PID, self._process.pid, os.WEXITED | os.WNOWAIT)
         assert facts is not None
         if facts.si_code == os.CLD_EXITED:
-            return f"its process ended, with exit status {facts.si_status}"
-        return f"its process was ended by {signal.Signals(facts.si_status).name}"
+            return f"worker process ended with exit status {facts.si_status}"
+        return f"worker process ended by {signal.Signals(facts.si_status).name}"
 
     def close(self) -> None:
-        """It has ended: by itself if it waits for the next request, else it was killed."""
+        """Wait for an idle worker to end, or kill it, and release its resources."""
         os.close(self._requests)
         poll = select.poll()
         poll.register(self._ended, select.POLLIN)
         if self._is_idle:
             poll.poll(_END_S * 1e3)
-        with suppress(ProcessLookupError):  # it is not waited for yet: the group is still its own
+        with suppress(
+            ProcessLookupError
+        ):  # its process is not reaped yet, so the group is still its own
             os.killpg(self._process.pid, signal.SIGKILL)
         self._process.wait()
         self.told = self.stacks()

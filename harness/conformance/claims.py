@@ -1,4 +1,4 @@
-"""What a motor claims to be able to do: by what it accepts, and by what its rig declares."""
+"""Capability claims of motors, from their hooks and their rig."""
 
 # ruff: noqa: SLF001 -- the kit asks whether a hook is filled in
 
@@ -29,7 +29,7 @@ _MODES: Final = {
     Capability.TORQUE_TRAJECTORY: (ControlMode.TRAJECTORY, ControlVariable.TORQUE),
 }
 _SLOW: Final = (Capability.COMPLEX_POSITION, Capability.COMPLEX_VELOCITY)
-"""To ask for these loads numpy, which takes longer than the first verdicts do."""
+"""Capabilities whose check imports numpy, which takes longer than the first verdicts."""
 _HOOKS: Final = {
     Capability.MEASURED_TORQUE: "_read_torque",
     Capability.MEASURED_FOLLOWING_ERROR: "_read_following_error",
@@ -39,9 +39,9 @@ _HOOKS: Final = {
 
 @final
 class Claims:
-    """What the motors of a bench claim; asked when it is needed, on benches for nothing else.
+    """The capability claims of a bench's motors, read when needed on separate benches.
 
-    For whoever connects sends, and a clause is to begin alike whatever was asked before.
+    Connecting sends frames. Every clause must begin in the same way, whatever was asked before.
     """
 
     def __init__(self, open_bench: Opener) -> None:
@@ -49,7 +49,7 @@ class Claims:
         self._known: dict[Capability, str] = {}
 
     def why_not(self, capability: Capability) -> str:
-        """Why it is not claimed; "" if it is.
+        """Return the reason why a capability is not claimed; "" if it is claimed.
 
         Raises:
             MotorError: the motor cannot be reached.
@@ -63,7 +63,9 @@ class Claims:
                     try:
                         found[one] = _why_not(bench.motor, bench.facts, one)
                     except (Exception, SystemExit):
-                        if one is capability:  # what others need is theirs to find out
+                        if (
+                            one is capability
+                        ):  # clauses that need another capability report its error
                             raise
             self._known.update(found)
         return self._known[capability]
@@ -71,7 +73,7 @@ class Claims:
 
 def _why_not(motor: Motor, facts: Facts, capability: Capability) -> str:
     if capability in facts.without:
-        return f"the rig does not claim it: {facts.without[capability]}"
+        return f"not claimed by the rig: {facts.without[capability]}"
     if capability not in facts.claims and not _claims(motor, capability):
         return f"the adaptation does not claim {capability.value}"
     return ""
@@ -92,11 +94,11 @@ def _claims(motor: Motor, capability: Capability) -> bool:
         return _takes_functions(motor, ControlVariable.VELOCITY)
     if capability is Capability.LIMITED_SET_POINT:
         return _takes_limits(motor)
-    return True  # faults, and what only the rig can say: claimed unless it says why not
+    return True  # faults, and what only the rig can know: claimed unless it is in `without`
 
 
 def _takes_functions(motor: Motor, variable: ControlVariable) -> bool:
-    """Whether a complex trajectory is taken; the motor's own settings are as before."""
+    """Return whether the motor accepts complex trajectories; keep the motor's settings."""
     if not motor._call(motor._supports, ControlMode.TRAJECTORY, variable):
         return False
     from motorapi.functions import Polynomial

@@ -1,4 +1,4 @@
-"""A clause: one promise of the motor interface, where it stands, and how it is checked.
+"""Clauses: promises of the motor interface, with sources and checks.
 
     @clause("STOP-04", Level.L2, needs={Capability.POSITION_TRAJECTORY}, bench={Ability.TRUTH},
             source="CiA 402-2, halt option code 605Dh; requirement 1 of the paper")
@@ -7,8 +7,8 @@
         ...
         expect(bench.motor.fault() is None, f"stop() left {bench.motor.fault()}")
 
-The first sentence of the docstring is the promise. The check is an ordinary function over a bench:
-no pytest, no `assert` (which `python -O` removes).
+The first paragraph of the docstring is the promise. The check is an ordinary function of a bench:
+it uses no pytest, and no `assert`, which `python -O` removes.
 """
 
 from collections.abc import Callable, Collection, Mapping
@@ -26,7 +26,7 @@ Check = Callable[["RigProtocol"], None]
 
 @final
 class Level(IntEnum):
-    """How far the promises reach; each level rests on those before it."""
+    """The level of a promise; each level builds on those before it."""
 
     L0 = 0
     L1 = 1
@@ -37,7 +37,7 @@ class Level(IntEnum):
 
     @property
     def about(self) -> str:
-        """What it adds."""
+        """The topics of this level."""
         return _ABOUT[self]
 
 
@@ -52,7 +52,7 @@ _ABOUT: Final = {
 
 
 class Violated(AssertionError):  # noqa: N818 -- it says what happened, as the errors of motorapi
-    """A promise was not kept; the text says what was seen."""
+    """A promise was not kept; the text says what was observed."""
 
 
 class NotApplicable(Exception):  # noqa: N818 -- likewise
@@ -60,7 +60,7 @@ class NotApplicable(Exception):  # noqa: N818 -- likewise
 
 
 def expect(holds: bool, seen: str) -> None:
-    """Raises Violated with what was seen if `holds` is False."""
+    """Raise Violated with the text `seen` if `holds` is False."""
     if not holds:
         raise Violated(seen)
 
@@ -68,16 +68,16 @@ def expect(holds: bool, seen: str) -> None:
 @final
 @dataclass(frozen=True, slots=True)
 class Clause:
-    """One promise.
+    """One promise of the motor interface.
 
     Attributes:
-        id: "SET-01": topic and number; never given to another promise.
-        level: of the kit.
-        promise: one sentence.
-        source: where it stands.
-        needs: what the adaptation must claim for it to be applicable; all of these.
-        bench: what the bench must be able to do; all of these.
-        check: raises Violated, NotApplicable, or whatever the motor raises and should not.
+        id: topic and number, such as "SET-01"; never reused for another promise.
+        level: the level of the promise.
+        promise: the promise, in one sentence.
+        source: the document and clause that make this promise.
+        needs: capabilities that the adaptation must claim; the clause needs all of these.
+        bench: abilities that the bench must have; the clause needs all of these.
+        check: raises Violated, NotApplicable, or any error that the motor should not raise.
     """
 
     id: str
@@ -100,7 +100,7 @@ def clause(
     needs: Collection[Capability] = (),
     bench: Collection[Ability] = (),
 ) -> Callable[[Check], Check]:
-    """The function below is the check of a clause of the kit.
+    """Register the decorated function as the check of a clause.
 
     Raises:
         ValueError: the name is taken, or the function has no docstring.
@@ -108,10 +108,10 @@ def clause(
 
     def register(check: Check) -> Check:
         if name in _CLAUSES:
-            raise ValueError(f"two clauses {name}")
+            raise ValueError(f"clause {name}: registered twice; use another id")
         promise = " ".join((check.__doc__ or "").split("\n\n")[0].split())
         if not promise:
-            raise ValueError(f"clause {name} promises nothing: its check has no docstring")
+            raise ValueError(f"clause {name}: the check has no docstring; write the promise there")
         _CLAUSES[name] = Clause(
             id=name,
             level=level,
@@ -127,5 +127,5 @@ def clause(
 
 
 def registered() -> Mapping[str, Clause]:
-    """The clauses of the modules imported so far, by id; `harness.conformance.kit` has all."""
+    """Return the clauses of all modules imported so far, by id; see `kit.all_clauses`."""
     return _CLAUSES

@@ -1,4 +1,4 @@
-"""`python -m harness.conformance.clauses_page`: every clause of the kit on a page (Markdown)."""
+"""The table of all clauses in Markdown: `python -m harness.conformance.clauses_page`."""
 
 import sys
 from collections.abc import Iterator
@@ -11,13 +11,14 @@ _HEAD: Final = """\
 # What an adaptation promises
 
 Made by `make clauses` from `harness/conformance/clauses`: {count} clauses, which `motorhil conform`
-checks. One is applicable where the adaptation claims what stands under *claims*, and the bench can
-do what stands under *bench*; all else is promised of every motor. An id is never given twice.
+checks. A clause is applicable if the adaptation claims the capabilities under *claims*, and the
+bench has the abilities under *bench*. All other clauses apply to every motor. An id is never
+reused.
 """
 
 
 def page() -> str:
-    """The page."""
+    """Return the page with all clauses."""
     clauses = list(all_clauses().values())
     lines = [_HEAD.format(count=len(clauses))]
     for level in Level:

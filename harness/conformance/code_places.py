@@ -1,4 +1,4 @@
-"""Where in the code something happened, as whoever mends it needs to know: "file:line"."""
+"""Places in the code, as "file:line", for failure reports."""
 
 import os
 import sys
@@ -8,14 +8,14 @@ from typing import Final
 
 from harness.conformance import clause
 
-_KIT: Final = str(clause.__file__)  # where `expect` raises; what it was told stands in its caller
+_KIT: Final = str(clause.__file__)  # `expect` raises here; the caller is the interesting place
 
 Line = tuple[str, int]
 """(file, line)."""
 
 
 def home_of(module: str) -> str:
-    """The folder of the whole package that the loaded module is of; the file if it is of none."""
+    """Return the top-level package folder of a loaded module, or its file if it has no package."""
     package = sys.modules.get(module.partition(".")[0])
     file: str | None = getattr(package, "__file__", None)
     if file is None:
@@ -24,19 +24,22 @@ def home_of(module: str) -> str:
 
 
 def raised_at(error: BaseException, home: str = "") -> str:
-    """Where it, or what caused it, was raised: the last line in `home`, else the last of all."""
+    """Return where the error or its cause was raised: the last line in `home`, or the last line."""
     while error.__cause__ is not None:
         error = error.__cause__
     return place_in(list(_lines_of(error.__traceback__)), home)
 
 
 def called_at(frame: FrameType | None) -> str:
-    """Where this frame is now."""
+    """Return the current place of a frame."""
     return "" if frame is None else f"{frame.f_code.co_filename}:{frame.f_lineno}"
 
 
 def place_in(lines: Sequence[Line], home: str = "") -> str:
-    """The last of the lines, outermost first, that is in `home`; else the last; "" if none is."""
+    """Return the last line that is in `home`, or the last line of all; "" if there is none.
+
+    The outermost line is the first.
+    """
     lines = [line for line in lines if line[0] != _KIT] or lines
     own = [line for line in lines if home and line[0].startswith(home)]
     chosen = own or lines

@@ -1,6 +1,6 @@
-"""A clause is checked, and if that does not end well once more, with everything recorded.
+"""Examination of clauses: a failing check is repeated and recorded.
 
-On a bench of the wall's world it is recorded the first time.
+On a bench in wall time the first run is recorded.
 """
 
 import shlex
@@ -17,23 +17,24 @@ from harness.conformance.verdict import Verdict
 from harness.settings import RigError
 
 _HANGS_SOONER: Final = 0.1
-"""Of the deadline, for a check that is known to hang."""
+"""Share of the deadline for a check that is known to hang."""
 
 
 @final
 @dataclass(frozen=True, slots=True)
 class Finding:
-    """What was found out about one clause.
+    """The result of the examination of one clause.
 
     Attributes:
         promise: the clause.
-        verdict: of the run without a record.
-        wall_s: how long that took [s].
-        said: the last lines that were printed meanwhile.
-        again: the command that checks this clause alone; "" where nothing is to be mended.
-        record: of the second run, an MCAP file; None where there is none.
-        digest: of the record's messages; "" where there is none, or it was cut off.
-        second: the verdict of the second run, where it ended in another way than the first.
+        verdict: the verdict of the run without a record.
+        wall_s: the duration of that run [s].
+        said: the last lines printed during that run.
+        again: the command that checks this clause alone; "" if the verdict is good.
+        record: the MCAP file of the second run, or None.
+        digest: the digest of the record's messages; "" if there is none, or the record is
+            incomplete.
+        second: the verdict of the second run, if it differs from the first.
     """
 
     promise: Promise
@@ -48,14 +49,14 @@ class Finding:
 
 @final
 class Examiner:
-    """Finds out about clauses.
+    """Examines clauses.
 
     Args:
-        supervisor: checks them.
-        command: `motorhil conform` with what it was told of adaptation and rig.
-        folder: where records go.
-        is_live: whether the bench is of the wall's world, where no run is like another, so that
-            the first one has to be recorded.
+        supervisor: checks the clauses.
+        command: `motorhil conform` with the arguments for adaptation and rig.
+        folder: the folder for records.
+        is_live: whether the bench runs in wall time, where runs differ, so that the first run must
+            be recorded.
     """
 
     def __init__(
@@ -72,11 +73,11 @@ class Examiner:
         self._is_live = is_live
 
     def examine(self, promise: Promise) -> Finding:
-        """What there is to be known of this clause.
+        """Check a clause and return the finding.
 
         Raises:
             WrongJobError, CannotTestError: see `Supervisor.loaded`.
-            RigError: the folder for records cannot be made.
+            RigError: the folder for records cannot be created.
         """
         record = self._record_of(promise) if self._is_live else None
         begin_s = time.monotonic()
@@ -105,7 +106,7 @@ class Examiner:
         )
 
     def _again(self, first: Verdict, was_slow: bool, record: Path) -> Verdict | None:
-        """Its verdict when it is checked again and recorded, if that is another one."""
+        """Check the clause again and record it; return the verdict if it differs."""
         deadline_s = None
         if was_slow:
             deadline_s = max(1.0, _HANGS_SOONER * self._supervisor.loaded.deadline_s)
@@ -118,11 +119,11 @@ class Examiner:
         try:
             self._folder.mkdir(parents=True, exist_ok=True)
         except OSError as error:
-            reason = f"cannot be made: {error.strerror}"
+            reason = f"cannot be created: {error.strerror}"
             raise RigError(self._folder, reason, "name another folder with -o") from None
         record = self._folder / f"{promise.id}.mcap"
         with suppress(FileNotFoundError):
-            record.unlink()  # of a run before this one
+            record.unlink()  # from an earlier run
         return record
 
 

@@ -1,27 +1,27 @@
-"""What a rig declares of itself for conformance: its `[conformance]` table.
+"""The `[conformance]` table of a rig file: its facts about the bench.
 
     [conformance]
     motors = ["left", "right"]          # under test; default: the first group, or all of one kind
-    window_rad = 0.001                  # how far from its target a motor may come to rest
-    following_rad = 0.0005              # how far from its trajectory it may be
-    latency_s = [0.0, 0.001]            # from the start as told to the start of motion
-    time_tolerance_s = 0.05             # how much earlier or later anything may be told to be over
-    dead_man_s = 0.5                    # within which a drive must have noticed that the host died
-    brake_s = 1.0                       # and how long until it is at rest then, whatever it did
-    lost_s = 0.5                        # within which a host tells that a drive is lost
+    window_rad = 0.001                  # largest distance from the target at rest
+    following_rad = 0.0005              # largest distance from the trajectory
+    latency_s = [0.0, 0.001]            # from the reported start to the start of motion
+    time_tolerance_s = 0.05             # tolerance of the reported time of any end
+    dead_man_s = 0.5                    # within which a drive must notice that the host is lost
+    brake_s = 1.0                       # and the time to rest after that, from any motion
+    lost_s = 0.5                        # within which a host reports that a drive is lost
     long_move_rad = 1.0                 # a move that takes about a second
-    deadline_s = 30.0                   # for one clause, of the wall's time; on a real bench 120
-    fault_stimulus = "fault"            # what makes the controller fail, and the code it then has
-    fault_code = 0x2310
-    fault_value = 1.0                   # what the stimulus is given, if that is not the code
-    fault_over_value = 0.0              # and what after a moment, so that the cause is gone
-    seeking_method = 17                 # a homing that seeks a switch, and finds none on the bench
-    claims = ["homing"]                 # what is claimed though the motor itself cannot tell
+    deadline_s = 30.0                   # for one clause, in wall time; on a real bench 120
+    fault_stimulus = "fault"            # stimulus that causes a controller fault
+    fault_code = 0x2310                 # and the error code of that fault
+    fault_value = 1.0                   # value of the stimulus, if this is not the code
+    fault_over_value = 0.0              # its value a moment later, so that the cause is gone
+    seeking_method = 17                 # a homing method that seeks a switch and finds none
+    claims = ["homing"]                 # capabilities that the motor cannot claim itself
 
-    [conformance.without]               # what is not claimed, and why
+    [conformance.without]               # capabilities that are not claimed, and why
     homing = "no switches on this bench"
 
-A linear motor has m where a rotary one has rad.
+A linear motor uses m in place of rad.
 """
 
 from collections.abc import Mapping
@@ -57,28 +57,28 @@ _TIME_MAX_S: Final = 3600.0
 @final
 @dataclass(frozen=True, slots=True)
 class Facts:
-    """What a bench says of itself; U is rad or m.
+    """The facts that a bench declares; U is rad or m.
 
     Attributes:
-        motors: names of those under test; empty: whoever opens the bench chooses.
-        unit: of the lengths below as they were declared: "rad", "m"; "" if none was.
-        window: how far from its target a motor may come to rest [U].
-        following: how far from what a trajectory demands a motor may be at any instant [U].
-        long_move: a distance that takes about a second [U]; None: made from the motor's model.
-        latency_s: from the start that is told to the start of motion, least and most [s].
-        time_tolerance_s: how much earlier or later things may be told to be over [s].
+        motors: names of the motors under test; if empty, the opener of the bench chooses.
+        unit: the unit of the declared lengths, "rad" or "m"; "" if none was declared.
+        window: the largest distance from the target at rest [U].
+        following: the largest distance from the demand of a trajectory at any instant [U].
+        long_move: a distance that takes about a second [U]; None: derived from the motor's model.
+        latency_s: from the reported start to the start of motion, minimum and maximum [s].
+        time_tolerance_s: the tolerance of reported times of ends [s].
         dead_man_s: within which a drive notices that its host is lost, and begins to brake [s].
-        brake_s: within which it then is at rest, whatever it did [s]; None: made from the model.
-        lost_s: within which a host tells that a drive does not answer any more [s].
-        deadline_s: for one clause [s of the wall's time].
-        fault_stimulus: the stimulus that makes a controller fail.
-        fault_code: the code that the drive then tells.
-        fault_value: what the stimulus is given; None: the code.
-        fault_over_value: what it is given after a moment; None: nothing, its cause is gone then.
-        seeking_method: of homing, that goes on until it is ended; None: none is known.
-        claims: what is claimed by the rig.
-        claimed_at: where it claims that, "file:line".
-        without: what is not claimed, and why.
+        brake_s: the time to rest after that, from any motion [s]; None: derived from the model.
+        lost_s: within which a host reports that a drive does not answer any more [s].
+        deadline_s: the deadline for one clause [s of wall time].
+        fault_stimulus: the stimulus that causes a controller fault.
+        fault_code: the error code that the drive then reports.
+        fault_value: the value of the stimulus; None: the code.
+        fault_over_value: its value a moment later; None: not needed, the cause is gone by then.
+        seeking_method: a homing method that runs until it is ended; None: none is known.
+        claims: the capabilities claimed by the rig.
+        claimed_at: where the rig claims them, "file:line".
+        without: the capabilities that are not claimed, and why.
     """
 
     motors: tuple[str, ...] = ()
@@ -106,10 +106,10 @@ NOTHING_DECLARED: Final = Facts()
 
 
 def read_facts(table: Table, motors: tuple[str, ...]) -> Facts:
-    """What a rig's `[conformance]` table says; `motors` are those of the rig.
+    """Read a rig's `[conformance]` table; `motors` are the names of the rig's motors.
 
     Raises:
-        RigError: the first thing wrong in it.
+        RigError: the first error in the table.
     """
     table.refuse_unknown(CONFORMANCE_KEYS)
     usual = NOTHING_DECLARED
@@ -119,7 +119,7 @@ def read_facts(table: Table, motors: tuple[str, ...]) -> Facts:
             raise table.source.no_such((*table.path, "motors", place), name, motors, "motor")
         if name in named[:place]:
             path = (*table.path, "motors", place)
-            raise table.source.error(path, f'"{name}" is there already', "name each motor once")
+            raise table.source.error(path, f'"{name}" is listed twice', "name each motor once")
     unit = _unit(table)
     claimed = _claimed(table)
     return Facts(
@@ -148,7 +148,7 @@ def read_facts(table: Table, motors: tuple[str, ...]) -> Facts:
 
 
 def _unit(table: Table) -> str:
-    """In which the table's lengths are; all in one."""
+    """Return the unit of the table's lengths; all lengths have the same unit."""
     found = {
         unit: f"{name}_{unit}"
         for name in ("window", "following", "long_move")
@@ -188,7 +188,9 @@ def _latency(table: Table, default: tuple[float, float]) -> tuple[float, float]:
     ]
     if not numbers or len(numbers) != 2 or not -_TIME_MAX_S <= numbers[0] <= numbers[1] <= 10.0:
         raise table.error(
-            "latency_s", "is not two times [s], the least first", "write latency_s = [0.0, 0.001]"
+            "latency_s",
+            "is not a list of two times [s], minimum first",
+            "write latency_s = [0.0, 0.001]",
         )
     return numbers[0], numbers[1]
 
@@ -200,7 +202,7 @@ def _capability(table: Table, name: str, path: tuple[str | int, ...]) -> Capabil
 
 
 def _claimed(table: Table) -> dict[Capability, str]:
-    """What the rig claims, and where in its file."""
+    """Return the capabilities that the rig claims, with their places in its file."""
     claimed = {}
     for place, name in enumerate(table.texts("claims", (), example='["homing"]')):
         path = (*table.path, "claims", place)
@@ -215,8 +217,8 @@ def _without(table: Table, claimed: Mapping[Capability, str]) -> Mapping[Capabil
     for name in table.values:
         reason = table.text(name, example='"no switches on this bench"')
         if not reason.strip():
-            raise table.error(name, "gives no reason", "say why: it is printed")
+            raise table.error(name, "has an empty reason", "state the reason")
         if _BY_KEY[name] in claimed:
-            raise table.error(name, f"is claimed at {claimed[_BY_KEY[name]]}", "say one of both")
+            raise table.error(name, f"is claimed at {claimed[_BY_KEY[name]]}", "remove one of them")
         reasons[_BY_KEY[name]] = reason
     return MappingProxyType(reasons)

@@ -1,4 +1,4 @@
-"""What a supervisor asks its worker to test, and what the worker says there is to test."""
+"""Jobs for workers, and the promises that workers report."""
 
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
@@ -8,13 +8,14 @@ from typing import Any, Self, final
 @final
 @dataclass(frozen=True, slots=True)
 class Job:
-    """What to test.
+    """The adaptation and the rig to test.
 
     Attributes:
-        adaptation: its name, or "package.module:function"; "": whatever the rig's motors are of.
-        rig: the rig file; "": the one that comes with the adaptation.
-        seed: of all chance; None: the rig's.
-        on: where the rig's buses are, "[BUS=]WHERE"; none: they are emulated, in virtual time.
+        adaptation: its name, or "package.module:function"; "": the adaptation of the rig's motors.
+        rig: the rig file; "": the rig that comes with the adaptation.
+        seed: the seed of all random numbers; None: the rig's seed.
+        on: the places of the rig's buses, "[BUS=]WHERE"; if empty, they are emulated in virtual
+            time.
     """
 
     adaptation: str = ""
@@ -23,19 +24,19 @@ class Job:
     on: tuple[str, ...] = ()
 
     def packed(self) -> dict[str, Any]:
-        """As JSON can hold it."""
+        """Return the job as JSON values."""
         return asdict(self)
 
     @classmethod
     def unpacked(cls, values: Mapping[str, Any]) -> Self:
-        """What `packed` gave."""
+        """Return the job from the values of `packed`."""
         return cls(**{**values, "on": tuple(values["on"])})
 
 
 @final
 @dataclass(frozen=True, slots=True)
 class Promise:
-    """What is to be known of a clause without its check: see `clause.Clause`."""
+    """A clause without its check; see `clause.Clause`."""
 
     id: str
     level: int

@@ -1,4 +1,4 @@
-"""The whole kit: every clause, in the order in which they are checked."""
+"""All clauses of the kit, in the order of their checks."""
 
 from collections.abc import Mapping
 from importlib import import_module
@@ -25,11 +25,11 @@ _MODULES: Final = (
     "lost",
     "disturbed",
 )
-"""The modules of `harness.conformance.clauses`, each with the clauses of one topic."""
+"""The modules of `harness.conformance.clauses`, one for each topic."""
 
 
 def all_clauses() -> Mapping[str, Clause]:
-    """Every clause by id: level by level, in each in the order of the modules."""
+    """Return all clauses by id, ordered by level, then by module."""
     for name in _MODULES:
         import_module(f"harness.conformance.clauses.{name}")
     places = {name: place for place, name in enumerate(registered())}

@@ -1,7 +1,7 @@
-"""What a clause leaves behind when everything was closed: threads, buses, descriptors, and so on.
+"""Leaks of a clause: threads, buses, descriptors, processes left after its end.
 
-Where a thread was started, and a bus opened, nobody notes down for us: inside the watch both are
-noted by the call itself.
+No library records where a thread was started or a bus was opened. Inside `watched` both calls
+record their callers.
 """
 
 # ruff: noqa: SLF001 -- sys._current_frames: documented, and without another name
@@ -33,10 +33,12 @@ _TASKS: Final = Path("/proc/self/task")
 
 @final
 class Watch:
-    """Sees what is there before and after; use it by `watched`."""
+    """Compares resources before and after a clause; use it through `watched`."""
 
     def __init__(self) -> None:
-        self._threads = set(sys._current_frames())  # also those that threading has not started
+        self._threads = set(
+            sys._current_frames()
+        )  # includes threads that the threading module has not started
         self._descriptors = _descriptors()
         self._children = _children()
         self._folder = os.getcwd()
@@ -44,11 +46,11 @@ class Watch:
         self.opened: list[tuple[can.BusABC, str]] = []
 
     def left(self) -> list[str]:
-        """What is still there and was not before, in words; buses and processes then are not."""
+        """Return descriptions of new resources; shut down new buses, kill new processes."""
         buses = list(self._open_buses())
         end_s = time.monotonic() + _PATIENCE_S
         while self._is_ending() and time.monotonic() < end_s:
-            time.sleep(_LOOK_AGAIN_S)  # a thread that is told to end needs a moment for it
+            time.sleep(_LOOK_AGAIN_S)  # a thread needs a moment to end
         self.opened.clear()
         return [
             *map(self._thread, self._new_threads()),
@@ -59,7 +61,7 @@ class Watch:
         ]
 
     def _is_ending(self) -> bool:
-        """Whether something is there that a thread about to end may still close."""
+        """Return whether new threads exist, or descriptors that a thread may still close."""
         return bool(self._new_threads() or set(_descriptors()) - set(self._descriptors))
 
     def _new_threads(self) -> list[int]:
@@ -79,7 +81,7 @@ class Watch:
 
     def _new_descriptors(self) -> Iterator[str]:
         if set(_descriptors()) - set(self._descriptors):
-            gc.collect()  # what nothing refers to any more is about to be closed
+            gc.collect()  # closes what is no longer referenced
         for number, target in _descriptors().items():
             if self._descriptors.get(number) != target:
                 yield _lock_held(target) or f"a descriptor not closed ({target})"
@@ -94,13 +96,13 @@ class Watch:
     def _new_folder(self) -> Iterator[str]:
         now = os.getcwd()
         if now != self._folder:
-            os.chdir(self._folder)  # what others name is looked for from here
+            os.chdir(self._folder)  # relative paths of others start here
             yield f"another current folder ({now})"
 
 
 @contextmanager
 def watched() -> Iterator[Watch]:
-    """Whatever starts or is opened within the block is noted."""
+    """Record where threads are started and buses are opened within the block."""
     watch = Watch()
     thread: Any = threading.Thread
     bus: Any = can.BusABC
@@ -124,7 +126,7 @@ def watched() -> Iterator[Watch]:
 
 
 def _opened_at() -> str:
-    """Where a bus was asked for: the line that is no constructor, nor python-can's."""
+    """Return where a bus was opened: the first caller outside constructors and python-can."""
     frame = inspect.currentframe()
     for _ in range(2):
         frame = None if frame is None else frame.f_back
@@ -137,38 +139,38 @@ def _opened_at() -> str:
 
 
 def _descriptors() -> dict[int, str]:
-    """What each open descriptor of ours leads to."""
+    """Return the targets of all open descriptors of this process."""
     found = {}
     for entry in _DESCRIPTORS.iterdir():
-        with suppress(OSError):  # the one that lists them is closed by now
+        with suppress(OSError):  # the listing's own descriptor is closed by now
             found[int(entry.name)] = os.readlink(entry)
     return found
 
 
 def _lock_held(target: str) -> str:
-    """What is said of a lock between processes that we have; "" if it is none, or free."""
+    """Describe a lock file held by this process; "" if it is not a lock file, or free."""
     folder, name = os.path.split(target)
     with suppress(UsageError):
         directory = LockDirectory()
         holder = look(directory, name).holder if str(directory.path) == folder else None
         if holder is not None and holder.record is not None and holder.record.pid == os.getpid():
-            return f"a lock between processes not let go of ({name}, for {holder.record.purpose})"
+            return f"an inter-process lock not released ({name}, for {holder.record.purpose})"
     return ""
 
 
 def _program(pid: int) -> str:
-    """What a process runs; its name alone if it has ended."""
+    """Return the command line of a process, or its name if it has ended."""
     words = b""
     end_s = time.monotonic() + _LOOK_AGAIN_S
     with suppress(OSError):
-        while not words and time.monotonic() < end_s:  # while it is being started it has none
+        while not words and time.monotonic() < end_s:  # empty while the process starts
             words = Path(f"/proc/{pid}/cmdline").read_bytes().replace(b"\0", b" ").strip()
         words = words or Path(f"/proc/{pid}/comm").read_bytes().strip()
     return words.decode(errors="replace")
 
 
 def _children() -> set[int]:
-    """Our child processes."""
+    """Return the process ids of all child processes."""
     pids: set[int] = set()
     for task in _TASKS.iterdir():
         with suppress(OSError):

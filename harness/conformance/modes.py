@@ -1,4 +1,4 @@
-"""Every way in which a motor can be told to move, for clauses that hold in each of them."""
+"""All kinds of motion, for clauses that must hold in each of them."""
 
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager
@@ -34,10 +34,10 @@ from motorapi import (
 )
 
 MOVING_S: Final = 0.4
-"""After so long a motion that was begun here is at its height."""
-_WAYS: Final = 2.0  # long moves: none is over soon
-_SPEED: Final = 0.5  # of the model's
-_TORQUE: Final = 0.06  # of the model's: it must not run away
+"""Time until a motion that began here is at full speed [s]."""
+_WAYS: Final = 2.0  # in long moves: long enough to be interrupted
+_SPEED: Final = 0.5  # of the model's maximum
+_TORQUE: Final = 0.06  # of the model's maximum: the motor must not run away
 _CALM: Final = 0.5  # of the model's acceleration
 _LOOK_S: Final = 0.02
 _BACK_S: Final = 1.0
@@ -46,15 +46,15 @@ _BACK_S: Final = 1.0
 @final
 @dataclass(frozen=True, slots=True)
 class Mode:
-    """One of them.
+    """One kind of motion.
 
     Attributes:
-        words: for messages.
-        capability: what a motor claims that can do it; None: every motor can.
-        begin: it has begun, on this motor of the bench.
-        moves: whether the motor moves then.
-        ends: whether its motion ends by itself.
-        is_a_way: whether it lasts as long as a way of some long moves takes.
+        words: its name in messages.
+        capability: the capability that it needs; None: every motor can do it.
+        begin: begins the motion with a motor of the bench.
+        moves: whether the motor moves.
+        ends: whether the motion ends by itself.
+        is_a_way: whether its duration is that of a distance of some long moves.
     """
 
     words: str
@@ -66,10 +66,12 @@ class Mode:
 
 
 def modes_of(bench: RigProtocol) -> Iterator[Mode]:
-    """Each that the motor takes, and its rig does not renounce; each on motors that are new.
+    """Yield each mode that the motor supports, already begun on new motors.
+
+    Modes in the rig's `without` table are left out.
 
     Raises:
-        MotorError: it takes one, and cannot begin it.
+        MotorError: a supported mode cannot be begun.
     """
     for mode in _MODES:
         if mode.capability in bench.facts.without or not _is_known(bench, mode):
@@ -86,12 +88,12 @@ def modes_of(bench: RigProtocol) -> Iterator[Mode]:
 
 
 def is_over_soon(bench: RigProtocol) -> bool:
-    """Whether limits of position leave no room for a way that lasts until something befalls it."""
+    """Return whether position limits make the motion too short to be interrupted."""
     return shortest_s(bench.motor, _WAYS * long_move(bench)) < 2.0 * MOVING_S
 
 
 def _is_known(bench: RigProtocol, mode: Mode) -> bool:
-    """Whether the bench says what it takes."""
+    """Return whether the rig and the model give the facts that this mode needs."""
     if mode.capability is Capability.HOMING:
         return bench.facts.seeking_method is not None
     needs_torque = mode.capability is Capability.TORQUE_SET_POINT
@@ -99,7 +101,7 @@ def _is_known(bench: RigProtocol, mode: Mode) -> bool:
 
 
 def ending(bench: RigProtocol, motor: Motor, mode: Mode, within_s: float) -> MotorError | None:
-    """What ended it short of its target, as whoever waits is told; None: nothing did in time.
+    """Return the error that ended a motion, or None if none came within `within_s` [s].
 
     Raises:
         PluginError: the adaptation itself failed.
@@ -119,7 +121,7 @@ def ending(bench: RigProtocol, motor: Motor, mode: Mode, within_s: float) -> Mot
 
 
 def smooth_way(motor: Motor, way: float) -> ComplexTrajectory:
-    """A function that goes so far, from rest to rest, well within the model's limits."""
+    """Return a cubic trajectory of this distance, from rest to rest, within the model's limits."""
     from motorapi.functions import Polynomial
 
     model = motor.model
@@ -131,7 +133,7 @@ def smooth_way(motor: Motor, way: float) -> ComplexTrajectory:
 
 
 def until_rest_s(bench: RigProtocol, motor: Motor) -> float:
-    """How long it may take until it is at rest, from when it is lost."""
+    """Return the longest time from the loss of a motor until it is at rest [s]."""
     facts, model = bench.facts, motor.model
     brake_s = facts.brake_s
     if brake_s is None:
@@ -140,30 +142,35 @@ def until_rest_s(bench: RigProtocol, motor: Motor) -> float:
 
 
 def expect_usable(bench: RigProtocol, motor: Motor, what: str) -> None:
-    """It can be freed of its fault, stopped, enabled, and makes its next move."""
+    """Check that the motor can be reset, stopped and enabled, and makes its next move."""
     motor.reset_fault()
-    motor.stop()  # what has no dead-man goes on
+    motor.stop()  # a motor without a dead-man is still moving
     finish(bench, motor)
     before = place(bench, motor)
     motor.enable()
     rest_for(bench, 0.1)
-    expect_unmoved(bench, motor, before, f"{what}: when it was enabled again")
+    expect_unmoved(bench, motor, before, f"{what}: when enabled again")
     way, begun_ns = 0.25 * long_move(bench), bench.runtime.now_ns()
     move(bench, motor, way)
     took_s = (bench.runtime.now_ns() - begun_ns) / 1e9
     moved, unit = place(bench, motor) - before, motor.model.unit
     least_s = shortest_s(motor, way) - bench.facts.time_tolerance_s
-    expect(took_s >= least_s, f"{what}: its next move took {took_s:.3f} s, of {least_s:.3f} s")
+    expect(
+        took_s >= least_s,
+        f"{what}: the next move took {took_s:.3f} s; expected at least {least_s:.3f} s",
+    )
     expect(
         abs(moved - way) <= 2.0 * bench.facts.window,
-        f"{what}: its next move, of {way:g} {unit}, was one of {moved:g} {unit}",
+        f"{what}: the next move was {moved:g} {unit}; expected {way:g} {unit}",
     )
 
 
 def move_through(
     bench: RigProtocol, motor: Motor, trouble: AbstractContextManager[Lost], what: str
 ) -> int:
-    """Through the trouble a move is made once and told so, or fails, and then it can be used.
+    """Move once through the trouble: check that the move is done or fails with an error.
+
+    After an error, the motor must be usable.
 
     Returns:
         How often the trouble struck.
@@ -180,16 +187,18 @@ def move_through(
             told = error
         hit = struck()
     if told is not None:
-        rest_for(bench, shortest_s(motor, way) + _BACK_S)  # it may have been told all the same
+        rest_for(
+            bench, shortest_s(motor, way) + _BACK_S
+        )  # the drive may have received the command all the same
     moved, unit, window = place(bench, motor) - before, motor.model.unit, bench.facts.window
     low, high = sorted((0.0, way))
     expect(
         low - window <= moved <= high + window,
-        f"{what}: told to move {way:g} {unit} once, it moved {moved:g} {unit}",
+        f"{what}: moved {moved:g} {unit}; one move of {way:g} {unit} was commanded",
     )
     expect(
         told is not None or abs(moved - way) <= window,
-        f"{what}: told to move {way:g} {unit}, it is done by its word, and moved {moved:g} {unit}",
+        f"{what}: done was reported after {moved:g} {unit} of a move of {way:g} {unit}",
     )
     if told is not None:
         expect_usable(bench, motor, what)
@@ -236,12 +245,12 @@ def _hold(bench: RigProtocol, motor: Motor) -> None:
 
 _C: Final = Capability
 _MODES: Final = (
-    Mode("a set-point of position", _C.POSITION_SET_POINT, _aim, is_a_way=True),
-    Mode("a set-point of velocity", _C.VELOCITY_SET_POINT, _turn, ends=False),
-    Mode("a set-point of torque", _C.TORQUE_SET_POINT, _push, ends=False),
-    Mode("a trajectory of position", _C.POSITION_TRAJECTORY, _follow, is_a_way=True),
-    Mode("a trajectory of velocity", _C.VELOCITY_TRAJECTORY, _speed_up, ends=False),
-    Mode("a complex trajectory of position", _C.COMPLEX_POSITION, _stream, is_a_way=True),
+    Mode("a position set-point", _C.POSITION_SET_POINT, _aim, is_a_way=True),
+    Mode("a velocity set-point", _C.VELOCITY_SET_POINT, _turn, ends=False),
+    Mode("a torque set-point", _C.TORQUE_SET_POINT, _push, ends=False),
+    Mode("a position trajectory", _C.POSITION_TRAJECTORY, _follow, is_a_way=True),
+    Mode("a velocity trajectory", _C.VELOCITY_TRAJECTORY, _speed_up, ends=False),
+    Mode("a complex position trajectory", _C.COMPLEX_POSITION, _stream, is_a_way=True),
     Mode("homing", _C.HOMING, _seek),
     Mode("holding, enabled", None, _hold, moves=False, ends=False),
 )

@@ -1,7 +1,7 @@
-"""What clauses do with a motor again and again: move it, let time pass, see where it is.
+"""Common actions of clauses: move a motor, wait, measure its position.
 
-U is the unit of the motor's position, rad or m. A profile that is expected is written here once
-more, from the textbook, and not asked of the interface that is under test.
+U is the unit of the motor's position, rad or m. Expected profiles are computed here from a
+textbook, independently of the interface under test.
 """
 
 from collections.abc import Callable, Sequence
@@ -24,11 +24,11 @@ _REST_S: Final = 0.05
 _SPARE_S: Final = 5.0
 
 Sample = tuple[float, float]
-"""(time since it was first looked [s], position [U])."""
+"""(time since the first sample [s], position [U])."""
 
 
 def long_move(bench: RigProtocol) -> float:
-    """A distance of about a second's way [U]."""
+    """Return a distance that takes about a second [U]."""
     if bench.facts.long_move is not None:
         return bench.facts.long_move
     model = bench.motor.model
@@ -36,23 +36,23 @@ def long_move(bench: RigProtocol) -> float:
 
 
 def shortest_s(motor: Motor, way: float) -> float:
-    """What the shortest move of that distance within the model's limits takes, rest to rest [s]."""
+    """Return the shortest time of a rest-to-rest move within the model's limits [s]."""
     model = motor.model
     return least_s(way, model.velocity_max, model.acceleration_max, model.deceleration)
 
 
 def midway_s(motor: Motor, way: float, share: float) -> float:
-    """That share of the shortest move's time [s], and less for a motor that brakes gently.
+    """Return a share of the shortest move's time [s], less for a motor that brakes gently.
 
-    Then it can still stop within half of that way: one that needs longer for braking than for
-    speeding up spends most of a move on it.
+    The motor can then still stop within half of the distance. A motor that brakes more slowly than
+    it accelerates spends most of a move on braking.
     """
     model = motor.model
     return share * shortest_s(motor, way) * min(1.0, model.deceleration / model.acceleration_max)
 
 
 def least_s(way: float, velocity: float, acceleration: float, deceleration: float) -> float:
-    """As `shortest_s`, within these limits [s]."""
+    """Return the shortest time of a rest-to-rest move within these limits [s]."""
     peak = min(velocity, sqrt(2.0 * abs(way) / (1.0 / acceleration + 1.0 / deceleration)))
     if peak == 0.0:
         return 0.0
@@ -62,7 +62,7 @@ def least_s(way: float, velocity: float, acceleration: float, deceleration: floa
 def trapezoid(
     way: float, duration_s: float, acceleration: float, deceleration: float
 ) -> Callable[[float], float]:
-    """Position over time, rest to rest (Biagiotti & Melchiorri, 2008, 3.2.3)."""
+    """Return a trapezoidal profile's position over time (Biagiotti & Melchiorri, 2008, 3.2.3)."""
     lost_s = 0.5 * (1.0 / acceleration + 1.0 / deceleration)
     peak = (duration_s - sqrt(max(0.0, duration_s**2 - 4.0 * lost_s * abs(way)))) / (2.0 * lost_s)
     up_s, down_s = peak / acceleration, peak / deceleration
@@ -81,7 +81,7 @@ def trapezoid(
 
 
 def rest_for(bench: RigProtocol, duration_s: float) -> None:
-    """So much time has passed [s]."""
+    """Let this time pass [s]."""
     bench.runtime.wait_until(_never, duration_s)
 
 
@@ -90,14 +90,14 @@ def _never() -> bool:
 
 
 def place(bench: RigProtocol, motor: Motor) -> float:
-    """Where it is [U]: really, where that can be seen, else as it says."""
+    """Return the motor's position [U]: the true one if the bench can see it."""
     if Ability.TRUTH in bench.abilities:
         return bench.true_position(motor)
     return motor.position()
 
 
 def follow(motor: Motor, trajectory: TrapezoidalTrajectory) -> None:
-    """It has begun a trajectory of position."""
+    """Start a position trajectory."""
     motor.set_control_mode(ControlMode.TRAJECTORY)
     motor.set_trajectory(trajectory)
     motor.start()
@@ -106,44 +106,44 @@ def follow(motor: Motor, trajectory: TrapezoidalTrajectory) -> None:
 def aim(
     motor: Motor, target: float, relative: bool = False, limits: DerivativeLimits | None = None
 ) -> None:
-    """It has begun to go to a set-point of position."""
+    """Start a move to a position set-point."""
     motor.set_control_mode(ControlMode.SETPOINT)
     motor.set_setpoint(target, relative, limits)
     motor.start()
 
 
 def turn(motor: Motor, velocity: float) -> None:
-    """It has begun to go at a set-point of velocity [U/s]."""
+    """Start a velocity set-point [U/s]."""
     motor.set_control_mode(ControlMode.SETPOINT, ControlVariable.VELOCITY)
     motor.set_setpoint(velocity)
     motor.start()
 
 
 def finish(bench: RigProtocol, motor: Motor, expected_s: float = 0.0) -> None:
-    """What was commanded is over, long after it should have been at the latest."""
+    """Wait until the motion is over, well beyond its expected duration."""
     motor.wait_until_done(expected_s + bench.facts.time_tolerance_s + _SPARE_S)
 
 
 def move(bench: RigProtocol, motor: Motor, way: float) -> None:
-    """It has moved so far, as fast as it can, and is done."""
+    """Move by this distance as fast as possible, and wait until done."""
     follow(motor, TrapezoidalTrajectory(way))
     finish(bench, motor, shortest_s(motor, way))
 
 
 def way_of_stopping(motor: Motor, velocity: float) -> float:
-    """How far it goes until it is at rest from that velocity, at the model's deceleration [U]."""
+    """Return the braking distance from this velocity at the model's deceleration [U]."""
     return velocity**2 / (2.0 * motor.model.deceleration)
 
 
 def way_to_top_speed(motor: Motor) -> float:
-    """The least move on which it is at its largest velocity, and is so for a tenth of a second."""
+    """Return the shortest move with a tenth of a second at the largest velocity [U]."""
     top = motor.model.velocity_max
     ramps_s = 0.5 * top * (1.0 / motor.model.acceleration_max + 1.0 / motor.model.deceleration)
     return top * (ramps_s + 0.1)
 
 
 def watched(bench: RigProtocol, motor: Motor, duration_s: float) -> list[Sample]:
-    """Where it was from now on, every `SAMPLE_S` for so long."""
+    """Sample the position every `SAMPLE_S` for this duration, from now on."""
     runtime = bench.runtime
     begun_ns = runtime.now_ns()
     taken: list[Sample] = []
@@ -156,7 +156,7 @@ def watched(bench: RigProtocol, motor: Motor, duration_s: float) -> list[Sample]
 
 
 def fastest(taken: Sequence[Sample], over_s: float = 0.05) -> float:
-    """The largest mean speed over any such time [U/s]."""
+    """Return the largest mean speed over any window of this length [U/s]."""
     top = 0.0
     first = 0
     for at_s, position in taken:
@@ -169,7 +169,7 @@ def fastest(taken: Sequence[Sample], over_s: float = 0.05) -> float:
 
 
 def speed(bench: RigProtocol, motor: Motor, over_s: float) -> float:
-    """Its mean velocity during that time, from now on [U/s]."""
+    """Return the mean velocity over the given time from now [U/s]."""
     begun_ns, before = bench.runtime.now_ns(), place(bench, motor)
     rest_for(bench, over_s)
     return (place(bench, motor) - before) / ((bench.runtime.now_ns() - begun_ns) / 1e9)
@@ -178,7 +178,7 @@ def speed(bench: RigProtocol, motor: Motor, over_s: float) -> float:
 def worst_deviation(
     bench: RigProtocol, taken: Sequence[Sample], wanted: Callable[[float], float]
 ) -> float:
-    """How far it was from `wanted` at worst, whenever in the declared latency it began [U]."""
+    """Return the largest deviation from `wanted`, for any start within the declared latency [U]."""
     early_s, late_s = bench.facts.latency_s
     worst = 0.0
     for at_s, position in taken:
@@ -190,55 +190,58 @@ def worst_deviation(
 def expect_tracks(
     bench: RigProtocol, taken: Sequence[Sample], wanted: Callable[[float], float], what: str
 ) -> None:
-    """It was always as near to `wanted` as is declared."""
+    """Check that every sample is within the declared following distance of `wanted`."""
     worst, unit = worst_deviation(bench, taken, wanted), bench.motor.model.unit
     expect(
         worst <= bench.facts.following,
-        f"{what}: it was {worst:.6g} {unit} off what was demanded,"
-        f" declared are {bench.facts.following:g} {unit}",
+        f"{what}: {worst:.6g} {unit} off the demand; at most {bench.facts.following:g} {unit} "
+        "declared",
     )
 
 
 def expect_at(bench: RigProtocol, motor: Motor, target: float, what: str) -> None:
-    """It says that it is there."""
+    """Check that the motor reports the target position."""
     unit, window = motor.model.unit, bench.facts.window
     told = motor.position()
     expect(
         abs(told - target) <= window,
-        f"{what}: it says it is at {told:.6g} {unit}, and not within {window:g} of {target:.6g}",
+        f"{what}: reports position {told:.6g} {unit}; expected {target:.6g} {unit} within "
+        f"{window:g}",
     )
 
 
 def expect_rest(bench: RigProtocol, motor: Motor, what: str) -> None:
-    """It does not move."""
+    """Check that the motor does not move."""
     before = place(bench, motor)
     rest_for(bench, _REST_S)
     moved = place(bench, motor) - before
     unit = motor.model.unit
     expect(
         abs(moved) <= bench.facts.window,
-        f"{what}: it is not at rest, it moved {moved:.6g} {unit} in {_REST_S:g} s",
+        f"{what}: not at rest, moved {moved:.6g} {unit} in {_REST_S:g} s",
     )
 
 
 def expect_unmoved(bench: RigProtocol, motor: Motor, before: float, what: str) -> None:
-    """It is where it was."""
+    """Check that the motor is still at its former position."""
     moved, unit = place(bench, motor) - before, motor.model.unit
-    expect(abs(moved) <= bench.facts.window, f"{what}: it moved {moved:.6g} {unit}")
+    expect(
+        abs(moved) <= bench.facts.window, f"{what}: moved by {moved:.6g} {unit}; expected no motion"
+    )
 
 
 def reached(happened: bool, what: str) -> None:
-    """The cause of what must never happen was there, so that the promise was put to the test."""
+    """Raise Violated if the event that puts the promise to the test did not happen."""
     if not happened:
-        raise Violated(f"{what} was never reached, so that this promise was not put to the test")
+        raise Violated(f"{what} did not happen, so that this promise was not tested")
 
 
 def torque_of(motor: Motor, share: float) -> float:
-    """That share of the largest torque [N·m], of a linear motor force [N].
+    """Return a share of the largest torque [N·m], or force [N] of a linear motor.
 
     Raises:
-        NotApplicable: nobody says how large that is.
+        NotApplicable: the motor's model has no largest torque.
     """
     if motor.model.torque_max is None:
-        raise NotApplicable("its model has no torque_max")
+        raise NotApplicable("the motor's model has no torque_max")
     return share * motor.model.torque_max

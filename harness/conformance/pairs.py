@@ -1,7 +1,7 @@
-"""Two motors of a bench as a group, and when each of them really began and ended.
+"""Groups of two motors, and the true times of each member's motion.
 
-Their ways are of one length where instants are compared: then both make the same profile, and each
-is so far at the same time.
+Where instants are compared, both distances have the same length. Then both motors make the same
+profile, and reach each share of it at the same time.
 """
 
 from collections.abc import Sequence
@@ -14,12 +14,12 @@ from harness.conformance.motions import SAMPLE_S, long_move, place, rest_for
 from motorapi import ControlMode, Motor, MotorGroup, TrapezoidalTrajectory
 
 FINE_S: Final = 0.001
-BEGUN: Final = 0.05  # of the way
+BEGUN: Final = 0.05  # share of the distance
 _PATIENCE_S: Final = 10.0
 
 
 def pair_of(bench: RigProtocol, *ways: float) -> MotorGroup:
-    """A group of the bench's first motors, each with so long a trajectory set."""
+    """Return a group of the bench's first motors, with a trajectory set for each distance."""
     group = MotorGroup(*bench.motors[: len(ways)])
     group.for_each(Motor.set_control_mode, ControlMode.TRAJECTORY)
     group.set_trajectory(*(TrapezoidalTrajectory(way) for way in ways))
@@ -27,12 +27,12 @@ def pair_of(bench: RigProtocol, *ways: float) -> MotorGroup:
 
 
 def places(bench: RigProtocol, group: MotorGroup) -> list[float]:
-    """Where each member is [U]."""
+    """Return the positions of all members [U]."""
     return [place(bench, motor) for motor in group]
 
 
 class Course:
-    """Where the members of a group were, from when this was made; times are in ns."""
+    """Records the positions of a group's members from its creation; times are in ns."""
 
     def __init__(self, bench: RigProtocol, group: MotorGroup, period_s: float = FINE_S) -> None:
         self._bench, self._group = bench, group
@@ -44,12 +44,12 @@ class Course:
         self.seen.append((self._bench.runtime.now_ns(), places(self._bench, self._group)))
 
     def end(self) -> None:
-        """Nobody looks any more."""
+        """Stop recording."""
         self._timer.cancel()
         self._look()
 
     def when(self, member: int, share: float, way: float) -> float | None:
-        """When a member had made that share of its way [ns], between two looks; None: never."""
+        """Return the interpolated time when a member had made a share of its way [ns], or None."""
         goal = share * way
         begin = self.seen[0][1][member]
         before_ns, before = self.seen[0][0], 0.0
@@ -62,14 +62,14 @@ class Course:
         return None
 
     def skew_s(self, share: float, ways: Sequence[float]) -> float | None:
-        """Between the first and the last member's having made that share of its way [s]."""
+        """Return the time between the first and the last member at this share of its way [s]."""
         times = [self.when(member, share, way) for member, way in enumerate(ways)]
         known = [time for time in times if time is not None]
         return (max(known) - min(known)) / 1e9 if len(known) == len(times) else None
 
 
 def looking_error_s(bench: RigProtocol, way: float, share: float) -> float:
-    """How wrong a time may be that was found by `Course.when` for two motors [s]."""
+    """Return the largest error of the difference of two times from `Course.when` [s]."""
     model = bench.motor.model
     slowest = min(model.acceleration_max, model.deceleration)
     speed = min(sqrt(2.0 * slowest * share * abs(way)), model.velocity_max)
@@ -77,18 +77,18 @@ def looking_error_s(bench: RigProtocol, way: float, share: float) -> float:
 
 
 def run_to_the_end(bench: RigProtocol, group: MotorGroup) -> None:
-    """It was waited for, and what is left to settle has settled."""
+    """Wait until the group is done, and until the motors have settled."""
     group.wait_until_done(_PATIENCE_S)
     rest_for(bench, 10.0 * SAMPLE_S)
 
 
 def half(bench: RigProtocol) -> float:
-    """A way of half a long move [U]."""
+    """Return half the distance of a long move [U]."""
     return 0.5 * long_move(bench)
 
 
 def ways_of(*ways: float) -> list[TrapezoidalTrajectory]:
-    """A trajectory for each."""
+    """Return a trajectory for each distance."""
     return [TrapezoidalTrajectory(way) for way in ways]
 
 
@@ -99,7 +99,7 @@ def expect_made(
     ways: tuple[float, ...],
     what: str,
 ) -> None:
-    """Each has moved so far from where it was."""
+    """Check that each member has moved by its distance."""
     for motor, was, way in zip(group, before, ways, strict=True):
         moved, unit = place(bench, motor) - was, motor.model.unit
         expect(

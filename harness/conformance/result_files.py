@@ -1,23 +1,23 @@
-"""What a run of the kit found, for machines (JSON, JUnit's XML) and for people (a page).
+"""Result files of a run: JSON, JUnit XML and an HTML page.
 
-The JSON, of which no key will change its meaning:
+The keys of the JSON document are stable:
 
     adaptation, rig, bench, motors, seed    what was tested; `rig` is its file, `bench` its name
-    passed              whether nothing is wrong, and something was checked
-    counts              by result, how many clauses ended so
-    claims              by capability, why the motors do not claim it; "" of what they claim;
-                        null if they could not be asked
-    clauses             of each: `id`, `level` ("L2"), `promise`, `source`; `result` ("passed",
-                        "failed", "not applicable", "crashed", "hung", "left behind"); `seen`, what
-                        was seen, or why it is not applicable; `place`, "file:line" or ""; `time_s`,
-                        the bench's; `wall_s`; `said`, the last lines printed; `again`, the command
-                        that repeats it, or null; `record`, its MCAP file, or null; `digest`, the
-                        record's, or null; `second`, where a second run with the same seed ended in
-                        another way, its `result` and `seen`, else null
-    first_verdict_s     from the start of the command to the first verdict, of the wall's time
-    took_s              to the last
+    passed              whether at least one clause was checked and all results are good
+    counts              number of clauses by result
+    claims              by capability: why the motors do not claim it, or "" if they claim it;
+                        null if the motors could not be asked
+    clauses             for each: `id`, `level` ("L2"), `promise`, `source`; `result` ("passed",
+                        "failed", "not applicable", "crashed", "hung", "left behind"); `seen`, the
+                        observation, or why it is not applicable; `place`, "file:line" or "";
+                        `time_s`, in the bench's time; `wall_s`; `said`, the last lines printed;
+                        `again`, the command that repeats it, or null; `record`, its MCAP file, or
+                        null; `digest`, the record's digest, or null; `second`, the `result` and
+                        `seen` of a second run with the same seed if they differ, else null
+    first_verdict_s     from the start of the command to the first verdict, in wall time
+    took_s              from the start of the command to the last verdict
 
-Of all these `wall_s`, `first_verdict_s` and `took_s` alone differ between two runs with one seed.
+Two runs with one seed differ only in `wall_s`, `first_verdict_s` and `took_s`.
 """
 
 import html
@@ -35,7 +35,7 @@ from harness.conformance.verdict import Result
 
 _NS: Final = 1e9
 _ODD: Final = re.compile("[^\t\n\x20-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]")
-"""What XML 1.0 has no way to write (2.2, Char)."""
+"""Characters that XML 1.0 cannot represent (2.2, Char)."""
 _JUNIT: Final = {
     Result.FAILED: "failure",
     Result.CRASHED: "error",
@@ -60,13 +60,13 @@ td:nth-child(1), td:nth-child(3) { white-space: nowrap }
 @final
 @dataclass(frozen=True, slots=True)
 class Outcome:
-    """All that a run found.
+    """The results of a run.
 
     Attributes:
-        loaded: what was tested.
-        findings: in the order in which they were made.
-        claims: as `Supervisor.claims`; None if they could not be asked.
-        first_verdict_s, took_s: of the wall's time [s].
+        loaded: the job that was tested.
+        findings: the findings in the order of the checks.
+        claims: as `Supervisor.claims`; None if the motors could not be asked.
+        first_verdict_s, took_s: in wall time [s].
     """
 
     loaded: Loaded
@@ -76,12 +76,12 @@ class Outcome:
     took_s: float
 
     def count(self, result: Result) -> int:
-        """How many clauses ended so."""
+        """Return the number of clauses with this result."""
         return sum(one.verdict.result is result for one in self.findings)
 
     @property
     def passed(self) -> bool:
-        """Whether nothing is wrong, and something was checked at all."""
+        """Whether at least one clause was checked and all results are good."""
         return not self.is_empty and all(one.verdict.result.is_good for one in self.findings)
 
     @property
@@ -91,7 +91,7 @@ class Outcome:
 
 
 def as_json(outcome: Outcome) -> str:
-    """The JSON document described above."""
+    """Return the JSON document described in the module's docstring."""
     loaded = outcome.loaded
     document = {
         "adaptation": loaded.adaptation,
@@ -130,7 +130,7 @@ def _clause(one: Finding) -> dict[str, object]:
 
 
 def as_junit(outcome: Outcome) -> str:
-    """A test suite as JUnit's XML has it: a test case for each clause."""
+    """Return a JUnit XML test suite with one test case for each clause."""
     counts = dict.fromkeys(("failure", "error", "skipped"), 0)
     cases = []
     for one in outcome.findings:
@@ -159,7 +159,7 @@ def _case(one: Finding, adaptation: str, word: str | None) -> str:
 
 
 def as_page(outcome: Outcome, folder: Path) -> str:
-    """A page that needs nothing but itself; its links to records start at `folder`."""
+    """Return a self-contained HTML page; its links to records are relative to `folder`."""
     loaded = outcome.loaded
     title = f"{loaded.adaptation}: {'passed' if outcome.passed else 'not passed'}"
     counts = ", ".join(
@@ -173,7 +173,7 @@ def as_page(outcome: Outcome, folder: Path) -> str:
 <h1>{_text(title)}</h1>
 <p>On {_text(loaded.bench)} ({_text(loaded.rig)}), motors {_text(", ".join(loaded.motors))},
 seed {loaded.seed}: {_text(counts)}.</p>
-<table><tr><th>clause</th><th>promise, and what was seen</th><th>verdict</th><th>at</th></tr>
+<table><tr><th>clause</th><th>promise and observation</th><th>verdict</th><th>at</th></tr>
 {rows}
 </table>
 {_claims(outcome.claims)}
@@ -205,16 +205,16 @@ def _claims(claims: Mapping[str, str] | None) -> str:
         f"<tr><td>{_text(name)}</td><td>{_text(why_not or 'claimed')}</td></tr>"
         for name, why_not in claims.items()
     )
-    return f"<h2>What it claims</h2><table>{rows}</table>"
+    return f"<h2>Claims</h2><table>{rows}</table>"
 
 
 def more_of(one: Finding) -> list[str]:
-    """What else there is to be told of a clause that did not end well, a line each."""
+    """Return further lines about a clause that did not pass."""
     lines = [one.verdict.place] if one.verdict.place else []
     lines += [f"printed: {line}" for line in one.said]
     if one.second is not None:
         told = f"{one.second.result.value} {one.second.seen}".rstrip()
-        lines.append(f"not repeatable: a second run with the same seed ended otherwise: {told}")
+        lines.append(f"not repeatable: a second run with the same seed ended differently: {told}")
     if one.record is not None:
         lines.append(f"record: {one.record}")
     if one.again:

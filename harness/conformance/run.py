@@ -1,7 +1,6 @@
-"""Clauses are checked on a bench, one after another, each on a bench of its own.
+"""Checks of clauses in this process, each on a new bench.
 
-Here in this process, where nothing can be done about a check that never ends, or that takes the
-process with it: `harness.conformance.supervision` sees to those.
+A check that never ends, or that ends the process, is handled by `supervision`.
 """
 
 from collections.abc import Iterable, Iterator
@@ -27,7 +26,7 @@ _CLAUSES: Final = str(Path(__file__).parent / "clauses")
 
 
 def run_clauses(clauses: Iterable[Clause], open_bench: Opener) -> Iterator[Verdict]:
-    """The verdict of each clause, as soon as there is one."""
+    """Yield the verdict of each clause as soon as it is known."""
     claims = Claims(open_bench)
     for one in clauses:
         yield run_clause(one, open_bench, claims)
@@ -36,16 +35,16 @@ def run_clauses(clauses: Iterable[Clause], open_bench: Opener) -> Iterator[Verdi
 def run_clause(
     one: Clause, open_bench: Opener, claims: Claims | None = None, home: str = ""
 ) -> Verdict:
-    """The verdict of one clause.
+    """Return the verdict of one clause.
 
     Args:
-        one: which.
-        open_bench: switches a bench on for it.
-        claims: of the motors of all benches so opened.
-        home: of the adaptation, whose lines are told before others (`code_places.home_of`).
+        one: the clause.
+        open_bench: switches on a bench for it.
+        claims: the claims of the motors of such benches.
+        home: the adaptation's folder, whose lines are preferred (`code_places.home_of`).
 
     Raises:
-        RigError: the rig cannot be used as it is written.
+        RigError: the rig file cannot be used.
     """
     with watched() as watch:
         verdict = _checked(one, open_bench, claims or Claims(open_bench), _Judge(one, home))
@@ -59,7 +58,7 @@ def run_clause(
 
 
 def _checked(one: Clause, open_bench: Opener, claims: Claims, judge: "_Judge") -> Verdict:
-    """Its verdict; nothing here refers to the bench any more."""
+    """Return the verdict; keep no reference to the bench."""
     time_ns = 0
     try:
         _require_claimed(one, claims)
@@ -70,11 +69,11 @@ def _checked(one: Clause, open_bench: Opener, claims: Claims, judge: "_Judge") -
                 one.check(bench)
                 verdict = Verdict(one.id, Result.PASSED)
             except BaseException as error:
-                if isinstance(error, LimitError):  # only then: to ask for a motor is to use it
+                if isinstance(error, LimitError):  # asking for a motor connects it
                     judge.models = tuple(motor.model for motor in bench.motors)
                 verdict = judge.verdict(error)
             time_ns = bench.runtime.now_ns()
-    except BaseException as error:  # while it was switched on, or off
+    except BaseException as error:  # while the bench was switched on or off
         verdict = judge.verdict(error)
     return replace(verdict, time_ns=time_ns)
 
@@ -94,7 +93,7 @@ def _require_able(one: Clause, bench: "RigProtocol") -> None:
 
 @final
 class _Judge:
-    """Says what an error that ended a check says of the clause."""
+    """Derives a verdict from the error that ended a check."""
 
     def __init__(self, one: Clause, home: str) -> None:
         self._one = one
@@ -103,7 +102,7 @@ class _Judge:
         self.models: tuple[MotorModel, ...] = ()
 
     def verdict(self, error: BaseException) -> Verdict:
-        """The verdict.
+        """Return the verdict for this error.
 
         Raises:
             KeyboardInterrupt, RigError: the error itself.
@@ -115,29 +114,29 @@ class _Judge:
         if isinstance(error, NotApplicable):
             return Verdict(self._one.id, Result.NOT_APPLICABLE, f"{error}")
         if isinstance(error, LimitError) and self._is_no_room(error):
-            why = f"there is no room for it: {error}; a shorter long_move may fit"
+            why = f"no room for this move: {error}; a shorter long_move may fit"
             return Verdict(self._one.id, Result.NOT_APPLICABLE, why)
         place = raised_at(error, self._home)
         if isinstance(error, Violated):
-            place = raised_at(error, _CLAUSES)  # where it stands, not where all clauses meet
+            place = raised_at(error, _CLAUSES)  # in the clause, not in a shared function
             return Verdict(self._one.id, Result.FAILED, f"{error}", place)
         if isinstance(error, TimeIsUp):
             return Verdict(self._one.id, Result.HUNG, f"{error}", place)
         if isinstance(error, UnsupportedError):
             for claimed in self._one.needs:
                 if claimed in self.facts.claims:
-                    seen = f"the rig claims {claimed.value}, which the motor refuses: {error}"
+                    seen = f"{claimed.value}: claimed by the rig, refused by the motor: {error}"
                     at = self.facts.claimed_at.get(claimed, place)
                     return Verdict(self._one.id, Result.FAILED, seen, at)
         if isinstance(error, RigError) and error.__cause__ is None:
-            place = ""  # the rig's line is told; that of the kit helps nobody
+            place = ""  # the message has the rig's line; the kit's line does not help
         told = f"{error}" if isinstance(error, RigError) else f"{type(error).__name__}: {error}"
         if isinstance(error, MotorError) and not isinstance(error, PluginError):
             return Verdict(self._one.id, Result.FAILED, f"raised {told}", place)
         return Verdict(self._one.id, Result.CRASHED, told, place)
 
     def _is_no_room(self, error: LimitError) -> bool:
-        """Whether the clause has asked for a place that the motors' models do forbid."""
+        """Return whether the clause has asked for a position that the motors' models forbid."""
         return any(
             error.unit == model.unit
             and (

@@ -1,10 +1,11 @@
-"""Clauses are checked in a process of its own, so that nothing an adaptation does ends the kit.
+"""Supervision of a worker process, in which the clauses are checked.
 
     with Supervisor(Job("my_drive", "bench.toml")) as supervisor:
         verdict = supervisor.check("STOP-04")
 
-One worker checks everything, as long as it lives. Whoever does not end in time is told to, with the
-line at which it hangs; then, or when the worker has died, another worker does the rest.
+An adaptation cannot end the kit. One worker checks all clauses as long as it lives. A check that
+misses its deadline is interrupted, and the verdict has the line where it hangs. If the worker then
+ends or has died, a new worker checks the remaining clauses.
 """
 
 import os
@@ -21,7 +22,7 @@ from harness.conformance.job import Job, Promise
 from harness.conformance.verdict import TELL_WHERE, TIME_IS_UP, Result, Verdict, unpacked
 
 START_S: Final = 30.0
-"""Within which an adaptation has to be loaded, and its rig to be read."""
+"""Time limit for loading the adaptation and reading its rig."""
 _TELLING_S: Final = 0.1
 _GRACE_S: Final = 1.0
 _SAID_LINES: Final = 5
@@ -31,7 +32,7 @@ _WAITS: Final = os.path.join("harness", "virtual_time.py")
 
 
 class WrongJobError(Exception):
-    """The adaptation or the rig cannot be used as they are given; the text says why."""
+    """The adaptation or the rig cannot be used as given; the text says why."""
 
 
 class CannotTestError(Exception):
@@ -41,10 +42,10 @@ class CannotTestError(Exception):
 @final
 @dataclass(frozen=True, slots=True)
 class Loaded:
-    """What a worker says of its job, once it has read it.
+    """The worker's description of its job after loading.
 
-    Attributes: adaptation, rig (its file), bench (what the rig is called), motors (under test),
-    seed, deadline_s (for one clause), home (where the adaptation's code is), clauses (the kit's).
+    Attributes: adaptation, rig (its file), bench (the rig's name), motors (under test), seed,
+    deadline_s (for one clause), home (the folder of the adaptation's code), clauses (of the kit).
     """
 
     adaptation: str
@@ -59,10 +60,10 @@ class Loaded:
 
 @final
 class Supervisor:
-    """Checks clauses of one job; a context manager, after which nothing is left of it.
+    """Checks the clauses of one job; a context manager that ends its worker.
 
     Attributes:
-        said: the last lines that were printed during the last check.
+        said: the last lines printed during the last check.
     """
 
     def __init__(self, job: Job) -> None:
@@ -81,7 +82,7 @@ class Supervisor:
 
     @property
     def loaded(self) -> Loaded:
-        """What the job is about.
+        """The description of the job.
 
         Raises:
             WrongJobError: the adaptation or the rig cannot be used.
@@ -95,10 +96,12 @@ class Supervisor:
             except ChildEndedError as ended:
                 self._note(child)
                 said = "".join(f"\n  {line}" for line in self.said)
-                raise CannotTestError(f"loading it: {ended}{said}") from None
+                raise CannotTestError(f"loading the adaptation: {ended}{said}") from None
             if answer is None:
                 place = _where(child, "")
-                raise CannotTestError(f"loading it has not ended after {START_S:g} s, at {place}")
+                raise CannotTestError(
+                    f"loading the adaptation: not finished after {START_S:g} s, at {place}"
+                )
             ready = _right(answer)["ready"]
             clauses = tuple(Promise(**one) for one in ready["clauses"])
             self._loaded = Loaded(**{**ready, "motors": tuple(ready["motors"]), "clauses": clauses})
@@ -108,15 +111,15 @@ class Supervisor:
     def check(
         self, clause: str, *, record: Path | None = None, deadline_s: float | None = None
     ) -> Verdict:
-        """The verdict of a clause, in any case.
+        """Check a clause and return its verdict, whatever the adaptation does.
 
         Args:
             clause: its id.
-            record: an MCAP file for everything that happens.
-            deadline_s: instead of the rig's [s].
+            record: an MCAP file for all events.
+            deadline_s: replaces the rig's deadline [s].
 
         Raises:
-            WrongJobError, CannotTestError: as of `loaded`.
+            WrongJobError, CannotTestError: as `loaded`.
         """
         try:
             loaded = self.loaded
@@ -134,9 +137,9 @@ class Supervisor:
             if answer is not None:
                 return unpacked(_right(answer)["verdict"])
             answer = _interrupt(child)
-            result, seen = Result.HUNG, f"it has not ended after {limit_s:g} s of the wall's time"
+            result, seen = Result.HUNG, f"not finished after {limit_s:g} s of wall time"
             if answer is None:
-                seen += ", nor when it was interrupted"
+                seen += ", nor when interrupted"
         except ChildEndedError as ended:
             result, seen, answer = Result.CRASHED, f"{ended}", None
         finally:
@@ -146,10 +149,11 @@ class Supervisor:
         return Verdict(clause, result, seen, _place(child.told, loaded.home), time_ns)
 
     def claims(self) -> dict[str, str]:
-        """By capability's key, why the motors do not claim it; "" of what they claim.
+        """Return the reason why each capability is not claimed, by key; "" if it is claimed.
 
         Raises:
-            WrongJobError, CannotTestError: as of `loaded`; or asking ends the process.
+            WrongJobError, CannotTestError: as `loaded`; also if reading the claims ends the
+                process.
         """
         loaded = self.loaded
         child = self._start()
@@ -158,20 +162,18 @@ class Supervisor:
         try:
             answer = child.answer(loaded.deadline_s)
         except ChildEndedError as ended:
-            raise CannotTestError(f"asking what it claims: {ended}") from None
+            raise CannotTestError(f"reading the claims: {ended}") from None
         if answer is None:
             place = _where(child, loaded.home)
             limit_s = f"{loaded.deadline_s:g} s"
-            raise CannotTestError(
-                f"asking what it claims has not ended after {limit_s}, at {place}"
-            )
+            raise CannotTestError(f"reading the claims: not finished after {limit_s}, at {place}")
         if "wrong" in answer:
-            raise CannotTestError(f"asking what it claims: {answer['wrong']}")
+            raise CannotTestError(f"reading the claims: {answer['wrong']}")
         claims: dict[str, str] = answer["claims"]
         return claims
 
     def _start(self) -> Child:
-        """The worker, at work on the job."""
+        """Return the worker; start it if needed."""
         if self._child is None:
             self._child = Child()
             self._child.ask({"job": self._job.packed(), "path": sys.path})
@@ -189,9 +191,9 @@ class Supervisor:
 
 
 def _interrupt(child: Child) -> dict[str, Any] | None:
-    """What it answers when it was told to end; None if it does not end even so."""
+    """Interrupt the check; return its answer, or None if it does not end."""
     child.signal(TELL_WHERE)
-    answer = child.answer(_TELLING_S)  # two signals at once could interrupt a wait as one
+    answer = child.answer(_TELLING_S)  # two signals at once could interrupt a wait only once
     if answer is None:
         child.signal(TIME_IS_UP)
         answer = child.answer(_GRACE_S)
@@ -199,7 +201,7 @@ def _interrupt(child: Child) -> dict[str, Any] | None:
 
 
 def _where(child: Child, home: str) -> str:
-    """Where it hangs; it was told to end."""
+    """Interrupt the worker and return the place where it hangs."""
     with suppress(ChildEndedError):
         _interrupt(child)
     return _place(child.stacks(), home)
@@ -212,9 +214,9 @@ def _right(answer: dict[str, Any]) -> dict[str, Any]:
 
 
 def _place(stacks: str, home: str) -> str:
-    """Where it hangs, or died, by what faulthandler wrote of all threads; the last is the main one.
+    """Return the place where a worker hangs or died, from faulthandler's dump of all threads.
 
-    In virtual time one thread runs, and it may be another than that.
+    The last thread in the dump is the main thread. In virtual time another thread may be running.
     """
     threads = [
         [(file, int(number)) for file, number in reversed(_FRAME.findall(text))]

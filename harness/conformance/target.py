@@ -1,4 +1,4 @@
-"""What is tested, and on what: an adaptation and a rig, found by what a command line says."""
+"""Targets of a job: the loaded adaptation and the rig that was read."""
 
 import inspect
 import os
@@ -22,16 +22,16 @@ OWN_RIGS: Final = Path(__file__).parent / "rigs"
 
 @final
 class Target:
-    """A job whose adaptation has been loaded and whose rig has been read.
+    """The loaded adaptation and the rig of a job.
 
     Attributes:
         rig: the description, with the motors under test.
-        seed: of all chance.
-        deadline_s: for one clause, of the wall's time [s].
-        home: where the adaptation's code is (`code_places.home_of`).
+        seed: the seed of all random numbers.
+        deadline_s: for one clause, in wall time [s].
+        home: the folder of the adaptation's code (`code_places.home_of`).
 
     Raises:
-        RigError: one of them cannot be used.
+        RigError: the adaptation or the rig cannot be used.
     """
 
     def __init__(self, job: Job) -> None:
@@ -46,7 +46,7 @@ class Target:
         self.home: Final = home_of(getattr(build or _loaded(self.adaptation), "__module__", ""))
 
     def opener(self, record: Path | None = None) -> Opener:
-        """What switches on a bench for it; everything is recorded to `record`."""
+        """Return an opener for benches of this rig, which record everything to `record`."""
         if self._places is None:
             return lambda: RigBench(self.rig, self.seed, record=record)
         from harness.conformance.wall_bench import WallBench
@@ -56,7 +56,7 @@ class Target:
 
 
 def _described(path: Path) -> RigDescription:
-    """The rig in a file; to look whether that is a recording takes a tenth of a second."""
+    """Return the rig in a file; detecting a recording takes 0.1 s, so skip it for TOML files."""
     if path.suffix == ".toml":
         return read_rig(path, installed_plugins())
     return describe(path)
@@ -69,26 +69,28 @@ def _places(job: Job, rig: RigDescription) -> dict[str, str]:
 
 
 def _deadline_s(facts: Facts, is_live: bool) -> float:
-    """The rig's; on a live bench, if it declares none, time for the motions themselves, too."""
+    """Return the declared deadline; a live bench's default allows for the motions themselves."""
     is_declared = facts.deadline_s != NOTHING_DECLARED.deadline_s
     return facts.deadline_s if is_declared or not is_live else _LIVE_DEADLINE_S
 
 
 def _loaded(adaptation: str) -> object:
-    """The function that builds its motors."""
+    """Return the function that builds the adaptation's motors."""
     where = f"adaptation {adaptation}"
     known = list(installed(ADAPTATIONS))
     if not is_target(adaptation) and adaptation not in known:
         message = f"is not installed (known: {listed(known)})"
         remedy = nearest(adaptation, known)
         if not remedy.startswith("did"):
-            remedy = "name one of these, or where it is: package.module:function"
+            remedy = "name one of these, or a function as package.module:function"
         raise RigError(where, message, remedy)
     try:
         loaded = named(ADAPTATIONS, adaptation).load()
     except (Exception, SystemExit) as error:
         raise BrokenPluginError(
-            where, f"cannot be loaded: {type(error).__name__}: {error}", "mend it, or its name"
+            where,
+            f"cannot be loaded: {type(error).__name__}: {error}",
+            "correct the adaptation or its name",
         ) from error
     if not callable(loaded):
         raise BrokenPluginError(where, f"is {a_kind_of(loaded)}", "name a function")
@@ -96,13 +98,13 @@ def _loaded(adaptation: str) -> object:
 
 
 def _own_rig(adaptation: str, build: object) -> Path:
-    """The rig that comes with it."""
+    """Return the rig that comes with the adaptation."""
     own = OWN_RIGS / f"{adaptation}.toml"
     if own.exists():
         return own
     told = getattr(build, "conformance_rig", None)
     if not isinstance(told, str | os.PathLike):
-        raise RigError(f"adaptation {adaptation}", "brings no rig to test it on", "add --rig RIG")
+        raise RigError(f"adaptation {adaptation}", "has no rig of its own", "add --rig RIG")
     module = inspect.getmodule(build)
     folder = Path(getattr(module, "__file__", None) or ".").parent
     return folder / told

@@ -1,4 +1,4 @@
-"""What is found out about a clause; and what crosses between those who check and who supervise."""
+"""Verdicts on clauses, and the signals from supervisors to workers."""
 
 import signal
 from collections.abc import Mapping
@@ -7,21 +7,23 @@ from enum import Enum
 from typing import Any, Final, final
 
 TELL_WHERE: Final = signal.SIGUSR1
-"""Told to a worker: write down where every thread is."""
+"""Signal to a worker: dump the stacks of all threads."""
 TIME_IS_UP: Final = signal.SIGUSR2
-"""Told to a worker: end the check."""
+"""Signal to a worker: end the check."""
 
 
 @final
 class Result(Enum):
-    """How the check of a clause ended."""
+    """The result of a clause's check."""
 
     PASSED = "passed"
     FAILED = "failed"  # the promise was not kept
     NOT_APPLICABLE = "not applicable"
-    CRASHED = "crashed"  # something was raised that is no error of the motor interface
+    CRASHED = "crashed"  # an error was raised that is not part of the motor interface
     HUNG = "hung"  # it did not end within its deadline
-    LEFT_BEHIND = "left behind"  # it passed, and left threads or an open bus
+    LEFT_BEHIND = (
+        "left behind"  # the check passed, but left resources behind, such as threads or an open bus
+    )
 
     @property
     def is_good(self) -> bool:
@@ -32,14 +34,14 @@ class Result(Enum):
 @final
 @dataclass(frozen=True, slots=True)
 class Verdict:
-    """What came of one clause.
+    """The verdict on one clause.
 
     Attributes:
         clause: its id.
-        result: how it ended.
-        seen: what was seen, or why it is not applicable; "" where it passed.
-        place: where something was raised, "file:line"; "" where nothing was.
-        time_ns: of the bench, when it was over [ns].
+        result: how the check ended.
+        seen: the observation, or why the clause is not applicable; "" if it passed.
+        place: where an error was raised, "file:line"; "" if none was.
+        time_ns: the bench's time at the end [ns].
     """
 
     clause: str
@@ -50,7 +52,7 @@ class Verdict:
 
 
 def packed(verdict: Verdict) -> dict[str, Any]:
-    """The verdict as JSON can hold it."""
+    """Return the verdict as JSON values."""
     return {
         "clause": verdict.clause,
         "result": verdict.result.value,
@@ -61,5 +63,5 @@ def packed(verdict: Verdict) -> dict[str, Any]:
 
 
 def unpacked(values: Mapping[str, Any]) -> Verdict:
-    """The verdict that `packed` gave."""
+    """Return the verdict from the values of `packed`."""
     return Verdict(**{**values, "result": Result(values["result"])})

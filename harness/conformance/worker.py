@@ -1,8 +1,8 @@
-"""The process in which clauses are checked, one after another, as its supervisor asks for them.
+"""The worker process, which checks clauses on request of its supervisor.
 
-It is told a job, then requests, each a line of JSON on one pipe, and answers each by a line on
-another. What the adaptation prints goes elsewhere. Of the two signals of the supervisor the first
-makes Python write down where every thread is; the second ends the check, if anything can.
+It receives a job, then requests, each as a line of JSON on one pipe. It answers each of them by a
+line on another pipe. Output of the adaptation goes elsewhere. The supervisor's first signal makes
+Python dump the stacks of all threads. The second signal ends the check, if possible.
 
     {"job": {...}}                          -> {"ready": {...}}, or {"wrong": "why"}
     {"check": "STOP-04", "record": null}    -> {"verdict": {...}}, or {"wrong": "why"}
@@ -25,12 +25,12 @@ from typing import Any, Final, NoReturn, TextIO, final
 from harness.conformance.verdict import TELL_WHERE, TIME_IS_UP, packed
 
 _MARGIN_S: Final = 30.0
-"""So much later than its supervisor should have, it ends by itself: there is none any more."""
+"""Time after the deadline at which a worker without a supervisor ends by itself."""
 
 
 @final
 class _Worker:
-    """Answers requests."""
+    """Answers the requests for one job."""
 
     def __init__(self, job: Mapping[str, Any]) -> None:
         from harness.conformance.claims import Claims
@@ -43,7 +43,7 @@ class _Worker:
         self._claims = Claims(self._target.opener())
 
     def ready(self) -> dict[str, object]:
-        """What the job is about."""
+        """Return the description of the job."""
         rig = self._target.rig
         return {
             "adaptation": self._target.adaptation,
@@ -60,7 +60,7 @@ class _Worker:
         }
 
     def check(self, clause: str, record: str | None) -> dict[str, object]:
-        """The verdict of a clause."""
+        """Check a clause and return its verdict."""
         from harness.conformance.code_places import raised_at
         from harness.conformance.run import run_clause
         from harness.conformance.verdict import Result, Verdict
@@ -68,16 +68,18 @@ class _Worker:
         opener = self._target.opener(Path(record) if record else None)
         try:
             verdict = run_clause(self._clauses[clause], opener, self._claims, self._target.home)
-        except KeyboardInterrupt as error:  # not a person's: this process hears no Ctrl-C
+        except (
+            KeyboardInterrupt
+        ) as error:  # from the code under test: this process does not receive Ctrl-C
             place = raised_at(error, self._target.home)
             verdict = Verdict(clause, Result.CRASHED, "KeyboardInterrupt", place)
         return packed(verdict)
 
     def claims(self) -> dict[str, str]:
-        """Why each capability is not claimed; "" of those that are.
+        """Return why each capability is not claimed; "" if it is claimed.
 
         Raises:
-            RigError: the adaptation does not let itself be asked.
+            RigError: the adaptation's claims cannot be read.
         """
         from harness.conformance.capability import Capability
         from harness.conformance.code_places import raised_at
@@ -89,19 +91,21 @@ class _Worker:
             raise
         except (Exception, SystemExit) as error:
             place = raised_at(error, self._target.home)
-            raise RigError(place, f"{type(error).__name__}: {error}", "mend it") from error
+            raise RigError(
+                place, f"{type(error).__name__}: {error}", "correct the adaptation"
+            ) from error
 
 
 def main(words: list[str]) -> None:
-    """Requests have been answered until there were no more.
+    """Answer requests until there are no more.
 
     Args:
-        words: the descriptors to read from and to write to, and of the file for stacks.
+        words: the descriptors for requests and answers, and of the file for stack dumps.
     """
     leave = os._exit
 
     def leave_and_tell(status: int) -> NoReturn:
-        """Python's own, but that who asked for it is written down."""
+        """Dump the stacks to show the caller, then exit as `os._exit`."""
         faulthandler.dump_traceback(told)
         leave(status)
 
@@ -117,7 +121,7 @@ def main(words: list[str]) -> None:
             _answer(requests, lambda reply: _write(writer, reply), told)
     sys.stdout.flush()
     sys.stderr.flush()
-    leave(0)  # whatever the adaptation has left running
+    leave(0)  # even if the adaptation has left threads running
 
 
 def _answer(requests: TextIO, reply: Callable[[object], None], told: TextIO) -> None:
@@ -130,9 +134,9 @@ def _answer(requests: TextIO, reply: Callable[[object], None], told: TextIO) -> 
         try:
             if worker is None:
                 sys.path[:] = request["path"]
-                gc.disable()  # while modules are loaded, which make no garbage
+                gc.disable()  # loading modules makes no garbage
                 worker = _Worker(request["job"])
-                gc.freeze()  # nor need each clause's collection look through them (`leaks`)
+                gc.freeze()  # the collections after each clause need not scan the modules (`leaks`)
                 gc.enable()
                 answer = {"ready": worker.ready()}
             elif "claims" in request:
@@ -156,4 +160,4 @@ def _write(descriptor: int, reply: object) -> None:
 def _time_is_up(number: int, frame: FrameType | None) -> None:
     from harness.conformance.rig_bench import TimeIsUp
 
-    raise TimeIsUp("its time is up")
+    raise TimeIsUp("the deadline has passed")

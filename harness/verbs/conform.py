@@ -1,8 +1,8 @@
-"""`motorhil conform --adaptation NAME --rig RIG`: whether an adaptation keeps its promises.
+"""The verb `conform`: checks an adaptation against the motor interface.
 
-Each clause of the kit is checked on a bench of its own, in a process of its own: nothing that the
-adaptation does ends the run. A clause that fails is checked once more with the same seed, and that
-run is recorded.
+Each clause of the kit is checked on a bench of its own, in another process, so that an adaptation
+cannot end the run. A clause that fails is checked again with the same seed, and that run is
+recorded.
 """
 
 import argparse
@@ -26,23 +26,25 @@ if TYPE_CHECKING:
     from harness.conformance.supervision import Supervisor
 
 _MORE: Final = """\
-Without --rig the adaptation is checked on the rig that comes with it. Exit status: 0 it keeps what
-it claims, 1 it does not, 2 wrong usage, 3 nothing was applicable.
+Without --rig the adaptation is checked on the rig that comes with it. Exit status: 0 all claims
+are kept, 1 one is not, 2 wrong usage, 3 no clause was applicable.
 """
 _RECORDS: Final = Path("out", "conform")
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """What `conform` can be told."""
+    """Add the arguments of `conform`."""
     parser.epilog = _MORE
     parser.add_argument(
         "--adaptation",
         metavar="NAME",
-        help="as in `motorhil list adaptations`, or where it is: package.module:function",
+        help="from `motorhil list adaptations`, or package.module:function",
     )
-    parser.add_argument("--rig", metavar="RIG", help="a rig file with its motors, to test it on")
+    parser.add_argument("--rig", metavar="RIG", help="a rig file with motors of this adaptation")
     parser.add_argument("--level", type=level_of, metavar="L3", help="all clauses up to this level")
-    parser.add_argument("--clause", action="append", metavar="ID", help="this one; repeatable")
+    parser.add_argument(
+        "--clause", action="append", metavar="ID", help="only this clause; repeatable"
+    )
     parser.add_argument(
         "--on",
         action="append",
@@ -57,29 +59,29 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         type=Path,
         default=_RECORDS,
         metavar="DIR",
-        help=f"where the records (MCAP) of failed clauses go (default {_RECORDS})",
+        help=f"folder for the records of failed clauses (default {_RECORDS})",
     )
-    parser.add_argument("--json", type=Path, metavar="FILE", help="write what was found as JSON")
-    parser.add_argument("--junit", type=Path, metavar="FILE", help="and as JUnit's XML")
-    parser.add_argument("--html", type=Path, metavar="FILE", help="and as a page to look at")
-    parser.add_argument("--list", action="store_true", help="say what is promised, and check none")
+    parser.add_argument("--json", type=Path, metavar="FILE", help="write the results as JSON")
+    parser.add_argument("--junit", type=Path, metavar="FILE", help="write the results as JUnit XML")
+    parser.add_argument("--html", type=Path, metavar="FILE", help="write the results as HTML")
+    parser.add_argument("--list", action="store_true", help="print the clauses, and check none")
 
 
 def level_of(text: str) -> int:
-    """For argparse's `type`: a level of the kit."""
+    """Parse a level of the kit, for argparse."""
     from harness.conformance.clause import Level
 
     found = {one.name: one for one in Level}.get(f"L{text.upper().removeprefix('L')}")
     if found is None:
-        raise argparse.ArgumentTypeError(f"{text!r} is no level; say L0 to {max(Level).name}")
+        raise argparse.ArgumentTypeError(f"invalid level {text!r}; use L0 to {max(Level).name}")
     return found
 
 
 def run(options: argparse.Namespace) -> int:
-    """Exit status: 0 all that it claims is kept, 1 something is not, 3 nothing was applicable.
+    """Check the clauses; return 0 if all claims are kept, 1 if not, 3 if none is applicable.
 
     Raises:
-        RigError: something cannot be used, or written.
+        RigError: a file or an option cannot be used, or a result cannot be written.
     """
     from harness.conformance.job import Job
     from harness.conformance.supervision import CannotTestError, Supervisor, WrongJobError
@@ -89,7 +91,7 @@ def run(options: argparse.Namespace) -> int:
         return _list(options)
     if options.adaptation is None and options.rig is None:
         print(
-            "motorhil conform: which adaptation? Say --adaptation NAME, --rig RIG, or both",
+            "motorhil conform: no adaptation named; use --adaptation NAME, --rig RIG, or both",
             file=sys.stderr,
         )
         return WRONG_USAGE
@@ -97,7 +99,7 @@ def run(options: argparse.Namespace) -> int:
     for file in files:
         _require_writable(file)
     if os.getcwd() not in sys.path:
-        sys.path.insert(0, os.getcwd())  # where what is not installed yet is looked for
+        sys.path.insert(0, os.getcwd())  # finds modules that are not installed yet
     job = Job(options.adaptation or "", options.rig or "", options.seed, tuple(options.on or ()))
     try:
         with ends_by_signal(), Supervisor(job) as supervisor:
@@ -111,26 +113,26 @@ def run(options: argparse.Namespace) -> int:
     _write(options, outcome)
     _tell(outcome)
     if outcome.is_empty:
-        print("motorhil conform: nothing was applicable, so nothing was shown", file=sys.stderr)
+        print("motorhil conform: no clause was applicable, so nothing was tested", file=sys.stderr)
         return NOT_JUDGED
     return PASSED if outcome.passed else FAILED
 
 
 def _require_writable(file: Path) -> None:
-    """Raises RigError if a file cannot be written there; before anything is checked."""
+    """Raise RigError if a file cannot be written, before any clause is checked."""
     if file.is_dir():
         raise RigError(file, "is a folder", "name a file in it")
     if not file.parent.is_dir():
-        raise RigError(file, f"there is no folder {file.parent}", "make it, or name another")
+        raise RigError(file, f"folder {file.parent} does not exist", "create it, or name another")
     if not os.access(file if file.exists() else file.parent, os.W_OK):
         raise RigError(file, "cannot be written", "name another file")
 
 
 def _chosen(options: argparse.Namespace, known: "Sequence[Promise]") -> "list[Promise]":
-    """The clauses that are asked for, in the order of the kit.
+    """Return the selected clauses in the order of the kit.
 
     Raises:
-        RigError: there is no such clause, or it is above the level.
+        RigError: an option names a clause that does not exist, or one above the level.
     """
     by_id = {one.id: one for one in known}
     for name in options.clause or ():
@@ -163,7 +165,7 @@ def _list(options: argparse.Namespace) -> int:
 
 
 def _outcome(options: argparse.Namespace, supervisor: "Supervisor") -> "Outcome":
-    """Everything has been checked, and told as it came."""
+    """Check the clauses, print each result as it comes, and return the outcome."""
     from harness.conformance.examination import Examiner
     from harness.conformance.result_files import Outcome
     from harness.conformance.supervision import CannotTestError
@@ -199,17 +201,17 @@ def _command(options: argparse.Namespace) -> list[str]:
 
 
 def _running_s() -> float:
-    """For how long this process has been there [s]."""
+    """Return the age of this process [s]."""
     fields = Path("/proc/self/stat").read_text().rpartition(")")[2].split()
     born_s = int(fields[19]) / os.sysconf("SC_CLK_TCK")
     return time.clock_gettime(time.CLOCK_BOOTTIME) - born_s
 
 
-# --- telling -----------------------------------------------------------------------------------
+# --- output ------------------------------------------------------------------------------------
 
 
 def _progress(text: str) -> None:
-    """On a terminal, what is being checked."""
+    """Show the current clause on a terminal."""
     if sys.stderr.isatty():
         print(f"\r\033[K{text}", end="", file=sys.stderr, flush=True)
 
@@ -244,14 +246,14 @@ def _tell(outcome: "Outcome") -> None:
         if one.verdict.result is Result.NOT_APPLICABLE:
             reasons.setdefault(one.verdict.seen, []).append(one.promise.id)
     for reason, names in reasons.items():
-        print(f"not applicable, for {one_line(reason)}: {', '.join(names)}")
+        print(f"not applicable: {', '.join(names)}: {one_line(reason)}")
 
 
 def _write(options: argparse.Namespace, outcome: "Outcome") -> None:
-    """The files that were asked for are there.
+    """Write the requested result files.
 
     Raises:
-        RigError: one cannot be written.
+        RigError: a file cannot be written.
     """
     from harness.conformance.result_files import as_json, as_junit, as_page
 

@@ -126,22 +126,22 @@ def test_what_a_rig_claims_and_the_motor_refuses_is_told_with_the_line_of_the_cl
     clause = Clause("X-01", Level.L0, "It is so.", "nowhere", (claimed,), (), check)
     verdict = run_clause(clause, lambda: RigBench(described, 1))
     assert verdict.result is Result.FAILED
-    assert "the rig claims set-points of current, which the motor refuses" in verdict.seen
+    assert "current set-points: claimed by the rig, refused by the motor" in verdict.seen
     assert verdict.place == f"{rig}:{before.count(chr(10)) + 4}"
 
 
 @pytest.mark.parametrize(
     ("words", "told"),
     [
-        ((), "which adaptation? Say --adaptation NAME, --rig RIG, or both"),
-        (("--rig", "no_motor.toml"), "no_motor.toml: has no motor to test; add a [motor.NAME]"),
+        ((), "no adaptation named; use --adaptation NAME, --rig RIG, or both"),
+        (("--rig", "no_motor.toml"), "no_motor.toml: has no motors to test; add a [motor.NAME]"),
         (("--adaptation", "ideal", "--clause", "STAT-01"), "no such clause; did you mean STATE-01"),
         (
             ("--list", "--level", "L0", "--clause", "STOP-01"),
             "STOP-01: is of level L2, above --lev",
         ),
-        (("--list", "--level", "L7"), "'L7' is no level; say L0 to L5"),
-        (("--adaptation", "ideal", "--json", "no/x"), "no/x: there is no folder no; make it"),
+        (("--list", "--level", "L7"), "invalid level 'L7'; use L0 to L5"),
+        (("--adaptation", "ideal", "--json", "no/x"), "no/x: folder no does not exist; create it"),
         (("--adaptation", "ideal", "--html", "."), ".: is a folder; name a file in it"),
     ],
 )
@@ -161,7 +161,7 @@ def test_wrong_usage_is_told_in_a_line(words, told, tmp_path, monkeypatch, capfd
         (Job("cia40"), "adaptation cia40: is not installed (known: cia402"),
         (Job("no.such:build", "x.toml"), "cannot be loaded: ModuleNotFoundError: No module name"),
         (Job("os:no_such", "x.toml"), "AttributeError: module 'os' has no attribute 'no_such'"),
-        (Job("os:getpid"), "adaptation os:getpid: brings no rig to test it on; add --rig RIG"),
+        (Job("os:getpid"), "adaptation os:getpid: has no rig of its own; add --rig RIG"),
         (Job("ideal", "none.toml"), "none.toml: no such file"),
     ],
 )
@@ -181,7 +181,7 @@ def test_what_an_adaptation_refuses_of_its_settings_is_the_rigs_mistake_and_no_v
 @pytest.mark.parametrize(
     ("old", "new", "told"),
     [
-        ('motors = ["left", "right"]\nw', 'motors = ["left", "left"]\nw', 'left" is there already'),
+        ('motors = ["left", "right"]\nw', 'motors = ["left", "left"]\nw', 'left" is listed twice'),
         ("[conformance.without]", 'claims = ["dead_man"]\n[conformance.without]', "is claimed at "),
     ],
 )
@@ -218,7 +218,7 @@ def test_a_folder_that_cannot_be_made_for_records_is_told(tmp_path, capfd):
     rig.write_text((RIGS / "cia402.toml").read_text().replace("66.0", "33.0", 1))
     words = ("--rig", str(rig), "--clause", "UNIT-01", "-o", str(rig / "x"))
     assert main(["conform", *words]) == 2
-    assert "rig.toml/x: cannot be made: Not a directory" in capfd.readouterr().err
+    assert "rig.toml/x: cannot be created: Not a directory" in capfd.readouterr().err
 
 
 def test_nothing_applicable_is_no_pass(tmp_path, capfd):
@@ -227,8 +227,8 @@ def test_nothing_applicable_is_no_pass(tmp_path, capfd):
     rig.write_text(text.partition("[conformance.without]")[0] + WITHOUT)
     assert main(["conform", "--rig", str(rig), "--clause", "UNIT-01"]) == 3
     out, err = capfd.readouterr()
-    assert "nothing was applicable" in err
-    assert "not applicable, for the rig does not claim it: it has none: UNIT-01" in out
+    assert "no clause was applicable" in err
+    assert "not applicable: UNIT-01: not claimed by the rig: it has none" in out
 
 
 @pytest.mark.wall

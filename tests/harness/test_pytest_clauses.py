@@ -61,7 +61,7 @@ def test_several_workers_find_what_one_process_finds(project):
     words = ["--adaptation", "cia402", "--rig", "wheels/rig.toml"]
     file = project.makepyfile(test_own=TESTS).name
     result = project.runpytest_inprocess(*words, *LEVEL, file, "-v", "-n", "2", "-rs")
-    result.stdout.fnmatch_lines(["SKIPPED * wheels/rig.toml:1: its model has no torque_max"])
+    result.stdout.fnmatch_lines(["SKIPPED * wheels/rig.toml:1: the motor's model has no torque_max"])
     told = re.findall(r"^\[gw\d\].* (\w+) (\S+?)::(\S+) *$", result.stdout.str(), re.MULTILINE)
     clauses = {clause: outcome for outcome, place, clause in told if place == "wheels/rig.toml"}
     assert sorted(outcome for outcome, place, _ in told if place == file) == ["FAILED"] * 3
@@ -90,7 +90,7 @@ def test_a_clause_that_fails_says_what_was_promised_and_seen_and_what_repeats_it
     result.stdout.fnmatch_lines(
         [
             "failed: left was told to move * rad, it moved * rad, *",
-            "promise: A move of so many units is *",
+            "promise: Each motor moves, and reports, *",
             "source: paper 3.2, *",
             "record: out/UNIT-01.mcap",
             "again: motorhil conform * --clause UNIT-01 --seed 5",
@@ -119,7 +119,7 @@ def test_where_nothing_is_applicable_nothing_was_shown(project):
     [
         (["--adaptation=cia40", "--rig=wheels/rig.toml"], "*cia40: is not installed *did you mean"),
         (["--adaptation=cia402"], "*--adaptation cia402: on which rig? Say --rig=FILE; *"),
-        ([*ONE, "--level=L9"], "*'L9' is no level; say L0 to L5"),
+        ([*ONE, "--level=L9"], "*invalid level 'L9'; use L0 to L5"),
     ],
 )
 def test_wrong_usage_is_told_in_a_line(project, words, told):

@@ -53,8 +53,8 @@ def test_drives_of_another_process_are_checked_and_what_fails_leaves_its_record(
     [
         ("can0=/nowhere/hub", "--on can0=/nowhere/hub: "),
         ("can0=nosuch:1", "python-can has no interface 'nosuch'"),
-        ("can1=vcan0", "names no bus of the motors under test that is still free (can0)"),
-        ("=vcan0", "names no bus of the motors under test"),
+        ("can1=vcan0", "is not a free bus of the motors under test (can0)"),
+        ("=vcan0", "is not a free bus of the motors under test"),
     ],
 )
 def test_a_bus_that_cannot_be_reached_is_one_line(on, told):
@@ -70,5 +70,5 @@ def test_every_bus_of_the_motors_has_to_be_said(tmp_path):
     rig.write_text(
         text.replace('[controller.right]\nkind = "cia402"\nbus = "can0"', f'{second}bus = "can1"')
     )
-    with pytest.raises(RigError, match="nobody says where can1 is; add --on can1=WHERE"):
+    with pytest.raises(RigError, match="no place is given for bus can1; add --on can1=WHERE"):
         Target(Job("cia402", str(rig), on=("can0=vcan0",)))

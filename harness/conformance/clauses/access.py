@@ -1,4 +1,4 @@
-"""L2: where zero is; the hardware itself; the end."""
+"""L2: homing and low-level access."""
 
 from harness.conformance.bench import RigProtocol
 from harness.conformance.capability import Ability, Capability
@@ -16,7 +16,7 @@ from harness.conformance.motions import (
 from motorapi import MotorBusyError, StateError, UnsupportedError
 
 _HERE = 37
-_NO_METHOD = 77  # CiA 402-2 leaves it out
+_NO_METHOD = 77  # reserved in CiA 402-2
 
 
 @clause(
@@ -26,17 +26,17 @@ _NO_METHOD = 77  # CiA 402-2 leaves it out
     source="Motor.home: knows where its position 0 is, 37: here; CiA 402-2, 6098h",
 )
 def here_is_zero(bench: RigProtocol) -> None:
-    """Homing on the spot moves nothing: here is 0 from then on, and it is referenced."""
+    """Homing on the spot moves nothing; the position becomes 0 and the motor is referenced."""
     motor, way = bench.motor, 0.3 * long_move(bench)
     move(bench, motor, way)
     before = place(bench, motor)
     motor.home(_HERE)
-    expect(motor.is_referenced(), "homed on the spot, it says that it is not referenced")
+    expect(motor.is_referenced(), "homed on the spot: not referenced")
     expect_at(bench, motor, 0.0, "homed on the spot")
     if Ability.TRUTH in bench.abilities and motor.position() != place(bench, motor):
-        expect_unmoved(bench, motor, before, "when it was homed on the spot")
+        expect_unmoved(bench, motor, before, "homed on the spot")
     move(bench, motor, -way)
-    expect_at(bench, motor, -way, "moved after it was homed on the spot")
+    expect_at(bench, motor, -way, "moved after homing on the spot")
 
 
 @clause(
@@ -46,7 +46,7 @@ def here_is_zero(bench: RigProtocol) -> None:
     source="Motor.home: UnsupportedError, the motor does not know the method",
 )
 def a_homing_it_does_not_know_is_refused(bench: RigProtocol) -> None:
-    """A homing method that it does not know is refused as such; nothing has moved, or is lost."""
+    """Unknown homing methods are refused with UnsupportedError; the motor does not move."""
     motor, way = bench.motor, 0.2 * long_move(bench)
     move(bench, motor, way)
     before = place(bench, motor)
@@ -55,9 +55,9 @@ def a_homing_it_does_not_know_is_refused(bench: RigProtocol) -> None:
     except UnsupportedError:
         pass
     else:
-        raise Violated(f"homing method {_NO_METHOD} was accepted, which CiA 402 does not have")
+        raise Violated(f"homing method {_NO_METHOD} was accepted; CiA 402 reserves it")
     rest_for(bench, 0.3)
-    expect_unmoved(bench, motor, before, f"homing method {_NO_METHOD} was refused, and")
+    expect_unmoved(bench, motor, before, f"homing method {_NO_METHOD} was refused")
     move(bench, motor, way)
     expect_at(bench, motor, 2.0 * way, "moved after a homing was refused")
 
@@ -66,16 +66,16 @@ def a_homing_it_does_not_know_is_refused(bench: RigProtocol) -> None:
     "LOW-01",
     Level.L2,
     needs={Capability.LOW_LEVEL, Capability.POSITION_TRAJECTORY},
-    source="requirement 2: no other part of the interface will have any effect meanwhile",
+    source="requirement 2: no other part of the interface will have any effect",
 )
 def low_level_access_is_alone_and_ends(bench: RigProtocol) -> None:
-    """Who has low-level access has it alone; when it ends the motor is as good as before."""
+    """Low-level access is exclusive; when it ends, the motor works as before."""
     motor, way = bench.motor, 0.2 * long_move(bench)
     move(bench, motor, way)
     for _ in range(2):
-        motor.disable()  # a servo on the host would have to send meanwhile
+        motor.disable()  # a servo loop on the host would have to send meanwhile
         with motor.low_level() as hardware:
-            expect(hardware is not None, "low-level access gives nothing")
+            expect(hardware is not None, "low-level access: the hardware object is None")
             for what, operation in (
                 ("start()", motor.start),
                 ("stop()", motor.stop),
@@ -85,9 +85,9 @@ def low_level_access_is_alone_and_ends(bench: RigProtocol) -> None:
                     operation()
                 except MotorBusyError:
                     continue
-                raise Violated(f"{what} had an effect during low-level access")
+                raise Violated(f"{what} was accepted during low-level access")
             rest_for(bench, 0.3)
-    expect_at(bench, motor, way, "after low-level access that did nothing")
+    expect_at(bench, motor, way, "after unused low-level access")
     move(bench, motor, way)
     expect_at(bench, motor, 2.0 * way, "moved after low-level access")
 
@@ -97,10 +97,10 @@ def low_level_access_is_alone_and_ends(bench: RigProtocol) -> None:
     Level.L2,
     needs={Capability.LOW_LEVEL, Capability.VELOCITY_SET_POINT},
     bench={Ability.TRUTH},
-    source="requirement 2; Motor.low_level: StateError, a motion of this one goes on",
+    source="requirement 2; Motor.low_level: StateError, a motion of this motor is active",
 )
 def low_level_access_begins_at_rest(bench: RigProtocol) -> None:
-    """Low-level access is refused while the motor moves, which goes on undisturbed."""
+    """Low-level access is refused while the motor moves; the motion continues undisturbed."""
     motor = bench.motor
     asked = 0.3 * motor.model.velocity_max
     turn(motor, asked)
@@ -112,13 +112,13 @@ def low_level_access_begins_at_rest(bench: RigProtocol) -> None:
     except (MotorBusyError, StateError):
         pass
     else:
-        raise Violated("low-level access was given to a motor that moves")
+        raise Violated("low-level access was granted while the motor moves")
     before, begun_ns = place(bench, motor), bench.runtime.now_ns()
     rest_for(bench, 0.3)
     found = (place(bench, motor) - before) / ((bench.runtime.now_ns() - begun_ns) / 1e9)
     expect(
         abs(found - asked) <= 0.05 * asked,
-        f"refused low-level access, it goes at {found:g} and not at {asked:g} {motor.model.unit}/s",
+        f"low-level access refused: velocity {found:g}; expected {asked:g} {motor.model.unit}/s",
     )
     motor.stop()
     finish(bench, motor)

@@ -1,7 +1,8 @@
-"""L5: frames are destroyed on a CAN bus, until a node of it works no more as it did.
+"""L5: destroyed frames on a CAN bus, up to bus-off.
 
-What one bit error destroys CAN repeats by itself (ISO 11898-1). Nodes count: 16 failures to send in
-a row make one error passive, 32 put it off the bus, for 128 times 11 recessive bits at least.
+A CAN controller repeats a frame that a bit error has destroyed (ISO 11898-1). Error counters grow:
+16 failed transmissions in a row make a node error passive, and 32 put it in bus-off, for at least
+128 times 11 recessive bits.
 """
 
 from harness.conformance.bench import RigProtocol
@@ -17,13 +18,13 @@ from harness.conformance.modes import (
 from harness.conformance.motions import aim, finish, long_move, move, place, reached, rest_for
 from motorapi import LinkError, Motor, MotorState
 
-_TO_PASSIVE = 24  # failures: and passive it stays for a while
+_TO_PASSIVE = 24  # failures; the node then stays error passive for a while
 _TO_BUS_OFF = 32
 _AT_ONCE_S = 0.05
 _BACK_S = 0.2
 _BIT_ERROR_RATE = 1e-4
 _MOVES = 6
-_FRAMES = 14  # of a start, and a few after it
+_FRAMES = 14  # a start, and a few frames after it
 _ERRORS = {Ability.BUS_ERRORS, Ability.AFRESH}
 
 
@@ -34,7 +35,7 @@ _ERRORS = {Ability.BUS_ERRORS, Ability.AFRESH}
     source="errors, LinkError: the bus is off; motorapi.bus_status; ISO 11898-1, fault confinement",
 )
 def a_host_off_the_bus_is_told_at_once_and_goes_on_afterwards(bench: RigProtocol) -> None:
-    """In every mode, who waits is told when the host goes off the bus, and can go on afterwards."""
+    """In every mode, bus-off of the host ends the wait at once; the motor is usable afterwards."""
     for mode in modes_of(bench):
         motor = bench.motor
         with bench.strike(None, _TO_BUS_OFF) as struck:
@@ -42,12 +43,12 @@ def a_host_off_the_bus_is_told_at_once_and_goes_on_afterwards(bench: RigProtocol
                 error = ending(bench, motor, mode, _AT_ONCE_S)
                 expect(
                     isinstance(error, LinkError),
-                    f"{mode.words}: the host's CAN controller went off the bus, and who waited was"
-                    f" told {error!r} within {_AT_ONCE_S:g} s",
+                    f"{mode.words}: host in bus-off; expected LinkError from"
+                    f" the wait within {_AT_ONCE_S:g} s, got {error!r}",
                 )
-            rest_for(bench, until_rest_s(bench, motor))  # one whose servo is on the host coasts
-            reached(struck() == _TO_BUS_OFF, "a host off the bus")
-        expect_usable(bench, motor, f"{mode.words}, and the host was off the bus")
+            rest_for(bench, until_rest_s(bench, motor))  # a servo on the host coasts
+            reached(struck() == _TO_BUS_OFF, "bus-off of the host")
+        expect_usable(bench, motor, f"{mode.words}, after bus-off of the host")
 
 
 @clause(
@@ -55,10 +56,10 @@ def a_host_off_the_bus_is_told_at_once_and_goes_on_afterwards(bench: RigProtocol
     Level.L5,
     needs={Capability.POSITION_SET_POINT},
     bench={*_ERRORS, Ability.TRUTH},
-    source="README, 'at most once'; ISO 11898-1: what is destroyed is repeated",
+    source="README, 'at most once'; ISO 11898-1: destroyed frames are repeated",
 )
 def a_noisy_bus_loses_no_move_and_doubles_none(bench: RigProtocol) -> None:
-    """On a bus where one bit in ten thousand is wrong each move is made, once, and told so."""
+    """On a bus with one wrong bit in ten thousand, every move is made once and reported done."""
     motor = bench.motor
     motor.enable()
     with bench.noise(_BIT_ERROR_RATE) as struck:
@@ -67,7 +68,7 @@ def a_noisy_bus_loses_no_move_and_doubles_none(bench: RigProtocol) -> None:
             aim(motor, way, relative=True)
             finish(bench, motor)
             _expect_moved(bench, motor, before, way, f"move {number + 1} on a noisy bus")
-        reached(struck() > 0, "a bit error")
+        reached(struck() > 0, "a bit error on the bus")
 
 
 @clause(
@@ -78,7 +79,7 @@ def a_noisy_bus_loses_no_move_and_doubles_none(bench: RigProtocol) -> None:
     source="ISO 11898-1: an error passive node takes part; CiA 301, EMCY 8120h",
 )
 def an_error_passive_node_is_none_that_has_failed(bench: RigProtocol) -> None:
-    """Whether its drive is error passive or the host, it is enabled, without fault, and moves."""
+    """With an error passive drive or host, the motor stays enabled, without fault, and moves."""
     for whose in ("drive", "host"):
         bench.afresh()
         motor = bench.motor
@@ -87,9 +88,9 @@ def an_error_passive_node_is_none_that_has_failed(bench: RigProtocol) -> None:
             rest_for(bench, _BACK_S)
             reached(struck() == _TO_PASSIVE, f"an error passive {whose}")
             state, fault = motor.state(), motor.fault()
-            what = f"its {whose} is error passive"
-            expect(state is MotorState.ENABLED, f"{what}, and it is told as {state.value}")
-            expect(fault is None, f"{what}, and that is told as its fault: {fault}")
+            what = f"{whose} error passive"
+            expect(state is MotorState.ENABLED, f"{what}: state is {state.value}; expected enabled")
+            expect(fault is None, f"{what}: reported as fault: {fault}")
             before, way = place(bench, motor), 0.25 * long_move(bench)
             move(bench, motor, way)
             _expect_moved(bench, motor, before, way, what)
@@ -100,23 +101,23 @@ def an_error_passive_node_is_none_that_has_failed(bench: RigProtocol) -> None:
     Level.L5,
     needs={Capability.POSITION_SET_POINT},
     bench={*_ERRORS, Ability.TRUTH},
-    source="README, 'at most once'; Linux: what waits for a bus that goes off is given up",
+    source="README, 'at most once'; Linux: bus-off discards queued frames",
 )
 def whichever_frame_puts_the_host_off_the_bus_nothing_is_untrue(bench: RigProtocol) -> None:
-    """Whichever frame of a move the host goes off the bus with: made once, or said to fail."""
+    """Whichever frame of a move puts the host in bus-off, the move is made once or fails."""
     hit = 0
     for skip in range(1, _FRAMES):
         bench.afresh()
         motor = bench.motor
         motor.enable()
         strike = bench.strike(None, _TO_BUS_OFF, skip=skip)
-        hit += move_through(bench, motor, strike, f"off the bus with frame {skip + 1} of a move")
-    reached(hit > 0, "a host off the bus")
+        hit += move_through(bench, motor, strike, f"bus-off with frame {skip + 1} of a move")
+    reached(hit > 0, "bus-off of the host")
 
 
 def _expect_moved(bench: RigProtocol, motor: Motor, before: float, way: float, what: str) -> None:
     moved, unit = place(bench, motor) - before, motor.model.unit
     expect(
         abs(moved - way) <= 2.0 * bench.facts.window,
-        f"{what}: told to move {way:g} {unit} once, it moved {moved:g} {unit}",
+        f"{what}: moved {moved:g} {unit}; one move of {way:g} {unit} was commanded",
     )

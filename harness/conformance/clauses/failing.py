@@ -1,4 +1,4 @@
-"""L2: a fault is told, keeps the motor from moving, and is reset."""
+"""L2 and L5: faults are reported, prevent motion, and are reset."""
 
 from collections.abc import Callable
 
@@ -28,16 +28,14 @@ def _raised(what: str, operation: Callable[[], object]) -> DeviceFault:
         operation()
     except DeviceFault as error:
         return error
-    raise Violated(f"{what} did not tell the fault")
+    raise Violated(f"{what} did not raise DeviceFault")
 
 
 def _expect_told(motor: Motor, code: int) -> None:
     state, fault = motor.state(), motor.fault()
-    expect(state is MotorState.FAULT, f"its drive has a fault, and it is {state.value}")
-    expect(fault is not None, "its drive has a fault, and fault() tells none")
-    expect(
-        fault is None or fault.code == code, f"its drive has a fault {code:04X}h, it tells {fault}"
-    )
+    expect(state is MotorState.FAULT, f"drive fault: state is {state.value}; expected fault")
+    expect(fault is not None, "drive fault: fault() returned None")
+    expect(fault is None or fault.code == code, f"drive fault {code:04X}h: fault() is {fault}")
 
 
 @clause(
@@ -48,19 +46,19 @@ def _expect_told(motor: Motor, code: int) -> None:
     source="Motor.wait_until_done: DeviceFault, the drive has a fault; CiA 402-2, FAULT",
 )
 def a_fault_in_mid_motion_ends_the_wait(bench: RigProtocol) -> None:
-    """A fault in mid-motion ends the wait with its code, and is told as the motor's state."""
+    """During a motion, a fault ends the wait with its error code and becomes the state."""
     motor, way = bench.motor, 2.0 * long_move(bench)
     motor.enable()
     begin = place(bench, motor)
     follow(motor, TrapezoidalTrajectory(way))
     rest_for(bench, 0.4 * shortest_s(motor, way))
-    reached(abs(place(bench, motor) - begin) > 0.05 * way, "a motion that fails")
+    reached(abs(place(bench, motor) - begin) > 0.05 * way, "a motion before the fault")
     code = bench.fail(motor)
     failed_ns = bench.runtime.now_ns()
     error = _raised("the wait", lambda: finish(bench, motor, shortest_s(motor, way)))
     expect(
         (error.motor, error.code) == (motor.name, code),
-        f"the wait told fault {error.code:04X}h of {error.motor}, and not {code:04X}h",
+        f"the wait raised fault {error.code:04X}h of {error.motor}; expected {code:04X}h",
     )
     late_s = (bench.runtime.now_ns() - failed_ns) / 1e9
     expect(
@@ -79,7 +77,7 @@ def a_fault_in_mid_motion_ends_the_wait(bench: RigProtocol) -> None:
     source="Motor.start: DeviceFault, reset_fault() first; CiA 402-2, FAULT",
 )
 def nothing_moves_with_a_fault(bench: RigProtocol) -> None:
-    """A motor with a fault is not started and not enabled: that takes reset_fault()."""
+    """Until reset_fault(), a motor with a fault cannot be started or enabled."""
     motor = bench.motor
     motor.enable()
     bench.fail(motor)
@@ -92,7 +90,7 @@ def nothing_moves_with_a_fault(bench: RigProtocol) -> None:
     rest_for(bench, 0.5)
     expect_unmoved(bench, motor, before, "started with a fault")
     state = motor.state()
-    expect(state is MotorState.FAULT, f"started with a fault, it is {state.value}")
+    expect(state is MotorState.FAULT, f"started with a fault: state is {state.value}")
 
 
 @clause(
@@ -100,15 +98,15 @@ def nothing_moves_with_a_fault(bench: RigProtocol) -> None:
     Level.L2,
     needs={Capability.FAULTS, Capability.POSITION_TRAJECTORY},
     bench={Ability.FAULT},
-    source="Motor.reset_fault: no fault any more, the power stage is off if there was one",
+    source="Motor.reset_fault: the fault is gone, the power stage is off if there was one",
 )
 def a_fault_is_reset(bench: RigProtocol) -> None:
-    """A fault that was reset is gone, and the motor off and still; the next start moves as told."""
+    """After reset_fault() the motor has no fault, is off and at rest; the next start works."""
     motor, way = bench.motor, 0.4 * long_move(bench)
     motor.enable()
     motor.reset_fault()
     state = motor.state()
-    expect(state is MotorState.ENABLED, f"reset_fault() without a fault left it {state.value}")
+    expect(state is MotorState.ENABLED, f"reset_fault() without a fault: state is {state.value}")
     for _ in range(2):
         follow(motor, TrapezoidalTrajectory(way))
         rest_for(bench, 0.5 * shortest_s(motor, way))
@@ -117,14 +115,14 @@ def a_fault_is_reset(bench: RigProtocol) -> None:
         held = place(bench, motor)
         motor.reset_fault()
         fault, state = motor.fault(), motor.state()
-        expect(fault is None, f"after reset_fault() it tells {fault}")
-        expect(state is MotorState.DISABLED, f"after reset_fault() it is {state.value}")
+        expect(fault is None, f"after reset_fault(): fault() is {fault}")
+        expect(state is MotorState.DISABLED, f"after reset_fault(): state is {state.value}")
         rest_for(bench, 0.3)
-        expect_unmoved(bench, motor, held, "when its fault was reset")
+        expect_unmoved(bench, motor, held, "after reset_fault()")
         before = motor.position()
         follow(motor, TrapezoidalTrajectory(way))
         finish(bench, motor, shortest_s(motor, way))
-        expect_at(bench, motor, before + way, "moved after its fault was reset")
+        expect_at(bench, motor, before + way, "moved after reset_fault()")
 
 
 @clause(
@@ -135,7 +133,7 @@ def a_fault_is_reset(bench: RigProtocol) -> None:
     source="ReadableMotor.fault: what the drive says is wrong; Motor.enable: DeviceFault",
 )
 def a_fault_between_two_motions_is_not_swallowed(bench: RigProtocol) -> None:
-    """A fault of a motor that stands is told, with its code, to whoever looks next."""
+    """At rest, a fault is reported with its error code to the next caller."""
     motor, way = bench.motor, 0.2 * long_move(bench)
     follow(motor, TrapezoidalTrajectory(way))
     finish(bench, motor, shortest_s(motor, way))
@@ -156,7 +154,7 @@ def a_fault_between_two_motions_is_not_swallowed(bench: RigProtocol) -> None:
     source="CiA 402-2, fault reaction; Motor.wait_until_done, DeviceFault",
 )
 def a_fault_ends_a_motion_in_every_mode(bench: RigProtocol) -> None:
-    """In every mode a fault is told with its code, the motor comes to rest, and goes again."""
+    """In every mode, a fault is reported with its code; the motor stops, and is usable again."""
     for mode in modes_of(bench):
         motor = bench.motor
         code = bench.fail(motor)
@@ -165,10 +163,10 @@ def a_fault_ends_a_motion_in_every_mode(bench: RigProtocol) -> None:
             error = ending(bench, motor, mode, within_s)
             expect(
                 isinstance(error, DeviceFault) and error.code == code,
-                f"{mode.words}: it failed with {code:X}h, and is told {error!r}",
+                f"{mode.words}: fault {code:X}h, but the wait raised {error!r}",
             )
         rest_for(bench, until_rest_s(bench, motor))
-        expect_rest(bench, motor, f"{mode.words}, and its drive failed")
+        expect_rest(bench, motor, f"{mode.words}, after a drive fault")
         state = motor.state()
-        expect(state is MotorState.FAULT, f"{mode.words}: it failed, and is {state.value}")
-        expect_usable(bench, motor, f"{mode.words}, and it failed")
+        expect(state is MotorState.FAULT, f"{mode.words}: state after the fault is {state.value}")
+        expect_usable(bench, motor, f"{mode.words}, after a fault")

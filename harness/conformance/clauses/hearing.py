@@ -1,4 +1,4 @@
-"""L2: what becomes of commands whose answers are lost, and of a drive that does not answer."""
+"""L2: commands whose answers are lost, and drives that do not answer."""
 
 from collections.abc import Callable
 from contextlib import suppress
@@ -29,7 +29,7 @@ from motorapi import (
 
 _PLACES: Final = 12
 _LENGTHS_S: Final = (0.3, 0.02)
-_ONCE: Final = 1.5  # of the way: where it failed it may coast
+_ONCE: Final = 1.5  # of the distance: the motor may coast after the failure
 _BOUND_S: Final = 10.0
 _TOLD_BY: Final = (LinkError, PeerError, DeadlineExceeded, DeviceFault)
 
@@ -42,7 +42,7 @@ _TOLD_BY: Final = (LinkError, PeerError, DeadlineExceeded, DeviceFault)
     source="paper 3.3.3: start() executes only if there were no errors; harness.sharing",
 )
 def a_relative_move_is_never_made_twice(bench: RigProtocol) -> None:
-    """Whenever its answers are lost, a relative move is made once, or in part, never further."""
+    """Whenever its answers are lost, a relative move is made once, or in part, but not twice."""
     bench.motor.enable()
     begun_ns = bench.runtime.now_ns()
     aim(bench.motor, 0.1 * long_move(bench), relative=True)
@@ -53,11 +53,11 @@ def a_relative_move_is_never_made_twice(bench: RigProtocol) -> None:
         bench.motor.enable()
         from_s = starting_s * (number + 1) / _PLACES
         lost += _move_without_answers(bench, from_s, _LENGTHS_S[number % len(_LENGTHS_S)])
-    reached(lost > 0, "an answer that was lost")
+    reached(lost > 0, "the loss of an answer")
 
 
 def _move_without_answers(bench: RigProtocol, from_s: float, length_s: float) -> int:
-    """How many answers to the commands of a relative move were lost."""
+    """Lose answers to the commands of a relative move, and return how many were lost."""
     motor, way = bench.motor, long_move(bench)
     begin, counts = bench.true_position(motor), [0]
 
@@ -77,10 +77,8 @@ def _move_without_answers(bench: RigProtocol, from_s: float, length_s: float) ->
     party.join()
     rest_for(bench, 1.0 + shortest_s(motor, way))
     made, spare = bench.true_position(motor) - begin, bench.facts.window + 0.1 * way
-    what = (
-        f"told to move {way:g} {motor.model.unit}, and of its answers those lost of {length_s:g} s"
-    )
-    ended = "it said that it had" if failed is None else f"it said {failed}"
+    what = f"told to move {way:g} {motor.model.unit}, with all answers lost for {length_s:g} s"
+    ended = "done was reported" if failed is None else f"it failed with {failed}"
     low, high = (way - spare, way + spare) if failed is None else (-spare, _ONCE * way)
     expect(
         low <= made <= high,
@@ -94,10 +92,10 @@ def _move_without_answers(bench: RigProtocol, from_s: float, length_s: float) ->
     Level.L2,
     needs={Capability.POSITION_TRAJECTORY},
     bench={Ability.LOSE, Ability.TRUTH},
-    source="errors: LinkError, PeerError, DeadlineExceeded; Motor.state: OFFLINE if not heard",
+    source="errors: LinkError, PeerError, DeadlineExceeded; Motor.state: OFFLINE without answers",
 )
 def silence_is_told_within_a_bound(bench: RigProtocol) -> None:
-    """What is asked of a drive that does not answer is told as that, in time, and not as done."""
+    """Commands to a drive that does not answer fail in time, and are never reported as done."""
     motor, way = bench.motor, 0.2 * long_move(bench)
     move(bench, motor, way)
     asked: list[tuple[str, Callable[[], object]]] = [
@@ -108,10 +106,10 @@ def silence_is_told_within_a_bound(bench: RigProtocol) -> None:
     with bench.lose_answers_of(motor) as count:
         rest_for(bench, bench.facts.dead_man_s)
         state = motor.state()
-        expect(state is MotorState.OFFLINE, f"nothing is heard of it, and it is {state.value}")
+        expect(state is MotorState.OFFLINE, f"no answers: state is {state.value}; expected offline")
         for what, operation in asked:
             _expect_told(bench, what, operation)
-        reached(count() > 0, "an answer that was lost")
+        reached(count() > 0, "the loss of an answer")
 
 
 def _expect_told(bench: RigProtocol, what: str, operation: Callable[[], object]) -> None:
@@ -119,13 +117,11 @@ def _expect_told(bench: RigProtocol, what: str, operation: Callable[[], object])
     try:
         operation()
     except _TOLD_BY as error:
-        expect(
-            not isinstance(error, DeviceFault), f"{what} of a drive that is not heard told {error}"
-        )
+        expect(not isinstance(error, DeviceFault), f"{what} without answers raised {error}")
     else:
-        raise Violated(f"{what} of a drive that does not answer returned as if it had")
+        raise Violated(f"{what} without answers returned without an error")
     took_s = (bench.runtime.now_ns() - begun_ns) / 1e9
-    expect(took_s <= _BOUND_S, f"{what} of a drive that does not answer took {took_s:.1f} s")
+    expect(took_s <= _BOUND_S, f"{what} without answers took {took_s:.1f} s; limit {_BOUND_S:g} s")
 
 
 @clause(
@@ -136,23 +132,23 @@ def _expect_told(bench: RigProtocol, what: str, operation: Callable[[], object])
     source="requirement 4: inform the users; Motor.wait_until_done: LinkError, DeadlineExceeded",
 )
 def who_is_heard_again_moves_again(bench: RigProtocol) -> None:
-    """A motor that was not heard for a while is the same motor afterwards, and moves as told."""
+    """After a time without answers, a motor that answers again moves as commanded."""
     motor, way = bench.motor, 0.2 * long_move(bench)
     move(bench, motor, way)
     with bench.lose_answers_of(motor) as count:
         rest_for(bench, bench.facts.dead_man_s)
         with suppress(*_TOLD_BY):
             motor.position()
-        reached(count() > 0, "an answer that was lost")
+        reached(count() > 0, "the loss of an answer")
     rest_for(bench, bench.facts.dead_man_s)
     _until_heard(bench, motor)
     before = motor.position()
     move(bench, motor, way)
-    expect_at(bench, motor, before + way, "heard again, told to move")
+    expect_at(bench, motor, before + way, "after answers came again, told to move")
 
 
 def _until_heard(bench: RigProtocol, motor: Motor) -> None:
-    """It answers again, and has no fault; a drive may take it for one that its host was lost."""
+    """Wait until the motor answers; the drive may report the loss of its host as a fault."""
     for _ in range(20):
         try:
             motor.reset_fault()

@@ -1,4 +1,4 @@
-"""L0: the motor is the one that its model describes, and counts as it does."""
+"""L0: motors match their models, and report their identity and state."""
 
 from harness.conformance.bench import RigProtocol
 from harness.conformance.capability import Ability, Capability
@@ -27,7 +27,7 @@ _HOLDS = 0.3  # of the largest torque
     source="paper 3.2, the motor model; 3.1, the adaptation maps logical to physical operations",
 )
 def it_moves_as_far_and_to_the_side_that_its_model_says(bench: RigProtocol) -> None:
-    """A move of so many units is one of so many at the output, and told as such, of each motor."""
+    """Each motor moves, and reports, the commanded distance in its model's units and direction."""
     for motor in bench.motors:
         for share in (0.25, -0.4):
             _move_and_compare(bench, motor, share * long_move(bench))
@@ -40,12 +40,12 @@ def _move_and_compare(bench: RigProtocol, motor: Motor, way: float) -> None:
     unit, window = motor.model.unit, bench.facts.window
     for what, moved in (
         ("it moved", bench.true_position(motor) - before),
-        ("it says that it moved", motor.position() - told),
+        ("it reported a move of", motor.position() - told),
     ):
         expect(
             abs(moved - way) <= window,
             f"{motor.name} was told to move {way:g} {unit}, {what} {moved:g} {unit},"
-            f" which is more than {window:g} {unit} off",
+            f" outside the window of {window:g} {unit}",
         )
 
 
@@ -57,7 +57,7 @@ def _move_and_compare(bench: RigProtocol, motor: Motor, way: float) -> None:
     source="paper 3.5, no more than one physical motor object for any motor in the system",
 )
 def it_moves_and_no_other_does(bench: RigProtocol) -> None:
-    """A command to one motor moves that one, and no other."""
+    """Only the commanded motor moves."""
     way = 0.25 * long_move(bench)
     for motor in bench.motors:
         before = [bench.true_position(one) for one in bench.motors]
@@ -75,34 +75,34 @@ def it_moves_and_no_other_does(bench: RigProtocol) -> None:
     "ID-02",
     Level.L0,
     needs={Capability.POSITION_TRAJECTORY},
-    source="requirement 1; Motor.latest: nothing is sent, so callbacks may ask",
+    source="requirement 1; Motor.latest: nothing is sent, so callbacks may call it",
 )
 def what_it_is_and_was_heard_of_it_is_told_at_once(bench: RigProtocol) -> None:
-    """Name, text and what was heard last are told at once, in callbacks too, and agree."""
+    """Name, text and last known state are returned at once, also in callbacks, and agree."""
     names = [motor.name for motor in bench.motors]
     expect(len(set(names)) == len(names), f"two motors have one name: {', '.join(names)}")
     motor = bench.motor
-    expect(motor.name in repr(motor), f"its text, {motor!r}, does not name {motor.name}")
+    expect(motor.name in repr(motor), f"repr() is {motor!r}; expected the name {motor.name} in it")
     heard = []
     timer = bench.runtime.every(0.02, lambda: heard.append((motor.latest(), repr(motor))))
     way = 0.25 * long_move(bench)
     follow(motor, TrapezoidalTrajectory(way))
     finish(bench, motor, shortest_s(motor, way))
     timer.cancel()
-    reached(len(heard) > 3, "asking in mid-motion")
+    reached(len(heard) > 3, "a call of latest() during the motion")
     told, before_ns = motor.position(), bench.runtime.now_ns()
     latest = motor.latest()
     took_s = (bench.runtime.now_ns() - before_ns) / 1e9
-    most_s = bench.facts.time_tolerance_s  # a wall's clock goes on by itself
-    expect(took_s <= most_s, f"latest() took {took_s:g} s, not at most {most_s:g} s")
+    most_s = bench.facts.time_tolerance_s  # a wall clock advances by itself
+    expect(took_s <= most_s, f"latest() took {took_s:g} s; limit {most_s:g} s")
     if latest is None:
         return
-    expect(latest.time_ns <= before_ns, "latest() tells of a time yet to come")
+    expect(latest.time_ns <= before_ns, "latest() has a time in the future")
     where, state = latest.position, motor.state()
-    expect(latest.state is state, f"latest() says {latest.state.value}, state() {state.value}")
+    expect(latest.state is state, f"latest() has {latest.state.value}, state() is {state.value}")
     expect(
         where is None or abs(where - told) <= bench.facts.window,
-        f"latest() says that it rests at {where}, position() at {told:g} {motor.model.unit}",
+        f"latest() has position {where}, position() is {told:g} {motor.model.unit}",
     )
 
 
@@ -112,18 +112,18 @@ def what_it_is_and_was_heard_of_it_is_told_at_once(bench: RigProtocol) -> None:
     source="paper 3.1, the base class; CiA 402-2, PDS FSA",
 )
 def enabling_and_disabling_are_told(bench: RigProtocol) -> None:
-    """A motor is enabled after enable(), and is not after disable(), however often."""
+    """After enable() the motor is enabled, and after disable() disabled, also when repeated."""
     motor = bench.motor
     before = motor.state()
-    expect(before is not MotorState.ENABLED, "it is enabled before anybody has enabled it")
+    expect(before is not MotorState.ENABLED, "state is enabled before the first enable()")
     for _ in range(2):
         motor.enable()
         state = motor.state()
-        expect(state is MotorState.ENABLED, f"after enable() it is {state.value}")
+        expect(state is MotorState.ENABLED, f"after enable(): state is {state.value}")
     for _ in range(2):
         motor.disable()
         state = motor.state()
-        expect(state is MotorState.DISABLED, f"after disable() it is {state.value}")
+        expect(state is MotorState.DISABLED, f"after disable(): state is {state.value}")
 
 
 @clause(
@@ -133,7 +133,7 @@ def enabling_and_disabling_are_told(bench: RigProtocol) -> None:
     source="Motor.enable: the power stage is on and the motor holds its position; Motor.disable",
 )
 def an_enabled_motor_holds_and_a_disabled_one_gives_way(bench: RigProtocol) -> None:
-    """Enabled, it holds its place against a load, without having moved; disabled, it gives way."""
+    """When enabled, the motor holds its position against a load; when disabled, it gives way."""
     motor = bench.motor
     before = place(bench, motor)
     motor.enable()
@@ -141,11 +141,11 @@ def an_enabled_motor_holds_and_a_disabled_one_gives_way(bench: RigProtocol) -> N
     expect_unmoved(bench, motor, before, "when it was enabled")
     bench.load(motor, torque_of(motor, _HOLDS))
     rest_for(bench, 1.0)
-    expect_unmoved(bench, motor, before, f"enabled, under {_HOLDS:.0%} of its torque")
+    expect_unmoved(bench, motor, before, f"enabled, with a load of {_HOLDS:.0%} of its torque")
     motor.disable()
     rest_for(bench, 0.5)
     moved = abs(place(bench, motor) - before)
     expect(
         moved > 10.0 * bench.facts.window,
-        f"disabled, it still holds {_HOLDS:.0%} of its torque: its power stage is on",
+        f"disabled, the motor still holds {_HOLDS:.0%} of its torque: the power stage is on",
     )

@@ -1,7 +1,7 @@
-"""L5: a drive, or its host, is not heard any more.
+"""L5: loss of communication between a drive and its host.
 
-What is lost is lost in the middle of each kind of motion. What is due within which time is what
-the rig declares: `lost_s`, `dead_man_s` and `brake_s`.
+Each loss happens in the middle of each kind of motion. The rig declares the time limits: `lost_s`,
+`dead_man_s` and `brake_s`.
 """
 
 from contextlib import suppress
@@ -44,7 +44,7 @@ from motorapi import (
 
 _BACK_S = 1.0
 _EXAMPLES = 10
-_FRAMES = 14  # of a start, and a few after it
+_FRAMES = 14  # a start, and a few frames after it
 _HOLDS = 0.2  # of the largest torque
 _GONE = (MotorState.OFFLINE, MotorState.FAULT)
 _CABLE = {Ability.TRUTH, Ability.CUT, Ability.AFRESH}
@@ -57,28 +57,28 @@ _CABLE = {Ability.TRUTH, Ability.CUT, Ability.AFRESH}
     source="Motor.wait_until_done, LinkError; MotorHooks._read_state, OFFLINE; CiA 301, 7.2.8.3",
 )
 def a_lost_drive_is_told_and_never_taken_for_done(bench: RigProtocol) -> None:
-    """In every mode, who waits for a drive whose cable is cut is told so in time, and not done."""
+    """In every mode, a wait for a drive whose cable is cut fails in time, and is not done."""
     for mode in modes_of(bench):
         motor = bench.motor
         with bench.cut(motor):
-            _expect_told(bench, motor, mode, "after its cable was cut")
+            _expect_told(bench, motor, mode, "after the cable was cut")
             rest_for(bench, bench.facts.lost_s)
             state = motor.state()
-            expect(state in _GONE, f"{mode.words}: its cable is cut, and it is {state.value}")
+            expect(state in _GONE, f"{mode.words}: cable cut, but the state is {state.value}")
 
 
 def _expect_told(bench: RigProtocol, motor: Motor, mode: Mode, when: str) -> None:
-    """Who waits for it is told an error, in time."""
+    """Check that a wait for the motor ends with an error in time."""
     if not mode.moves:
         return
     within_s = bench.facts.lost_s + bench.facts.time_tolerance_s
     begun_ns = bench.runtime.now_ns()
     error = ending(bench, motor, mode, within_s)
     took_s = (bench.runtime.now_ns() - begun_ns) / 1e9
-    expect(error is not None, f"{mode.words}: done was told {took_s:.3f} s {when}")
+    expect(error is not None, f"{mode.words}: done was reported {took_s:.3f} s {when}")
     expect(
         took_s < within_s - 1e-6,
-        f"{mode.words}: nothing was told within {within_s:g} s {when}",
+        f"{mode.words}: no error within {within_s:g} s {when}",
     )
 
 
@@ -90,15 +90,15 @@ def _expect_told(bench: RigProtocol, motor: Motor, mode: Mode, when: str) -> Non
     source="CiA 301, heartbeat consumer (1016h), 1029h; CiA 402-2, 6007h; README, dead-man",
 )
 def a_drive_without_a_cable_comes_to_rest(bench: RigProtocol) -> None:
-    """In every mode, a drive whose cable is cut is at rest within its dead-man time and braking."""
+    """In every mode, a drive whose cable is cut is at rest within dead-man and braking time."""
     moved = False
     for mode in modes_of(bench):
         motor = bench.motor
         moved |= abs(speed(bench, motor, 0.02)) > 0.1 * motor.model.velocity_max
         with bench.cut(motor):
             rest_for(bench, until_rest_s(bench, motor))
-            expect_rest(bench, motor, f"{mode.words}, and its cable was cut")
-    reached(moved, "a cut in mid-motion")
+            expect_rest(bench, motor, f"{mode.words}, with its cable cut")
+    reached(moved, "a cut during a motion")
 
 
 @clause(
@@ -109,18 +109,18 @@ def a_drive_without_a_cable_comes_to_rest(bench: RigProtocol) -> None:
     source="CiA 301, heartbeat consumer (1016h), 1029h; CiA 402-2, 6007h",
 )
 def a_drive_that_does_not_hear_its_host_comes_to_rest(bench: RigProtocol) -> None:
-    """In every mode, a drive whose host dies is at rest in time; a host that lives is told so."""
+    """In every mode, a drive without its host is at rest in time, and the host is notified."""
     silenced = 0
     for mode in modes_of(bench):
         motor = bench.motor
         with bench.silence_host() as lost:
             begun_ns = bench.runtime.now_ns()
-            _expect_told(bench, motor, mode, "after nothing of its host reached the drive")
+            _expect_told(bench, motor, mode, "after the host was silenced")
             spent_s = (bench.runtime.now_ns() - begun_ns) / 1e9
             rest_for(bench, max(0.0, until_rest_s(bench, motor) - spent_s))
-            expect_rest(bench, motor, f"{mode.words}, and its host fell silent")
+            expect_rest(bench, motor, f"{mode.words}, with its host silenced")
             silenced += lost()
-    reached(silenced > 0, "a frame of the host that was lost")
+    reached(silenced > 0, "the loss of a frame of the host")
 
 
 @clause(
@@ -130,7 +130,7 @@ def a_drive_that_does_not_hear_its_host_comes_to_rest(bench: RigProtocol) -> Non
     source="MotorHooks._connect; README, 'nothing that moves is sent again blindly'",
 )
 def what_was_lost_can_be_used_again_and_begins_nothing_by_itself(bench: RigProtocol) -> None:
-    """Once the cable is back nothing begins by itself, and the motor can be used as before."""
+    """Once the cable is back, no motion begins by itself, and the motor is usable as before."""
     for mode in modes_of(bench):
         motor = bench.motor
         with bench.cut(motor):
@@ -138,9 +138,9 @@ def what_was_lost_can_be_used_again_and_begins_nothing_by_itself(bench: RigProto
             goes_on = abs(speed(bench, motor, 0.05)) > bench.facts.window
         before = place(bench, motor)
         rest_for(bench, _BACK_S)
-        if not goes_on:  # without a dead-man it was told to, and nobody told it otherwise
-            expect_unmoved(bench, motor, before, f"{mode.words}: when its cable was back")
-        expect_usable(bench, motor, f"{mode.words}, lost and found")
+        if not goes_on:  # without a dead-man the motion continues, and no new command has ended it
+            expect_unmoved(bench, motor, before, f"{mode.words}: with its cable back")
+        expect_usable(bench, motor, f"{mode.words}, after a loss")
 
 
 @clause(
@@ -150,7 +150,7 @@ def what_was_lost_can_be_used_again_and_begins_nothing_by_itself(bench: RigProto
     source="MotorHooks._read_state; MotorHooks._enable, it holds its position",
 )
 def what_it_says_after_a_loss_is_true(bench: RigProtocol) -> None:
-    """A motor that was lost, and is heard again, says it is enabled only if it holds its place."""
+    """After a loss, a motor reports that it is enabled only if it holds its position."""
     motor = bench.motor
     motor.enable()
     with bench.cut(motor):
@@ -161,7 +161,7 @@ def what_it_says_after_a_loss_is_true(bench: RigProtocol) -> None:
     before = place(bench, motor)
     bench.load(motor, torque_of(motor, _HOLDS))
     rest_for(bench, 0.5)
-    expect_unmoved(bench, motor, before, "it says that it is enabled, and under a load")
+    expect_unmoved(bench, motor, before, "reported as enabled, with a load")
 
 
 @clause(
@@ -171,17 +171,17 @@ def what_it_says_after_a_loss_is_true(bench: RigProtocol) -> None:
     source="requirement 4 of the paper; README, 'at most once'",
 )
 def what_a_lost_drive_was_told_is_not_done_later(bench: RigProtocol) -> None:
-    """What is commanded while the cable is cut fails, and is not done when the cable is back."""
+    """While the cable is cut, commands fail, and are not carried out when it is back."""
     motor = bench.motor
-    move(bench, motor, 0.25 * long_move(bench))  # then all is known of it that a start asks for
+    move(bench, motor, 0.25 * long_move(bench))  # the motor is now fully set up
     before = place(bench, motor)
     with bench.cut(motor):
-        for pause_s in (0.0, 2.0 * bench.facts.lost_s):  # before it can be known, and after
+        for pause_s in (0.0, 2.0 * bench.facts.lost_s):  # before the loss can be noticed, and after
             rest_for(bench, pause_s)
             error = _failure_of(bench, motor)
-            expect(error is not None, "its cable is cut, and a move is told to be done")
+            expect(error is not None, "cable cut, but a move was reported done")
     rest_for(bench, _BACK_S)
-    expect_unmoved(bench, motor, before, "a move that had failed was made when the cable was back")
+    expect_unmoved(bench, motor, before, "after a failed move, with the cable back")
 
 
 def _failure_of(bench: RigProtocol, motor: Motor) -> MotorError | None:
@@ -202,22 +202,22 @@ def _failure_of(bench: RigProtocol, motor: Motor) -> MotorError | None:
     source="CiA 301, 7.2.8.3.3 boot-up; MotorHooks._connect",
 )
 def a_drive_that_restarts_is_noticed_and_set_up_anew(bench: RigProtocol) -> None:
-    """A drive that restarts in mid-motion ends that motion, is not done, and is set up anew."""
+    """If a drive restarts during a motion, the motion fails, and the drive is set up again."""
     for mode in modes_of(bench):
         motor = bench.motor
         bench.restart(motor)
         within_s = bench.facts.lost_s + bench.facts.time_tolerance_s
         if mode.moves:
             error = ending(bench, motor, mode, within_s)
-            expect(error is not None, f"{mode.words}: it restarted, and done was told")
+            expect(error is not None, f"{mode.words}: done was reported after a restart")
         rest_for(bench, until_rest_s(bench, motor) + _BACK_S)
-        expect_rest(bench, motor, f"{mode.words}: after it restarted")
+        expect_rest(bench, motor, f"{mode.words}: after a restart")
         state = motor.state()
         expect(
             state is not MotorState.ENABLED,
-            f"{mode.words}: it restarted, its power is off, and it is told as {state.value}",
+            f"{mode.words}: power is off after a restart, but the state is {state.value}",
         )
-        expect_usable(bench, motor, f"{mode.words}, and it restarted")
+        expect_usable(bench, motor, f"{mode.words}, after a restart")
 
 
 @clause(
@@ -228,7 +228,7 @@ def a_drive_that_restarts_is_noticed_and_set_up_anew(bench: RigProtocol) -> None
     source="CiA 301, SYNC; README, 'if the SYNC that drives go by ends, they brake and say why'",
 )
 def a_stream_that_loses_its_signal_ends(bench: RigProtocol) -> None:
-    """A streamed motion that loses the signal it goes by ends at rest, and says so in time."""
+    """If a streamed motion loses its clock signal, it fails in time, and the motor stops."""
     for mode in modes_of(bench):
         if mode.capability is not Capability.COMPLEX_POSITION:
             continue
@@ -236,15 +236,15 @@ def a_stream_that_loses_its_signal_ends(bench: RigProtocol) -> None:
         with bench.stop_sync() as lost:
             rest_for(bench, 0.02)
             if not lost():
-                raise NotApplicable("nothing that it goes by was seen on the bus")
-            _expect_told(bench, motor, mode, "after the signal it goes by was lost")
+                raise NotApplicable("no clock signal was seen on the bus")
+            _expect_told(bench, motor, mode, "after the clock signal was lost")
             rest_for(bench, until_rest_s(bench, motor))
-            expect_rest(bench, motor, f"{mode.words}, and the signal it goes by was lost")
-        expect_usable(bench, motor, f"{mode.words}, without its signal")
+            expect_rest(bench, motor, f"{mode.words}, without its clock signal")
+        expect_usable(bench, motor, f"{mode.words}, after the loss of its clock signal")
         return
     if is_over_soon(bench):
-        raise NotApplicable("there is no room for a motion that lasts: long_move is too short")
-    raise Violated("it takes no complex trajectory")
+        raise NotApplicable("no room for a long motion: long_move is too short")
+    raise Violated("complex trajectories are refused")
 
 
 @clause(
@@ -255,19 +255,19 @@ def a_stream_that_loses_its_signal_ends(bench: RigProtocol) -> None:
     source="README, 'at most once'; requirement 1; errors: DeadlineExceeded, PeerError",
 )
 def a_single_frame_that_is_lost_makes_nothing_untrue(bench: RigProtocol) -> None:
-    """Whichever one frame of a move is lost, it is done and told so, or fails and is told so."""
+    """Whichever single frame of a move is lost, the move is reported done, or fails, truthfully."""
     hit = 0
     for skip in range(_FRAMES):
         for lose_answers in (True, False):
             bench.afresh()
             motor = bench.motor
             motor.enable()
-            which = f"frame {skip + 1} of {'the drive' if lose_answers else 'the host'} was lost"
+            which = f"frame {skip + 1} of {'the drive' if lose_answers else 'the host'} lost"
             lose = bench.silence_host(skip=skip, limit=1)
             if lose_answers:
                 lose = bench.lose_answers_of(motor, skip=skip, limit=1)
             hit += move_through(bench, motor, lose, which)
-    reached(hit > 0, "a frame that was lost")
+    reached(hit > 0, "the loss of a frame")
 
 
 @clause(
@@ -278,7 +278,7 @@ def a_single_frame_that_is_lost_makes_nothing_untrue(bench: RigProtocol) -> None
     source="Motor.wait_until_done: done, or the right error; never done short of its target",
 )
 def whenever_the_cable_is_cut_done_is_true(bench: RigProtocol) -> None:
-    """Whenever in a motion, and for however long, the cable is cut: done is told at the target."""
+    """Whenever and however long the cable is cut, done is reported only at the target."""
     from hypothesis import HealthCheck, Phase, given, seed, settings
     from hypothesis import strategies as st
 
@@ -298,12 +298,12 @@ def whenever_the_cable_is_cut_done_is_true(bench: RigProtocol) -> None:
         found.append(_is_done_after_a_cut(bench, share, length * bench.facts.lost_s))
 
     property_holds()
-    reached(True in found, "a motion that was done all the same")
-    reached(len(found) > _EXAMPLES // 2, "a cut in mid-motion")
+    reached(True in found, "a motion that was done in spite of a cut")
+    reached(len(found) > _EXAMPLES // 2, "a cut during a motion")
 
 
 def _is_done_after_a_cut(bench: RigProtocol, share: float, length_s: float) -> bool:
-    """Whether a motion is told to be done that was cut off for so long, at that share of it."""
+    """Cut the cable during a motion; return whether the motion was reported done."""
     motor, way = bench.motor, 0.5 * long_move(bench)
     motor.enable()
     before = place(bench, motor)
@@ -322,6 +322,6 @@ def _is_done_after_a_cut(bench: RigProtocol, share: float, length_s: float) -> b
     when = f"cut off for {length_s:.3f} s after {share:.0%} of its time"
     expect(
         error is not None or abs(moved - way) <= bench.facts.window,
-        f"{when}, done was told after {moved:g} of {way:g} {unit}",
+        f"{when}, done was reported after {moved:g} of {way:g} {unit}",
     )
     return error is None

@@ -1,4 +1,4 @@
-"""L0: what a motor measures is so, in sign and size."""
+"""L0: measured values are right in sign and size."""
 
 from harness.conformance.bench import RigProtocol
 from harness.conformance.capability import Ability, Capability
@@ -26,7 +26,7 @@ _LOOKS = 10
     source="ReadableMotor.velocity: measured velocity [U/s]; paper 3.2",
 )
 def velocity_is_how_fast_its_position_changes(bench: RigProtocol) -> None:
-    """What it measures as velocity is how fast its output goes, in sign and size."""
+    """Measured velocity is the velocity of the output, in sign and size."""
     motor, model = bench.motor, bench.motor.model
     for share in (0.5, -0.25):
         asked = share * model.velocity_max
@@ -46,7 +46,7 @@ def velocity_is_how_fast_its_position_changes(bench: RigProtocol) -> None:
         mean = sum(told) / len(told)
         expect(
             abs(mean - true) <= _VELOCITY_SHARE * abs(asked),
-            f"at {true:g} {model.unit}/s it measured {mean:g} {model.unit}/s",
+            f"velocity: measured {mean:g} {model.unit}/s at {true:g} {model.unit}/s",
         )
         finish(bench, motor, duration_s)
 
@@ -59,7 +59,7 @@ def velocity_is_how_fast_its_position_changes(bench: RigProtocol) -> None:
     source="ReadableMotor.torque: measured torque [N·m], or force [N]; paper 3.2",
 )
 def torque_is_what_it_holds(bench: RigProtocol) -> None:
-    """What it measures as torque is what the load takes that it holds, in sign and size."""
+    """Measured torque is the torque that holds the load, in sign and size."""
     motor = bench.motor
     motor.enable()
     most = torque_of(motor, 1.0)
@@ -68,11 +68,11 @@ def torque_is_what_it_holds(bench: RigProtocol) -> None:
         bench.load(motor, share * most)
         rest_for(bench, 1.0)
         told.append(motor.torque())
-    found, wanted = told[0] - told[1], 0.7 * most  # friction may hold some of each
+    found, wanted = told[0] - told[1], 0.7 * most  # friction may hold a part of each load
     expect(
         abs(found - wanted) <= _TORQUE_SHARE * most,
-        f"loads that differ by {wanted:g} N·m made {found:g} N·m of difference"
-        f" in what it measures: {told[0]:g} and {told[1]:g} N·m",
+        f"torque: loads differ by {wanted:g} N·m, measured values by {found:g} N·m,"
+        f" {told[0]:g} and {told[1]:g} N·m",
     )
 
 
@@ -84,7 +84,7 @@ def torque_is_what_it_holds(bench: RigProtocol) -> None:
     source="ReadableMotor.following_error: demand minus actual position [U]",
 )
 def following_error_is_what_is_left_of_the_way(bench: RigProtocol) -> None:
-    """Its following error, pushed off its place, is how far it is off, and to which side."""
+    """Following error is the distance from demand to actual position, in sign and size."""
     motor, unit = bench.motor, bench.motor.model.unit
     motor.enable()
     rest_for(bench, 0.2)
@@ -96,8 +96,8 @@ def following_error_is_what_is_left_of_the_way(bench: RigProtocol) -> None:
         off = max(off, held - bench.true_position(motor), key=abs)
         rest_for(bench, 0.002)
     if abs(off) < 10.0 * (motor.model.resolution or 0.0) or off == 0.0:
-        raise NotApplicable(f"it gives way by {off:.3g} {unit} only, which is too little to tell")
+        raise NotApplicable(f"the load moves the motor by {off:.3g} {unit}, too little to measure")
     expect(
         0.5 <= told / off <= 2.0,
-        f"pushed {off:.4g} {unit} off its place, it told an error of {told:.4g} {unit}",
+        f"following error: {told:.4g} {unit} reported at a distance of {off:.4g} {unit}",
     )

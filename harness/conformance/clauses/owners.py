@@ -1,4 +1,4 @@
-"""L3: several owners of one motor, at instants of Hypothesis' choice, in short."""
+"""L3: several owners of one motor, in sequences chosen by Hypothesis."""
 
 from types import SimpleNamespace
 from typing import Any, Final
@@ -20,7 +20,7 @@ _STEPS: Final = 15
     source="harness.sharing.machine: the history of every motor is that of one owner at a time",
 )
 def whatever_its_users_do_one_has_it_at_a_time(bench: RigProtocol) -> None:
-    """Whatever users start, reserve, stop, take over, or die of: one has it at a time, in turn."""
+    """Whatever users start, reserve, stop, take over, or die of, one has the motor at a time."""
     from hypothesis import HealthCheck, Phase, seed, settings
     from hypothesis.errors import HypothesisException
 
@@ -29,7 +29,7 @@ def whatever_its_users_do_one_has_it_at_a_time(bench: RigProtocol) -> None:
     from harness.sharing.stage import Course
 
     if not hasattr(bench.runtime, "end"):
-        raise NotApplicable("nobody can be killed in real time here")
+        raise NotApplicable("users cannot be killed in wall time")
     way = 0.05 * long_move(bench)
     quick_s = max(0.3, 2.0 * shortest_s(bench.motor, 3.0 * way))
     facts = bench.facts
@@ -50,11 +50,11 @@ def whatever_its_users_do_one_has_it_at_a_time(bench: RigProtocol) -> None:
     except (SharingViolated, HypothesisException) as error:
         raise Violated(f"{error}") from error
     moved = sum(count for name, count in machine.reach.items() if name.startswith("start: done"))
-    reached(moved > 0, "a start of one of several owners")
+    reached(moved > 0, "a completed start of one of several users")
 
 
 def _rig_of(bench: RigProtocol) -> Any:
-    """What the state machine takes for a rig: the bench, switched on anew."""
+    """Return the bench, switched on again, as a rig for the state machine."""
     bench.afresh()
     motor, other = bench.motor, bench.another_user_of(bench.motor)
     motors = {motor.name: motor, other.name: other}

@@ -1,4 +1,4 @@
-"""L4: what becomes of a group one of whose members refuses, is lost, or fails."""
+"""L4: groups with a member that refuses, is lost, or fails."""
 
 from harness.conformance.bench import RigProtocol
 from harness.conformance.capability import Ability, Capability
@@ -39,30 +39,30 @@ _FRAMES = 16  # of the host, in the start of a pair
     Level.L4,
     needs=_MOVES,
     bench={*_TWO, Ability.CUT, Ability.AFRESH},
-    source="MotorGroup.start: if one refuses, none has moved",
+    source="MotorGroup.start: if one refuses, none moves",
 )
 def if_one_cannot_be_armed_none_moves(bench: RigProtocol) -> None:
-    """If one member does not answer when it is to be armed, none moves, then or later."""
+    """If one member does not answer when it is armed, no member moves, then or later."""
     _require_cables_of_their_own(bench)
     for lost in (1, 0):
         bench.afresh()
         way = 0.5 * half(bench)
         group = pair_of(bench, way, -way)
         group.start()
-        group.wait_until_done(10.0)  # all is known of both
+        group.wait_until_done(10.0)  # both motors are now fully set up
         refusing, other = bench.motors[lost], bench.motors[1 - lost]
         before = place(bench, other)
         is_one_signal = group.sync_capability().level >= SyncLevel.TRIGGERED
         with bench.cut(refusing):
-            if not is_one_signal:  # the others begin before the last has confirmed: if it is heard
+            if not is_one_signal:  # else the others begin before its loss is known
                 rest_for(bench, bench.facts.lost_s)
             told = _failure_of(group)
             rest_for(bench, bench.facts.lost_s)
-        expect(told is not None, f"{refusing.name} does not answer, and start() returned")
+        expect(told is not None, f"{refusing.name} does not answer, but start() returned")
         rest_for(bench, 1.0)
-        expect_unmoved(bench, other, before, f"{refusing.name} refused, and {other.name}")
+        expect_unmoved(bench, other, before, f"{refusing.name} refused: {other.name}")
         _fire_once_more(bench, refusing)
-        expect_unmoved(bench, other, before, f"{refusing.name} refused, and later {other.name}")
+        expect_unmoved(bench, other, before, f"{refusing.name} refused: later {other.name}")
 
 
 def _require_cables_of_their_own(bench: RigProtocol) -> None:
@@ -71,7 +71,7 @@ def _require_cables_of_their_own(bench: RigProtocol) -> None:
     with bench.cut(first):
         rest_for(bench, bench.facts.lost_s)
         if second.state() is not MotorState.ENABLED:
-            raise NotApplicable(f"{second.name} is lost with {first.name}: they share a cable")
+            raise NotApplicable(f"{second.name} and {first.name} share a cable")
 
 
 def _failure_of(group: MotorGroup) -> MotorError | None:
@@ -85,7 +85,7 @@ def _failure_of(group: MotorGroup) -> MotorError | None:
 
 
 def _fire_once_more(bench: RigProtocol, motor: Motor) -> None:
-    """Whatever signal starts motors on its bus comes again: for a motion of this one alone."""
+    """Start a motion of this motor alone, so that any common start signal is sent again."""
     motor.reset_fault()
     motor.enable()
     way = 0.25 * half(bench)
@@ -107,14 +107,14 @@ def _fire_once_more(bench: RigProtocol, motor: Motor) -> None:
     source="MotorHooks._arm: in the hardware, confirmed; README, 'arm, then fire'",
 )
 def no_part_of_a_group_moves_on_alone(bench: RigProtocol) -> None:
-    """Whichever one frame of a common start is lost, all move, or start() fails and all rest."""
+    """Whichever frame of a common start is lost, all members move, or none and start() fails."""
     hit = 0
     for skip in range(_FRAMES):
         bench.afresh()
         way = half(bench)
         group = pair_of(bench, 0.1 * way, -0.1 * way)
         group.start()
-        run_to_the_end(bench, group)  # all is known of both
+        run_to_the_end(bench, group)  # both motors are now fully set up
         group.set_trajectory(*ways_of(way, -way))
         before = places(bench, group)
         with bench.silence_host(skip=skip, limit=1) as lost:
@@ -127,12 +127,12 @@ def no_part_of_a_group_moves_on_alone(bench: RigProtocol) -> None:
             continue
         rest_for(bench, 1.0)
         for motor in group:
-            expect_rest(bench, motor, f"{which}, start() failed, and {motor.name}")
+            expect_rest(bench, motor, f"{which}, start() failed: {motor.name}")
         first, second = bench.motors[:2]
         rested = place(bench, first)
         _fire_once_more(bench, second)
         expect_unmoved(bench, first, rested, f"{which}, start() failed; later, {first.name}")
-    reached(hit > 0, "a frame that was lost")
+    reached(hit > 0, "the loss of a frame")
 
 
 @clause(
@@ -143,7 +143,7 @@ def no_part_of_a_group_moves_on_alone(bench: RigProtocol) -> None:
     source="FaultReaction; requirement 5, synchronised motions",
 )
 def a_fault_of_one_is_answered_as_was_set(bench: RigProtocol) -> None:
-    """If one member fails, the group says so, and the others stop, each or together, or go on."""
+    """If one member fails, the group fails, and the others react as set: stop or continue."""
     for reaction in FaultReaction:
         bench.afresh()
         way = 3.0 * half(bench)
@@ -158,12 +158,14 @@ def a_fault_of_one_is_answered_as_was_set(bench: RigProtocol) -> None:
         bench.fail(failing)
         _expect_group_told(group, reaction)
         rest_for(bench, shortest_s(other, way))
-        expect_rest(bench, other, f"{failing.name} failed, {reaction.name} was set, {other.name}")
+        expect_rest(
+            bench, other, f"{failing.name} failed with reaction {reaction.name}: {other.name}"
+        )
         made = abs(place(bench, other) - before) / abs(way)
         goes_on = reaction is FaultReaction.NONE
         expect(
             goes_on is (made > 0.98),
-            f"{failing.name} failed, {reaction.name} was set, and {other.name} made {made:.0%}",
+            f"{failing.name} failed, {reaction.name}: {other.name} made {made:.0%}",
         )
 
 
@@ -174,4 +176,4 @@ def _expect_group_told(group: MotorGroup, reaction: FaultReaction) -> None:
         raise
     except MotorError:
         return
-    raise Violated(f"one failed, {reaction.name} was set, and done was told of its group")
+    raise Violated(f"a member failed with reaction {reaction.name}, but its group reported done")

@@ -1,4 +1,4 @@
-"""L1: what start() does, and what it begins from."""
+"""L1: effects of start(), and its starting conditions."""
 
 from typing import TYPE_CHECKING, Final
 
@@ -42,7 +42,7 @@ _TURN_RAD: Final = 6.3
     source="Motor.start: starting again repeats the command",
 )
 def starting_again_repeats_the_command(bench: RigProtocol) -> None:
-    """Starting again repeats the command: what was a distance is one once more."""
+    """On a second start, the command is repeated: a distance is moved once more."""
     motor, way = bench.motor, 0.2 * long_move(bench)
     follow(motor, TrapezoidalTrajectory(way))
     finish(bench, motor, shortest_s(motor, way))
@@ -58,7 +58,7 @@ def starting_again_repeats_the_command(bench: RigProtocol) -> None:
     source="paper 3.5: start both sets the parameters to match the user's view and executes",
 )
 def each_start_has_the_settings_made_before_it(bench: RigProtocol) -> None:
-    """Each motion goes by the settings made last before its own start, not by earlier ones."""
+    """Each motion uses the settings made before its own start, not earlier ones."""
     motor, model = bench.motor, bench.motor.model
     way, tolerance_s = 0.3 * long_move(bench), bench.facts.time_tolerance_s
     motor.enable()
@@ -79,7 +79,7 @@ def each_start_has_the_settings_made_before_it(bench: RigProtocol) -> None:
         expect(
             early_s - tolerance_s <= taken_s - expected_s <= late_s + tolerance_s,
             f"with limits of {share:.0%} of the model's {way:g} {model.unit} take"
-            f" {expected_s:.3f} s, it took {taken_s:.3f} s",
+            f" {expected_s:.3f} s; took {taken_s:.3f} s",
         )
 
 
@@ -87,10 +87,10 @@ def each_start_has_the_settings_made_before_it(bench: RigProtocol) -> None:
     "START-03",
     Level.L1,
     needs={Capability.POSITION_SET_POINT},
-    source="Motor.start: in mid-motion a set-point replaces a set-point of its variable",
+    source="Motor.start: during a motion, a set-point replaces one of its variable",
 )
 def a_set_point_replaces_another_in_mid_motion(bench: RigProtocol) -> None:
-    """A set-point of position that is started in mid-motion replaces the one before, at once."""
+    """During a motion, a new position set-point replaces the previous one at once."""
     motor, way = bench.motor, 2.0 * long_move(bench)
     aim(motor, way)
     rest_for(bench, 0.3 * shortest_s(motor, way))
@@ -103,13 +103,13 @@ def a_set_point_replaces_another_in_mid_motion(bench: RigProtocol) -> None:
     brakes = way_of_stopping(motor, motor.model.velocity_max)
     expect(
         farthest <= max(target, left_at + brakes) + 0.15 * way,
-        f"it went on to {farthest:.4g} {motor.model.unit}, and then back to {target:.4g}",
+        f"overshot to {farthest:.4g} {motor.model.unit} on the way to {target:.4g}",
     )
     aim(motor, 0.0)
     rest_for(bench, 0.05)
     aim(motor, target)
     finish(bench, motor, shortest_s(motor, way))
-    expect_at(bench, motor, target, "after it was called back on its way to 0")
+    expect_at(bench, motor, target, "replaced on the way to 0")
 
 
 @clause(
@@ -117,10 +117,10 @@ def a_set_point_replaces_another_in_mid_motion(bench: RigProtocol) -> None:
     Level.L1,
     needs={Capability.VELOCITY_SET_POINT},
     bench={Ability.TRUTH},
-    source="Motor.start: what is said of velocity replaces what was said of the same",
+    source="Motor.start: a velocity set-point replaces another one",
 )
 def a_velocity_replaces_another(bench: RigProtocol) -> None:
-    """A set-point of velocity that is started in mid-motion replaces the one before."""
+    """During a motion, a new velocity set-point replaces the previous one."""
     motor, unit = bench.motor, bench.motor.model.unit
     ramp_s = motor.model.velocity_max / motor.model.acceleration_max
     for share in (0.2, 0.5, -0.3):
@@ -133,11 +133,11 @@ def a_velocity_replaces_another(bench: RigProtocol) -> None:
         found = (place(bench, motor) - before) / ((bench.runtime.now_ns() - begun_ns) / 1e9)
         expect(
             abs(found - asked) <= 0.05 * abs(asked),
-            f"told {asked:g} {unit}/s in mid-motion, it goes at {found:g} {unit}/s",
+            f"velocity {found:g} {unit}/s; expected the new set-point, {asked:g} {unit}/s",
         )
     motor.stop()
     finish(bench, motor)
-    expect_rest(bench, motor, "after it was stopped")
+    expect_rest(bench, motor, "after stop()")
 
 
 @clause(
@@ -147,7 +147,7 @@ def a_velocity_replaces_another(bench: RigProtocol) -> None:
     source="Motor.start: everything else starts from rest; paper 3.3.3, only without errors",
 )
 def what_cannot_be_replaced_is_not_disturbed(bench: RigProtocol) -> None:
-    """A trajectory is refused while another one goes on, which ends as if nothing had happened."""
+    """During a trajectory, another one is refused, and the first one is not disturbed."""
     motor, way = bench.motor, 0.5 * long_move(bench)
     begin = motor.position()
     follow(motor, TrapezoidalTrajectory(way, duration_s=1.5 * shortest_s(motor, way)))
@@ -158,9 +158,9 @@ def what_cannot_be_replaced_is_not_disturbed(bench: RigProtocol) -> None:
     except StateError:
         pass
     else:
-        raise Violated("a second trajectory was started while the first one went on")
+        raise Violated("a second trajectory was started during the first one")
     finish(bench, motor, 1.5 * shortest_s(motor, way))
-    expect_at(bench, motor, begin + way, "after another trajectory was refused")
+    expect_at(bench, motor, begin + way, "after the refusal of another trajectory")
 
 
 @clause(
@@ -171,7 +171,7 @@ def what_cannot_be_replaced_is_not_disturbed(bench: RigProtocol) -> None:
     source="requirement 1: to achieve a motion target; paper 3.3, Figure 4",
 )
 def any_target_is_reached(bench: RigProtocol) -> None:
-    """Whatever places within its limits a motor is told to go to, it goes to each in turn."""
+    """Every target within the limits is reached, in sequence."""
     from hypothesis import Phase, given, seed, settings
     from hypothesis import strategies as st
 
@@ -200,7 +200,7 @@ def any_target_is_reached(bench: RigProtocol) -> None:
 
 
 def _room(bench: RigProtocol) -> tuple[float, float]:
-    """Between which positions it may be sent: more than a turn to either side, if there is room."""
+    """Return the range of targets: more than a turn in both directions, within the limits."""
     model, far = bench.motor.model, _LONG * long_move(bench)
     if model.unit == "rad":
         far = max(far, 1.2 * _TURN_RAD)
@@ -213,10 +213,10 @@ def _room(bench: RigProtocol) -> tuple[float, float]:
     "MOVE-02",
     Level.L1,
     needs={Capability.POSITION_SET_POINT, Capability.POSITION_TRAJECTORY},
-    source="requirement 1; Motor.wait_until_done: what was commanded last is over",
+    source="requirement 1; Motor.wait_until_done: the last command",
 )
 def moves_of_no_way_are_moves(bench: RigProtocol) -> None:
-    """A move of nothing, or of less than can be counted, is done at once, and the next is made."""
+    """Zero or sub-resolution moves are done at once, and the next move is exact."""
     motor = bench.motor
     least = motor.model.resolution or 1e-6 * long_move(bench)
     way = 0.2 * long_move(bench)
@@ -233,7 +233,7 @@ def moves_of_no_way_are_moves(bench: RigProtocol) -> None:
             late_s = bench.facts.latency_s[1] + bench.facts.time_tolerance_s
             expect(
                 taken_s <= late_s,
-                f"a move of {tiny:g} {motor.model.unit} was over after {taken_s:.3f} s only",
+                f"a move of {tiny:g} {motor.model.unit} took {taken_s:.3f} s; limit {late_s:.3f} s",
             )
         follow(motor, TrapezoidalTrajectory(way))
         finish(bench, motor, shortest_s(motor, way))

@@ -1,4 +1,4 @@
-"""An ODrive from its table in a rig: entry point `motorhil.controllers`, name `odrive`."""
+"""Builder of an emulated ODrive; entry point `motorhil.controllers`, name `odrive`."""
 
 from collections.abc import Mapping
 
@@ -9,7 +9,7 @@ from motorhil_odrive.emulated.settings import read_settings
 
 
 def build(settings: Mapping[str, object], context: ControllerContext) -> Controller:
-    """The drive a rig describes.
+    """Build the drive from its table in a rig.
 
     Args:
         settings: the controller's table without `kind` and `bus`.
