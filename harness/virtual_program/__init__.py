@@ -1,10 +1,11 @@
-"""Programs written for hardware, in a rig's virtual time, unchanged.
+"""Unmodified programs for hardware, run in a rig's virtual time.
 
     with Rig.open("rig.toml") as rig, in_virtual_time(rig):
-        somebody_elses_program()
+        main_of_the_program()
 
-Within it `time`, `threading`, `queue`, `sched` and thread pools go by the rig's clock; each thread
-is a party, and has its turn while the others wait. What cannot be so is refused by name.
+Inside the block `time`, `threading`, `queue`, `sched` and thread pools use the rig's clock. Each
+thread is a party, which runs while the others wait. Operations that cannot use the rig's clock
+raise UsageError.
 """
 
 import random
@@ -26,19 +27,19 @@ __all__ = ["in_virtual_time", "join_executors"]
 
 @contextmanager
 def in_virtual_time(rig: "Rig") -> Iterator[None]:
-    """Within it, this thread and those that it starts run a program in the rig's virtual time.
+    """Run a program in the rig's virtual time: this thread and those that it starts.
 
-    `random` is seeded by the rig's seed. All is as before when it is left, however it is left;
-    threads that are still there then end in the wait that they are in.
+    `random` is seeded from the rig's seed. At the end of the block everything is restored, and
+    threads that still run are ended in their current wait.
 
     Raises:
-        UsageError: another program is in virtual time already, or this thread is no party of the
-            rig: it did not open it.
+        UsageError: another program is in virtual time already, or this thread is not a party of the
+            rig because it did not open the rig.
     """
     if rig.runtime.party_of_thread() is None:
         raise UsageError(
-            f"thread {threading.current_thread().name!r} is no party of this rig: enter "
-            "in_virtual_time in the thread that opened it"
+            f"thread {threading.current_thread().name!r} is not a party of this rig; enter "
+            "in_virtual_time in the thread that opened the rig"
         )
     with program_on(rig.runtime) as program, _seeded(rig.seed), standard_library_replaced():
         try:

@@ -1,4 +1,4 @@
-"""The rig's clock in place of the wall's: module `time`, for who is a party."""
+"""Stand-ins for module `time`, which give parties the rig's clock."""
 
 import time
 from collections.abc import Callable
@@ -15,7 +15,7 @@ _sleep = time.sleep
 
 
 def _program(depth: int = 2) -> Program | None:
-    """The program whose clock is asked for, so many calls up; None: it is the wall's."""
+    """Return the program of the caller `depth` levels up, or None if it uses the wall clock."""
     program = program_here()
     return None if program is None or caller_is_outside(depth + 1) else program
 
@@ -27,16 +27,16 @@ def _reading_ns(program: Program) -> int:
 
 
 def seconds_here() -> float | None:
-    """What time.time() would say to who calls who asks; None: what the wall's says."""
+    """Return time.time() for the caller's caller, or None if it uses the wall clock."""
     program = _program(3)
     return None if program is None else _reading_ns(program) / 1e9
 
 
 def sleep(seconds: float, /) -> None:
-    """`seconds` [s] of the rig's time have passed, at least 1 us."""
+    """Sleep for `seconds` [s] of the rig's time, at least 1 us."""
     program = _program()
     if program is None or not seconds >= 0:
-        _sleep(seconds)  # refuses what is no time
+        _sleep(seconds)  # raises for invalid durations
         return
     party = party_here()
     assert party is not None
@@ -44,7 +44,7 @@ def sleep(seconds: float, /) -> None:
 
 
 def _clock(original: Callable[[], Any], base_ns: int, unit: float | None) -> Callable[[], Any]:
-    """A clock that says base + the rig's time, in ns (None) or in units of `unit` ns."""
+    """Return a clock of base + the rig's time, in ns (None) or in units of `unit` ns."""
 
     def clock() -> Any:
         program = _program()
@@ -74,7 +74,7 @@ def _clock_gettime(
 
 
 def _calendar(original: Callable[..., Any]) -> Callable[..., Any]:
-    """localtime, gmtime, ctime: of now where no time is given."""
+    """Return a stand-in for localtime, gmtime or ctime, whose default is the rig's time."""
 
     def convert(seconds: float | None = None, /) -> Any:
         if seconds is None:
@@ -87,7 +87,7 @@ def _calendar(original: Callable[..., Any]) -> Callable[..., Any]:
 
 
 def _formatted(original: Callable[..., str], leading: int) -> Callable[..., str]:
-    """For strftime (one leading argument) and asctime (none): of now where no time is given."""
+    """Return a stand-in for strftime (one leading argument) or asctime (none) with that default."""
 
     def convert(*words: Any) -> str:
         if len(words) == leading:
@@ -104,7 +104,7 @@ _localtime = time.localtime
 
 
 def stand_ins() -> list[tuple[object, object]]:
-    """What of module `time` is replaced, and by what."""
+    """Return (original, stand-in) for the functions of module `time`."""
     pairs: list[tuple[object, object]] = [(time.sleep, sleep)]
     for name, base_ns in (
         ("time", 0),

@@ -1,7 +1,7 @@
-"""Dates of the rig's clock: `datetime.now()` and `date.today()`, for who is a party.
+"""Stand-ins for `datetime` and `date`, which give parties the rig's date.
 
-These classes cannot be told another clock, so two others stand in for them. They make the
-library's own objects, and take them for theirs.
+The clock of these classes cannot be replaced, so two other classes stand in for them. They create
+the library's own objects, and accept them in isinstance().
 """
 
 from datetime import UTC, date, datetime, tzinfo
@@ -11,7 +11,7 @@ from harness.virtual_program.clocks import seconds_here
 
 
 class _Face(type):
-    """The class of a class that takes instances of `original` for its own."""
+    """Metaclass of a class that accepts instances of `original` as its own."""
 
     original: type
 
@@ -26,54 +26,54 @@ class _Face(type):
         return issubclass(kind, cls.original) if cls._is_face() else super().__subclasscheck__(kind)
 
     def _is_face(cls) -> bool:
-        return "original" in vars(cls)  # a program's own subclass is a class like any
+        return "original" in vars(cls)  # a program's own subclass is an ordinary class
 
 
 class Datetime(datetime, metaclass=_Face):
-    """As datetime.datetime."""
+    """Stand-in for datetime.datetime."""
 
     original = datetime
 
     def __new__(cls, *words: Any, **named: Any) -> Any:
-        """The library's object; of a subclass, its own."""
+        """Return the library's object, or an instance of the program's subclass."""
         return datetime.__new__(datetime if cls is Datetime else cls, *words, **named)
 
     @classmethod
     def now(cls, tz: tzinfo | None = None) -> Any:
-        """It is that by the rig's clock."""
+        """Return the current time by the rig's clock."""
         now_s = seconds_here()
         return datetime.now(tz) if now_s is None else cls.fromtimestamp(now_s, tz)
 
     @classmethod
     def today(cls) -> Any:
-        """It is that by the rig's clock."""
+        """Return the current local time by the rig's clock."""
         now_s = seconds_here()
         return datetime.now() if now_s is None else cls.fromtimestamp(now_s)  # noqa: DTZ005 -- local, as its
 
     @classmethod
     def utcnow(cls) -> Any:
-        """It is that by the rig's clock, in UTC, which the object does not know."""
+        """Return the current UTC time by the rig's clock, without a time zone."""
         now_s = seconds_here()
         now = datetime.now(UTC) if now_s is None else cls.fromtimestamp(now_s, UTC)
         return now.replace(tzinfo=None)
 
 
 class Date(date, metaclass=_Face):
-    """As datetime.date."""
+    """Stand-in for datetime.date."""
 
     original = date
 
     def __new__(cls, *words: Any, **named: Any) -> Any:
-        """The library's object; of a subclass, its own."""
+        """Return the library's object, or an instance of the program's subclass."""
         return date.__new__(date if cls is Date else cls, *words, **named)
 
     @classmethod
     def today(cls) -> Any:
-        """It is that by the rig's clock."""
+        """Return the current date by the rig's clock."""
         now_s = seconds_here()
         return date.today() if now_s is None else cls.fromtimestamp(now_s)  # noqa: DTZ011 -- the original
 
 
 def stand_ins() -> list[tuple[object, object]]:
-    """What of module `datetime` is replaced, and by what."""
+    """Return (original, stand-in) for the classes of module `datetime`."""
     return [(datetime, Datetime), (date, Date)]

@@ -1,7 +1,7 @@
-"""Locks that wait in virtual time where a party waits for a party, and on the wall where not.
+"""Locks that wait in virtual time if one party waits for another.
 
-All other things to wait with (conditions, events, semaphores, barriers, queues, futures) are the
-standard library's own, made of these two.
+Otherwise they wait in wall time. All other synchronization objects (conditions, events, semaphores,
+barriers, queues, futures) are the standard library's own, built from these two locks.
 """
 
 from _thread import LockType, get_ident
@@ -18,29 +18,29 @@ _FOR_EVER: Final = -1
 
 @final
 class Lock:
-    """As threading.Lock; of several parties that wait for it, whoever asked first gets it first."""
+    """Stand-in for threading.Lock; waiting parties get it in the order of their requests."""
 
     __slots__ = ("__weakref__", "_awaited", "_holder", "_lock")
 
     def __init__(self) -> None:
         self._lock: LockType = _allocate_lock()
-        self._holder: VirtualParty | None = None  # None also: a thread that is no party
-        self._awaited = 0  # by so many parties
+        self._holder: VirtualParty | None = None  # also None for a thread that is not a party
+        self._awaited = 0  # number of waiting parties
 
     def acquire(self, blocking: bool = True, timeout: float = _FOR_EVER) -> bool:
-        """Whether it is this thread's; `timeout` [s] of the rig's time for a party."""
+        """Acquire the lock; return whether that succeeded. Parties wait in the rig's time [s]."""
         party = party_here()
         if party is not None and self._lock.acquire(False):
             self._holder = party
             return True
         if party is None or (self._holder is None and blocking):
-            # Held by who does not wait for the rig: time stands still meanwhile.
+            # The holder does not wait for the rig: time stands still meanwhile.
             got = self._lock.acquire(blocking, timeout)
             if got:
                 self._holder = party
             return got
         if timeout != _FOR_EVER and (not blocking or not 0 <= timeout <= TIMEOUT_MAX):
-            return self._lock.acquire(blocking, timeout)  # raises what a plain one does
+            return self._lock.acquire(blocking, timeout)  # raises as a plain lock does
         if not blocking or timeout == 0:
             self._look(party)
             return False
@@ -64,7 +64,7 @@ class Lock:
             left_s = None if timeout_s is None else program.from_now_s(party, timeout_s)
             return program.runtime.wait_for_parties(take, left_s)
         except BaseException:
-            if took:  # interrupted when it was just given
+            if took:  # interrupted just after the lock was acquired
                 self.release()
             raise
         finally:
@@ -78,10 +78,11 @@ class Lock:
             program.look(party)
 
     def release(self) -> None:
-        """It is nobody's.
+        """Release the lock.
 
         Raises:
-            UsageError: a thread that is no party would wake one: when, only the wall knows.
+            UsageError: a thread that is not a party would wake one, at a time that only the wall
+                clock knows.
         """
         if self._awaited:
             refuse_foreign("wake a party")
@@ -89,7 +90,7 @@ class Lock:
         self._lock.release()
 
     def locked(self) -> bool:
-        """Whether it is anybody's."""
+        """Return whether any thread holds the lock."""
         locked = self._lock.locked()
         party = party_here() if locked else None
         if party is not None:
@@ -116,13 +117,13 @@ class Lock:
 
 
 def allocate_lock() -> Lock:
-    """As _thread.allocate_lock."""
+    """Stand in for _thread.allocate_lock."""
     return Lock()
 
 
 @final
 class RLock:
-    """As threading.RLock."""
+    """Stand-in for threading.RLock."""
 
     __slots__ = ("__weakref__", "_block", "_count", "_owner")
 
@@ -132,7 +133,7 @@ class RLock:
         self._count = 0
 
     def acquire(self, blocking: bool = True, timeout: float = _FOR_EVER) -> bool:
-        """Whether it is this thread's, once more than before."""
+        """Acquire the lock once more; return whether that succeeded."""
         me = get_ident()
         if self._owner == me:
             self._count += 1
@@ -144,7 +145,7 @@ class RLock:
         return True
 
     def release(self) -> None:
-        """It is this thread's once less than before."""
+        """Release the lock once."""
         if self._owner != get_ident():
             raise RuntimeError("cannot release un-acquired lock")
         self._count -= 1
@@ -156,7 +157,7 @@ class RLock:
         return self._owner == get_ident()
 
     def _release_save(self) -> tuple[int, int | None]:
-        """As threading.Condition wants it: nobody's, and how it was."""
+        """Release the lock completely and return its state, for threading.Condition."""
         if not self._count:
             raise RuntimeError("cannot release un-acquired lock")
         saved = self._count, self._owner
@@ -172,7 +173,7 @@ class RLock:
         return self._count if self._is_owned() else 0
 
     def locked(self) -> bool:
-        """Whether it is anybody's."""
+        """Return whether any thread holds the lock."""
         return self._block.locked()
 
     def _at_fork_reinit(self) -> None:

@@ -1,8 +1,8 @@
-"""What cannot be in virtual time, refused by its name: it would wait where nobody knows of the rig.
+"""Operations that are refused in virtual time, because they block outside the rig.
 
-Left as they are: `subprocess`, `input`, files, sending on sockets, connecting. The rig's time
-stands still while they last, as while the program computes. What is refused could also wait for
-something that this program has to do itself, or makes a second copy of the rig.
+`subprocess`, `input`, files, sending on sockets and connecting are not refused. The rig's time
+stands still during such calls, as during computations. The refused operations could wait for
+something that this program itself must do, or would create a second copy of the rig.
 """
 
 import asyncio
@@ -21,13 +21,13 @@ from typing import Any, Final
 from harness.virtual_program.turn import caller_is_outside, party_here, program_here
 from motorapi.errors import UsageError
 
-_COPY: Final = "the new process would have a copy of the rig, with a time of its own"
-_SOCKET: Final = "it waits in the operating system, and no thread of the program runs meanwhile"
-_PROCESSES: Final = "it is for processes, and waits in the operating system"
-_ALARM: Final = "it goes by the wall's clock, not by the rig's"
+_COPY: Final = "the new process would have its own copy of the rig, with its own time"
+_SOCKET: Final = "it blocks in the operating system, and with it all threads of the program"
+_PROCESSES: Final = "it is for processes, and blocks in the operating system"
+_ALARM: Final = "it uses the wall clock, not the rig's clock"
 _THREADS: Final = "use threads (concurrent.futures.ThreadPoolExecutor)"
 _TIMER: Final = "use threading.Timer"
-_POLL: Final = "ask without waiting (a timeout of 0), and sleep in between"
+_POLL: Final = "poll with a timeout of 0, and sleep in between"
 
 _FUNCTIONS: Final = (
     (os.fork, "os.fork", _COPY, _THREADS),
@@ -46,7 +46,7 @@ _OF_PROCESSES: Final = (
     *("Pipe", "Pool", "Queue", "RLock", "Semaphore", "SimpleQueue"),
 )
 _LOOPS: Final = (
-    (asyncio.Runner, "__enter__"),  # of asyncio.run: before there is anything to close
+    (asyncio.Runner, "__enter__"),  # by asyncio.run: before there is anything to close
     (asyncio.Runner, "run"),
     (asyncio.BaseEventLoop, "run_until_complete"),
     (asyncio.BaseEventLoop, "run_forever"),
@@ -58,13 +58,13 @@ _RECEIVING: Final = (
 
 def _refuse(name: str, why: str, remedy: str) -> None:
     raise UsageError(
-        f"{name} in virtual time: {why}; {remedy}, or run the program on the wall's clock: "
+        f"{name} in virtual time: {why}; {remedy}, or run the program in wall time: "
         "motorhil serve RIG -- python SCRIPT"
     )
 
 
 def _is_meant() -> bool:
-    """Whether a party calls, from the program: two calls up."""
+    """Return whether a party calls from the program, two levels up."""
     return party_here() is not None and not caller_is_outside(3)
 
 
@@ -75,7 +75,7 @@ def _refused(
     remedy: str,
     waits: Callable[..., bool] = lambda *_, **__: True,
 ) -> Callable[..., Any]:
-    """The original, refused to parties whenever `waits` of its arguments says so."""
+    """Return a stand-in that refuses calls of parties if `waits(arguments)` is True."""
 
     @wraps(original)
     def stand_in(*arguments: Any, **named: Any) -> Any:
@@ -84,7 +84,7 @@ def _refused(
                 _refuse(name, why, remedy)
             program, party = program_here(), party_here()
             if program is not None and party is not None:
-                program.look(party)  # a program that polls gets on
+                program.look(party)  # lets time pass for a program that polls
         return original(*arguments, **named)
 
     return stand_in
@@ -103,12 +103,12 @@ def _socket_waits(receiver: socket.socket, *_: Any, **__: Any) -> bool:
 
 
 def _of_processes(place: object, name: str) -> Callable[..., Any]:
-    """What of `multiprocessing` is for waiting, also in its pool of threads."""
+    """Return a stand-in for a waiting function of `multiprocessing`, also in its thread pool."""
     return _refused(getattr(place, name), f"multiprocessing.{name}", _PROCESSES, _THREADS)
 
 
 def stand_ins() -> list[tuple[object, object]]:
-    """Functions that are refused, and what refuses them."""
+    """Return (original, stand-in) for the functions that are refused."""
     return [
         (select.select, _refused(select.select, "select.select", _SOCKET, _POLL, _select_waits)),
         *(
@@ -123,7 +123,7 @@ def stand_ins() -> list[tuple[object, object]]:
 
 
 def methods() -> list[tuple[type, str, object]]:
-    """(class, name, what refuses it) of methods that are refused."""
+    """Return (class, name, stand-in) for the methods that are refused."""
     found: list[tuple[type, str, object]] = [
         (BaseProcess, "start", _refused(BaseProcess.start, "multiprocessing", _COPY, _THREADS)),
         *((BaseContext, name, _of_processes(BaseContext, name)) for name in _OF_PROCESSES),
@@ -132,7 +132,7 @@ def methods() -> list[tuple[type, str, object]]:
             for kind, name in _LOOPS
         ),
     ]
-    for name, kind in vars(selectors).items():  # one of them under a second name, too
+    for name, kind in vars(selectors).items():  # one class has a second name
         if isinstance(kind, type) and kind.__name__ == name and "select" in vars(kind):
             what = f"selectors.{name.lstrip('_')}.select"
             stand_in = _refused(vars(kind)["select"], what, _SOCKET, _POLL, _selector_waits)

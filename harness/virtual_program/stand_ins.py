@@ -1,8 +1,8 @@
-"""What stands in for the standard library while a program runs, and that it all goes again.
+"""Replacement of the standard library while a program runs.
 
-Replaced is every name of every module, imported before or meanwhile, that is bound to one of the
-originals: `time.sleep`, and `sleep` in a module that has done `from time import sleep`.
-Modules of the packages in `turn.OUTSIDE` keep theirs.
+Every name in every module that is bound to an original is rebound, whenever the module was
+imported: `time.sleep`, and `sleep` in a module with `from time import sleep`. Modules of the
+packages in `turn.OUTSIDE` keep the originals.
 """
 
 import _thread
@@ -27,17 +27,17 @@ _Methods = list[tuple[type, str, object]]
 
 @final
 class SimpleQueue(_PySimpleQueue):  # type: ignore[misc]  # typeshed does not know it
-    """As queue.SimpleQueue, but in Python: made of locks."""
+    """Stand-in for queue.SimpleQueue, in Python and therefore built from our locks."""
 
 
 @contextmanager
 def standard_library_replaced() -> Iterator[None]:
-    """Within it, parties meet the rig's clock and baton in the standard library, not the wall's."""
+    """Replace clocks, locks and threads of the standard library for parties."""
     pairs = _pairs()
     there: _Names = {id(original): (original, own) for original, own in pairs}
     back: _Names = {id(own): (own, original) for original, own in pairs}
     methods = _methods()
-    defaults = scheduler.__init__.__defaults__  # bound when somebody imported it
+    defaults = scheduler.__init__.__defaults__  # bound when sched was imported
     before = [(kind, name, vars(kind).get(name)) for kind, name, _ in methods]
     try:
         for kind, name, own in methods:
@@ -56,11 +56,11 @@ def standard_library_replaced() -> Iterator[None]:
 
 
 def _pairs() -> list[tuple[object, object]]:
-    """(original, what stands in for it): one for each, so that each finds back."""
+    """Return pairs of (original, stand-in), each unique so that it can be reversed."""
     return [
         (_thread.allocate_lock, locks.allocate_lock),
         *([] if threading.Lock is _thread.allocate_lock else [(threading.Lock, Lock)]),
-        (_thread.RLock, RLock),  # also what threading.RLock makes
+        (_thread.RLock, RLock),  # also the result of threading.RLock
         (_thread.start_new_thread, threads.start_new_thread),
         (threading.enumerate, threads.enumerate_threads),
         (threading.active_count, threads.active_count),
@@ -87,7 +87,7 @@ def _rebind(names: _Names) -> None:
             continue
         try:
             namespace: dict[str, Any] = object.__getattribute__(module, "__dict__")
-        except AttributeError:  # what somebody put there in place of a module
+        except AttributeError:  # an object that replaces a module
             continue
         for name, value in list(namespace.items()):
             found = names.get(id(value))

@@ -1,4 +1,4 @@
-"""Threads as parties: started under the baton, joined in virtual time, ended with the program."""
+"""Threads as parties, which start, join and end in virtual time."""
 
 import sys
 import threading
@@ -20,8 +20,8 @@ from harness.virtual_program.turn import (
     program_here,
 )
 
-_ROUNDS: Final = 3  # so often it is ended that goes on all the same
-_GRACE_S: Final = 10.0  # of the rig's time, each round
+_ROUNDS: Final = 3  # attempts to end a thread that continues
+_GRACE_S: Final = 10.0  # in the rig's time, for each attempt
 _parties: "weakref.WeakKeyDictionary[Thread, VirtualParty]" = weakref.WeakKeyDictionary()
 _start = Thread.start
 _join = Thread.join
@@ -31,13 +31,14 @@ _enumerate = threading.enumerate
 
 
 def start(thread: Thread) -> None:
-    """The thread is a party: it runs from when this one next waits.
+    """Start a thread as a party, which runs when the current party next waits.
 
-    Not so one that our own packages start: it waits for the wall, or is a party already.
+    Threads of our own packages are started on the wall clock: they wait for it, or are parties
+    already.
     """
     program = program_here()
     if program is None or thread in _parties:
-        _start(thread)  # refuses a second start
+        _start(thread)  # raises for a second start
         return
     if isinstance(thread, PartyThread) or caller_is_outside(2):
         with on_wall():
@@ -53,7 +54,7 @@ def _start_party(program: Program, thread: Thread) -> None:
     work = partial(_run, thread, party, run)
     vars(thread)["run"] = partial(program.runtime.run_party, party, work)
     try:
-        with on_wall():  # until it waits for its first turn
+        with on_wall():  # until the thread waits for its first turn
             _start(thread)
     except BaseException:
         del vars(thread)["run"]
@@ -63,7 +64,7 @@ def _start_party(program: Program, thread: Thread) -> None:
 
 
 def join_executors() -> None:
-    """What was submitted to thread pools is done, and their threads have ended: as Python ends."""
+    """Finish the work of all thread pools and end their threads, as Python does at exit."""
     with executors._global_shutdown_lock:  # noqa: SLF001 -- what Python's own end does
         executors._shutdown = True  # noqa: SLF001
     try:
@@ -77,9 +78,10 @@ def join_executors() -> None:
 
 
 def end_threads(program: Program) -> None:
-    """Threads that are left have ended in the wait that they are in, or have no turn any more.
+    """End the remaining threads in their current wait, or give them no more turns.
 
-    Their `finally` has some seconds of the rig's time. Python does not even grant that to daemons.
+    Their `finally` blocks have some seconds of the rig's time. Python does not grant this to
+    daemons.
     """
     runtime = program.runtime
     for _ in range(_ROUNDS):
@@ -97,7 +99,7 @@ def _all_of(parties: list[VirtualParty]) -> Callable[[], bool]:
 
 
 def _run(thread: Thread, party: VirtualParty, run: Callable[[], None]) -> None:
-    """What the thread raises is told as Python does, but before another party has its turn."""
+    """Run the thread; report its exception as Python does, before the next party's turn."""
     try:
         run()
     except (SystemExit, Cancelled):
@@ -109,19 +111,19 @@ def _run(thread: Thread, party: VirtualParty, run: Callable[[], None]) -> None:
 
 
 def join(thread: Thread, timeout: float | None = None) -> None:
-    """The thread has ended, or `timeout` [s] of the rig's time have passed."""
+    """Wait until the thread has ended, or for `timeout` [s] of the rig's time."""
     program, party, me = program_here(), _parties.get(thread), party_here()
     if program is None or party is None or me is None or party is me:
-        _join(thread, timeout)  # refuses to join itself
+        _join(thread, timeout)  # raises if a thread joins itself
         return
     left_s = None if timeout is None else program.from_now_s(me, max(timeout, 0.0))
     if program.runtime.wait_for_parties(party.has_finished, left_s):
-        with on_wall():  # it needs no turn for what it still does
+        with on_wall():  # the thread needs no more turns
             _join(thread)
 
 
 def is_alive(thread: Thread) -> bool:
-    """Whether it has begun and not ended."""
+    """Return whether the thread has begun and not ended."""
     program, party, me = program_here(), _parties.get(thread), party_here()
     if program is None or party is None or me is None:
         return _is_alive(thread)
@@ -130,7 +132,7 @@ def is_alive(thread: Thread) -> bool:
 
 
 def is_set(event: Event) -> bool:
-    """Whether the event is set."""
+    """Return whether the event is set."""
     answer = _is_set(event)
     if not answer:
         program, party = program_here(), party_here()
@@ -140,12 +142,12 @@ def is_set(event: Event) -> bool:
 
 
 def enumerate_threads() -> list[Thread]:
-    """The threads that are alive; not those that only leave the operating system."""
+    """Return the running threads, without those that are only leaving the operating system."""
     return [thread for thread in _enumerate() if not _has_finished(thread)]
 
 
 def active_count() -> int:
-    """How many threads are alive."""
+    """Return the number of running threads."""
     return len(enumerate_threads())
 
 
@@ -160,7 +162,7 @@ def start_new_thread(
     kwargs: Mapping[str, Any] = MappingProxyType({}),
     /,
 ) -> int:
-    """As _thread.start_new_thread, for old programs: a daemon thread."""
+    """Stand in for _thread.start_new_thread by a daemon thread."""
     program = program_here()
     if program is None:
         return _start_new_thread(function, args, dict(kwargs))

@@ -1,8 +1,8 @@
-"""Whose turn it is: the party that runs here, and what it costs to look at things without waiting.
+"""The party whose turn it is, and the cost of polling clocks.
 
-All that stands in for the standard library asks `party_here` first. A thread that is no party (a
-test runner's, a library's in C) gets the wall's clocks and plain locks, as does who calls from the
-packages in `OUTSIDE`: this project's own, and what runs and measures tests.
+All stand-ins for the standard library call `party_here` first. A thread that is not a party (a test
+runner's, a C library's) gets the wall clocks and plain locks. So do callers from the packages in
+`OUTSIDE`: this project's own, and those that run and measure tests.
 """
 
 import sys
@@ -31,29 +31,29 @@ _TOLD_BILLS: Final = 1_000
 
 @final
 class Program:
-    """What runs in virtual time: its runtime, and how far its clocks are ahead of it.
+    """A program in virtual time: its runtime, and the lead of its clocks.
 
-    A look (at a clock, an event, a lock that is taken) lets a clock be 1 us ahead, and no time
-    pass; at a party's thousandth look it waits until time has come there. So a program that looks
-    until something changes gets there, and others have their turns meanwhile.
+    A look at a clock, an event or a taken lock advances the clock by 1 us, and lets no time pass.
+    At its thousandth look a party waits until time has caught up. So a program that polls until
+    something changes makes progress, and other parties have their turns meanwhile.
     """
 
     def __init__(self, runtime: VirtualRuntime) -> None:
         self.runtime = runtime
-        self.ahead_ns = 0  # what a clock has said last
-        self.parties: list[VirtualParty] = []  # its threads that had not ended when the last began
-        self._bills = 0  # one after another, with nothing else in between
+        self.ahead_ns = 0  # the last value of a clock
+        self.parties: list[VirtualParty] = []  # running threads when the last was added
+        self._bills = 0  # consecutive waits for time to catch up, with nothing in between
         self._paid_ns = -1
         self._told: list[VirtualParty] = []
 
     def add(self, party: VirtualParty) -> None:
-        """A thread that has begun is the program's."""
+        """Add a started thread to the program."""
         self.parties = [other for other in self.parties if not other.finished]
         self.parties.append(party)
         self.runtime.enrol(party)
 
     def look(self, party: VirtualParty) -> int:
-        """What a clock says [ns], a little more at each look; that may take a wait."""
+        """Return the value of a clock [ns], a little more at each look; this may wait."""
         now_ns = self.runtime.queue.now_ns
         step_ns = _LOOK_NS if self._bills < _SPIN_BILLS else _SPIN_LOOK_NS
         self.ahead_ns = max(now_ns, self.ahead_ns) + step_ns
@@ -66,7 +66,7 @@ class Program:
         return party.read_ns
 
     def from_now_s(self, party: VirtualParty, duration_s: float) -> float:
-        """How long it waits in the rig [s]: by the clock it looked at last, no less than asked."""
+        """Return the wait in the rig's time [s] until `duration_s` after the party's last look."""
         return duration_s + max(0, party.read_ns - self.runtime.queue.now_ns) / 1e9
 
     def _pay(self, party: VirtualParty) -> None:
@@ -75,8 +75,8 @@ class Program:
         if self._bills >= _TOLD_BILLS and party not in self._told:
             self._told.append(party)
             print(
-                f"{whereabouts(party)}: it looks again and again without sleeping, and each look "
-                f"lets {_SPIN_LOOK_NS / 1e3:g} us pass; a time.sleep() there makes it faster",
+                f"{whereabouts(party)}: polls without sleeping; each poll "
+                f"takes {_SPIN_LOOK_NS / 1e3:g} us of the rig's time; add a time.sleep()",
                 file=sys.stderr,
             )
         self.runtime.run_for((self.ahead_ns - queue.now_ns) / 1e9)
@@ -85,14 +85,14 @@ class Program:
 
 @final
 class _Stage:
-    """What is on: at most one program, and whether its parties are treated as such just now."""
+    """The active program, and whether its parties currently use the wall clock."""
 
     program: Program | None = None
     is_on_wall = False
 
 
 def program_here() -> Program | None:
-    """The program of which this thread is a party; None if it is none's."""
+    """Return the program of which this thread is a party, or None."""
     program = _Stage.program
     if program is None or _Stage.is_on_wall or program.runtime.party_of_thread() is None:
         return None
@@ -100,7 +100,7 @@ def program_here() -> Program | None:
 
 
 def party_here() -> VirtualParty | None:
-    """The party that this thread is; None: the wall's clocks and locks are its own."""
+    """Return the party of this thread; None if it uses the wall's clocks and locks."""
     program = _Stage.program
     if program is None or _Stage.is_on_wall:
         return None
@@ -108,30 +108,30 @@ def party_here() -> VirtualParty | None:
 
 
 def caller_is_outside(depth: int) -> bool:
-    """Whether the function so many calls up belongs to the packages in `OUTSIDE`."""
+    """Return whether the function `depth` calls up belongs to the packages in `OUTSIDE`."""
     name = sys._getframe(depth).f_globals.get("__name__", "")  # noqa: SLF001 -- no other is as fast
     return isinstance(name, str) and name.partition(".")[0] in OUTSIDE
 
 
 def refuse_foreign(what: str) -> None:
-    """A thread that is no party has no turn in a program that is on.
+    """Refuse an operation of a thread that is not a party of the active program.
 
     Raises:
-        UsageError: this thread is such a one.
+        UsageError: this thread is not a party.
     """
     program = _Stage.program
     if program is None or _Stage.is_on_wall or program.runtime.party_of_thread() is not None:
         return
     raise UsageError(
-        f"thread {current_thread().name!r} would {what}: it was not started by Python's threading "
-        "while the program ran, so only the wall knows when; start it with threading.Thread, or "
-        "run the program on the wall's clock: motorhil serve RIG -- python SCRIPT"
+        f"thread {current_thread().name!r} cannot {what}: it was not started by Python's threading "
+        "while the program ran, so it has no virtual time; start it with threading.Thread, or "
+        "run the program in wall time: motorhil serve RIG -- python SCRIPT"
     )
 
 
 @contextmanager
 def on_wall() -> Iterator[None]:
-    """Within it nobody is a party: what waits, waits in the operating system, and not for long."""
+    """Treat no thread as a party within the block; waits are short and in wall time."""
     before, _Stage.is_on_wall = _Stage.is_on_wall, True
     try:
         yield
@@ -141,14 +141,14 @@ def on_wall() -> Iterator[None]:
 
 @contextmanager
 def program_on(runtime: VirtualRuntime) -> Iterator[Program]:
-    """Within it the parties of this runtime are a program's.
+    """Activate a program for the parties of this runtime within the block.
 
     Raises:
-        UsageError: another program is on in this process.
+        UsageError: another program is active in this process.
     """
     if _Stage.program is not None:
         raise UsageError(
-            "a program runs in virtual time in this process already: one rig's clock at a time; "
+            "another program of this process is already in virtual time; "
             "leave its in_virtual_time first"
         )
     program = _Stage.program = Program(runtime)
@@ -168,7 +168,7 @@ def _poll(program: Program) -> None:
 
 
 def whereabouts(party: VirtualParty) -> str:
-    """Who it is, and where in its own code: "worker (robot.py:12, in Queue.get)"."""
+    """Return a party's name and place in its own code: "worker (robot.py:12, in Queue.get)"."""
     frame = sys._current_frames().get(party.ident)  # noqa: SLF001 -- documented, for this
     told = [party.name]
     within = ""
@@ -180,6 +180,6 @@ def whereabouts(party: VirtualParty) -> str:
         if package not in OUTSIDE:
             within = f", in {frame.f_code.co_qualname}"
         frame = frame.f_back
-    if party.held_up_by not in (None, party):  # it takes a condition's lock from itself
+    if party.held_up_by not in (None, party):  # a party takes a condition's lock from itself
         told.append(f", held up by {party.held_up_by.name}")
     return "".join(told)

@@ -126,6 +126,6 @@ def test_one_program_at_a_time_and_in_the_rigs_own_thread(rig):
     thread = threading.Thread(target=elsewhere, name="stranger")
     thread.start()
     thread.join()
-    assert "thread 'stranger' is no party of this rig" in refused[0]
+    assert "thread 'stranger' is not a party of this rig" in refused[0]
     with in_virtual_time(rig), pytest.raises(UsageError, match="already"), in_virtual_time(rig):
         pass
