@@ -17,7 +17,7 @@ MODEL = MotorModel.load(Path(__file__).parent / "wheel_model.toml")
 
 
 def main() -> None:
-    """One wheel makes a turn, then both move together and end together."""
+    """Turn one wheel, then move both so that they start and end together."""
     with (
         can.Bus() as bus,
         closing(Cia402HwMotor(bus, node_id=1)) as left_drive,
@@ -28,7 +28,7 @@ def main() -> None:
 
         left.enable()
         left.set_control_mode(ControlMode.SETPOINT)
-        left.set_setpoint(2.0 * pi)  # rad; absolute, from where the power came on
+        left.set_setpoint(2.0 * pi)  # rad; absolute, from the position at power-on
         left.start()
         left.wait_until_done(timeout_s=10.0)
         print(f"left is at {left.position():.4f} rad")

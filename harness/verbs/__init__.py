@@ -1,1 +1,1 @@
-"""The verbs of the command line, one module each, loaded when it is used."""
+"""The verbs of the command line, one module each, imported when used."""

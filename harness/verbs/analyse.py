@@ -1,4 +1,4 @@
-"""`motorhil analyse RIG|FILE`: is every message in time, always?"""
+"""The verb `analyse`: worst-case response times of CAN messages."""
 
 import argparse
 import json
@@ -20,39 +20,39 @@ _TIME_MAX_S = 1e6
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """What `analyse` can be told."""
+    """Add the arguments of `analyse`."""
     parser.add_argument(
         "file", type=Path, metavar="RIG|FILE", help="a rig (.toml); or a recording, of any format"
     )
-    parser.add_argument("--bus", action="append", default=[], metavar="NAME", help="only this one")
-    add_bit_rates(parser, "as if it were so, or where a recording does not tell it: can0=500k")
+    parser.add_argument("--bus", action="append", default=[], metavar="NAME", help="only this bus")
+    add_bit_rates(parser, "assumed bit rate, also for recordings without one: can0=500k")
     parser.add_argument(
-        "--errors", type=whole(0, 4096), metavar="N", help="so many errors strike at once"
+        "--errors", type=whole(0, 4096), metavar="N", help="assume N errors at once"
     )
     parser.add_argument(
         "--error-interval",
         type=real(1e-6, _TIME_MAX_S, "s"),
         metavar="S",
-        help="and from then on one every S seconds at most",
+        help="then at most one error every S seconds",
     )
     parser.add_argument(
         "--bit-error-rate",
         type=real(0.0, 0.5),
         metavar="P",
-        help="each bit is destroyed with this chance: how likely is a message late?",
+        help="probability of a bit error: adds the probability of late messages",
     )
     _add_assumptions(parser)
-    parser.add_argument("--json", action="store_true", help="one JSON object")
-    parser.add_argument("--plot", type=Path, metavar="SVG", help="draw it, too")
+    parser.add_argument("--json", action="store_true", help="print one JSON object")
+    parser.add_argument("--plot", type=Path, metavar="SVG", help="also draw the response times")
 
 
 def _add_assumptions(parser: argparse.ArgumentParser) -> None:
-    """What neither rigs nor recordings tell."""
+    """Add options for facts that neither rigs nor recordings contain."""
     parser.add_argument(
         "--queue",
         choices=("fifo", "priority"),
-        help="what every node sends first: its oldest frame, or its most urgent one (default: as"
-        " the rig has it, and fifo where it says nothing)",
+        help="transmit order of the nodes: oldest frame, or most urgent frame first (default: from"
+        " the rig, else fifo)",
     )
     parser.add_argument(
         "--deadline",
@@ -60,26 +60,26 @@ def _add_assumptions(parser: argparse.ArgumentParser) -> None:
         type=_deadline,
         default=[],
         metavar="ID=S",
-        help="of a message, where it is not its period: 181=0.005",
+        help="deadline of a message, if it is not its period: 181=0.005",
     )
     parser.add_argument(
         "--sync",
         type=real(1e-4, _TIME_MAX_S, "s"),
         metavar="S",
-        help="of a rig: SYNC is sent every S seconds",
+        help="for a rig: the period of SYNC",
     )
     parser.add_argument(
         "--streamed",
         action="store_true",
-        help="of a rig: a set-point is streamed to every drive at each SYNC",
+        help="for a rig: stream a set-point to every drive at each SYNC",
     )
 
 
 def run(options: argparse.Namespace) -> int:
-    """Exit status: 0 every deadline is met, 1 one is not, 3 there is nothing to analyse.
+    """Analyse the buses; return 0 if every deadline is met, 1 if not, 3 without messages.
 
     Raises:
-        RigError: the rig is wrong, or an option names what is not there.
+        RigError: the rig is wrong, or an option names something that does not exist.
         TraceError: the recording cannot be read, or a bit rate is not known.
     """
     errors = _errors(options)
@@ -88,7 +88,7 @@ def run(options: argparse.Namespace) -> int:
     if options.bus:
         subjects = [one for one in subjects if one.load.name in options.bus]
     found = [analyse(one, errors) for one in subjects if one.load.messages]
-    verdict, status = _sum(found) if subjects else ("it has no CAN bus", NOT_JUDGED)
+    verdict, status = _sum(found) if subjects else ("no CAN bus", NOT_JUDGED)
     if options.json:
         tables = [as_table(one, options.bit_error_rate) for one in found]
         told = {"file": str(options.file), "verdict": verdict, "buses": tables}
@@ -118,7 +118,7 @@ def _subjects(options: argparse.Namespace) -> list[Subject]:
     from harness.recorded_loads import subjects_of_recording
 
     if options.sync is not None or options.streamed:
-        raise RigError(options.file, "--sync and --streamed are of rigs", "leave them out")
+        raise RigError(options.file, "--sync and --streamed are for rigs", "leave them out")
     rates, data_rates = dict(options.bitrate), dict(options.data_bitrate)
     return subjects_of_recording(options.file, rates, data_rates, fifo)
 
@@ -132,7 +132,7 @@ def _with_options(subject: Subject, options: argparse.Namespace) -> Subject:
     if data_rate is not None:
         if data_rate < load.bitrate_bit_s:
             message = f"--data-bitrate {load.name}={data_rate} is below {load.bitrate_bit_s} bit/s"
-            raise RigError(options.file, message, "the data phase is never the slower one")
+            raise RigError(options.file, message, "use a data bit rate that is not lower")
         load = replace(load, data_bitrate_bit_s=data_rate)
     deadlines = dict(options.deadline)
 
@@ -153,8 +153,8 @@ def _refuse_unknown(subjects: list[Subject], options: argparse.Namespace) -> Non
     sent = {one.identifier for subject in subjects for one in subject.load.messages}
     for number, _ in options.deadline:
         if number not in sent:
-            message = f"no message {number:03X}h is counted in it"
-            raise RigError(options.file, message, "look at the table without --deadline")
+            message = f"message {number:03X}h: not in the analysis"
+            raise RigError(options.file, message, "see the table without --deadline")
 
 
 def _errors(options: argparse.Namespace) -> ErrorModel:
@@ -184,10 +184,10 @@ def _draw(found: list[Findings], target: Path) -> None:
 
 
 def _deadline(text: str) -> tuple[int, int]:
-    """A message's identifier, and its deadline [ns].
+    """Parse a message's identifier and its deadline [ns].
 
     Raises:
-        argparse.ArgumentTypeError: it is not ID=S.
+        argparse.ArgumentTypeError: the text does not have the form ID=S.
     """
     name, sign, value = text.partition("=")
     if not sign:

@@ -1,4 +1,4 @@
-"""`motorhil check RIG`: a rig file is right, or the first thing wrong in it is told."""
+"""The verb `check`: validates a rig file."""
 
 import argparse
 import json
@@ -10,16 +10,16 @@ from harness.settings import RigError
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """What `check` can be told."""
+    """Add the arguments of `check`."""
     parser.add_argument("rig", type=Path, metavar="RIG", help="a rig file (TOML)")
-    parser.add_argument("--json", action="store_true", help="answer for a machine")
+    parser.add_argument("--json", action="store_true", help="print JSON")
 
 
 def run(options: argparse.Namespace) -> int:
-    """The rig has been put together, controllers and all, and taken apart; no time has passed.
+    """Build the rig with all controllers, and close it again; no time passes.
 
     Raises:
-        RigError: what is wrong in it.
+        RigError: the first error in the rig.
     """
     from harness.rig import Rig
 

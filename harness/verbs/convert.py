@@ -1,4 +1,4 @@
-"""`motorhil convert SOURCE -o TARGET`: recorded traffic from one format to another."""
+"""The verb `convert`: converts recorded traffic between formats."""
 
 import argparse
 import json
@@ -14,35 +14,34 @@ _SHOWN: Final = 20
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """What `convert` can be told."""
+    """Add the arguments of `convert`."""
     from harness.conversion import MODBUS_PCAPNG
     from traces.formats import WRITABLE
 
     names = ["mcap", *(known.name for known in WRITABLE), MODBUS_PCAPNG]
-    parser.add_argument("source", metavar="SOURCE", help="its format is found by its content")
+    parser.add_argument("source", metavar="SOURCE", help="a recording of any format")
     parser.add_argument("-o", "--output", required=True, metavar="TARGET", help="file to write")
-    parser.add_argument("--to", choices=names, help="format to write (default: by the ending)")
-    parser.add_argument("--force", action="store_true", help="write over a file that exists")
+    parser.add_argument("--to", choices=names, help="format to write (default: from the ending)")
+    parser.add_argument("--force", action="store_true", help="overwrite an existing file")
     parser.add_argument(
-        "--strict", action="store_true", help="exit 1 if anything could not be read or is lost"
+        "--strict", action="store_true", help="exit 1 if anything was not readable or is lost"
     )
-    parser.add_argument("--all", action="store_true", help=f"tell all problems, not {_SHOWN}")
-    parser.add_argument("--json", action="store_true", help="answer for a machine")
+    parser.add_argument("--all", action="store_true", help=f"print all problems, not only {_SHOWN}")
+    parser.add_argument("--json", action="store_true", help="print JSON")
 
 
 def run(options: argparse.Namespace) -> int:
-    """The target is written; what could not be read and what is lost is told.
+    """Write the target, and print which records were not readable and which facts are lost.
 
     Raises:
-        TraceError: the source cannot be read, or the target not be written.
+        TraceError: the source cannot be read, or the target cannot be written.
     """
     from harness.conversion import convert, format_of_ending
 
     name = options.to or format_of_ending(options.output)
     if name is None:
         print(
-            f"motorhil convert: what format {options.output} should have is not told by its "
-            "ending; say --to FORMAT",
+            f"motorhil convert: {options.output}: no format for this ending; use --to FORMAT",
             file=sys.stderr,
         )
         return WRONG_USAGE
@@ -90,8 +89,8 @@ def _notes(done: "Conversion") -> list[str]:
     if found.backward:
         back_s = found.largest_step_back_ns / 1e9
         notes.append(
-            f"{found.backward} frames are stamped earlier than the one before, by up to "
-            f"{back_s:.6f} s: order and stamps are kept as they are"
+            f"{found.backward} frames have an earlier time stamp than the one before, by up to "
+            f"{back_s:.6f} s: order and time stamps are kept"
         )
     for what, count in done.lost.items():
         told = str(what.name).lower().replace("_", " ")

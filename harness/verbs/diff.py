@@ -1,4 +1,4 @@
-"""`motorhil diff A B`: the first thing that two recordings tell differently, and a summary."""
+"""The verb `diff`: compares the meaning of two recordings."""
 
 import argparse
 import json
@@ -21,46 +21,46 @@ _NS = 1_000_000_000
 _AROUND_NS = 2 * _NS
 
 
-_SAYS_NOTHING: Final = "nothing in it has a meaning known here; --exact compares bytes"
+_SAYS_NOTHING: Final = "no event of known meaning; use --exact to compare bytes"
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """What `diff` can be told."""
+    """Add the arguments of `diff`."""
     usual = Tolerance()
     parser.add_argument("first", metavar="A", help="a recording (MCAP)")
-    parser.add_argument("second", metavar="B", help="another one")
+    parser.add_argument("second", metavar="B", help="another recording (MCAP)")
     parser.add_argument(
-        "--exact", action="store_true", help="compare the bytes and times of all messages instead"
+        "--exact", action="store_true", help="compare bytes and times of all messages"
     )
     parser.add_argument(
         "--tolerance",
         type=real(0.0, 1e9),
         default=usual.position,
         metavar="X",
-        help=f"how far motors may be apart, rad or m (default {usual.position:g})",
+        help=f"tolerance of positions, rad or m (default {usual.position:g})",
     )
     parser.add_argument(
         "--tolerance-s",
         type=real(0.0, 1e9, "s"),
         default=usual.time_ns / _NS,
         metavar="S",
-        help=f"how far motion may be apart in time (default {usual.time_ns / _NS:g})",
+        help=f"tolerance of times of motions (default {usual.time_ns / _NS:g})",
     )
     parser.add_argument(
         "--context",
         type=whole(0, 1_000_000, "lines"),
         default=3,
         metavar="N",
-        help="lines around it (default 3)",
+        help="lines of context (default 3)",
     )
-    parser.add_argument("--json", action="store_true", help="answer for a machine")
+    parser.add_argument("--json", action="store_true", help="print JSON")
 
 
 def run(options: argparse.Namespace) -> int:
-    """Exit status: 0 they mean the same, 1 they do not.
+    """Compare two recordings; return 0 if they mean the same, 1 if not.
 
     Raises:
-        TraceError: one of them cannot be read, or is damaged.
+        TraceError: a recording cannot be read, or is damaged.
     """
     if options.exact:
         return _exact(options)
@@ -90,7 +90,7 @@ def _exact(options: argparse.Namespace) -> int:
 
 
 def _tell(options: argparse.Namespace, difference: Difference) -> None:
-    """The difference, and what each recording tells around it of the same node or motor."""
+    """Print the difference, with both recordings' context of the same node or motor."""
     print(f"first difference, {difference.time_ns / _NS:.6f} s: {difference}")
     sides = ((options.first, difference.first), (options.second, difference.second))
     for path, item in sides:

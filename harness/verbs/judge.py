@@ -1,4 +1,4 @@
-"""`motorhil judge FILE`: what must be so in any recording, was it so in this one?"""
+"""The verb `judge`: checks a recording against the oracles."""
 
 import argparse
 import json
@@ -21,12 +21,12 @@ _WIDTH: Final = 100
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """What `judge` can be told."""
+    """Add the arguments of `judge`."""
     parser.add_argument(
         "file", nargs="?", metavar="FILE", help="a recording: MCAP, candump, TRC, ASC, BLF, CSV ..."
     )
     parser.add_argument(
-        "--list", action="store_true", help="say what the oracles promise, and who says so"
+        "--list", action="store_true", help="print the promises of the oracles, and their sources"
     )
     parser.add_argument(
         "--only",
@@ -40,23 +40,23 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--limits",
         type=Path,
         metavar="TOML",
-        help="limits that nothing measured may pass, by motor",
+        help="limits of measured values, by motor",
     )
     parser.add_argument(
-        "--rig", type=Path, metavar="RIG", help="the rig, where the recording has none in it"
+        "--rig", type=Path, metavar="RIG", help="the rig, if the recording does not contain it"
     )
     parser.add_argument(
         "--complete",
         action="store_true",
-        help="every frame of the buses is in it: then what was not heard counts, too",
+        help="the recording has every frame of its buses: missing frames count",
     )
     parser.add_argument("--from", type=time_ns, dest="from_ns", metavar="S", help="from this time")
     parser.add_argument("--to", type=time_ns, dest="to_ns", metavar="S", help="before this time")
-    parser.add_argument("--json", action="store_true", help="one JSON object")
+    parser.add_argument("--json", action="store_true", help="print one JSON object")
 
 
 def run(options: argparse.Namespace) -> int:
-    """Exit status: 0 what could be judged is as it should be, 1 something is not, 3 nothing was.
+    """Judge a recording; return 0 if it is sound, 1 if not, 3 if nothing could be judged.
 
     Raises:
         RigError: the rig or the file of limits is wrong.
@@ -66,7 +66,7 @@ def run(options: argparse.Namespace) -> int:
         _list(options.only)
         return PASSED
     if options.file is None:
-        print("motorhil judge: name a recording, or say --list", file=sys.stderr)
+        print("motorhil judge: name a recording, or use --list", file=sys.stderr)
         return WRONG_USAGE
     facts = Facts(is_complete=options.complete)
     if options.limits is not None:
@@ -128,7 +128,7 @@ def _list(only: Sequence[str]) -> None:
 
 
 def _tell_cut(path: str) -> None:
-    """Where a recording ends too early is told: it was judged up to there."""
+    """Print where a recording was cut; it was judged up to there."""
     if open_source(path).format == "mcap":
         with read_trace(path) as trace:
             if trace.cut is not None:
@@ -136,7 +136,7 @@ def _tell_cut(path: str) -> None:
 
 
 def _progress() -> Callable[[int], None] | None:
-    """Tells on a terminal how far it has come; None: there is none."""
+    """Return a callback that shows the progress on a terminal, or None if there is none."""
     if not sys.stderr.isatty():
         return None
 

@@ -1,4 +1,4 @@
-"""`motorhil list WHAT`: what is installed, or shipped, and where it is; whose a motor is now."""
+"""The verb `list`: installed plug-ins, examples, and owners of motors."""
 
 import argparse
 import json
@@ -17,27 +17,27 @@ from motorapi.lock_view import LockView, Occupant, look
 
 _BRIEF: Final = ("-sdo", "-sync", "-sync-producer", "-exchange")
 _ARMED: Final = "-armed-"
-"""Locks of a drive's objects, a bus's SYNC, a line, an armed set-point: listed only if had."""
+"""Locks of drive objects, SYNC, lines, armed set-points: listed only while held."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """What `list` can be told."""
+    """Add the arguments of `list`."""
     parser.add_argument(
         "what",
         choices=("controllers", "adaptations", "examples", "motors", "quirks", "registers"),
     )
     parser.add_argument(
-        "name", nargs="?", metavar="CONTROLLER", help="whose registers (list registers NAME)"
+        "name", nargs="?", metavar="CONTROLLER", help="for list registers: the controller"
     )
-    parser.add_argument("--json", action="store_true", help="answer for a machine")
+    parser.add_argument("--json", action="store_true", help="print JSON")
 
 
 def run(options: argparse.Namespace) -> int:
-    """Exit status: 0 the list has been printed, 2 wrong usage."""
+    """Print the list; return 0, or 2 for wrong usage."""
     if (options.what == "registers") is not (options.name is not None):
         known = ", ".join(with_registers())
         print(
-            f"motorhil list: registers, and only those, are of a controller: {known}",
+            f"motorhil list: a controller is required for registers, and only there: {known}",
             file=sys.stderr,
         )
         return WRONG_USAGE
@@ -70,7 +70,7 @@ def run(options: argparse.Namespace) -> int:
 
 
 def _locks(wrong: list[str]) -> Iterator[LockView]:
-    """Those that can be looked at; what is wrong with the others is added to `wrong`."""
+    """Yield the readable locks; append the errors of the others to `wrong`."""
     try:
         directory = LockDirectory()
         names = directory.names()
@@ -85,13 +85,13 @@ def _locks(wrong: list[str]) -> Iterator[LockView]:
 
 
 def _motors(wrong: list[str]) -> list[dict[str, Any]]:
-    """The motors that processes of this host share, or have shared: who has each, who waits."""
+    """Return the shared motors of this host, with the holder and the waiters of each."""
     listing = []
     for view in _locks(wrong):
         if view.holder is None and (view.name.endswith(_BRIEF) or _ARMED in view.name):
-            continue  # had for a moment only, unless somebody is paused in it
+            continue  # held for a moment only, unless its holder is paused
         if view.holder is None and not view.waiters and not _is_there(view.label):
-            continue  # of a hub that is served no more
+            continue  # of a hub that no longer exists
         entry: dict[str, Any] = {"name": view.label, "lock": view.name}
         entry["holder"] = None if view.holder is None else _told_of_holder(view, view.holder)
         entry["waiters"] = [_told(one) for _, one in view.waiters]
@@ -101,7 +101,7 @@ def _motors(wrong: list[str]) -> list[dict[str, Any]]:
 
 
 def _is_there(label: str) -> bool:
-    """Whether the bus that a label names is there: a hub by its socket, any other always."""
+    """Return whether the label's bus exists: a hub if its socket does, others always."""
     bus = label.partition(" node ")[0]
     return not bus.startswith("/") or Path(bus).exists()
 
@@ -121,19 +121,23 @@ def _told(one: Occupant) -> dict[str, Any]:
 
 
 def _told_of_holder(view: LockView, holder: Occupant) -> dict[str, Any]:
-    """As of anybody, and how long it has it, and from whom, if it took it from one who lives."""
+    """Return the facts of a holder: occupant, lease, and takeover from a living process."""
     told = _told(holder)
     facts: list[str] = []
     if view.is_writing and holder.is_paused:
-        facts.append("in the middle of a write: nobody can take it over")
+        facts.append("during a write: cannot be taken over")
     if view.lease_s is not None:
         left_s = view.lease_left_s
-        when = f"{left_s:.1f} s left" if left_s > 0.0 else f"over since {-left_s:.1f} s"
+        when = f"{left_s:.1f} s left" if left_s > 0.0 else f"expired {-left_s:.1f} s ago"
         facts.append(f"lease of {view.lease_s:g} s, {when}")
         told |= {"lease_s": view.lease_s, "lease_left_s": left_s}
     if view.taken_over is not None:
         taken = view.taken_over
-        whom = f"pid {taken.from_pid} ({taken.from_program})" if taken.from_pid else "somebody"
+        whom = (
+            f"pid {taken.from_pid} ({taken.from_program})"
+            if taken.from_pid
+            else "an unknown process"
+        )
         facts.append(f"taken over from {whom}: {taken.reason}")
         told["taken_over"] = {
             "from_pid": taken.from_pid,
@@ -149,7 +153,7 @@ def _told_of_holder(view: LockView, holder: Occupant) -> dict[str, Any]:
 def _show_motors(listing: list[dict[str, Any]]) -> None:
     for entry in listing:
         holder = entry["holder"]
-        left = "free; whoever had it last died with it" if entry["abandoned"] else "free"
+        left = "free; its last owner died while it had it" if entry["abandoned"] else "free"
         print(f"{entry['name']:<24} {left if holder is None else holder['text']}")
         for place, waiter in enumerate(entry["waiters"], 1):
             print(f"{'':<24} waits ({place}): {waiter['text']}")
@@ -167,9 +171,9 @@ def _plugins(group: str) -> list[dict[str, str]]:
 
 
 def own_eds(target: str) -> Path | None:
-    """The EDS file shipped beside a controller's package, in its folder `eds`; None: there is none.
+    """Return the EDS file shipped in a controller package's folder `eds`, or None.
 
-    Found without loading the controller's module: `package/eds/*_NAME.eds` for
+    The controller's module is not imported: the file is `package/eds/*_NAME.eds` for
     `package.NAME.module:function`.
     """
     package, _, rest = target.partition(":")[0].partition(".")

@@ -1,4 +1,4 @@
-"""`motorhil list quirks`: how an emulated drive can deviate, and where that was seen."""
+"""The verb `list quirks`: known deviations of drives, with sources."""
 
 import json
 
@@ -7,7 +7,7 @@ from harness.exit_status import PASSED
 
 
 def list_quirks(*, as_json: bool) -> int:
-    """Exit status: 0 the catalogue has been printed."""
+    """Print the catalogue; return 0."""
     if as_json:
         rows = [
             {

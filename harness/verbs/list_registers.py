@@ -1,4 +1,4 @@
-"""`motorhil list registers NAME`: the register map of a Modbus controller."""
+"""The verb `list registers NAME`: the register map of a Modbus controller."""
 
 import json
 import sys
@@ -14,12 +14,12 @@ if TYPE_CHECKING:
 
 
 def with_registers() -> list[str]:
-    """The controllers that tell their register map."""
+    """Return the names of the controllers that have a register map."""
     return [name for name in installed(CONTROLLERS) if _registers_of(name) is not None]
 
 
 def list_registers(name: str, *, as_json: bool) -> int:
-    """Exit status: 0 the map has been printed, 2 there is none of that name."""
+    """Print the register map; return 0, or 2 if there is none of that name."""
     found = _registers_of(name) if name in installed(CONTROLLERS) else None
     if found is None:
         known = ", ".join(with_registers())

@@ -1,4 +1,4 @@
-"""`motorhil new DIR`: a working rig, and a script that drives it; and a CI job for both."""
+"""The verb `new DIR`: creates a rig, a script that drives it, and CI jobs."""
 
 import argparse
 import sys
@@ -9,21 +9,21 @@ from harness.scaffold import CI_FILES, write_new_rig
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """What `new` can be told."""
-    parser.add_argument("folder", type=Path, metavar="DIR", help="where; it is made if missing")
+    """Add the arguments of `new`."""
+    parser.add_argument("folder", type=Path, metavar="DIR", help="the folder; created if missing")
     parser.add_argument(
         "--ci",
         choices=list(CI_FILES),
         help=f"also write a CI job into the current folder: {' or '.join(CI_FILES.values())}; "
-        "a rig that is in DIR already stays as it is",
+        "an existing rig in DIR is kept",
     )
 
 
 def run(options: argparse.Namespace) -> int:
-    """The files are written.
+    """Write the files.
 
     Raises:
-        RigError: they are there already, or cannot be written.
+        RigError: the files exist already, or cannot be written.
     """
     for path in write_new_rig(options.folder, options.ci):
         print(path)

@@ -1,4 +1,4 @@
-"""`motorhil record --on WHERE -o FILE`: live CAN buses into a recording, several at once."""
+"""The verb `record`: records live CAN buses."""
 
 import argparse
 import json
@@ -22,7 +22,7 @@ _MIB: Final = 1 << 20
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """What `record` can be told."""
+    """Add the arguments of `record`."""
     parser.add_argument(
         "--on",
         action="append",
@@ -41,33 +41,33 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--rotate-mib",
         type=real(1e-6, 1e9, "MiB"),
         metavar="N",
-        help="begin another file after N MiB: FILE-0001.mcap, FILE-0002.mcap, ...",
+        help="begin a new file after N MiB: FILE-0001.mcap, FILE-0002.mcap, ...",
     )
     parser.add_argument(
         "--rotate-s",
         type=real(1e-9, 1e9, "s"),
         metavar="S",
-        help="begin another file after S seconds",
+        help="begin a new file after S seconds",
     )
     parser.add_argument(
         "--bitrate",
         type=whole(1, 10**8, "bit/s"),
         metavar="N",
-        help="bit/s, where a python-can interface needs it",
+        help="bit rate, for python-can interfaces that need it",
     )
     parser.add_argument(
-        "--fd", action="store_true", help="CAN FD, where a python-can interface must be told"
+        "--fd", action="store_true", help="CAN FD, for python-can interfaces that need this option"
     )
     parser.add_argument(
-        "--compact", action="store_true", help="a third of the size, but not for Foxglove"
+        "--compact", action="store_true", help="a third of the size; not readable by Foxglove"
     )
-    parser.add_argument("--force", action="store_true", help="write over recordings that exist")
-    parser.add_argument("--json", action="store_true", help="the summary for a machine")
-    parser.epilog = "Ctrl-C ends it; however it ends, the file is readable."
+    parser.add_argument("--force", action="store_true", help="overwrite existing recordings")
+    parser.add_argument("--json", action="store_true", help="print the summary as JSON")
+    parser.epilog = "Ctrl-C ends the recording; the file is readable, however it ends."
 
 
 def run(options: argparse.Namespace) -> int:
-    """Exit status: 0 recorded, 1 a bus ended by itself, 2 it could not begin, or not be written.
+    """Record; return 0, or 1 if a bus ended by itself, or 2 if recording could not begin.
 
     Raises:
         TraceError: the recording cannot be written.
@@ -84,7 +84,11 @@ def run(options: argparse.Namespace) -> int:
 
 
 def _open(options: argparse.Namespace, cleanup: ExitStack) -> "tuple[list[Tap], list[str], bool]":
-    """(every bus, being read; its name; whether log times are a hub's); raises PlaceError."""
+    """Open the buses; return taps, names, and whether a hub gives the times.
+
+    Raises:
+        PlaceError: a bus cannot be opened, or is named twice.
+    """
     from harness.recording.places import Kind, PlaceError, parse_place, refuse_twice
     from harness.recording.taps import HubClocks, HubTap
 
@@ -97,7 +101,7 @@ def _open(options: argparse.Namespace, cleanup: ExitStack) -> "tuple[list[Tap], 
     for place in places:
         tap: Tap
         if any(p.kind is place.kind and p.channel == place.channel for p in places[: len(taps)]):
-            raise PlaceError(f"--on {place.text}: is recorded already; name each bus once")
+            raise PlaceError(f"--on {place.text}: is named twice; name each bus once")
         if place.kind is Kind.SOCKETCAN:
             from harness.recording.socketcan import SocketCanTap
 
@@ -166,7 +170,7 @@ def _metadata(
 
 
 def _teller(pump: "Pump", series: "Series") -> "Callable[[int], None]":
-    """Shows on a terminal how it goes; elsewhere nothing."""
+    """Return a callback that shows the progress on a terminal."""
     from harness.recording.progress import Progress
 
     progress: list[Progress] = []
@@ -179,14 +183,14 @@ def _teller(pump: "Pump", series: "Series") -> "Callable[[int], None]":
             progress.append(Progress(now_ns))
         line = progress[0].line(now_ns, sum(pump.frames), sum(pump.dropped), series.bytes)
         if line is not None:
-            sys.stderr.write(f"\r{line}\x1b[K")  # to the end of the line
+            sys.stderr.write(f"\r{line}\x1b[K")  # clear to the end of the line
             sys.stderr.flush()
 
     return tell
 
 
 def _report(text: str) -> None:
-    before = "\r\x1b[K" if sys.stderr.isatty() else ""  # in place of the line of progress
+    before = "\r\x1b[K" if sys.stderr.isatty() else ""  # replaces the progress line
     print(f"{before}motorhil record: {text}", file=sys.stderr, flush=True)
 
 

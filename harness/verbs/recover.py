@@ -1,4 +1,4 @@
-"""`motorhil recover CUT.mcap -o WHOLE.mcap`: what can be had of a cut or damaged recording."""
+"""The verb `recover`: recovers messages of a cut or damaged recording."""
 
 import argparse
 import json
@@ -11,18 +11,18 @@ _NS: Final = 1_000_000_000
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """What `recover` can be told."""
+    """Add the arguments of `recover`."""
     parser.add_argument("file", metavar="FILE", help="a recording (MCAP), cut or damaged")
     parser.add_argument("-o", "--output", required=True, metavar="WHOLE", help="file to write")
-    parser.add_argument("--force", action="store_true", help="write over a file that exists")
-    parser.add_argument("--json", action="store_true", help="answer for a machine")
+    parser.add_argument("--force", action="store_true", help="overwrite an existing file")
+    parser.add_argument("--json", action="store_true", help="print JSON")
 
 
 def run(options: argparse.Namespace) -> int:
-    """Exit status: 0 the new file is complete, whatever had to be left out.
+    """Write the recovered recording, and print what was left out; return 0.
 
     Raises:
-        TraceError: the file is no recording, or the new one cannot be written.
+        TraceError: the file is not a recording, or the new one cannot be written.
     """
     from traces.recovery import recover
 
@@ -56,7 +56,7 @@ def run(options: argparse.Namespace) -> int:
     for loss in done.losses:
         print(f"{options.file}: {loss}", file=sys.stderr)
     for number in dict.fromkeys(done.nameless):
-        told = f"of channel {number} nothing is said but its messages: /channel/{number}"
+        told = f"channel {number} has no description; its messages are in /channel/{number}"
         print(f"{options.file}: {told}", file=sys.stderr)
     lost = "nothing is lost"
     if done.losses:

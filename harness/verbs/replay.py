@@ -1,4 +1,4 @@
-"""`motorhil replay FILE --as device|host|traffic`: a recording stands in for a side, or both."""
+"""The verb `replay`: a recording stands in for devices, host, or both."""
 
 import argparse
 import math
@@ -33,23 +33,25 @@ _OF_MODES: Final = {
     "--to": ("to_ns", ("traffic",)),
     "--fd": ("fd", ("traffic",)),
 }
-"""Where an option is kept, and which modes do anything with it; others all do."""
+"""Options that apply only to some modes: their attribute and these modes."""
 _FACTOR: Final = real(1e-3, 1e6)
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """What `replay` can be told."""
+    """Add the arguments of `replay`."""
     parser.add_argument("file", type=Path, metavar="FILE", help="a recording (MCAP)")
     parser.add_argument(
         *("--as",),
         required=True,
         choices=list(_MODES),
         dest="mode",
-        help="device: its devices answer SCRIPT as they did; host: its host drives a rig, and what "
-        "the devices tell is compared; traffic: its frames are sent again, at their times",
+        help="device: its devices answer SCRIPT as recorded; host: its host drives a rig, and the "
+        "answers are compared; traffic: its frames are sent again at their times",
     )
     parser.add_argument("script", nargs="?", metavar="SCRIPT", help="a Python program, or -")
-    parser.add_argument("args", nargs="*", default=[], metavar="ARGS", help="of the script")
+    parser.add_argument(
+        "args", nargs="*", default=[], metavar="ARGS", help="arguments of the script"
+    )
     parser.add_argument(
         "--rig", type=Path, metavar="RIG", help="a rig file (default: the recording's own rig)"
     )
@@ -57,51 +59,51 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--set-points",
         choices=("exact", "any"),
         default="exact",
-        help="any: values of set-points in PDOs may be others than recorded (device)",
+        help="any: set-points in PDOs may differ (device)",
     )
-    parser.add_argument("--realtime", action="store_true", help="no faster than the wall clock")
+    parser.add_argument(
+        "--realtime", action="store_true", help="run at most as fast as the wall clock"
+    )
     add_seed(parser)
     parser.add_argument("-o", "--output", type=Path, metavar="FILE", help="record to FILE (MCAP)")
     parser.add_argument(
         "--speed",
         type=_speed,
         metavar="X",
-        help="pauses of the host, or all traffic, X times faster; max: traffic as fast as it goes",
+        help="pauses of the host, or all traffic, X times faster; max: traffic without pauses",
     )
     parser.add_argument(
         "--patience",
         type=real(0.0, 1e6, "s"),
         default=2.0,
         metavar="S",
-        help="how much longer than recorded the host waits for what was told (default 2)",
+        help="how much longer than recorded the host waits for an answer (default 2)",
     )
     parser.add_argument(
         "--tolerance",
         type=real(0.0, 1e9),
         default=0.01,
         metavar="X",
-        help="how far a quantity may be off, as a share of its own range (host; default 0.01)",
+        help="tolerance of a quantity, as a share of its range (host; default 0.01)",
     )
-    parser.add_argument(
-        "--reset", action="store_true", help="reset all nodes first: they boot again (host)"
-    )
-    parser.add_argument("--all", action="store_true", help="tell all differences, not 20")
+    parser.add_argument("--reset", action="store_true", help="reset all nodes first (host)")
+    parser.add_argument("--all", action="store_true", help="print all differences, not only 20")
     _add_traffic(parser)
-    parser.add_argument("--json", action="store_true", help="answer for a machine")
+    parser.add_argument("--json", action="store_true", help="print JSON")
 
 
 def _add_traffic(parser: argparse.ArgumentParser) -> None:
-    traffic = parser.add_argument_group("of --as traffic; --on and --bitrate also of --as host")
+    traffic = parser.add_argument_group("for --as traffic; --on and --bitrate also for --as host")
     traffic.add_argument(
         "--on",
         action="append",
         default=[],
         metavar="[BUS=]WHERE",
-        help="where a recorded bus is sent: as of `motorhil record`, or a bus of --rig",
+        help="target of a recorded bus: as in `motorhil record`, or a bus of --rig",
     )
     traffic.add_argument("--bus", action="append", metavar="NAME", help="only this bus")
     traffic.add_argument(
-        "--id", action="append", type=identifier, metavar="HEX", help="only this one"
+        "--id", action="append", type=identifier, metavar="HEX", help="only this identifier"
     )
     traffic.add_argument(
         "--node",
@@ -113,9 +115,9 @@ def _add_traffic(parser: argparse.ArgumentParser) -> None:
     traffic.add_argument("--from", type=time_ns, dest="from_ns", metavar="S", help="from this time")
     traffic.add_argument("--to", type=time_ns, dest="to_ns", metavar="S", help="before this time")
     traffic.add_argument(
-        "--bitrate", type=whole(1, 10**8, "bit/s"), metavar="N", help="bit/s, of python-can's"
+        "--bitrate", type=whole(1, 10**8, "bit/s"), metavar="N", help="bit rate, for python-can"
     )
-    traffic.add_argument("--fd", action="store_true", help="CAN FD, of python-can's")
+    traffic.add_argument("--fd", action="store_true", help="CAN FD, for python-can")
 
 
 def _speed(text: str) -> float:
@@ -126,7 +128,7 @@ def _speed(text: str) -> float:
 
 
 def run(options: argparse.Namespace) -> int:
-    """Exit status: 0 passed, 1 it went otherwise than recorded.
+    """Replay a recording; return 0 if it passed, 1 if it differs from the recording.
 
     Raises:
         RigError, TraceError: a file cannot be used.
@@ -134,7 +136,7 @@ def run(options: argparse.Namespace) -> int:
     from harness.settings import refuse_source
 
     if options.mode != "traffic" and options.speed == math.inf:
-        print("motorhil replay: --speed max is for --as traffic; say a number", file=sys.stderr)
+        print("motorhil replay: --speed max is for --as traffic; give a number", file=sys.stderr)
         return WRONG_USAGE
     idle = [
         word
@@ -142,8 +144,8 @@ def run(options: argparse.Namespace) -> int:
         if options.mode not in modes and getattr(options, name)
     ]
     if idle:
-        told = f"{', '.join(idle)}: not of --as {options.mode}"
-        print(f"motorhil replay: {told}; leave out what it does not do", file=sys.stderr)
+        told = f"{', '.join(idle)}: not for --as {options.mode}"
+        print(f"motorhil replay: {told}; leave out these options", file=sys.stderr)
         return WRONG_USAGE
     if options.output is not None:
         refuse_source(options.file, options.output)

@@ -1,4 +1,4 @@
-"""`motorhil report FILE -o report.html`: a recording as one page to look at, without a network."""
+"""The verb `report`: a recording as one self-contained HTML page."""
 
 import argparse
 import os
@@ -17,7 +17,7 @@ _KILO: Final = {"k": 1_000, "M": 1_000_000}
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """What `report` can be told."""
+    """Add the arguments of `report`."""
     parser.add_argument("file", metavar="FILE", help="a recording (MCAP)")
     parser.add_argument(
         "-o",
@@ -26,18 +26,18 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="PAGE",
         help="the page (default: FILE with the ending .html)",
     )
-    parser.add_argument("--title", help="of the page (default: the recording's name)")
-    add_bit_rates(parser, "of a CAN bus whose bit rate the recording does not tell, as can0=500k")
+    parser.add_argument("--title", help="title of the page (default: the recording's name)")
+    add_bit_rates(parser, "bit rate of a CAN bus, if the recording lacks it, such as can0=500k")
     parser.add_argument(
         "--foxglove-layout",
         type=Path,
         metavar="JSON",
-        help="also write a layout for Foxglove, for the motors and controllers of this recording",
+        help="also write a layout for Foxglove with the motors and controllers of this recording",
     )
 
 
 def run(options: argparse.Namespace) -> int:
-    """Exit status: 0 the page has been written.
+    """Write the page; return 0.
 
     Raises:
         TraceError: the recording cannot be read, is damaged, or the page cannot be written.
@@ -60,7 +60,7 @@ def run(options: argparse.Namespace) -> int:
         if options.foxglove_layout is not None:
             _write_layout(trace, options.foxglove_layout)
     for name in sorted({*rates, *data_rates} - set(found.buses)):
-        print(f"motorhil report: there is no CAN bus {name} in it", file=sys.stderr)
+        print(f"motorhil report: the recording has no CAN bus {name}", file=sys.stderr)
     return PASSED
 
 
@@ -88,7 +88,7 @@ def _write(target: Path, text: str) -> None:
 
 
 def _progress() -> Callable[[int], None] | None:
-    """Tells on a terminal how far it has come; None: there is none."""
+    """Return a callback that shows the progress on a terminal, or None if there is none."""
     if not sys.stderr.isatty():
         return None
 
@@ -100,8 +100,8 @@ def _progress() -> Callable[[int], None] | None:
 
 
 def add_bit_rates(parser: argparse.ArgumentParser, told: str) -> None:
-    """Bit rates of buses, nominal (`told` says what for) and of the data phase of CAN FD."""
-    data = "the same of the data phase of CAN FD"
+    """Add options for nominal bit rates (with help text `told`) and data bit rates of CAN FD."""
+    data = "bit rate of the data phase of CAN FD"
     for option, text in (("--bitrate", told), ("--data-bitrate", data)):
         parser.add_argument(
             option, action="append", type=bus_rate, default=[], metavar="BUS=RATE", help=text
@@ -109,10 +109,10 @@ def add_bit_rates(parser: argparse.ArgumentParser, told: str) -> None:
 
 
 def bus_rate(text: str) -> tuple[str, int]:
-    """A bus and its bit rate.
+    """Parse a bus and its bit rate.
 
     Raises:
-        argparse.ArgumentTypeError: it is not BUS=RATE.
+        argparse.ArgumentTypeError: the text does not have the form BUS=RATE.
     """
     name, sign, rate = text.partition("=")
     factor = _KILO.get(rate[-1:], 1)

@@ -1,4 +1,4 @@
-"""`motorhil run RIG [SCRIPT [ARGS]]`: a script, or a prompt, with a rig around it."""
+"""The verb `run`: runs a script, or a prompt, with a rig."""
 
 import argparse
 import shlex
@@ -14,16 +14,16 @@ if TYPE_CHECKING:
     from harness.rig import Rig
 
 _MORE = """\
-SCRIPT opens its bus with can.Bus(), as it would on real hardware: CAN_INTERFACE and CAN_CHANNEL say
-that it joins the rig. Time passes while the script waits: time.sleep, clocks, threads, locks and
-queues go by the rig, each thread in its turn; what cannot is refused by name. Without SCRIPT, a
-prompt in which `rig` is the rig; with "-", the script is read from standard input. What follows --
-goes to the script.
+SCRIPT opens its bus with can.Bus(), as on real hardware: CAN_INTERFACE and CAN_CHANNEL name a bus
+of the rig. Time passes while the script waits: time.sleep, clocks, threads, locks and queues use
+the rig's clock; operations that cannot use it raise UsageError. Without SCRIPT, a prompt opens, in
+which `rig` is the rig. With "-", the script is read from standard input. Arguments after -- go to
+the script.
 """
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """What `run` can be told."""
+    """Add the arguments of `run`."""
     parser.usage = (
         "motorhil run [-h] [--realtime] [--seed N] [-o FILE] RIG [SCRIPT [ARGS ...]] [-- ARGS ...]"
     )
@@ -32,19 +32,21 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         *("rig",),
         type=Path,
         metavar="RIG",
-        help="a rig file (TOML); or a recording, which then stands in for its devices",
+        help="a rig file (TOML), or a recording in place of its devices",
     )
     parser.add_argument("script", nargs="?", metavar="SCRIPT", help="a Python program, or -")
     parser.add_argument(
         "args", nargs="*", default=[], metavar="ARGS", help="the script's own arguments"
     )
-    parser.add_argument("--realtime", action="store_true", help="no faster than the wall clock")
+    parser.add_argument(
+        "--realtime", action="store_true", help="run at most as fast as the wall clock"
+    )
     add_seed(parser)
     parser.add_argument("-o", "--output", type=Path, metavar="FILE", help="record to FILE (MCAP)")
 
 
 def run(options: argparse.Namespace) -> int:
-    """The script's exit status; 1 if it raised.
+    """Run the script; return its exit status, or 1 if it raised an exception.
 
     Raises:
         RigError: the rig, the script or the output file cannot be used; nothing was run.

@@ -1,4 +1,4 @@
-"""`motorhil show FILE`: a recording as sentences, those that are asked for."""
+"""The verb `show`: prints selected events of a recording as sentences."""
 
 import argparse
 import json
@@ -20,7 +20,7 @@ _LOOK_AGAIN_S: Final = 0.2  # a recorder writes once a second
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """What `show` can be told."""
+    """Add the arguments of `show`."""
     parser.add_argument("file", metavar="FILE", help="a recording (MCAP)")
     parser.add_argument("--from", type=time_ns, dest="from_ns", metavar="S", help="from this time")
     parser.add_argument("--to", type=time_ns, dest="to_ns", metavar="S", help="before this time")
@@ -48,18 +48,18 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--brief",
         action="store_true",
-        help="leave out SYNC, and heartbeats and PDOs that tell nothing new but motion",
+        help="leave out SYNC, and heartbeats and PDOs without news other than motion",
     )
     parser.add_argument(
         "--follow",
         action="store_true",
-        help="go on while it is being recorded, until it is complete, or Ctrl-C",
+        help="follow a recording in progress until it is complete, or Ctrl-C",
     )
-    parser.add_argument("--json", action="store_true", help="one JSON object a line")
+    parser.add_argument("--json", action="store_true", help="print one JSON object per line")
 
 
 def run(options: argparse.Namespace) -> int:
-    """Exit status: 0 the lines have been printed.
+    """Print the selected lines; return 0.
 
     Raises:
         TraceError: the file cannot be read, or is damaged.
@@ -86,7 +86,7 @@ def run(options: argparse.Namespace) -> int:
             print(f"motorhil show: {trace.path}: {_nothing(trace, seen)}", file=sys.stderr)
         for name in options.motor or ():
             if name not in wanted.met:
-                print(f"motorhil show: nothing was told of a motor {name}", file=sys.stderr)
+                print(f"motorhil show: no events of motor {name}", file=sys.stderr)
     return PASSED
 
 
@@ -97,10 +97,10 @@ def followed(
     to_ns: int | None,
     wait: Callable[[], None],
 ) -> Iterator[Line]:
-    """Lines of a recording that is being made, as they come; `wait` is called in between.
+    """Yield the lines of a growing recording as they come; call `wait` in between.
 
     Raises:
-        TraceError: what was written is damaged, or the file was written over.
+        TraceError: the file is damaged, or was overwritten.
     """
     while True:
         yield from story.more_lines(from_ns, to_ns)
@@ -116,12 +116,12 @@ def _wait() -> None:
 
 
 def text_of(line: Line) -> str:
-    """A line as it is printed: time [s], where, what."""
+    """Return a line as text: time [s], place, sentence."""
     return f"{line.time_ns // _NS:5d}.{line.time_ns % _NS:09d}  {line.place:<8}  {line.text}"
 
 
 def facts_of(line: Line) -> dict[str, object]:
-    """A line for a machine."""
+    """Return a line as JSON values."""
     told: dict[str, object] = {
         "time_ns": line.time_ns,
         "topic": line.topic,
@@ -151,10 +151,10 @@ def facts_of(line: Line) -> dict[str, object]:
 
 @final
 class _Filter:
-    """Which lines are wanted.
+    """Selects lines by the options.
 
-    Traffic has to pass every filter that is given. Locks and groups are those of motors that pass;
-    events are always told, but with --motor those that name somebody else.
+    Traffic has to pass every filter that is given. Locks and groups pass with their motors. Events
+    always pass, except those that name other motors than --motor.
     """
 
     def __init__(self, options: argparse.Namespace, story: Story) -> None:
@@ -168,7 +168,7 @@ class _Filter:
         self._known: dict[tuple[str, int | None, Kind, str], object] = {}
 
     def takes(self, line: Line) -> bool:
-        """Whether it is wanted."""
+        """Return whether a line is selected."""
         if not self._is_wanted(line):
             return False
         self.met.update(line.names)
@@ -219,11 +219,11 @@ class _Filter:
 
 
 def _nothing(trace: Trace, seen: int) -> str:
-    """Why no line was told."""
+    """Return why no line was printed."""
     if seen:
-        return f"none of {seen} lines is what was asked for"
+        return f"none of {seen} lines matches the options"
     topics = ", ".join(sorted({channel.topic for channel in trace.channels.values()}))
-    return f"holds nothing to tell at that time; its topics: {topics or 'none'}"
+    return f"no events at that time; topics: {topics or 'none'}"
 
 
 def _warn(trace: Trace) -> None:

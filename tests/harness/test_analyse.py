@@ -212,7 +212,7 @@ def test_a_picture_has_a_bar_for_each_message(rig, capsys, tmp_path):
         (["--bitrate", "can9=500k"], "there is no CAN bus can9"),
         (["--bitrate", "500k"], "'500k' is not BUS=RATE"),
         (["--data-bitrate", "can0=1k"], "--data-bitrate can0=1000 is below 125000 bit/s"),
-        (["--deadline", "7FF=1"], "no message 7FFh is counted in it"),
+        (["--deadline", "7FF=1"], "message 7FFh: not in the analysis"),
         (["--deadline", "1"], "'1' is not ID=S, as 181=0.005"),
         (["--deadline", "1=0"], "'0' is not a number from 1e-06 to 1e+06 s"),
         (["--errors", "-1"], "'-1' is not a whole number from 0 to 4096"),
@@ -238,7 +238,7 @@ def test_a_recording_without_a_bit_rate_is_refused(tmp_path, capsys):
     assert main(["analyse", str(path)]) == 2
     assert "does not tell the bit rate of can0; say --bitrate can0=500k" in capsys.readouterr().err
     assert main(["analyse", str(path), "--bitrate", "can0=500k", "--streamed"]) == 2
-    assert "--sync and --streamed are of rigs" in capsys.readouterr().err
+    assert "--sync and --streamed are for rigs" in capsys.readouterr().err
     assert main(["analyse", str(path), "--bitrate", "nosuch=500k"]) == 2
     assert "has no CAN bus nosuch; its buses: can0" in capsys.readouterr().err
 
@@ -412,4 +412,4 @@ def test_where_no_can_bus_is_it_says_so(tmp_path, capsys):
     path = tmp_path / "rig.toml"
     path.write_text('[bus.line]\nkind = "modbus_rtu"\n')
     assert main(["analyse", str(path)]) == 3
-    assert capsys.readouterr().out == f"{path}: it has no CAN bus\n"
+    assert capsys.readouterr().out == f"{path}: no CAN bus\n"

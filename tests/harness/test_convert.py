@@ -64,7 +64,7 @@ def test_people_are_told_twenty_problems_and_how_many_more(folder, say):
     ("words", "why"),
     [
         (("no-such.txt", "-o", "x.mcap"), "cannot be read: no such file"),
-        (("in.txt", "-o", "x.doc"), "say --to FORMAT"),
+        (("in.txt", "-o", "x.doc"), "use --to FORMAT"),
         (("in.txt", "-o", "in.txt", "--to", "candump"), "is the source itself"),
         (("in.txt", "-o", "there.log"), "exists; name another file, or say --force"),
         (("in.txt", "-o", "no/such/x.log"), "cannot be written: no such file"),

@@ -43,7 +43,7 @@ def test_whose_lease_lasts_how_long_and_who_took_it_over_from_whom_is_listed(
     runtime.wait_until(lambda: False, 0.02)
     told = listed()
     assert told["lease_left_s"] < 0.0
-    assert "; lease of 0.01 s, over since " in told["text"]
+    assert "; lease of 0.01 s, expired " in told["text"]
     assert "taken_over" not in told
     second = locks("can0-node3", "can0 node 3").acquire(runtime, "rescue")
     told = listed()

@@ -135,7 +135,7 @@ def test_who_was_not_met_and_what_is_cut_is_told(capsys, recording, tmp_path):
     with open(recording, "rb") as file:
         cut.write_bytes(file.read()[:-400])
     told_of = shown(capsys, str(cut), "--motor", "nobody").err
-    assert "nothing was told of a motor nobody" in told_of
+    assert "no events of motor nobody" in told_of
     assert "cut at byte" in told_of
     assert shown(capsys, recording).err == ""
 
@@ -161,4 +161,4 @@ def test_that_there_is_nothing_to_tell_is_told_and_why(capsys, recording, tmp_pa
     assert main(["show", str(recording), "--motor", "nobody", "--id", "7FF", "--bus", "can9"]) == 0
     out, err = capsys.readouterr()
     assert out == ""
-    assert "lines is what was asked for" in err
+    assert "lines matches the options" in err

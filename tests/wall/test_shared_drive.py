@@ -173,7 +173,7 @@ def test_list_motors_shows_who_has_each_and_who_waits(programs, hub, folder, vie
     assert [one["pid"] for one in motor["waiters"]] == [drive.pid]
     mast.kill()
     drive.kill()
-    assert listed().split(None, 3)[3].strip() == "free; whoever had it last died with it"
+    assert listed().split(None, 3)[3].strip() == "free; its last owner died while it had it"
 
 
 def test_a_reservation_tells_what_for_and_ends_with_its_process(programs, views):

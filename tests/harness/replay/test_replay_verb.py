@@ -228,11 +228,11 @@ def test_devices_out_of_somebody_elses_recording_answer(tmp_path, say, monkeypat
 @pytest.mark.parametrize(
     ("words", "told"),
     [
-        (("--as", "device", "--on", "vcan0"), "--on: not of --as device"),
-        (("--as", "device", "--speed", "2", "--json"), "--speed, --json: not of --as device"),
-        (("--as", "host", "move.py"), "SCRIPT: not of --as host"),
-        (("--as", "traffic", "--reset"), "--reset: not of --as traffic"),
-        (("--as", "host", "--node", "3"), "--node: not of --as host"),
+        (("--as", "device", "--on", "vcan0"), "--on: not for --as device"),
+        (("--as", "device", "--speed", "2", "--json"), "--speed, --json: not for --as device"),
+        (("--as", "host", "move.py"), "SCRIPT: not for --as host"),
+        (("--as", "traffic", "--reset"), "--reset: not for --as traffic"),
+        (("--as", "host", "--node", "3"), "--node: not for --as host"),
     ],
 )
 def test_an_option_that_would_do_nothing_is_refused(folder, say, words, told):
