@@ -1,3 +1,3 @@
-"""The outsider's own tests run where its package is installed: see test_outsider.py."""
+"""The outsider's own tests run in an environment with its package: see test_outsider.py."""
 
 collect_ignore = ["outsider"]

@@ -1,4 +1,4 @@
-"""docs/CLAUSES.md says what the kit promises."""
+"""docs/CLAUSES.md contains the kit's promises."""
 
 from harness.conformance.clauses_page import page
 from tests.architecture.checkout import CHECKOUT
@@ -6,5 +6,5 @@ from tests.architecture.checkout import CHECKOUT
 PAGE = CHECKOUT / "docs" / "CLAUSES.md"
 
 
-def test_the_page_is_of_this_kit():
+def test_clauses_page_is_up_to_date():
     assert PAGE.read_text() == page(), "make clauses writes it anew"
