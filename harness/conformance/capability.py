@@ -1,8 +1,8 @@
 """Capabilities of a motor, and abilities of a bench.
 
-A clause names the capabilities and abilities that it needs. If the motor does not claim one, or the
-bench does not have one, the clause is not applicable, and the reason is reported. A claimed
-capability that does not work is a failure.
+A clause names the capabilities and abilities that it needs. If the motor or bench does not have
+one, the clause is not applicable, and the reason is reported. A claimed capability that does not
+work is a failure.
 """
 
 from enum import Enum

@@ -69,7 +69,7 @@ class Facts:
         time_tolerance_s: the tolerance of reported times of ends [s].
         dead_man_s: within which a drive notices that its host is lost, and begins to brake [s].
         brake_s: the time to rest after that, from any motion [s]; None: derived from the model.
-        lost_s: within which a host reports that a drive does not answer any more [s].
+        lost_s: within which a host reports that a drive has stopped answering [s].
         deadline_s: the deadline for one clause [s of wall time].
         fault_stimulus: the stimulus that causes a controller fault.
         fault_code: the error code that the drive then reports.

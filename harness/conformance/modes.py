@@ -1,4 +1,4 @@
-"""All kinds of motion, for clauses that must hold in each of them."""
+"""All kinds of motion, for clauses that hold in each."""
 
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager

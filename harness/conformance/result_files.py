@@ -81,12 +81,12 @@ class Outcome:
 
     @property
     def passed(self) -> bool:
-        """Whether at least one clause was checked and all results are good."""
+        """True if at least one clause was checked and all results are good."""
         return not self.is_empty and all(one.verdict.result.is_good for one in self.findings)
 
     @property
     def is_empty(self) -> bool:
-        """Whether no clause was applicable."""
+        """True if no clause was applicable."""
         return self.count(Result.NOT_APPLICABLE) == len(self.findings)
 
 

@@ -1,4 +1,4 @@
-"""Targets of a job: the loaded adaptation and the rig that was read."""
+"""Targets of a job: the loaded adaptation and its rig."""
 
 import inspect
 import os

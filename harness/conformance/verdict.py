@@ -27,7 +27,7 @@ class Result(Enum):
 
     @property
     def is_good(self) -> bool:
-        """Whether the adaptation is not to blame."""
+        """True if the adaptation is not to blame."""
         return self in (Result.PASSED, Result.NOT_APPLICABLE)
 
 

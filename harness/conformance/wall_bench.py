@@ -1,4 +1,4 @@
-"""A bench in wall time: motors on real buses, or on buses of another process.
+"""A bench in wall time, on buses outside this process.
 
     motorhil conform --adaptation cia402 --rig bench.toml --on can0=vcan0
 

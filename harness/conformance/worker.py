@@ -1,8 +1,8 @@
 """The worker process, which checks clauses on request of its supervisor.
 
-It receives a job, then requests, each as a line of JSON on one pipe. It answers each of them by a
-line on another pipe. Output of the adaptation goes elsewhere. The supervisor's first signal makes
-Python dump the stacks of all threads. The second signal ends the check, if possible.
+The worker receives a job, then requests, each as a line of JSON on one pipe. Each answer is a line
+on another pipe. Output of the adaptation goes elsewhere. The supervisor's first signal makes Python
+dump the stacks of all threads. The second signal ends the check, if possible.
 
     {"job": {...}}                          -> {"ready": {...}}, or {"wrong": "why"}
     {"check": "STOP-04", "record": null}    -> {"verdict": {...}}, or {"wrong": "why"}

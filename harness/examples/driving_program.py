@@ -1,8 +1,8 @@
 """A driving program: looks along each leg, then drives it.
 
-It shares the pan motor with the mast's program (`mast_program.py`) without knowing it. It waits for
-its turn, first come, first served. If the program that has the motor dies, the motor is free at
-once. A motor that is still moving is then brought to rest before its next command.
+This program shares the pan motor with the mast's program (`mast_program.py`), and waits for its
+turn, first come, first served. If the program that has the motor dies, the motor is free at once. A
+motor that is still moving is then brought to rest before its next command.
 """
 
 import sys

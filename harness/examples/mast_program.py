@@ -1,8 +1,8 @@
 """A mast program: takes one panorama after another until it is ended.
 
-It shares the pan motor with the driving program (`driving_program.py`) without knowing it. The mast
-is reserved during a panorama, so that no other program turns it between two pictures. After each
-panorama, waiting programs have their turn.
+This program shares the pan motor with the driving program (`driving_program.py`) without knowing
+it. The mast is reserved during a panorama, so that no other program turns it between two pictures.
+After each panorama, waiting programs have their turn.
 """
 
 import sys

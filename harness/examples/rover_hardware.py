@@ -1,4 +1,4 @@
-"""The rover's drives for a program on the robot: bus, node-ID and model.
+"""The rover's drives for a robot's program: bus, node-ID, model.
 
 Environment variables name the buses, as `motorhil serve RIG -- PROGRAM` sets them: CAN_INTERFACE
 for python-can's interface, MOTORHIL_CHANNEL_CAN0 and so on for the channels.

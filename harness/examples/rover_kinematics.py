@@ -1,7 +1,7 @@
 """Kinematics of a six-wheel rover: steering, rolling, and pointing of its mast.
 
 Every leg of a manoeuvre is a constant twist of the body: forward, left and turn at once. An arc is
-forward with a turn, a crab is forward and left without a turn, a turn on the spot is a turn alone.
+forward with a turn. A crab is forward and left without a turn. A turn on the spot is a turn alone.
 Lengths are in metres, angles in radians; x is forward, y left, z up.
 """
 

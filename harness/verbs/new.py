@@ -1,4 +1,4 @@
-"""The verb `new DIR`: creates a rig, a script that drives it, and CI jobs."""
+"""The verb `new`: creates a rig, its script, and CI jobs."""
 
 import argparse
 import sys

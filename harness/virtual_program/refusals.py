@@ -1,4 +1,4 @@
-"""Operations that are refused in virtual time, because they block outside the rig.
+"""Operations refused in virtual time, because they block outside the rig.
 
 `subprocess`, `input`, files, sending on sockets and connecting are not refused. The rig's time
 stands still during such calls, as during computations. The refused operations could wait for

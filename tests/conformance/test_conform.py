@@ -102,7 +102,7 @@ def test_result_files_contain_the_results(runs):
     suite = ElementTree.parse(folder / "found.junit").getroot()
     assert (suite.get("tests"), suite.get("failures"), suite.get("errors")) == ("2", "1", "0")
     cases = {case.get("name").split()[0]: case for case in suite}
-    assert "told to move" in cases["UNIT-01"].find("failure").get("message")
+    assert "commanded" in cases["UNIT-01"].find("failure").get("message")
     assert list(cases["STATE-01"]) == []
     page = (folder / "found.html").read_text()
     assert '<a href="records/UNIT-01.mcap">' in page

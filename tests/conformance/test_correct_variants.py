@@ -1,4 +1,4 @@
-"""Correct motors that differ from those of the kit's rigs do not fail."""
+"""Correct motors that differ from the kit's motors do not fail."""
 
 import pytest
 

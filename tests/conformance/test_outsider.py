@@ -1,4 +1,4 @@
-"""A third-party package with the built wheel of motorhil, in its own environment.
+"""A third-party package with motorhil's wheel, in its own environment.
 
 The checkout is not on the path there. Everything that the package uses must be in the wheel, and be
 found by entry points. The dependencies are those of this environment.

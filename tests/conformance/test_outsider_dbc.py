@@ -1,4 +1,4 @@
-"""Both implementations of CANSimple in the outsider's package, compared with the vendor's DBC.
+"""Both implementations of CANSimple, compared with the vendor's DBC.
 
 The DBC is parsed here: BO_ and SG_ give the places of the bits, SIG_VALTYPE_ the floats, VAL_ the
 names of numbers.

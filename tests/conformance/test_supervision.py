@@ -1,4 +1,4 @@
-"""Every clause has a verdict, whatever an adaptation does, and the next one is checked."""
+"""Every clause has a verdict, whatever an adaptation does."""
 
 import os
 from pathlib import Path
@@ -118,7 +118,7 @@ def test_error_while_reading_claims_is_reported_with_line():
 
 
 def test_claim_that_raises_fails_only_clauses_that_need_it():
-    """It was counted against the first clause, and not against the second."""
+    """The error was once counted against the first clause only."""
     target = Target(Job("tests.conformance.misbehaving:alone", str(misbehaving.RIG)))
     claims = Claims(target.opener())
     for _ in range(2):

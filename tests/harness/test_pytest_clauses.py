@@ -89,12 +89,12 @@ def test_a_clause_that_fails_says_what_was_promised_and_seen_and_what_repeats_it
     result.assert_outcomes(failed=1)
     result.stdout.fnmatch_lines(
         [
-            "failed: left was told to move * rad, it moved * rad, *",
+            "failed: left: commanded * rad, moved * rad; *",
             "promise: Each motor moves, and reports, *",
             "source: paper 3.2, *",
             "record: out/UNIT-01.mcap",
             "again: motorhil conform * --clause UNIT-01 --seed 5",
-            "FAILED wheels/rig.toml::UNIT-01 - failed: left was told *",
+            "FAILED wheels/rig.toml::UNIT-01 - failed: left: commanded *",
         ]
     )
     record = project.path / "out/UNIT-01.mcap"

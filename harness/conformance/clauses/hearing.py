@@ -77,12 +77,12 @@ def _move_without_answers(bench: RigProtocol, from_s: float, length_s: float) ->
     party.join()
     rest_for(bench, 1.0 + shortest_s(motor, way))
     made, spare = bench.true_position(motor) - begin, bench.facts.window + 0.1 * way
-    what = f"told to move {way:g} {motor.model.unit}, with all answers lost for {length_s:g} s"
+    what = f"move of {way:g} {motor.model.unit} with all answers lost for {length_s:g} s"
     ended = "done was reported" if failed is None else f"it failed with {failed}"
     low, high = (way - spare, way + spare) if failed is None else (-spare, _ONCE * way)
     expect(
         low <= made <= high,
-        f"{what} from {from_s:g} s on, it moved {made:.5g} {motor.model.unit}; {ended}",
+        f"{what} from {from_s:g} s on: moved {made:.5g} {motor.model.unit}; {ended}",
     )
     return max(counts)
 
@@ -144,7 +144,7 @@ def who_is_heard_again_moves_again(bench: RigProtocol) -> None:
     _until_heard(bench, motor)
     before = motor.position()
     move(bench, motor, way)
-    expect_at(bench, motor, before + way, "after answers came again, told to move")
+    expect_at(bench, motor, before + way, "moved after answers came again")
 
 
 def _until_heard(bench: RigProtocol, motor: Motor) -> None:

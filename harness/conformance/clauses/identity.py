@@ -39,13 +39,13 @@ def _move_and_compare(bench: RigProtocol, motor: Motor, way: float) -> None:
     finish(bench, motor, shortest_s(motor, way))
     unit, window = motor.model.unit, bench.facts.window
     for what, moved in (
-        ("it moved", bench.true_position(motor) - before),
-        ("it reported a move of", motor.position() - told),
+        ("moved", bench.true_position(motor) - before),
+        ("reported", motor.position() - told),
     ):
         expect(
             abs(moved - way) <= window,
-            f"{motor.name} was told to move {way:g} {unit}, {what} {moved:g} {unit},"
-            f" outside the window of {window:g} {unit}",
+            f"{motor.name}: commanded {way:g} {unit}, {what} {moved:g} {unit};"
+            f" window {window:g} {unit}",
         )
 
 
@@ -68,7 +68,7 @@ def it_moves_and_no_other_does(bench: RigProtocol) -> None:
                 moved = abs(bench.true_position(one) - was)
                 reached(moved > 0.5 * abs(way), f"a move of {motor.name}")
             else:
-                expect_unmoved(bench, one, was, f"{one.name}, when {motor.name} was told to move")
+                expect_unmoved(bench, one, was, f"{one.name}, during a move of {motor.name}")
 
 
 @clause(
@@ -138,7 +138,7 @@ def an_enabled_motor_holds_and_a_disabled_one_gives_way(bench: RigProtocol) -> N
     before = place(bench, motor)
     motor.enable()
     rest_for(bench, 0.2)
-    expect_unmoved(bench, motor, before, "when it was enabled")
+    expect_unmoved(bench, motor, before, "when enabled")
     bench.load(motor, torque_of(motor, _HOLDS))
     rest_for(bench, 1.0)
     expect_unmoved(bench, motor, before, f"enabled, with a load of {_HOLDS:.0%} of its torque")

@@ -87,7 +87,7 @@ def _expect_goes_on(bench: RigProtocol, found: float, name: str) -> None:
     before = motor.position()
     follow(motor, TrapezoidalTrajectory(way))
     finish(bench, motor, shortest_s(motor, way))
-    expect_at(bench, motor, before + way, f"told to move {way:g} after {name}")
+    expect_at(bench, motor, before + way, f"moved {way:g} after {name}")
 
 
 @clause(
@@ -209,7 +209,7 @@ def stopping_what_stands_is_right(bench: RigProtocol) -> None:
         follow(motor, TrapezoidalTrajectory(way))
         finish(bench, motor, shortest_s(motor, way))
         begin += way
-        expect_at(bench, motor, begin, f"told to move {way:g} after {stop.__name__}()")
+        expect_at(bench, motor, begin, f"moved {way:g} after {stop.__name__}()")
     long_way = 1.5 * long_move(bench)
     follow(motor, TrapezoidalTrajectory(long_way))
     rest_for(bench, midway_s(motor, long_way, 0.3))

@@ -1,7 +1,7 @@
-"""`make mutants`: runs every mutant against every clause, and writes the kill table.
+"""`make mutants`: runs all mutants against all clauses, and writes the table.
 
-The exit status is 1 if a mutant survives, or is not killed by a clause it names. It is also 1 if a
-clause kills no mutant alone, and `stays` gives no reason for it.
+The exit status is 1 if a mutant survives, or is not killed by a clause it names. The exit status is
+also 1 if a clause kills no mutant alone, and `stays` gives no reason for it.
 """
 
 import os

@@ -31,8 +31,8 @@ def rig():
 def now_s(rig):
     """A function that returns the rig's own time [s] while a program is active.
 
-    It is rounded to 0.1 ms: a thread that has polled n times before it waits wakes n microseconds
-    later.
+    The time is rounded to 0.1 ms: a thread that has polled n times before it waits wakes n
+    microseconds later.
     """
     with in_virtual_time(rig):
         yield lambda: round(rig.runtime.now_ns() / 1e9, 4)

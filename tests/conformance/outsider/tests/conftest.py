@@ -1,4 +1,4 @@
-"""Shared fixtures: an emulated drive stepped by hand, and rigs in virtual time."""
+"""Fixtures: an emulated drive stepped by hand, rigs in virtual time."""
 
 import os
 from pathlib import Path

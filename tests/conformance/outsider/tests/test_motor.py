@@ -1,4 +1,4 @@
-"""Tests of the adaptation on emulated drives; true positions come from the plant."""
+"""Tests of the adaptation on emulated drives and their plants."""
 
 from pathlib import Path
 

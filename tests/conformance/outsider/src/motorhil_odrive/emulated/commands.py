@@ -1,4 +1,4 @@
-"""Commands to the drive, by message; values are finite and match the layout."""
+"""Commands to the drive, with finite values that match the layout."""
 
 from collections.abc import Callable
 from dataclasses import replace

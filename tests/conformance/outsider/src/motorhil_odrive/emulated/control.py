@@ -1,4 +1,4 @@
-"""Set-points of the axis from the inputs, as an ODrive's controller makes them.
+"""Set-points from inputs, as in an ODrive's controller.
 
 The motor, the servo and the profile generator are motorhil's (`emulators.firmware.axis`). This
 module gives them ODrive's meaning. Positions are turns of the motor.

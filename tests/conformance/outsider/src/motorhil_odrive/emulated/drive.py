@@ -1,7 +1,7 @@
-"""An emulated ODrive on a CAN bus: axis states, cyclic messages and answers.
+"""An emulated ODrive: axis states, cyclic messages and answers.
 
-It updates itself when a frame comes, when a cyclic message is due, and at each edge of its switch
-while homing. In between it needs no computation.
+The drive updates itself when a frame comes, when a cyclic message is due, and at each edge of its
+switch while homing. In between it needs no computation.
 
 Not emulated, with a warning where a host uses it: access to endpoints (04h), sensorless control,
 lock-in, the input modes POS_FILTER, MIX_CHANNELS, MIRROR and TUNING, voltage control. Choices of

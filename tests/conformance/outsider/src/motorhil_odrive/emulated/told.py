@@ -1,4 +1,4 @@
-"""Contents of the messages from the drive, in the order of their layouts."""
+"""Values of the drive's messages, in the order of their layouts."""
 
 from typing import TYPE_CHECKING, Final
 

@@ -1,6 +1,6 @@
-"""Stops of every kind: the drive moves to the place where it can be at rest.
+"""Stops: the drive moves to the nearest possible position of rest.
 
-It uses a trapezoid of its own, so that it slows down as commanded, then holds, without further
+The drive uses its own trapezoid, so that it slows down as commanded, then holds, without further
 frames. Estop (02h) would be one frame, but it switches the current off, and a coasting motor stops
 anywhere.
 """

@@ -1,8 +1,8 @@
-"""The hardware class of an ODrive, without inheritance, in turns of its motor.
+"""The hardware class of an ODrive, in turns of its motor.
 
-There is one object per physical motor and process. It knows the drive's abilities, and nothing of
-their use in an application. All commands to the drive pass through `tell`. There they pass the
-fence (`motorapi.fencing`) and low-level access (`motorapi.low_level`).
+There is one object per physical motor and process. The class knows the drive's abilities, and
+nothing of their use in an application. All commands to the drive pass through `tell`. There they
+pass the fence (`motorapi.fencing`) and low-level access (`motorapi.low_level`).
 """
 
 from collections.abc import Callable

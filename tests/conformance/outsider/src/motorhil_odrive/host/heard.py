@@ -81,7 +81,7 @@ class Heard:
 
     @property
     def is_lost(self) -> bool:
-        """Whether the drive cannot be heard now."""
+        """True if the drive cannot be heard now."""
         return self.lost_since_ns is not None or self._wire.status.is_off
 
     def is_in(self, *states: int) -> bool:

@@ -57,7 +57,7 @@ class Stream:
 
     @property
     def is_going(self) -> bool:
-        """Whether more set-points will come."""
+        """True if more set-points will come."""
         return self._registration is not None
 
     def begin(self) -> "Sent":

@@ -1,4 +1,4 @@
-"""End of the last command, with one class for each kind of command.
+"""End of the last command: one class for each kind.
 
 A heartbeat has a flag for the end of the trapezoid, and keeps it for the last one. A heartbeat that
 was queued before the drive received a new command may come after it. So *done* counts only after a
