@@ -302,4 +302,4 @@ def test_a_speed_is_a_positive_number_or_max(capsys, tmp_path, speed):
     assert main(["replay", path, "--as", "traffic", f"--speed={speed}"]) == 2
     assert "is not a number from 0.001 to 1e+06, nor max" in capsys.readouterr().err
     assert main(["replay", path, "--as", "host", "--speed", "max"]) == 2
-    assert "say a number" in capsys.readouterr().err
+    assert "give a number" in capsys.readouterr().err
