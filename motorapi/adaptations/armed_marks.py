@@ -3,9 +3,9 @@
 A drive keeps a set-point that waits for SYNC after the program that sent it has died. The next SYNC
 on the bus, sent for other drives, would start that set-point. So each waiting set-point is marked
 by a lock between processes, which names the drive and the RPDO. The mark of a process that died
-stays. The next process that gets the bus's turn, and learns that the previous one died in its turn,
-overwrites the marked set-points by a halt. It latches the halt by a SYNC of its own, before it arms
-anything else.
+stays. The next process that gets the bus's turn learns that the previous one died in it. Before it
+arms anything else, it overwrites the marked set-points by a halt, and latches the halt by a SYNC of
+its own.
 
 If another process has taken the drive since, that process cleared the drive itself when it found
 the ownership abandoned.

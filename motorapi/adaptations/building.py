@@ -26,7 +26,7 @@ class Hardware(Protocol):
 
     @property
     def is_closed(self) -> bool:
-        """Whether the hardware is closed."""
+        """True if the hardware is closed."""
 
     def close(self) -> None:
         """Close the hardware; no motor can use it afterwards."""

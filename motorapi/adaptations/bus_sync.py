@@ -93,7 +93,7 @@ class BusSync:
 
     @property
     def is_producer(self) -> bool:
-        """Whether this link produces the cyclic SYNC."""
+        """True if this link produces the cyclic SYNC."""
         return self._is_producer
 
     def cyclic(self) -> CyclicSync | None:
@@ -162,7 +162,7 @@ class BusSync:
         overwrites the set-point that waits in the drive.
 
         Returns:
-            Whether no other process had the turn.
+            True if no other process had the turn.
         """
         if self.turns.is_mine:
             self._clear(own)
@@ -354,11 +354,11 @@ class BusSync:
 
     @property
     def is_awaited(self) -> bool:
-        """Whether a callback waits for the next SYNC."""
+        """True if a callback waits for the next SYNC."""
         return bool(self._at_next)
 
     def at_next(self, action: Callable[[int], None]) -> None:
-        """Call `action` with the time [ns] of the next SYNC on the wire, of whatever producer."""
+        """Call `action` with the time [ns] of the next SYNC on the wire, from any producer."""
         self._at_next.append(action)
 
     def passed(self, time_ns: int) -> None:

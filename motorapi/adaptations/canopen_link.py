@@ -288,7 +288,7 @@ class CanopenLink:
         return self.send_tracked(self.sync_frame, fence)
 
     def at_next_sync(self, action: Callable[[int], None]) -> None:
-        """Call `action` with the time [ns] of the next SYNC on the wire, of whatever producer."""
+        """Call `action` with the time [ns] of the next SYNC on the wire, from any producer."""
         self.bus_sync.at_next(action)
 
     @property
@@ -297,7 +297,7 @@ class CanopenLink:
         return self.bus_sync.period_ns
 
     def cyclic_sync(self) -> "CyclicSync | None":
-        """Return the SYNC known to run on the bus, of whatever producer, or None."""
+        """Return the SYNC known to run on the bus, from any producer, or None."""
         return self.bus_sync.cyclic()
 
     def on_sync(

@@ -1,8 +1,8 @@
 """The hardware class of a CiA 402 drive, in the drive's own units.
 
-There is one object per physical motor and process. It covers everything the drive can do, without
-inheritance, and knows nothing about the application's meaning: positions are increments, velocities
-the drive's own integers.
+There is one object per physical motor and process, without inheritance. The object covers all
+functions of the drive, and knows nothing about the application's meaning: positions are increments,
+velocities the drive's own integers.
 
 Objects are read and written by index or by the standard's name:
 
@@ -57,8 +57,8 @@ _STREAM_ENDS_CYCLES: Final = 4
 class Cia402HwMotor:
     """One drive on one CANopen bus, by node-ID, shared by all logical motors and threads.
 
-    `control` commands the drive, `objects` is its object dictionary, `node` holds what is received
-    from it, and `physical` is the record that logical motors share.
+    `control` commands the drive, and `objects` is its object dictionary. `node` holds its received
+    state, and `physical` is the record that logical motors share.
 
     Nothing is sent before it is needed; `connect()` sends at once. Use this class directly for
     functions that the motor interface does not cover, inside `with motor.low_level() as hardware:`.
@@ -163,12 +163,12 @@ class Cia402HwMotor:
 
     @property
     def is_closed(self) -> bool:
-        """Whether `close` was called."""
+        """True if `close` was called."""
         return not self._close.alive
 
     @property
     def is_homed(self) -> bool:
-        """Whether a homing succeeded since the last boot-up of the drive."""
+        """True if a homing succeeded since the last boot-up of the drive."""
         return self._homed_at_boot == self.node.boots
 
     def was_homed(self) -> None:

@@ -1,10 +1,10 @@
 """The adaptation of the motor interface to CiA 402 drives on CANopen.
 
 `DriveMotions` chooses the mode of operation for each motion; homing uses hm. A position set-point
-has no profile of its own, but a drive in pp makes one: with the model's maximum accelerations, and
-the velocity limit of the command or else of the model. A torque set-point without a slope limit is
-a step. A function (a complex trajectory, or a velocity ramp with bounded jerk) is streamed in csp,
-one set-point per SYNC.
+has no profile of its own, but a drive in pp makes one. It has the model's maximum accelerations,
+and the velocity limit of the command or else of the model. A torque set-point without a slope limit
+is a step. A function (a complex trajectory, or a velocity ramp with bounded jerk) is streamed in
+csp, one set-point per SYNC.
 
 Several motors of one bus start together at a SYNC: their RPDOs (transmission type 1) hold the
 set-point until then. A single motor starts by an RPDO that acts at once, or by its own SYNC.

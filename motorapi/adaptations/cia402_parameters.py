@@ -140,8 +140,8 @@ def _window(name: str, window: float, units: "DriveUnits") -> int:
 class ParameterStore:
     """A drive's original parameters, and the writes that bring it to the values a motor wants.
 
-    There is one per hardware object. It trusts its own writes only while the motor does not change
-    hands.
+    There is one store per hardware object. The store trusts its own writes only while the motor
+    does not change hands.
     """
 
     def __init__(self, node: DriveNode, objects: DriveObjects) -> None:

@@ -33,7 +33,7 @@ _LAST_WORDS: Final = 2  # set-points that bring a stop, in case one is lost
 class CspStream:
     """A stream of set-points in csp (CiA 402-2, cyclic synchronous position mode), one per SYNC.
 
-    The target of cycle k is sent right after SYNC k-1 and latched by SYNC k, so the frames of a
+    The target of cycle k is sent right after SYNC k-1 and latched by SYNC k. So the frames of a
     cycle have a whole period to pass the bus. Cycle 0 is the position the drive holds now. The
     drive's demand reaches the target of cycle k one period after SYNC k, at constant velocity.
 
@@ -187,7 +187,7 @@ class CspStream:
                 self._go_on_stopping()
                 return
             if self._hardware.node.is_lost:
-                self._fail()  # It may still hear us; the waiting caller is informed of the loss.
+                self._fail()  # it may still hear us; the waiting caller gets the loss
                 return
             if self._hardware.node.state is not PdsState.OPERATION_ENABLED:
                 self.cancel()  # A fault or another program: the drive no longer follows.
@@ -244,7 +244,7 @@ class CspStream:
             self._hardware.control.send_halt()
 
     def _sync_lost(self, error: LinkError) -> None:
-        """Halt the drive, as its SYNC has no producer any more, or two."""
+        """Halt the drive, as its SYNC has no producer, or two."""
         if self.ended:
             return
         self.error = error
@@ -299,7 +299,7 @@ class CspStream:
 
     @property
     def is_stopping(self) -> bool:
-        """Whether the stream is stopping; it then ends within three periods."""
+        """True if the stream is stopping; it then ends within three periods."""
         return self._word != ENABLE_OPERATION
 
     @property

@@ -336,7 +336,7 @@ class DriveControl:
 
     @property
     def is_armed(self) -> bool:
-        """Whether an armed target still waits for a SYNC."""
+        """True if an armed target still waits for a SYNC."""
         return self._armed is not None
 
     def has_started(self) -> None:
@@ -347,9 +347,9 @@ class DriveControl:
     def disarm(self) -> None:
         """Prevent the armed target from starting at any later SYNC.
 
-        It is overwritten twice, as a frame may be lost. The overwriting frame then waits for a
-        SYNC, and would bring its controlword back later. So a SYNC clears it, once no drive on the
-        bus holds another armed set-point.
+        The target is overwritten twice, as a frame may be lost. The overwriting frame then waits
+        for a SYNC, and would bring its controlword back later. So a SYNC clears it, once no drive
+        on the bus holds another armed set-point.
         """
         self._armed = None
         try:

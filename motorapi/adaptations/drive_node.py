@@ -210,17 +210,17 @@ class DriveNode:
 
     @property
     def is_lost(self) -> bool:
-        """Whether the drive is silent, or the bus is off."""
+        """True if the drive is silent, or the bus is off."""
         return self.lost_since_ns is not None or self.link.status.is_off
 
     @property
     def has_booted(self) -> bool:
-        """Whether the drive has booted since its bring-up, and so lost its configuration."""
+        """True if the drive has booted since its bring-up, and so lost its configuration."""
         return self._watches_nmt and self.boots != self._boots_known
 
     @property
     def is_up(self) -> bool:
-        """Whether the drive is still configured and OPERATIONAL."""
+        """True if the drive is still configured and OPERATIONAL."""
         left = self._was_operational and self.nmt_state != OPERATIONAL
         return not left and not self.has_booted
 
@@ -368,7 +368,7 @@ class DriveNode:
 class TpdoDecoder:
     """A decoder of any TPDO mapping but statusword with position.
 
-    It passes status and position to the node, and other objects to `values`.
+    The decoder passes status and position to the node, and other objects to `values`.
     """
 
     def __init__(self, node: DriveNode, mapping: Sequence[int]) -> None:

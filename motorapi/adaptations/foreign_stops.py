@@ -1,9 +1,9 @@
 """Detection of stops that other programs command on the bus.
 
-Any process may stop a motor without owning it. The drive obeys, but does not report it: in pp it
-stands short of its target, in pv it shows *target reached* as it comes to rest. So the controlwords
-that other programs put on the bus are monitored, and the owner's motion is ended with an error.
-Controlwords sent by SDO are not detected.
+Any process may stop a motor without owning it. The drive obeys, but does not report the stop. In pp
+it stands short of its target; in pv it shows *target reached* as it comes to rest. So the
+controlwords that other programs put on the bus are monitored, and the owner's motion is ended with
+an error. Controlwords sent by SDO are not detected.
 """
 
 from collections.abc import Callable

@@ -140,7 +140,7 @@ class IdealHwMotor:
 
     @property
     def is_over(self) -> bool:
-        """Whether the goal of the last command has been reached."""
+        """True if the goal of the last command has been reached."""
         if self._armed is not None:
             return False
         over_ns = self._course.over_ns

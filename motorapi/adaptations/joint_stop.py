@@ -5,7 +5,7 @@ for a millisecond or more. So each drive gets its halt in the RPDO that SYNC lat
 follows when all of these were on the wire. Everything is sent from callbacks, without waiting.
 There are cases without a SYNC of ours: a start is being armed, a cyclic SYNC runs, or the bus does
 not report own frames. Then, or if SYNC does not come in time, each drive is halted by a frame that
-acts at once. That frame is also sent after SYNC, as a frame may be lost.
+acts at once. The same frame also follows SYNC, as a frame may be lost.
 """
 
 from contextlib import AbstractContextManager

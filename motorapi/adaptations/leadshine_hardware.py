@@ -117,12 +117,12 @@ class LeadshineHwMotor:
 
     @property
     def is_closed(self) -> bool:
-        """Whether the hardware is closed."""
+        """True if the hardware is closed."""
         return self.registers.is_closed
 
     @property
     def is_referenced(self) -> bool:
-        """Whether the drive reports that it has been homed."""
+        """True if the drive reports that it has been homed."""
         return self._is_homed
 
     def close(self) -> None:

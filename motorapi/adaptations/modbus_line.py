@@ -2,16 +2,16 @@
 
 Exchanges take place in the order of the requests. pymodbus encodes and decodes; the runtime
 provides time, silence and deadlines. No request is sent twice: a request whose answer was lost may
-have been executed. A caller that cannot wait (a stop from inside a callback) *posts* its request:
-it is sent as soon as the line is silent, before all others.
+have been executed. A caller that cannot wait (a stop from inside a callback) *posts* its request.
+The request is sent as soon as the line is silent, before all others.
 
 On a serial line, a late answer looks like the answer to the next request. So after a request
-without an answer in time the line is in *quarantine*: the next request waits until the late answer
+without an answer in time the line is in *quarantine*. The next request waits until the late answer
 has arrived completely (it is dropped), or a time limit has passed. Posted requests do not wait for
 that. On TCP the transaction identifier distinguishes answers, and the stream is read ADU by ADU.
 
-The wait for a line that is never silent, or that another process holds, is limited: a caller gets
-an error, and a posted request is sent all the same.
+A line may never be silent, or another process may hold it. The wait for such a line is limited: a
+caller gets an error, and a posted request is sent anyway.
 """
 
 from collections import deque
@@ -56,7 +56,7 @@ class ByteLine(Protocol):
 
     @property
     def is_closed(self) -> bool:
-        """Whether either end has closed the line."""
+        """True if either end has closed the line."""
 
     def duration_ns(self, characters: int) -> int:
         """Return the duration of this number of characters on the line [ns]; 0 on TCP."""

@@ -1,7 +1,7 @@
 """Progress of one commanded motion, from statuswords (sans-I/O).
 
-A watch sees every statusword with the position received with it. It ignores bits that belong to the
-time before the command (an old target reached, an attained homing).
+A watch sees every statusword with the position received with it. Bits are ignored that belong to
+the time before the command (an old target reached, an attained homing).
 """
 
 from collections.abc import Callable
@@ -38,10 +38,10 @@ class MotionWatch(Protocol):
 class SetpointWatch:
     """One set-point in pp, or (without acknowledge) one target velocity in pv.
 
-    The motion is over when *target reached* rises after the start, with the position most of the
-    way there (a frame from before may be delayed). The bit may never be seen low: a move of zero
-    length, a drive that shows it late, lost frames. Then the motion is over once its own duration
-    has passed and the position is at the target, as some drives show the old bit for a while.
+    The motion is over when *target reached* rises after the start. The position must be most of the
+    way there, as an old frame may be delayed. The bit may never be seen low: a move of zero length,
+    a drive that shows it late, lost frames. As some drives show the old bit for a while, the motion
+    is then over once its own duration has passed and the position is at the target.
     """
 
     def __init__(
@@ -168,7 +168,7 @@ class StreamWatch:
 
     @property
     def has_arrived(self) -> bool:
-        """Whether `arrive` was called."""
+        """True if `arrive` was called."""
         return self._arrival_ns is not None
 
     def fail(self, error: Exception) -> None:
@@ -207,8 +207,8 @@ class StreamWatch:
 class HomingWatch:
     """One homing (statusword bits 10, 12 and 13 in hm).
 
-    *Homing attained* counts once it was seen low since the start, or has been shown for longer than
-    a drive may show old bits: a previous homing leaves it set.
+    A previous homing leaves *homing attained* set. The bit counts once it was seen low since the
+    start, or has been shown for longer than a drive may show old bits.
     """
 
     def __init__(

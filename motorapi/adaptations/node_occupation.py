@@ -42,7 +42,7 @@ class NodeOccupation:
 
     @property
     def is_here(self) -> bool:
-        """Whether this process occupies the node."""
+        """True if this process occupies the node."""
         hold = None if self._lock is None else self._lock.hold
         return hold is not None and hold.owner is self
 

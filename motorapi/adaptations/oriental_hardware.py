@@ -125,7 +125,7 @@ class OrientalAzHwMotor:
 
     @property
     def is_closed(self) -> bool:
-        """Whether the hardware is closed."""
+        """True if the hardware is closed."""
         return self.registers.is_closed
 
     @property

@@ -63,7 +63,7 @@ class PdoFound:
 
     @property
     def is_valid(self) -> bool:
-        """Whether the drive uses the PDO."""
+        """True if the drive uses the PDO."""
         return not self.cob_id & _INVALID
 
     def fulfils(self, wish: PdoWish) -> bool:

@@ -31,7 +31,7 @@ class ModbusHardware(Protocol):
 
     @property
     def is_closed(self) -> bool:
-        """Whether the hardware is closed."""
+        """True if the hardware is closed."""
 
     def close(self) -> None:
         """Close the hardware; no motor can use it afterwards."""

@@ -107,11 +107,11 @@ class PolledHardware(Protocol):
 
     @property
     def is_closed(self) -> bool:
-        """Whether the hardware is closed."""
+        """True if the hardware is closed."""
 
     @property
     def is_referenced(self) -> bool:
-        """Whether the drive reports that it is referenced."""
+        """True if the drive reports that it is referenced."""
 
     def connect(self, model: "MotorModel") -> None:
         """Read the units of the drive; cheap if they are known."""

@@ -77,7 +77,7 @@ class SharedNode:
 
     @property
     def is_as_we_left_it(self) -> bool:
-        """Whether no other process has owned the drive since it was set up here."""
+        """True if no other process has owned the drive since it was set up here."""
         return self._absences == self._physical.ownership.absences
 
     @contextmanager

@@ -71,12 +71,12 @@ class ServoAxis:
 
     @property
     def is_powered(self) -> bool:
-        """Whether the servo holds the motor."""
+        """True if the servo holds the motor."""
         return self.servo.course is not None
 
     @property
     def is_over(self) -> bool:
-        """Whether the goal of the last command has been reached, or the motor has no power."""
+        """True if the goal of the last command has been reached, or the motor has no power."""
         return self._armed is None and (self.servo.is_done or self.servo.course is None)
 
     @property

@@ -7,7 +7,7 @@ cycle, constant, for all motors of a bus. A cycle of two channels is *missed* in
 counts have not come before the next SYNC is due: the servo then has no input, and the outputs stay.
 Or the outputs still wait for the bus then.
 
-A frame does not show which SYNC its counts belong to: counts after the next SYNC are attributed to
+A frame does not show which SYNC its counts belong to. Counts after the next SYNC are attributed to
 that one, until further counts come in the same cycle (`surplus`). On CAN they are one cycle old at
 most, as a node sends them in order.
 """

@@ -1,8 +1,8 @@
 """The hardware class of central servo: amplifier and encoder on a node.
 
 The servo runs here, as on JPL's FIDO: the robot's computer closes the loop, and the hardware is
-plain. There is one object per physical motor and process. It works with currents and counts, and
-runs the servo with the gains of the logical motor that uses it.
+plain. There is one object per physical motor and process. The object works with currents and
+counts, and runs the servo with the gains of the logical motor that uses it.
 """
 
 from collections.abc import Callable
@@ -275,7 +275,7 @@ class AmplifierHwMotor:
 
     @property
     def is_homed(self) -> bool:
-        """Whether position 0 was set since the last boot-up of the node."""
+        """True if position 0 was set since the last boot-up of the node."""
         return self._homed_at_boot == self.node.boots
 
     def state(self) -> MotorState:

@@ -160,7 +160,7 @@ class AmplifierNode:
 
     @property
     def is_up(self) -> bool:
-        """Whether the node is still configured and OPERATIONAL."""
+        """True if the node is still configured and OPERATIONAL."""
         return self.facts is not None and self.node.is_up
 
     def doubt(self) -> None:

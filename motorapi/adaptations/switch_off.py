@@ -18,7 +18,7 @@ class SwitchOff:
     """A command that clears the enable input of one amplifier, every 10 ms until it is confirmed.
 
     Without it, an amplifier that missed the one frame would keep its last current while its node
-    hears the host: the loop is open, and no supervision helps. Meanwhile this process occupies the
+    hears the host. The loop is open, and no supervision helps. Meanwhile this process occupies the
     node; otherwise another process could enable an amplifier that is then switched off again.
 
     Args:

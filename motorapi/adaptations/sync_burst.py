@@ -3,7 +3,7 @@
 Set-points cannot be armed one by one there: each would begin with the next SYNC. So all are
 prepared up to the one frame that is still to be sent. Then all frames are sent just after a SYNC,
 and have a period to pass the bus before the next SYNC latches them. If they have not passed by then
-(other traffic, a delayed frame), that SYNC *straddles* the burst: the drives whose frames have
+(other traffic, a delayed frame), that SYNC *straddles* the burst. The drives whose frames have
 passed begin with it, the others with a later one. This is detected and counted, as each frame's
 time on the wire is known.
 """
@@ -88,7 +88,7 @@ class ArmedSetPoint:
 
     @property
     def is_over(self) -> bool:
-        """Whether no SYNC is awaited: the set-point was latched, or the drive stopped."""
+        """True if no SYNC is awaited: the set-point was latched, or the drive stopped."""
         return self.latched_ns is not None or not self._control.is_armed
 
 
@@ -130,7 +130,7 @@ class Burst:
             link.confirmed([link.sync()])
 
     def _comes(self, done: Callable[[], bool]) -> bool:
-        """Return whether `done` becomes true; False: no cyclic SYNC runs any more.
+        """Return whether `done` becomes true; False: the cyclic SYNC has ended.
 
         Raises:
             LinkError: a cyclic SYNC should run, but does not come.

@@ -103,9 +103,7 @@ class ProducerSeat:
             return
         holder = lock.look().holder
         if holder is not None and holder.is_paused:
-            lock.acquire(
-                runtime, "eviction of paused process", 0.0, self, take_over=True
-            ).release()
+            lock.acquire(runtime, "eviction of paused process", 0.0, self, take_over=True).release()
 
     def is_of(self, who: object) -> bool:
         """Return whether `who` holds the seat."""
@@ -142,7 +140,7 @@ _buses: Final["weakref.WeakValueDictionary[Hashable, SharedBus]"] = weakref.Weak
 
 
 def shared_bus(link: "CanopenLink") -> SharedBus:
-    """Return the shared state of the link's bus, by whatever path it was opened."""
+    """Return the shared state of the link's bus, independent of the path by which it was opened."""
     where = bus_name(link.bus) if can_share_time(link.runtime) else None
     key: Hashable = bus_key(link.bus) if where is None else where
     bus = _buses.get(key)

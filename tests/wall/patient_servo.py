@@ -2,8 +2,8 @@
 
 With "victim" as its argument it holds a motor until it is killed. Without, it starts such a victim,
 finds the node taken, kills the victim, sees the node switch its amplifier off, and moves the motor
-itself. Then it releases the node for the next run. It is slow on purpose (50 cycles a second), and
-allows misses: the machine may be busy.
+itself. Then it releases the node for the next run. The servo is slow on purpose (50 cycles a
+second), and allows misses: the machine may be busy.
 """
 
 import signal

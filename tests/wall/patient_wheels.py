@@ -1,7 +1,8 @@
 """Algorithms 1 and 2 of the paper as a user's program for a slow machine.
 
-It uses nodes 1 and 2. Its deadlines are longer than the defaults: it runs on the wall clock,
-perhaps on a busy machine inside an emulated one. Its output does not depend on the machine's speed.
+The program uses nodes 1 and 2. Its deadlines are longer than the defaults: it runs on the wall
+clock, perhaps on a busy machine inside an emulated one. Its output does not depend on the machine's
+speed.
 """
 
 import sys

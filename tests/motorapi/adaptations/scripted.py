@@ -121,5 +121,5 @@ class Transcript:
 
     @property
     def is_over(self) -> bool:
-        """Whether the whole script was played, and nothing else was sent."""
+        """True if the whole script was played, and nothing else was sent."""
         return not self._exchanges and not self.unexpected

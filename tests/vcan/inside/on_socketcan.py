@@ -62,7 +62,7 @@ def test_ci_job_gets_the_interfaces_it_names(tmp_path):
 
 
 def test_own_frames_are_confirmed_once_carried():
-    """On vcan is_rx is False for all frames; own ones are distinguished all the same."""
+    """On vcan is_rx is False for all frames; own ones are still distinguished."""
     heard = []
     runtime = WallRuntime()
     with (
