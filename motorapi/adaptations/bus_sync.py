@@ -156,7 +156,7 @@ class BusSync:
         return self.known()
 
     def clear(self, own: int | None = None) -> bool:
-        """Disarm set-points that dead processes have armed, and those in our drive `own`.
+        """Disarm set-points that dead processes have armed, also in our drive `own`.
 
         A stop does not wait for a process that is paused in its turn: the stop itself then
         overwrites the set-point that waits in the drive.

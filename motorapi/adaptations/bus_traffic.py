@@ -1,4 +1,4 @@
-"""The known traffic on the bus of a link, and the time SYNC takes on it."""
+"""Known traffic on a link's bus, and the delay of SYNC."""
 
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Final

@@ -1,4 +1,4 @@
-"""The hardware class of a CiA 402 drive, in the drive's own units.
+"""Hardware class of a CiA 402 drive, in the drive's units.
 
 There is one object per physical motor and process, without inheritance. The object covers all
 functions of the drive, and knows nothing about the application's meaning: positions are increments,

@@ -1,4 +1,4 @@
-"""Begin and end of a CiA 402 drive's motion, and where they were measured."""
+"""Measured begin and end of a CiA 402 drive's motion."""
 
 from typing import TYPE_CHECKING
 

@@ -1,6 +1,6 @@
-"""Torque units of a CiA 402 drive (6071h, 6074h, 6077h) and torque motions.
+"""Torque units and torque motions of a CiA 402 drive.
 
-The drive counts in 1/1000 of the motor's rated torque 6076h [mN m], at the motor's shaft. Torque
+6071h, 6074h and 6077h count in 1/1000 of the motor's rated torque 6076h [mN m] at its shaft. Torque
 here is that of the output, where position is counted: times the gear ratio, from the motor model or
 else from 6091h. Friction and inertia in between are not subtracted. A linear motor has a force: 2
 pi times the motor's turns per metre, which the drive does not report. Nothing is guessed.

@@ -1,4 +1,4 @@
-"""The frames that a configured drive sends, and this program for it."""
+"""Traffic of a configured drive, and of this program for it."""
 
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Final

@@ -1,4 +1,4 @@
-"""The hardware object of an ideal motor, in memory and on no bus."""
+"""Hardware class of an ideal motor, in memory without a bus."""
 
 from typing import TYPE_CHECKING, Final, final
 from weakref import WeakValueDictionary

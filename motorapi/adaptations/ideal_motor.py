@@ -1,4 +1,4 @@
-"""The adaptation of the motor interface to an ideal motor without a bus.
+"""Adaptation of the motor interface to an ideal motor.
 
 | command                      | behaviour of the motor                                         |
 | ---------------------------- | -------------------------------------------------------------- |

@@ -1,4 +1,4 @@
-"""Options of an I/O node with amplifiers, and the results of its bring-up."""
+"""Options of an I/O node with amplifiers, and its bring-up results."""
 
 from dataclasses import dataclass
 from typing import final

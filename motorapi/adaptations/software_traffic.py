@@ -1,4 +1,4 @@
-"""The frames that a configured I/O node sends, and this program for it."""
+"""Traffic of a configured I/O node, and of this program for it."""
 
 from typing import TYPE_CHECKING, Final
 

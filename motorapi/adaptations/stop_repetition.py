@@ -1,4 +1,4 @@
-"""Repetition of a stop until the drive obeys, as a frame may be lost."""
+"""Repetition of a stop until the drive obeys, against lost frames."""
 
 import struct
 from collections.abc import Callable

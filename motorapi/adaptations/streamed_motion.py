@@ -1,4 +1,4 @@
-"""A motion as set-points for a drive in csp, in its own increments.
+"""Set-points of a motion for a drive in csp, in increments.
 
 Cycle k is k set-point periods after the start. A period in which the host sends no SYNC does not
 count, so that set-points are never two steps apart. A trajectory over time is sampled at these

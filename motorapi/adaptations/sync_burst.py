@@ -1,4 +1,4 @@
-"""Joint start of set-points beside a cyclic SYNC: one burst just after a SYNC.
+"""Joint start of set-points beside a cyclic SYNC, in one burst.
 
 Set-points cannot be armed one by one there: each would begin with the next SYNC. So all are
 prepared up to the one frame that is still to be sent. Then all frames are sent just after a SYNC,

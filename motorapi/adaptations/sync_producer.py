@@ -1,4 +1,4 @@
-"""The SYNC producer of a bus: one seat for all links and processes."""
+"""The role of SYNC producer on a bus, among links and processes."""
 
 import re
 import weakref

@@ -1,4 +1,4 @@
-"""A program that streams set-points to node 1, and loses the drive while paused.
+"""A program that loses its drive while it is paused.
 
 python -m tests.wall.fenced_owner CHANNEL HOW
 

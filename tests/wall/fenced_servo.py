@@ -1,4 +1,4 @@
-"""A program whose servo holds a motor of a hub, until it has lost it.
+"""A program with a servo that loses its motor.
 
 python -m tests.wall.fenced_servo CHANNEL HOW
 

@@ -1,4 +1,4 @@
-"""A program that takes a lock: it executes line by line, and prints answers.
+"""A program that takes a lock, commanded line by line.
 
 python -m tests.wall.lock_holder FOLDER NAME [BASE]
 

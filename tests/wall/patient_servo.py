@@ -1,4 +1,4 @@
-"""Central servo on the wall clock, as a user's program, and its death.
+"""A user's program with a central servo, and its death.
 
 With "victim" as its argument it holds a motor until it is killed. Without, it starts such a victim,
 finds the node taken, kills the victim, sees the node switch its amplifier off, and moves the motor

@@ -1,4 +1,4 @@
-"""Algorithms 1 and 2 of the paper as a user's program for a slow machine.
+"""Algorithms 1 and 2 of the paper, for a slow machine.
 
 The program uses nodes 1 and 2. Its deadlines are longer than the defaults: it runs on the wall
 clock, perhaps on a busy machine inside an emulated one. Its output does not depend on the machine's

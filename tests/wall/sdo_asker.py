@@ -1,4 +1,4 @@
-"""A program that uploads 1018h:01h of node 1 of a hub; it is killed while it waits.
+"""A program that uploads 1018h:01h of node 1 of a hub.
 
 python -m tests.wall.sdo_asker CHANNEL
 """

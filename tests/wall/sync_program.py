@@ -1,4 +1,4 @@
-"""A program that starts drives of a hub, alone or as one group, line by line.
+"""A program that starts drives of a hub, commanded line by line.
 
 python -m tests.wall.sync_program CHANNEL NODE_ID...
 

@@ -1,4 +1,4 @@
-"""Processes that take one lock from each other while they live; prints JSON.
+"""Processes that take one lock from each other; prints JSON.
 
     python -m tests.wall.takeover_stress SECONDS SEED [FAULT]
 

@@ -1,4 +1,4 @@
-"""A process that lost its drive while paused must not command it afterwards.
+"""Fencing of a process that lost its drive while paused.
 
 The evidence is the bus: all frames that another program on the hub received after the takeover,
 except those of the new owner and of the drive.

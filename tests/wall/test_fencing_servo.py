@@ -1,4 +1,4 @@
-"""A servo that lost its motor while paused sends no output on the bus."""
+"""Fencing of a servo that lost its motor while paused."""
 
 import signal
 from contextlib import suppress

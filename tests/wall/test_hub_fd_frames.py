@@ -1,4 +1,4 @@
-"""CAN FD of the `emulated` interface over a hub, and clients without it."""
+"""CAN FD over a hub, with clients that lack it."""
 
 import contextlib
 import select

@@ -1,4 +1,4 @@
-"""Fencing by a hub: frames of a former owner are refused by their token."""
+"""Fencing by a hub, by the token of each frame."""
 
 import can
 import pytest

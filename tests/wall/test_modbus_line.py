@@ -1,4 +1,4 @@
-"""Threads of one process on a shared Modbus line: one exchange at a time."""
+"""Threads of one process on a shared Modbus line."""
 
 import socket
 import threading

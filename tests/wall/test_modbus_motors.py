@@ -1,4 +1,4 @@
-"""Modbus motors on the wall clock: served over TCP and a serial line, recorded."""
+"""Modbus motors on the wall clock, served and recorded."""
 
 import socket
 import sys

@@ -1,4 +1,4 @@
-"""An SDO channel whose last user was killed while it waited for an answer."""
+"""SDO quarantine after a process was killed during a transfer."""
 
 import can
 import pytest

@@ -1,4 +1,4 @@
-"""Drives on a hub shared by programs, judged by their history and the bus."""
+"""Drives on a hub, shared by several programs."""
 
 import os
 import signal

@@ -1,4 +1,4 @@
-"""Set-points on the wall clock, over a hub: in order, with lateness counted."""
+"""Streamed set-points on the wall clock, over a hub."""
 
 from pathlib import Path
 from time import monotonic

@@ -1,4 +1,4 @@
-"""Programs beside a world in wall time, and the signals that stop it."""
+"""Programs beside a world in wall time, and signals."""
 
 import gc
 import os

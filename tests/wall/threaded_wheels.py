@@ -1,4 +1,4 @@
-"""Four threads with a logical motor each on node 1, as a user's program.
+"""Four threads with a logical motor each on node 1.
 
 Each thread moves, reads, gets the end of its motion, and sometimes has low-level access. Each works
 as if it were alone: each operation waits for the present owner of the motor.

@@ -1,4 +1,4 @@
-"""Several hosts on one bus of a rig, and a foreign SYNC producer."""
+"""Several hosts on a rig's bus, and a foreign SYNC producer."""
 
 from collections.abc import Iterator
 from contextlib import contextmanager

@@ -1,4 +1,4 @@
-"""Rigs with servos on the host, and the theory of such a servo."""
+"""Rigs with servos on the host, and the servo's theory."""
 
 import math
 

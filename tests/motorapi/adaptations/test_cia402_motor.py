@@ -1,4 +1,4 @@
-"""Motors on emulated CiA 402 drives: all commands, and all ends of motions."""
+"""Motors on emulated CiA 402 drives: commands and ends of motions."""
 
 from collections.abc import Callable
 from contextlib import suppress

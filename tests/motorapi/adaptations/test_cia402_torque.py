@@ -1,4 +1,4 @@
-"""Torque of a CiA 402 drive in N·m at the output, by profile torque mode."""
+"""Output torque of a CiA 402 drive in profile torque mode."""
 
 from collections.abc import Callable
 from math import inf

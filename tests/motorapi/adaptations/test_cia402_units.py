@@ -1,4 +1,4 @@
-"""Units of a drive's objects, from the model or the drive, never guessed."""
+"""Units of a drive's objects, from the model or the drive."""
 
 from math import pi
 

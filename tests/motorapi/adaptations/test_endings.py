@@ -1,4 +1,4 @@
-"""Ends of a motion: `wait` and `on_done` end at the same frame, with its cause.
+"""Ends of a motion, reported by `wait` and `on_done` equally.
 
 Times are those of the bus record (ends of frames), in virtual time: they agree to the nanosecond.
 """

@@ -1,4 +1,4 @@
-"""Arbitrary answers of a device, and failing buses: only errors of the tree."""
+"""Arbitrary answers and failing buses raise only errors of the tree."""
 
 import random
 from collections.abc import Callable, Iterable

@@ -1,4 +1,4 @@
-"""Central servo end to end, within the limits of PID and a cycle's delay."""
+"""Central servo end to end, within the theory of its PID."""
 
 from collections.abc import Callable
 from itertools import pairwise

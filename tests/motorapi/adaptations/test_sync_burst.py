@@ -1,4 +1,4 @@
-"""Group start beside a cyclic SYNC: one burst after a SYNC, and straddles."""
+"""Group start beside a cyclic SYNC, by one burst; straddles."""
 
 from collections.abc import Callable
 
