@@ -1,12 +1,14 @@
-"""What was armed by a process that died before SYNC: nothing of it may begin, whoever sends SYNC.
+"""Marks of armed set-points, which outlive the process that armed them.
 
-A drive keeps what waits in it for a SYNC when its commander dies, and the next SYNC on the bus,
-sent for quite other drives, would start it. So each set-point that waits is marked, by a lock
-between processes that says which drive, and which RPDO; a mark whose process has died stays. Who
-has the bus's turn next, and is told that somebody died in it, overwrites what is marked by a halt,
-and takes that out by a SYNC of its own, before anything else is armed.
+A drive keeps a set-point that waits for SYNC after the program that sent it has died. The next SYNC
+on the bus, sent for other drives, would start that set-point. So each waiting set-point is marked
+by a lock between processes, which names the drive and the RPDO. The mark of a process that died
+stays. The next process that gets the bus's turn learns that the previous one died in it. Before it
+arms anything else, it overwrites the marked set-points by a halt, and latches the halt by a SYNC of
+its own.
 
-Where somebody else has taken the drive since, he has seen to that himself, when he found it left.
+If another process has taken the drive since, that process cleared the drive itself when it found
+the ownership abandoned.
 """
 
 from collections.abc import Iterator
@@ -29,8 +31,8 @@ class ArmedMarks:
     """The set-points on one bus that wait for a SYNC, as other processes see them.
 
     Args:
-        where: the bus, as processes call it; None: no other process is on it.
-        name: the same for people.
+        where: the name of the bus between processes, or None if no other process uses it.
+        name: the name of the bus in messages.
     """
 
     def __init__(self, where: str | None, name: str) -> None:
@@ -39,7 +41,7 @@ class ArmedMarks:
         self._locks: dict[tuple[int, int], ProcessLock] = {}
 
     def mark(self, link: "CanopenLink", node_id: int, can_id: int, owner: object) -> Hold | None:
-        """This RPDO of the drive waits for SYNC, until the mark is released."""
+        """Mark an RPDO of the drive as waiting for SYNC, until the mark is released."""
         if self._where is None:
             return None
         lock = self._lock(node_id, can_id)
@@ -49,7 +51,7 @@ class ArmedMarks:
         lock = self._locks.get((node_id, can_id))
         if lock is None:
             name = f"{self._prefix}{node_id}-{can_id:03X}"
-            lock = ProcessLock(name, f"what waits for SYNC in {self._name} node {node_id}")
+            lock = ProcessLock(name, f"set-points waiting for SYNC in {self._name} node {node_id}")
             self._locks[node_id, can_id] = lock
         return lock
 
@@ -58,29 +60,31 @@ class ArmedMarks:
         return f"{self._where}-armed-"
 
     def clear(self, link: "CanopenLink", own: int | None = None) -> None:
-        """Nothing that a dead process has armed begins any more. Whoever calls this has the turn.
+        """Disarm set-points that dead processes have armed; the caller must have the turn.
 
         Args:
-            link: where to send.
-            own: the node-ID of a drive that is the caller's now.
+            link: the link to send on.
+            own: the node-ID of a drive that now belongs to the caller.
 
         Raises:
-            LinkError: the bus does not take what overwrites it.
+            LinkError: the bus does not accept the overwriting frames.
         """
         left = [] if self._where is None else list(self._left(own))
         if not left:
             return
-        if link.bus_sync.known() is None:  # one that runs has started it long ago
+        if link.bus_sync.known() is None:  # A running cyclic SYNC has started them long ago.
             from motorapi.adaptations.canopen_link import can_frame
 
             frames = [can_frame(can_id, _HALTED) for _, can_id in left] * _OVERWRITTEN
             link.confirmed([link.send_tracked(frame) for frame in frames])
             link.confirmed([link.sync()])
         for node_id, can_id in left:
-            self._lock(node_id, can_id).acquire(link.runtime, "seen to", 0.0, self).release()
+            self._lock(node_id, can_id).acquire(
+                link.runtime, "clearing the mark", 0.0, self
+            ).release()
 
     def _left(self, own: int | None) -> Iterator[tuple[int, int]]:
-        """(node-ID, identifier) of what waits for a process that died."""
+        """Yield (node-ID, identifier) of each set-point that a dead process has left armed."""
         directory = LockDirectory()
         for view in list_locks(directory):
             if not view.name.startswith(self._prefix) or not view.abandoned:

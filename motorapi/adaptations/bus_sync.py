@@ -1,20 +1,19 @@
-"""SYNC, which belongs to the bus: one producer, and nobody fires what somebody else has armed.
+"""SYNC arbitration between all groups, threads and processes on one bus.
 
-Whatever waits in a drive for the next SYNC is started by it, whoever sends it. So
+A SYNC starts every set-point that waits in a drive, no matter who sends the SYNC. Therefore:
+- the interval from arming to the SYNC that fires it is one turn (`BusSync.turns`), exclusive among
+  all groups, threads and processes on the bus;
+- a cyclic SYNC is begun in such a turn and has one producer per bus (`SharedBus.seat`). Another
+  user of the same period follows the SYNC it hears, and takes over production when the producer
+  ends, dies or is paused. A different period is refused, and the error names the producer. A
+  producer whose drives were taken over by other programs sends no SYNC;
+- while a cyclic SYNC runs, no single SYNC is sent. A group is armed by one burst just after a SYNC
+  (class `Burst`).
 
-- from arming to the SYNC that fires it is one turn (`BusSync.turns`), of all groups, threads and
-  processes on the bus;
-- a cyclic SYNC is begun in such a turn, and has one producer on a bus (`SharedBus.seat`). Who
-  wants one of the same period follows what he hears, and goes on with it when the producer ends,
-  dies, or is paused; another period is refused, and the producer named. A producer that has lost
-  what goes by its SYNC to others sends none;
-- while one runs, nobody sends a single SYNC: a group is armed by one burst just after a SYNC
-  (`motorapi.adaptations.sync_burst`).
-
-*Producers that know nothing of this* (a PLC, another program) are heard. Who has the turn while
-nobody has the seat knows that no SYNC of ours can come: one that does come is a foreign one's. That
-is waited for only where there is reason to suspect it: more SYNCs were heard since our last turn
-than others, by the number of their turns, can have sent.
+*Foreign producers* (a PLC, another program) do not take part in this protocol, but they are heard.
+While the seat is free, the holder of the turn knows that none of our programs sends SYNC. A SYNC
+heard then comes from a foreign producer. The holder waits for one only on suspicion: if more SYNCs
+were heard since its last turn than the turns of others can explain.
 """
 
 from collections import deque
@@ -32,24 +31,24 @@ if TYPE_CHECKING:
     from motorapi.fencing import Fence
 
 Lost = Callable[[LinkError], None]
-"""Told, once, that there is no SYNC any more to go on with; called in a callback."""
+"""A callback, called once when the cyclic SYNC is lost."""
 FenceNow = Callable[[], "Fence | None"]
-"""The fence of what goes by SYNC, as it is now; None: nobody can take that over."""
+"""A callback that returns the current fence of a SYNC user, or None if it cannot be taken over."""
 _User = tuple[Callable[[], None], Lost | None, FenceNow | None]
 
-_SLOWEST_NS: Final = 300_000_000  # 60C2h says 255 ms at most; a slower SYNC is not waited for
-_JITTER_NS: Final = 20_000_000  # of a host that listens
+_SLOWEST_NS: Final = 300_000_000  # 60C2h allows 255 ms at most; a slower SYNC is not awaited
+_JITTER_NS: Final = 20_000_000  # of a listening host
 _KEPT: Final = 8
-_OVERDUE: Final = 1.25  # periods: then a follower goes on with it, if its producer has ended
+_OVERDUE: Final = 1.25  # periods; a follower then takes over, if the producer has ended
 _LATE: Final = 1.5
 _GONE: Final = 2.5
 _LOST_PERIODS: Final = 10
 _LOST_NS: Final = 250_000_000
-_STRAYS_MAX: Final = 2  # foreign SYNCs, within so many periods, beside our own
+_STRAYS_MAX: Final = 2  # foreign SYNCs beside our own, within _STRAY_PERIODS
 _STRAY_PERIODS: Final = 8
 _REGULAR: Final = 5  # SYNCs
-_STRANGER: Final = "somebody who is not of ours"
-_SYNCS_A_TURN: Final = 2  # one that fires, and one that takes out what was disarmed
+_STRANGER: Final = "a foreign program"
+_SYNCS_A_TURN: Final = 2  # one fires; the other clears what was disarmed
 
 
 @final
@@ -57,9 +56,9 @@ class BusSync:
     """SYNC as one link sends, hears and counts it.
 
     Attributes:
-        turns: to arm and fire; to begin a cyclic SYNC.
-        marks: of what waits for a SYNC, for other processes.
-        count: SYNCs that were on the wire, while anybody waited for one or others sent them.
+        turns: the exclusive turn for arming and firing, and for beginning a cyclic SYNC.
+        marks: the marks of set-points that wait for a SYNC, for other processes.
+        count: the number of SYNCs on the wire that were awaited here or sent by other links.
     """
 
     def __init__(self, link: "CanopenLink") -> None:
@@ -73,34 +72,34 @@ class BusSync:
         self.count = 0
         self._users: list[_User] = []
         self._period_ns: int | None = None
-        self._timer: Registration | None = None  # of the producer, or of who watches it
+        self._timer: Registration | None = None  # of the producer, or of its follower
         self._is_producer = False
         self._follows_ours = False
         self._sent: Transmission | None = None
         self._at_next: list[Callable[[int], None]] = []
         self._heard: deque[int] = deque(maxlen=_KEPT)
         self._heard_ns = -_SLOWEST_NS
-        self._since_turn = 0  # SYNCs of others since our last turn ...
-        self._turn = -1  # ... which had this number; -1: there was none
-        self._foreign_ns = 0  # the period of one that is known to be foreign; 0: none is
+        self._since_turn = 0  # SYNCs of others since our last turn
+        self._turn = -1  # number of our last turn; -1: there was none
+        self._foreign_ns = 0  # period of a known foreign producer; 0: none is known
         self._strays: deque[int] = deque(maxlen=_STRAYS_MAX)
 
-    # --- what runs -------------------------------------------------------------------------
+    # --- the running SYNC ------------------------------------------------------------------
 
     @property
     def period_ns(self) -> int | None:
-        """The period of the cyclic SYNC that somebody here goes by [ns]; None: nobody does."""
+        """The period of the cyclic SYNC that this link uses [ns], or None if it uses none."""
         return self._period_ns
 
     @property
     def is_producer(self) -> bool:
-        """Whether it is produced here."""
+        """True if this link produces the cyclic SYNC."""
         return self._is_producer
 
     def cyclic(self) -> CyclicSync | None:
-        """The SYNC that runs on the bus, as far as can be told without waiting; None: none does.
+        """Return the SYNC that runs on the bus, without waiting, or None.
 
-        Also what is only heard so regularly that it may be one.
+        Includes a SYNC that is only suspected because it is heard at regular intervals.
         """
         known = self.known()
         if known is not None or len(self._heard) < _REGULAR:
@@ -112,7 +111,7 @@ class BusSync:
         return None
 
     def known(self) -> CyclicSync | None:
-        """The SYNC that is known to run on the bus; None: none is."""
+        """Return the SYNC that is known to run on the bus, or None."""
         seated = self._bus.seat.look()
         if seated is not None:
             return seated
@@ -123,9 +122,9 @@ class BusSync:
         return None
 
     def find_cyclic(self) -> CyclicSync | None:
-        """The SYNC that runs on the bus; None: none does. Whoever calls this has the turn.
+        """Return the SYNC that runs on the bus, or None; the caller must have the turn.
 
-        Waits for another SYNC where those that were heard may be a foreign producer's.
+        Waits for another SYNC if those heard so far may come from a foreign producer.
         """
         seat = self._bus.seat
         if seat.is_of(self) and not self._is_producer:
@@ -140,7 +139,7 @@ class BusSync:
             return known
         others = self.turns.number - turn - 1
         if not heard or (turn >= 0 and heard <= others * _SYNCS_A_TURN):
-            self._heard.clear()  # they were those of others' turns
+            self._heard.clear()  # sent by others in their turns
             return None
         times = tuple(self._heard)
         last_ns = times[-1]
@@ -151,32 +150,32 @@ class BusSync:
             self._heard.clear()
             return None
         while len(self._heard) < 4 and self._hears_another(self._heard_ns, _SLOWEST_NS):
-            pass  # one interval is not yet a period
+            pass  # one interval does not make a period
         self._foreign_ns = median_ns(tuple(self._heard))
         self._since_turn = 0
         return self.known()
 
     def clear(self, own: int | None = None) -> bool:
-        """Nothing that a process has armed that died begins any more; `own`: our drive, too.
+        """Disarm set-points that dead processes have armed, also in our drive `own`.
 
-        Whoever has a drive to bring to rest does not wait for a process that is paused in its turn:
-        the stop itself then overwrites what waits in that drive.
+        A stop does not wait for a process that is paused in its turn: the stop itself then
+        overwrites the set-point that waits in the drive.
 
         Returns:
-            Whether it was nobody else's turn.
+            True if no other process had the turn.
         """
         if self.turns.is_mine:
             self._clear(own)
             return True
-        who = "what a process has armed that died"
+        who = "clearing set-points of a process that died"
         with self.turns.at_once(self._runtime, who) as is_ours:
             if is_ours:
                 self._clear(own)
             return is_ours
 
     def take_out(self) -> bool:
-        """Whether what overwrites waits in no drive any more, by a SYNC in a turn of its own."""
-        with self.turns.at_once(self._runtime, "what was overwritten") as is_ours:
+        """Latch overwritten set-points by a SYNC; return whether we got the turn."""
+        with self.turns.at_once(self._runtime, "clearing overwritten set-points") as is_ours:
             if is_ours and self.known() is None:
                 self._link.confirmed([self._link.sync()])
             return is_ours
@@ -188,7 +187,7 @@ class BusSync:
     def _hears_another(self, last_ns: int, within_ns: int) -> bool:
         return self._runtime.wait_until(lambda: self._heard_ns != last_ns, within_ns / 1e9)
 
-    # --- going by it -----------------------------------------------------------------------
+    # --- using the SYNC --------------------------------------------------------------------
 
     def join(
         self,
@@ -197,16 +196,16 @@ class BusSync:
         lost: Lost | None,
         fence: FenceNow | None = None,
     ) -> None:
-        """A cyclic SYNC runs, and `action` just after each was queued, or heard; as in `on_sync`.
+        """Run a cyclic SYNC, and call `action` just after each is queued or heard, as in `on_sync`.
 
         Raises:
-            UsageError: SYNC runs with another period on this bus; says who produces it.
-            MotorBusyError: somebody arms and fires for too long.
+            UsageError: SYNC runs with another period on this bus; names its producer.
+            MotorBusyError: another user arms and fires for too long.
         """
         period_ns = round(period_s * 1e9)
         if self._period_ns is None:
             with self.in_turn(f"SYNC every {period_ns / 1e6:g} ms"):
-                if self._period_ns is None:  # no other thread was quicker
+                if self._period_ns is None:  # unless another thread was quicker
                     self._begin(period_ns)
                     self._users.append((action, lost, fence))
                     return
@@ -215,7 +214,7 @@ class BusSync:
         self._users.append((action, lost, fence))
 
     def check(self, period_s: float) -> None:
-        """Raises UsageError if a SYNC of another period is known to run on the bus."""
+        """Raise UsageError if a SYNC of another period is known to run on the bus."""
         period_ns, known = round(period_s * 1e9), self.known()
         if known is not None and not known.has_period(period_ns):
             who = known.who if self._period_ns is None else ""
@@ -223,7 +222,7 @@ class BusSync:
 
     @contextmanager
     def in_turn(self, who: str) -> Iterator[None]:
-        """Nobody else arms and fires, or begins a cyclic SYNC, inside the block."""
+        """Hold the turn inside the block: no other user arms, fires or begins a cyclic SYNC."""
         if self.turns.is_mine:
             yield
             return
@@ -262,17 +261,17 @@ class BusSync:
                 self._sent = self._send_one(users)
             finally:
                 seat.end()
-        else:  # this process was paused, and another one goes on with it
+        else:  # This process was paused, and another one has taken over.
             self._give_way()
             return
         for action, _, _ in users:
             action()
 
     def _send_one(self, users: Sequence["_User"]) -> "Transmission | None":
-        """A SYNC, as long as anything that goes by it is still ours; or nothing."""
+        """Send a SYNC if at least one of its users still owns its drive; otherwise send nothing."""
         fences = [None if fence is None else fence() for _, _, fence in users] or [None]
         for fence in fences:
-            with suppress(MotorBusyError):  # taken over: who goes by it finds out at once
+            with suppress(MotorBusyError):  # taken over: the user of this SYNC finds out itself
                 return self._link.send_tracked(self._frame, fence)
         return None
 
@@ -293,7 +292,7 @@ class BusSync:
         self._timer = self._runtime.every(_OVERDUE * period_ns / 1e9, self._overdue)
 
     def _overdue(self) -> None:
-        """The SYNC that is followed is late: if its producer has ended, we go on with it."""
+        """Take over production of an overdue SYNC, if its producer has ended."""
         period_ns, timer = self._period_ns, self._timer
         if period_ns is None or timer is None:
             return
@@ -312,14 +311,14 @@ class BusSync:
             self._lose(LinkError(link=self._link.name, reason=reason))
 
     def bus_off(self, error: LinkError) -> None:
-        """The bus is off, and what waited for it is lost."""
+        """Drop everything that waited for SYNC, because the bus is off."""
         self._sent = None
         self._at_next.clear()
         self._lose(error)
         self._bus.seat.give(self)
 
     def _lose(self, error: LinkError) -> None:
-        """Nobody goes by it any more; all are told why."""
+        """Remove all users of the cyclic SYNC, and report the error to each."""
         users, self._users = self._users, []
         self._end()
         self._foreign_ns = 0
@@ -328,7 +327,7 @@ class BusSync:
                 lost(error)
 
     def leave(self, action: Callable[[], None]) -> None:
-        """`action` runs no more; the SYNC produced here ends with its last user."""
+        """Remove the user `action`; the SYNC produced here ends with its last user."""
         self._users = [one for one in self._users if one[0] != action]
         if not self._users:
             self._end()
@@ -343,7 +342,7 @@ class BusSync:
         self._is_producer = False
         sent, self._sent = self._sent, None
         if sent is not None and sent.time_ns is None and self._link.confirms:
-            self.at_next(self._leave_seat)  # the last one still waits for the bus, and will fire
+            self.at_next(self._leave_seat)  # The last SYNC still waits for the bus, and will fire.
         else:
             self._leave_seat(0)
 
@@ -351,26 +350,26 @@ class BusSync:
         if not self._is_producer:
             self._bus.seat.give(self)
 
-    # --- what passes -----------------------------------------------------------------------
+    # --- SYNCs on the wire -----------------------------------------------------------------
 
     @property
     def is_awaited(self) -> bool:
-        """Whether anybody waits for the next one."""
+        """True if a callback waits for the next SYNC."""
         return bool(self._at_next)
 
     def at_next(self, action: Callable[[int], None]) -> None:
-        """`action` is told when the next SYNC was on the wire [ns], whoever sends it."""
+        """Call `action` with the time [ns] of the next SYNC on the wire, from any producer."""
         self._at_next.append(action)
 
     def passed(self, time_ns: int) -> None:
-        """A SYNC was on the wire."""
+        """Report a SYNC on the wire to the waiting callbacks."""
         self.count += 1
         actions, self._at_next = self._at_next, []
         for action in actions:
             action(time_ns)
 
     def hear(self, frame: bytes, time_ns: int) -> None:
-        """A SYNC that was not sent on this link was on the wire."""
+        """Handle a SYNC on the wire that was not sent on this link."""
         self._heard.append(time_ns)
         self._heard_ns = time_ns
         self._since_turn += 1
@@ -384,7 +383,7 @@ class BusSync:
         self.passed(time_ns)
 
     def _stray(self, time_ns: int) -> None:
-        """A SYNC beside our own: some drive takes a set-point too early."""
+        """Handle a SYNC beside our own, which makes a drive take a set-point too early."""
         strays, period_ns = self._strays, self._period_ns or 0
         strays.append(time_ns)
         near = time_ns - strays[0] <= _STRAY_PERIODS * period_ns
@@ -393,7 +392,7 @@ class BusSync:
             self._lose(LinkError(link=self._link.name, reason=reason))
 
     def close(self) -> None:
-        """Nothing is sent or told any more."""
+        """Stop sending, and drop all callbacks."""
         self._users.clear()
         self._at_next.clear()
         self._end()

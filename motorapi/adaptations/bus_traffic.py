@@ -1,4 +1,4 @@
-"""What the bus of a link carries, as far as it is known, and how long its SYNC takes on it."""
+"""Known traffic on a link's bus, and the delay of SYNC."""
 
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Final
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from motorapi.adaptations.canopen_link import CanopenLink
 
 SYNC: Final = OneFrame(SYNC_ID, 0)
-FULL: Final = "what is more urgent on the bus, or waits with it, may hold SYNC up for ever"
+FULL: Final = "more urgent or already queued frames may delay SYNC without limit"
 
 
 def traffic_on(
@@ -26,22 +26,22 @@ def traffic_on(
     sync_period_s: float | None = None,
     streamed: Sequence[PeriodicMessage] = (),
 ) -> tuple[CanTraffic | None, str]:
-    """All that may be sent on a bus; or None, and why nobody can tell.
+    """Return all frames that may be sent on a bus, or None and the reason why they are unknown.
 
     Args:
-        link: of the bus.
-        sync_period_s: of a SYNC that runs or is about to; None: there is none.
+        link: the link of the bus.
+        sync_period_s: the period of a SYNC that runs or is about to [s], or None.
         streamed: set-points that are about to be sent.
     """
     if can_share_time(link.runtime):
-        return None, "on the wall clock nothing promises when this program goes on"
+        return None, "on the wall clock the delays of this program have no bound"
     declared = declared_traffic(link.bus)
     if declared is None:
-        return None, f"what else is sent on {link.name} is not declared (declare_traffic)"
+        return None, f"the other traffic on {link.name} is not declared (declare_traffic)"
     own = own_traffic(link.bus)
     unknown = next((one.unknown for one in own if one.unknown), "")
     if unknown:
-        return None, f"what is sent on {link.name} has no bound: {unknown}"
+        return None, f"the traffic on {link.name} has no bound: {unknown}"
     traffic = declared.with_own(own, sync_period_s, (*streams(link.bus), *streamed))
     overload = overload_of(traffic)
     if overload:
@@ -50,9 +50,9 @@ def traffic_on(
 
 
 def sync_period(link: "CanopenLink") -> tuple[float | None, str]:
-    """The period of a SYNC that runs, or will once a servo of this program is enabled [s].
+    """Return the period [s] of a SYNC that runs, or will once a servo here is enabled, or None.
 
-    And whose it is, in words.
+    The second value names the producer of that SYNC.
     """
     cyclic = link.cyclic_sync()
     if cyclic is not None:
@@ -66,6 +66,6 @@ def sync_period(link: "CanopenLink") -> tuple[float | None, str]:
 def period_on_wire_s(
     link: "CanopenLink", traffic: CanTraffic, period_s: float
 ) -> tuple[float, float] | None:
-    """Between two SYNCs on the wire, shortest and longest; each may wait for the bus."""
+    """Return the shortest and longest time [s] between two SYNCs, as each may wait for the bus."""
     waits_s = longest_s([Firing(link.name, traffic, (SYNC,))])
     return None if waits_s is None else (period_s - waits_s, period_s + waits_s)

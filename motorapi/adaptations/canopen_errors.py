@@ -1,4 +1,4 @@
-"""What a CANopen device can refuse, and how it can break its protocol."""
+"""Refusals and protocol violations of CANopen devices."""
 
 # ruff: noqa: N818 -- the names say what happened, not that it is an error, as in motorapi.errors
 
@@ -46,8 +46,8 @@ _ABORT_TEXT: Final[dict[int, str]] = {
 class SdoAborted(PeerError):
     """The server aborted an SDO transfer (CiA 301, SDO abort transfer protocol).
 
-    Attributes say where and why, so a caller never has to parse the message:
-    node_id 1..127, index 0..FFFFh, subindex 0..FFh, abort_code (unsigned 32 bit).
+    The attributes hold the facts, so that a caller never parses the message: node_id 1..127, index
+    0..FFFFh, subindex 0..FFh, abort_code (unsigned 32 bit).
     """
 
     def __init__(self, *, node_id: int, index: int, subindex: int, abort_code: int) -> None:
@@ -63,7 +63,7 @@ class SdoAborted(PeerError):
 
 @final
 class ProtocolViolation(PeerError):
-    """The device answered with what the protocol does not allow.
+    """The device sent an answer that the protocol does not allow.
 
     Attributes: node_id, where ("SDO 6041h:00h"), problem (in words).
     """
@@ -77,7 +77,7 @@ class ProtocolViolation(PeerError):
 
 @final
 class HomingFailed(PeerError):
-    """The drive says that homing ended with an error (CiA 402-2, homing mode, statusword bit 13).
+    """The drive reports a homing error (CiA 402-2, homing mode, statusword bit 13).
 
     Attributes: motor (name), method, statusword.
     """

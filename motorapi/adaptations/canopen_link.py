@@ -1,9 +1,9 @@
-"""One host on one CANopen bus: frames in, frames out, confirmation, SYNC, NMT and heartbeats.
+"""The host's end of one CANopen bus: frames, SYNC, NMT and heartbeats.
 
-A link is shared by every hardware object of its bus. Frames are Linux can_frame (16 bytes). What
-comes in is handed on by identifier, at the cost of one dictionary look-up; own frames are reported
-when they were *transmitted*, which is what arming rests on: SYNC (080h) wins arbitration over any
-RPDO that still waits (CiA 301 default identifiers), so a SYNC sent too early fires without it.
+All hardware objects of a bus share one link. Frames are Linux can_frame (16 bytes). Received frames
+are dispatched by identifier, at the cost of one dictionary look-up. Own frames are reported when
+they were *transmitted*. Arming rests on that: SYNC (080h) wins arbitration over any RPDO that still
+waits (CiA 301 default identifiers), so a SYNC sent too early fires without that RPDO.
 """
 
 import struct
@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     from motorapi.fencing import Fence
 
 FrameHandler = Callable[[bytes, int], None]
-"""(frame, time_ns) of a frame with the identifier that was asked for."""
+"""A callback for frames with one identifier, called with (frame, time_ns)."""
 
 SYNC_ID: Final = 0x080
 NMT_ID: Final = 0x000
@@ -42,13 +42,13 @@ _ID: Final = struct.Struct("<I")
 
 
 def can_frame(can_id: int, data: bytes) -> bytes:
-    """The Linux can_frame with this identifier (with its flags) and up to 8 bytes."""
+    """Return the Linux can_frame with this identifier (with its flags) and up to 8 bytes."""
     return _FRAME.pack(can_id, len(data), data)
 
 
 @final
 class _HostHeartbeat:
-    """The heartbeat of one host node-ID, as long as somebody needs it."""
+    """The heartbeat of one host node-ID, produced while it has users."""
 
     def __init__(self, link: "CanopenLink", host_node_id: int, period_ms: int) -> None:
         self.period_ms = period_ms
@@ -59,11 +59,11 @@ class _HostHeartbeat:
         self.registration: Final = link.runtime.every(period_ms / 1e3, self._again)
 
     def send(self) -> None:
-        """It is heard once."""
+        """Send one heartbeat."""
         self._link.send(self._frame)
 
     def _again(self) -> None:
-        """That a bus takes no more is told once, not with every period for ever."""
+        """Send the periodic heartbeat; report a failed transmission only once."""
         if self._link.status.is_off:
             return
         try:
@@ -78,22 +78,22 @@ class _HostHeartbeat:
 
 @final
 class CanopenLink:
-    """The host's end of one CANopen bus. Get one by `open_link`; it costs nothing to share.
+    """The host's end of one CANopen bus; `open_link` returns a shared one.
 
     Attributes:
-        name: what messages call it ("can0").
-        status: of the bus, by what its CAN controller tells.
-        on_bus_off: are told when it goes off.
+        name: the name of the bus in messages ("can0").
+        status: the status of the bus, as its CAN controller reports it.
+        on_bus_off: callbacks for the transition to bus-off.
         confirms: whether an own frame has ever been reported as transmitted.
-        sync_id, sync_frame: the identifier of SYNC, and a SYNC.
-        latching: node-IDs of drives that may have something latched that a SYNC would start.
-        armed_streams: set-points of several motors that are to begin at one SYNC.
-        armed_set_points: likewise, single ones.
-        bus_sync: SYNC, which belongs to the bus.
-        cycle: of the servos on the host that share this link (motorapi.adaptations.software_cycle).
-        fences: of the nodes that other processes may take over, by node-ID.
-        lost: whether a drive that was armed here was taken over: a halt of its new owner's waits in
-            it for a SYNC, and none is sent before anything is armed again.
+        sync_id, sync_frame: the identifier of SYNC, and a SYNC frame.
+        latching: the node-IDs of drives that may hold a set-point which a SYNC would start.
+        armed_streams: the streams of several motors that are to begin at one SYNC.
+        armed_set_points: the single set-points that are to begin at one SYNC.
+        bus_sync: SYNC arbitration on the bus.
+        cycle: the cycle of the servos on the host that share this link (`ServoCycle`).
+        fences: the fences of nodes that other processes may take over, by node-ID.
+        lost: whether a drive that was armed here was taken over. A halt of its new owner then waits
+            in the drive for a SYNC, and no SYNC is sent before the next arming.
     """
 
     def __init__(self, bus: "can.BusABC", runtime: Runtime) -> None:
@@ -118,7 +118,7 @@ class CanopenLink:
         self._sync_key = _ID.pack(SYNC_ID)
         self._network: canopen.Network | None = None
         self.bus_sync = BusSync(self)
-        self.handle(SYNC_ID, self.bus_sync.hear)  # of another producer: it fires as well as ours
+        self.handle(SYNC_ID, self.bus_sync.hear)  # a SYNC of another producer fires as well as ours
         self._registration = runtime.listen(bus, self._on_frame)
 
     @property
@@ -133,19 +133,19 @@ class CanopenLink:
     # --- frames ---------------------------------------------------------------------------
 
     def handle(self, can_id: int, handler: FrameHandler) -> None:
-        """Frames with this identifier go to `handler`, in place of whoever had them before."""
+        """Dispatch frames with this identifier to `handler`, in place of any previous one."""
         self._handlers[_ID.pack(can_id)] = handler
 
     def ignore(self, can_id: int) -> None:
-        """Frames with this identifier go to nobody."""
+        """Stop dispatching frames with this identifier."""
         self._handlers.pop(_ID.pack(can_id), None)
 
     def send(self, frame: bytes, fence: "Fence | None" = None) -> None:
-        """The frame waits its turn on the bus; a commanding one only while its fence lets it out.
+        """Queue a frame for transmission; a commanding frame only if its fence permits it.
 
         Raises:
-            LinkError: the bus does not take it, or is off.
-            MotorBusyError: the fence does not let it out: somebody has taken the motor over.
+            LinkError: the bus does not accept the frame, or is off.
+            MotorBusyError: the fence refuses the frame: another program has taken the motor over.
         """
         if self.status.is_off:
             raise self.status.failure()
@@ -154,32 +154,35 @@ class CanopenLink:
                 self.runtime.send(self.bus, frame)
             else:
                 fence.send(frame)
-        except Exception as error:  # python-can's own, and the system's; others pass through
+        except Exception as error:  # other errors than python-can's and the system's pass
             from can import CanError
 
             if isinstance(error, CanError | OSError):
                 lost = LinkError(link=self.name, reason=f"cannot send: {error}")
-                lost.__cause__ = error  # compiled code forgets what an error is raised from
+                lost.__cause__ = error  # Compiled code loses the cause of `raise ... from`.
                 raise lost from error
             raise
 
     def send_tracked(self, frame: bytes, fence: "Fence | None" = None) -> Transmission:
-        """As `send`; the answer tells when the frame was transmitted.
+        """Queue a frame as `send` does; return the transmission, which holds the time of sending.
 
-        Every frame of an identifier must be sent tracked, or none of them.
+        Either all frames of an identifier must be sent tracked, or none.
 
         Raises:
-            LinkError: the bus does not take it, or has not transmitted anything for a long time.
-            MotorBusyError: the fence does not let it out.
+            LinkError: the bus does not accept the frame, or has not transmitted for a long time.
+            MotorBusyError: the fence refuses the frame.
         """
         return self.send_as(Transmission(frame), fence)
 
     def send_as(self, transmission: Transmission, fence: "Fence | None" = None) -> Transmission:
-        """As `send_tracked`, for whoever must know the transmission before it can be answered.
+        """Queue a transmission that the caller has made, as `send_tracked` does.
 
-        On the wall clock an answer may be heard, in another thread, before this has returned.
+        On the wall clock, another thread may hear an answer to the frame before this method has
+        returned.
 
-        Raises: as `send_tracked`.
+        Raises:
+            LinkError: as `send_tracked`.
+            MotorBusyError: as `send_tracked`.
         """
         self._transmissions.add(transmission, self.confirms)
         try:
@@ -190,10 +193,10 @@ class CanopenLink:
         return transmission
 
     def confirmed(self, transmissions: Sequence[Transmission], timeout_s: float = 0.5) -> None:
-        """All of these have been on the wire.
+        """Wait until all of these transmissions have been on the wire.
 
         Raises:
-            LinkError: not within `timeout_s` [s], or the bus went off.
+            LinkError: they were not within `timeout_s` [s], or the bus went off.
         """
         if self.wait_until(lambda: all_sent(transmissions), timeout_s):
             return
@@ -211,14 +214,17 @@ class CanopenLink:
         )
 
     def pending(self, can_id: int) -> Sequence[Transmission]:
-        """Tracked frames with this identifier that wait for the bus, where it tells of own ones."""
+        """Return the tracked frames with this identifier that still wait for the bus.
+
+        The result is empty if the bus does not report own frames.
+        """
         return self._transmissions.pending(_ID.pack(can_id)) if self.confirms else ()
 
     def wait_until(self, done: Callable[[], bool], timeout_s: float | None = None) -> bool:
-        """As the runtime's, for what only this bus can bring.
+        """Wait like the runtime's `wait_until`, for a condition that only this bus can fulfil.
 
         Raises:
-            LinkError: the bus is off, or went off meanwhile.
+            LinkError: the bus is off, or went off while waiting.
         """
         status = self.status
         status.check()
@@ -248,7 +254,7 @@ class CanopenLink:
                 self._network.notify(can_id, bytearray(data[:length]), time_ns / 1e9)
 
     def _on_error(self, message: bytes, time_ns: int) -> None:
-        """Our CAN controller tells of an error: never taken for a frame of anybody's."""
+        """Handle an error frame of our own CAN controller."""
         status, offs = self.status, self.status.offs
         status.hear(message, time_ns)
         if status.offs != offs:
@@ -260,18 +266,19 @@ class CanopenLink:
     # --- NMT, SYNC, heartbeat -------------------------------------------------------------
 
     def nmt(self, command: int, node_id: int) -> None:
-        """An NMT command (CiA 301: 01h start, 02h stop, 80h pre-operational, 81h, 82h resets).
+        """Send an NMT command (CiA 301: 01h start, 02h stop, 80h pre-operational, 81h, 82h resets).
 
-        To start a node commands nothing: who only reads does so, too. All others are fenced.
+        Starting a node commands no motion, and readers start nodes too, so it is not fenced. All
+        other commands are.
         """
         fence = None if command == NMT_START else self.fences.get(node_id)
         self.send(can_frame(NMT_ID, bytes((command, node_id))), fence)
 
     def sync(self) -> Transmission:
-        """One SYNC waits for the bus. Whoever armed something first awaits its confirmation.
+        """Queue one SYNC; a caller that armed set-points must await their confirmation first.
 
         Raises:
-            MotorBusyError: a motor that it would start was taken over by somebody else.
+            MotorBusyError: another program has taken over a motor that this SYNC would start.
         """
         fence = None
         if self.fences and self.latching:
@@ -281,16 +288,16 @@ class CanopenLink:
         return self.send_tracked(self.sync_frame, fence)
 
     def at_next_sync(self, action: Callable[[int], None]) -> None:
-        """`action` is told when the next SYNC was on the wire [ns], whoever sends it."""
+        """Call `action` with the time [ns] of the next SYNC on the wire, from any producer."""
         self.bus_sync.at_next(action)
 
     @property
     def sync_period_ns(self) -> int | None:
-        """The period of the cyclic SYNC that somebody here goes by [ns]; None: nobody does."""
+        """The period of the cyclic SYNC that this link uses [ns], or None if it uses none."""
         return self.bus_sync.period_ns
 
     def cyclic_sync(self) -> "CyclicSync | None":
-        """The SYNC that runs on the bus, whoever produces it, as far as it is known; else None."""
+        """Return the SYNC known to run on the bus, from any producer, or None."""
         return self.bus_sync.cyclic()
 
     def on_sync(
@@ -300,27 +307,28 @@ class CanopenLink:
         lost: Lost | None = None,
         fence: FenceNow | None = None,
     ) -> Registration:
-        """A cyclic SYNC runs, and `action` just after each was queued, or heard; it must not wait.
+        """Run a cyclic SYNC, and call `action` just after each is queued or heard.
 
-        It is produced here, unless somebody else produces one of the same period on this bus.
+        SYNC is produced here, unless another program produces one of the same period on this bus.
 
         Args:
-            period_s: of SYNC [s].
-            action: runs once for each.
-            lost: is told, once, that there is none any more; nothing has to be cancelled then.
-            fence: asked for the fence of what goes by it: while no user owns that, none is sent.
+            period_s: the period of SYNC [s].
+            action: called once for each SYNC; it must not wait.
+            lost: called once when the SYNC is lost; the registration need not be cancelled then.
+            fence: returns the current fence of this user. No SYNC is sent while every user has lost
+                its motors.
 
         Raises:
-            UsageError: SYNC runs with another period on this bus; says who produces it.
+            UsageError: SYNC runs with another period on this bus; names its producer.
         """
         self.bus_sync.join(period_s, action, lost, fence)
         return _SyncRegistration(self, action)
 
     def produce_heartbeat(self, host_node_id: int, period_ms: int) -> None:
-        """The host is heard as a node, at once and then every `period_ms` [ms].
+        """Produce the heartbeat of a host node, at once and then every `period_ms` [ms].
 
         Raises:
-            UsageError: another period was asked for before, or a drive has this node-ID.
+            UsageError: another period was requested before, or a drive has this node-ID.
         """
         if _ID.pack(HEARTBEAT_ID + host_node_id) in self._handlers:
             raise UsageError(
@@ -331,8 +339,9 @@ class CanopenLink:
         if known is not None:
             if known.period_ms != period_ms:
                 raise UsageError(
-                    f"{self.name}: host node {host_node_id} has a heartbeat of {known.period_ms}"
-                    f" ms already, so not of {period_ms} ms; give it one period for all drives"
+                    f"{self.name}: host node {host_node_id} has a heartbeat of "
+                    f"{known.period_ms} ms already, so not of {period_ms} ms; use one period "
+                    "for all drives"
                 )
             known.users += 1
             return
@@ -340,11 +349,11 @@ class CanopenLink:
         heartbeat.send()
 
     def is_host(self, node_id: int) -> bool:
-        """Whether the host itself is heard under this node-ID."""
+        """Return whether the host itself produces a heartbeat with this node-ID."""
         return node_id in self._heartbeats
 
     def release_heartbeat(self, host_node_id: int) -> None:
-        """One user less; after the last one the host falls silent."""
+        """Count one user less of a host heartbeat, and stop it after the last one."""
         known = self._heartbeats[host_node_id]
         known.users -= 1
         if known.users == 0:
@@ -352,7 +361,7 @@ class CanopenLink:
             del self._heartbeats[host_node_id]
 
     def close(self) -> None:
-        """Nothing is sent or heard any more."""
+        """Close the link: nothing is sent or received afterwards."""
         self._registration.cancel()
         for heartbeat in self._heartbeats.values():
             heartbeat.registration.cancel()
@@ -367,21 +376,21 @@ class _SyncRegistration:
         self._action = action
 
     def cancel(self) -> None:
-        """It has ended; cancelling again does nothing."""
+        """End the registration; further calls do nothing."""
         self._link.bus_sync.leave(self._action)
 
 
 def bus_label(bus: "can.BusABC") -> str:
-    """What messages call a bus: its channel, where python-can knows it."""
+    """Return the name of a bus in messages: its channel, if python-can knows it."""
     channel = getattr(bus, "channel", None)
     return str(channel) if channel is not None else str(bus.channel_info)
 
 
-_LINKS: dict[int, CanopenLink] = {}  # by id(bus), which stays its own while the link holds the bus
+_LINKS: dict[int, CanopenLink] = {}  # by id(bus), which stays unique while the link holds the bus
 
 
 def open_link(bus: "can.BusABC", runtime: Runtime) -> CanopenLink:
-    """The link of this bus object, made if it is the first use; `release_link` ends the use."""
+    """Return the link of this bus object, made on first use; `release_link` ends the use."""
     link = _LINKS.get(id(bus))
     if link is None:
         link = _LINKS[id(bus)] = CanopenLink(bus, runtime)
@@ -390,7 +399,7 @@ def open_link(bus: "can.BusABC", runtime: Runtime) -> CanopenLink:
 
 
 def release_link(link: CanopenLink) -> None:
-    """One user less; the last one closes the link, not the bus."""
+    """Count one user of the link less; the last one closes the link, not the bus."""
     link.users -= 1
     if link.users == 0:
         _LINKS.pop(id(link.bus), None)

@@ -1,6 +1,6 @@
-"""CiA 402 drives on CANopen: what an application imports, and what a rig builds.
+"""CiA 402 drives on CANopen: the names that applications and rigs use.
 
-Nothing else of this package need be imported::
+No other module of this package need be imported::
 
     hw = Cia402HwMotor(bus, node_id=3)
     motor = Cia402Motor(hw, model=MotorModel.load("wheel.toml"))
@@ -34,18 +34,18 @@ _SHARED: Final[Shared[Cia402HwMotor]] = Shared("drive")
 def build(
     bus: "can.BusABC", settings: Mapping[str, object], model: "MotorModel", runtime: "Runtime"
 ) -> Cia402Motor:
-    """The motor that a table of settings describes (entry point `motorhil.adaptations`, cia402).
+    """Return the motor described by a settings table (entry point `motorhil.adaptations`, cia402).
 
     Motors that name the same drive share one hardware object, made by the first of them.
 
     Args:
-        bus: where the drive is.
+        bus: the bus of the drive.
         settings: `node_id`; `name` (None: the model's); and any field of HwOptions.
-        model: the motor's.
-        runtime: where it waits.
+        model: the motor model.
+        runtime: the runtime to wait with.
 
     Raises:
-        UsageError: a setting is unknown, missing, or wrong.
+        UsageError: a setting is unknown, missing or invalid.
     """
     refuse_unknown(settings, _KEYS, "setting of a cia402 motor")
     node_id = settings.get("node_id")

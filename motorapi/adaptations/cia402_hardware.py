@@ -1,7 +1,9 @@
-"""The hardware class of a CiA 402 drive: the whole drive, free of inheritance, in its own units.
+"""Hardware class of a CiA 402 drive, in the drive's units.
 
-One object per physical motor and process. It knows what the drive is able to do, and nothing of
-what an application means by it: positions are increments, velocities the drive's own integers.
+There is one object per physical motor and process, without inheritance. The object covers all
+functions of the drive, and knows nothing about the application's meaning: positions are increments,
+velocities the drive's own integers.
+
 Objects are read and written by index or by the standard's name:
 
     hw.read("position_actual_value"); hw.write(0x6065, 2000); hw.upload(0x2000, 1)
@@ -53,29 +55,30 @@ _STREAM_ENDS_CYCLES: Final = 4
 
 @final
 class Cia402HwMotor:
-    """One drive on one CANopen bus, by node-ID. Shared by all logical motors and threads.
+    """One drive on one CANopen bus, by node-ID, shared by all logical motors and threads.
 
-    `control` commands it, `objects` is its object dictionary, `node` is what is heard of it,
-    `physical` is the record that logical motors share.
+    `control` commands the drive, and `objects` is its object dictionary. `node` holds its received
+    state, and `physical` is the record that logical motors share.
 
-    Nothing is sent before it is needed; `connect()` does it at once. Use it directly for what the
-    motor interface has no word for: inside `with motor.low_level() as hardware:`, where no logical
-    motor uses it, and no other thread can.
+    Nothing is sent before it is needed; `connect()` sends at once. Use this class directly for
+    functions that the motor interface does not cover, inside `with motor.low_level() as hardware:`.
+    No logical motor and no other thread can use the drive there.
 
     Args:
-        bus: an open python-can bus, of whatever interface.
-        node_id: the drive's, 1..127.
-        runtime: where to wait; None: the bus's own (virtual time), else the wall's.
+        bus: an open python-can bus, of any interface.
+        node_id: the node-ID of the drive, 1..127.
+        runtime: the runtime to wait with. None: the one of the bus (virtual time), else wall time.
         options: see HwOptions.
 
     Attributes:
-        stream: the set-points streamed last, by `stream_positions`; None: none were.
-        fence: lets out what commands the drive; None: no other process can take it over.
-        quick_stopped: whether a quick stop was the last thing commanded to its power stage.
-        users: how many motors were built on it by settings; the last one closes it.
+        stream: the last stream of set-points, made by `stream_positions`, or None.
+        fence: the fence for frames that command the drive, or None if no other process can take the
+            drive over.
+        quick_stopped: whether a quick stop was the last command to the power stage.
+        users: the number of motors built on it from settings; the last one closes it.
 
     Raises:
-        UsageError: a hardware object for this drive exists already; it is named.
+        UsageError: a hardware object for this drive exists already; the message names it.
     """
 
     def __init__(
@@ -89,7 +92,7 @@ class Cia402HwMotor:
         if not isinstance(node_id, int) or not 1 <= node_id <= 127:
             raise UsageError(f"node_id = {node_id!r}: a node-ID is 1 to 127")
         if not hasattr(bus, "channel_info"):
-            raise UsageError(f"{bus!r} is no bus: give what can.Bus(...) returned")
+            raise UsageError(f"{bus!r} is not a bus: give the result of can.Bus(...)")
         if runtime is None:
             runtime = runtime_of(bus)
         self.node_id: Final = node_id
@@ -143,7 +146,10 @@ class Cia402HwMotor:
         return f"<Cia402HwMotor {self.label}: {'closed' if self.is_closed else what}>"
 
     def close(self) -> None:
-        """Nothing is sent or heard any more; the drive's dead-man stops it if it moves."""
+        """Close the drive object; nothing is sent or received afterwards.
+
+        A moving drive is stopped by its own supervision of the host's heartbeat.
+        """
         if self._close.alive:
             watch = self.node.watch
             done = watch is None or watch.ended_ns is not None
@@ -157,22 +163,22 @@ class Cia402HwMotor:
 
     @property
     def is_closed(self) -> bool:
-        """Whether `close` was called."""
+        """True if `close` was called."""
         return not self._close.alive
 
     @property
     def is_homed(self) -> bool:
-        """Whether a homing succeeded since the drive was last heard to boot."""
+        """True if a homing succeeded since the last boot-up of the drive."""
         return self._homed_at_boot == self.node.boots
 
     def was_homed(self) -> None:
-        """A homing has succeeded."""
+        """Record a successful homing."""
         self._homed_at_boot = self.node.boots
 
     # --- bringing up ---------------------------------------------------------------------
 
     def connect(self) -> DriveFacts:
-        """The drive is up and configured; costs nothing if it is already. See `bring_up`."""
+        """Bring the drive up and configure it, unless that was done already; see `bring_up`."""
         facts = self._facts
         if facts is not None and self._close.alive and self._is_known:
             return facts
@@ -190,7 +196,7 @@ class Cia402HwMotor:
                 self.node.uses_host_heartbeat = True
             self.objects.doubt()
             self.control.forget()
-            self._facts = self.control.facts = None  # what fails now is tried again the next time
+            self._facts = self.control.facts = None  # after a failure, the next call tries again
             with self._shared.setting_up(self.node.sdo, 4 * options.connect_timeout_s):
                 self._is_doubted = False
                 self._facts = self.control.facts = bring_up(self.node, options)
@@ -202,41 +208,41 @@ class Cia402HwMotor:
 
     @property
     def facts(self) -> DriveFacts | None:
-        """What `connect` found; None before it."""
+        """The result of `connect`, or None before it."""
         return self._facts
 
     # --- objects -------------------------------------------------------------------------
 
     def sdo(self) -> "AbstractContextManager[SdoClient]":
-        """The SDO client of canopen for this drive, for block transfer and streams.
+        """Return the SDO client of canopen for this drive, for block transfer and streams.
 
         `with hw.sdo() as sdo: sdo.open(0x1021, block_transfer=True).read()`
         """
         return self.node.sdo.alone()
 
     def upload(self, index: int, subindex: int = 0) -> bytes:
-        """The bytes of an object, as the drive sends them. Raises as `DriveObjects.upload`."""
+        """Return the bytes of an object; raises as `DriveObjects.upload`."""
         return self.objects.upload(index, subindex)
 
     def download(self, index: int, subindex: int, data: bytes) -> None:
-        """The drive has `data` in an object. Raises as `DriveObjects.upload`."""
+        """Write `data` to an object; raises as `DriveObjects.upload`."""
         self.objects.download(index, subindex, data)
 
     def read(self, what: int | str, subindex: int = 0, kind: str | None = None) -> Value:
-        """The value of an object, by index or by the standard's name ("target_position").
+        """Return the value of an object, by index or by the standard's name ("target_position").
 
         Args:
-            what: index, or name.
-            subindex: of an index.
-            kind: its data type ("u8" to "i64", "f32", "string", "bytes") if the standard has none
-                for it; without, such an object is read as "bytes".
+            what: the index or the name.
+            subindex: the sub-index, if `what` is an index.
+            kind: the data type ("u8" to "i64", "f32", "string", "bytes") of an object that the
+                standard does not define. Without it, such an object is read as "bytes".
         """
         return self.objects.read(what, subindex, kind)
 
     def write(
         self, what: int | str, value: Value, subindex: int = 0, kind: str | None = None
     ) -> None:
-        """An object of the drive has this value; arguments as in `read`.
+        """Write a value to an object of the drive; arguments as in `read`.
 
         Raises:
             UsageError: the value does not fit its type, or the type is not known.
@@ -244,91 +250,91 @@ class Cia402HwMotor:
         self.objects.write(what, value, subindex, kind)
 
     def send_frame(self, can_id: int, data: bytes = b"", *, extended: bool = False) -> Transmission:
-        """A frame of your own is on its way; `time_ns` of the answer tells when it was sent.
+        """Queue a frame of the caller; `time_ns` of the result is the time when it was sent.
 
         Args:
-            can_id: its identifier, of 11 bits.
+            can_id: the identifier, of 11 bits.
             data: up to 8 bytes.
-            extended: the identifier has 29 bits.
+            extended: whether the identifier has 29 bits.
 
         Raises:
-            UsageError: there is no such frame.
+            UsageError: the identifier or the data is not valid.
             MotorBusyError: another thread has low-level access.
-            LinkError: the bus does not take it.
+            LinkError: the bus does not accept the frame.
         """
         frame = raw_frame(can_id, data, extended=extended)
         with self.physical.passage(self.label, of_holder=True):
             return self.link.send_tracked(frame, self.fence)
 
     def listen(self, *can_ids: int) -> FrameInbox:
-        """Frames of others with these identifiers (none: all), as they are, from now on.
+        """Return an inbox for raw frames of other nodes with these identifiers (none: all).
 
         `with hw.listen(0x581) as inbox: hw.send_frame(0x601, request); inbox.receive()`
         """
         return FrameInbox(self.link, can_ids)
 
-    # --- what is heard -------------------------------------------------------------------
+    # --- received status -------------------------------------------------------------------
 
     @property
     def statusword(self) -> int:
-        """The last statusword heard."""
+        """The last statusword received."""
         return self.node.statusword
 
     @property
     def state(self) -> PdsState | None:
-        """The state it shows."""
+        """The state shown by the last statusword."""
         return self.node.state
 
     @property
     def position_inc(self) -> int:
-        """The last position heard, in increments."""
+        """The last position received, in increments."""
         return self.node.position_inc
 
     @property
     def emergencies(self) -> Sequence[Emergency]:
-        """EMCY heard, oldest first (the last 100)."""
+        """The EMCY messages received, oldest first (the last 100)."""
         return tuple(self.node.emergencies)
 
     def refresh(self) -> None:
-        """Statusword and position are fresh where the drive does not repeat them by itself."""
+        """Read statusword and position, where the drive does not send them cyclically."""
         self.node.refresh()
 
     def follow(self, watch: "MotionWatch | None") -> None:
-        """Every status from now on is shown to `watch`."""
+        """Show every status from now on to `watch`."""
         if watch is not None:
             watch.on_end = self.node.news.grow
         self.node.watch = watch
         self.node.news.grow()
 
-    # --- commanding, the common part; the rest is in `control` ------------------------------
+    # --- commands; the rest is in `control` --------------------------------------------------
 
     def enable(self) -> None:
-        """Operation is enabled. See `DriveControl.enable`."""
+        """Enable operation; see `DriveControl.enable`."""
         self.connect()
         self.control.enable()
 
     def disable(self) -> None:
-        """The power stage is off, whoever owns the motor."""
+        """Switch the power stage off, no matter which program owns the motor."""
         self.connect()
         self.control.disable(stops=True)
 
     def reset_fault(self) -> None:
-        """The fault is acknowledged. See `DriveControl.reset_fault`."""
+        """Reset the fault; see `DriveControl.reset_fault`."""
         self.connect()
         self.control.reset_fault()
 
     def halt(self) -> None:
-        """The drive stops as 605Dh says, and holds; does not wait."""
+        """Halt the drive as 605Dh defines, without waiting; it then holds its position."""
         self.connect()
         self.control.send_halt()
 
     def quick_stop(self) -> None:
-        """The drive stops as 605Ah says; does not wait."""
+        """Stop the drive as 605Ah defines, without waiting."""
         self.connect()
         self.control.send_quick_stop()
 
     def set_mode(self, mode: Mode) -> None:
-        """The drive is in this mode of operation. See `DriveControl.set_mode`."""
+        """Set the mode of operation; see `DriveControl.set_mode`."""
         if mode not in tuple(Mode):
             names = ", ".join(f"Mode.{one.name}" for one in Mode)
             raise UsageError(f"{self.label}: mode {mode!r}: give one of {names}")
@@ -338,14 +344,14 @@ class Cia402HwMotor:
     def stream_positions(
         self, period_s: float, next_target: Callable[[int], int | None]
     ) -> CspStream:
-        """Csp: one target position per SYNC, from `next_target(cycle)`, until that is None."""
+        """Stream `next_target(cycle)` in csp, one position per SYNC, until it returns None."""
         self.stream = CspStream(self, period_s, next_target)
         return self.stream
 
     def end_stream(self, word: int) -> None:
-        """Set-points that are being streamed bring this controlword, and then end; does not wait.
+        """End a running stream of set-points with this controlword, without waiting.
 
-        The drive has been given the word, and brakes or coasts as it says.
+        The drive has already received the word, and brakes or coasts accordingly.
         """
         if self.stream is not None:
             self.stream.stop(word)
@@ -353,16 +359,16 @@ class Cia402HwMotor:
     # --- low-level access ------------------------------------------------------------------
 
     def fall_silent(self) -> None:
-        """Nothing of what others asked for is under way, and nothing is sent by itself.
+        """Finish pending transfers, so that nothing is sent without a call.
 
         Raises:
             StateError: set-points are being streamed.
-            LinkError: what was sent to the drive before does not get on the bus.
+            LinkError: frames sent to the drive before do not get on the bus.
         """
         stream = self.stream
         if stream is not None and not self.runtime.wait_until(
             lambda: stream.ended, _STREAM_ENDS_CYCLES * stream.period_s
-        ):  # one that was stopped still has its last words to say
+        ):  # a stopped stream still has to send its last words
             raise StateError(
                 motor=self.label,
                 operation="low_level()",
@@ -379,9 +385,9 @@ class Cia402HwMotor:
         self.link.confirmed([one for can_id in can_ids for one in self.link.pending(can_id)])
 
     def doubt(self) -> None:
-        """Nothing is believed of the drive; `connect` brings it up as if it were new.
+        """Discard all knowledge of the drive; `connect` brings it up as if it were new.
 
-        Whether it is referenced is not forgotten: who homed it by hand says `was_homed()`.
+        The homing status is kept: after homing by hand, call `was_homed()`.
         """
         self._is_doubted = True
         self.parameters.forget()

@@ -1,13 +1,13 @@
 """The adaptation of the motor interface to CiA 402 drives on CANopen.
 
-Which mode of the drive makes what is told in motorapi.adaptations.drive_motions; homing is hm.
+`DriveMotions` chooses the mode of operation for each motion; homing uses hm. A position set-point
+has no profile of its own, but a drive in pp makes one. It has the model's maximum accelerations,
+and the velocity limit of the command or else of the model. A torque set-point without a slope limit
+is a step. A function (a complex trajectory, or a velocity ramp with bounded jerk) is streamed in
+csp, one set-point per SYNC.
 
-A position set-point has no profile of its own; a drive in pp makes one all the same: with the
-model's maximum accelerations, and the velocity limit of the command, else of the model. A torque
-set-point without a limit of its slope is a step. What is a function (a complex trajectory, a ramp
-of velocity with a bounded jerk) is streamed in csp, one set-point per SYNC.
 Several motors of one bus start together at a SYNC: their RPDOs (transmission type 1) hold the
-set-point until then. One motor alone starts by an RPDO that acts at once, or by its own SYNC.
+set-point until then. A single motor starts by an RPDO that acts at once, or by its own SYNC.
 """
 
 from collections.abc import Callable
@@ -50,7 +50,7 @@ _STREAMED: Final = (ControlVariable.POSITION, ControlVariable.VELOCITY)
 
 
 def is_function(variable: ControlVariable, command: Setpoint | Trajectory) -> bool:
-    """Whether the command becomes a function, which no profile of a drive can follow."""
+    """Return whether the command is a function, which no profile of a drive can follow."""
     if isinstance(command, Setpoint):
         return False
     return isinstance(command, ComplexTrajectory) or asks_for_smoothness(variable, command)
@@ -58,13 +58,13 @@ def is_function(variable: ControlVariable, command: Setpoint | Trajectory) -> bo
 
 @final
 class Cia402Motor(Motor):
-    """A logical motor on a CiA 402 drive. Any number of them may share one hardware object.
+    """A logical motor on a CiA 402 drive; any number of them may share one hardware object.
 
     Args:
-        hardware: speaks for the drive.
-        model: what is constant of the motor; its units where the drive does not tell its own.
-        name: what messages and records call it; None: the model's name and where it is.
-        on_close: is called once, when the motor is closed. The hardware object is its maker's.
+        hardware: the hardware object of the drive.
+        model: the constants of the motor, and its units where the drive does not report them.
+        name: the name in messages and records. None: the model's name and the place.
+        on_close: called once, when the motor is closed. The maker of the hardware object closes it.
     """
 
     def __init__(
@@ -91,17 +91,17 @@ class Cia402Motor(Motor):
         self._motions = DriveMotions(hardware, model, self._reader, self.name)
 
     def close(self) -> None:
-        """It is no longer used; closing again does nothing."""
+        """Close the motor; further calls do nothing."""
         on_close, self._on_close = self._on_close, None
         if on_close is not None:
             on_close()
 
     @property
     def hardware(self) -> Cia402HwMotor:
-        """The drive, with all it is able to do."""
+        """The hardware object of the drive."""
         return self._hardware
 
-    # --- what it can do --------------------------------------------------------------------
+    # --- capabilities ----------------------------------------------------------------------
 
     def _supports(self, mode: ControlMode, variable: ControlVariable) -> bool:
         drive_mode = _MODES.get(variable)
@@ -113,7 +113,7 @@ class Cia402Motor(Motor):
         if variable not in _STREAMED or not self._control.supports(Mode.CYCLIC_SYNC_POSITION):
             raise UnsupportedError(
                 motor=self.name,
-                feature=f"a trajectory of {variable.value} that is no ramp at a constant rate",
+                feature=f"a trajectory of {variable.value} other than a ramp at a constant rate",
                 supported="such trajectories of position and velocity, where the drive has csp",
             )
 
@@ -127,17 +127,17 @@ class Cia402Motor(Motor):
 
     @property
     def parameters(self) -> Cia402Parameters:
-        """Gains and windows of this logical motor; None in one leaves the drive's own value."""
+        """The gains and windows of this motor; None leaves the drive's own value."""
         return self._motions.parameters
 
     def set_parameters(self, parameters: Cia402Parameters) -> None:
-        """These are in the drive from the next `start` on; nothing is sent before it.
+        """Set the parameters that are written to the drive from the next `start` on.
 
         Raises:
-            UsageError: they are no Cia402Parameters.
+            UsageError: `parameters` is not a Cia402Parameters.
         """
         if not isinstance(parameters, Cia402Parameters):
-            raise UsageError(f"{self.name}: {parameters!r} are no Cia402Parameters")
+            raise UsageError(f"{self.name}: {parameters!r} is not a Cia402Parameters")
         self._motions.parameters = parameters
 
     # --- connecting, state and measurements -----------------------------------------------------
@@ -153,7 +153,7 @@ class Cia402Motor(Motor):
 
     @property
     def units(self) -> DriveUnits:
-        """What 1 means in the drive's objects, and where that is known from."""
+        """The units of the drive's objects, and their sources."""
         return self._reader.units
 
     def _read_state(self) -> MotorState:
@@ -253,7 +253,7 @@ class Cia402Motor(Motor):
             state = node.state
             if state in (PdsState.OPERATION_ENABLED, PdsState.QUICK_STOP_ACTIVE):
                 return watch.ended_ns is not None
-            return True  # the power stage is off: nothing slows down any more
+            return True  # the power stage is off: there is no deceleration to await
         node.check_motion(self.name)
         if watch.failed and isinstance(watch, HomingWatch):
             method = 0 if watch.method is None else watch.method
@@ -263,7 +263,8 @@ class Cia402Motor(Motor):
         return watch.ended_ns is not None
 
     def _stop(self) -> None:
-        # In csp no bit says that a halted drive stands; another process may have left it in that.
+        # In csp no bit shows the standstill of a halted drive; another process may have left that
+        # mode.
         needs_bit = any(self._control.is_in(mode) for mode in _SHOWS_REST)
         watch = RestWatch(commanded_ns=self.runtime.now_ns(), needs_bit=needs_bit)
         self._hardware.follow(watch)

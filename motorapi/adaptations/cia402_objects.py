@@ -1,7 +1,7 @@
-"""The words of CiA 402 on the host's side: states, modes, bits, and the objects by name.
+"""States, modes, bits and objects of CiA 402, for the host.
 
-Source: IEC 61800-7-201 (CiA 402-2): PDS FSA, modes of operation, object dictionary; CiA 301 for
-the communication objects.
+Source: IEC 61800-7-201 (CiA 402-2): PDS FSA, modes of operation, object dictionary; CiA 301 for the
+communication objects.
 """
 
 import struct
@@ -52,7 +52,7 @@ _STATE_OF_BITS: Final = tuple(_shown_by(bits) for bits in range(STATE_BITS + 1))
 
 
 def decode_state(statusword: int) -> PdsState | None:
-    """The state in a statusword (6041h); None if it shows none the standard knows."""
+    """Return the state in a statusword (6041h), or None if it matches no state of the standard."""
     return _STATE_OF_BITS[statusword & STATE_BITS]
 
 
@@ -94,11 +94,11 @@ class Mode(IntEnum):
 
     @property
     def supported_bit(self) -> int:
-        """Its bit in 6502h, supported drive modes."""
+        """The bit of this mode in 6502h, supported drive modes."""
         return 1 << (self.value - 1)
 
 
-# CiA 301 data types we need: name -> (struct format, size)
+# CiA 301 data types: name -> struct format
 _FORMATS: Final[dict[str, struct.Struct]] = {
     "u8": struct.Struct("<B"),
     "u16": struct.Struct("<H"),
@@ -113,7 +113,7 @@ _FORMATS: Final[dict[str, struct.Struct]] = {
 }
 KINDS: Final = (*_FORMATS, "string", "bytes")
 
-# name: (index, sub-index, type), spelt as the standard spells it
+# name: (index, sub-index, type), with the standard's names
 OBJECTS: Final[dict[str, tuple[int, int, str]]] = {
     "device_type": (0x1000, 0, "u32"),
     "error_register": (0x1001, 0, "u8"),
@@ -220,7 +220,7 @@ _TYPE_AT: Final = {(index, subindex): kind for index, subindex, kind in OBJECTS.
 
 
 def type_of(index: int, subindex: int) -> str | None:
-    """The data type the standard gives an object; None if this table does not have it."""
+    """Return the data type of a standard object, or None if this table does not contain it."""
     known = _TYPE_AT.get((index, subindex))
     if known is None and subindex == 0 and (index, 1) in _TYPE_AT:
         return "u8"  # highest sub-index supported
@@ -238,9 +238,9 @@ def _pdo_type(index: int, subindex: int) -> str:
 
 
 def decode(kind: str, data: bytes) -> Value:
-    """The value of `data` read from the device. A shorter or longer answer is cut or extended.
+    """Return the value of `data` read from the device; a wrong length is cut or extended.
 
-    Some devices answer with four bytes whatever the type, or with fewer.
+    Some devices answer with four bytes for every type, or with fewer.
     """
     if kind == "string":
         return data.rstrip(b"\0").decode("utf-8", "replace")
@@ -255,7 +255,7 @@ def decode(kind: str, data: bytes) -> Value:
 
 
 def encode(kind: str, value: Value) -> bytes:
-    """The bytes to write.
+    """Return the bytes to write for a value.
 
     Raises:
         UsageError: the value does not fit the type.
@@ -274,7 +274,7 @@ def encode(kind: str, value: Value) -> bytes:
 def _whole(value: Value) -> int:
     if isinstance(value, int):
         return value
-    raise UsageError(f"{value!r} is no integer: the object holds one")
+    raise UsageError(f"{value!r} is not an integer; the object holds an integer")
 
 
 # EMCY and 603Fh error codes (CiA 301; CiA 402-1, error codes)
@@ -311,7 +311,7 @@ _ERRORS: Final = (
 
 
 def error_text(code: int) -> str:
-    """What an error code says, in words; the most specific line of the standard's table."""
+    """Return the text of an error code, from the most specific line of the standard's table."""
     if code == 0:
         return "error code not told"
     for mask, value, text in _ERRORS:
@@ -321,20 +321,20 @@ def error_text(code: int) -> str:
 
 
 def is_off(word: int) -> bool:
-    """Whether a statusword shows that the power stage is off."""
+    """Return whether a statusword shows that the power stage is off."""
     return word & 0x4F in (0x40, 0x08) or word & 0x6F == 0x21
 
 
 def shows_no_reaction(word: int) -> bool:
-    """Whether a statusword shows no fault reaction that goes on."""
+    """Return whether a statusword shows no active fault reaction."""
     return word & 0x4F != 0x0F
 
 
 def shows_no_fault(word: int) -> bool:
-    """Whether a statusword shows no fault."""
+    """Return whether a statusword shows no fault."""
     return not word & FAULT_BIT
 
 
 def shows_no_acknowledge(word: int) -> bool:
-    """Pp: whether a statusword shows no set-point acknowledge."""
+    """Return whether a statusword shows no set-point acknowledge (pp)."""
     return not word & ACKNOWLEDGE

@@ -1,9 +1,9 @@
-"""Parameters of a motor on a CiA 402 drive: gains and windows, kept per logical motor.
+"""Gains and windows of a CiA 402 drive, kept per logical motor.
 
-The paper, 3.2 and 3.5: parameters are what the application may modify, typed per adaptation; those
+The paper, 3.2 and 3.5: parameters are what the application may modify, typed per adaptation. Those
 of one logical motor do not affect another, "even if both refer to the same piece of motor
-hardware". So they are written at `start()`, where they differ from what the drive holds; and what
-a logical motor says nothing of is, at its start, what it was before anybody wrote it.
+hardware". So they are written at `start()`, where they differ from the drive's values. Parameters
+that a logical motor leaves open are restored at its start to the drive's original values.
 """
 
 from dataclasses import dataclass, fields
@@ -20,35 +20,37 @@ if TYPE_CHECKING:
     from motorapi.adaptations.cia402_units import DriveUnits
 
 Place = tuple[int, int]
-"""Index and sub-index of an object."""
+"""The index and sub-index of an object."""
 
 _GAINS: Final = {"current_gains": 0x60F6, "velocity_gains": 0x60F9, "position_gains": 0x60FB}
 WINDOW_OFF: Final = 0xFFFF_FFFF  # 6065h, 6067h
-HALT_OPTION: Final = 0x605D  # of which a drive may know but one
+HALT_OPTION: Final = 0x605D  # a drive may support only one value
 _TIME_MAX_S: Final = 65.535  # in ms, 16 bits
 
 
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Cia402Parameters:
-    """What an application may tune of a drive; None leaves it as the drive has it by itself.
+    """The tunable parameters of a drive; None leaves the drive's own value.
 
-    Gains are the drive's own whole numbers, by sub-index from 1 (None leaves one as it is): what
-    they mean is the manufacturer's business (CiA 402-2). U is the motor's unit of position.
+    Gains are the drive's own integers, by sub-index from 1 (None leaves one unchanged). Their
+    meaning is manufacturer-specific (CiA 402-2). U is the motor's unit of position.
 
     Attributes:
         current_gains: 60F6h, current (torque) control parameter set.
         velocity_gains: 60F9h, velocity control parameter set.
         position_gains: 60FBh, position control parameter set.
-        position_window: how near the target is "reached" [U] (6067h).
-        position_window_s: for how long it must be (6068h) [s].
-        velocity_window: how near a target velocity is "reached" [U/s] (606Dh).
-        velocity_window_s: for how long it must be (606Eh) [s].
-        following_error_window: beyond it is a fault [U] (6065h); inf: none is.
-        following_error_s: for how long it must be (6066h) [s].
+        position_window: the distance within which a target counts as reached [U] (6067h).
+        position_window_s: the time for which it must be within that window (6068h) [s].
+        velocity_window: the difference within which a target velocity counts as reached [U/s]
+            (606Dh).
+        velocity_window_s: the time for which it must be within that window (606Eh) [s].
+        following_error_window: the largest following error without a fault [U] (6065h); inf: no
+            limit.
+        following_error_s: the time for which it must be exceeded (6066h) [s].
 
     Raises:
-        UsageError: a gain is no whole number, or a window no number > 0.
+        UsageError: a gain is not an integer, or a window is not a number > 0.
     """
 
     current_gains: tuple[int | None, ...] | None = None
@@ -79,7 +81,7 @@ class Cia402Parameters:
             object.__setattr__(self, field.name, number)
 
     def objects(self, units: "DriveUnits") -> dict[Place, int]:
-        """What the drive is to hold, where these parameters say something.
+        """Return the raw values of all objects that these parameters set.
 
         Raises:
             LimitError: a window does not fit the drive.
@@ -114,7 +116,7 @@ def _gains(name: str, value: object) -> tuple[int | None, ...]:
         one is None or (isinstance(one, int) and not isinstance(one, bool)) for one in value
     ):
         raise UsageError(
-            f"Cia402Parameters: {name} = {value!r}: give whole numbers by sub-index, (p, i)"
+            f"Cia402Parameters: {name} = {value!r}: must be integers by sub-index, (p, i)"
         )
     return tuple(value)
 
@@ -136,24 +138,25 @@ def _window(name: str, window: float, units: "DriveUnits") -> int:
 
 @final
 class ParameterStore:
-    """What a drive's parameters are by themselves, and how to bring it to what a motor wants.
+    """A drive's original parameters, and the writes that bring it to the values a motor wants.
 
-    One per hardware object. Believes what it wrote only while the motor does not change hands.
+    There is one store per hardware object. The store trusts its own writes only while the motor
+    does not change hands.
     """
 
     def __init__(self, node: DriveNode, objects: DriveObjects) -> None:
         self._node = node
         self._objects = objects
-        self._own: dict[Place, bytes] = {}  # before anybody wrote them
+        self._own: dict[Place, bytes] = {}  # before the first write
         self._boots = -1
 
     def apply(self, motor: str, wanted: dict[Place, int]) -> None:
-        """The drive holds `wanted`, and its own values of all others that were ever written.
+        """Write `wanted` to the drive, and restore the original values of all others.
 
         Raises:
-            UnsupportedError: it has no such object, or does not take the value.
+            UnsupportedError: the drive has no such object, or refuses the value.
         """
-        if self._node.boots != self._boots:  # it came up with its own values
+        if self._node.boots != self._boots:  # after a boot-up the drive has its original values
             self._boots = self._node.boots
             self._own.clear()
         for place, value in wanted.items():
@@ -164,11 +167,11 @@ class ParameterStore:
                 self._push(motor, place, data)
 
     def forget(self) -> None:
-        """Others may have written to the drive: what it has now is its own."""
+        """Forget the original values, as other programs may have written to the drive."""
         self._own.clear()
 
     def own(self, place: Place) -> int | None:
-        """The drive's own value of an object that was written since; None: it was not."""
+        """Return the original value of an object written since, or None if it was not written."""
         data = self._own.get(place) if self._node.boots == self._boots else None
         return None if data is None else int.from_bytes(data, "little")
 
@@ -187,7 +190,7 @@ class ParameterStore:
             self._objects.push_bytes(*place, data)
         except SdoAborted as error:
             if place == (HALT_OPTION, 0):
-                return  # it halts in its own way
+                return  # the drive keeps its own halt option
             value = int.from_bytes(data, "little")
             raise UnsupportedError(
                 motor=motor, feature=f"{_name(place)} = {value} ({error})"

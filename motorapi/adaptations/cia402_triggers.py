@@ -1,4 +1,4 @@
-"""What starts a motion that was armed in a CiA 402 drive."""
+"""Triggers that start an armed motion of a CiA 402 drive."""
 
 from dataclasses import dataclass
 from functools import partial
@@ -17,11 +17,11 @@ _FIRST_SYNC_S: Final = 0.5
 
 @final
 class SyncTrigger:
-    """One SYNC for every motor armed on a bus: it latches set-points, and begins streams of them.
+    """One SYNC for all motors armed on a bus: it latches set-points and begins streams.
 
     Args:
-        link: of the bus.
-        streams: that begin; None: those of the group that is armed on this bus.
+        link: the link of the bus.
+        streams: the streams to begin. None: those of the group that is armed on this bus.
     """
 
     def __init__(self, link: CanopenLink, streams: "list[ArmedStream] | None" = None) -> None:
@@ -29,10 +29,12 @@ class SyncTrigger:
         self._streams = link.armed_streams if streams is None else streams
 
     def fire(self) -> None:
-        """SYNC was on the wire; of streams the one after it, too, which brings their first step.
+        """Send SYNC and wait until it was on the wire; for streams, also the next one.
+
+        The second SYNC brings the first step of the streams.
 
         Raises:
-            LinkError: it was not, after a while.
+            LinkError: SYNC was not transmitted in time.
         """
         link = self._link
         streams = [one for one in self._streams if not one.stream.ended]
@@ -55,7 +57,7 @@ class SyncTrigger:
 
     def _begin(self, streams: "list[ArmedStream]") -> None:
         link = self._link
-        # Who needs less time to where its trajectory begins waits there for who needs most.
+        # A trajectory that needs a shorter lead-in waits at its beginning for the longest one.
         lead = max(one.motion.lead_in for one in streams)
         for one in streams:
             one.motion.lead = lead
@@ -74,14 +76,14 @@ class SyncTrigger:
 
 @final
 class SetPointTrigger:
-    """The controlword that makes one drive's target position count."""
+    """The controlword that makes one drive accept its target position."""
 
     def __init__(self, hardware: Cia402HwMotor, watch: SetpointWatch) -> None:
         self._hardware = hardware
         self._watch = watch
 
     def fire(self) -> None:
-        """The controlword was on the wire."""
+        """Send the controlword and wait until it was on the wire."""
         transmission = self._hardware.control.send_set_point()
         if transmission is not None:
             self._hardware.link.confirmed([transmission])
@@ -91,7 +93,7 @@ class SetPointTrigger:
 
 @final
 class LiveTargetTrigger:
-    """One drive's target velocity (60FFh) or torque (6071h), which counts as it is written."""
+    """One drive's target velocity (60FFh) or torque (6071h), which takes effect when written."""
 
     def __init__(
         self, hardware: Cia402HwMotor, watch: SetpointWatch, index: int, target: int
@@ -102,7 +104,7 @@ class LiveTargetTrigger:
         self._target = target
 
     def fire(self) -> None:
-        """The drive has its target, and no halt holds it."""
+        """Write the target to the drive, and release a halt."""
         hardware = self._hardware
         hardware.objects.write(self._index, self._target)
         transmission = hardware.control.send_holding_word()
@@ -114,7 +116,7 @@ class LiveTargetTrigger:
 @final
 @dataclass(frozen=True, slots=True)
 class ArmedStream:
-    """Set-points that are ready to be sent."""
+    """A stream of set-points that is ready to be sent."""
 
     stream: CspStream
     motion: StreamedMotion

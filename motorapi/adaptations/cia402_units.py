@@ -1,18 +1,18 @@
-"""The one place where a CiA 402 drive's integers become SI values, and the other way round.
+"""Conversion between a CiA 402 drive's integers and SI units.
 
-What 1 means in the drive's objects comes from the motor model or from the drive's factor objects,
-and is never guessed:
-
+The unit of each object comes from the motor model or from the drive's factor objects, and is never
+guessed:
 - position: 60A8h (SI unit position) if it names an angle; else 6092h, feed constant: position units
-  per turn of the driving (output) shaft. A feed constant of 1/1 is not believed: it is what drives
-  show that count encoder increments and never were told. Without 6092h: 608Fh x 6091h, increments
-  per turn of the output shaft.
+  per turn of the driving (output) shaft. A feed constant of 1/1 is not trusted, as unconfigured
+  drives that count encoder increments show it. Without 6092h: 608Fh x 6091h, increments per turn of
+  the output shaft.
 - velocity: 60A9h (SI unit velocity) if it names a rate; else position units per second if 6096h is
-  1/1. Any other 6096h is not believed: the standard's successive editions, and vendors after them,
+  1/1. Any other 6096h is not trusted: the standard's successive editions, and vendors after them,
   read it in opposite directions.
 - acceleration: position units per second squared if 6097h is 1/1 and there is no 60A9h.
 
-What the model says wins. U is the model's unit: rad, or m, for which the model must say it all.
+The model takes precedence. U is the model's unit: rad or m. For m, the model must define all units.
+
 Source: IEC 61800-7-201 (CiA 402-2), factor group; CiA 303-2 for the unit codes.
 """
 
@@ -38,19 +38,19 @@ _UINT32_MAX: Final = 0xFFFF_FFFF
 _RAD_PER_TURN: Final = 2 * pi
 
 ReadObject = Callable[[int, int], int | None]
-"""(index, sub-index) -> value, None if the drive has no such object."""
+"""A function (index, sub-index) -> value, or None if the drive has no such object."""
 
 
 @final
 @dataclass(frozen=True, slots=True)
 class DriveUnits:
-    """What 1 means in the drive's objects. None: nobody says; `missing` then tells what to do.
+    """The units of the drive's objects; None if unknown, and `sources` then gives the reason.
 
     Attributes:
         increments_per_unit: position increments (607Ah, 6064h) per U, signed.
-        velocity_unit: what 1 means in 6081h, 606Ch, 60FFh [U/s], > 0.
-        acceleration_unit: what 1 means in 6083h, 6084h [U/s²], > 0.
-        sources: where each of them comes from, in words.
+        velocity_unit: the unit of 6081h, 606Ch and 60FFh [U/s], > 0.
+        acceleration_unit: the unit of 6083h and 6084h [U/s²], > 0.
+        sources: the source of each of them, in words.
         motor, unit: the motor's name and U, for messages.
     """
 
@@ -77,7 +77,7 @@ class DriveUnits:
         return self.acceleration_unit
 
     def require_all(self) -> None:
-        """Raises UsageError if one of them is not known: a motion needs them all."""
+        """Raise UsageError if one of the units is not known, as a motion needs them all."""
         self._position()
         self._velocity()
         self._acceleration()
@@ -86,7 +86,7 @@ class DriveUnits:
         if value == 0.0:
             return 0
         steps = value / unit
-        raw = floor(steps * (1.0 + 4e-16) + 1e-9)  # a whole number of steps stays what it is
+        raw = floor(steps * (1.0 + 4e-16) + 1e-9)  # an integer number of steps is kept
         if raw > largest:
             raise LimitError(
                 motor=self.motor,
@@ -102,15 +102,15 @@ class DriveUnits:
     # --- position
 
     def position(self, position_inc: int) -> float:
-        """Increments as a position [U]."""
+        """Return increments as a position [U]."""
         return position_inc / self._position()
 
     def increments(self, distance: float) -> float:
-        """A distance [U] in increments, signed, not rounded."""
+        """Return a distance [U] in increments, signed, not rounded."""
         return distance * self._position()
 
     def position_inc(self, position: float) -> int:
-        """The nearest increment to a position [U].
+        """Return the nearest increment to a position [U].
 
         Raises:
             LimitError: it does not fit the drive's 32 bits.
@@ -133,31 +133,31 @@ class DriveUnits:
     # --- velocity and acceleration
 
     def velocity(self, velocity_raw: int) -> float:
-        """The drive's velocity integer as a velocity [U/s]."""
+        """Return the drive's velocity integer as a velocity [U/s]."""
         size = velocity_raw * self._velocity()
         return -size if self._position() < 0.0 else size
 
     def velocity_raw(self, velocity: float) -> int:
-        """A velocity [U/s] in the drive's units, signed, rounded towards 0 but never to 0."""
+        """Return a velocity [U/s] in the drive's units, rounded towards 0 but never to 0."""
         unit = self._velocity()
         raw = self._rounded_down("velocity", abs(velocity), unit, _INT32_MAX)
         return -raw if (velocity < 0.0) != (self._position() < 0.0) else raw
 
     def speed_raw(self, speed: float) -> int:
-        """A size of velocity [U/s], > 0, in the drive's units, rounded down but never to 0."""
+        """Return a speed [U/s], > 0, in the drive's units, rounded down but never to 0."""
         return self._rounded_down("velocity", speed, self._velocity(), _UINT32_MAX)
 
     def speed(self, speed_raw: int) -> float:
-        """The size of a velocity [U/s]."""
+        """Return the speed [U/s] of an integer of the drive."""
         return speed_raw * self._velocity()
 
     def acceleration_raw(self, acceleration: float) -> int:
-        """A size of acceleration [U/s²], > 0, in the drive's units, rounded down but never to 0."""
+        """Return an acceleration [U/s²], > 0, in the drive's units, rounded down but never to 0."""
         unit = self._acceleration()
         return self._rounded_down("acceleration", acceleration, unit, _UINT32_MAX)
 
     def acceleration(self, acceleration_raw: int) -> float:
-        """The size of an acceleration [U/s²]."""
+        """Return the size of an acceleration [U/s²] of an integer of the drive."""
         return acceleration_raw * self._acceleration()
 
 
@@ -166,15 +166,15 @@ def _missing(motor: str, key: str, why: str) -> UsageError:
 
 
 def drive_units(motor: str, model: MotorModel, read: ReadObject) -> DriveUnits:
-    """The units of a drive, from the model where it says, else from the drive's objects.
+    """Return the units of a drive, from the model or else from the drive's objects.
 
     Args:
-        motor: its name, for messages.
-        model: its model.
+        motor: the motor's name, for messages.
+        model: the motor model.
         read: reads an object of the drive.
 
     Raises:
-        UsageError: the model gives a number that cannot be one.
+        UsageError: a unit in the model is not valid.
     """
     scale, position_source = model.increments_per_unit, "the motor model"
     if scale is None:
@@ -208,7 +208,7 @@ def _power_of_ten(code: int) -> float:
 
 def _position_unit(model: MotorModel, read: ReadObject) -> tuple[float | None, str]:
     if model.kind is MotionKind.LINEAR:
-        return None, "the drive tells turns, not metres"
+        return None, "the drive reports turns, not metres"
     code = read(0x60A8, 0) or 0
     angle = _ANGLES.get(code >> 16 & 0xFF)
     if angle is not None:
@@ -217,11 +217,11 @@ def _position_unit(model: MotorModel, read: ReadObject) -> tuple[float | None, s
     if feed is not None and feed != 1.0:
         return feed / _RAD_PER_TURN, f"6092h = {feed:g} position units per turn"
     if feed is not None:
-        return None, "the drive's feed constant 6092h is 1/1, which drives show that were not told"
+        return None, "the drive's feed constant 6092h is 1/1, as if never configured"
     if resolution is None or gear is None:
         return None, "the drive lacks the factor objects 60A8h, 6092h, 608Fh and 6091h"
     if resolution == 1.0:
-        return None, "the drive's encoder resolution 608Fh is 1/1, so it was not told"
+        return None, "the drive's encoder resolution 608Fh is 1/1, as if never configured"
     return resolution * gear / _RAD_PER_TURN, "608Fh x 6091h"
 
 
@@ -233,7 +233,7 @@ def _velocity_unit(
         angle, time = _ANGLES.get(code >> 16 & 0xFF), _TIMES.get(code >> 8 & 0xFF)
         if angle is not None and time is not None and model.kind is MotionKind.ROTARY:
             return angle * _power_of_ten(code) / time, f"60A9h = {code:08X}h"
-        return None, f"the drive's SI unit 60A9h = {code:08X}h is none of turns, degrees, radians"
+        return None, f"60A9h = {code:08X}h in the drive is not turns, degrees or radians"
     return _per_second(read, scale, 0x6096, 0x608C)
 
 

@@ -1,4 +1,4 @@
-"""Cyclic synchronous position: one target per SYNC, for as long as there is one."""
+"""Streaming of set-points in cyclic synchronous position mode, one per SYNC."""
 
 import struct
 from collections.abc import Callable
@@ -25,37 +25,40 @@ if TYPE_CHECKING:
 
 _SETPOINT: Final = struct.Struct("<IB3xHi2x")
 _DEAF_NS: Final = 250_000_000
-"""A drive that did not move at all for so long, while its set-points went far, does not follow."""
+"""The time [ns] without movement after which a drive does not follow its moving set-points."""
 _LAST_WORDS: Final = 2  # set-points that bring a stop, in case one is lost
 
 
 @final
 class CspStream:
-    """Set-points in csp (CiA 402-2, cyclic synchronous position mode), one before each SYNC.
+    """A stream of set-points in csp (CiA 402-2, cyclic synchronous position mode), one per SYNC.
 
-    The target of cycle k is sent right after SYNC k-1 and latched by SYNC k, so the frames of a
+    The target of cycle k is sent right after SYNC k-1 and latched by SYNC k. So the frames of a
     cycle have a whole period to pass the bus. Cycle 0 is the position the drive holds now. The
-    drive's demand is at the target of cycle k one period after SYNC k: it goes there evenly.
+    drive's demand reaches the target of cycle k one period after SYNC k, at constant velocity.
 
     Args:
-        hardware: the drive's.
-        period_s: of SYNC: whole milliseconds.
-        next_target: (cycle, from 1) -> its target in increments; None: there are no more.
-        began: is told when SYNC 1 was on the wire [ns].
-        lost: is told why there is no SYNC any more to go on with.
+        hardware: the hardware object of the drive.
+        period_s: the period of SYNC: integer milliseconds.
+        next_target: (cycle, from 1) -> target in increments, or None at the end of the stream.
+        began: called with the time [ns] when SYNC 1 was on the wire.
+        lost: called with the error when the cyclic SYNC is lost.
         at_once: False: nothing is sent before `begin`.
-        behind_inc: a drive that stands still while its set-points went further than this does not
-            follow, and is told as lost; None: nobody looks.
+        behind_inc: the distance in increments that the set-points may move while the drive stands
+            still. Beyond it the drive does not follow, and is reported as lost. None: no check.
 
     Attributes:
-        sent: set-points sent.
-        late: set-points that were still waiting for the bus when their SYNC was sent.
-        missed: periods without a SYNC, for its producer was late: the motion takes so much longer.
+        sent: the number of set-points sent.
+        late: the number of set-points that still waited for the bus when their SYNC was sent.
+        missed: the number of periods without a SYNC because its producer was late. They prolong the
+            motion.
         ended: whether the last target has been latched.
-        error: what `next_target` raised, if it did; the drive is halted then, by its own ramp. Or
-            that somebody else has taken the drive over: then nothing more is sent to it.
-        started_ns: when SYNC 1 was on the wire, the first to bring a target of `next_target`.
-        latched_ns: when the SYNC after the last target was on the wire.
+        error: the exception that `next_target` raised; the drive is then halted by its own ramp. Or
+            the error that another program has taken the drive over; then nothing more is sent to
+            it.
+        started_ns: the time when SYNC 1 was on the wire, the first to latch a target of
+            `next_target`.
+        latched_ns: the time when the SYNC after the last target was on the wire.
     """
 
     def __init__(
@@ -80,7 +83,9 @@ class CspStream:
         asked_ms = as_number(period_s) * 1e3
         period_ms = round(asked_ms) if 0.5 <= asked_ms < 1e3 else 0
         if not 1 <= period_ms <= 255 or abs(period_ms / 1e3 - period_s) > 1e-9:
-            raise UsageError(f"period_s = {period_s}: whole milliseconds, 1 to 255 (60C2h)")
+            raise UsageError(
+                f"period_s = {period_s}: must be integer milliseconds, 1 to 255 (60C2h)"
+            )
         self._hardware = hardware
         self._link = hardware.link
         self._link.bus_sync.check(period_s)
@@ -103,7 +108,7 @@ class CspStream:
         self._begun_ns = 0
         self._before_ns = 0
         self._behind_inc = behind_inc
-        self._stood = (0, 0, 0)  # its position when it last changed, the target then, and when
+        self._stood = (0, 0, 0)  # position at its last change, the target then, and the time
         self.ended = False
         self.error: Exception | None = None
         self.started_ns: int | None = None
@@ -124,7 +129,7 @@ class CspStream:
                 feature=f"a set-point every {period_ms} ms ({error})",
                 supported=self._own_period(),
             ) from error
-        # The target must be where the drive is before csp looks at it.
+        # The target must be at the drive's position before csp uses it.
         held = hardware.objects.read_optional(0x6062)
         self._target = hardware.objects.read_int(0x6064) if held is None else held
         hardware.write(0x607A, self._target)
@@ -136,7 +141,7 @@ class CspStream:
         return f"one every {value} x 10^{exponent} s (60C2h)"
 
     def begin(self) -> None:
-        """Cycle 0 is on its way; SYNC runs. Several that begin together share every SYNC."""
+        """Send cycle 0 and run SYNC; streams that begin together share every SYNC."""
         if self._registration is not None or self.ended:
             return
         if self._hardware.fence is not None:
@@ -155,12 +160,12 @@ class CspStream:
         return self._link.send_tracked(frame, fence)
 
     def _stop_fence(self) -> "Fence | None":
-        """A stop takes nobody's permission; but who has lost the drive since stops nobody else."""
+        """Return the fence for a stop: any process may stop a drive, except one that lost it."""
         fence = self._hardware.fence
         return fence if fence is not None and fence.is_owned else None
 
     def _after_sync(self) -> None:
-        """SYNC k was queued, or heard: what follows it is the target of cycle k + 1."""
+        """Send the target of cycle k + 1, after SYNC k was queued or heard."""
         last = self._last_sent
         if self._cycle and last is not None and last.time_ns is None:
             self.late += 1
@@ -173,7 +178,7 @@ class CspStream:
         if self._link.bus_sync.is_producer:
             periods = round((now_ns - self._begun_ns) / period_ns)
             self.missed = max(self.missed, periods - self._cycle)
-        elif self._cycle:  # by another's clock, which is not ours
+        elif self._cycle:  # the period of a foreign producer's clock
             self.missed += max(0, round((now_ns - self._before_ns) / period_ns) - 1)
         self._before_ns = now_ns
         self._cycle += 1
@@ -182,10 +187,10 @@ class CspStream:
                 self._go_on_stopping()
                 return
             if self._hardware.node.is_lost:
-                self._fail()  # it may still hear us; whoever waits is told that it was lost
+                self._fail()  # it may still hear us; the waiting caller gets the loss
                 return
             if self._hardware.node.state is not PdsState.OPERATION_ENABLED:
-                self.cancel()  # a fault, or somebody else: it does not follow any more
+                self.cancel()  # A fault or another program: the drive no longer follows.
                 return
             if not self._is_followed(now_ns):
                 self._sync_lost(self._not_followed())
@@ -204,12 +209,12 @@ class CspStream:
             self.cancel()
         except MotorBusyError as error:
             self._lose(error)
-        except Exception as error:  # the application's own: it is told by whoever waits
+        except Exception as error:  # An error of the application is raised in the waiting call.
             self.error = error
             self._fail()
 
     def _is_followed(self, now_ns: int) -> bool:
-        """Whether the drive moves, where its set-points do; without SYNC it does not."""
+        """Return whether the drive moves while its set-points do; without SYNC it does not."""
         position, (stood, target, since_ns) = self._hardware.node.position_inc, self._stood
         if position != stood or self._cycle == 1:
             self._stood = (position, self._target, now_ns)
@@ -220,11 +225,11 @@ class CspStream:
         return not is_told or abs(self._target - target) <= self._behind_inc
 
     def _not_followed(self) -> LinkError:
-        reason = "it stands still while its set-points go on: is it blocked, or hears no SYNC?"
+        reason = "the drive stands still while its set-points move; is it blocked, or without SYNC?"
         return LinkError(link=self._hardware.label, reason=reason)
 
     def _fail(self) -> None:
-        """The drive brakes on its ramp, from the velocity it has."""
+        """Halt the drive on its ramp, from its present velocity."""
         self._target += self._step
         try:
             self.stop(ENABLE_OPERATION | HALT)
@@ -233,36 +238,37 @@ class CspStream:
         self._halt()
 
     def _halt(self) -> None:
-        """At once, where an RPDO can bring it, unless the drive is somebody else's by now."""
+        """Halt at once, by RPDO where possible, unless another program has taken the drive over."""
         fence = self._stop_fence()
         with suppress(MotorError), nullcontext() if fence is None else fence.passage():
             self._hardware.control.send_halt()
 
     def _sync_lost(self, error: LinkError) -> None:
-        """Nobody produces the SYNC it goes by any more, or two do: the drive brakes."""
+        """Halt the drive, as its SYNC has no producer, or two."""
         if self.ended:
             return
         self.error = error
         if self._tell_lost is not None:
             self._tell_lost(error)
-        with suppress(MotorError):  # what waits in the drive for a SYNC would take the halt back
+        with suppress(MotorError):  # A set-point that waits for a SYNC would undo the halt.
             self._word = ENABLE_OPERATION | HALT
             self._send()
         self._halt()
         self.cancel()
 
     def _lose(self, error: MotorBusyError) -> None:
-        """Somebody else has taken the drive over: nothing more is sent to it."""
+        """End the stream, as another program has taken the drive over."""
         self.error = error
         self.cancel()
         self._hardware.node.news.grow()
 
     def stop(self, word: int) -> None:
-        """The drive was given this controlword: it comes with what is sent from now on, too.
+        """Send this controlword, which the drive was given before, with all further set-points.
 
-        A set-point that waits in the drive for the next SYNC would take it back. So it is sent
-        again with the word, and SYNC runs on until that is sure to be latched. Its target stays:
-        from there the drive takes the velocity it slows down from.
+        A set-point that waits in the drive for the next SYNC would revoke the word. So the
+        set-point is sent again with the word, and SYNC continues until that frame is certainly
+        latched. The target continues at the same rate, as the drive takes its velocity from there
+        to slow down.
         """
         if self.ended:
             return
@@ -272,7 +278,7 @@ class CspStream:
         self._word = word
         try:
             self._last_sent = self._send()
-        except MotorBusyError as error:  # the drive is somebody else's, and so is what it holds
+        except MotorBusyError as error:  # another program has taken the drive
             self._lose(error)
 
     def _go_on_stopping(self) -> None:
@@ -293,7 +299,7 @@ class CspStream:
 
     @property
     def is_stopping(self) -> bool:
-        """Whether it was told to stop; it ends within three periods then."""
+        """True if the stream is stopping; it then ends within three periods."""
         return self._word != ENABLE_OPERATION
 
     @property
@@ -302,7 +308,7 @@ class CspStream:
         return self._target
 
     def cancel(self) -> None:
-        """No more set-points; the drive holds the last one."""
+        """End the stream; the drive holds the last set-point."""
         if not self.ended:
             self.ended = True
             note_stream(self._link.bus, self._can_id, None)

@@ -1,4 +1,7 @@
-"""Commanding a drive by its controlword: power, modes, stopping, set-points. In its own units."""
+"""Commands to a drive by its controlword: power, modes, stops, set-points.
+
+All values are in the drive's own units.
+"""
 
 import struct
 from collections.abc import Callable
@@ -53,10 +56,10 @@ _NEXT_COMMAND: Final = {
 
 @final
 class DriveControl:
-    """Everything that is done through the controlword (6040h) and the mode of operation (6060h).
+    """Commands through the controlword (6040h) and the modes of operation (6060h).
 
-    It goes by SDO where there is time to wait for the confirmation, else by RPDO. `facts` is set
-    by whoever brings the drive up. What does not stop the drive goes through `fence`.
+    They go by SDO where there is time to wait for the confirmation, else by RPDO. The bring-up sets
+    `facts`. Every command except stops passes through `fence`.
     """
 
     def __init__(
@@ -69,16 +72,16 @@ class DriveControl:
         self._node = node
         self._objects = objects
         self._mode: Mode | None = None
-        self.is_halted = False  # it was told to stop since `take_set_points`, by whomever
+        self.is_halted = False  # stopped since `take_set_points`, by any program
         self._word: int | None = None  # the controlword commanded last
         self._repetition: StopRepetition | None = None
-        self._armed: int | None = None  # the index of the target that the next SYNC makes count
-        self._latched: int | None = None  # the same, until the drive has shown that it counted
-        self.may_be_armed = False  # by who has lost the drive, and is in his turn at SYNC still
-        self.holds_halt = False  # a halt of ours waits in it for a SYNC, in place of that
+        self._armed: int | None = None  # index of the target that the next SYNC latches
+        self._latched: int | None = None  # the same, until the drive has shown that it has started
+        self.may_be_armed = False  # by a former owner that still has its turn at SYNC
+        self.holds_halt = False  # a halt of ours waits for a SYNC in its place
 
     def forget(self) -> None:
-        """The drive has booted, or is new: nothing is known of it."""
+        """Forget everything about the drive, as it has booted or is new."""
         self._end_repetition()
         self._word = None
         self._mode = None
@@ -87,20 +90,20 @@ class DriveControl:
         self.has_started()
 
     def supports(self, mode: Mode) -> bool:
-        """Whether the drive names the mode in 6502h; what is not known is not denied."""
+        """Return whether 6502h contains the mode; True while that is not known."""
         facts = self.facts
         return facts is None or facts.modes is None or mode in facts.modes
 
     # --- power ---------------------------------------------------------------------------
 
     def write_controlword(self, word: int, *, stops: bool = False) -> None:
-        """The drive has this controlword (6040h), by SDO: confirmed."""
+        """Write the controlword (6040h) by SDO, which confirms it."""
         self._end_repetition()
         self._word = word
         self._objects.download(0x6040, 0, word.to_bytes(2, "little"), stops=stops)
 
     def send_controlword(self, word: int) -> Transmission | None:
-        """The controlword is on its way, by RPDO; does not wait (None: it was written by SDO)."""
+        """Send the controlword by RPDO without waiting; return None if it was written by SDO."""
         facts = self.facts
         if facts is None or facts.control_id is None:
             self.write_controlword(word)
@@ -110,16 +113,16 @@ class DriveControl:
         return self._send(_CONTROL.pack(facts.control_id, 2, word), self._fence)
 
     def _send(self, frame: bytes, fence: "Fence | None") -> Transmission:
-        """The frame waits for the bus. Raises MotorBusyError: see `PhysicalMotor.passage`."""
+        """Queue a frame for the bus; raises MotorBusyError as `PhysicalMotor.passage`."""
         with self._physical.passage(self._node.label, of_holder=True):
             return self._link.send_tracked(frame, fence)
 
     def enable(self) -> None:
-        """Operation is enabled, step by step from whatever state the statusword shows.
+        """Enable operation, step by step from the state that the statusword shows.
 
         Raises:
             DeadlineExceeded: the drive did not follow a step.
-            DeviceFault: it is in fault.
+            DeviceFault: the drive is in fault.
         """
         node = self._node
         node.refresh()
@@ -146,16 +149,16 @@ class DriveControl:
         )
 
     def disable(self, *, stops: bool = False) -> None:
-        """The power stage is off, by disable voltage; to stop the drive, whoever owns it."""
+        """Switch the power stage off by disable voltage; with `stops`, without owning the drive."""
         self.write_controlword(DISABLE_VOLTAGE, stops=stops)
         self._node.wait_for_status(is_off, _STATE_TIMEOUT_S, "power stage off")
         self.is_halted = False
 
     def reset_fault(self) -> None:
-        """The fault is acknowledged; the state is switch on disabled.
+        """Reset the fault; the state is switch on disabled afterwards.
 
         Raises:
-            DeviceFault: its cause is still there.
+            DeviceFault: its cause persists.
         """
         node = self._node
         node.refresh()
@@ -172,15 +175,15 @@ class DriveControl:
             self.write_controlword(0)
 
     def send_halt(self, watch: "MotionWatch | None" = None) -> None:
-        """The drive stops as 605Dh says and holds, until something new is commanded.
+        """Halt the drive as 605Dh defines, until the next command.
 
-        With `watch`, which follows how it comes to rest, the command is repeated: it may be lost.
+        With `watch`, which observes the deceleration, the command is repeated in case it is lost.
         """
         self.is_halted = True
         self._send_stop(ENABLE_OPERATION | HALT, watch)
 
     def send_quick_stop(self, watch: "MotionWatch | None" = None) -> None:
-        """The drive stops as 605Ah says. `watch`: as for a halt."""
+        """Stop the drive as 605Ah defines; `watch` as for a halt."""
         self.is_halted = True
         self._send_stop(QUICK_STOP, watch)
 
@@ -203,10 +206,10 @@ class DriveControl:
     # --- modes and set-points ------------------------------------------------------------
 
     def set_mode(self, mode: Mode) -> None:
-        """The drive is in this mode of operation, as 6061h confirms.
+        """Set the mode of operation, confirmed by 6061h.
 
         Raises:
-            UnsupportedError: 6502h does not name it.
+            UnsupportedError: 6502h does not contain the mode.
             DeadlineExceeded: 6061h did not follow.
         """
         if not self.supports(mode):
@@ -234,13 +237,13 @@ class DriveControl:
             self._link.runtime.wait_until(_never, _POLL_S)
 
     def is_in(self, mode: Mode) -> bool:
-        """Whether 6061h confirmed this mode, and nobody can have changed it since."""
+        """Return whether 6061h confirmed this mode, and it cannot have changed since."""
         return self._mode is mode and self._objects.is_believed(0x6060, mode)
 
     def take_set_points(self) -> None:
-        """Pp: bit 4 is low, and the acknowledge with it. A halt goes on until the next set-point.
+        """Clear bit 4 (pp) and await a low acknowledge; a halt lasts until the next set-point.
 
-        From now on `is_halted` tells of stops that came after this.
+        From then on `is_halted` reports stops that came after this call.
         """
         self.write_controlword(self._holding_word())
         if self._node.statusword & ACKNOWLEDGE or not self._node.status_is_cyclic:
@@ -250,23 +253,23 @@ class DriveControl:
         self.is_halted = False
 
     def keep_halt(self) -> None:
-        """A halt goes on until the next set-point; `is_halted` tells of stops from now on."""
+        """Keep a halt until the next set-point; `is_halted` reports stops from now on."""
         self.is_halted = False
 
     def hold(self) -> None:
-        """The drive is halted, so that no mode it changes to moves it, until its next set-point."""
+        """Halt the drive until its next set-point, so that no change of mode moves it."""
         self.write_controlword(ENABLE_OPERATION | HALT)
         self.is_halted = False
 
     def release(self) -> None:
-        """The controlword is plain operation enabled: no halt, no bit of a mode."""
+        """Write the controlword for operation enabled, with no halt and no bit of a mode."""
         self.is_halted = False
         self.write_controlword(ENABLE_OPERATION)
 
     def send_set_point(self) -> Transmission | None:
-        """Pp: target position 607Ah is what counts, at once (bits 4 and 5); a halt is lifted.
+        """Start a motion to target position 607Ah at once (pp, bits 4 and 5), and lift a halt.
 
-        Nothing of it if the drive was told to stop after `take_set_points`.
+        No motion is started if the drive was stopped after `take_set_points`.
         """
         word = self._holding_word()
         if not self.is_halted:
@@ -274,25 +277,25 @@ class DriveControl:
         return self.send_controlword(word)
 
     def send_holding_word(self) -> Transmission | None:
-        """Operation enabled, halted or not as it was told last, every other bit low."""
+        """Send operation enabled with the halt bit as commanded last, and every other bit low."""
         return self.send_controlword(self._holding_word())
 
     def _holding_word(self) -> int:
         return ENABLE_OPERATION | (HALT if self.is_halted else 0)
 
     def arm(self, index: int, target: int, *, fired: Callable[[int], None] | None = None) -> None:
-        """The next SYNC makes `target` count; the drive has it. Arguments as in `send_armed`."""
+        """Arm `target` for the next SYNC, and wait for its frame; arguments as in `send_armed`."""
         self._link.confirmed([self.send_armed(index, target, fired=fired)])
 
     def send_armed(
         self, index: int, target: int, *, fired: Callable[[int], None] | None = None
     ) -> Transmission:
-        """What the next SYNC makes count (a position with bits 4 and 5) is on its way.
+        """Send a target that the next SYNC latches; a position is sent with bits 4 and 5.
 
         Args:
-            index: of the object that holds the target: 607Ah, 60FFh.
-            target: in the drive's units.
-            fired: is told when the SYNC after it was on the wire [ns].
+            index: the object that holds the target: 607Ah, 60FFh.
+            target: the target in the drive's units.
+            fired: called with the time [ns] when the SYNC after it was on the wire.
         """
         facts = self.facts
         if facts is None or index not in facts.latched_ids:
@@ -309,7 +312,7 @@ class DriveControl:
         def on_sync(time_ns: int) -> None:
             if self._armed is None:
                 return
-            if transmission.time_ns is None:  # SYNC was before it: the next one
+            if transmission.time_ns is None:  # SYNC was before the frame: wait for the next one
                 self._link.at_next_sync(on_sync)
                 return
             self._armed = None
@@ -320,9 +323,9 @@ class DriveControl:
         return transmission
 
     def send_armed_halt(self) -> Transmission | None:
-        """A halt that the next SYNC makes count is on its way; None: no RPDO brings it so.
+        """Send a halt that the next SYNC latches; return None if there is no RPDO for it.
 
-        Nobody's permission is asked, as for any stop.
+        Any process may send it, as any stop.
         """
         if self.facts is None or 0x607A not in self.facts.latched_ids:
             return None
@@ -333,25 +336,25 @@ class DriveControl:
 
     @property
     def is_armed(self) -> bool:
-        """Whether what was armed still waits for a SYNC."""
+        """True if an armed target still waits for a SYNC."""
         return self._armed is not None
 
     def has_started(self) -> None:
-        """What was armed has begun, as the drive shows: it is latched no more."""
+        """Record that the drive has started the armed target."""
         self._latched = None
         self._link.latching.discard(self._node.node_id)
 
     def disarm(self) -> None:
-        """What was armed will not start, at no later SYNC either.
+        """Prevent the armed target from starting at any later SYNC.
 
-        It is overwritten, twice, as a frame may be lost. The frame that overwrites is latched then,
-        and would bring its controlword back some day: a SYNC takes it out, once there is no drive
-        on the bus that has something else latched.
+        The target is overwritten twice, as a frame may be lost. The overwriting frame then waits
+        for a SYNC, and would bring its controlword back later. So a SYNC clears it, once no drive
+        on the bus holds another armed set-point.
         """
         self._armed = None
         try:
             transmissions = self._overwrite_latch(self._fence) + self._overwrite_latch(self._fence)
-        except MotorBusyError:  # whoever has taken it over has seen to that; no SYNC for the others
+        except MotorBusyError:  # its new owner clears it; no SYNC for the others
             self.has_started()
             self._link.lost = True
             return
@@ -363,7 +366,7 @@ class DriveControl:
             self._link.confirmed([self._link.sync()])
 
     def _overwrite_latch(self, fence: "Fence | None") -> list[Transmission]:
-        """The controlword as it is, and no motion, wait for the next SYNC in place of a target."""
+        """Overwrite the waiting target by the present controlword without a motion."""
         facts, indices = self.facts, [] if self._latched is None else [self._latched]
         if facts is None:
             return []
@@ -382,7 +385,7 @@ class DriveControl:
 
 
 def _control_target(can_id: int, word: int, index: int, target: int) -> bytes:
-    """The frame of an RPDO with controlword and a target."""
+    """Return the frame of an RPDO with controlword and target."""
     data = encode(type_of(index, 0) or "i32", target)
     return can_frame(can_id, word.to_bytes(2, "little") + data)
 

@@ -1,11 +1,13 @@
-"""Motions of a CiA 402 drive, armed, started and confirmed: which mode of the drive makes which.
+"""Motions of a CiA 402 drive: arming, starting and confirming.
 
-| command                                 | mode | how it starts                                   |
-| --------------------------------------- | ---- | ----------------------------------------------- |
-| set-point or simple trajectory, position | pp  | new set-point, changed immediately              |
-| set-point or simple trajectory, velocity | pv  | target velocity 60FFh; ramps 6083h, 6084h       |
-| set-point or simple trajectory, torque   | tq  | target torque 6071h; slope 6087h                |
-| trajectory that is a function            | csp | its first set-point, latched by SYNC            |
+The mode of operation for each command:
+
+| command                                  | mode | how it starts                             |
+| ---------------------------------------- | ---- | ----------------------------------------- |
+| set-point or simple trajectory, position | pp   | new set-point, changed immediately        |
+| set-point or simple trajectory, velocity | pv   | target velocity 60FFh; ramps 6083h, 6084h |
+| set-point or simple trajectory, torque   | tq   | target torque 6071h; slope 6087h          |
+| trajectory that is a function            | csp  | its first set-point, latched by SYNC      |
 """
 
 from contextlib import suppress
@@ -53,7 +55,7 @@ if TYPE_CHECKING:
 
 _CONFIRM_TIMEOUT_S: Final = 0.5
 _RESEND_S: Final = 0.1
-_BEHIND: Final = 10.0  # start tolerances: that far behind its set-points no drive stands still
+_BEHIND: Final = 10.0  # start tolerances: no drive stands still that far behind its set-points
 _STOPPING_PERIODS: Final = 4
 POLL_S: Final = 0.01
 _LIVE: Final = {ControlVariable.VELOCITY: 0x60FF, ControlVariable.TORQUE: 0x6071}
@@ -61,10 +63,10 @@ _LIVE: Final = {ControlVariable.VELOCITY: 0x60FF, ControlVariable.TORQUE: 0x6071
 
 @final
 class DriveMotions:
-    """What one logical motor has its drive do, from arming to the end.
+    """The motions of one logical motor in its drive, from arming to the end.
 
     Attributes:
-        parameters: what the drive is to hold when a motion of this logical motor begins.
+        parameters: the parameters to write before a motion of this logical motor begins.
     """
 
     def __init__(
@@ -82,24 +84,24 @@ class DriveMotions:
         self._watch: SetpointWatch | StreamWatch | None = None
         self._before: MotionWatch | None = None
         self._armed: CspStream | None = None  # the stream that begins, or began last
-        self._point: ArmedSetPoint | None = None  # of the group start that there was last
+        self._point: ArmedSetPoint | None = None  # of the last group start
         self._together = False
 
     @property
     def _set_point_period_s(self) -> float:
         return self._hardware.options.set_point_period_ms / 1e3
 
-    # --- what will come of it ------------------------------------------------------------------
+    # --- prediction ----------------------------------------------------------------------------
 
     def offer(self, variable: ControlVariable, *, streamed: bool) -> SyncOffer:
-        """How a motion of `variable` can begin together with others."""
+        """Return how a motion of `variable` can begin together with others."""
         return offer_of(self._hardware, variable, streamed=streamed)
 
     def quantise(self, motion: Motion) -> Motion:
-        """See `MotorHooks._quantise`."""
+        """Return the motion in the drive's resolution; see `MotorHooks._quantise`."""
         units, limits = self._reader.known()
         if motion.function is not None:
-            return motion  # whose set-points are rounded to increments, each by itself
+            return motion  # its set-points are rounded to increments one by one
         if motion.variable is ControlVariable.TORQUE:
             unit = self._reader.torque_unit()
             return as_torque_motion(motion, torque_profile_of(motion, unit), unit)
@@ -108,7 +110,7 @@ class DriveMotions:
     # --- arming ----------------------------------------------------------------------------
 
     def arm(self, motion: Motion, *, together: bool) -> Trigger:
-        """See `MotorHooks._arm`."""
+        """Arm a motion in the drive; see `MotorHooks._arm`."""
         self._together = together
         self._point = None
         stream = self._hardware.stream
@@ -158,7 +160,7 @@ class DriveMotions:
 
     def _arm_velocity(self, motion: Motion, profile: DriveProfile) -> Trigger:
         if not self._control.is_in(Mode.PROFILE_VELOCITY):
-            self._objects.write(0x60FF, 0)  # whatever was there would count at once
+            self._objects.write(0x60FF, 0)  # an old target would take effect at once
             self._control.set_mode(Mode.PROFILE_VELOCITY)
         self._push_ramps(profile.acceleration, profile.deceleration)
         change = abs(motion.target - self._reader.velocity())
@@ -174,12 +176,12 @@ class DriveMotions:
         unit = self._reader.torque_unit()
         profile = torque_profile_of(motion, unit)
         if not self._control.is_in(Mode.PROFILE_TORQUE):
-            # Whatever 6071h is counts at once in tq; and with 0, a load would drop.
+            # In tq any value of 6071h takes effect at once; with 0, a load would drop.
             self._control.hold()
             self._control.set_mode(Mode.PROFILE_TORQUE)
         self._push_stopping_ramps(motion)
         if profile.slope == STEEPEST:
-            with suppress(SdoAborted):  # a drive that has a steepest one of its own keeps that
+            with suppress(SdoAborted):  # A drive with a steepest slope of its own keeps that.
                 self._objects.push(0x6087, STEEPEST)
         self._control.keep_halt()
         expected_ns = round(ramp_s(motion, profile, unit) * 1e9)
@@ -195,8 +197,8 @@ class DriveMotions:
             raise StateError(
                 motor=self._motor,
                 operation="start",
-                state=f"the trajectory begins at {motion.start:g} {units.unit}/s, and the drive"
-                " changes to csp at rest",
+                state=f"the trajectory begins at {motion.start:g} {units.unit}/s, and the "
+                "drive changes to csp at rest",
                 remedy="begin it at 0",
             )
         if not velocity:
@@ -239,7 +241,7 @@ class DriveMotions:
         return SyncTrigger(link)
 
     def _check_ends(self, motion: Motion) -> None:
-        """All of the trajectory is within the drive's own software position limits."""
+        """Check that the whole trajectory is within the drive's own software position limits."""
         units, limits = self._reader.known()
         if motion.function is None or limits.position is None:
             return
@@ -248,7 +250,7 @@ class DriveMotions:
             check_target(self._motor, units.position_inc(value + motion.offset), units, limits)
 
     def _push_stopping_ramps(self, motion: Motion) -> None:
-        """A stop, a halt, slow down as the model allows (6084h), where the mode has no ramps."""
+        """Write the model's ramps for stop and halt (6084h), where the mode has no ramps."""
         units = self._reader.known()[0]
         self._push_ramps(
             units.acceleration_raw(motion.acceleration), units.acceleration_raw(motion.deceleration)
@@ -263,15 +265,15 @@ class DriveMotions:
             self._objects.push(0x6084, deceleration)
 
     def _can_arm(self, index: int) -> bool:
-        """SYNC can start it, with others."""
+        """Return whether SYNC can start the target, together with others."""
         return self._together and index in self._hardware.connect().latched_ids
 
     def _arm_latched(self, index: int, target: int, watch: SetpointWatch) -> Trigger:
-        """The drive has its target, for the next SYNC; where one runs, it is all but sent."""
+        """Write the target for the next SYNC; while a cyclic SYNC runs, only prepare it."""
         link = self._node.link
         point = ArmedSetPoint(link, self._control, index, target, watch.begin)
         self._point = point
-        # Where a SYNC not of ours has begun some of them, the others do not wait to hear another.
+        # If a foreign SYNC has already begun some motors, the others do not wait for another.
         has_begun = any(one.latched_ns is not None for one in link.armed_set_points)
         link.armed_set_points.append(point)
         cyclic = link.bus_sync.known() if has_begun else link.bus_sync.find_cyclic()
@@ -288,10 +290,10 @@ class DriveMotions:
         self._hardware.follow(watch)
 
     def disarm(self) -> None:
-        """See `MotorHooks._disarm`."""
+        """Cancel an armed motion; see `MotorHooks._disarm`."""
         watch, stream = self._watch, self._armed
         if watch is not None and watch is self._node.watch and not _is_commanded(watch, stream):
-            self._hardware.follow(self._before)  # a stop that came while it was being armed, say
+            self._hardware.follow(self._before)  # for example a stop that came while arming
         if stream is not None and stream.started_ns is None:
             stream.cancel()
         point, self._point = self._point, None
@@ -307,7 +309,7 @@ class DriveMotions:
     # --- confirming ----------------------------------------------------------------------------
 
     def confirm(self, motion: Motion) -> None:
-        """See `MotorHooks._confirm`."""
+        """Confirm that the motion has begun; see `MotorHooks._confirm`."""
         watch = self._watch
         if watch is None or self._control.is_halted:
             return
@@ -323,10 +325,10 @@ class DriveMotions:
                 self._control.send_holding_word()
 
     def _await_acknowledge(self, watch: SetpointWatch) -> None:
-        """The set-point was acknowledged; a controlword that was lost is sent again.
+        """Await the set-point acknowledge; send a lost controlword again.
 
-        Sending it again is safe: the drive looks for an edge of bit 4, and there is none if it has
-        the controlword already.
+        Repeating is safe: the drive detects an edge of bit 4, and there is no edge if it has the
+        controlword already.
         """
         node = self._node
         deadline_ns = self._runtime.now_ns() + round(_CONFIRM_TIMEOUT_S * 1e9)
@@ -353,7 +355,7 @@ class DriveMotions:
                 self._control.send_set_point()
 
     def _confirm_target(self, motion: Motion) -> None:
-        """There is no acknowledge in pv and tq: the target is read back."""
+        """Read the target back, as pv and tq have no acknowledge."""
         index = _LIVE[motion.variable]
         if motion.variable is ControlVariable.TORQUE:
             target = torque_profile_of(motion, self._reader.torque_unit()).target
@@ -370,7 +372,7 @@ class DriveMotions:
         self._node.check_motion(self._motor)
 
     def times(self) -> MotionTimes | None:
-        """See `MotorHooks._motion_times`."""
+        """Return the times of the motion; see `MotorHooks._motion_times`."""
         watch = self._watch
         if watch is None:
             return None
@@ -380,7 +382,7 @@ class DriveMotions:
 
 
 def _live_watch(expected_ns: int) -> SetpointWatch:
-    """For a target without acknowledge and position."""
+    """Return the watch of a target that has neither acknowledge nor position."""
     return SetpointWatch(
         commanded_ns=None,
         expected_ns=expected_ns,

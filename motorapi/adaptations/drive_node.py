@@ -1,4 +1,4 @@
-"""One drive as the host hears it: statusword and position, EMCY, heartbeat, and its SDO channel.
+"""The received state of one drive: status, EMCY, heartbeat and SDO channel.
 
 The TPDO decoder is the hot path: one call per frame, straight from the link's dispatch.
 """
@@ -32,7 +32,7 @@ if TYPE_CHECKING:
 
 EMCY_ID: Final = 0x080
 NMT_STATES: Final = {0x04: "STOPPED", 0x05: "OPERATIONAL", 0x7F: "PRE-OPERATIONAL"}
-LOST_REMEDY: Final = "look at its power and cable, and whether others fill the bus"
+LOST_REMEDY: Final = "check its power and cable, and the load of the bus"
 _EMCY: Final = struct.Struct("<8xHB5s")
 _STATUS_POSITION: Final = struct.Struct("<8xHi").unpack_from
 _STATUSWORD: Final = 0x6041
@@ -43,18 +43,18 @@ _EMERGENCIES_MAX: Final = 100
 
 @final
 class DriveNode:
-    """What was heard of a drive last. Written by frame handlers, read by everybody.
+    """The last state received from a drive, written by frame handlers.
 
     Attributes:
-        statusword, position_inc, status_ns: the last status and when it came (-1: none yet).
+        statusword, position_inc, status_ns: the last status and its time (-1: none yet).
         values: other objects that TPDOs brought, by (index, sub-index).
-        status_is_cyclic: whether a TPDO repeats the status by itself.
-        error: the last EMCY of an error, as long as the error register (1001h) has any; one that
-            tells of a frame, or of the bus, gives way to others.
-        boots: how often it was heard to boot; whoever configured it compares.
-        lost_since_ns: since when it is not heard, None while it is.
-        malformed: frames of a wrong length.
-        news: counts what may change whether a motion is over.
+        status_is_cyclic: whether a TPDO repeats the status.
+        error: the last EMCY with an error, while the error register (1001h) is not 0. An error of a
+            frame or of the bus yields to others.
+        boots: the number of boot-ups received; the program that configured the drive compares it.
+        lost_since_ns: the time since when the drive is silent, or None.
+        malformed: the number of frames of a wrong length.
+        news: a counter of changes that may end a motion.
     """
 
     def __init__(
@@ -77,7 +77,7 @@ class DriveNode:
         self.statusword = 0
         self.position_inc = 0
         self.status_ns = -1
-        self._operational_ns = -1  # when it said so last
+        self._operational_ns = -1  # time of the last such report
         self.values: dict[tuple[int, int], int] = {}
         self.status_is_cyclic = False
         self.watch: MotionWatch | None = None
@@ -95,10 +95,10 @@ class DriveNode:
         self._boots_known = 0
         self._word = -1
         self._heartbeat_timeout_ms = heartbeat_timeout_ms
-        self._heartbeat_ns = 0  # when the last one came
+        self._heartbeat_ns = 0  # time of the last one
         self._silence: Registration | None = None
         self._heard_ids: list[int] = []
-        self.on_control: Callable[[bytes, int], None] | None = None  # hears others' controlwords
+        self.on_control: Callable[[bytes, int], None] | None = None  # for controlwords of others
         link.on_bus_off.append(self.news.grow)
         link.handle(HEARTBEAT_ID + node_id, self._on_heartbeat)
         link.handle(EMCY_ID + node_id, self._on_emergency)
@@ -106,7 +106,7 @@ class DriveNode:
     # --- TPDOs ---------------------------------------------------------------------------
 
     def listen_to_tpdo(self, can_id: int, mapping: Sequence[int]) -> None:
-        """TPDO `can_id` brings the objects of `mapping` (as in 1A00h: index, sub-index, bits)."""
+        """Decode TPDO `can_id` by `mapping` (as in 1A00h: index, sub-index, bits)."""
         if tuple(mapping) == (_STATUSWORD << 16 | 16, _POSITION << 16 | 32):
             self.link.handle(can_id, self._on_status_position)
         else:
@@ -114,7 +114,7 @@ class DriveNode:
         self._heard_ids.append(can_id)
 
     def listen_to_control(self, can_id: int) -> None:
-        """The RPDO `can_id` brings controlwords; what others than us send goes to `on_control`."""
+        """Pass controlwords that others send in RPDO `can_id` to `on_control`."""
         if self.on_control is not None:
             self.link.handle(can_id, self.on_control)
             self._heard_ids.append(can_id)
@@ -127,13 +127,13 @@ class DriveNode:
         self.take_status(word, position_inc, time_ns)
 
     def take_status(self, word: int, position_inc: int, time_ns: int) -> None:
-        """A status has come, in whatever way."""
+        """Store a received status, from TPDO or SDO."""
         self.position_inc = position_inc
         self.status_ns = time_ns
         if word != self._word:
             self._new_statusword(word, time_ns)
         if self.watch is not None:
-            self.watch.see(word, position_inc, time_ns)  # an end is told by the watch
+            self.watch.see(word, position_inc, time_ns)  # the watch reports an end
 
     def _new_statusword(self, word: int, time_ns: int) -> None:
         self._word = self.statusword = word
@@ -175,7 +175,7 @@ class DriveNode:
             self.news.grow()
 
     def expect_heartbeat(self) -> None:
-        """From now on silence means that the drive is lost."""
+        """Regard silence as the loss of the drive from now on."""
         if self._heartbeat_timeout_ms and self._silence is None:
             self._heartbeat_ns = self.link.runtime.now_ns()
             self._look_again_in(self._heartbeat_timeout_ms * 1_000_000)
@@ -184,7 +184,7 @@ class DriveNode:
         self._silence = self.link.runtime.every(wait_ns / 1e9, self._look_for_heartbeat)
 
     def _look_for_heartbeat(self) -> None:
-        """The last one heard when this look was asked for is too old now; but the last one?"""
+        """Report the drive as lost if no heartbeat came since this check was scheduled."""
         if self._silence is None:
             return
         self._silence.cancel()
@@ -197,35 +197,35 @@ class DriveNode:
             self.news.grow()
 
     def may_change_state(self) -> None:
-        """It is being brought up: booting, and other NMT states, are no loss."""
+        """Permit boot-ups and other NMT states during the bring-up."""
         self._watches_nmt = self._was_operational = False
         self._boots_known = self.boots
         self.news.grow()
 
     def stays_operational(self) -> None:
-        """It is up: from the first heartbeat that says OPERATIONAL on, any other is a loss."""
+        """Regard any state but OPERATIONAL as a loss, from its first OPERATIONAL heartbeat on."""
         self._watches_nmt = True
         self._boots_known = self.boots
         self.news.grow()
 
     @property
     def is_lost(self) -> bool:
-        """Whether it cannot be heard now: it is silent, or the bus is off."""
+        """True if the drive is silent, or the bus is off."""
         return self.lost_since_ns is not None or self.link.status.is_off
 
     @property
     def has_booted(self) -> bool:
-        """Whether it was heard to boot since it was brought up: its configuration is gone."""
+        """True if the drive has booted since its bring-up, and so lost its configuration."""
         return self._watches_nmt and self.boots != self._boots_known
 
     @property
     def is_up(self) -> bool:
-        """Whether it still is what it was brought up to: configured, and OPERATIONAL."""
+        """True if the drive is still configured and OPERATIONAL."""
         left = self._was_operational and self.nmt_state != OPERATIONAL
         return not left and not self.has_booted
 
     def close(self) -> None:
-        """It is heard no more."""
+        """Stop listening to the drive."""
         self.watch = None
         if self._silence is not None:
             self._silence.cancel()
@@ -236,20 +236,20 @@ class DriveNode:
         self.link.on_bus_off.remove(self.news.grow)
         self.link.fences.pop(self.node_id, None)
 
-    # --- what it amounts to --------------------------------------------------------------
+    # --- interpretation ------------------------------------------------------------------
 
     @property
     def state(self) -> PdsState | None:
-        """The state in the last statusword; None if it shows none."""
+        """The state in the last statusword, or None if it shows none."""
         return decode_state(self.statusword)
 
     @property
     def error_code(self) -> int:
-        """The code of `error`; 0 if there is none."""
+        """The code of `error`, or 0 if there is none."""
         return 0 if self.error is None else self.error.code
 
     def check_heard(self) -> None:
-        """Raises LinkError if the drive is not heard, or the bus is off."""
+        """Raise LinkError if the drive is silent, or the bus is off."""
         status = self.link.status
         status.check()
         if self.lost_since_ns is not None:
@@ -258,17 +258,17 @@ class DriveNode:
                 link=self.label,
                 reason=f"no heartbeat for {self._heartbeat_timeout_ms} ms",
                 since_ns=self.lost_since_ns,
-                remedy=f"look at the bus first: {trouble}" if trouble else LOST_REMEDY,
+                remedy=f"check the bus first: {trouble}" if trouble else LOST_REMEDY,
             )
 
     def check_link(self) -> None:
-        """Raises LinkError if the drive is not heard, or is not in the NMT state it was put in."""
+        """Raise LinkError if the drive is silent, or has left its configured NMT state."""
         self.check_heard()
         if self.has_booted:
-            raise LinkError(link=self.label, reason="it has booted: its configuration is gone")
+            raise LinkError(link=self.label, reason="it has booted and lost its configuration")
         if not self.is_up:
             state = self.nmt_state or 0
-            name = NMT_STATES.get(state, "none of CiA 301")
+            name = NMT_STATES.get(state, "not in CiA 301")
             reason = f"its NMT state is {state:02X}h ({name}), not OPERATIONAL any more"
             cause = self.error or last_error(self.emergencies, self._operational_ns)
             if cause is not None:
@@ -276,7 +276,7 @@ class DriveNode:
             raise LinkError(link=self.label, reason=reason, remedy="start() brings it up again")
 
     def check_motion(self, motor: str) -> None:
-        """Raises what ends a motion from outside; see `Motor._is_done`."""
+        """Raise the error that ends a motion from outside; see `Motor._is_done`."""
         self.check_link()
         word = self.statusword
         if word & FAULT_BIT:
@@ -289,45 +289,45 @@ class DriveNode:
             raise MotionInterrupted(motor=motor, by=by, at_ns=self.status_ns)
 
     def fault_error(self, motor: str) -> DeviceFault:
-        """The fault it reports, as an error."""
+        """Return the fault that the drive reports, as an error."""
         code = self.error_code
         since_ns = self.fault_since_ns if self.fault_since_ns is not None else self.status_ns
         return DeviceFault(motor=motor, code=code, text=error_text(code), since_ns=since_ns)
 
-    # --- asking and waiting ----------------------------------------------------------------
+    # --- reading and waiting ---------------------------------------------------------------
 
     def read(self, index: int, subindex: int = 0) -> Value:
-        """The value of an object of the standard, by SDO."""
+        """Return the value of an object of the standard, read by SDO."""
         return decode(type_of(index, subindex) or "u32", self.sdo.upload(index, subindex))
 
     def read_int(self, index: int, subindex: int = 0) -> int:
-        """As `read`, for objects that hold an integer."""
+        """Return the integer in an object, read by SDO."""
         value = self.read(index, subindex)
         return value if isinstance(value, int) else 0
 
     def read_optional(self, index: int, subindex: int = 0) -> int | None:
-        """As `read_int`; None if the drive refuses to tell."""
+        """Return the integer in an object, or None if the drive refuses to send it."""
         try:
             return self.read_int(index, subindex)
         except SdoAborted:
             return None
 
     def refresh(self) -> None:
-        """Statusword and position are fresh where no TPDO repeats them."""
+        """Read statusword and position, unless a TPDO repeats them."""
         if not self.status_is_cyclic:
             self.poll_status()
 
     def poll_status(self) -> None:
-        """Statusword and position are fresh, by SDO."""
+        """Read statusword and position by SDO."""
         word = self.read_int(_STATUSWORD)
         position_inc = self.read_int(_POSITION)
         self.take_status(word, position_inc, self.link.runtime.now_ns())
 
     def wait_for_status(self, wanted: Callable[[int], bool], timeout_s: float, awaited: str) -> int:
-        """The first statusword that is `wanted`, from TPDOs, or by SDO where there are none.
+        """Return the first statusword for which `wanted` is true, from TPDOs or by SDO polling.
 
         Raises:
-            DeadlineExceeded: it did not come within `timeout_s` [s].
+            DeadlineExceeded: there was none within `timeout_s` [s].
             LinkError: the drive was lost meanwhile.
         """
         runtime = self.link.runtime
@@ -353,7 +353,7 @@ class DriveNode:
                 )
 
     def describe_status(self) -> str:
-        """The last status in words."""
+        """Return the last status in words."""
         state = self.state
         name = "no state of CiA 402" if state is None else state.value
         text = f"statusword {self.statusword:04X}h ({name})"
@@ -366,7 +366,10 @@ class DriveNode:
 
 @final
 class TpdoDecoder:
-    """Any other mapping than the usual one: status and position to the node, the rest by key."""
+    """A decoder of any TPDO mapping but statusword with position.
+
+    The decoder passes status and position to the node, and other objects to `values`.
+    """
 
     def __init__(self, node: DriveNode, mapping: Sequence[int]) -> None:
         self._node = node
@@ -376,7 +379,7 @@ class TpdoDecoder:
         self._length = sum(size for _, size in self._fields)
 
     def decode(self, frame: bytes, time_ns: int) -> None:
-        """A frame of this TPDO came."""
+        """Decode a frame of this TPDO."""
         node = self._node
         if frame[4] != self._length:
             node.malformed += 1

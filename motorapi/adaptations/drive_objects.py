@@ -1,4 +1,7 @@
-"""A drive's object dictionary as the host uses it: by name or index, typed, not written twice."""
+"""A drive's object dictionary: typed access by name or index.
+
+Values already written are not written again.
+"""
 
 import difflib
 from typing import TYPE_CHECKING, Final, final
@@ -13,7 +16,7 @@ if TYPE_CHECKING:
 
 @final
 class DriveObjects:
-    """Reads and writes by SDO; remembers what it wrote while the motor does not change hands."""
+    """Reads and writes by SDO, with a cache of written values while the motor keeps its owner."""
 
     def __init__(self, node: "DriveNode", physical: "PhysicalMotor") -> None:
         self._node: Final = node
@@ -22,7 +25,7 @@ class DriveObjects:
         self._token = -1
 
     def upload(self, index: int, subindex: int = 0) -> bytes:
-        """The bytes of an object, as the drive sends them.
+        """Return the bytes of an object, as the drive sends them.
 
         Raises:
             SdoAborted, DeadlineExceeded, ProtocolViolation: see `SdoChannel`.
@@ -32,35 +35,39 @@ class DriveObjects:
         return self._node.sdo.upload(index, subindex)
 
     def download(self, index: int, subindex: int, data: bytes, *, stops: bool = False) -> None:
-        """The drive has `data` in an object; what stops it, whoever owns it. Raises as `upload`.
+        """Write `data` to an object of the drive; with `stops`, without owning the motor.
 
-        Raises: also MotorBusyError, if somebody else owns the drive by now.
+        Raises:
+            MotorBusyError: another program owns the drive now.
+            SdoAborted, DeadlineExceeded, ProtocolViolation, LinkError: as `upload`.
         """
         self._node.check_heard()
         self._believed.pop((index, subindex), None)
         self._node.sdo.download(index, subindex, data, stops=stops)
 
     def read(self, what: int | str, subindex: int = 0, kind: str | None = None) -> Value:
-        """The value of an object; see `Cia402HwMotor.read`."""
+        """Return the value of an object; see `Cia402HwMotor.read`."""
         index, subindex, kind = place_of(what, subindex, kind)
         return decode(kind or "bytes", self.upload(index, subindex))
 
     def read_int(self, what: int | str, subindex: int = 0) -> int:
-        """As `read`, of an object that holds an integer; UsageError if it holds none."""
+        """Return the integer in an object; raise UsageError if it does not hold one."""
         value = self.read(what, subindex)
         if not isinstance(value, int):
-            raise UsageError(f"{self._node.label}: {what} holds no integer known to the standard")
+            raise UsageError(
+                f"{self._node.label}: {what} does not hold an integer known to the standard"
+            )
         return value
 
     def read_optional(self, index: int, subindex: int = 0) -> int | None:
-        """The integer in an object; None if the drive refuses to tell."""
+        """Return the integer in an object, or None if the drive refuses to send it."""
         self._node.check_heard()
         return self._node.read_optional(index, subindex)
 
     def write(
         self, what: int | str, value: Value, subindex: int = 0, kind: str | None = None
     ) -> None:
-        """An object of the drive has this value; see `Cia402HwMotor.write`."""
+        """Write a value to an object; see `Cia402HwMotor.write`."""
         index, subindex, kind = place_of(what, subindex, kind)
         if kind is None and not isinstance(value, bytes):
             raise UsageError(
@@ -70,14 +77,14 @@ class DriveObjects:
         self.download(index, subindex, encode(kind or "bytes", value))
 
     def push(self, index: int, value: int, subindex: int = 0) -> bool:
-        """As `write`, but only if the drive is not believed to have it; whether it was written.
+        """Write a value unless the drive is believed to have it; return whether it was written.
 
-        What was written is believed until the motor changes hands or boots.
+        A written value is believed until the motor changes hands or boots.
         """
         return self.push_bytes(index, subindex, encode(type_of(index, subindex) or "u32", value))
 
     def push_bytes(self, index: int, subindex: int, data: bytes) -> bool:
-        """As `push`, for what is encoded already."""
+        """Write encoded data as `push` does."""
         if self._believes(index, subindex, data):
             return False
         self.download(index, subindex, data)
@@ -85,7 +92,7 @@ class DriveObjects:
         return True
 
     def is_believed(self, index: int, value: int, subindex: int = 0) -> bool:
-        """Whether this value was written, and the motor has not changed hands since."""
+        """Return whether this value was written, and the motor has not changed hands since."""
         return self._believes(index, subindex, encode(type_of(index, subindex) or "u32", value))
 
     def _believes(self, index: int, subindex: int, data: bytes) -> bool:
@@ -96,7 +103,7 @@ class DriveObjects:
         return self._believed.get((index, subindex)) == data
 
     def doubt(self, index: int | None = None, subindex: int = 0) -> None:
-        """What was written to an object (None: to any) is not believed any more."""
+        """Forget the value written to an object, or (None) to any object."""
         if index is None:
             self._believed.clear()
         else:
@@ -104,17 +111,17 @@ class DriveObjects:
 
 
 def place_of(what: int | str, subindex: int, kind: str | None) -> tuple[int, int, str | None]:
-    """(index, sub-index, data type) of an object by index or by the standard's name.
+    """Return (index, sub-index, data type) of an object by index or by the standard's name.
 
     Raises:
-        UsageError: the standard has no such name, or there is no such place or type.
+        UsageError: the name, the place or the type does not exist.
     """
     if kind is not None and (not isinstance(kind, str) or kind not in KINDS):
         raise UsageError(f"kind = {kind!r}: give one of {', '.join(KINDS)}")
     if not isinstance(subindex, int):
         raise UsageError(f"sub-index {subindex!r}: it is 0 to FFh")
     if not isinstance(what, int | str):
-        raise UsageError(f"{what!r} is no object: give an index, or the standard's name")
+        raise UsageError(f"{what!r} is not an object: give an index, or the standard's name")
     if isinstance(what, int):
         return what, subindex, kind or type_of(what, subindex)
     known = OBJECTS.get(what)

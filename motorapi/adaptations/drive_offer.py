@@ -1,4 +1,4 @@
-"""What a CiA 402 drive offers for starting together with others, and how long that takes."""
+"""Synchronous-start capability of a CiA 402 drive, and its time bounds."""
 
 from typing import TYPE_CHECKING, Final
 
@@ -20,7 +20,7 @@ _REPLY_ID: Final = 0x580
 
 
 def offer_of(hardware: "Cia402HwMotor", variable: ControlVariable, *, streamed: bool) -> SyncOffer:
-    """How a motion of `variable` can begin together with others."""
+    """Return how a motion of `variable` can begin together with others."""
     facts, link = hardware.connect(), hardware.link
     armed = facts.latched_ids.get(0x607A if streamed else _LATCHED.get(variable, 0))
     if variable is ControlVariable.TORQUE:
@@ -31,7 +31,7 @@ def offer_of(hardware: "Cia402HwMotor", variable: ControlVariable, *, streamed: 
         return _alone(hardware, facts, variable, reason)
     reason = f"RPDO {armed:03X}h is latched by SYNC"
     if hardware.options.servo_period_ms is None:
-        reason += "; servo_period_ms, from the latch to the profile, is not told"
+        reason += "; servo_period_ms, from the latch to the profile, is not known"
     if streamed:
         return _streamed(hardware, armed, reason)
     period_s, why = sync_period(link)
@@ -44,7 +44,7 @@ def offer_of(hardware: "Cia402HwMotor", variable: ControlVariable, *, streamed: 
 
 
 def _streamed(hardware: "Cia402HwMotor", can_id: int, reason: str) -> SyncOffer:
-    """The first SYNC brings where it is, the second one the first step."""
+    """Return the offer of a stream: SYNC 1 brings the present position, SYNC 2 the first step."""
     link, period_s = hardware.link, hardware.options.set_point_period_ms / 1e3
     set_points = PeriodicMessage(can_id, _SET_POINT_BYTES, period_s)
     traffic, unbounded = traffic_on(link, period_s, (set_points,))
@@ -68,10 +68,10 @@ def _streamed(hardware: "Cia402HwMotor", can_id: int, reason: str) -> SyncOffer:
 def _in_a_burst(
     hardware: "Cia402HwMotor", frame: OneFrame, period_s: float, reason: str
 ) -> SyncOffer:
-    """A SYNC that runs cannot be waited with: frames go out just after one, for the next."""
+    """Return the offer beside a cyclic SYNC: frames go out just after one SYNC, for the next."""
     link = hardware.link
     traffic, unbounded = traffic_on(link, period_s)
-    # One SYNC to wait for, one that latches; more for those that it straddles are in the skew.
+    # One SYNC to wait for, one that latches; further SYNCs of a straddling burst are in the skew.
     firing, signal_s = None, None
     if traffic is not None:
         signal_s = period_on_wire_s(link, traffic, period_s)
@@ -93,7 +93,7 @@ def _in_a_burst(
 def _alone(
     hardware: "Cia402HwMotor", facts: "DriveFacts", variable: ControlVariable, reason: str
 ) -> SyncOffer:
-    """By its own frames: the controlword, or a target that counts as it is written."""
+    """Return the offer of a start by a controlword, or by a target effective when written."""
     link, node_id = hardware.link, hardware.node_id
     traffic, unbounded = traffic_on(link, sync_period(link)[0])
     mates = [HEARTBEAT_ID + node_id]
@@ -113,7 +113,7 @@ def _alone(
         frames, exchanges = (*frames, *exchange), exchanges + 1
     reply_ms = hardware.options.sdo_reply_ms
     if exchanges and reply_ms is None and not unbounded:
-        unbounded = "how long the drive takes to answer an SDO is not told (sdo_reply_ms)"
+        unbounded = "the drive's SDO response time is not known (sdo_reply_ms)"
     firing = None
     if traffic is not None and not (exchanges and reply_ms is None):
         idle_s = exchanges * (reply_ms or 0.0) / 1e3
@@ -142,13 +142,13 @@ def _offer(
     latency_s = end_s = None
     no_start = no_end = ""
     if ppm is None:
-        no_end = "the accuracy of its clock is not told (oscillator_ppm)"
+        no_end = "the accuracy of its clock is not known (oscillator_ppm)"
     if tick_ms is None:
-        no_start = no_end = "its profile tick is not told (servo_period_ms)"
+        no_start = no_end = "its profile tick is not known (servo_period_ms)"
     else:
         latency_s = end_s = (0.0, tick_ms / 1e3 / (1.0 - (ppm or 0.0) * 1e-6))
     if streamed:
-        end_s, no_end = None, "how long a stream of set-points takes is not predicted"
+        end_s, no_end = None, "the duration of streamed set-points is not predicted"
     return SyncOffer(
         level=level,
         group=group,

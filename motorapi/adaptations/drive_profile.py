@@ -1,8 +1,9 @@
-"""A motion as the drive will make it: its integers, and how long they really take.
+"""A motion in the drive's integers, and its exact duration.
 
-Profile velocity and accelerations are whole numbers of the drive's units, so a profile of a given
-duration is met only nearly. Of the whole numbers around, those are taken that come closest, without
-ever exceeding a limit: a cruise one step faster with slower ramps often is better than one slower.
+Profile velocity and accelerations are integers in the drive's units, so a profile meets a given
+duration only approximately. The neighbouring integers that come closest are taken, without
+exceeding a limit. A cruise velocity one step higher with flatter ramps is often better than one
+step lower.
 """
 
 from dataclasses import dataclass, replace
@@ -17,21 +18,21 @@ from motorapi.model import MotorModel
 from motorapi.trajectory import TrapezoidalTrajectory
 
 _ROUNDING: Final = 1e-12
-_TOO_SHORT: Final = 0.1  # of the duration asked for; nearer than that whole numbers may miss it
-_STEP_ROUNDING: Final = 1e-8  # more than DriveUnits forgives a limit that is a whole step
+_TOO_SHORT: Final = 0.1  # of the requested duration; integers may deviate less than that
+_STEP_ROUNDING: Final = 1e-8  # more than the rounding of DriveUnits for a limit of integer steps
 
 
 @final
 @dataclass(frozen=True, slots=True)
 class DriveLimits:
-    """What the drive itself allows, in its own units; None: it does not say.
+    """The drive's own limits, in its units; None if it does not report one.
 
     Attributes:
-        position: 607Dh, software position limits; None also if both are 0, which means none.
+        position: 607Dh, software position limits; also None if both are 0, which disables them.
         speed: 607Fh, maximum profile velocity.
         acceleration, deceleration: 60C5h, 60C6h.
         window: 6067h, position window; None if it is switched off or absent.
-        has_deceleration: whether there is 6084h; without, ramps down are as those up.
+        has_deceleration: whether 6084h exists; without it, both ramps use 6083h.
     """
 
     position: tuple[int, int] | None
@@ -56,10 +57,10 @@ class DriveProfile:
 def profile_of(
     motion: Motion, model: MotorModel, units: DriveUnits, limits: DriveLimits
 ) -> DriveProfile:
-    """The integers that make `motion`, as nearly as the drive's units allow.
+    """Return the integers that make `motion`, as nearly as the drive's units allow.
 
     Raises:
-        LimitError: they do not fit the drive, or it cannot go as slowly as a limit asks.
+        LimitError: they do not fit the drive, or its smallest step exceeds a limit.
         UsageError: a unit is not known.
     """
     up, down = motion.acceleration, motion.deceleration
@@ -92,7 +93,7 @@ def profile_of(
 def _check_slowness(
     motion: Motion, profile: DriveProfile, distance: float, units: DriveUnits
 ) -> None:
-    """A duration that was asked for is not cut short because the drive cannot go so slowly."""
+    """Refuse a requested duration that is too long for the drive's lowest velocity."""
     trajectory = motion.trajectory
     if profile.speed != 1 or not isinstance(trajectory, TrapezoidalTrajectory):
         return
@@ -108,13 +109,13 @@ def _check_slowness(
             low=None,
             high=made_s,
             unit="s",
-            reason=f"for {distance:g} {units.unit}: the drive goes no slower than"
-            f" {units.speed(1):g} {units.unit}/s",
+            reason=f"for {distance:g} {units.unit}: the drive's lowest velocity is "
+            f"{units.speed(1):g} {units.unit}/s",
         )
 
 
 def _check_step(quantity: str, made: float, limit: float, units: DriveUnits) -> None:
-    """Rounding down ends at the drive's smallest step: a limit below it would be exceeded."""
+    """Refuse a limit below the drive's smallest step, where rounding down ends."""
     if made > limit * (1.0 + _STEP_ROUNDING):
         raise LimitError(
             motor=units.motor,
@@ -123,15 +124,15 @@ def _check_step(quantity: str, made: float, limit: float, units: DriveUnits) -> 
             low=made,
             high=None,
             unit=f"{units.unit}/s" if quantity == "velocity" else f"{units.unit}/s²",
-            reason="the drive's units tell nothing smaller",
+            reason="it is below the smallest step of the drive's units",
         )
 
 
 def check_limits(motor: str, profile: DriveProfile, units: DriveUnits, limits: DriveLimits) -> None:
-    """The drive itself would not clip this motion.
+    """Check that the drive would not clip this motion.
 
     Raises:
-        LimitError: it would; names the object that says so.
+        LimitError: the drive would; the message names the object of the limit.
     """
     pairs = (
         ("velocity", profile.speed, limits.speed, units.speed, "607Fh", "/s"),
@@ -166,10 +167,10 @@ def check_limits(motor: str, profile: DriveProfile, units: DriveUnits, limits: D
 
 
 def check_target(motor: str, target: int, units: DriveUnits, limits: DriveLimits) -> None:
-    """The drive's own software position limits allow the target [increments].
+    """Check a target [increments] against the drive's own software position limits.
 
     Raises:
-        LimitError: they do not.
+        LimitError: the target is outside.
     """
     if limits.position is None or limits.position[0] <= target <= limits.position[1]:
         return
@@ -186,7 +187,7 @@ def check_target(motor: str, target: int, units: DriveUnits, limits: DriveLimits
 
 
 def as_motion(motion: Motion, profile: DriveProfile, units: DriveUnits) -> Motion:
-    """What `profile` amounts to, in SI units, with its exact duration."""
+    """Return `profile` as a motion in SI units, with its exact duration."""
     acceleration = units.acceleration(profile.acceleration)
     deceleration = units.acceleration(profile.deceleration)
     if motion.variable is ControlVariable.VELOCITY:
@@ -211,13 +212,13 @@ def as_motion(motion: Motion, profile: DriveProfile, units: DriveUnits) -> Motio
 
 
 def expected_s(motion: Motion, profile: DriveProfile, units: DriveUnits) -> float:
-    """How long the profile takes over the motion's distance [s]; of position."""
+    """Return the duration of the profile over the motion's distance [s] (position only)."""
     start = units.position(units.position_inc(motion.start))
     return _duration_s(profile, units.position(profile.target) - start, units)
 
 
 def _ramp_limits(motion: Motion, model: MotorModel, up: float, down: float) -> tuple[float, float]:
-    """What model and command allow; a motor of a group may be asked for less than a step."""
+    """Return the limits of model and command, as a group may request less than a step."""
     if motion.trajectory is None or motion.variable is not ControlVariable.POSITION:
         return up, down
     bounds = planning.bounds_of(model, motion)
@@ -225,7 +226,7 @@ def _ramp_limits(motion: Motion, model: MotorModel, up: float, down: float) -> t
 
 
 def _speed_limit(motion: Motion, model: MotorModel) -> float:
-    """What the model and the command allow, which may be more than this motion needs [U/s]."""
+    """Return the velocity limit of model and command [U/s], at least that of the motion."""
     top = model.velocity_max
     limits = None if motion.trajectory is None else motion.trajectory.limits
     if limits is not None and limits.first is not None:
@@ -236,7 +237,7 @@ def _speed_limit(motion: Motion, model: MotorModel) -> float:
 def _nearest(
     first: DriveProfile, distance: float, duration_s: float, top: float, units: DriveUnits
 ) -> DriveProfile:
-    """The profile whose duration is nearest to `duration_s`, `first` where nothing is nearer."""
+    """Return the profile whose duration is nearest to `duration_s`; `first` if none is nearer."""
     best, best_s = first, abs(_duration_s(first, distance, units) - duration_s)
     half = 0.5 / units.acceleration(first.acceleration) + 0.5 / units.acceleration(
         first.deceleration
@@ -259,7 +260,7 @@ def _nearest(
 
 
 def _around(raw: int, factor: float) -> tuple[int, ...]:
-    """The whole numbers next to raw * factor, not 0 and not above raw."""
+    """Return the integers next to raw * factor, not 0 and not above raw."""
     floor = int(raw * factor)
     return tuple(number for number in (floor, floor + 1) if 1 <= number <= raw)
 

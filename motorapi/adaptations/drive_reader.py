@@ -1,4 +1,4 @@
-"""What a drive's objects say of its motor, in SI values: state, fault, measurements, limits."""
+"""State, fault, measurements and limits of a drive, in SI units."""
 
 from typing import TYPE_CHECKING, Final, final
 
@@ -35,7 +35,7 @@ _STATE_OF_BITS: Final = tuple(
 
 @final
 class DriveReader:
-    """One logical motor's view of a drive: its model's units on the drive's numbers.
+    """One logical motor's view of a drive: the drive's values in the units of the motor model.
 
     Attributes:
         held: the last target position commanded, in increments and in U.
@@ -54,9 +54,10 @@ class DriveReader:
         self._torque: TorqueUnit | None = None
 
     def known(self) -> tuple[DriveUnits, DriveLimits]:
-        """Units and limits, read from the drive once after each time it was brought up.
+        """Return units and limits, read from the drive once after each bring-up.
 
-        Not when it is connected: any logical motor may stop the drive at any time, and not wait.
+        They are not read when it is connected: a logical motor may stop the drive at any time,
+        without waiting for them.
         """
         facts = self._hardware.connect()
         if self._units is None or self._limits is None or facts is not self._facts:
@@ -67,10 +68,10 @@ class DriveReader:
         return self._units, self._limits
 
     def torque_unit(self) -> TorqueUnit:
-        """What 1 means in the drive's torque objects; read once, as the others.
+        """Return the units of the drive's torque objects, read once per bring-up.
 
         Raises:
-            UnsupportedError: nobody says.
+            UnsupportedError: neither the drive nor the model defines them.
         """
         units = self.known()[0]
         unit = self._torque
@@ -82,11 +83,11 @@ class DriveReader:
 
     @property
     def units(self) -> DriveUnits:
-        """What 1 means in the drive's objects."""
+        """The units of the drive's objects."""
         return self.known()[0]
 
     def state(self) -> MotorState:
-        """The state heard last; does not wait."""
+        """Return the last state received, without waiting."""
         node = self._node
         if self._hardware.facts is None or node.is_lost or node.status_ns < 0:
             return MotorState.OFFLINE
@@ -96,9 +97,9 @@ class DriveReader:
         return known
 
     def fresh_state(self) -> MotorState:
-        """The state, asked for where the drive does not tell it by itself.
+        """Return the state, polled if the drive does not send it cyclically.
 
-        One that is not OPERATIONAL any more sends no PDOs: what it told before counts no more.
+        A drive that has left OPERATIONAL sends no PDOs: its last status is no longer valid.
         """
         node = self._node
         if self._hardware.facts is None or node.is_lost:
@@ -113,7 +114,7 @@ class DriveReader:
         return self.state()
 
     def fault(self) -> Fault | None:
-        """The fault the drive reports, None if there is none."""
+        """Return the fault that the drive reports, or None."""
         node = self._node
         if self._hardware.facts is None or node.is_lost:
             return None
@@ -125,21 +126,21 @@ class DriveReader:
         return Fault(code, error_text(code), since_ns)
 
     def position(self) -> float:
-        """Measured position [U]."""
+        """Return the measured position [U]."""
         self._node.check_heard()
         self._node.refresh()
         return self.units.position(self._node.position_inc)
 
     def velocity(self) -> float:
-        """Measured velocity [U/s]."""
+        """Return the measured velocity [U/s]."""
         return self.units.velocity(self._objects.read_int(0x606C))
 
     def reference(self) -> float:
-        """The demand where there is one, else the measured position [U].
+        """Return the position demand, or the measured position if there is none [U].
 
         Raises:
-            UsageError: a unit is not known. A motion is planned from here: what is missing is told
-                before it is begun.
+            UsageError: a unit is not known. A motion is planned from this value, so a missing unit
+                is reported before the motion begins.
         """
         self.units.require_all()
         self._node.check_link()
@@ -147,12 +148,13 @@ class DriveReader:
         if self._node.state is PdsState.OPERATION_ENABLED:
             demand = self._objects.read_optional(0x6062)
             if demand is not None:
-                # What was asked for, where that is what it holds: rounding must not add up.
+                # Return the target as commanded while the drive holds it: rounding must not
+                # accumulate.
                 return self.held[1] if demand == self.held[0] else self.units.position(demand)
         return self.position()
 
     def torque(self) -> float:
-        """Measured torque of the output [N·m], or force [N]: the motor's, times the gear ratio."""
+        """Return the measured torque [N·m] or force [N] of the output, behind the gear."""
         unit = self.torque_unit()
         permille = self._objects.read_optional(0x6077)
         if permille is None:
@@ -160,14 +162,14 @@ class DriveReader:
         return unit.torque(permille)
 
     def following_error(self) -> float:
-        """Demand minus actual position [U]."""
+        """Return the following error, demand minus actual position [U]."""
         error = self._objects.read_optional(0x60F4)
         if error is None:
             return self.reference() - self.units.position(self._objects.read_int(0x6064))
         return self.units.position(error)
 
     def position_source(self) -> str:
-        """Where the position in `latest` comes from."""
+        """Return the source of the position in `latest`."""
         facts = self._hardware.control.facts
         if facts is None or facts.status is None:
             return "6064h, asked for by SDO"
@@ -176,7 +178,7 @@ class DriveReader:
         return f"6064h in TPDO {found.cob_id & 0x7FF:03X}h{every}, when it was heard"
 
     def latest(self) -> Measurement | None:
-        """What was heard last; neither waits nor sends."""
+        """Return the last measurement received, without waiting or sending."""
         node, units = self._node, self._units
         if node.status_ns < 0:
             return None

@@ -1,6 +1,7 @@
-"""Bringing a drive up: it answers, says what it is, watches us, and sends what we need.
+"""Bring-up of a drive: identification, mutual supervision and PDOs.
 
-Nothing is written that the drive has already, so that a second program may join at any time.
+Only values that the drive does not have yet are written, so that a second program may join at any
+time.
 """
 
 from collections.abc import Mapping
@@ -39,25 +40,29 @@ _LATCHED_TARGETS: Final = (TARGET_POSITION, TARGET_VELOCITY)
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class HwOptions:
-    """How a hardware object treats its drive; the defaults suit most.
+    """The settings of a hardware object for its drive; the defaults suit most drives.
 
     Attributes:
         host_node_id: the node-ID under which the host sends its heartbeat.
-        heartbeat_ms: period of the drive's and the host's heartbeats; 0 does without.
-        heartbeat_timeout_ms: silence after which either side takes the other for lost.
-        status_period_ms: the drive repeats statusword and position so often; 0: on change only.
-        status_inhibit_ms: and not more often than this, however fast they change.
-        velocity_period_ms: the drive tells velocity and torque so often; 0: only when asked.
-        connection_loss: what the drive does without the host (6007h): 1 fault, 2 disable voltage,
-            3 quick stop (the next program need not reset a fault); None leaves it as it is.
+        heartbeat_ms: the period of the drive's and the host's heartbeats; 0: no heartbeats.
+        heartbeat_timeout_ms: the silence after which either side regards the other as lost.
+        status_period_ms: the period with which the drive sends statusword and position; 0: on
+            change only.
+        status_inhibit_ms: the shortest time between two of these messages.
+        velocity_period_ms: the period with which the drive sends velocity and torque; 0: they are
+            polled.
+        connection_loss: the drive's reaction to the loss of the host (6007h): 1 fault, 2 disable
+            voltage, 3 quick stop (the next program need not reset a fault); None leaves the drive's
+            setting.
         servo_period_ms: the drive's profile tick, for predicting skew; None: not known.
-        oscillator_ppm: how far the drive's clock may be off, either way [1e-6]; likewise.
-        sdo_reply_ms: how long it takes to answer an SDO, at most; likewise.
-        set_point_period_ms: between two set-points (SYNCs) of what the host streams to the drive;
+        oscillator_ppm: the tolerance of the drive's clock in either direction [1e-6]; likewise.
+        sdo_reply_ms: the drive's longest SDO response time; likewise.
+        set_point_period_ms: the period of set-points (SYNCs) that the host streams to the drive;
             the same for all drives of a bus.
-        connect_timeout_s: how long a drive may take to boot.
-        sdo_timeout_s: how long it may take to answer.
-        sdo_quarantine_s: how long after an unanswered request an old answer may still come.
+        connect_timeout_s: the longest time for the drive to boot.
+        sdo_timeout_s: the longest time for an SDO response.
+        sdo_quarantine_s: the time after an unanswered request in which a late response may still
+            arrive.
     """
 
     host_node_id: int = 127
@@ -76,7 +81,7 @@ class HwOptions:
     sdo_quarantine_s: float = 1.0
 
     def __post_init__(self) -> None:
-        """Refuse what no drive can be told.
+        """Refuse invalid options.
 
         Raises:
             UsageError: an option has the wrong type or is out of range.
@@ -87,7 +92,7 @@ class HwOptions:
                 continue
             if not isinstance(value, int) or not low <= value <= high:
                 limits = f"{low} to {high}{unit}"
-                raise UsageError(f"{name} = {value!r}: must be a whole number, {limits}")
+                raise UsageError(f"{name} = {value!r}: must be an integer, {limits}")
         for name, (highest, of, optional) in _NUMBERS.items():
             value = getattr(self, name)
             if value is None and optional:
@@ -113,9 +118,9 @@ _WHOLE: Final = {  # lowest, highest, unit
     "status_period_ms": (0, 65535, " ms"),  # 1800h:05h
     "velocity_period_ms": (0, 65535, " ms"),
     "set_point_period_ms": (1, 255, " ms"),  # 60C2h
-    "connection_loss": (-32768, 3, ""),  # 6007h; below 0 are the vendor's
+    "connection_loss": (-32768, 3, ""),  # 6007h; negative values are manufacturer-specific
 }
-_NUMBERS: Final = {  # highest, unit, whether None will do
+_NUMBERS: Final = {  # highest, unit, whether None is allowed
     "status_inhibit_ms": (6553.5, "ms", False),  # 1800h:03h
     "servo_period_ms": (1000.0, "ms", True),
     "oscillator_ppm": (100_000.0, "ppm", True),
@@ -128,7 +133,7 @@ _TIMEOUT_MAX_S: Final = 3600
 @final
 @dataclass(frozen=True, slots=True)
 class Identity:
-    """What the drive says it is (1000h, 1018h); None where it says nothing."""
+    """The identity of the drive (1000h, 1018h); None where it reports nothing."""
 
     device_type: int | None
     vendor_id: int | None
@@ -140,16 +145,16 @@ class Identity:
 @final
 @dataclass(frozen=True, slots=True)
 class DriveFacts:
-    """What was found and agreed when the drive was brought up.
+    """The results of the bring-up of a drive.
 
     Attributes:
-        identity: what it is.
-        modes: what 6502h names; None if the drive does not say.
-        control_id: identifier of the RPDO that brings the controlword at once; None: by SDO.
-        latched_ids: of the RPDOs with controlword and a target, latched at SYNC, by the index of
-            the target (607Ah, 60FFh); one the drive does not give us is missing.
-        status: the TPDO that brings the statusword; None: asked for by SDO.
-        limitations: what this drive cannot do for us, in words.
+        identity: the identity of the drive.
+        modes: the modes in 6502h; None if the drive does not report them.
+        control_id: the identifier of the RPDO that sends the controlword at once; None: by SDO.
+        latched_ids: the identifiers of the RPDOs with controlword and a target, latched at SYNC, by
+            the index of the target (607Ah, 60FFh). Targets without such an RPDO are missing.
+        status: the TPDO that sends the statusword; None: it is polled by SDO.
+        limitations: the functions that this drive lacks or refuses, in words.
     """
 
     identity: Identity
@@ -161,12 +166,12 @@ class DriveFacts:
 
 
 def bring_up(node: DriveNode, options: HwOptions) -> DriveFacts:
-    """The drive is OPERATIONAL, configured, and heard.
+    """Configure the drive, start it (OPERATIONAL) and await its first status.
 
     Raises:
-        DeadlineExceeded: it does not answer.
-        UsageError: it is no CiA 402 drive.
-        PeerError: it refused what is indispensable.
+        DeadlineExceeded: the drive does not answer.
+        UsageError: the device is not a CiA 402 drive.
+        PeerError: the drive refused an indispensable setting.
     """
     node.may_change_state()
     identity = _identity(node, first_answer(node, options.connect_timeout_s))
@@ -204,7 +209,7 @@ def bring_up(node: DriveNode, options: HwOptions) -> DriveFacts:
 
 
 def first_answer(node: DriveNode, timeout_s: float) -> int:
-    """1000h; a device that boots answers once it has booted.
+    """Return 1000h, once the device answers; a booting device answers after its boot-up.
 
     Raises:
         DeadlineExceeded: it does not answer within `timeout_s` [s].
@@ -212,12 +217,12 @@ def first_answer(node: DriveNode, timeout_s: float) -> int:
     runtime = node.link.runtime
     deadline_ns = runtime.now_ns() + round(timeout_s * 1e9)
     while True:
-        if node.nmt_state == STOPPED:  # there it answers no SDO (CiA 301, NMT states)
+        if node.nmt_state == STOPPED:  # a stopped node answers no SDO (CiA 301, NMT states)
             node.link.nmt(0x80, node.node_id)
         try:
             return node.read_int(0x1000)
         except SdoAborted:
-            return _PROFILE_402  # it answers, that is all we need
+            return _PROFILE_402  # any answer suffices
         except DeadlineExceeded as error:
             if runtime.now_ns() >= deadline_ns:
                 heard = "a boot-up" if node.boots else "nothing"
@@ -232,7 +237,7 @@ def first_answer(node: DriveNode, timeout_s: float) -> int:
 def _identity(node: DriveNode, device_type: int) -> Identity:
     if device_type & 0xFFFF not in (_PROFILE_402, 0):
         raise UsageError(
-            f"{node.label} is no CiA 402 drive: its device type 1000h is {device_type:08X}h"
+            f"{node.label} is not a CiA 402 drive: its device type 1000h is {device_type:08X}h"
         )
     numbers = [node.read_optional(0x1018, place) for place in range(1, 5)]
     return Identity(device_type, *numbers)
@@ -246,21 +251,33 @@ def _modes(node: DriveNode) -> frozenset[Mode] | None:
 
 
 def _set_up_dead_man(node: DriveNode, options: HwOptions, limitations: list[str]) -> None:
-    """Each side watches the other: 1017h there and here, 1016h and 6007h there."""
+    """Set up mutual supervision: 1017h there and here, 1016h and 6007h there."""
     if options.connection_loss is not None:
         write_if_different(
-            node, 0x6007, 0, options.connection_loss, 2, limitations, "what it does without us"
+            node, 0x6007, 0, options.connection_loss, 2, limitations, "its reaction to our loss"
         )
     write_if_different(
-        node, 0x1017, 0, options.heartbeat_ms, 2, limitations, "its heartbeat: we cannot miss it"
+        node,
+        0x1017,
+        0,
+        options.heartbeat_ms,
+        2,
+        limitations,
+        "its heartbeat, so its loss is not detected",
     )
     watched = node.read_optional(0x1016, 1)
     if not options.heartbeat_ms and watched and watched >> 16 == options.host_node_id:
-        write_if_different(node, 0x1016, 1, 0, 4, limitations, "not to watch us any more")
+        write_if_different(node, 0x1016, 1, 0, 4, limitations, "the end of its supervision of us")
     if options.heartbeat_ms and options.heartbeat_timeout_ms:
         consumer = options.host_node_id << 16 | options.heartbeat_timeout_ms
         write_if_different(
-            node, 0x1016, 1, consumer, 4, limitations, "whom to watch: it does not notice our end"
+            node,
+            0x1016,
+            1,
+            consumer,
+            4,
+            limitations,
+            "its supervision of us, so it does not detect our loss",
         )
         if node.read_optional(0x1017) == options.heartbeat_ms:
             node.expect_heartbeat()
@@ -275,7 +292,7 @@ def write_if_different(
     limitations: list[str],
     meaning: str,
 ) -> None:
-    """An object holds `value`, in `size` bytes; if it is refused, a line of `limitations` says so.
+    """Write `value` in `size` bytes unless the object holds it; report a refusal in `limitations`.
 
     `meaning` completes "it does not let us set ...".
     """
@@ -288,7 +305,7 @@ def write_if_different(
 
 
 def _latched_pdos(pdos: PdoSetUp) -> dict[int, int]:
-    """`DriveFacts.latched_ids`: RPDO 2 and on, one for each target."""
+    """Configure RPDO 2 and following, one per target; return `DriveFacts.latched_ids`."""
     identifiers: dict[int, int] = {}
     for number, target in enumerate(_LATCHED_TARGETS, 2):
         made = pdos.configure(PdoWish(False, number, (CONTROLWORD, target), SYNCHRONOUS))
@@ -331,7 +348,7 @@ def _velocity_pdo(
 
 
 def _await_first_status(node: DriveNode, facts: DriveFacts, options: HwOptions) -> None:
-    """The node runs: its status came, by itself where it does that."""
+    """Await the first status: by TPDO if the drive sends it cyclically, else by SDO."""
     status = facts.status
     node.status_is_cyclic = status is not None and bool(status.event_ms)
     if node.status_is_cyclic:

@@ -1,4 +1,4 @@
-"""When a motion of a CiA 402 drive began and ended, and where that was measured."""
+"""Measured begin and end of a CiA 402 drive's motion."""
 
 from typing import TYPE_CHECKING
 
@@ -11,7 +11,7 @@ if TYPE_CHECKING:
 
 
 def times_of_stream(watch: "StreamWatch", stream: "CspStream | None") -> MotionTimes:
-    """Of set-points that are streamed."""
+    """Return the motion times of streamed set-points."""
     source = "SYNC of the first set-point on the wire; position within its window in a TPDO"
     if stream is not None and stream.late:
         source += f"; {stream.late} of {stream.sent} set-points were late"
@@ -23,7 +23,7 @@ def times_of_stream(watch: "StreamWatch", stream: "CspStream | None") -> MotionT
 def times_of_set_point(
     watch: "SetpointWatch", point: "ArmedSetPoint | None", *, together: bool
 ) -> MotionTimes:
-    """Of one set-point, alone or together with others; `point`: what a SYNC has started."""
+    """Return the motion times of one set-point; `point` is what a SYNC has started, if any."""
     commanded_ns, ended_ns = watch.commanded_ns, watch.ended_ns
     if point is not None:
         source = "SYNC on the wire; target reached in a TPDO"

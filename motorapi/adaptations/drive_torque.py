@@ -1,9 +1,9 @@
-"""Torque of a CiA 402 drive: what 1 means in 6071h, 6074h, 6077h, and a motion of it in integers.
+"""Torque units and torque motions of a CiA 402 drive.
 
-The drive counts in 1/1000 of the motor's rated torque 6076h [mN m], at the motor's shaft. Torque
-here is that of the output, where position is counted: times the gear ratio, of the motor model or
-else of 6091h; friction and inertia in between are not taken off. A linear motor has a force: 2 pi
-times the motor's turns per metre, of which the drive knows nothing. Nothing is guessed.
+6071h, 6074h and 6077h count in 1/1000 of the motor's rated torque 6076h [mN m] at its shaft. Torque
+here is that of the output, where position is counted: times the gear ratio, from the motor model or
+else from 6091h. Friction and inertia in between are not subtracted. A linear motor has a force: 2
+pi times the motor's turns per metre, which the drive does not report. Nothing is guessed.
 """
 
 from collections.abc import Callable
@@ -19,21 +19,21 @@ ReadObject = Callable[[int, int], int | None]
 
 _INT16_MAX: Final = 0x7FFF
 _UINT32_MAX: Final = 0xFFFF_FFFF
-STEEPEST: Final = _UINT32_MAX  # 6087h: no ramp was asked for
+STEEPEST: Final = _UINT32_MAX  # 6087h: no ramp requested
 
 
 @final
 @dataclass(frozen=True, slots=True)
 class TorqueUnit:
-    """What 1 means in the drive's torque objects.
+    """The units of the drive's torque objects.
 
     Attributes:
-        motor, unit: its name, and "N·m" or "N", for messages.
-        size: torque of the output per 1/1000 of 6076h, > 0.
-        sign: -1 where the drive counts the other way.
-        limits: the drive's own, forwards and backwards as it counts: (object, 1/1000), the tighter
-            one of 6072h and 60E0h or 60E1h.
-        has_slope: whether there is 6087h, torque slope.
+        motor, unit: the motor's name, and "N·m" or "N", for messages.
+        size: the torque of the output per 1/1000 of 6076h, > 0.
+        sign: -1 if the drive counts in the opposite direction, else 1.
+        limits: the drive's own limits, forwards and backwards in its direction: (object, 1/1000),
+            the tighter one of 6072h and 60E0h or 60E1h.
+        has_slope: whether the drive has 6087h, torque slope.
     """
 
     motor: str
@@ -44,14 +44,14 @@ class TorqueUnit:
     has_slope: bool
 
     def torque(self, raw: int) -> float:
-        """The drive's number as a torque [N·m, N]."""
+        """Return the drive's integer as a torque [N·m, N]."""
         return self.sign * raw * self.size
 
     def raw(self, torque: float) -> int:
-        """A torque [N·m, N] in the drive's units, rounded towards 0.
+        """Return a torque [N·m, N] in the drive's units, rounded towards 0.
 
         Raises:
-            LimitError: the drive cannot be told of it, or would cut it.
+            LimitError: it does not fit the object, or exceeds the drive's limit.
         """
         steps = abs(torque) / self.size
         raw = floor(steps * (1.0 + 4e-16) + 1e-9)
@@ -74,7 +74,7 @@ class TorqueUnit:
 @final
 @dataclass(frozen=True, slots=True)
 class TorqueProfile:
-    """One motion of torque in the drive's integers: 6071h, 6087h (None: the drive has none)."""
+    """One torque motion in the drive's integers: 6071h, 6087h (None: the drive has none)."""
 
     target: int
     slope: int | None
@@ -83,14 +83,14 @@ class TorqueProfile:
 def torque_unit(
     motor: str, model: MotorModel, increments_per_unit: float, read: ReadObject
 ) -> TorqueUnit:
-    """What torque means in this drive.
+    """Return the torque units of this drive.
 
     Raises:
-        UnsupportedError: nobody says.
+        UnsupportedError: neither the drive nor the model defines them.
     """
     rated = read(0x6076, 0)
     if not rated:
-        raise _unsupported(motor, "the drive does not tell its rated torque, 6076h")
+        raise _unsupported(motor, "the drive does not report its rated torque, 6076h")
     gear = None if model.gear_ratio is None else abs(model.gear_ratio)
     if model.kind is MotionKind.LINEAR:
         if gear is None:
@@ -99,7 +99,7 @@ def torque_unit(
     elif gear is None:
         turns, shaft = read(0x6091, 1), read(0x6091, 2)
         if not turns or not shaft or turns < 0 or shaft < 0:
-            reason = "the drive does not tell its gear ratio, 6091h; write gear_ratio into the"
+            reason = "the drive does not report its gear ratio, 6091h; write gear_ratio into the"
             raise _unsupported(motor, f"{reason} motor model")
         gear = turns / shaft
     return TorqueUnit(
@@ -113,7 +113,7 @@ def torque_unit(
 
 
 def _limit(read: ReadObject, own: int) -> tuple[str, int]:
-    """The tightest limit in one direction, and the object that says so ("" if none does)."""
+    """Return the tightest limit in one direction, and the object that holds it ("" if none)."""
     tightest = ("", _INT16_MAX)
     for index in (0x6072, own):
         limit = read(index, 0)
@@ -127,11 +127,11 @@ def _unsupported(motor: str, reason: str) -> UnsupportedError:
 
 
 def torque_profile_of(motion: Motion, unit: TorqueUnit) -> TorqueProfile:
-    """The integers that make `motion`; the slope is rounded down, but never to 0.
+    """Return the integers that make `motion`; the slope is rounded down, but never to 0.
 
     Raises:
-        LimitError: they do not fit the drive, or it cannot go as slowly as a limit asks.
-        UnsupportedError: a ramp is asked for, and the drive makes none.
+        LimitError: they do not fit the drive, or its smallest step exceeds a limit.
+        UnsupportedError: a ramp is requested, and the drive has none.
     """
     target = unit.raw(motion.target)
     if not unit.has_slope:
@@ -152,13 +152,13 @@ def torque_profile_of(motion: Motion, unit: TorqueUnit) -> TorqueProfile:
             low=unit.size,
             high=None,
             unit=f"{unit.unit}/s",
-            reason="the drive's units tell nothing smaller",
+            reason="it is below the smallest step of the drive's units",
         )
     return TorqueProfile(target, slope)
 
 
 def as_torque_motion(motion: Motion, profile: TorqueProfile, unit: TorqueUnit) -> Motion:
-    """What `profile` amounts to, in SI units, with its duration."""
+    """Return `profile` as a motion in SI units, with its duration."""
     target = unit.torque(profile.target)
     slope = inf if profile.slope in (None, STEEPEST) else (profile.slope or 0) * unit.size
     made = replace(motion, target=target, slope=slope)
@@ -168,7 +168,7 @@ def as_torque_motion(motion: Motion, profile: TorqueProfile, unit: TorqueUnit) -
 
 
 def ramp_s(motion: Motion, profile: TorqueProfile, unit: TorqueUnit) -> float:
-    """About how long the drive's ramp takes [s]."""
+    """Return the approximate duration of the drive's ramp [s]."""
     if profile.slope in (None, 0):
         return 0.0
     return abs(motion.distance) / ((profile.slope or 1) * unit.size)

@@ -1,4 +1,4 @@
-"""What a drive sends once it was brought up, and this program for it."""
+"""Traffic of a configured drive, and of this program for it."""
 
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Final
@@ -20,9 +20,9 @@ def drive_traffic(
     tpdos: "Sequence[tuple[int, PdoFound]]",
     options: "HwOptions",
 ) -> NodeTraffic:
-    """Of a drive whose TPDOs (identifier, as it has them) are these, and no others."""
+    """Return the traffic of a drive that has these TPDOs (identifier, settings) and no others."""
     ppm = _UNKNOWN_CLOCK_PPM if options.oscillator_ppm is None else options.oscillator_ppm
-    shorter = 1.0 - ppm * 1e-6  # what the drive times, it may time so much too short
+    shorter = 1.0 - ppm * 1e-6  # a fast oscillator shortens the drive's times
     sent: list[PeriodicMessage] = []
     at_sync: list[PeriodicMessage] = []
     unknown = "; ".join(one for one in facts.limitations if "stays on" in one)

@@ -1,4 +1,7 @@
-"""EMCY as a host hears it (CiA 301, 7.2.7), and which of several errors is told as the drive's."""
+"""EMCY messages as a host receives them (CiA 301, 7.2.7).
+
+Selects which of several errors is reported as the drive's fault.
+"""
 
 from collections.abc import Iterable
 from dataclasses import dataclass
@@ -6,17 +9,17 @@ from typing import Final, final
 
 from motorapi.adaptations.cia402_objects import error_text
 
-_ERROR_CLASS: Final = 0xFF00  # 00xxh: an error is gone
+_ERROR_CLASS: Final = 0xFF00  # 00xxh: an error is reset
 _COMMUNICATION: Final = 0x8100
 _OF_COMMUNICATION: Final = 0x11  # 1001h: generic, and communication
-# About frames and the bus: they end no motion. Some drives repeat the first two for ever.
+# Errors of frames and the bus do not end a motion. Some drives repeat the first two endlessly.
 _MINOR: Final = (0x8210, 0x8220, 0x8120, 0x8140)
 
 
 @final
 @dataclass(frozen=True, slots=True)
 class Emergency:
-    """One EMCY: error code (603Fh), error register (1001h), 5 vendor bytes, when it came [ns]."""
+    """One EMCY: error code (603Fh), error register (1001h), 5 vendor bytes, time received [ns]."""
 
     code: int
     register: int
@@ -30,15 +33,15 @@ class Emergency:
 
 
 def last_error(heard: Iterable[Emergency], from_ns: int) -> Emergency | None:
-    """The last EMCY of an error, gone by now or not, that came at `from_ns` or later."""
+    """Return the last EMCY with an error, reset or not, received at `from_ns` or later."""
     errors = [one for one in heard if one.code & _ERROR_CLASS and one.time_ns >= from_ns]
     return errors[-1] if errors else None
 
 
 def standing_error(before: Emergency | None, heard: Emergency) -> Emergency | None:
-    """The error that stands once this EMCY was heard; None: none does.
+    """Return the error that persists after this EMCY, or None.
 
-    What is about a frame or the bus gives way to what is about the drive.
+    An error of a frame or the bus yields to an error of the drive.
     """
     if heard.code & _ERROR_CLASS:
         return heard if before is None or heard.code not in _MINOR else before

@@ -1,8 +1,9 @@
-"""Stops that come from another program: whoever has the motor is told, and does not go on.
+"""Detection of stops that other programs command on the bus.
 
-A stop takes nobody's permission, of whatever process. The drive obeys, and says nothing of it: in
-pp it stands short of its target, in pv it shows *target reached* as it comes to rest. So the
-controlwords that others put on the bus are heard. Those that come by SDO are not.
+Any process may stop a motor without owning it. The drive obeys, but does not report the stop. In pp
+it stands short of its target; in pv it shows *target reached* as it comes to rest. So the
+controlwords that other programs put on the bus are monitored, and the owner's motion is ended with
+an error. Controlwords sent by SDO are not detected.
 """
 
 from collections.abc import Callable
@@ -23,7 +24,7 @@ _LOOKED_AT: Final = ENABLE_OPERATION | HALT
 
 @final
 class ForeignStops:
-    """Hears the controlwords of other programs for one drive."""
+    """A listener for the controlwords that other programs send to one drive."""
 
     def __init__(
         self,
@@ -38,16 +39,16 @@ class ForeignStops:
         self._end_stream = end_stream
 
     def heard(self, frame: bytes, time_ns: int) -> None:
-        """A frame of somebody else brought the drive a controlword."""
+        """Handle a frame of another program that carries a controlword for the drive."""
         word = int.from_bytes(frame[8:10], "little")
         if frame[4] < 2 or word & _LOOKED_AT == _GOES_ON:
             return
         if isinstance(self._node.watch, RestWatch):
-            return  # it is being stopped already
+            return  # a stop is already in progress
         physical = self._physical
         run = physical.run
         if run is not None:
-            physical.ownership.notice(run.owner)  # who took the motor over is told by name
+            physical.ownership.notice(run.owner)  # so that an error names a new owner
         by = f"another program, which told the drive to stop (controlword {word:04X}h)"
         if not physical.stopped_elsewhere(by, time_ns):
             return
@@ -63,5 +64,8 @@ def heed_stops(
     control: "DriveControl",
     end_stream: Callable[[int], None],
 ) -> None:
-    """Stops of other programs end what goes on here; `end_stream` (a method) ends set-points."""
+    """End the motion here when another program stops the drive.
+
+    `end_stream`, a bound method, ends streamed set-points.
+    """
     node.on_control = ForeignStops(physical, node, control, WeakMethod(end_stream)).heard

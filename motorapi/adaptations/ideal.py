@@ -1,7 +1,8 @@
-"""Ideal motors: what an application imports, and what a rig builds.
+"""Ideal motors: the names that applications and rigs use.
 
-The yardstick for every other kind of motor, and the quickest way to try an application: no bus, no
-drive, no plant; what is commanded happens, exactly and at once. See `ideal_motor`::
+They are the reference for every other kind of motor, and the quickest way to try an application.
+There is no bus, no drive and no plant: commands are executed exactly and at once. See
+`IdealMotor`::
 
     hw = IdealHwMotor(runtime, "left wheel")
     motor = IdealMotor(hw, model=MotorModel.load("wheel.toml"))
@@ -34,20 +35,20 @@ _SHARED: Final[Shared[IdealHwMotor]] = Shared("axis")
 def build(
     bus: None, settings: Mapping[str, object], model: "MotorModel", runtime: "Runtime"
 ) -> IdealMotor:
-    """The motor that a table of settings describes (entry point `motorhil.adaptations`, ideal).
+    """Return the motor described by a settings table (entry point `motorhil.adaptations`, ideal).
 
     Motors that name the same axis share one hardware object, made by the first of them.
 
     Args:
-        bus: none (`build.needs_bus` says so).
-        settings: `name`; `axis` (the name, if left out); where the motor is at the beginning and
-            its torque constant, both with their units: `position_rad`, `torque_constant_n_m_a`, of
-            a linear motor `position_m`, `torque_constant_n_a`.
-        model: the motor's.
-        runtime: the time it lives in.
+        bus: None (see `build.needs_bus`).
+        settings: `name`; `axis` (default: the name); the initial position and the torque constant,
+            both with their units: `position_rad`, `torque_constant_n_m_a`, of a linear motor
+            `position_m`, `torque_constant_n_a`.
+        model: the motor model.
+        runtime: the runtime of the motor.
 
     Raises:
-        UsageError: a setting is unknown or wrong.
+        UsageError: a setting is unknown or invalid.
     """
     position_key, constant_key = _KEYS[model.kind]
     known = ("name", "axis", position_key, constant_key)

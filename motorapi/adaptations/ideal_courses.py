@@ -1,9 +1,10 @@
-"""What an ideal motor does from one moment on: position, velocity and torque as functions of time.
+"""Courses of an ideal motor: position, velocity and torque over time.
 
-A course is a law, not a simulation: it answers for any instant, whoever asks and however often, and
-knows to the nanosecond when it is over. The one exception is `Led`, a motion over an argument that
-is not time: nobody knows what that will be, so it is followed at a fixed rate as well.
-U stands for the motor's unit of position: rad, or m if linear.
+A course is a law, not a simulation: it gives a value for any instant, and knows its end to the
+nanosecond. The exception is `Led`, a motion over an argument that is not time. As the argument
+cannot be predicted, it is also sampled at a fixed rate.
+
+U is the motor's unit of position: rad, or m if linear.
 """
 
 from collections.abc import Callable
@@ -16,11 +17,11 @@ from motorapi.demand import Demand, demand_of, ramps
 from motorapi.errors import MotorError, PluginError
 
 _LONGEST_S: Final = 9.2e9
-"""Three centuries: what takes longer, if for ever, is not told when it is over."""
+"""The longest duration with a known end [s], three centuries."""
 
 
 class Reading(NamedTuple):
-    """Where the motor is [U], how fast [U/s], and what it pushes with [N·m, of a linear one N]."""
+    """Position [U], velocity [U/s] and torque [N·m] or force [N] of the motor."""
 
     position: float
     velocity: float = 0.0
@@ -28,12 +29,13 @@ class Reading(NamedTuple):
 
 
 class Course(Protocol):
-    """What the motor does, until another course takes its place.
+    """The behaviour of the motor until another course replaces it.
 
     Attributes:
-        begun_ns: since when.
-        over_ns: when its goal is reached (it may go on all the same); None: nobody knows yet.
-        place: where it began, or was when it was looked at last [U].
+        begun_ns: the time of its beginning.
+        over_ns: the time when it reaches its goal (it may continue afterwards); None: not known
+            yet.
+        place: the position at its beginning, or at the last sample [U].
     """
 
     begun_ns: int
@@ -41,14 +43,14 @@ class Course(Protocol):
     place: float
 
     def at(self, now_ns: int) -> Reading:
-        """What it demands at `now_ns`, no earlier than `begun_ns`."""
+        """Return the demand at `now_ns`, which is not before `begun_ns`."""
 
     def look(self, now_ns: int) -> None:
-        """Time has come to `now_ns`; called at a fixed rate until it is over."""
+        """Sample the course at `now_ns`; called at a fixed rate until the course is over."""
 
 
 class _Law:
-    """A course that follows from time alone."""
+    """A course that depends on time alone."""
 
     def __init__(self, begun_ns: int, duration_s: float, place: float) -> None:
         self.begun_ns = begun_ns
@@ -56,7 +58,7 @@ class _Law:
         self.over_ns: int | None = begun_ns + round(min(duration_s, _LONGEST_S) * 1e9)
 
     def look(self, now_ns: int) -> None:
-        """Nothing changes by being looked at."""
+        """Do nothing, as the course does not depend on samples."""
 
     def _elapsed_s(self, now_ns: int) -> float:
         return (now_ns - self.begun_ns) / 1e9
@@ -67,20 +69,20 @@ class _Law:
 
 @final
 class Held(_Law):
-    """At rest."""
+    """A motor at rest."""
 
     def __init__(self, begun_ns: int, position: float) -> None:
         super().__init__(begun_ns, 0.0, position)
         self._reading = Reading(position)
 
     def at(self, now_ns: int) -> Reading:
-        """The same at all times."""
+        """Return the same reading at all times."""
         return self._reading
 
 
 @final
 class Straight(_Law):
-    """Position goes to its target at a constant speed, and stays there: no ramps."""
+    """Position moves to its target at a constant speed, without ramps."""
 
     def __init__(self, begun_ns: int, start: float, target: float, speed: float) -> None:
         super().__init__(begun_ns, abs(target - start) / speed, start)
@@ -89,7 +91,7 @@ class Straight(_Law):
         self._velocity = speed if target > start else -speed
 
     def at(self, now_ns: int) -> Reading:
-        """On the straight line from start to target."""
+        """Return the point on the straight line from start to target."""
         if self._is_over(now_ns):
             return Reading(self._target)
         made = self._velocity * self._elapsed_s(now_ns)
@@ -98,14 +100,14 @@ class Straight(_Law):
 
 @final
 class Ramped(_Law):
-    """Velocity goes to its target at constant rates, and stays there.
+    """Velocity moves to its target at constant rates.
 
     Args:
-        begun_ns: since when.
-        now: where it begins, and how fast.
-        target: the velocity aimed at [U/s].
-        speeding: the rate at which its size grows [U/s²], > 0.
-        slowing: the rate at which its size shrinks [U/s²], > 0; first to 0 if the sign changes.
+        begun_ns: the time of its beginning.
+        now: the initial position and velocity.
+        target: the target velocity [U/s].
+        speeding: the rate at which the speed grows [U/s²], > 0.
+        slowing: the rate at which the speed shrinks [U/s²], > 0; first to 0 if the sign changes.
     """
 
     def __init__(
@@ -118,7 +120,7 @@ class Ramped(_Law):
         self._target = target
 
     def at(self, now_ns: int) -> Reading:
-        """Pieces of constant acceleration, in closed form."""
+        """Return the reading from pieces of constant acceleration, in closed form."""
         left_s = self._elapsed_s(now_ns)
         position = self._start
         for duration_s, velocity, acceleration in self._pieces:
@@ -132,7 +134,7 @@ class Ramped(_Law):
 
 @final
 class Pushed(_Law):
-    """Torque goes to its target at a constant rate (inf: at once); the shaft is held."""
+    """Torque moves to its target at a constant rate (inf: at once); the shaft is held."""
 
     def __init__(self, begun_ns: int, now: Reading, target: float, rate: float) -> None:
         change = target - now.torque
@@ -142,7 +144,7 @@ class Pushed(_Law):
         self._rate = rate if change > 0.0 else -rate
 
     def at(self, now_ns: int) -> Reading:
-        """Torque on a straight line to its target."""
+        """Return torque on a straight line to its target."""
         position = self._now.position
         if self._is_over(now_ns):
             return Reading(position, 0.0, self._target)
@@ -152,7 +154,7 @@ class Pushed(_Law):
 
 @final
 class Followed(_Law):
-    """A trajectory over time: the control variable is what it demands, at every instant."""
+    """A trajectory over time: the control variable equals the demand at every instant."""
 
     def __init__(self, begun_ns: int, now: Reading, motion: Motion, constant: float) -> None:
         demand = demand_of(motion)
@@ -165,7 +167,7 @@ class Followed(_Law):
         self._way = _way_of(motion, demand)
 
     def at(self, now_ns: int) -> Reading:
-        """What the demand, and its derivative or integral, are after so much time."""
+        """Return the demand, and its derivative or integral, at `now_ns`."""
         demand = self._demand
         argument = demand.initial_argument + self._elapsed_s(now_ns)
         if self._is_over(now_ns):
@@ -184,7 +186,7 @@ class Followed(_Law):
 
 
 def _way_of(motion: Motion, demand: Demand) -> Callable[[float], float]:
-    """The way that a trajectory of velocity has made at an argument, in closed form."""
+    """Return the distance that a velocity trajectory covers up to an argument, in closed form."""
     start = demand.initial_argument
     if motion.function is None:
         rate = demand.first(start)
@@ -196,10 +198,10 @@ def _way_of(motion: Motion, demand: Demand) -> Callable[[float], float]:
 
 @final
 class Led:
-    """A trajectory over an argument that something else determines.
+    """A trajectory over an argument that is not time.
 
-    Position (and torque) are what the demand is for the argument of this very instant. Their rates,
-    the way made by a trajectory of velocity, and the end are taken from looks at a fixed rate.
+    Position (and torque) equal the demand for the present argument. Their rates, the distance
+    covered by a velocity trajectory, and the end result from samples at a fixed rate.
     """
 
     def __init__(
@@ -221,21 +223,21 @@ class Led:
         self._final: Reading | None = None
 
     def at(self, now_ns: int) -> Reading:
-        """What the demand is for what the argument is now; where it cannot be told, at rest."""
+        """Return the demand for the present argument, or rest if the argument is not available."""
         if self._final is not None and self.over_ns is not None:
             position, velocity, torque = self._final
             beyond_s = (now_ns - self.over_ns) / 1e9
             return Reading(position + velocity * beyond_s, velocity, torque)
         try:
             return self._reading(now_ns, value_of(self._argument))
-        except Exception:  # somebody else's; the next look tells, but the motor can be stopped
+        except Exception:  # a user's error: the next sample reports it
             return Reading(self.place)
 
     def look(self, now_ns: int) -> None:
-        """The argument's rate is known, and whether it has reached its end.
+        """Sample the argument, to obtain its rate and detect its end.
 
         Raises:
-            MotorError: what leads it, or a function of it, failed.
+            MotorError: the argument, or a function of it, failed.
         """
         if self._final is not None:
             return
@@ -245,11 +247,11 @@ class Led:
             self.place = self._reading(now_ns, argument).position
         except MotorError:
             raise
-        except Exception as error:  # of a function that somebody else made
+        except Exception as error:  # an error of a user's function
             what = type(error).__name__
             raise PluginError(plugin=what, where="a trajectory", problem=str(error)) from error
         rate = (argument - before) / (now_ns - then_ns) * 1e9
-        self._look = (now_ns, argument, rate, self.place)  # at once: other threads read it
+        self._look = (now_ns, argument, rate, self.place)  # atomically: other threads read it
         if argument >= self._demand.final_argument:
             self._final = self._reading(now_ns, argument)
             self.over_ns = now_ns
@@ -267,13 +269,13 @@ class Led:
 
 
 def course_of(motion: Motion, now: Reading, now_ns: int, torque_constant: float) -> Course:
-    """The course of a motion that begins now.
+    """Return the course of a motion that begins now.
 
     Args:
-        motion: a set-point, or a trajectory of whatever kind.
-        now: what the motor does at this moment.
-        now_ns: this moment.
-        torque_constant: torque per current [N·m/A or N/A].
+        motion: a set-point or any trajectory.
+        now: the present reading of the motor.
+        now_ns: the present time.
+        torque_constant: the torque per current [N·m/A or N/A].
     """
     variable = motion.variable
     constant = torque_constant if variable is ControlVariable.CURRENT else 1.0

@@ -1,4 +1,4 @@
-"""The hardware object of an ideal motor: it is the motor. It lives in memory and on no bus."""
+"""Hardware class of an ideal motor, in memory without a bus."""
 
 from typing import TYPE_CHECKING, Final, final
 from weakref import WeakValueDictionary
@@ -19,12 +19,13 @@ if TYPE_CHECKING:
     from motorapi.runtime import Registration, Runtime
 
 LOOK_PERIOD_S: Final = 0.001
-"""How often a motor in motion makes itself heard, as a drive does by its cyclic messages."""
+"""The period with which a moving motor reports its status [s], as a drive does by cyclic messages.
+"""
 
 
 @final
 class IdealTrigger:
-    """Starts whatever was armed for it, all at the same nanosecond."""
+    """A trigger that starts all motions armed for it at the same nanosecond."""
 
     def __init__(self, runtime: "Runtime") -> None:
         self._runtime = runtime
@@ -34,15 +35,15 @@ class IdealTrigger:
         return "the common start of ideal motors"
 
     def arm(self, hardware: "IdealHwMotor") -> None:
-        """`hardware` begins when this is fired."""
+        """Start the armed motion of `hardware` when this trigger fires."""
         self._armed.append(hardware)
 
     def disarm(self, hardware: "IdealHwMotor") -> None:
-        """`hardware` does not begin when this is fired."""
+        """Exclude `hardware` from this trigger."""
         self._armed = [other for other in self._armed if other is not hardware]
 
     def fire(self) -> None:
-        """All that was armed has begun."""
+        """Start all armed motions."""
         armed, self._armed = self._armed, []
         now_ns = self._runtime.now_ns()
         for hardware in armed:
@@ -54,23 +55,23 @@ _shared_triggers: "Final[WeakValueDictionary[Runtime, IdealTrigger]]" = WeakValu
 
 @final
 class IdealHwMotor:
-    """A physical motor that does exactly what it is told: no mass, no friction, no delay.
+    """A physical motor that follows its commands exactly: no mass, no friction, no delay.
 
-    What moves it takes no torque; what it pushes with, in torque or current control, moves nothing:
-    its shaft is held then. It stands still where its power stage goes off.
+    Moving needs no torque. In torque or current control the shaft is held, so torque causes no
+    motion. The motor stands still when its power stage is switched off.
 
     Args:
-        runtime: the time it lives in.
-        label: its name for people; a second object of this label in the same runtime is refused.
-        position: where it is at the beginning [U].
-        torque_constant: torque per current [N·m/A, of a linear motor N/A].
+        runtime: the runtime of the motor.
+        label: its name in messages, unique in the runtime.
+        position: the initial position [U].
+        torque_constant: the torque per current [N·m/A, of a linear motor N/A].
 
     Attributes:
         shared_trigger: fires all ideal motors of a group at the same instant.
-        users: how many motors were built on it by settings; the last one closes it.
+        users: the number of motors built on it from settings; the last one closes it.
 
     Raises:
-        UsageError: there is an ideal motor of this label in this runtime; it is named.
+        UsageError: an ideal motor of this label exists in this runtime; the message names it.
     """
 
     def __init__(
@@ -99,7 +100,7 @@ class IdealHwMotor:
         self.is_referenced = False
         self.fault: Fault | None = None
         self.failure: MotorError | None = None
-        self._last: Course | None = None  # of a motion that was started, not of a stop
+        self._last: Course | None = None  # of the last motion started, not of a stop
         self._cut_short = False
         self._power = MotorState.DISABLED
         self._armed: tuple[Motion, IdealTrigger] | None = None
@@ -112,7 +113,7 @@ class IdealHwMotor:
         return f"<IdealHwMotor {self.label}: {what} at {self.reading().position:g}>"
 
     def close(self) -> None:
-        """The motor is gone: offline, at rest, and another of its label may be made."""
+        """Close the motor: it is offline and at rest, and its label may be reused."""
         if self.is_closed:
             return
         now_ns = self.runtime.now_ns()
@@ -123,30 +124,30 @@ class IdealHwMotor:
         self._news.grow()
         release_physical_motor(self._key, self)
 
-    # --- what can be seen ------------------------------------------------------------------
+    # --- state and measurements ------------------------------------------------------------
 
     @property
     def state(self) -> MotorState:
-        """The state of its power stage; FAULT or OFFLINE come first."""
+        """The state of the power stage; FAULT and OFFLINE take precedence."""
         if self.is_closed:
             return MotorState.OFFLINE
         return self._power if self.fault is None else MotorState.FAULT
 
     def reading(self) -> Reading:
-        """Position [U], velocity [U/s] and torque [N·m or N] at this instant."""
+        """Return position [U], velocity [U/s] and torque [N·m or N] at this instant."""
         course = self._course
         return course.at(max(self.runtime.now_ns(), course.begun_ns))
 
     @property
     def is_over(self) -> bool:
-        """Whether what it was told to do last has been reached."""
+        """True if the goal of the last command has been reached."""
         if self._armed is not None:
             return False
         over_ns = self._course.over_ns
         return over_ns is not None and self.runtime.now_ns() >= over_ns
 
     def look_again_s(self) -> float | None:
-        """After how long its goal may be reached [s]; None: it tells by itself, or it was."""
+        """Return the time until the goal may be reached [s], or None if it need not be polled."""
         over_ns = self._course.over_ns
         if over_ns is None or self._armed is not None:
             return None
@@ -155,7 +156,7 @@ class IdealHwMotor:
         return left_ns / 1e9 if left_ns > 0 else None
 
     def motion_times_ns(self) -> tuple[int | None, int | None]:
-        """When the last motion began, and when it reached its goal; None: it has not (yet)."""
+        """Return the times when the last motion began and reached its goal; None: not (yet)."""
         course = self._last
         if course is None:
             return None, None
@@ -164,39 +165,39 @@ class IdealHwMotor:
             return course.begun_ns, None
         return course.begun_ns, over_ns
 
-    # --- what can be done to it ------------------------------------------------------------
+    # --- commands --------------------------------------------------------------------------
 
     def inject_fault(self, code: int, text: str = "injected") -> None:
-        """The motor has a fault, as a test wants it: its power is off, and it stands still."""
+        """Inject a fault for a test: the power stage is off, and the motor stands still."""
         self.fault = Fault(code, text, self.runtime.now_ns())
         self._power = MotorState.DISABLED
         self._stand_still()
 
     def reset_fault(self) -> None:
-        """There is no fault any more; the power stage is off if there was one."""
+        """Clear the fault; the power stage stays off if there was one."""
         self.fault = None
         self._news.count += 1
 
     def enable(self) -> None:
-        """The power stage is on."""
+        """Switch the power stage on."""
         self._require_open()
         self._power = MotorState.ENABLED
         self._news.count += 1
 
     def disable(self) -> None:
-        """The power stage is off, the motor stands still where it is."""
+        """Switch the power stage off; the motor stands still at its position."""
         self._power = MotorState.DISABLED
         self._stand_still()
 
     def call_here(self, position: float) -> None:
-        """The place where it stands is called `position` [U] from now on."""
+        """Define the present position as `position` [U]."""
         self._take(Held(self.runtime.now_ns(), position), None)
         self.is_referenced = True
 
     # --- motion ----------------------------------------------------------------------------
 
     def arm(self, motion: "Motion", *, together: bool) -> IdealTrigger:
-        """`motion` begins when the trigger returned is fired."""
+        """Arm `motion`, and return the trigger that starts it."""
         self._require_open()
         trigger = self.shared_trigger if together else IdealTrigger(self.runtime)
         trigger.arm(self)
@@ -205,14 +206,14 @@ class IdealHwMotor:
         return trigger
 
     def disarm(self) -> None:
-        """What was armed does not begin any more."""
+        """Cancel the armed motion."""
         armed, self._armed = self._armed, None
         if armed is not None:
             armed[1].disarm(self)
             self._news.count += 1
 
     def begin(self, now_ns: int) -> None:
-        """What was armed begins at `now_ns`."""
+        """Start the armed motion at `now_ns`."""
         armed, self._armed = self._armed, None
         if armed is None:
             return
@@ -223,11 +224,11 @@ class IdealHwMotor:
         self._last, self._cut_short = course, False
 
     def slow_down(self, deceleration: float, *, quickly: bool = False) -> None:
-        """The motor comes to rest, and holds.
+        """Decelerate the motor to rest; it then holds its position.
 
         Args:
-            deceleration: how quickly [U/s²], unless what it does allows less.
-            quickly: `deceleration` counts whatever was allowed, and the motor is STOPPED.
+            deceleration: the deceleration [U/s²], unless the running motion has its own.
+            quickly: `deceleration` takes precedence, and the motor is STOPPED.
         """
         self.disarm()
         now_ns = self.runtime.now_ns()
@@ -236,11 +237,11 @@ class IdealHwMotor:
             deceleration = self._motion.stop_deceleration or self._motion.deceleration
         if quickly and self._power is MotorState.ENABLED:
             self._power = MotorState.STOPPED
-        # Quietly: who had it move is told that it was stopped, not that it is where it was to go.
+        # No notification: the owner of the motion learns that it was stopped, not that it arrived.
         ramp = Ramped(now_ns, now, 0.0, deceleration, deceleration)
         self._take(ramp, self._motion, quietly=True)
 
-    # --- inside ----------------------------------------------------------------------------
+    # --- internals -------------------------------------------------------------------------
 
     def _require_open(self) -> None:
         if self.is_closed:
@@ -258,7 +259,7 @@ class IdealHwMotor:
         *,
         quietly: bool = False,
     ) -> None:
-        """The motor does this from now on; while it moves, it is looked at at a fixed rate."""
+        """Replace the course of the motor, and sample it at a fixed rate while it moves."""
         if self._course is self._last and not self.is_over:
             self._cut_short = True
         self._stop_looking()
@@ -276,7 +277,7 @@ class IdealHwMotor:
         now_ns = self.runtime.now_ns()
         try:
             course.look(now_ns)
-        except MotorError as error:  # what leads it is not known any more
+        except MotorError as error:  # the argument of the motion is lost
             self._take(Held(now_ns, course.place), None, error)
             return
         is_over = course.over_ns is not None and now_ns >= course.over_ns

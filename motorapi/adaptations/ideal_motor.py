@@ -1,17 +1,17 @@
-"""The adaptation of the motor interface to a motor without flaws, and without a bus.
+"""Adaptation of the motor interface to an ideal motor.
 
-| command                        | what the motor does                                             |
-| ------------------------------ | --------------------------------------------------------------- |
-| set-point, position            | goes straight there at the limit of velocity, without ramps     |
-| set-point, velocity            | its velocity goes there at the limit of acceleration            |
-| set-point, torque or current   | steps there, or goes at the limit of the first derivative given |
-| trajectory, any variable       | is what the trajectory demands, at every instant                |
-| homing (35, 37)                | here is 0, at once                                              |
+| command                      | behaviour of the motor                                         |
+| ---------------------------- | -------------------------------------------------------------- |
+| set-point, position          | straight motion at the velocity limit, without ramps           |
+| set-point, velocity          | ramp at the acceleration limit                                 |
+| set-point, torque or current | step, or ramp at the given limit of the first derivative       |
+| trajectory, any variable     | the demand of the trajectory, at every instant                 |
+| homing (35, 37)              | the present position becomes 0, at once                        |
 
-A set-point has no profile: its variable goes straight to the target at the limit of its first
-derivative, the command's or else the model's. So velocity steps in a position set-point, which no
-real motor can do, and that is what tells it from a trajectory. In torque and current control the
-shaft is held: the motor pushes and stands still.
+A set-point has no profile: its variable moves straight to the target at the limit of its first
+derivative, from the command or else from the model. So velocity steps in a position set-point,
+which no real motor can do. This distinguishes it from a trajectory. In torque and current control
+the shaft is held: the motor exerts torque and stands still.
 """
 
 from collections.abc import Callable
@@ -34,13 +34,13 @@ _HERE_IS_ZERO: Final = (None, 35, 37)
 
 @final
 class IdealMotor(Motor):
-    """A logical motor on an ideal one. Any number of them may share one hardware object.
+    """A logical motor on an ideal one; any number of them may share one hardware object.
 
     Args:
-        hardware: the motor.
-        model: its limits.
-        name: what messages and records call it; None: the model's name and the hardware's label.
-        on_close: is called once, when the motor is closed. The hardware object is its maker's.
+        hardware: the hardware object.
+        model: the limits of the motor.
+        name: the name in messages and records. None: the model's name and the hardware's label.
+        on_close: called once, when the motor is closed. The maker of the hardware object closes it.
     """
 
     def __init__(
@@ -61,23 +61,23 @@ class IdealMotor(Motor):
         self._on_close = on_close
 
     def close(self) -> None:
-        """It is no longer used; closing again does nothing."""
+        """Close the motor; further calls do nothing."""
         on_close, self._on_close = self._on_close, None
         if on_close is not None:
             on_close()
 
     @property
     def hardware(self) -> IdealHwMotor:
-        """The motor itself; tests inject faults there."""
+        """The hardware object; tests inject faults there."""
         return self._hardware
 
-    # --- what it can do --------------------------------------------------------------------
+    # --- capabilities ----------------------------------------------------------------------
 
     def _supports(self, mode: ControlMode, variable: ControlVariable) -> bool:
         return True
 
     def _check_command(self, variable: ControlVariable, command: "Setpoint | Trajectory") -> None:
-        """Whatever can be planned can be executed."""
+        """Accept every command, as every plan can be executed."""
 
     def _sync_offer(self) -> SyncOffer:
         reason = "ideal motors of one runtime begin at the same nanosecond"
@@ -162,7 +162,7 @@ class IdealMotor(Motor):
         self._hardware.disarm()
 
     def _confirm(self, motion: Motion) -> None:
-        """It began when it was fired."""
+        """Do nothing, as the motion began when it was fired."""
 
     def _is_done(self) -> bool:
         hardware = self._hardware

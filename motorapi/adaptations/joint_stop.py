@@ -1,11 +1,11 @@
-"""Drives of one bus that slow down at the same instant: one SYNC latches the halt of them all.
+"""Simultaneous stop of several drives of one bus, latched by one SYNC.
 
-Frames that act at once act one after another: of many drives on a full bus the last would go on
-for a millisecond or more. So each gets its halt in the RPDO that SYNC latches, and SYNC follows
-when all of these were on the wire. All of it is sent from callbacks and waited for by nobody. Where
-SYNC is not ours to send now (somebody arms a start, a cyclic one runs, the bus does not tell of own
-frames) or does not come in time, each drive is halted by a frame that acts at once; and after SYNC
-as well, for a frame may be lost.
+Frames that act at once act one after another: on a full bus, the last of many drives would move on
+for a millisecond or more. So each drive gets its halt in the RPDO that SYNC latches, and SYNC
+follows when all of these were on the wire. Everything is sent from callbacks, without waiting.
+There are cases without a SYNC of ours: a start is being armed, a cyclic SYNC runs, or the bus does
+not report own frames. Then, or if SYNC does not come in time, each drive is halted by a frame that
+acts at once. The same frame also follows SYNC, as a frame may be lost.
 """
 
 from contextlib import AbstractContextManager
@@ -21,23 +21,26 @@ from motorapi.runtime import Registration
 
 _LOOK_S: Final = 0.0005
 _LOOKS_MAX: Final = 10
-"""After 5 ms nobody waits for SYNC any more: a halt that is late is worse than one by itself."""
+"""The number of checks, 5 ms in total, after which SYNC is not awaited any longer.
+
+A late halt is worse than separate halts.
+"""
 
 
 @final
 class JointStop:
-    """The halt of several drives of one bus, of one group; a `Trigger`."""
+    """The joint halt of several drives of one bus in one group; a `Trigger`."""
 
     def __init__(self, link: CanopenLink, turn: AbstractContextManager[bool]) -> None:
         self._link = link
-        self._turn = turn  # SYNC is ours until this is left
+        self._turn = turn  # SYNC is ours until this context is left
         self._armed: list[tuple[Cia402HwMotor, RestWatch, Transmission]] = []
         self._timer: Registration | None = None
         self._looks = 0
         self._sync: Transmission | None = None
 
     def add(self, hardware: Cia402HwMotor) -> bool:
-        """The drive has its halt, for the SYNC that comes; False: it cannot be halted so."""
+        """Send the drive its halt for the next SYNC; return False if it cannot be halted so."""
         control, node = hardware.control, hardware.node
         is_running = node.state is PdsState.OPERATION_ENABLED
         if not is_running or not control.is_in(Mode.PROFILE_POSITION):
@@ -51,7 +54,7 @@ class JointStop:
         return True
 
     def fire(self) -> None:
-        """SYNC follows when all frames were on the wire; does not wait."""
+        """Send SYNC when all frames were on the wire, without waiting."""
         _open.pop(self._link.bus_sync, None)
         if self._armed:
             self._timer = self._link.runtime.every(_LOOK_S, self._look)
@@ -73,7 +76,7 @@ class JointStop:
         timer.cancel()
         try:
             for hardware, watch, _ in self._armed:
-                if hardware.node.watch is watch:  # else it was told something else meanwhile
+                if hardware.node.watch is watch:  # else it received another command meanwhile
                     if self._sync is not None:
                         hardware.control.has_started()
                     hardware.control.send_halt(watch)
@@ -82,12 +85,14 @@ class JointStop:
 
 
 _open: "Final[WeakKeyDictionary[BusSync, JointStop]]" = WeakKeyDictionary()
-"""Those that drives are still added to, by the group that stops now; of a link that is compiled
-there are no weak references, of what it has of SYNC there are."""
+"""The joint stops that still accept drives, by `BusSync`.
+
+Compiled classes such as CanopenLink have no weak references; BusSync has them.
+"""
 
 
 def joint_stop_of(link: CanopenLink) -> JointStop | None:
-    """The one to add a drive of this bus to; None: SYNC is not ours to send now."""
+    """Return the joint stop for a drive of this bus, or None if SYNC is not ours to send now."""
     stop = _open.get(link.bus_sync)
     if stop is not None:
         return stop

@@ -1,6 +1,6 @@
-"""The adaptation of the motor interface to drives with a path table (Leadshine, StepperOnline).
+"""Adaptation to drives with a path table (Leadshine, StepperOnline).
 
-| command                                  | what the drive is told                                |
+| command                                  | request to the drive                                  |
 | ---------------------------------------- | ----------------------------------------------------- |
 | set-point or simple trajectory, position | path 0, absolute, interrupting; one request starts it |
 | set-point or simple trajectory, velocity | path 0, velocity                                      |
@@ -28,11 +28,11 @@ _SHARED: Final[Shared[LeadshineHwMotor]] = Shared("drive")
 
 @final
 class LeadshineMotor(PolledMotor):
-    """A logical motor on a PR-mode drive. Any number of them may share one hardware object."""
+    """A logical motor on a PR-mode drive; any number of them may share one hardware object."""
 
     @property
     def hardware(self) -> LeadshineHwMotor:
-        """The drive, with all it is able to do."""
+        """The hardware object of the drive."""
         assert isinstance(self._polled, LeadshineHwMotor)
         return self._polled
 
@@ -40,16 +40,16 @@ class LeadshineMotor(PolledMotor):
 def build(
     bus: "ByteLine", settings: Mapping[str, object], model: "MotorModel", runtime: "Runtime"
 ) -> LeadshineMotor:
-    """The motor that a table of settings describes (entry point `motorhil.adaptations`).
+    """Return the motor described by a settings table (entry point `motorhil.adaptations`).
 
     Args:
-        bus: the line that the drive is on.
-        settings: `unit`; `name` (None: the model's); `timeout_s`, for an answer [s].
-        model: the motor's; its gear ratio must be given.
-        runtime: where it waits.
+        bus: the line of the drive.
+        settings: `unit`; `name` (None: the model's); `timeout_s`, the response timeout [s].
+        model: the motor model; its gear ratio must be given.
+        runtime: the runtime to wait with.
 
     Raises:
-        UsageError: a setting is unknown, missing, or wrong.
+        UsageError: a setting is unknown, missing or invalid.
     """
     hardware = shared_hardware(
         _SHARED,

@@ -1,13 +1,14 @@
-"""A drive with a path table ("PR mode": Leadshine, StepperOnline), as its registers show it.
+"""The hardware class of a drive with a path table ("PR mode").
 
-Position counts pulses; 0001h says how many make a turn of the motor, the motor model how many turns
-of the motor make one of the output. Velocity is in whole rpm, acceleration in milliseconds for a
-change of 1000 rpm: what is asked for is rounded so that no limit is exceeded.
+Leadshine and StepperOnline make such drives. Position counts pulses; 0001h holds the pulses per
+turn of the motor, the motor model the turns of the motor per turn of the output. Velocity is in
+integer rpm, acceleration in milliseconds for a change of 1000 rpm. Values are rounded so that no
+limit is exceeded.
 
-Motions use path 0. Its eighth register triggers, so that one request tells and starts a motion; it
-is sent once, whatever becomes of its answer.
+Motions use path 0. Its eighth register is the trigger, so one request defines and starts a motion.
+The request is sent only once, even if its answer is lost.
 
-Source: what several independent public drivers for these drives agree on.
+Source: the common subset of several independent public drivers for these drives.
 """
 
 from dataclasses import replace
@@ -49,7 +50,7 @@ _COMMAND_DONE: Final = 0x0010
 _PATH_DONE: Final = 0x0020
 _HOMED: Final = 0x0040
 
-_ABSOLUTE: Final = 0x0011  # and it interrupts what runs
+_ABSOLUTE: Final = 0x0011  # interrupts a running motion
 _VELOCITY: Final = 0x0012
 _RUN: Final = 0x010
 _HOME: Final = 0x020
@@ -57,7 +58,7 @@ _HERE_IS_ZERO: Final = 0x021
 _STOP: Final = 0x040
 _RESET_ALARM: Final = 0x1111
 
-# CiA 402 numbers of homing methods, and the drive's mode: switch and direction
+# CiA 402 homing methods, and the drive's mode: switch and direction
 _HOMING: Final = {17: 0x0000, 18: 0x0001, 19: 0x0005, 21: 0x0004}
 _HERE: Final = (None, 35, 37)
 _BOOT_S: Final = 3.0
@@ -69,16 +70,16 @@ _ALARMS: Final = {0x01: "over-current", 0x02: "over-voltage", 0x20: "following e
 
 @final
 class LeadshineHwMotor:
-    """One PR-mode drive. All logical motors and threads of a process share it.
+    """One PR-mode drive, shared by all logical motors and threads of a process.
 
     Args:
-        line: the line that it is on.
+        line: the line of the drive.
         unit: its server address.
-        runtime: where to wait.
-        timeout_s: how long to wait for an answer [s].
+        runtime: the runtime to wait with.
+        timeout_s: the response timeout [s].
 
     Raises:
-        UsageError: there is one for this drive already.
+        UsageError: a hardware object for this drive exists already.
     """
 
     def __init__(
@@ -87,12 +88,12 @@ class LeadshineHwMotor:
         self.registers: Final = ModbusUnit(line, unit, runtime, self, timeout_s)
         self.progress: Final = PolledProgress()
         self.users = 0
-        self._pulses = 0  # in a turn of the motor; 0: not asked yet
-        self._asked_at = (-1, 0)  # the standing then
+        self._pulses = 0  # per turn of the motor; 0: not read yet
+        self._asked_at = (-1, 0)  # `standing` at that time
         self._fault_since_ns = 0
         self._is_homed = False
         self._prepared: tuple[int, ...] = ()
-        self._ramp_told = ((-1, 0), 0)  # at which standing, and what [ms]
+        self._ramp_told = ((-1, 0), 0)  # `standing` at that time, and the ramp [ms]
         self._stop: Exchange | None = None
         self._quick_stopped = False
 
@@ -101,37 +102,37 @@ class LeadshineHwMotor:
 
     @property
     def runtime(self) -> "Runtime":
-        """Where it waits."""
+        """The runtime to wait with."""
         return self.registers.runtime
 
     @property
     def physical(self) -> "PhysicalMotor":
-        """The record of its motor."""
+        """The record of the physical motor."""
         return self.registers.physical
 
     @property
     def label(self) -> str:
-        """Its name for people."""
+        """The name of the hardware in messages."""
         return self.registers.label
 
     @property
     def is_closed(self) -> bool:
-        """Whether it can be used no more."""
+        """True if the hardware is closed."""
         return self.registers.is_closed
 
     @property
     def is_referenced(self) -> bool:
-        """Whether it says that it has been homed."""
+        """True if the drive reports that it has been homed."""
         return self._is_homed
 
     def close(self) -> None:
-        """It is used no more; closing again does nothing."""
+        """Close the hardware; further calls do nothing."""
         self.registers.close()
 
     # --- units ---------------------------------------------------------------------------------
 
     def connect(self, model: "MotorModel") -> None:
-        """It answers, and how many pulses make a turn is known."""
+        """Read the pulses per turn, unless they are known."""
         gear(model)
         standing = self.registers.standing
         if self._asked_at != standing:
@@ -140,18 +141,18 @@ class LeadshineHwMotor:
             self._asked_at = standing
 
     def _per_unit(self, model: "MotorModel") -> float:
-        """Pulses per U."""
+        """Return the pulses per U."""
         turns = 1.0 if model.kind is MotionKind.LINEAR else 1.0 / (2.0 * pi)
         return gear(model) * turns * self._pulses
 
     def _rpm_per_unit(self, model: "MotorModel") -> float:
-        """The speed of the motor [rpm] at 1 U/s."""
+        """Return the speed of the motor [rpm] at 1 U/s."""
         return abs(self._per_unit(model)) / self._pulses * 60.0
 
-    # --- what it says ----------------------------------------------------------------------------
+    # --- status ----------------------------------------------------------------------------------
 
     def poll(self, model: "MotorModel") -> Poll:
-        """Its state, position, speed and demand, each in a request of its own."""
+        """Read state, position, speed and demand, each in a separate request."""
         self.connect(model)
         registers, per_unit = self.registers, self._per_unit(model)
         position = registers.read_i32(_POSITION)
@@ -190,7 +191,7 @@ class LeadshineHwMotor:
     # --- power, fault, reference ------------------------------------------------------------------
 
     def enable(self) -> None:
-        """The motor has current."""
+        """Switch the motor current on."""
         self._quick_stopped = False
         self.registers.write(_ENABLE, 1)
         if not self.registers.read(_STATUS)[0] & _ENABLED:
@@ -202,16 +203,16 @@ class LeadshineHwMotor:
             )
 
     def disable(self) -> None:
-        """The motor has no current."""
+        """Switch the motor current off."""
         self.registers.write(_ENABLE, 0)
 
     def reset_fault(self) -> None:
-        """The alarm is reset, if its cause is gone."""
+        """Reset the alarm, if its cause is gone."""
         self.registers.write(_ENABLE, 0)
         self.registers.write(_CONTROL, _RESET_ALARM)
 
     def home(self, method: int | None, motor: str) -> None:
-        """Homing has begun: here (35, 37), or to a switch (17, 18: limit; 19, 21: home)."""
+        """Start homing: here (35, 37), or to a switch (17, 18: limit; 19, 21: home)."""
         if method in _HERE:
             self.registers.write(_TRIGGER, _HERE_IS_ZERO)
             return
@@ -227,11 +228,11 @@ class LeadshineHwMotor:
     # --- motion -----------------------------------------------------------------------------------
 
     def turn(self, model: "MotorModel") -> float:
-        """What one turn of the motor is, in its model's units."""
+        """Return one turn of the motor in its model's units."""
         return self._pulses / abs(self._per_unit(model))
 
     def quantised(self, motion: Motion, model: "MotorModel") -> Motion:
-        """The motion as the drive will make it."""
+        """Return the motion in the drive's resolution."""
         rpm_unit, per_unit = self._rpm_per_unit(model), self._per_unit(model)
         faster, slower = self._ramps(motion, rpm_unit)
         changed = replace(
@@ -246,7 +247,7 @@ class LeadshineHwMotor:
         return replace(changed, velocity=speed / rpm_unit, target=target)
 
     def prepare(self, motion: Motion, model: "MotorModel") -> None:
-        """Path 0 as it will be sent; nothing is sent yet but the stop's ramp, if it differs."""
+        """Prepare the request for path 0; send nothing but a changed ramp for stops."""
         self.connect(model)
         rpm_unit, per_unit = self._rpm_per_unit(model), self._per_unit(model)
         faster, slower = self._ramps(motion, rpm_unit)
@@ -263,7 +264,7 @@ class LeadshineHwMotor:
             path = (_ABSOLUTE, target >> 16, target, speed, faster, slower, 0, _RUN)
         ramp = self.registers.standing, slower
         if self._ramp_told != ramp:
-            self.registers.write(_QUICK_RAMP, slower)  # a stop slows down as the motion does
+            self.registers.write(_QUICK_RAMP, slower)  # a stop has the ramp of the motion
             self._ramp_told = ramp
         self._prepared = path
         self._stop = None
@@ -275,11 +276,11 @@ class LeadshineHwMotor:
         )
 
     def trigger(self) -> None:
-        """What was prepared is told and started by one request."""
+        """Send the prepared motion, and start it by the same request."""
         self.registers.write(_PATH_0, *self._prepared)
 
     def post_stop(self, quick: bool) -> None:
-        """The drive is told to stop; told again, if it did not answer and still moves."""
+        """Send a stop, and repeat it if the drive did not answer and still moves."""
         self._stop = self.registers.post(_TRIGGER, _STOP)
         self._quick_stopped |= quick
 

@@ -1,11 +1,11 @@
-"""What is asked on a line that speaks Modbus, and what of all that comes is the answer to it.
+"""Modbus exchanges, and recognition of answers in the received bytes.
 
-pymodbus decodes. On a serial line all that came since a request must be its answer, whole and with
-its check sum. On TCP what comes is a stream, read from one header to the next whatever is asked
-meanwhile: so half an answer that comes too late spoils nothing.
+pymodbus decodes. On a serial line, all bytes received since a request must be its answer, complete
+and with its check sum. On TCP, the bytes are a stream of ADUs, each read from its header. So half
+of a late answer does no harm.
 
-Source: MODBUS Messaging on TCP/IP Implementation Guide V1.0b, section 3.1.3 (MBAP); of what a
-response repeats of its request, MODBUS Application Protocol V1.1b3, sections 6.3, 6.6 and 6.12.
+Source: MODBUS Messaging on TCP/IP Implementation Guide V1.0b, section 3.1.3 (MBAP); for the request
+fields repeated in a response, MODBUS Application Protocol V1.1b3, sections 6.3, 6.6 and 6.12.
 """
 
 from typing import TYPE_CHECKING, Final, final
@@ -31,7 +31,7 @@ _HEARD_MAX: Final = 512  # bytes; more than any answer
 
 @final
 class Exchange:
-    """A request and, once it is over, its answer or what went wrong."""
+    """A request and, once it is over, its answer or its error."""
 
     __slots__ = (
         "answer",
@@ -52,7 +52,7 @@ class Exchange:
         self.request: Final = request
         self.unit: Final = unit
         self.timeout_s: Final = timeout_s
-        self.owned: Final = owned  # what must be ours when it goes out; None: nothing
+        self.owned: Final = owned  # must be ours when the request is sent; None: not required
         self.transaction = 0
         self.asked_ns = 0
         self.is_posted = False
@@ -62,7 +62,7 @@ class Exchange:
 
 
 def answers(answer: ModbusPDU, request: ModbusPDU) -> bool:
-    """Whether it may be the answer to this very request: as many registers, the same address."""
+    """Return whether it may answer this very request: same number of registers, same address."""
     if isinstance(answer, ExceptionResponse):
         return True
     if isinstance(request, ReadHoldingRegistersRequest):
@@ -76,9 +76,9 @@ def answers(answer: ModbusPDU, request: ModbusPDU) -> bool:
 
 @final
 class FrameReader:
-    """On a serial line.
+    """A reader of answers on a serial line.
 
-    Attributes: framer; heard (what came since the request, whatever it is).
+    Attributes: framer; heard (all bytes since the request).
     """
 
     def __init__(self) -> None:
@@ -86,11 +86,11 @@ class FrameReader:
         self.heard = b""
 
     def begin(self) -> None:
-        """A request goes out."""
+        """Forget received bytes, as a request is sent."""
         self.heard = b""
 
     def feed(self, data: bytes, exchange: Exchange | None) -> ModbusPDU | None:
-        """What these characters complete, of the unit and function that were asked."""
+        """Return the answer of the addressed unit and function that `data` completes, if any."""
         if exchange is None:
             return None
         heard = self.heard = (self.heard + data)[-_HEARD_MAX:]
@@ -101,9 +101,9 @@ class FrameReader:
 
 @final
 class StreamReader:
-    """On TCP.
+    """A reader of answers on TCP.
 
-    Attributes: framer; heard (what came since the request, but for answers to others).
+    Attributes: framer; heard (the bytes since the request, except answers to others).
     """
 
     def __init__(self) -> None:
@@ -112,17 +112,17 @@ class StreamReader:
         self._buffer = b""
 
     def begin(self) -> None:
-        """A request goes out."""
+        """Forget received bytes, as a request is sent."""
         self.heard = b""
 
     def feed(self, data: bytes, exchange: Exchange | None) -> ModbusPDU | None:
-        """The answer, if it is whole now."""
+        """Return the answer if `data` completes it."""
         self._buffer += data
         answer: ModbusPDU | None = None
         while len(self._buffer) > _HEAD:
             buffer = self._buffer
             length = int.from_bytes(buffer[4:6], "big")
-            if buffer[2:4] != b"\x00\x00" or length not in _LENGTHS:  # no Modbus: begin anew
+            if buffer[2:4] != b"\x00\x00" or length not in _LENGTHS:  # not Modbus: start again
                 self._buffer, self.heard = b"", buffer[:_HEARD_MAX]
                 return answer
             end = 6 + length
@@ -146,5 +146,5 @@ def _is_of(unit: int, function: int, exchange: Exchange) -> bool:
 def _decoded(framer: FramerRTU | FramerSocket, adu: bytes, exchange: Exchange) -> ModbusPDU | None:
     try:
         return framer.handleFrame(adu, exchange.unit, exchange.transaction)[1]
-    except (ModbusException, ValueError, IndexError):  # what is no frame pymodbus tells so
+    except (ModbusException, ValueError, IndexError):  # pymodbus raises these for an invalid frame
         return None

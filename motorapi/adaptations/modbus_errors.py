@@ -1,4 +1,4 @@
-"""What a Modbus server refuses, and what is no answer of one: leaves below PeerError."""
+"""Errors of Modbus servers: refusals and invalid answers, below PeerError."""
 
 # ruff: noqa: N818 -- the specification's names, and what happened
 
@@ -49,7 +49,7 @@ class ModbusExceptionResponse(PeerError):
 
 @final
 class ModbusProtocolViolation(PeerError):
-    """What came is no answer to the request.
+    """The received bytes are not an answer to the request.
 
     Attributes: line, unit, problem (in words), heard (the bytes).
     """
@@ -64,7 +64,7 @@ class ModbusProtocolViolation(PeerError):
 
 
 def is_silence(error: Exception) -> bool:
-    """Whether it says that a unit does not answer, by itself or in its gateway's words."""
+    """Return whether the error means that a unit does not answer, directly or behind a gateway."""
     if isinstance(error, ModbusExceptionResponse):
         return error.exception_code == GATEWAY_TARGET_FAILED
     return isinstance(error, DeadlineExceeded)

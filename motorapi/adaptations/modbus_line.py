@@ -1,17 +1,17 @@
-"""One host on one line that speaks Modbus: one exchange after another, in the order of asking.
+"""One host on one Modbus line: one exchange after another.
 
-pymodbus encodes and decodes; time, silence and deadlines are the runtime's. Nothing is ever sent
-twice: a request whose answer was lost may have been obeyed. What a caller cannot wait for (a stop
-from inside a callback) is posted: it goes out as soon as the line is silent, before all others.
+Exchanges take place in the order of the requests. pymodbus encodes and decodes; the runtime
+provides time, silence and deadlines. No request is sent twice: a request whose answer was lost may
+have been executed. A caller that cannot wait (a stop from inside a callback) *posts* its request.
+The request is sent as soon as the line is silent, before all others.
 
-On a serial line nothing tells a late answer from the answer to the next request. So after a
-request that was not answered in time the line is in *quarantine*: the next one waits until the
-late answer has come whole (it is dropped), or a bound has passed. What is posted does not wait for
-that. On TCP the transaction identifier tells, and a stream is read from one header to the next,
-whatever was asked meanwhile.
+On a serial line, a late answer looks like the answer to the next request. So after a request
+without an answer in time the line is in *quarantine*. The next request waits until the late answer
+has arrived completely (it is dropped), or a time limit has passed. Posted requests do not wait for
+that. On TCP the transaction identifier distinguishes answers, and the stream is read ADU by ADU.
 
-A line that is never silent, or that another process keeps, is not waited for without end: who asks
-is told, and what is posted goes out all the same.
+A line may never be silent, or another process may hold it. The wait for such a line is limited: a
+caller gets an error, and a posted request is sent anyway.
 """
 
 from collections import deque
@@ -35,20 +35,20 @@ if TYPE_CHECKING:
 _LOCKED_NS: Final = 1_000_000
 _AT_ONCE_S: Final = 1e-9
 _QUARANTINE_NS: Final = 500_000_000
-_PATIENCE_NS: Final = 2_000_000_000  # for the line, of who asks
-_URGENT_NS: Final = 100_000_000  # for silence, of what is posted
+_PATIENCE_NS: Final = 2_000_000_000  # for the line, of a waiting caller
+_URGENT_NS: Final = 100_000_000  # for silence, of a posted request
 
 
 class ByteLine(Protocol):
-    """A serial line, or a connection, as bytes."""
+    """A serial line or a TCP connection, as bytes."""
 
     @property
     def name(self) -> str:
-        """What messages call it."""
+        """The name in messages."""
 
     @property
     def framing(self) -> str:
-        """What requests are framed as: "rtu" or "tcp"."""
+        """The framing of requests: "rtu" or "tcp"."""
 
     @property
     def silence_ns(self) -> int:
@@ -56,25 +56,25 @@ class ByteLine(Protocol):
 
     @property
     def is_closed(self) -> bool:
-        """Whether either end has closed it."""
+        """True if either end has closed the line."""
 
     def duration_ns(self, characters: int) -> int:
-        """How long so many characters are on the line [ns]; 0 on TCP."""
+        """Return the duration of this number of characters on the line [ns]; 0 on TCP."""
 
     def send(self, data: bytes) -> None:
-        """These bytes go out now. Raises LinkError if the line does not take them."""
+        """Send these bytes now; raises LinkError if the line does not accept them."""
 
     def listen(self, on_data: Callable[[bytes, int], None]) -> Registration:
-        """`on_data(bytes, time_ns)` hears what comes; b"": the connection has ended."""
+        """Call `on_data(bytes, time_ns)` for received bytes; b"": the connection has ended."""
 
 
 @final
 class ModbusLine:
-    """The host's end of one line. Get one by `open_line`; it costs nothing to share.
+    """The host's end of one line; `open_line` returns a shared one.
 
     Attributes:
-        strays: answers that came to nothing that was asked, counted.
-        users: how many hardware objects use it.
+        strays: the number of answers that matched no request.
+        users: the number of hardware objects that use the line.
     """
 
     def __init__(self, line: ByteLine, runtime: Runtime, lock: "ProcessLock | None") -> None:
@@ -90,34 +90,34 @@ class ModbusLine:
         self._queue: deque[Exchange] = deque()
         self._active: Exchange | None = None
         self._transaction = 0
-        self._idle_ns = 0  # when the last exchange was over, with its quarantine
-        self._silent_ns = 0  # when the line was silent for long enough
-        self._owed: Exchange | None = None  # whose late answer may still come ...
+        self._idle_ns = 0  # end of the last exchange, with its quarantine
+        self._silent_ns = 0  # end of the required silence
+        self._owed: Exchange | None = None  # its late answer may still come ...
         self._owed_until_ns = 0  # ... until then
         self._timer: Registration | None = None
         self._registration = line.listen(self._hear)
         if lock is not None:
             self._set_reading(False)
 
-    # ---- asking ----
+    # ---- requests ----
 
     def ask(
         self, request: ModbusPDU, unit: int, timeout_s: float, owned: "Owned | None" = None
     ) -> ModbusPDU:
-        """The answer to a request; it goes out only while what it commands is `owned`, if told.
+        """Send a request and return its answer; with `owned`, only while that is owned.
 
         Raises:
-            MotorBusyError: it is not; nothing was sent.
-            ModbusExceptionResponse: the server refused it.
-            DeadlineExceeded: nothing came in time; whether it was obeyed is not known.
-            ModbusProtocolViolation: something else came, likewise.
+            MotorBusyError: it is not owned; nothing was sent.
+            ModbusExceptionResponse: the server refused the request.
+            DeadlineExceeded: no answer came in time; the request may have been executed.
+            ModbusProtocolViolation: the received bytes are not an answer; likewise.
             LinkError: the line is closed.
         """
         exchange = Exchange(request, unit, timeout_s, owned)
         exchange.asked_ns = self.runtime.now_ns()
         is_asked = False
 
-        def is_over() -> bool:  # of whoever waits one looks at a time, and no callback runs then
+        def is_over() -> bool:  # one condition is evaluated at a time, outside of callbacks
             nonlocal is_asked
             if not is_asked:
                 is_asked = True
@@ -128,7 +128,7 @@ class ModbusLine:
         try:
             self.runtime.wait_until(is_over)
         except BaseException:
-            with suppress(ValueError):  # it is out already
+            with suppress(ValueError):  # it may have been sent already
                 self._queue.remove(exchange)
             raise
         if exchange.error is not None:
@@ -137,7 +137,7 @@ class ModbusLine:
         return exchange.answer
 
     def post(self, request: ModbusPDU, unit: int, timeout_s: float) -> Exchange:
-        """As `ask`, before all that wait, and without waiting: a callback may do it."""
+        """Queue a request before all waiting ones, without waiting; callbacks may call it."""
         exchange = Exchange(request, unit, timeout_s)
         exchange.asked_ns, exchange.is_posted = self.runtime.now_ns(), True
         self._queue.appendleft(exchange)
@@ -145,7 +145,7 @@ class ModbusLine:
         return exchange
 
     def close(self) -> None:
-        """Nothing is sent or heard any more; who waits is told."""
+        """Close the line; waiting callers get an error."""
         self._registration.cancel()
         self._end_timer()
         closed = LinkError(link=self.name, reason="this line was closed")
@@ -156,10 +156,10 @@ class ModbusLine:
         self._active = None
         self._unlock()
 
-    # ---- one after another ----
+    # ---- queue ----
 
     def _go_on(self) -> None:
-        """The next request goes out, as soon as it may."""
+        """Send the next request, as soon as permitted."""
         if self._active is not None or not self._queue:
             return
         if self.line.is_closed:
@@ -181,7 +181,7 @@ class ModbusLine:
         except MotorError as error:
             self._end(exchange, None, error)
             return
-        except Exception as error:  # a line that breaks otherwise is no reason to wait for ever
+        except Exception as error:  # any other failure of the line also ends the exchange
             self._end(exchange, None, LinkError(link=self.name, reason=f"cannot send: {error}"))
             return
         on_line_s = self.line.duration_ns(len(adu)) / 1e9
@@ -198,7 +198,7 @@ class ModbusLine:
             exchange.owned.end_write()
 
     def _wait_ns(self, exchange: Exchange) -> int:
-        """How long it has to wait, at least [ns]; it was ended if it has waited for too long."""
+        """Return the time to wait, at least [ns]; end the exchange if it waited too long."""
         now_ns = self.runtime.now_ns()
         since_ns = max(exchange.asked_ns, self._idle_ns)
         silent_ns = self._silent_ns
@@ -213,7 +213,7 @@ class ModbusLine:
         if exchange.is_posted:
             return 0
         self._queue.remove(exchange)
-        why = "it is never silent" if silent_ns > now_ns else "another process keeps it"
+        why = "it is never silent" if silent_ns > now_ns else "another process holds it"
         exchange.error = DeadlineExceeded(
             awaited=f"{self.name}: its turn", timeout_s=_PATIENCE_NS / 1e9, last_heard=why
         )
@@ -221,7 +221,7 @@ class ModbusLine:
         return 1
 
     def _take_lock(self) -> bool:
-        """No other process has an exchange on this line; False: one has."""
+        """Take the lock between processes; return False if another process holds it."""
         if self._lock is None or self._hold is not None:
             return True
         from motorapi.errors import MotorBusyError
@@ -240,7 +240,7 @@ class ModbusLine:
             hold.release()
 
     def _set_reading(self, reads: bool) -> None:
-        """On a line that processes share, each reads what comes only in its own exchanges."""
+        """Enable reading only during our own exchanges, on a line shared by processes."""
         set_reading = getattr(self.line, "set_reading", None)
         if set_reading is not None:
             set_reading(reads)
@@ -255,8 +255,8 @@ class ModbusLine:
         self._timer = self._once(time_s, over)
 
     def _once(self, time_s: float, action: Callable[[], None]) -> Registration:
-        """`action` runs once, as a callback: while no other does, and nobody asks."""
-        is_over, timers = False, list[Registration]()  # empty yet, if it is over that soon
+        """Run `action` once, as a callback, while no other callback and no request runs."""
+        is_over, timers = False, list[Registration]()  # still empty if the timer expires at once
 
         def over() -> None:
             nonlocal is_over
@@ -285,7 +285,7 @@ class ModbusLine:
         answer = self._reader.feed(data, exchange or owed)
         if exchange is None:
             self.strays += 1
-            if answer is not None:  # the late one: nothing else can come
+            if answer is not None:  # the late answer: nothing else can come
                 self._leave_quarantine()
         elif answer is not None and answers(answer, exchange.request):
             self._end(exchange, answer, None)
@@ -297,7 +297,7 @@ class ModbusLine:
         heard, unit = self._reader.heard, exchange.unit
         error: MotorError
         if heard:
-            problem = "what came is no answer to the request"
+            problem = "the received bytes are not an answer to the request"
             error = ModbusProtocolViolation(line=self.name, unit=unit, problem=problem, heard=heard)
         else:
             error = DeadlineExceeded(
@@ -358,11 +358,11 @@ class UnitClient(ModbusClientMixin[ModbusPDU]):
         self.timeout_s: Final = timeout_s
 
     def execute(self, no_response_expected: bool, request: ModbusPDU) -> ModbusPDU:
-        """The answer. Raises as `ModbusLine.ask`."""
+        """Send a request and return its answer; raises as `ModbusLine.ask`."""
         return self.line.ask(request, self.unit, self.timeout_s)
 
 
-if TYPE_CHECKING:  # these are lines, or mypy says why not
+if TYPE_CHECKING:  # mypy checks that these classes implement ByteLine
     from motorapi.byte_lines import SerialLine, TcpLine
 
     _ON_THE_WALL: tuple[type[ByteLine], ...] = (SerialLine, TcpLine)

@@ -1,7 +1,7 @@
-"""One Modbus drive as a hardware object has it: its registers, and who may command it.
+"""The registers of one Modbus drive, and the ownership of its motor.
 
-Between processes two locks keep order, as on CAN: one says who may command the drive, one keeps
-the exchanges on its line apart.
+Two locks coordinate processes, as on CAN: one for the ownership of the drive, one for the exchanges
+on its line.
 """
 
 from collections.abc import Hashable
@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from motorapi.fencing import Owned
     from motorapi.runtime import Runtime
 
-_LINES: Final[dict[int, ModbusLine]] = {}  # by id(line), which stays its own while we hold it
+_LINES: Final[dict[int, ModbusLine]] = {}  # by id(line), which stays unique while we hold the line
 
 
 def _open(line: ByteLine, runtime: "Runtime") -> ModbusLine:
@@ -52,14 +52,14 @@ class ModbusUnit:
     """The registers of one unit, and the record of its motor.
 
     Args:
-        line: where it is.
-        unit: its server address, 1..247 (on TCP 255 too: the only one there).
-        runtime: where to wait.
-        hardware: the hardware object that speaks for the motor.
-        timeout_s: how long to wait for an answer.
+        line: the line of the unit.
+        unit: its server address, 1..247 (on TCP 255 too: the only unit there).
+        runtime: the runtime to wait with.
+        hardware: the hardware object of the motor.
+        timeout_s: the response timeout [s].
 
     Raises:
-        UsageError: there is a hardware object for it already, or no such unit.
+        UsageError: a hardware object for the unit exists already, or the address is not valid.
     """
 
     def __init__(
@@ -70,7 +70,7 @@ class ModbusUnit:
             raise UsageError(f"unit = {unit!r}: must be a server address, 1 to {highest}")
         own = getattr(line, "wall", getattr(line, "runtime", None))
         if own is not None and own is not runtime:
-            raise UsageError(f"{line.name} is read by another runtime: hand on the line's own")
+            raise UsageError(f"{line.name} is read by another runtime: use the line's own runtime")
         self.unit: Final = unit
         self.runtime: Final = runtime
         self.timeout_s: Final = timeout_s
@@ -82,10 +82,10 @@ class ModbusUnit:
         self._hardware = hardware
         self.line: Final = _open(line, runtime)
         self.is_closed = False
-        self.silences = 0  # how often it did not answer: each time it may have been without power
+        self.silences = 0  # number of missing answers; each may mean a loss of power
 
     def close(self) -> None:
-        """It is used no more; closing again does nothing."""
+        """Close the unit; further calls do nothing."""
         if not self.is_closed:
             self.is_closed = True
             release_physical_motor(self._key, self._hardware)
@@ -97,9 +97,9 @@ class ModbusUnit:
 
     @property
     def standing(self) -> tuple[int, int]:
-        """While this is the same nobody else had the motor, and it always answered.
+        """A token that is constant while the motor keeps its owner and always answers.
 
-        What was read of it, and what it was told, is true for so long only.
+        Values read from the drive, or written to it, are valid only that long.
         """
         return self.physical.token, self.silences
 
@@ -111,7 +111,7 @@ class ModbusUnit:
             raise
 
     def read(self, address: int, count: int = 1) -> list[int]:
-        """The contents of holding registers, 0 to FFFFh each.
+        """Return the contents of holding registers, 0 to FFFFh each.
 
         Raises: as `ModbusLine.ask`.
         """
@@ -128,7 +128,7 @@ class ModbusUnit:
         return list(answer.registers)
 
     def first_read(self, address: int, patience_s: float) -> int:
-        """One register of a drive that may still be starting: asked again until it answers.
+        """Return one register of a drive that may still be booting; repeat until it answers.
 
         Raises: as `read`, after `patience_s` [s].
         """
@@ -142,13 +142,14 @@ class ModbusUnit:
                     raise
 
     def read_i32(self, address: int) -> int:
-        """A signed 32-bit value, upper register first."""
+        """Return a signed 32-bit value, upper register first."""
         return as_i32(*self.read(address, 2))
 
     def write(self, address: int, *values: int) -> None:
-        """Holding registers from `address` on hold these; one alone by function 06h.
+        """Write holding registers from `address` on; a single one by function 06h.
 
-        A commanding write: it goes out only while this process owns the motor, if others can.
+        Writes are commands: they are sent only while this process owns the motor, if other
+        processes can own it.
 
         Raises: as `ModbusLine.ask`; MotorBusyError if the motor was taken over.
         """
@@ -157,7 +158,7 @@ class ModbusUnit:
         self._ask(request, self.physical.ownership)
 
     def post(self, address: int, *values: int) -> Exchange:
-        """As `write`, without waiting and whoever owns the motor: for stops."""
+        """Write without waiting and without owning the motor: for stops."""
         self._require_open()
         return self.line.post(self._request(address, values), self.unit, self.timeout_s)
 
@@ -169,11 +170,11 @@ class ModbusUnit:
 
 
 def as_i32(upper: int, lower: int) -> int:
-    """The signed number that two registers hold."""
+    """Return the signed number in two registers."""
     value = upper << 16 | lower
     return value - (1 << 32) if value & 0x8000_0000 else value
 
 
 def words(*values: int) -> tuple[int, ...]:
-    """32-bit numbers as registers, upper half first."""
+    """Return 32-bit numbers as registers, upper half first."""
     return tuple(half for value in values for half in (value >> 16 & 0xFFFF, value & 0xFFFF))

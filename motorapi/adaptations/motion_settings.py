@@ -1,7 +1,7 @@
-"""What a drive is to hold beside a motion's own mode, profile and target, when it begins.
+"""Objects to write to a drive when a motion begins.
 
-That is the logical motor's parameters; and what a motion needs for its time alone, which the drive
-has back afterwards: a slope of torque, a quick stop within the model's limit, the ramp of a halt.
+They are the logical motor's parameters, and settings for this motion alone: a torque slope, a quick
+stop within the model's limit, the ramp of a halt. The drive gets its own values back afterwards.
 """
 
 from motorapi.adaptations.cia402_hardware import Cia402HwMotor
@@ -19,15 +19,15 @@ from motorapi.commands import ControlVariable, Motion
 def settings_of(
     motion: Motion, parameters: Cia402Parameters, hardware: Cia402HwMotor, reader: DriveReader
 ) -> dict[Place, int]:
-    """By object, what the drive is to hold; of all others it has its own value.
+    """Return the values to write, by object; all other objects get the drive's own values.
 
     Raises:
-        LimitError: it does not fit the drive.
+        LimitError: a value does not fit the drive.
     """
     units = reader.known()[0]
     wanted = parameters.objects(units)
     if motion.function is not None:
-        # A quick stop in mid-stream is no harder than the model allows.
+        # A quick stop in mid-stream must not exceed the model's deceleration.
         own = hardware.parameters.own((0x6085, 0))
         if own is None:
             own = hardware.objects.read_optional(0x6085)
@@ -44,10 +44,10 @@ def settings_of(
 def _halt_settings(
     motion: Motion, hardware: Cia402HwMotor, reader: DriveReader
 ) -> dict[Place, int]:
-    """What makes a halt slow down as the motion says; nothing, if it says nothing of its own.
+    """Return the settings for a halt with the motion's own deceleration, if it has one.
 
-    605Dh = 1 is the motion's own ramp, 6084h; 2 is that of a quick stop, 6085h, which then is as
-    steep as the motion says, for its time.
+    605Dh = 1 selects the motion's own ramp, 6084h. 2 selects the quick stop ramp, 6085h, which is
+    set to the motion's deceleration meanwhile.
     """
     asked = motion.stop_deceleration
     if asked is None or hardware.objects.read_optional(HALT_OPTION) is None:
@@ -62,7 +62,7 @@ def _halt_settings(
 def window_of(
     parameters: Cia402Parameters, hardware: Cia402HwMotor, reader: DriveReader
 ) -> int | None:
-    """How near the target is reached [increments]; None: the drive does not say."""
+    """Return the position window of the target [increments], or None if the drive has none."""
     units, limits = reader.known()
     if parameters.position_window is not None:
         return parameters.objects(units)[0x6067, 0]

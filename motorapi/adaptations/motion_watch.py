@@ -1,7 +1,7 @@
-"""What statuswords say about one commanded motion: acknowledged, under way, over. Sans-I/O.
+"""Progress of one commanded motion, from statuswords (sans-I/O).
 
-A watch is told every statusword with the position that came with it. Bits that belong to what
-happened before the command (a target reached long ago, an attained homing) are never believed.
+A watch sees every statusword with the position received with it. Bits are ignored that belong to
+the time before the command (an old target reached, an attained homing).
 """
 
 from collections.abc import Callable
@@ -15,33 +15,33 @@ from motorapi.adaptations.cia402_objects import (
 )
 
 SETTLE_NS: Final = 20_000_000
-"""A drive may show bits of before for so long; any servo tick and TPDO latency is shorter."""
+"""The time for which a drive may show old bits [ns]; longer than any servo tick and TPDO latency.
+"""
 
 _STILL_INC: Final = 2
-_NEAR: Final = 4  # "most of the way": within this part of it
+_NEAR: Final = 4  # divisor of the distance: "most of the way"
 
 
 class MotionWatch(Protocol):
-    """Follows what was commanded last."""
+    """An observer of the last command."""
 
-    started_ns: int | None  # when the drive showed that it had begun; None: not yet
-    ended_ns: int | None  # when the drive showed that it was over; None: not yet
+    started_ns: int | None  # time of the drive's first sign of the motion; None: not yet
+    ended_ns: int | None  # time of the drive's sign of its end; None: not yet
     failed: bool
-    on_end: Callable[[], None] | None  # is called once, when `ended_ns` has been set
+    on_end: Callable[[], None] | None  # called once, when `ended_ns` has been set
 
     def see(self, statusword: int, position_inc: int, time_ns: int) -> None:
-        """A statusword came, with the position sampled with it."""
+        """Evaluate a statusword, with the position sampled with it."""
 
 
 @final
 class SetpointWatch:
     """One set-point in pp, or (without acknowledge) one target velocity in pv.
 
-    Over is when *target reached* rises after the start, with the position most of the way there (a
-    frame of before may have been delayed on its way). If it never was seen low (a move of zero
-    length, a drive that shows it late, lost frames), the motion is believed only once its own
-    duration has passed and the position is at the target: drives are known to show the bit of the
-    motion before for a while.
+    The motion is over when *target reached* rises after the start. The position must be most of the
+    way there, as an old frame may be delayed. The bit may never be seen low: a move of zero length,
+    a drive that shows it late, lost frames. As some drives show the old bit for a while, the motion
+    is then over once its own duration has passed and the position is at the target.
     """
 
     def __init__(
@@ -67,12 +67,12 @@ class SetpointWatch:
         self._seen_low = False
 
     def begin(self, time_ns: int) -> None:
-        """The command was on the wire."""
+        """Record the time when the command was on the wire."""
         if self.commanded_ns is None:
             self.commanded_ns = time_ns
 
     def see(self, statusword: int, position_inc: int, time_ns: int) -> None:
-        """A statusword came, with the position sampled with it."""
+        """Evaluate a statusword, with the position sampled with it."""
         if self.started_ns is None:
             if self._needs_acknowledge and not statusword & ACKNOWLEDGE:
                 return
@@ -103,7 +103,7 @@ class SetpointWatch:
 
 @final
 class RestWatch:
-    """Any way of stopping: over when the drive says so and the position stands still."""
+    """Any stop: over when the drive reports it and the position stands still."""
 
     def __init__(self, *, commanded_ns: int, needs_bit: bool) -> None:
         self.started_ns: int | None = commanded_ns
@@ -116,7 +116,7 @@ class RestWatch:
         self._still_since_ns = 0
 
     def see(self, statusword: int, position_inc: int, time_ns: int) -> None:
-        """A statusword came, with the position sampled with it."""
+        """Evaluate a statusword, with the position sampled with it."""
         if time_ns < self._commanded_ns or self.ended_ns is not None:
             return
         before = self._position_inc
@@ -133,13 +133,14 @@ class RestWatch:
 
 @final
 class StreamWatch:
-    """Set-points of the host's: no bit tells of their end, so the drive's own position does.
+    """A stream of set-points: its end shows in the position, as no bit reports it.
 
-    Over when the last set-point has been latched, its period has passed, and the position is
-    within the tolerance of it (None: stands still). If they failed: when the drive stands still.
+    The motion is over when the last set-point has been latched, its period has passed, and the
+    position is within the tolerance of it (None: stands still). If the stream failed, it is over
+    when the drive stands still.
 
     Attributes:
-        error: why there are no more set-points, short of the last; the drive was told to stop.
+        error: the reason why the stream ended before its last set-point; the drive was then halted.
     """
 
     def __init__(self, *, period_ns: int, tolerance_inc: int | None) -> None:
@@ -156,29 +157,29 @@ class StreamWatch:
         self._still_since_ns = 0
 
     def begin(self, time_ns: int) -> None:
-        """The SYNC that began it was on the wire."""
+        """Record the time when the SYNC that began the stream was on the wire."""
         self.started_ns = time_ns
 
     def arrive(self, target_inc: int | None, time_ns: int) -> None:
-        """The SYNC after the last set-point was on the wire; None: it goes on at its velocity."""
+        """Record the SYNC after the last set-point; `target_inc` None: the velocity continues."""
         if self._arrival_ns is None:
             self._target_inc = target_inc
             self._arrival_ns = time_ns + self._period_ns
 
     @property
     def has_arrived(self) -> bool:
-        """Whether `arrive` was called."""
+        """True if `arrive` was called."""
         return self._arrival_ns is not None
 
     def fail(self, error: Exception) -> None:
-        """There are no more set-points; the drive brakes."""
+        """Record that the stream has failed; the drive brakes."""
         if self.error is None and self.ended_ns is None:
             self.failed = True
             self.error = error
-            self._position_inc = None  # it stands still only if it does so from now on
+            self._position_inc = None  # standstill counts only from now on
 
     def see(self, statusword: int, position_inc: int, time_ns: int) -> None:
-        """A statusword came, with the position sampled with it."""
+        """Evaluate a statusword, with the position sampled with it."""
         if self.ended_ns is not None:
             return
         before = self._position_inc
@@ -206,8 +207,8 @@ class StreamWatch:
 class HomingWatch:
     """One homing (statusword bits 10, 12 and 13 in hm).
 
-    *Homing attained* counts once it was seen low since the start, or has been shown for longer
-    than a drive may show old bits: a homing before leaves it set.
+    A previous homing leaves *homing attained* set. The bit counts once it was seen low since the
+    start, or has been shown for longer than a drive may show old bits.
     """
 
     def __init__(
@@ -227,7 +228,7 @@ class HomingWatch:
         self._fresh = False
 
     def see(self, statusword: int, position_inc: int, time_ns: int) -> None:
-        """A statusword came, with the position sampled with it."""
+        """Evaluate a statusword, with the position sampled with it."""
         if time_ns < self._commanded_ns or self.ended_ns is not None:
             return
         if self.started_ns is None:

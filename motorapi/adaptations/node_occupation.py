@@ -1,7 +1,8 @@
-"""Whose servos run on an I/O node: those of one process, however many motors there are on it.
+"""Occupation of an I/O node by the servos of one process.
 
-Its outputs share frames, and its digital outputs one byte; so whoever commands one of its motors
-commands the node. It is occupied as long as a servo of this process is on, and as outputs are sent.
+The outputs of a node share frames, and its digital outputs one byte. So a process that commands one
+of its motors commands the whole node. The node is occupied while a servo of this process is on, and
+while outputs are sent.
 """
 
 from collections.abc import Iterator
@@ -21,11 +22,11 @@ if TYPE_CHECKING:
 
 @final
 class NodeOccupation:
-    """One node, as a process has it for its servos.
+    """The occupation of one node by this process.
 
     Attributes:
-        fence: lets out what commands the node; None: no other process can take it over.
-        outputs: the same for what its servos send by themselves, under one occupation.
+        fence: the fence for frames that command the node; None: no other process can take it over.
+        outputs: the fence for the servos' own frames, under one occupation.
     """
 
     def __init__(self, lock: "ProcessLock | None", bus: "can.BusABC", node: "DriveNode") -> None:
@@ -41,28 +42,28 @@ class NodeOccupation:
 
     @property
     def is_here(self) -> bool:
-        """Whether this process has it."""
+        """True if this process occupies the node."""
         hold = None if self._lock is None else self._lock.hold
         return hold is not None and hold.owner is self
 
     def begin_write(self, asker: str = "") -> int:
-        """See `motorapi.fencing.Owned`; for the lock that there is."""
+        """Begin a write under the lock; see class `Owned`."""
         assert self._lock is not None
         return self._lock.begin_write(asker)
 
     def end_write(self) -> None:
-        """See `begin_write`."""
+        """End a write; see `begin_write`."""
         assert self._lock is not None
         self._lock.end_write()
 
     def occupy(self, *, take_over: bool = False) -> "Hold | None":
-        """The node is this process's, until what is returned is released.
+        """Occupy the node for this process, until the returned handle is released.
 
         Args:
-            take_over: also where another process's servo runs on it, which then ends.
+            take_over: take the node over from another process; its servo then ends.
 
         Raises:
-            MotorBusyError: another process's servo runs on it; says whose.
+            MotorBusyError: another process's servo runs on the node; the message names it.
         """
         lock = self._lock
         if lock is None or self.fence is None:
@@ -85,7 +86,7 @@ class NodeOccupation:
 
     @contextmanager
     def occupied(self, *, take_over: bool = False) -> Iterator[None]:
-        """The node is this process's inside the block. As `occupy`."""
+        """Occupy the node inside the block, as `occupy` does."""
         hold = self.occupy(take_over=take_over)
         try:
             yield

@@ -1,6 +1,6 @@
 """The adaptation of the motor interface to AZ drives (Oriental Motor).
 
-| command                                  | what the drive is told                             |
+| command                                  | request to the drive                               |
 | ---------------------------------------- | -------------------------------------------------- |
 | set-point or simple trajectory, position | operation type 1, absolute; one request starts it  |
 | set-point or simple trajectory, velocity | operation type 16, continuous                      |
@@ -28,11 +28,11 @@ _SHARED: Final[Shared[OrientalAzHwMotor]] = Shared("drive")
 
 @final
 class OrientalAzMotor(PolledMotor):
-    """A logical motor on an AZ drive. Any number of them may share one hardware object."""
+    """A logical motor on an AZ drive; any number of them may share one hardware object."""
 
     @property
     def hardware(self) -> OrientalAzHwMotor:
-        """The drive, with all it is able to do."""
+        """The hardware object of the drive."""
         assert isinstance(self._polled, OrientalAzHwMotor)
         return self._polled
 
@@ -40,16 +40,16 @@ class OrientalAzMotor(PolledMotor):
 def build(
     bus: "ByteLine", settings: Mapping[str, object], model: "MotorModel", runtime: "Runtime"
 ) -> OrientalAzMotor:
-    """The motor that a table of settings describes (entry point `motorhil.adaptations`).
+    """Return the motor described by a settings table (entry point `motorhil.adaptations`).
 
     Args:
-        bus: the line that the drive is on.
-        settings: `unit`; `name` (None: the model's); `timeout_s`, for an answer [s].
-        model: the motor's; its gear ratio must be given.
-        runtime: where it waits.
+        bus: the line of the drive.
+        settings: `unit`; `name` (None: the model's); `timeout_s`, the response timeout [s].
+        model: the motor model; its gear ratio must be given.
+        runtime: the runtime to wait with.
 
     Raises:
-        UsageError: a setting is unknown, missing, or wrong.
+        UsageError: a setting is unknown, missing or invalid.
     """
     hardware = shared_hardware(
         _SHARED,

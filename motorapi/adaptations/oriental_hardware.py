@@ -1,11 +1,11 @@
-"""An AZ drive (Oriental Motor), as its registers show it: direct data operation.
+"""The hardware class of an AZ drive (Oriental Motor): direct data operation.
 
-Position counts steps, 1000 times the electronic gear to a turn of the motor; the motor model says
-how many turns of the motor make one of the output. One request of sixteen registers tells and
-starts a motion; it is sent once, whatever becomes of its answer. A stop is an operation type of the
-same block.
+Position counts steps, 1000 times the electronic gear per turn of the motor; the motor model gives
+the turns of the motor per turn of the output. One request of sixteen registers defines and starts a
+motion. The request is sent only once, even if its answer is lost. A stop is an operation type of
+the same block.
 
-Source: an open-source master for these drives, and the maker's emulator's description.
+Source: an open-source master for these drives, and the description of the maker's emulator.
 """
 
 from dataclasses import replace
@@ -60,8 +60,8 @@ _INT32_MAX: Final = 0x7FFF_FFFF
 _BOOT_S: Final = 3.0
 _RELEASE_S: Final = 0.5
 _POLL_S: Final = 0.005
-_NEAR: Final = 0.02  # of the speed commanded
-_COARSE_HZ: Final = 1000  # a step of the speed measured each millisecond
+_NEAR: Final = 0.02  # of the commanded speed
+_COARSE_HZ: Final = 1000  # resolution of the speed measured each millisecond
 _ALARMS: Final = {
     0x10: "excessive position deviation",
     0x20: "overcurrent",
@@ -76,16 +76,16 @@ _ALARMS: Final = {
 
 @final
 class OrientalAzHwMotor:
-    """One AZ drive. All logical motors and threads of a process share it.
+    """One AZ drive, shared by all logical motors and threads of a process.
 
     Args:
-        line: the line that it is on.
+        line: the line of the drive.
         unit: its server address.
-        runtime: where to wait.
-        timeout_s: how long to wait for an answer [s].
+        runtime: the runtime to wait with.
+        timeout_s: the response timeout [s].
 
     Raises:
-        UsageError: there is one for this drive already.
+        UsageError: a hardware object for this drive exists already.
     """
 
     def __init__(
@@ -94,15 +94,15 @@ class OrientalAzHwMotor:
         self.registers: Final = ModbusUnit(line, unit, runtime, self, timeout_s)
         self.progress: Final = PolledProgress()
         self.users = 0
-        self._steps = 0.0  # in a turn of the motor; 0: not asked yet
-        self._asked_at = (-1, 0)  # the standing then
+        self._steps = 0.0  # per turn of the motor; 0: not read yet
+        self._asked_at = (-1, 0)  # `standing` at that time
         self._fault_since_ns = 0
-        self._is_enabled = False  # by us: the drive excites its motor by itself at power-on
+        self._is_enabled = False  # by us: the drive excites its motor at power-on without a command
         self._quick_stopped = False
         self._prepared: tuple[int, ...] = ()
-        self._told: tuple[tuple[int, ...], ...] = ()  # the blocks of which it holds one
+        self._told: tuple[tuple[int, ...], ...] = ()  # the drive holds one of these blocks
         self._deceleration = 1_000_000
-        self._hz: int | None = None  # commanded; None: a motion of position
+        self._hz: int | None = None  # commanded; None: a position motion
         self._stop: Exchange | None = None
 
     def __repr__(self) -> str:
@@ -110,37 +110,37 @@ class OrientalAzHwMotor:
 
     @property
     def runtime(self) -> "Runtime":
-        """Where it waits."""
+        """The runtime to wait with."""
         return self.registers.runtime
 
     @property
     def physical(self) -> "PhysicalMotor":
-        """The record of its motor."""
+        """The record of the physical motor."""
         return self.registers.physical
 
     @property
     def label(self) -> str:
-        """Its name for people."""
+        """The name of the hardware in messages."""
         return self.registers.label
 
     @property
     def is_closed(self) -> bool:
-        """Whether it can be used no more."""
+        """True if the hardware is closed."""
         return self.registers.is_closed
 
     @property
     def is_referenced(self) -> bool:
-        """Always: its encoder is absolute."""
+        """Always True: the encoder is absolute."""
         return True
 
     def close(self) -> None:
-        """It is used no more; closing again does nothing."""
+        """Close the hardware; further calls do nothing."""
         self.registers.close()
 
     # --- units ---------------------------------------------------------------------------------
 
     def connect(self, model: "MotorModel") -> None:
-        """It answers, and how many steps make a turn is known."""
+        """Read the steps per turn, unless they are known."""
         gear(model)
         standing = self.registers.standing
         if self._asked_at == standing:
@@ -154,19 +154,19 @@ class OrientalAzHwMotor:
         self._asked_at = standing
 
     def _remembers(self) -> bool:
-        """Whether it holds what it was told last: it has forgotten, if it was without power."""
+        """Return whether the drive holds our last block; a loss of power clears it."""
         held = tuple(self.registers.read(_BLOCK, _TRIGGER_AT))
         return held in [block[:_TRIGGER_AT] for block in self._told]
 
     def _per_unit(self, model: "MotorModel") -> float:
-        """Steps per U."""
+        """Return the steps per U."""
         turns = 1.0 if model.kind is MotionKind.LINEAR else 1.0 / (2.0 * pi)
         return gear(model) * turns * self._steps
 
-    # --- what it says ----------------------------------------------------------------------------
+    # --- status ----------------------------------------------------------------------------------
 
     def poll(self, model: "MotorModel") -> Poll:
-        """Its state, position, speed and demand, each in a request of its own."""
+        """Read state, position, speed and demand, each in a separate request."""
         self.connect(model)
         registers, per_unit = self.registers, self._per_unit(model)
         position = registers.read_i32(_POSITION)
@@ -194,7 +194,7 @@ class OrientalAzHwMotor:
         )
 
     def _is_at(self, speed: int, hz: int) -> bool:
-        """Whether it goes at `hz`; what is measured is coarse, so a slow one by its demand."""
+        """Return whether the speed is `hz`, for low speeds by their demand."""
         if abs(speed - hz) <= max(2.0, _NEAR * abs(hz)):
             return True
         return abs(speed - hz) <= _COARSE_HZ and self.registers.read_i32(_SPEED_DEMAND) == hz
@@ -211,7 +211,7 @@ class OrientalAzHwMotor:
     # --- power, fault, reference ------------------------------------------------------------------
 
     def enable(self) -> None:
-        """The motor holds its position."""
+        """Switch the motor current on; the motor holds its position."""
         self._quick_stopped = False
         self.registers.write(_INPUTS, *words(0))
         end_ns = self.runtime.now_ns() + round(_RELEASE_S * 1e9)
@@ -226,19 +226,19 @@ class OrientalAzHwMotor:
         self._is_enabled = True
 
     def disable(self) -> None:
-        """The motor has no current (FREE)."""
+        """Switch the motor current off (FREE)."""
         self._is_enabled = False
         self.registers.write(_INPUTS, *words(_FREE))
 
     def reset_fault(self) -> None:
-        """The alarm is reset, if its cause is gone; the motor has no current."""
+        """Reset the alarm, if its cause is gone; the motor current stays off."""
         self._is_enabled = False
         self.registers.write(_INPUTS, *words(_FREE))
         self.registers.write(_PULSED_INPUTS, *words(_RESET))
         self.runtime.wait_until(lambda: False, _POLL_S)
 
     def home(self, method: int | None, motor: str) -> None:
-        """The position here is 0 (35, 37). Its encoder is absolute: there is no search."""
+        """Define the present position as 0 (35, 37); an absolute encoder needs no search."""
         if method not in _HERE:
             feature = f"homing by method {method}"
             raise UnsupportedError(motor=motor, feature=feature, supported="35 and 37")
@@ -247,11 +247,11 @@ class OrientalAzHwMotor:
     # --- motion -----------------------------------------------------------------------------------
 
     def turn(self, model: "MotorModel") -> float:
-        """What one turn of the motor is, in its model's units."""
+        """Return one turn of the motor in its model's units."""
         return self._steps / abs(self._per_unit(model))
 
     def quantised(self, motion: Motion, model: "MotorModel") -> Motion:
-        """The motion as the drive will make it."""
+        """Return the motion in the drive's resolution."""
         per_unit = self._per_unit(model)
         size = abs(per_unit)
         changed = replace(
@@ -265,7 +265,7 @@ class OrientalAzHwMotor:
         return replace(changed, velocity=_down(motion.velocity * size) / size, target=target)
 
     def prepare(self, motion: Motion, model: "MotorModel") -> None:
-        """The block as it will be sent; nothing is sent yet."""
+        """Prepare the block; nothing is sent yet."""
         self.connect(model)
         per_unit = self._per_unit(model)
         size = abs(per_unit)
@@ -285,15 +285,15 @@ class OrientalAzHwMotor:
         self._stop = None
 
     def trigger(self) -> None:
-        """What was prepared is told and started by one request."""
+        """Send the prepared motion, and start it by the same request."""
         self._tell(self._prepared)
         self.registers.write(_BLOCK, *self._prepared)
 
     def _tell(self, block: tuple[int, ...]) -> None:
-        self._told = (*self._told[-1:], block)  # the one before, if this one gets lost
+        self._told = (*self._told[-1:], block)  # the one before, in case this one is lost
 
     def post_stop(self, quick: bool) -> None:
-        """The drive is told to slow down; told again, if it did not answer and still moves."""
+        """Send a stop, and repeat it if the drive did not answer and still moves."""
         self._hz = None
         self._quick_stopped |= quick
         self._stop = self._post()

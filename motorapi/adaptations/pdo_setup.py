@@ -1,7 +1,7 @@
-"""PDOs of a drive as we need them, set up by SDO (CiA 301: PDO mapping procedure).
+"""PDO configuration of a drive by SDO (CiA 301: PDO mapping procedure).
 
-What is configured already is left alone, so that a second program on the same drive disturbs
-nobody; only what differs is written, and then in PRE-OPERATIONAL.
+PDOs that are already configured are left unchanged, so that a second program on the same drive
+disturbs no other. Only differences are written, and then in PRE-OPERATIONAL.
 """
 
 from collections.abc import Sequence
@@ -30,7 +30,7 @@ _SLOTS: Final = 4
 @final
 @dataclass(frozen=True, slots=True)
 class PdoWish:
-    """One PDO as it shall be. `number` counts from 1; times as in the object (100 us, ms)."""
+    """One requested PDO; `number` counts from 1; times as in the object (100 us, ms)."""
 
     transmit: bool
     number: int
@@ -41,7 +41,7 @@ class PdoWish:
 
     @property
     def name(self) -> str:
-        """What messages call it."""
+        """The name in messages."""
         return f"{'TPDO' if self.transmit else 'RPDO'} {self.number}"
 
     @property
@@ -53,7 +53,7 @@ class PdoWish:
 @final
 @dataclass(frozen=True, slots=True)
 class PdoFound:
-    """One PDO as the drive has it. `inhibit_100us` and `event_ms` are None where there is none."""
+    """One PDO of the drive; `inhibit_100us` and `event_ms` are None if the object is missing."""
 
     cob_id: int
     transmission: int
@@ -63,11 +63,11 @@ class PdoFound:
 
     @property
     def is_valid(self) -> bool:
-        """Whether the drive uses it."""
+        """True if the drive uses the PDO."""
         return not self.cob_id & _INVALID
 
     def fulfils(self, wish: PdoWish) -> bool:
-        """Whether nothing needs to be written."""
+        """Return whether the PDO is as requested, so that nothing has to be written."""
         return (
             self.is_valid
             and self.mapping == wish.mapping
@@ -78,7 +78,7 @@ class PdoFound:
 
 
 def find_pdo(node: DriveNode, *, transmit: bool, number: int) -> PdoFound | None:
-    """A PDO as the drive has it; None if it has none of that number."""
+    """Return a PDO of the drive, or None if it has none of that number."""
     index = (0x1800 if transmit else 0x1400) + number - 1
     cob_id = node.read_optional(index, 1)
     if cob_id is None:
@@ -99,11 +99,10 @@ def find_pdo(node: DriveNode, *, transmit: bool, number: int) -> PdoFound | None
 
 @final
 class PdoSetUp:
-    """Brings a drive's PDOs to what is wished, one by one; `finish` starts the node.
+    """The configuration of a drive's PDOs, one by one; `finish` starts the node.
 
     Attributes:
-        found: what the drive had, as far as it was looked at.
-        refusals: what it did not let us do, in words.
+        refusals: the settings that the drive refused, in words.
     """
 
     def __init__(self, node: DriveNode) -> None:
@@ -112,7 +111,7 @@ class PdoSetUp:
         self.refusals: list[str] = []
 
     def configure(self, wish: PdoWish) -> tuple[int, PdoFound] | None:
-        """(identifier, the PDO as it is now), or None if the drive does not allow it."""
+        """Return (identifier, resulting PDO), or None if the drive does not allow it."""
         node = self._node
         found = find_pdo(node, transmit=wish.transmit, number=wish.number)
         if found is None:
@@ -138,7 +137,7 @@ class PdoSetUp:
         return can_id, now
 
     def switch_off(self, number: int, *, keep: int | None) -> None:
-        """The drive does not send this TPDO, if it has it, unless its identifier is `keep`."""
+        """Disable this TPDO of the drive, unless its identifier is `keep`."""
         index = 0x1800 + number - 1
         cob_id = self._node.read_optional(index, 1)
         if cob_id is None or cob_id & _INVALID or cob_id & 0x7FF == keep:
@@ -150,7 +149,7 @@ class PdoSetUp:
             self.refusals.append(f"TPDO {number} stays on: {error}")
 
     def finish(self) -> None:
-        """The node is OPERATIONAL, PDOs run."""
+        """Start the node (OPERATIONAL), and so its PDOs."""
         self._node.link.nmt(0x01, self._node.node_id)
 
     def _pause(self) -> None:
@@ -160,7 +159,7 @@ class PdoSetUp:
             self._node.link.nmt(0x80, self._node.node_id)
 
     def _identifier(self, wish: PdoWish, found: PdoFound) -> int:
-        """The identifier the drive uses, or the predefined one (CiA 301) if that is no PDO's."""
+        """Return the identifier of the PDO, or the predefined one (CiA 301) if it is invalid."""
         can_id = found.cob_id & 0x7FF
         if 0x181 <= can_id <= 0x57F:
             return can_id
@@ -189,7 +188,7 @@ class PdoSetUp:
         self._download(index, 0, len(mapping), 1)
 
     def _try_to_restore(self, wish: PdoWish, found: PdoFound) -> None:
-        """As it was before, as far as the drive allows."""
+        """Restore the previous PDO, as far as the drive allows."""
         index = wish.communication
         try:
             self._map(index + 0x200, found.mapping)
@@ -203,7 +202,7 @@ class PdoSetUp:
 
 
 def usable_as_it_is(node: DriveNode, wanted: Sequence[int]) -> tuple[int, PdoFound] | None:
-    """(identifier, TPDO) of a TPDO that brings all of `wanted` by itself, as the drive has it."""
+    """Return (identifier, TPDO) of an event-driven TPDO that contains all of `wanted`."""
     for number in range(1, _SLOTS + 1):
         found = find_pdo(node, transmit=True, number=number)
         if found is None or not found.is_valid or found.transmission < 254:

@@ -1,4 +1,4 @@
-"""What the `build` of each kind of polled drive does: a table of settings becomes hardware."""
+"""Shared part of the `build` functions of polled drives."""
 
 from collections.abc import Callable, Mapping
 from typing import TYPE_CHECKING, Final, Protocol, TypeVar
@@ -11,30 +11,30 @@ if TYPE_CHECKING:
     from motorapi.adaptations.modbus_unit import ModbusUnit
 
 BUS_KINDS: Final = ("modbus_rtu", "modbus_tcp")
-"""The `bus_kinds` of a `build` for drives on Modbus: what rigs may put them on."""
+"""The `bus_kinds` of a `build` for Modbus drives: the kinds of bus they may be on."""
 _KEYS: Final = ("name", "unit", "timeout_s")
 _TIMEOUT_S: Final = 0.2
 
 
 class ModbusHardware(Protocol):
-    """A hardware object of a Modbus drive, as far as building it goes."""
+    """A hardware object of a Modbus drive, as far as building is concerned."""
 
     users: int
 
     @property
     def registers(self) -> "ModbusUnit":
-        """Its registers."""
+        """The registers of the drive."""
 
     @property
     def label(self) -> str:
-        """Its name for people."""
+        """The name of the hardware in messages."""
 
     @property
     def is_closed(self) -> bool:
-        """Whether it can be used no more."""
+        """True if the hardware is closed."""
 
     def close(self) -> None:
-        """It is used no more."""
+        """Close the hardware; no motor can use it afterwards."""
 
 
 ModbusHardwareT = TypeVar("ModbusHardwareT", bound=ModbusHardware)
@@ -47,17 +47,17 @@ def shared_hardware(
     kind: str,
     make: Callable[[int, float], ModbusHardwareT],
 ) -> ModbusHardwareT:
-    """The hardware object that a table of settings describes, with one user more.
+    """Return the hardware object described by a settings table, and count one more user.
 
     Args:
-        shared: those of this kind that there are.
-        line: the line that the drive is on.
-        settings: `unit`; `name`; `timeout_s`, for an answer [s].
-        kind: what messages call the kind of motor: "a leadshine motor".
-        make: makes one, of its server address and timeout [s].
+        shared: the existing hardware objects of this kind.
+        line: the line of the drive.
+        settings: `unit`; `name`; `timeout_s`, the response timeout [s].
+        kind: the kind of motor in messages: "a leadshine motor".
+        make: makes a hardware object from its server address and timeout [s].
 
     Raises:
-        UsageError: a setting is unknown, missing, or wrong.
+        UsageError: a setting is unknown, missing or invalid.
     """
     refuse_unknown(settings, _KEYS, f"setting of {kind}")
     unit = settings.get("unit")

@@ -1,9 +1,9 @@
-"""A motor on a drive that must be asked: what adaptations to register drives have in common.
+"""The common part of adaptations to polled drives with registers.
 
-Such a drive makes its profiles itself and says nothing by itself. Its hardware object tells what it
-is (`Poll`), and carries out what is asked of it in its own units; here that becomes a motor. All
-targets are absolute, so that a command whose answer was lost can be looked for, and is never made
-twice.
+Such a drive makes its profiles itself, and sends nothing without a request. Its hardware object
+reports the status (`Poll`) and executes commands in the drive's own units; this module makes a
+motor of it. All targets are absolute, so that a command whose answer was lost can be verified, and
+is never executed twice.
 """
 
 from collections.abc import Callable
@@ -25,8 +25,8 @@ if TYPE_CHECKING:
 
 POLL_S: Final = 0.01
 _BEGIN_NS: Final = 100_000_000
-"""A drive may show what was before for so long."""
-_RESTS: Final = 2  # what one poll says is not of one instant
+"""The time for which a drive may show an old status [ns]."""
+_RESTS: Final = 2  # the values of one poll are not simultaneous
 _NEAR_TURNS: Final = 1 / 200  # a full step: no drive rounds a target by more
 _SUPPORTED: Final = (ControlVariable.POSITION, ControlVariable.VELOCITY)
 
@@ -34,12 +34,12 @@ _SUPPORTED: Final = (ControlVariable.POSITION, ControlVariable.VELOCITY)
 @final
 @dataclass(frozen=True, slots=True)
 class Poll:
-    """What a drive said of itself at `time_ns`, in SI units of the motor's.
+    """The status of a drive at `time_ns`, in SI units of the motor.
 
     Attributes:
-        is_moving: whether an operation goes on.
-        has_arrived: whether the last one is over, and where it should be.
-        at_velocity: whether the velocity is the one that was commanded.
+        is_moving: whether an operation is active.
+        has_arrived: whether the last operation is over, and at its target.
+        at_velocity: whether the velocity is the commanded one.
     """
 
     time_ns: int
@@ -55,7 +55,7 @@ class Poll:
 
 @final
 class Wanted(Enum):
-    """What tells the end of what goes on."""
+    """The condition that ends the active motion."""
 
     ARRIVAL = "arrival"
     VELOCITY = "velocity"
@@ -64,12 +64,11 @@ class Wanted(Enum):
 
 @final
 class PolledProgress:
-    """What is known of a physical motor, for all logical motors on it.
+    """The state of a physical motor, for all logical motors on it.
 
-    Attributes: poll (the last one since something was commanded), wanted (None: nothing goes on),
-    armed (what a trigger makes wanted), started_ns, ended_ns (of what was commanded last), armed_at
-    and target (it is to end there, or with that velocity; None: anywhere), rests (polls in a row
-    that showed no motion).
+    Attributes: poll (the last one since a command), wanted (None: no active motion), armed (the
+    value of `wanted` after the trigger), started_ns, ended_ns (of the last command), armed_at and
+    target (its target position or velocity; None: any), rests (consecutive polls without motion).
     """
 
     __slots__ = (
@@ -88,86 +87,86 @@ class PolledProgress:
 
 
 class PolledHardware(Protocol):
-    """What the motor asks of a drive's hardware object. Everything may wait, but the stops."""
+    """The interface of a polled drive's hardware object; all methods but the stops may wait."""
 
     @property
     def progress(self) -> PolledProgress:
-        """What is known of its motor."""
+        """The state of its motor."""
 
     @property
     def runtime(self) -> "Runtime":
-        """Where it waits."""
+        """The runtime to wait with."""
 
     @property
     def physical(self) -> "PhysicalMotor":
-        """The record of its motor."""
+        """The record of the physical motor."""
 
     @property
     def label(self) -> str:
-        """Its name for people."""
+        """The name of the hardware in messages."""
 
     @property
     def is_closed(self) -> bool:
-        """Whether it can be used no more."""
+        """True if the hardware is closed."""
 
     @property
     def is_referenced(self) -> bool:
-        """Whether it says that it knows where 0 is."""
+        """True if the drive reports that it is referenced."""
 
     def connect(self, model: "MotorModel") -> None:
-        """It answers, and what its units are is known; cheap when there is nothing to do."""
+        """Read the units of the drive; cheap if they are known."""
 
     def poll(self, model: "MotorModel") -> Poll:
-        """What it says now."""
+        """Read the present status."""
 
     def enable(self) -> None:
-        """The motor holds its position."""
+        """Switch the motor current on; the motor holds its position."""
 
     def disable(self) -> None:
-        """The motor has no current."""
+        """Switch the motor current off."""
 
     def reset_fault(self) -> None:
-        """The fault is acknowledged."""
+        """Reset the fault."""
 
     def home(self, method: int | None, motor: str) -> None:
-        """Homing has begun."""
+        """Start homing."""
 
     def quantised(self, motion: Motion, model: "MotorModel") -> Motion:
-        """The motion as the drive will make it; `connect` was called before."""
+        """Return the motion in the drive's resolution; requires `connect`."""
 
     def turn(self, model: "MotorModel") -> float:
-        """What one turn of the motor is, in its model's units; likewise."""
+        """Return one turn of the motor in its model's units; requires `connect`."""
 
     def prepare(self, motion: Motion, model: "MotorModel") -> None:
-        """All but the trigger is in the drive."""
+        """Prepare the motion, except for its trigger."""
 
     def trigger(self) -> None:
-        """What was prepared begins."""
+        """Start the prepared motion."""
 
     def post_stop(self, quick: bool) -> None:
-        """The drive is told to stop; neither waits nor asks whose the motor is."""
+        """Send a stop, without waiting and without owning the motor."""
 
 
 @final
 class _PolledTrigger:
-    """Starts one drive."""
+    """A trigger that starts one drive."""
 
     def __init__(self, motor: "PolledMotor") -> None:
         self._motor = motor
 
     def fire(self) -> None:
-        """The drive has acknowledged its trigger."""
+        """Start the motion; the drive acknowledges it."""
         self._motor.fire()
 
 
 class PolledMotor(Motor):
-    """The logical motor of a polled drive; an adaptation derives from it, to have its own name.
+    """The logical motor of a polled drive; each adaptation derives a class of its own name.
 
     Args:
-        hardware: speaks for the drive.
-        model: what is constant of the motor.
-        name: what messages and records call it; None: the model's name and where it is.
-        on_close: is called once, when the motor is closed.
+        hardware: the hardware object of the drive.
+        model: the constants of the motor.
+        name: the name in messages and records. None: the model's name and the place.
+        on_close: called once, when the motor is closed.
     """
 
     def __init__(
@@ -188,26 +187,26 @@ class PolledMotor(Motor):
         self._on_close = on_close
 
     def close(self) -> None:
-        """It is no longer used; closing again does nothing."""
+        """Close the motor; further calls do nothing."""
         on_close, self._on_close = self._on_close, None
         if on_close is not None:
             on_close()
 
-    # --- what it can do --------------------------------------------------------------------
+    # --- capabilities ----------------------------------------------------------------------
 
     def _supports(self, mode: ControlMode, variable: ControlVariable) -> bool:
         return variable in _SUPPORTED
 
     def _sync_offer(self) -> SyncOffer:
-        reason = "its line carries one request at a time: it is started by one of its own"
+        reason = "its line carries one request at a time: it is started by its own request"
         return SyncOffer(
             SyncLevel.SEQUENTIAL,
             self._polled.label,
             None,
             reason,
-            no_firing_bound="how long a Modbus exchange takes is not bounded",
-            no_start_bound="the drive's own cycle is not told",
-            no_end_bound="the drive's own clock is not told",
+            no_firing_bound="the duration of a Modbus exchange is not bounded",
+            no_start_bound="the drive's own cycle is not known",
+            no_end_bound="the drive's own clock is not known",
         )
 
     def _quantise(self, motion: Motion) -> Motion:
@@ -222,7 +221,7 @@ class PolledMotor(Motor):
         self._polled.connect(self.model)
 
     def _poll(self) -> Poll:
-        """What the drive says now, for all logical motors on it."""
+        """Read the present status, for all logical motors on the drive."""
         poll = self._polled.poll(self.model)
         state = self._polled.progress
         state.poll = poll
@@ -258,7 +257,7 @@ class PolledMotor(Motor):
         if poll.state is not MotorState.ENABLED:
             return poll.position
         if told.wanted is Wanted.ARRIVAL and told.target is not None and self._is_near(poll):
-            return told.target  # what it holds, as it was asked for: rounding must not add up
+            return told.target  # the held target as commanded: rounding must not accumulate
         return poll.demand
 
     def _read_following_error(self) -> float:
@@ -314,7 +313,7 @@ class PolledMotor(Motor):
 
     @final
     def fire(self) -> None:
-        """What was armed begins; for its trigger."""
+        """Start the armed motion; for its trigger."""
         self._polled.trigger()
         self._begun(self._polled.progress.armed, self._polled.progress.armed_at)
 
@@ -328,7 +327,7 @@ class PolledMotor(Motor):
         state.poll = None
 
     def _disarm(self) -> None:
-        """Nothing starts without a trigger."""
+        """Do nothing, as nothing starts without a trigger."""
 
     def _confirm(self, motion: Motion) -> None:
         self._poll()
@@ -353,7 +352,7 @@ class PolledMotor(Motor):
         return done
 
     def _is_short(self, poll: Poll) -> bool:
-        """Whether the drive rests, but not where, or how, it was told to."""
+        """Return whether the drive rests elsewhere than commanded, or at another velocity."""
         state = self._polled.progress
         if not poll.has_arrived or state.target is None:
             return False
@@ -364,16 +363,16 @@ class PolledMotor(Motor):
         return target is not None and abs(poll.demand - target) <= near
 
     def _refuse_interrupted(self, poll: Poll) -> None:
-        """Raises MotionInterrupted if what goes on was ended by the drive, or somebody else."""
+        """Raise MotionInterrupted if the drive or another program has ended the motion."""
         state = self._polled.progress
         began_ns = poll.time_ns if state.started_ns is None else state.started_ns
         moves = state.wanted in (Wanted.ARRIVAL, Wanted.VELOCITY)
         if not moves or poll.time_ns - began_ns < _BEGIN_NS or state.rests < _RESTS:
             return
         if poll.state is MotorState.DISABLED:
-            by = "somebody else, or the drive, which is disabled now"
+            by = "another program, or the drive, which is disabled now"
         elif self._is_short(poll):
-            by = f"somebody else, or an input of the drive: it rests at {poll.demand:g}"
+            by = f"another program, or an input of the drive: it rests at {poll.demand:g}"
         else:
             return
         raise MotionInterrupted(motor=self.name, by=by, at_ns=poll.time_ns)

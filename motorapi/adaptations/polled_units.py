@@ -1,4 +1,4 @@
-"""Rounding to what the registers of a polled drive hold, so that no limit is exceeded."""
+"""Rounding to the registers of a polled drive, without exceeding a limit."""
 
 from math import floor
 from typing import TYPE_CHECKING, Final
@@ -10,14 +10,16 @@ if TYPE_CHECKING:
     from motorapi.model import MotorModel
 
 _ROUNDING: Final = 1e-9
-"""So much below a whole number is that number: what was rounded before stays as it is."""
+"""The tolerance below an integer that counts as the integer, so that rounding twice changes
+nothing.
+"""
 
 
 def gear(model: "MotorModel") -> float:
-    """Motor turns per turn of the output, or per metre.
+    """Return the motor turns per turn of the output, or per metre.
 
     Raises:
-        UsageError: the model does not say.
+        UsageError: the model does not define them.
     """
     if model.gear_ratio is None:
         key = "motor_turns_per_m" if model.kind is MotionKind.LINEAR else "gear_ratio"
@@ -29,16 +31,16 @@ def gear(model: "MotorModel") -> float:
 
 
 def toward_zero(value: float) -> int:
-    """The whole number next to `value` that is no larger, either way."""
+    """Return the nearest integer towards 0."""
     size = floor(abs(value) + _ROUNDING)
     return size if value > 0 else -size
 
 
 def check_register(label: str, quantity: str, value: int, high: int, unit: str) -> None:
-    """A register of the drive `label` holds `value`.
+    """Check that a register of the drive `label` can hold `value`.
 
     Raises:
-        LimitError: it is above `high`; says of what, in the drive's own unit.
+        LimitError: the value is above `high`; the message gives the quantity in the drive's unit.
     """
     if value > high:
         raise LimitError(
@@ -48,5 +50,5 @@ def check_register(label: str, quantity: str, value: int, high: int, unit: str) 
             low=None,
             high=high,
             unit=unit,
-            reason="what the drive's register holds",
+            reason="the range of the drive's register",
         )

@@ -1,4 +1,4 @@
-"""Single CAN frames, as they are: what low-level access offers beside the objects of a device."""
+"""Single CAN frames for low-level access, beside the objects of a device."""
 
 from collections import deque
 from collections.abc import Collection
@@ -23,7 +23,7 @@ _KEPT_MAX: Final = 10_000
 @final
 @dataclass(frozen=True, slots=True)
 class RawFrame:
-    """One frame heard: identifier (11 bits, or 29 if `extended`), data, when it was complete."""
+    """One received frame: identifier (11 bits, or 29 if `extended`), data, time of completion."""
 
     can_id: int
     data: bytes
@@ -32,10 +32,10 @@ class RawFrame:
 
 
 def raw_frame(can_id: int, data: bytes, *, extended: bool) -> bytes:
-    """The Linux can_frame of an identifier of 11 bits, or 29 if `extended`, and up to 8 bytes.
+    """Return the Linux can_frame with an identifier of 11 bits (29 if `extended`) and 0 to 8 bytes.
 
     Raises:
-        UsageError: there is no such frame.
+        UsageError: the identifier or the data is not valid.
     """
     highest = 0x1FFF_FFFF if extended else 0x7FF
     if not isinstance(can_id, int) or not 0 <= can_id <= highest:
@@ -48,11 +48,11 @@ def raw_frame(can_id: int, data: bytes, *, extended: bool) -> bytes:
 
 @final
 class FrameInbox:
-    """Frames of others on a bus, from now on, oldest first (the last 10,000). `close` ends it.
+    """Frames of other nodes received from now on, oldest first (the last 10,000), until `close`.
 
     Args:
-        link: of the bus.
-        can_ids: identifiers to hear, of 11 or 29 bits; none: all of them.
+        link: the link of the bus.
+        can_ids: identifiers to receive, of 11 or 29 bits; none: all of them.
     """
 
     def __init__(self, link: "CanopenLink", can_ids: Collection[int]) -> None:
@@ -74,7 +74,7 @@ class FrameInbox:
             self._frames.append(RawFrame(can_id, data, time_ns, bool(word & _EFF)))
 
     def receive(self, timeout_s: float = 1.0) -> RawFrame:
-        """The next frame.
+        """Return the next frame.
 
         Raises:
             DeadlineExceeded: none came within `timeout_s` [s].
@@ -93,7 +93,7 @@ class FrameInbox:
         return frames.popleft()
 
     def close(self) -> None:
-        """Nothing more is heard."""
+        """Stop receiving."""
         self._registration.cancel()
 
     def __enter__(self) -> Self:

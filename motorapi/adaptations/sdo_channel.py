@@ -1,19 +1,20 @@
-"""SDO transfers by canopen's client, waiting in a Runtime. Importing this loads canopen.
+"""SDO transfers by canopen's client, waiting in a Runtime.
 
-canopen's client blocks on a queue and on the wall clock. Here it blocks in `Runtime.wait_until`,
-with a deadline of the runtime's own time, and never believes a stale answer:
+Importing this module loads canopen. canopen's client blocks on a queue and on the wall clock. Here
+it blocks in `Runtime.wait_until`, with a deadline of the runtime's time, and never accepts a stale
+answer:
 
-- An answer to another object or another service than the one asked for, or with the toggle bit of
-  the segment before, is counted and dropped, and so is one that came before the request itself was
-  on the wire. Buses repeat frames when their last bit is hit (ISO 11898-1), servers are slow.
-- After a request that was not answered in time the channel is in *quarantine*: the next request
-  waits until the late answer has come (it is dropped), the node has booted, or a bound has passed.
-  Without that, asking the same object again would return the old value. So it is after another
-  process has died in the middle of a transfer.
-- What stops a drive waits for none of this, nor for its turn: it is sent *at once*, and nobody
-  believes its answer. Until that has come, or a bound has passed, nothing is asked that it could be
-  taken to answer (a download of the same object); where such a thing is under way already, here or
-  in another process that hears the request, it is believed once both have been answered.
+- An answer to another object or service, or with the toggle bit of the segment before, is counted
+  and dropped. So is an answer that came before the request itself was on the wire. Buses repeat
+  frames when their last bit is disturbed (ISO 11898-1), and servers may be slow.
+- After a request without an answer in time the channel is in *quarantine*: the next request waits
+  until the late answer has come (it is dropped), the node has booted, or a time limit has passed.
+  Otherwise a second request for the same object would return the old value. The channel is also in
+  quarantine after another process has died in the middle of a transfer.
+- A stop waits neither for quarantine nor for its turn: it is sent *at once*, and its answer is not
+  evaluated. Until that answer has come, or a time limit has passed, no request is sent that it
+  could seem to answer (a download of the same object). If such a transfer is already active, here
+  or in another process that hears the request, its answer counts once both have been answered.
 """
 
 import struct
@@ -47,13 +48,17 @@ _OTHER_CLIENTS: Final = "another SDO client may be using this channel"
 class SdoChannel:
     """The default SDO channel of one node: 600h + node-ID there, 580h + node-ID back.
 
-    What is not wrapped here (block transfer, streams) canopen's own client does, inside `alone`.
+    For functions not wrapped here (block transfer, streams), use canopen's own client inside
+    `alone`.
 
     Attributes:
-        physical: whose low-level access keeps other threads out; None: nobody's.
-        process_lock: keeps the transfers of other processes apart; None: there are none.
-        before_writing: while the node is set up: raises if it may not be written to.
-        fence: lets downloads out only while the node is owned; None: nobody can take it over.
+        physical: the motor whose low-level access excludes other threads; None: no motor.
+        process_lock: the lock that separates the transfers of processes; None: there is one
+            process.
+        before_writing: called before writes while the node is set up; raises if they are not
+            permitted.
+        fence: the fence that permits downloads only while the node is owned; None: no other process
+            can take it over.
     """
 
     def __init__(
@@ -67,7 +72,7 @@ class SdoChannel:
         self._node_id = node_id
         self._quarantine_ns = round(quarantine_s * 1e9)
         self._client = ChannelClient(link, node_id, timeout_s)
-        self._abandoned = 0  # the token of the last hold whose holder before had died with it
+        self._abandoned = 0  # token of the last hold whose previous holder died with it
         self._lock = TurnLock(link.runtime)
         self._what = f"the SDO channel of node {node_id}"
         link.handle(RESPONSE_ID + node_id, self._client.heard)
@@ -75,9 +80,10 @@ class SdoChannel:
 
     @contextmanager
     def alone(self) -> Iterator[SdoClient]:
-        """The client of canopen, used by nobody else inside the block, and with no old answer due.
+        """Provide canopen's client, exclusively inside the block, and with no old answer due.
 
-        Its own errors, SdoAbortedError and SdoCommunicationError, leave the block as `upload`'s.
+        Its own errors, SdoAbortedError and SdoCommunicationError, leave the block as those of
+        `upload`.
         """
         with self._lock.turn(_TURN_TIMEOUT_S, self._what), ExitStack() as held:
             if self.physical is not None:
@@ -104,71 +110,74 @@ class SdoChannel:
                 client.end()
 
     def finish(self) -> None:
-        """What was under way is over, and who comes now has found out who may come.
+        """Wait for the active transfer; later callers check their permission first.
 
         Raises:
-            DeadlineExceeded: somebody keeps the channel.
+            DeadlineExceeded: another user keeps the channel.
         """
         with self._lock.turn(_TURN_TIMEOUT_S, self._what):
             pass
 
     @property
     def strays(self) -> int:
-        """How many answers came to nothing that was asked."""
+        """The number of answers that matched no request."""
         return self._client.strays
 
     def rebooted(self) -> None:
-        """The node has booted: what it was asked before is forgotten."""
+        """Forget earlier requests, as the node has booted."""
         self._client.rebooted()
 
     def upload(self, index: int, subindex: int = 0) -> bytes:
-        """The bytes of an object, read from the device.
+        """Return the bytes of an object, read from the device.
 
         Raises:
             SdoAborted: the device refused.
             DeadlineExceeded: it did not answer in time.
-            ProtocolViolation: it answered something else.
+            ProtocolViolation: its answer does not match the request.
         """
         return self._transfer(index, subindex, None)
 
     def download(self, index: int, subindex: int, data: bytes, *, stops: bool = False) -> None:
-        """`data` was written to an object of the device; what stops it, whoever owns it.
+        """Write `data` to an object of the device; with `stops`, without owning it.
 
-        Raises: as `upload`. After DeadlineExceeded it is not known whether the device has it.
-            MotorBusyError: somebody else owns the device by now.
+        After DeadlineExceeded it is not known whether the device has received the data.
+
+        Raises:
+            MotorBusyError: another program owns the device now.
+            SdoAborted, DeadlineExceeded, ProtocolViolation: as `upload`.
         """
         if not isinstance(data, bytes):
-            raise UsageError(f"{self._what}: data {data!r}: what is written are bytes")
+            raise UsageError(f"{self._what}: data {data!r}: must be bytes")
         self.check_writing()
         self._transfer(index, subindex, data, None if stops else self.fence)
 
     def send_at_once(
         self, index: int, subindex: int, data: bytes, fence: "Fence | None" = None
     ) -> "Transmission":
-        """`data` (1 to 4 bytes) is on its way to an object, in nobody's turn; does not wait.
+        """Send `data` (1 to 4 bytes) to an object without waiting, outside of any turn.
 
-        Whether the device took it is not told. A segmented transfer that is under way is lost.
+        The result is not reported. An active segmented transfer is lost.
 
         Raises:
-            LinkError: the bus does not take it.
-            MotorBusyError: the fence does not let it out.
+            LinkError: the bus does not accept the frame.
+            MotorBusyError: the fence refuses the frame.
         """
         until_ns = self._link.runtime.now_ns() + self._quarantine_ns
         return self._client.send_at_once(_PLACE.pack(index, subindex), data, fence, until_ns)
 
     def _asked_by_others(self, frame: bytes, time_ns: int) -> None:
-        """Somebody else's stop may not have waited for our turn: its answer is not for us."""
+        """Expect the answer to another program's stop, which may not have waited for our turn."""
         if frame[8] >> 5 == _INITIATE_DOWNLOAD and frame[9:12] == _CONTROLWORD:
             until_ns = self._link.runtime.now_ns() + self._quarantine_ns
             self._client.expect(_CONTROLWORD, until_ns)
 
     def check_writing(self) -> None:
-        """Raises MotorBusyError if the node is being set up, and another process owns it."""
+        """Raise MotorBusyError if the node is being set up, and another process owns it."""
         if self.before_writing is not None:
             self.before_writing()
 
     def _quarantine(self, until_ns: int) -> None:
-        """An answer may still come until then; nor does another process ask anything."""
+        """Send no request before `until_ns`, neither here nor in another process."""
         self._client.quarantine(until_ns)
         hold = None if self.process_lock is None else self.process_lock.hold
         if hold is not None:
@@ -179,14 +188,14 @@ class SdoChannel:
         runtime = self._link.runtime
         hold = lock.acquire(runtime, "an SDO transfer", _TURN_TIMEOUT_S, self)
         if hold.was_abandoned and hold.token != self._abandoned:
-            self._abandoned = hold.token  # one hold may be taken again and again
+            self._abandoned = hold.token  # one hold may be taken repeatedly
             self._client.quarantine(runtime.now_ns() + self._quarantine_ns)
         return hold
 
     def _transfer(
         self, index: int, subindex: int, data: bytes | None, fence: "Fence | None" = None
     ) -> bytes:
-        """An upload where there are no `data`."""
+        """Perform an upload (`data` None) or a download."""
         client = self._client
         try:
             place = _PLACE.pack(index, subindex)
@@ -222,7 +231,7 @@ class SdoChannel:
                     problem=f"{error} ({_OTHER_CLIENTS})",
                 ) from None
             except BaseException:
-                if client.is_under_way:  # interrupted in the middle: an answer is still to come
+                if client.is_under_way:  # interrupted in the middle: an answer is still due
                     self._quarantine(bound_ns)
                 raise
             finally:

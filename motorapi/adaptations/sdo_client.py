@@ -1,6 +1,7 @@
-"""canopen's SDO client, blocking in a Runtime. Importing this loads canopen.
+"""canopen's SDO client, blocking in a Runtime.
 
-What it makes of late answers, and of somebody else's: motorapi.adaptations.sdo_channel.
+Importing this module loads canopen. `SdoChannel` describes the treatment of late and foreign
+answers.
 """
 
 from collections import deque
@@ -47,7 +48,7 @@ class LinkNetwork(canopen.Network):
         self._link = link
 
     def send_message(self, can_id: int, data: bytes, remote: bool = False) -> None:
-        """The frame waits its turn on the link's bus."""
+        """Queue a frame on the link's bus."""
         if can_id > 0x7FF:
             can_id |= _EFF
         if remote:
@@ -57,19 +58,19 @@ class LinkNetwork(canopen.Network):
 
 @final
 class _NothingKnown(canopen.ObjectDictionary):
-    """A dictionary without entries: answers come as the bytes they are."""
+    """A dictionary without entries: answers are returned as bytes."""
 
     def __init__(self) -> None:
         super().__init__()  # type: ignore[no-untyped-call]  # canopen's
 
     def get_variable(self, index: int | str, subindex: int = 0) -> None:
-        """None; the inherited one takes longer to say so than a frame takes to decode."""
+        """Return None; the inherited method takes longer than the decoding of a frame."""
         return
 
 
 @final
 class NoAnswer(SdoCommunicationError):  # noqa: N818 -- never leaves the channel
-    """Nothing came in time."""
+    """No answer came in time."""
 
 
 @final
@@ -87,23 +88,23 @@ class ChannelClient(SdoClient):
         self._link = link
         self._runtime: Runtime = link.runtime
         self._request: Transmission | None = None
-        self.fence: Fence | None = None  # of the transfer, if it must own the node to write
-        self.is_under_way = False  # whether a request of the transfer has got out
-        self._offs = 0  # how often the bus had gone off before the request
+        self.fence: Fence | None = None  # of a transfer that requires ownership to write
+        self.is_under_way = False  # a request of the transfer has been sent
+        self._offs = 0  # number of bus-offs before the request
         self._opened = b""  # index and sub-index of the transfer
         self._opened_service = _UPLOAD
-        self.odd: bytes | None = None  # a frame during the transfer that was no answer to it
+        self.odd: bytes | None = None  # a frame during the transfer that was not its answer
         self._answers: deque[bytes] = deque()
         self._quarantine_ns: int | None = None
-        self._due: list[tuple[bytes, int]] = []  # places of answers nobody waits for; until when
+        self._due: list[tuple[bytes, int]] = []  # places of unawaited answers, and time limits
         self._held: list[bytes] = []  # answers that may be such ones
 
     # --- canopen's hooks
 
     def request_response(self, sdo_request: bytes | bytearray) -> bytes:
-        """The answer. A request is sent once: who asks again is the caller, after quarantine.
+        """Send a request once and return its answer; the caller may repeat it after quarantine.
 
-        The inherited one looks into a queue, which nothing comes into here, and takes its lock.
+        The inherited method reads a queue, which stays empty here, and takes its lock.
         """
         self.send_request(sdo_request)
         try:
@@ -113,14 +114,14 @@ class ChannelClient(SdoClient):
             raise
 
     def send_request(self, request: bytes | bytearray) -> None:
-        """The request is on its way; what came before it is no answer to it."""
+        """Send a request; earlier frames do not count as its answer."""
         data = bytes(request)
         service = data[0] >> 5
         if service in (_DOWNLOAD, _UPLOAD) or (
             service in (_BLOCK_UPLOAD, _BLOCK_DOWNLOAD) and not data[0] & 0x03  # its beginning
         ):
             self._opened = data[1:4]
-            if self._opened_service != _BLOCK_DOWNLOAD:  # of which any further frame may be data
+            if self._opened_service != _BLOCK_DOWNLOAD:  # any further frame of which may be data
                 self._opened_service = service
                 self.is_under_way = False
         self._answers.clear()
@@ -135,19 +136,19 @@ class ChannelClient(SdoClient):
             self._link.send_as(transmission, self.fence if self._commands(service) else None)
         except MotorBusyError:
             self._request = None
-            if self.is_under_way:  # the server waits for the rest, which it will never get
+            if self.is_under_way:  # the server waits for the rest, which will not come
                 self.is_under_way = False
                 self.abort(_NOT_NOW)
             raise
         self.is_under_way = True
 
     def _commands(self, service: int) -> bool:
-        """Whether a request of the service writes to the device; those of a block are bare data."""
+        """Return whether a request of the service writes, including frames of a block."""
         in_block = self._opened_service == _BLOCK_DOWNLOAD
         return in_block or service in (_DOWNLOAD, _DOWNLOAD_SEGMENT, _BLOCK_DOWNLOAD)
 
     def read_response(self) -> bytes:
-        """The answer, within the runtime's deadline."""
+        """Return the answer, within the runtime's deadline."""
         if not self._answers:
             self._runtime.wait_until(self._is_over, self.timeout_s)
         if not self._answers:
@@ -160,7 +161,7 @@ class ChannelClient(SdoClient):
         return answer
 
     def abort(self, abort_code: int = 0x0800_0000) -> None:
-        """The server is told that the transfer is over; what went wrong is raised, not logged."""
+        """Abort the transfer at the server; errors are raised, not logged."""
         self.send_request(
             bytearray(bytes((_ABORT,)) + self._opened + abort_code.to_bytes(4, "little"))
         )
@@ -171,7 +172,7 @@ class ChannelClient(SdoClient):
         return bool(self._answers) or self.booted or self._link.status.offs != self._offs
 
     def heard(self, frame: bytes, time_ns: int) -> None:
-        """A frame of the server; kept if it can be the answer to the request that waits."""
+        """Handle a frame of the server; keep it if it can answer the pending request."""
         request, data = self._request, frame[8:16]
         is_due = self._is_due(data[1:4], data[0])
         if is_due:
@@ -179,7 +180,7 @@ class ChannelClient(SdoClient):
         if request is None or (request.time_ns is None and self._link.confirms):
             self.strays += 1
             if not is_due:
-                self._quarantine_ns = None  # the late answer, most likely: nothing else can come
+                self._quarantine_ns = None  # most likely the late answer: nothing else can come
             return
         if not self._can_answer(data, request.frame[8]):
             self.strays += 1
@@ -187,19 +188,19 @@ class ChannelClient(SdoClient):
                 self.odd = data
             return
         self._held.append(data)
-        if not is_due:  # all have come, so that the first one is of the first request
+        if not is_due:  # all have come, so the first one answers the first request
             self.strays += len(self._held) - 1
             self._answers.append(self._held[0])
             self._held.clear()
 
     def expect(self, place: bytes, until_ns: int) -> None:
-        """A download of this object will be answered for which nobody waits here."""
+        """Expect an answer to a download of this object that no request here waits for."""
         self._due.append((place, until_ns))
 
     def send_at_once(
         self, place: bytes, data: bytes, fence: "Fence | None", until_ns: int
     ) -> Transmission:
-        """An expedited download goes out, in the middle of whatever goes on."""
+        """Send an expedited download, even during another transfer."""
         command = _DOWNLOAD << 5 | (4 - len(data)) << 2 | _EXPEDITED
         request = bytes((command,)) + place + data.ljust(4, b"\0")
         self.expect(place, until_ns)
@@ -210,7 +211,7 @@ class ChannelClient(SdoClient):
             raise
 
     def _is_due(self, place: bytes, command: int = _ABORT) -> bool:
-        """Whether an answer to a download of this object (b"": of any) comes for nobody."""
+        """Return whether an unawaited answer to a download of this object (b"": of any) is due."""
         if not self._due:  # nearly always
             return False
         now_ns = self._runtime.now_ns()
@@ -220,11 +221,12 @@ class ChannelClient(SdoClient):
         return any(not place or one[0] == place for one in self._due)
 
     def _can_answer(self, data: bytes, asked: int) -> bool:
-        """Whether this can be the answer to the command byte `asked` (CiA 301, SDO protocols)."""
+        """Return whether this can answer the command byte `asked` (CiA 301, SDO protocols)."""
         command = data[0]
         service = asked >> 5
         if command == _ABORT:
-            # One that names no object says that a server has no transfer: not the one just begun.
+            # An abort without an object means that the server has no transfer: not the one just
+            # begun.
             just_begun = service in (_DOWNLOAD, _UPLOAD)
             return data[1:4] == self._opened or (data[1:4] == _NO_PLACE and not just_begun)
         if service == _DOWNLOAD:
@@ -235,30 +237,30 @@ class ChannelClient(SdoClient):
             return command >> 5 == 1 and command & _TOGGLE == asked & _TOGGLE
         if service == _UPLOAD_SEGMENT:
             return command >> 5 == 0 and command & _TOGGLE == asked & _TOGGLE
-        return True  # block transfer: the client of canopen looks itself
+        return True  # block transfer: canopen's client checks it
 
     def odd_text(self) -> str:
-        """The frame that was no answer, in hex; and what is wrong with the bus."""
+        """Return the frame that was not an answer, in hex, and the trouble of the bus."""
         text = "nothing" if self.odd is None else self.odd.hex(" ").upper()
         trouble = self._link.status.trouble()
         return f"{text}; {trouble}" if trouble else text
 
     def is_odd_about_this(self) -> bool:
-        """Whether it was about the very object of the transfer, so that the server meant it."""
+        """Return whether the odd frame concerns the object of the transfer."""
         return self.odd is not None and self.odd[1:4] == self._opened
 
     def place(self) -> tuple[int, int]:
-        """(index, sub-index) of the transfer; 0 where none has begun."""
+        """Return (index, sub-index) of the transfer, or zeros if none has begun."""
         opened = self._opened.ljust(3, b"\0")
         return int.from_bytes(opened[:2], "little"), opened[2]
 
     def aborted(self, node_id: int, code: int) -> SdoAborted:
-        """The error of the interface for an abort of the transfer."""
+        """Return the interface's error for an abort of the transfer."""
         index, subindex = self.place()
         return SdoAborted(node_id=node_id, index=index, subindex=subindex, abort_code=code)
 
     def begin(self, place: bytes, fence: "Fence | None") -> None:
-        """A transfer of this object begins; it waits while an old answer may still come."""
+        """Begin a transfer of this object, once no old answer is due."""
         self._opened = place
         self._opened_service = _UPLOAD
         self.fence = fence
@@ -277,18 +279,18 @@ class ChannelClient(SdoClient):
             self.booted = False
 
     def end(self) -> None:
-        """The transfer is over: whatever comes now is stray."""
+        """End the transfer; later answers are strays."""
         self._request = None
 
     def _is_clean(self) -> bool:
         return self._quarantine_ns is None or self.booted
 
     def rebooted(self) -> None:
-        """The node has booted: it answers nothing that it was asked before."""
+        """Record a boot-up: the node no longer answers earlier requests."""
         self.booted = True
         self._due.clear()
 
     def quarantine(self, until_ns: int) -> None:
-        """An answer may still come until then."""
+        """Begin quarantine: an answer may still come until then."""
         self._request = None
         self._quarantine_ns = until_ns

@@ -1,4 +1,4 @@
-"""What starts a motion of servos on the host: the next SYNC, for one motor or for several."""
+"""The trigger that starts servos on the host at the next SYNC."""
 
 from typing import final
 
@@ -7,14 +7,14 @@ from motorapi.adaptations.software_cycle import Axis, Cycle
 
 @final
 class ServoTrigger:
-    """Starts one motor, or all that are armed together on a bus, at the next SYNC."""
+    """A trigger for one motor, or for all motors armed together on a bus."""
 
     def __init__(self, cycle: Cycle, axis: Axis | None) -> None:
         self._cycle = cycle
         self._axis = axis
 
     def fire(self) -> None:
-        """The SYNC with which they begin was on the wire."""
+        """Start the motors, and wait until their SYNC was on the wire."""
         cycle = self._cycle
         if self._axis is not None:
             cycle.start((self._axis,))

@@ -1,13 +1,13 @@
-"""What keeps processes apart that have the same CANopen node on a bus: two locks.
+"""Coordination of processes that use the same CANopen node.
 
-One says who may command the drive (`motorapi.ownership`). The other is short: it is had for one SDO
-transfer, or for one set-up, so that the answers to one process are never taken for the answers to
-another. A process that is paused inside it keeps all others from the drive's objects; they are told
-which one it is.
+Two locks coordinate them. The lock of the drive grants its command (class `Ownership`). The second
+lock is held briefly, for one SDO transfer or one set-up, so that each process receives only its own
+answers. A process that is paused inside it keeps all others from the drive's objects; their errors
+name it.
 
-The drive's dead-man watches the host, not one process of it: as long as any of them sends the
-host's heartbeat, a drive goes on moving for a process that died. So those who are left look after
-it: when its owner has died, and it moves, they halt it (`Guard`).
+The drive watches the heartbeat of the host, not of one process. While any process sends the host's
+heartbeat, a drive keeps moving for a process that died. So the remaining processes watch the drive:
+when its owner has died and it moves, they halt it (`Guard`).
 """
 
 import logging
@@ -39,7 +39,7 @@ _LOG: Final = logging.getLogger("motorapi")
 def node_locks(
     bus: "can.BusABC", runtime: "Runtime", node_id: int, label: str
 ) -> "tuple[ProcessLock, ProcessLock] | tuple[None, None]":
-    """(of the drive, of its SDO channel); none, if no other process can be on this bus."""
+    """Return the locks of the drive and of its SDO channel; None if the bus is not shared."""
     where = bus_name(bus) if can_share_time(runtime) else None
     if where is None:
         return None, None
@@ -49,10 +49,10 @@ def node_locks(
 
 @final
 class SharedNode:
-    """One drive, as a process shares it with others.
+    """One drive, shared with other processes.
 
     Attributes:
-        sdo_lock: of its SDO channel; None: no other process is on its bus.
+        sdo_lock: the lock of its SDO channel; None: no other process is on its bus.
     """
 
     def __init__(
@@ -64,7 +64,7 @@ class SharedNode:
         self._absences = 0
 
     def attach(self, node: "DriveNode", bus: "can.BusABC") -> NodeFence | None:
-        """The node's SDO channel is shared as it must be; the fence of what commands the drive."""
+        """Share the node's SDO channel, and return the fence for commands to the drive."""
         sdo, ownership = node.sdo, self._physical.ownership
         sdo.physical = self._physical
         sdo.process_lock = self.sdo_lock
@@ -77,16 +77,16 @@ class SharedNode:
 
     @property
     def is_as_we_left_it(self) -> bool:
-        """Whether no other process has had the drive since it was set up here."""
+        """True if no other process has owned the drive since it was set up here."""
         return self._absences == self._physical.ownership.absences
 
     @contextmanager
     def setting_up(self, sdo: "SdoChannel", timeout_s: float) -> Iterator[None]:
-        """No other process sets the drive up; what the block writes, it may write.
+        """Exclude other processes from setting up the drive, and permit the block to write.
 
         Raises:
-            MotorBusyError: another process does, for longer than `timeout_s` [s]; or something had
-                to be written, and another process owns the drive.
+            MotorBusyError: another process sets it up for longer than `timeout_s` [s], or a write
+                is necessary while another process owns the drive.
         """
         if self.sdo_lock is None:
             yield
@@ -105,9 +105,9 @@ class SharedNode:
 
 @final
 class Guard:
-    """Halts a drive that moves for a process that died, as long as nobody else has it.
+    """A guard that halts a drive moving for a process that died, while it has no new owner.
 
-    It does so only once this process has brought the drive up, for whatever reason.
+    The guard is active only once this process has brought the drive up.
     """
 
     def __init__(self, physical: PhysicalMotor, node: "DriveNode", control: "DriveControl") -> None:
@@ -116,10 +116,10 @@ class Guard:
         self._control = control
         self._before_inc: int | None = None
         self._told = 0
-        self._rested = 0  # the token of whom it need not be halted for any more
+        self._rested = 0  # token of an owner whose drive is at rest
 
     def look(self) -> None:
-        """Called every `LOOK_PERIOD_S`."""
+        """Check the drive; called every `LOOK_PERIOD_S`."""
         ownership = self._physical.ownership
         if ownership.lock is None or ownership.is_here:
             return
@@ -128,7 +128,7 @@ class Guard:
         is_on = self._node.state is PdsState.OPERATION_ENABLED
         if before_inc is None or not is_on or self._control.facts is None:
             return
-        with suppress(MotorError):  # the lock cannot be read, or the bus is gone: others tell that
+        with suppress(MotorError):  # Lock and bus errors are reported elsewhere.
             abandoned = ownership.lock.look().abandoned
             if not abandoned or abandoned == self._rested:
                 return
@@ -148,7 +148,7 @@ def guarding(
     control: "DriveControl",
     end_stream: Callable[[int], None],
 ) -> "Registration | None":
-    """A guard looks after the drive, where other processes may have it; their stops are heeded."""
+    """Start a guard of the drive and heed foreign stops, if other processes can have the drive."""
     if physical.ownership.lock is None:
         return None
     heed_stops(physical, node, control, end_stream)

@@ -1,7 +1,7 @@
-"""Central servo: what an application imports, and what a rig builds.
+"""Central servo: the names that applications and rigs use.
 
 The servo runs on the host, as on JPL's FIDO: trajectories are sampled and PID is computed once a
-cycle, the hardware is a plain torque amplifier and an encoder counter on a CANopen I/O node::
+cycle. The hardware is a plain torque amplifier and an encoder counter on a CANopen I/O node::
 
     hw = AmplifierHwMotor(bus, node_id=3, channel=1, current_per_volt_a_v=0.8)
     gains = PidGains.tuned(60.0, current_per_acceleration=0.038)
@@ -38,7 +38,7 @@ __all__ = [
 ]
 
 _OPTIONS: Final = tuple(field.name for field in fields(IoOptions))
-# A field and its key in a table, which has the motor's unit {u} (rad or m) in it.
+# Fields and their keys in a table; {u} is the motor's unit (rad or m).
 _SETTINGS: Final = {
     "position_window": "position_window_{u}",
     "settle_s": "settle_s",
@@ -63,19 +63,19 @@ _SHARED: Final[Shared[AmplifierHwMotor]] = Shared("amplifier")
 def build(
     bus: "can.BusABC", settings: Mapping[str, object], model: "MotorModel", runtime: "Runtime"
 ) -> SoftwareMotor:
-    """The motor that a table of settings describes (entry point `motorhil.adaptations`, software).
+    """Return the motor described by a settings table (`motorhil.adaptations`, software).
 
     Motors that name the same channel of a node share one hardware object.
 
     Args:
-        bus: where the node is.
+        bus: the bus of the node.
         settings: `node_id`, `channel` (1), `current_per_volt_a_v`, `gains` (a table); `name`; any
             field of IoOptions; any of ServoParameters, with its unit in the key.
-        model: the motor's.
-        runtime: where it waits.
+        model: the motor model.
+        runtime: the runtime to wait with.
 
     Raises:
-        UsageError: a setting is unknown, missing, or wrong.
+        UsageError: a setting is unknown, missing or invalid.
     """
     keys = {key.format(u=model.unit): field for field, key in _SETTINGS.items()}
     torque = _TORQUE[model.unit]
@@ -119,7 +119,7 @@ def build(
 
 
 def _gains(table: object, unit: str) -> PidGains:
-    """The gains of a table: each by itself, or tuned for a bandwidth."""
+    """Return the gains of a table: given one by one, or tuned for a bandwidth."""
     if not isinstance(table, Mapping):
         raise UsageError(f"gains = {table!r}: must be a table")
     keys = {key.format(u=unit): field for field, key in _GAINS.items()}
@@ -135,7 +135,9 @@ def _gains(table: object, unit: str) -> PidGains:
     inertia = given.pop("acceleration_feedforward", None)
     if inertia is None:
         key = _GAINS["acceleration_feedforward"].format(u=unit)
-        raise UsageError(f"gains: {_BANDWIDTH} needs {key}, what it takes to turn the motor")
+        raise UsageError(
+            f"gains: {_BANDWIDTH} needs {key}, the current per acceleration of the motor"
+        )
     tuned = PidGains.tuned(number(_BANDWIDTH, table[_BANDWIDTH]), inertia)
     return PidGains(**{**{f.name: getattr(tuned, f.name) for f in fields(tuned)}, **given})
 
@@ -143,5 +145,5 @@ def _gains(table: object, unit: str) -> PidGains:
 def _whole(settings: Mapping[str, object], key: str, default: int | None) -> int:
     value = settings.get(key, default)
     if not isinstance(value, int) or isinstance(value, bool):
-        raise UsageError(f"{key} = {value!r}: must be a whole number")
+        raise UsageError(f"{key} = {value!r}: must be an integer")
     return value

@@ -1,4 +1,4 @@
-"""One motor of central servo, as the cycle works it: its servo, what is armed, what went wrong."""
+"""One motor of the servo cycle: its servo, armed course and faults."""
 
 from typing import TYPE_CHECKING, Final, final
 
@@ -24,18 +24,19 @@ _RAW_MAX: Final = 32767
 
 @final
 class ServoAxis:
-    """Implements `motorapi.adaptations.software_cycle.Axis`. Positions are increments.
+    """One motor of the servo cycle (protocol `Axis`); positions are increments.
 
     Attributes:
         servo: position, demand and output, as of the last cycle.
-        is_active: whether it takes part in the cycle.
-        is_stopped: whether a quick stop was the last thing commanded.
-        failure: what ended the servo's control, if that is no fault of the motor; None: nothing.
-        fault: what the host found; None: nothing.
-        amplifier_fault_ns: since when the amplifier reports one; None: it does not.
-        counted_ns: when the last count came (-1: none).
-        steps: how many came since it became active.
-        started_ns, ended_ns: of the last motion; None: not (yet), or not to its end.
+        is_active: whether the motor takes part in the cycle.
+        is_stopped: whether a quick stop was the last command.
+        failure: the error that ended the control, if it is not a fault of the motor; else None.
+        fault: the fault detected by the host, or None.
+        amplifier_fault_ns: the time since when the amplifier reports a fault, or None.
+        counted_ns: the time of the last count (-1: none).
+        steps: the number of counts since the motor became active.
+        started_ns, ended_ns: the times of the last motion; None: not (yet), or ended before its
+            goal.
     """
 
     def __init__(
@@ -66,21 +67,21 @@ class ServoAxis:
         self._hold: Hold | None = None  # of the node
         self._switching_off: SwitchOff | None = None
 
-    # --- what can be seen ------------------------------------------------------------------
+    # --- state -----------------------------------------------------------------------------
 
     @property
     def is_powered(self) -> bool:
-        """Whether the servo holds the motor."""
+        """True if the servo holds the motor."""
         return self.servo.course is not None
 
     @property
     def is_over(self) -> bool:
-        """Whether what it was told to do last has been reached, or it has no power."""
+        """True if the goal of the last command has been reached, or the motor has no power."""
         return self._armed is None and (self.servo.is_done or self.servo.course is None)
 
     @property
     def state(self) -> MotorState:
-        """The state of the motor, if its node is heard."""
+        """The state of the motor, provided that its node is heard."""
         if self.current_fault() is not None:
             return MotorState.FAULT
         if not self.is_powered:
@@ -88,15 +89,15 @@ class ServoAxis:
         return MotorState.STOPPED if self.is_stopped else MotorState.ENABLED
 
     def current_fault(self) -> Fault | None:
-        """What keeps it from moving until that is reset; None if nothing does."""
+        """Return the fault that prevents motion until it is reset, or None."""
         if self.fault is None and self.amplifier_fault_ns is not None:
             return Fault(AMPLIFIER_FAULT, "amplifier fault", self.amplifier_fault_ns)
         return self.fault
 
-    # --- what it is told -------------------------------------------------------------------
+    # --- commands --------------------------------------------------------------------------
 
     def activate(self) -> None:
-        """It takes part in the cycle, with no control and no current yet.
+        """Join the cycle, without control or current at first.
 
         Raises:
             MotorBusyError: another process's servo runs on the node.
@@ -114,7 +115,7 @@ class ServoAxis:
         self.steps = 0
 
     def hold(self, gains: "PidGains", limits: ServoLimits) -> None:
-        """The servo holds the motor where it is."""
+        """Hold the motor at its present position."""
         course = Course(POSITION, self.servo.position)
         self.servo.begin(course, gains, limits, self._io.cycle.count)
         self.servo.is_done = True
@@ -122,10 +123,10 @@ class ServoAxis:
         self._node.news.grow()
 
     def arm(self, course: Course, gains: "PidGains", limits: ServoLimits) -> None:
-        """This begins when the cycle says so.
+        """Arm a course, which begins at a cycle chosen by the trigger.
 
         Raises:
-            LinkError: the servo does not hold the motor any more.
+            LinkError: the servo does not hold the motor.
         """
         if self.failure is not None and not self.is_powered:
             raise self.failure
@@ -134,14 +135,14 @@ class ServoAxis:
         self._armed = (course, gains, limits)
 
     def disarm(self) -> None:
-        """What was armed does not begin any more."""
+        """Cancel the armed course."""
         self._armed = None
         armed = self._io.cycle.armed
         if self in armed:
             armed.remove(self)
 
     def slow_down(self, deceleration_inc_s2: float, *, quickly: bool = False) -> None:
-        """The motor comes to rest at this deceleration, and holds."""
+        """Bring the motor to rest at this deceleration, and hold it."""
         self.disarm()
         if self.is_powered:
             self.is_stopped = self.is_stopped or quickly
@@ -150,16 +151,16 @@ class ServoAxis:
         self._node.news.grow()
 
     def call_here(self, position_inc: int) -> None:
-        """The place where the motor is is called so from now on; nothing moves."""
+        """Define the present position as `position_inc`, without motion."""
         self.servo.call_here(position_inc)
         self.servo.is_done = True
         self._node.news.grow()
 
     def cut(self) -> None:
-        """No control, no current, and the amplifier is switched off, until its node shows it.
+        """End control and current, and switch the amplifier off until its node confirms it.
 
         Raises:
-            LinkError: the bus does not take the frame that says so.
+            LinkError: the bus does not accept the frame.
         """
         was_active = self.is_active
         self.is_active = self.is_stopped = False
@@ -172,7 +173,7 @@ class ServoAxis:
                 self._switching_off = SwitchOff(self._io, self._channel, hold)
                 hold = None
                 self._io.switch(self._channel, False)
-        except MotorBusyError:  # the node is another process's by now, and so is the amplifier
+        except MotorBusyError:  # Another process owns the node now, and so the amplifier.
             self.end_switching_off()
         finally:
             if hold is not None:
@@ -180,15 +181,15 @@ class ServoAxis:
             self._node.news.grow()
 
     def end_switching_off(self) -> None:
-        """The amplifier is not switched off again, whatever its node shows."""
+        """Stop repeating the command to switch the amplifier off."""
         switching_off, self._switching_off = self._switching_off, None
         if switching_off is not None:
             switching_off.end()
 
-    # --- what the cycle, and the node, call ------------------------------------------------
+    # --- called by the cycle and the node --------------------------------------------------
 
     def step(self, count: int, cycle: int, time_ns: int) -> int:
-        """A count came, of this cycle: the output for it (6411h)."""
+        """Process the count of this cycle, and return the output for it (6411h)."""
         servo = self.servo
         was_done = servo.is_done
         self.counted_ns = time_ns
@@ -210,11 +211,11 @@ class ServoAxis:
         return _RAW_MAX if raw > _RAW_MAX else max(raw, -_RAW_MAX)
 
     def look(self, count: int) -> None:
-        """A further count of one cycle came."""
+        """Process a further count of one cycle."""
         self.servo.look(count)
 
     def begin(self, cycle: int) -> None:
-        """What was armed begins with the count of this cycle."""
+        """Begin the armed course with the count of this cycle."""
         armed, self._armed = self._armed, None
         if armed is None or not self.is_powered:
             return
@@ -224,21 +225,21 @@ class ServoAxis:
         self.servo.begin(*armed, cycle)
 
     def began(self, time_ns: int) -> None:
-        """That cycle's SYNC was on the wire at `time_ns`."""
+        """Record the time when the SYNC of the beginning was on the wire."""
         if self._moves:
             self.started_ns = time_ns
 
     def fail(self, error: MotorError) -> None:
-        """The cycle has failed it: no more control."""
+        """End the control, as the cycle has failed."""
         self.failure = error
-        is_lost = isinstance(error, MotorBusyError)  # to another process: no fault of the motor
+        is_lost = isinstance(error, MotorBusyError)  # taken over: not a fault
         if not self._node.is_lost and self._node.is_up and not is_lost:
             now_ns = self._io.link.runtime.now_ns()
             self.fault = Fault(COMMUNICATION, str(error), now_ns)
         self._cut_anyhow()
 
     def see_inputs(self, time_ns: int) -> None:
-        """The node told its digital inputs."""
+        """Evaluate digital inputs received from the node."""
         if self._switching_off is not None:
             self._switching_off.see(time_ns)
         status = self._io.status(self._channel)
@@ -254,12 +255,12 @@ class ServoAxis:
         loss = None if self._hold is None else self._hold.loss
         if loss is None:
             self.fault = fault
-        else:  # it is another process's doing, which has taken the node over
+        else:  # caused by the process that has taken the node over
             self.failure = loss.busy(self.physical.label)
         self._cut_anyhow()
 
     def _cut_anyhow(self) -> None:
-        """As `cut`, from a callback: a bus that takes no frames is no second error."""
+        """Cut from a callback; a bus that accepts no frames is not a second error."""
         try:
             self.cut()
         except LinkError as error:

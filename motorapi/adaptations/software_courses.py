@@ -1,8 +1,9 @@
-"""What a servo on the host demands, cycle by cycle: set-points as they are, trajectories sampled.
+"""Demand of a servo on the host, cycle by cycle.
 
-A set-point of position is its target from the first cycle on: no profile, the servo alone acts on
-the step. A set-point of velocity, torque or current steps too, or goes there at the rate that the
-command limits it to. All in increments of the counter, seconds and amperes.
+A position set-point is the demand from the first cycle on: there is no profile, and the servo acts
+on the step. A set-point of velocity, torque or current also steps, or changes at the rate limit of
+the command. Trajectories are sampled. All values are in increments of the counter, seconds and
+amperes.
 """
 
 from dataclasses import dataclass
@@ -19,15 +20,15 @@ CURRENT: Final = 2
 
 
 class Course:
-    """What is demanded from the cycle on in which it began; `sample` makes it that of one moment.
+    """The demand since the cycle of its beginning; `sample` sets it for one instant.
 
     Attributes:
-        kind: POSITION, VELOCITY or CURRENT: what `value` is.
+        kind: POSITION, VELOCITY or CURRENT: the quantity of `value`.
         value: the demand [inc, inc/s or A].
-        velocity, acceleration: what to feed forward [inc/s, inc/s²].
-        is_step: a set-point of position; its error is no following error.
-        is_stop: coming to rest: over when the motor stands still, wherever.
-        target: where it ends; of an argument's trajectory, where it is now.
+        velocity, acceleration: the values for feed-forward [inc/s, inc/s²].
+        is_step: whether it is a position set-point; its error is not a following error.
+        is_stop: whether it is a stop: over when the motor stands still, at any position.
+        target: the final value; with an argument other than time, the present value.
         is_over: whether the demand has come to its end.
     """
 
@@ -42,10 +43,10 @@ class Course:
         self.is_over = True
 
     def sample(self, elapsed_s: float, ahead_s: float) -> None:
-        """The demand is that of `elapsed_s` after the start; what is fed forward, `ahead_s` later.
+        """Set the demand for `elapsed_s` after the start; feed-forward for `ahead_s` later.
 
         Raises:
-            MotorError: the argument of the trajectory is not known any more.
+            MotorError: the argument of the trajectory is no longer known.
         """
 
 
@@ -55,10 +56,10 @@ class Rated(Course):
 
     Args:
         kind: VELOCITY or CURRENT.
-        start: where it begins.
-        target: where it ends.
-        growing: how fast its size may grow; inf: at once.
-        shrinking: how fast its size may shrink, first to 0 if the sign changes.
+        start: the initial value.
+        target: the final value.
+        growing: the rate limit while the magnitude grows; inf: at once.
+        shrinking: the rate limit while the magnitude shrinks, first to 0 if the sign changes.
     """
 
     def __init__(
@@ -69,7 +70,7 @@ class Rated(Course):
         self.is_over = not self._pieces
 
     def sample(self, elapsed_s: float, ahead_s: float) -> None:
-        """The demand is that of `elapsed_s` after the start."""
+        """Set the demand for `elapsed_s` after the start."""
         left_s = elapsed_s
         self.acceleration = 0.0
         for duration_s, before, rate in self._pieces:
@@ -90,7 +91,7 @@ class Rated(Course):
 
 @final
 class Braking(Course):
-    """Coming to rest at a constant deceleration, from a place and a velocity."""
+    """A stop at a constant deceleration, from a position and a velocity."""
 
     def __init__(self, place: float, velocity: float, deceleration: float) -> None:
         self._place = place
@@ -102,7 +103,7 @@ class Braking(Course):
         self.is_stop = True
 
     def sample(self, elapsed_s: float, ahead_s: float) -> None:
-        """The demand is that of `elapsed_s` after the start."""
+        """Set the demand for `elapsed_s` after the start."""
         end_s = self._end_s
         then_s = min(elapsed_s + ahead_s, end_s)
         self.velocity = self._velocity + self._rate * then_s if then_s < end_s else 0.0
@@ -127,7 +128,7 @@ class Tracked(Course):
         self.is_over = False
 
     def sample(self, elapsed_s: float, ahead_s: float) -> None:
-        """The demand is that of `elapsed_s` after the start."""
+        """Set the demand for `elapsed_s` after the start."""
         demand = self._demand
         now = self._start + elapsed_s
         self.value = demand.value(now) * self._scale
@@ -143,7 +144,7 @@ class Tracked(Course):
 
 @final
 class Led(Course):
-    """A trajectory over an argument that something else determines, read once a cycle."""
+    """A trajectory over an argument other than time, which is read once a cycle."""
 
     def __init__(self, kind: int, demand: Demand, scale: float, argument: Argument) -> None:
         super().__init__(kind, demand.value(value_of(argument)) * scale)
@@ -154,7 +155,7 @@ class Led(Course):
         self.is_over = False
 
     def sample(self, elapsed_s: float, ahead_s: float) -> None:
-        """The demand is what the argument of this moment asks for."""
+        """Set the demand for the present value of the argument."""
         demand = self._demand
         now = value_of(self._argument)
         then_s, before = self._before
@@ -174,11 +175,12 @@ class Led(Course):
 @final
 @dataclass(frozen=True, slots=True)
 class Scales:
-    """What a motor's own units are to its servo.
+    """The scales between the motor's units and its servo.
 
     Attributes:
-        increments: of the counter per unit of position, signed.
-        torque: per current at the output [N·m/A, of a linear motor N/A]; None: not known.
+        increments: increments of the counter per unit of position, signed.
+        torque: the torque per current at the output [N·m/A, of a linear motor N/A]; None: not
+            known.
     """
 
     increments: float
@@ -190,7 +192,7 @@ class Scales:
         return 1.0 if self.increments > 0.0 else -1.0
 
     def of(self, variable: ControlVariable) -> float:
-        """The servo's units per unit of this variable."""
+        """Return the servo's units per unit of this variable."""
         if variable is ControlVariable.TORQUE:
             return self.sign / (1.0 if self.torque is None else self.torque)
         return self.sign if variable is ControlVariable.CURRENT else self.increments
@@ -200,13 +202,13 @@ _KINDS: Final = {ControlVariable.POSITION: POSITION, ControlVariable.VELOCITY: V
 
 
 def course_of(motion: Motion, scales: Scales, velocity: float, current_a: float) -> Course:
-    """The course of a motion.
+    """Return the course of a motion.
 
     Args:
-        motion: a set-point, or a trajectory of whatever kind, in the motor's units.
-        scales: what these are to the servo.
-        velocity: demanded just now [inc/s].
-        current_a: put out just now [A].
+        motion: a set-point or any trajectory, in the motor's units.
+        scales: the scales of these units.
+        velocity: the present demand [inc/s].
+        current_a: the present output [A].
 
     Raises:
         MotorError: the argument of the trajectory is not known.

@@ -1,13 +1,15 @@
-"""The cycle of servos on the host: SYNC, counts in, outputs back, and whether it was in time.
+"""Cycle of servos on the host, and its timing statistics.
 
     SYNC k ----------- counts of k -> servo -> outputs -----------> SYNC k + 1: outputs act
 
-The counts are those of the very moment of SYNC k, the outputs act at SYNC k + 1: a delay of one
-cycle, always the same one, for all motors of a bus at once. A cycle is *missed* by two channels if
-their counts have not come before the next SYNC is due (the servo then has nothing to act on, and
-the outputs stay), or if the outputs still wait for the bus then. A frame does not tell which SYNC
-its counts are of: what comes after the next SYNC is taken for that one's, until a further one comes
-in the same cycle (`surplus`). On CAN they are a cycle old at most, for a node sends them in order.
+The counts are those at the instant of SYNC k, and the outputs act at SYNC k + 1. The delay is one
+cycle, constant, for all motors of a bus. A cycle of two channels is *missed* in two cases. The
+counts have not come before the next SYNC is due: the servo then has no input, and the outputs stay.
+Or the outputs still wait for the bus then.
+
+A frame does not show which SYNC its counts belong to. Counts after the next SYNC are attributed to
+that one, until further counts come in the same cycle (`surplus`). On CAN they are one cycle old at
+most, as a node sends them in order.
 """
 
 import struct
@@ -34,14 +36,14 @@ _COUNTS: Final = (struct.Struct("<8xi4x").unpack, struct.Struct("<8xii").unpack)
 @final
 @dataclass(frozen=True, slots=True)
 class CycleReport:
-    """How well a motor's servo has kept its time, since its frames were first exchanged.
+    """The timing statistics of a motor's servo, since its frames were first exchanged.
 
     Attributes:
-        period_s: of the servo [s].
-        cycles: how many there were.
+        period_s: the period of the servo [s].
+        cycles: the number of cycles.
         counts_missed: cycles whose count did not come in time.
         outputs_late: cycles whose output still waited for the bus when its SYNC was due.
-        worst_in_a_row: most misses in a row.
+        worst_in_a_row: the largest number of consecutive misses.
         surplus: further counts in one cycle: most likely those that had been missed.
     """
 
@@ -54,7 +56,7 @@ class CycleReport:
 
     @property
     def missed(self) -> int:
-        """Cycles missed in either way."""
+        """The number of cycles missed in either way."""
         return self.counts_missed + self.outputs_late
 
     def __str__(self) -> str:
@@ -76,24 +78,24 @@ class Axis(Protocol):
         """The record of the motor."""
 
     def step(self, count: int, cycle: int, time_ns: int) -> int:
-        """A count came, of this cycle: the output for it (6411h)."""
+        """Process the count of this cycle, and return the output for it (6411h)."""
 
     def look(self, count: int) -> None:
-        """A further count of this cycle came."""
+        """Process a further count of this cycle."""
 
     def begin(self, cycle: int) -> None:
-        """What was armed begins with the count of this cycle."""
+        """Begin the armed course with the count of this cycle."""
 
     def began(self, time_ns: int) -> None:
-        """That cycle's SYNC was on the wire at `time_ns`."""
+        """Record the time when the SYNC of the beginning was on the wire."""
 
     def fail(self, error: MotorError) -> None:
-        """The cycle has failed it: no more control."""
+        """End the control, as the cycle has failed."""
 
 
 @final
 class ChannelPair:
-    """Two channels of a node (or one), whose outputs share a frame, and whose counts do."""
+    """One or two channels of a node, whose outputs share a frame, and whose counts do."""
 
     def __init__(
         self,
@@ -124,29 +126,29 @@ class ChannelPair:
         return f"<channel pair {self._output_id:03X}h: {self.report()}>"
 
     def report(self) -> CycleReport:
-        """How well the cycle has been kept."""
+        """Return the timing statistics."""
         return CycleReport(
             *(self._cycle.period_s, self._cycles, self._missed, self._late),
             *(self._worst, self._surplus),
         )
 
     def place(self, slot: int, axis: "Axis | None") -> None:
-        """The first (0) or second (1) channel is this axis'."""
+        """Assign the first (0) or second (1) channel to `axis`."""
         first, second = self._axes
         self._axes = (axis, second) if slot == 0 else (first, axis)
 
     def require_free(self) -> None:
-        """Raises MotorBusyError if somebody has low-level access to a motor of these frames."""
+        """Raise MotorBusyError if a motor of these frames is under low-level access."""
         for axis in self._axes:
             if axis is not None:
                 axis.physical.require_not_held_elsewhere()
 
     def is_running(self) -> bool:
-        """Whether it takes part in the cycle."""
+        """Return whether the pair takes part in the cycle."""
         return self._cycle.has(self)
 
     def join(self) -> None:
-        """It takes part in the cycle as long as one of its axes is active.
+        """Join the cycle, as long as one of the axes is active.
 
         Raises:
             MotorBusyError: another process's servo runs on the node.
@@ -163,12 +165,12 @@ class ChannelPair:
             self._cycle.join(self)
 
     def close(self) -> None:
-        """It takes part no more, and hears nothing."""
+        """Leave the cycle, and stop listening to counts."""
         self._leave()
         self._link.ignore(self._count_id)
 
     def fence(self) -> "Fence | None":
-        """Lets its outputs out while the node is this process's."""
+        """Return the fence that permits the outputs while this process occupies the node."""
         return self._occupation.outputs
 
     def _leave(self) -> None:
@@ -176,7 +178,7 @@ class ChannelPair:
         self.vacate()
 
     def vacate(self) -> None:
-        """Its frames are sent no more: the node is not occupied for them."""
+        """End the occupation of the node for these frames."""
         hold, self._hold = self._hold, None
         if hold is not None:
             hold.release()
@@ -210,12 +212,12 @@ class ChannelPair:
             self._out = self._link.send_tracked(frame, self._occupation.outputs)
         except LinkError as error:
             self.fail(error)
-        except MotorBusyError as error:  # the node is another process's by now
+        except MotorBusyError as error:  # another process occupies the node now
             self.fail(error)
             self._leave()
 
     def turn(self) -> None:
-        """A SYNC was just queued: the cycle before it is over, and is judged."""
+        """Evaluate the cycle before the SYNC that was just queued."""
         first, second = self._axes
         is_active = (first is not None and first.is_active) or (
             second is not None and second.is_active
@@ -268,7 +270,7 @@ class ChannelPair:
             )
 
     def fail(self, error: MotorError) -> None:
-        """The cycle has failed its motors."""
+        """Report a failure of the cycle to the active motors."""
         for axis in self._axes:
             if axis is not None and axis.is_active:
                 axis.fail(error)
@@ -279,7 +281,7 @@ class Cycle:
     """The servos' common clock on one link: one SYNC for all of them.
 
     Attributes:
-        period_s: of SYNC [s].
+        period_s: the period of SYNC [s].
         count: the number of the last SYNC.
         armed: axes that one trigger starts together.
     """
@@ -294,11 +296,11 @@ class Cycle:
         self._starts: list[tuple[tuple[Axis, ...], list[int]]] = []
 
     def has(self, pair: ChannelPair) -> bool:
-        """Whether it takes part."""
+        """Return whether the pair takes part."""
         return pair in self._pairs
 
     def join(self, pair: ChannelPair) -> None:
-        """It takes part, from the next SYNC on; the first one starts SYNC.
+        """Add a pair, from the next SYNC on; the first pair starts SYNC.
 
         Raises:
             UsageError: SYNC runs with another period on this bus.
@@ -310,18 +312,18 @@ class Cycle:
         self._pairs = (*self._pairs, pair)
 
     def leave(self, pair: ChannelPair) -> None:
-        """It takes part no more; the last one ends SYNC."""
+        """Remove a pair; the last one ends SYNC."""
         self._pairs = tuple(other for other in self._pairs if other is not pair)
         if not self._pairs and self._registration is not None:
             self._registration.cancel()
             self._registration = None
 
     def _fence(self) -> "Fence | None":
-        """Of the SYNC: one of the nodes that go by it."""
+        """Return the fence of the SYNC: that of one of the nodes that use it."""
         return self._pairs[0].fence() if self._pairs else None
 
     def _sync_lost(self, error: LinkError) -> None:
-        """Another's SYNC, which the servos went by, comes no more: there is no control."""
+        """End the control, as the SYNC of the servos is lost."""
         pairs, self._pairs = self._pairs, ()
         self._registration = None
         for pair in pairs:
@@ -329,10 +331,10 @@ class Cycle:
             pair.vacate()
 
     def start(self, axes: Sequence[Axis]) -> None:
-        """All of these have begun what was armed, with one SYNC, which was on the wire.
+        """Start the armed courses of all axes by one SYNC, and wait until it was on the wire.
 
         Raises:
-            LinkError: there is none.
+            LinkError: no SYNC was transmitted.
         """
         begun: list[int] = []
         start = (tuple(axes), begun)
@@ -368,9 +370,9 @@ class Cycle:
 
 
 def cycle_of(link: CanopenLink, period_s: float) -> Cycle:
-    """The cycle of this link, made if it is the first use.
+    """Return the cycle of this link, made on first use.
 
-    One of another period is given as well; its `join` is refused where that matters.
+    A different period yields a separate cycle, whose `join` is refused if SYNC runs.
     """
     cycle = link.cycle
     if not isinstance(cycle, Cycle) or (cycle.period_s != period_s and link.sync_period_ns is None):

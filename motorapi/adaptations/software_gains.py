@@ -1,12 +1,12 @@
-"""The gains of a servo on the host: what a control engineer turns, typed, immutable.
+"""Gains of a servo on the host, typed and immutable.
 
-The servo computes, once a cycle, the current that the amplifier is asked for:
+Once a cycle, the servo computes the current for the amplifier:
 
     current = kp e + kd de/dt + integral of ki e dt
-            + velocity feed-forward * v + acceleration feed-forward * a + friction, with v's sign
+              + velocity feed-forward * v + acceleration feed-forward * a + friction, with v's sign
 
-e is demand minus measured position; v and a are what the trajectory demands when the output will
-be out, one and a half cycles later. U stands for the motor's unit of position: rad, or m if linear.
+e is demand minus measured position. v and a are the trajectory's demands at the time when the
+output acts, one and a half cycles later. U is the motor's unit of position: rad, or m if linear.
 """
 
 from dataclasses import dataclass, fields, replace
@@ -27,12 +27,12 @@ class PidGains:
         ki: growth of the current per error and time [A/(U s)].
         kd: current per rate of the error [A s/U].
         velocity_feedforward: current per demanded velocity [A s/U], against viscous friction.
-        acceleration_feedforward: current per demanded acceleration [A s²/U]: what turns inertia.
+        acceleration_feedforward: current per demanded acceleration [A s²/U], for the inertia.
         friction_feedforward: current against dry friction, in the direction of motion [A].
-        derivative_filter_s: time constant of a low-pass for de/dt, which counts make coarse [s].
+        derivative_filter_s: time constant of a low-pass for de/dt, against quantisation noise [s].
 
     Raises:
-        UsageError: a gain is not a finite number >= 0, or kp and kd are both 0.
+        UsageError: a gain is not a finite number >= 0, or kp is 0.
     """
 
     kp: float
@@ -51,7 +51,7 @@ class PidGains:
                 raise UsageError(f"PidGains: {field.name} is {given!r}, not a number >= 0")
             object.__setattr__(self, field.name, value)
         if self.kp == 0.0:
-            raise UsageError("PidGains: kp is 0: nothing would hold the motor")
+            raise UsageError("PidGains: kp is 0: the servo could not hold the motor")
 
     @classmethod
     def tuned(
@@ -62,17 +62,19 @@ class PidGains:
         friction_a: float = 0.0,
         velocity_feedforward: float = 0.0,
     ) -> Self:
-        """Gains that put all three poles of an inertia under PID control at one place.
+        """Return gains that place all three poles of an inertia under PID control at one point.
 
         Args:
-            bandwidth_rad_s: where [rad/s]. At a rate f of the servo some f / 16 is a good value;
-                with more than f / 8 it is not stable: sampling and holding cost two cycles.
-            current_per_acceleration: what it takes to turn the motor with its load [A s²/U].
-            friction_a: current that overcomes dry friction [A].
+            bandwidth_rad_s: the magnitude of the poles [rad/s]. At a servo rate f, about f / 16 is
+                a good value. Above f / 8 the loop is not stable: sampling and holding cost two
+                cycles.
+            current_per_acceleration: the current per acceleration of the motor with its load [A
+                s²/U].
+            friction_a: the current that overcomes dry friction [A].
             velocity_feedforward: see above.
 
         Raises:
-            UsageError: one of them is no such number.
+            UsageError: the bandwidth or the inertia is not a number > 0.
         """
         for name, given in (
             ("bandwidth_rad_s", bandwidth_rad_s),
@@ -92,7 +94,7 @@ class PidGains:
         )
 
     def per_increment(self, increments_per_unit: float) -> Self:
-        """The same gains for a servo that counts increments, `increments_per_unit` of them in U."""
+        """Return these gains for a servo that counts `increments_per_unit` increments per U."""
         size = abs(increments_per_unit)
         return replace(
             self,

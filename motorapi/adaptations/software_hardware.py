@@ -1,8 +1,8 @@
-"""The hardware class of central servo: an amplifier and an encoder on a node, the servo here.
+"""The hardware class of central servo: amplifier and encoder on a node.
 
-As on JPL's FIDO: the robot's computer closes the loop, the hardware is plain. One object per
-physical motor and process; it knows currents and counts, and runs the servo with whatever gains the
-logical motor that has it took along.
+The servo runs here, as on JPL's FIDO: the robot's computer closes the loop, and the hardware is
+plain. There is one object per physical motor and process. The object works with currents and
+counts, and runs the servo with the gains of the logical motor that uses it.
 """
 
 from collections.abc import Callable
@@ -52,28 +52,28 @@ _OFF_TIMEOUT_S: Final = 0.1
 
 @final
 class AmplifierHwMotor:
-    """One motor on a channel of an I/O node. Shared by all logical motors and threads.
+    """One motor on a channel of an I/O node, shared by all logical motors and threads.
 
-    It lives until it is closed, for the cycle has it: `close()` lets go of the motor.
+    The cycle keeps the object alive until `close()` releases the motor.
 
     Args:
-        bus: an open python-can bus, of whatever interface.
-        node_id: the node's, 1..127.
-        channel: of the node, from 1.
-        current_per_volt_a_v: what the amplifier makes of a volt at its input; < 0 if a positive
+        bus: an open python-can bus, of any interface.
+        node_id: the node-ID, 1..127.
+        channel: the channel of the node, from 1.
+        current_per_volt_a_v: the amplifier's current per volt at its input; < 0 if a positive
             current turns the motor towards lower counts.
-        runtime: where to wait; None: the bus's own (virtual time), else the wall's.
+        runtime: the runtime to wait with. None: the one of the bus (virtual time), else wall time.
         options: see IoOptions; equal for all channels of a node.
 
     Attributes:
-        io: the node; `node` what is heard of it; `objects` its object dictionary.
-        axis: the servo, and what it is told.
+        io: the node; `node`: its received state; `objects`: its object dictionary.
+        axis: the servo and its commands.
         physical: the record that logical motors share.
-        users: how many motors were built on it by settings; the last one closes it.
+        users: the number of motors built on it from settings; the last one closes it.
 
     Raises:
-        UsageError: a hardware object for this channel exists already (it is named), or a setting is
-            wrong.
+        UsageError: a hardware object for this channel exists already (the message names it), or a
+            setting is invalid.
     """
 
     def __init__(
@@ -92,7 +92,7 @@ class AmplifierHwMotor:
             raise UsageError(f"channel = {channel!r}: a node's channels are 1 to {CHANNELS_MAX}")
         if not 1e-9 <= abs(as_number(current_per_volt_a_v)) <= 1e9:
             raise UsageError(
-                f"current_per_volt_a_v = {current_per_volt_a_v!r}: a number of A/V, not 0"
+                f"current_per_volt_a_v = {current_per_volt_a_v!r}: must be a number of A/V, not 0"
             )
         self.runtime: Final = runtime_of(bus) if runtime is None else runtime
         self.options: Final = IoOptions() if options is None else options
@@ -101,7 +101,7 @@ class AmplifierHwMotor:
         self.label: Final = f"{bus_label(bus)} node {node_id} channel {channel}"
         self._key = (*bus_key(bus), node_id, "channel", channel)
         lock = node_locks(bus, self.runtime, node_id, self.label)[0]
-        if lock is not None:  # of this motor; the node's own is that of `io.occupation`
+        if lock is not None:  # of this motor; that of the node is in `io.occupation`
             lock = ProcessLock(f"{lock.name}-channel{channel}", self.label)
         self.physical: Final[PhysicalMotor] = register_physical_motor(
             self._key, self.label, self, lock
@@ -137,13 +137,13 @@ class AmplifierHwMotor:
         return f"<AmplifierHwMotor {self.label}: {self.state().value}>"
 
     def close(self) -> None:
-        """The motor is without current, and nothing more is sent to it or heard of it."""
+        """Switch the current off, and close the motor: nothing is sent or received afterwards."""
         if self.is_closed:
             return
         status = RunStatus.DONE if self.axis.is_over else RunStatus.GOING
         self.physical.end(f"close() of {self.label}", self.runtime.now_ns(), status)
         self.is_closed = True
-        with suppress(LinkError):  # the bus is gone: the node's dead-man does it
+        with suppress(LinkError):  # if the bus is gone, the node's supervision of the host does it
             self.axis.cut()
         self.axis.end_switching_off()
         self.io.on_facts.remove(self._take_place)
@@ -154,13 +154,13 @@ class AmplifierHwMotor:
         release_physical_motor(self._key, self)
         self.io.release()
 
-    # --- bringing up -----------------------------------------------------------------------
+    # --- bring-up --------------------------------------------------------------------------
 
     def connect(self) -> IoFacts:
-        """The node is up and configured; costs nothing if it is already. See `AmplifierNode`.
+        """Bring the node up and configure it, unless that was done already; see `AmplifierNode`.
 
         Raises:
-            UsageError: the node has no such channel.
+            UsageError: the node does not have the channel.
         """
         if self._took_over:
             self._end_others()
@@ -175,7 +175,7 @@ class AmplifierHwMotor:
             return facts
 
     def _end_others(self) -> None:
-        """The servos of the process that this motor was taken from end; its amplifiers are off."""
+        """End the servos of the process that lost this motor, and switch the amplifiers off."""
         facts = self.io.connect()
         occupation = self.io.occupation
         with occupation.occupied(take_over=True):
@@ -184,14 +184,14 @@ class AmplifierHwMotor:
                 self.io.switch(self.channel, False)
 
     def _take_place(self, facts: IoFacts) -> None:
-        """The node was brought up: this motor has its place in the frames, and its count."""
+        """Take this motor's place in the frames after a bring-up, and read its count."""
         if self.channel > facts.channels:
             raise UsageError(f"{self.label}: the node has {facts.channels} channels")
         self._pair = self.io.place(self.channel, self.axis)
         axis = self.axis
         if axis.fault is not None and axis.fault.code == COMMUNICATION:
             axis.fault = axis.failure = None
-        if axis.is_active:  # of before: the node has lost what it was told
+        if axis.is_active:  # active before the bring-up: the node has lost its commands
             axis.cut()
         count = self._read_count()
         if self._boot == facts.boot:
@@ -208,35 +208,35 @@ class AmplifierHwMotor:
     # --- objects and frames ----------------------------------------------------------------
 
     def upload(self, index: int, subindex: int = 0) -> bytes:
-        """The bytes of an object of the node. Raises as `DriveObjects.upload`."""
+        """Return the bytes of an object of the node; raises as `DriveObjects.upload`."""
         return self.objects.upload(index, subindex)
 
     def download(self, index: int, subindex: int, data: bytes) -> None:
-        """The node has `data` in an object. Raises as `DriveObjects.upload`."""
+        """Write `data` to an object of the node; raises as `DriveObjects.upload`."""
         self.objects.download(index, subindex, data)
 
     def read(self, what: int | str, subindex: int = 0, kind: str | None = None) -> Value:
-        """The value of an object of the node; see `Cia402HwMotor.read`."""
+        """Return the value of an object of the node; see `Cia402HwMotor.read`."""
         return self.objects.read(what, subindex, kind)
 
     def write(
         self, what: int | str, value: Value, subindex: int = 0, kind: str | None = None
     ) -> None:
-        """An object of the node has this value; see `Cia402HwMotor.write`."""
+        """Write a value to an object of the node; see `Cia402HwMotor.write`."""
         self.objects.write(what, value, subindex, kind)
 
     def send_frame(self, can_id: int, data: bytes = b"", *, extended: bool = False) -> Transmission:
-        """A frame of your own is on its way; see `Cia402HwMotor.send_frame`."""
+        """Queue a frame of the caller; see `Cia402HwMotor.send_frame`."""
         frame = raw_frame(can_id, data, extended=extended)
         with self.physical.passage(self.label, of_holder=True):
             return self.link.send_tracked(frame, self.io.occupation.fence)
 
     def listen(self, *can_ids: int) -> FrameInbox:
-        """Frames of others with these identifiers (none: all), as they are, from now on."""
+        """Return an inbox for raw frames of other nodes with these identifiers (none: all)."""
         return FrameInbox(self.link, can_ids)
 
     def fall_silent(self) -> None:
-        """Nothing is sent to the node's channel by itself any more, until others are let in again.
+        """Wait until no frames are sent to the channel without a call; `let_in` ends this state.
 
         Raises:
             StateError: the servo holds the motor, or one that shares its frames.
@@ -261,12 +261,12 @@ class AmplifierHwMotor:
         )
 
     def let_in(self) -> None:
-        """Low-level access has ended: the node is brought up as if it were new."""
+        """End low-level access; the next `connect` brings the node up as if it were new."""
         self.node.sdo.physical = None
         self.objects.doubt()
         self.io.doubt()
 
-    # --- what can be seen ------------------------------------------------------------------
+    # --- state and measurements ------------------------------------------------------------
 
     @property
     def servo(self) -> "Servo":
@@ -275,37 +275,37 @@ class AmplifierHwMotor:
 
     @property
     def is_homed(self) -> bool:
-        """Whether position 0 was set since the node was last heard to boot."""
+        """True if position 0 was set since the last boot-up of the node."""
         return self._homed_at_boot == self.node.boots
 
     def state(self) -> MotorState:
-        """The state heard last; does not wait."""
+        """Return the last state received, without waiting."""
         if self.is_closed or self._pair is None or self.node.is_lost:
             return MotorState.OFFLINE
         return self.axis.state
 
     def refresh(self) -> None:
-        """The position is fresh also where no cycle brings it."""
+        """Read the position if no cycle brings it."""
         if self._pair is not None and not self._pair.is_running():
             self.axis.servo.look(self._read_count())
 
     def report(self) -> CycleReport:
-        """How well the servo has kept its time; see `CycleReport`."""
+        """Return the timing statistics of the servo."""
         if self._pair is None:
             return CycleReport(self.options.cycle_ms / 1e3, 0, 0, 0, 0, 0)
         return self._pair.report()
 
-    # --- commanding ------------------------------------------------------------------------
+    # --- commands --------------------------------------------------------------------------
 
     def enable(self, gains: "PidGains", limits: "ServoLimits") -> None:
-        """The servo holds the motor where it is; SYNC runs.
+        """Enable the servo, which holds the motor at its present position, and run SYNC.
 
         Raises:
             DeviceFault: the amplifier reports a fault.
-            DeadlineExceeded: it did not become ready.
+            DeadlineExceeded: the amplifier did not become ready.
             LinkError: no counts come.
-            MotorBusyError: somebody has low-level access to a motor that shares its frames, or
-                another process's servo runs on the node.
+            MotorBusyError: a motor that shares its frames is under low-level access, or another
+                process's servo runs on the node.
         """
         self.connect()
         axis, pair = self.axis, self._pair
@@ -315,7 +315,7 @@ class AmplifierHwMotor:
         pair.require_free()
         axis.activate()
         try:
-            if self.io.is_switched(self.channel):  # left so by somebody who is not there any more
+            if self.io.is_switched(self.channel):  # left on by a program that has ended
                 self.io.switch(self.channel, False)
             pair.join()
             self._await(lambda: axis.steps >= _STEPS_BEFORE_POWER, "counts at SYNC")
@@ -329,7 +329,7 @@ class AmplifierHwMotor:
         axis.hold(gains, limits)
 
     def _see_ownership(self, event: "OwnershipEvent") -> None:
-        """Who takes a motor over from a living process takes the node it is on."""
+        """Record that the motor was taken over, as its node must be taken over too."""
         if event.action is LockAction.TAKEN_OVER:
             self._took_over = True
         elif event.action in (LockAction.RELEASED, LockAction.LOST):
@@ -355,7 +355,7 @@ class AmplifierHwMotor:
         )
 
     def disable(self) -> None:
-        """The amplifier has said that it is off. Raises MotorBusyError as `enable`."""
+        """Switch the amplifier off, and await its confirmation; raises as `enable`."""
         self.connect()
         channel = self.channel
         with self.io.occupation.occupied():
@@ -366,17 +366,17 @@ class AmplifierHwMotor:
             )
 
     def reset_fault(self) -> None:
-        """There is no fault any more; the amplifier is off.
+        """Reset the fault; the amplifier is off afterwards.
 
         Raises:
-            DeviceFault: its cause is still there.
+            DeviceFault: its cause persists.
             MotorBusyError: as `enable`.
         """
         self.connect()
         axis = self.axis
         with self.io.occupation.occupied():
             axis.cut()
-            self.io.switch(self.channel, False)  # what resets an amplifier
+            self.io.switch(self.channel, False)  # resets an amplifier
             wait_until = self.node.link.wait_until
             if not wait_until(lambda: axis.amplifier_fault_ns is None, _OFF_TIMEOUT_S):
                 self._raise_amplifier_fault()
@@ -385,7 +385,7 @@ class AmplifierHwMotor:
     def arm(
         self, course: "Course", gains: "PidGains", limits: "ServoLimits", *, together: bool
     ) -> "Trigger":
-        """What the trigger returned starts, at the SYNC it waits for. Raises as `ServoAxis.arm`."""
+        """Arm a course, and return its trigger; raises as `ServoAxis.arm`."""
         self.axis.arm(course, gains, limits)
         cycle = self.io.cycle
         if together:
@@ -393,6 +393,6 @@ class AmplifierHwMotor:
         return ServoTrigger(cycle, None if together else self.axis)
 
     def call_here(self, position_inc: int) -> None:
-        """The place where the motor is is called so from now on; nothing moves."""
+        """Define the present position as `position_inc`, without motion."""
         self.axis.call_here(position_inc)
         self._homed_at_boot = self.node.boots

@@ -1,16 +1,18 @@
-"""The adaptation of the motor interface to central servo: sampling and PID on the host.
+"""The adaptation of the motor interface to central servo.
 
-| command                      | what the servo does                                              |
-| ---------------------------- | ---------------------------------------------------------------- |
-| set-point, position          | the target is the demand at once: no profile, PID acts on a step |
-| set-point, velocity          | likewise; with a limit of acceleration it is approached so       |
-| set-point, torque or current | the amplifier's current, at once or at the limit of its slope    |
-| trajectory, any variable     | is sampled every cycle; position and velocity with feed-forward  |
-| homing (35, 37)              | here is 0                                                        |
+Trajectories are sampled, and PID is computed, on the host.
 
-A step of position is answered no faster than the model's maximum velocity, and with no more current
-than the model allows; limits of its derivatives cannot be promised without a profile, so they are
-refused. Motors of one bus begin with the same SYNC.
+| command                      | behaviour of the servo                                          |
+| ---------------------------- | --------------------------------------------------------------- |
+| set-point, position          | step of the demand to the target; no profile                    |
+| set-point, velocity          | step of the demand, or ramp at the acceleration limit, if given |
+| set-point, torque or current | step of the current, or ramp at the slope limit, if given       |
+| trajectory, any variable     | sampled every cycle; position and velocity with feed-forward    |
+| homing (35, 37)              | the present position becomes 0                                  |
+
+The response to a position step is limited to the model's maximum velocity and current. Limits of
+its derivatives cannot be guaranteed without a profile, so they are refused. Motors of one bus begin
+with the same SYNC.
 """
 
 from collections.abc import Callable
@@ -43,15 +45,17 @@ _LIMITED: Final = "torque, current and velocity set-points with a limit of their
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ServoParameters:
-    """What an application may tune of a servo besides its gains. U is rad, or m of a linear motor.
+    """The tunable parameters of a servo besides its gains; U is rad, or m of a linear motor.
 
     Attributes:
-        position_window: how near a target is reached [U]; None: ten increments.
-        settle_s: for how long it must be, and how long a motor at rest must stand still.
-        following_error_window: a motion that is further behind is stopped by a fault [U]; inf: none
-            is. None: ten times the model's start tolerance.
-        following_error_s: for how long it must be.
-        quick_stop_deceleration: [U/s²]; None: as the model's deceleration.
+        position_window: the distance within which a target counts as reached [U]; None: ten
+            increments.
+        settle_s: the time for which it must be within that window, and a motor at rest stand still
+            [s].
+        following_error_window: the largest following error of a motion without a fault [U]; inf: no
+            limit. None: ten times the model's start tolerance.
+        following_error_s: the time for which it must be exceeded [s].
+        quick_stop_deceleration: [U/s²]; None: the model's deceleration.
 
     Raises:
         UsageError: one is not a number > 0.
@@ -72,7 +76,7 @@ class ServoParameters:
 
 
 def check_positive(name: str, value: object, *, may_be_inf: bool = False) -> None:
-    """Raises UsageError if it is no number > 0."""
+    """Raise UsageError if `value` is not a number > 0."""
     number = as_number(value)
     if not number > 0.0 or not (isfinite(number) or (may_be_inf and number == inf)):
         raise UsageError(f"{name} = {value!r}: must be a number > 0")
@@ -80,21 +84,21 @@ def check_positive(name: str, value: object, *, may_be_inf: bool = False) -> Non
 
 @final
 class SoftwareMotor(Motor):
-    """A logical motor whose servo runs here. Any number of them may share one hardware object.
+    """A logical motor whose servo runs here; any number of them may share one hardware object.
 
     Args:
         hardware: the amplifier and the encoder.
-        model: what is constant of the motor; it must tell `increments_per_unit`.
-        gains: of the servo.
-        parameters: what else may be tuned of it. Gains and parameters are this logical motor's own,
-            and count from its next start() on.
-        torque_constant: torque at the output per current [N·m/A, of a linear motor N/A]; None: not
-            known, then torque cannot be commanded.
-        name: what messages and records call it; None: the model's name and where it is.
-        on_close: is called once, when the motor is closed. The hardware object is its maker's.
+        model: the constants of the motor; must define `increments_per_unit`.
+        gains: the gains of the servo.
+        parameters: its other parameters. Gains and parameters belong to this logical motor, and
+            take effect at its next start().
+        torque_constant: the torque at the output per current [N·m/A, of a linear motor N/A]; None:
+            not known, and torque cannot be commanded.
+        name: the name in messages and records. None: the model's name and the place.
+        on_close: called once, when the motor is closed. The maker of the hardware object closes it.
 
     Raises:
-        UsageError: the model does not tell what a position is in increments.
+        UsageError: the model does not define `increments_per_unit`.
     """
 
     def __init__(
@@ -116,8 +120,8 @@ class SoftwareMotor(Motor):
         )
         if model.increments_per_unit is None:
             raise UsageError(
-                f"{self.name}: the model does not tell increments_per_{model.unit}, and a counter"
-                " does not either"
+                f"{self.name}: the model does not define increments_per_{model.unit}, and a "
+                "counter cannot"
             )
         self._hardware = hardware
         if torque_constant is not None:
@@ -127,23 +131,23 @@ class SoftwareMotor(Motor):
         self._scales = Scales(model.increments_per_unit, torque_constant)
         self.gains = gains
         self.parameters = ServoParameters() if parameters is None else parameters
-        self._held: tuple[float, float] = (0.0, 0.0)  # demand [inc], and the value asked for [U]
+        self._held: tuple[float, float] = (0.0, 0.0)  # demand [inc], and the commanded value [U]
         self._on_close = on_close
 
     def close(self) -> None:
-        """It is no longer used; closing again does nothing."""
+        """Close the motor; further calls do nothing."""
         on_close, self._on_close = self._on_close, None
         if on_close is not None:
             on_close()
 
     @property
     def hardware(self) -> AmplifierHwMotor:
-        """The amplifier, the encoder, and the servo between them."""
+        """The hardware object: amplifier, encoder and servo."""
         return self._hardware
 
     @property
     def gains(self) -> PidGains:
-        """Of this logical motor; they count from its next start() on."""
+        """The gains of this logical motor; they take effect at its next start()."""
         return self._gains
 
     @gains.setter
@@ -154,7 +158,7 @@ class SoftwareMotor(Motor):
 
     @property
     def parameters(self) -> ServoParameters:
-        """Of this logical motor; they count from its next start() on."""
+        """The parameters of this logical motor; they take effect at its next start()."""
         return self._parameters
 
     @parameters.setter
@@ -165,10 +169,10 @@ class SoftwareMotor(Motor):
 
     @property
     def cycles(self) -> CycleReport:
-        """How well the servo has kept its time."""
+        """The timing statistics of the servo."""
         return self._hardware.report()
 
-    # --- what it can do --------------------------------------------------------------------
+    # --- capabilities ----------------------------------------------------------------------
 
     def _supports(self, mode: ControlMode, variable: ControlVariable) -> bool:
         return variable is not ControlVariable.TORQUE or self._torque_constant is not None
@@ -205,8 +209,8 @@ class SoftwareMotor(Motor):
             signals=1,
             signal_s=signal_s,
             no_firing_bound=unbounded,
-            no_start_bound="how often its amplifier looks is not told (amplifier_tick_ms)",
-            no_end_bound="when it comes to rest is the servo's doing, and not predicted",
+            no_start_bound="its amplifier's sampling period is not known (amplifier_tick_ms)",
+            no_end_bound="the end depends on the servo, and is not predicted",
         )
 
     def _quantise(self, motion: Motion) -> Motion:
@@ -245,7 +249,7 @@ class SoftwareMotor(Motor):
         if course is None:
             return self._read_position()
         demand = course.target if course.is_over else hardware.servo.demand
-        # What was asked for, where that is what it holds: rounding must not add up.
+        # Return the target as commanded while the servo holds it: rounding must not accumulate.
         return self._held[1] if demand == self._held[0] else demand / self._scale
 
     def _read_following_error(self) -> float:
@@ -271,7 +275,7 @@ class SoftwareMotor(Motor):
         return "counts that came with SYNC"
 
     def _measure_velocity(self) -> float:
-        """Velocity where no cycle brings counts: of two that are asked for."""
+        """Return the velocity from two polled counts, as no cycle brings counts."""
         hardware = self._hardware
         hardware.refresh()
         first, first_ns = hardware.servo.position, hardware.axis.counted_ns
@@ -309,7 +313,7 @@ class SoftwareMotor(Motor):
         return self._hardware.arm(course, gains, self._limits(motion), together=together)
 
     def _limits(self, motion: Motion | None) -> ServoLimits:
-        """What the servo keeps to, in increments."""
+        """Return the limits of the servo, in increments."""
         own, model, size = self._parameters, self.model, abs(self._scale)
         current_a = _VOLTS * abs(self._hardware.current_per_volt_a_v)
         if model.current_max is not None:
@@ -338,7 +342,7 @@ class SoftwareMotor(Motor):
         self._hardware.axis.disarm()
 
     def _confirm(self, motion: Motion) -> None:
-        """It began with the SYNC that the trigger saw on the wire."""
+        """Do nothing, as the motion began with the trigger's SYNC."""
 
     def _is_done(self) -> bool:
         axis = self._hardware.axis
@@ -357,7 +361,7 @@ class SoftwareMotor(Motor):
 
     def _slow_down(self, deceleration_inc_s2: float, *, quickly: bool = False) -> None:
         axis = self._hardware.axis
-        axis.failure = None  # of the motion before; this one can succeed
+        axis.failure = None  # of the previous motion; this one can succeed
         axis.slow_down(deceleration_inc_s2, quickly=quickly)
 
     def _quick_stop(self) -> None:

@@ -1,8 +1,9 @@
-"""The host's side of a CiA 401 I/O node with amplifiers and encoder counters on its channels.
+"""CiA 401 I/O node with amplifiers and encoder counters, for the host.
 
-One object per node and process, shared by the motors on its channels. Two channels share frames:
+There is one object per node and process, shared by the motors on its channels. Two channels share
+frames:
 
-| PDO        | what                                                       | when            |
+| PDO        | content                                                    | transmission    |
 | ---------- | ---------------------------------------------------------- | --------------- |
 | RPDO 1     | 6200h:1, a bit for each amplifier's enable input           | on change       |
 | TPDO 1     | 6000h:1, two bits for each amplifier: ready, fault         | on change       |
@@ -41,22 +42,22 @@ ANALOGUE_OUTPUT: Final = 0x6411
 CHANNELS_MAX: Final = 4
 
 _FIRST_INPUTS_S: Final = 0.5
-_INHIBIT_100US: Final = 10  # of the digital inputs: what is sent without one has no bound
+_INHIBIT_100US: Final = 10  # of the digital inputs: without it their bus load has no bound
 _TPDOS: Final = 4
 
 
 @final
 class AmplifierNode:
-    """One I/O node, by node-ID; motors get theirs by `open_node`.
+    """One I/O node, by node-ID; `open_node` returns a shared one.
 
     Attributes:
-        node: what is heard of it.
-        inputs: 6000h:1 as heard last; `inputs_ns`: when (-1: never).
-        on_inputs: is called whenever inputs were heard.
-        on_facts: is called when it was brought up, before it is OPERATIONAL.
+        node: the received state of the node.
+        inputs: 6000h:1 as received last; `inputs_ns`: its time (-1: never).
+        on_inputs: callbacks for received inputs.
+        on_facts: callbacks during the bring-up, before the node is OPERATIONAL.
         cycle: the clock of all servos on its bus.
-        users: how many motors share it.
-        occupation: whose servos run on it: those of one process.
+        users: the number of motors that share it.
+        occupation: the occupation of the node by the servos of one process.
     """
 
     def __init__(
@@ -98,7 +99,7 @@ class AmplifierNode:
         self._setting_up = TurnLock(runtime)
 
     def close(self) -> None:
-        """Nothing is sent or heard any more; the node's dead-man switches its outputs off."""
+        """Close the node; its supervision of the host then switches its outputs off."""
         if self.is_closed:
             return
         self.is_closed = True
@@ -115,7 +116,7 @@ class AmplifierNode:
         release_link(self.link)
 
     def place(self, channel: int, axis: Axis) -> ChannelPair:
-        """The frames of the channel, which it shares with its neighbour; they are `axis`'s now."""
+        """Assign the channel to `axis`, and return its frames."""
         pair = self._pairs[(channel - 1) // 2]
         pair.place((channel - 1) % 2, axis)
         return pair
@@ -123,10 +124,10 @@ class AmplifierNode:
     # --- digital outputs and inputs --------------------------------------------------------
 
     def switch(self, channel: int, on: bool) -> None:
-        """The enable input of the channel's amplifier is on, or off, as soon as the bus allows.
+        """Switch the enable input of the channel's amplifier, as soon as the bus allows.
 
         Raises:
-            LinkError: the bus does not take the frame.
+            LinkError: the bus does not accept the frame.
             MotorBusyError: another process's servo runs on the node.
         """
         facts = self.facts
@@ -137,11 +138,11 @@ class AmplifierNode:
             self.link.send(frame, self.occupation.outputs)
 
     def is_switched(self, channel: int) -> bool:
-        """Whether the amplifier's enable input is on, as far as the host knows."""
+        """Return whether the amplifier's enable input is on, as far as the host knows."""
         return self._outputs >> channel - 1 & 1 != 0
 
     def status(self, channel: int) -> int:
-        """READY and FAULT of the channel's amplifier, as heard last."""
+        """Return READY and FAULT of the channel's amplifier, as received last."""
         return self.inputs >> 2 * (channel - 1) & 3
 
     def _on_inputs(self, frame: bytes, time_ns: int) -> None:
@@ -155,31 +156,31 @@ class AmplifierNode:
         for action in self.on_inputs:
             action(time_ns)
 
-    # --- bringing up -----------------------------------------------------------------------
+    # --- bring-up --------------------------------------------------------------------------
 
     @property
     def is_up(self) -> bool:
-        """Whether it still is what it was brought up to."""
+        """True if the node is still configured and OPERATIONAL."""
         return self.facts is not None and self.node.is_up
 
     def doubt(self) -> None:
-        """Nothing is believed of the node any more; `connect` brings it up as if it were new."""
+        """Discard all knowledge of the node; `connect` brings it up as if it were new."""
         self.facts = None
 
     def release(self) -> None:
-        """One user less; the last one closes it."""
+        """Count one user less; the last one closes the node."""
         self.users -= 1
         if self.users == 0:
             self.close()
 
     def connect(self) -> IoFacts:
-        """The node is up and configured; costs nothing if it is already.
+        """Bring the node up and configure it, unless that was done already.
 
         Raises:
-            LinkError: it was closed.
-            DeadlineExceeded: it does not answer.
-            UsageError: it is no such I/O node.
-            UnsupportedError: it does not let us have the PDOs that a servo needs.
+            LinkError: this object was closed.
+            DeadlineExceeded: the node does not answer.
+            UsageError: the device is not such an I/O node.
+            UnsupportedError: the node refuses the PDOs that a servo needs.
         """
         facts = self.facts
         if facts is not None and self.node.is_up:
@@ -191,14 +192,14 @@ class AmplifierNode:
         with self._setting_up.turn(4 * options.connect_timeout_s, what):
             if self.facts is not None and self.node.is_up:
                 return self.facts
-            self.facts = None  # what fails now is tried again the next time
+            self.facts = None  # after a failure, the next call tries again
             with self._setting_up_alone():
                 self.facts = self._bring_up()
             return self.facts
 
     @contextmanager
     def _setting_up_alone(self) -> Iterator[None]:
-        """No other process sets the node up; what is written, no servo of another is hurt by."""
+        """Exclude other processes from the set-up, and protect their servos from writes."""
         if self._sdo_lock is None:
             yield
             return
@@ -219,7 +220,7 @@ class AmplifierNode:
                 sdo.before_writing = None
 
     def be_heard(self) -> None:
-        """The node hears the host from now on, and misses it if it falls silent."""
+        """Start the host's heartbeat for the node, which supervises it."""
         if self.options.heartbeat_ms and not self.node.uses_host_heartbeat:
             self.link.produce_heartbeat(self.options.host_node_id, self.options.heartbeat_ms)
             self.node.uses_host_heartbeat = True
@@ -298,34 +299,36 @@ class AmplifierNode:
                 if not number
             ]
             raise UsageError(
-                f"{node.label} is no I/O node with analogue outputs and encoder counters: it has no"
-                f" {', '.join(lacking) or '6200h'}"
+                f"{node.label} is not an I/O node with analogue outputs and encoder counters: "
+                f"{', '.join(lacking) or '6200h'} missing"
             )
         return min(outputs, counters, CHANNELS_MAX)
 
     def _set_up_dead_man(self, channels: int, limitations: list[str]) -> None:
-        """Each side watches the other; without us every output goes to 0, every amplifier off."""
+        """Set up mutual supervision; without us all outputs go to 0, and all amplifiers off."""
         node, options = self.node, self.options
         bits = (1 << channels) - 1
         for index, wanted in ((0x6206, bits), (0x6207, 0)):
             found = node.read_optional(index, 1)
             value = (0 if found is None else found & ~bits) | wanted
-            write_if_different(node, index, 1, value, 1, limitations, "what its outputs fall to")
+            write_if_different(
+                node, index, 1, value, 1, limitations, "the fault state of its outputs"
+            )
         for channel in range(1, channels + 1):
-            meaning = f"what output {channel} falls to"
+            meaning = f"the fault state of output {channel}"
             write_if_different(node, 0x6443, channel, 1, 1, limitations, meaning)
             write_if_different(node, 0x6444, channel, 0, 4, limitations, meaning)
-        what = "its heartbeat: we cannot miss it"
+        what = "its heartbeat, so its loss is not detected"
         write_if_different(node, 0x1017, 0, options.heartbeat_ms, 2, limitations, what)
         if options.heartbeat_ms and options.heartbeat_timeout_ms:
             consumer = options.host_node_id << 16 | options.heartbeat_timeout_ms
-            what = "whom to watch: it does not notice our end"
+            what = "its supervision of us, so it does not detect our loss"
             write_if_different(node, 0x1016, 1, consumer, 4, limitations, what)
             if node.read_optional(0x1017) == options.heartbeat_ms:
                 node.expect_heartbeat()
 
     def _await_inputs(self) -> None:
-        """It runs: its inputs came, as they do when it becomes OPERATIONAL."""
+        """Await the digital inputs, which the node sends when it becomes OPERATIONAL."""
         before_ns = self.inputs_ns
         timeout_s = max(_FIRST_INPUTS_S, 3 * self.options.status_period_ms / 1e3)
         if not self.link.wait_until(lambda: self.inputs_ns != before_ns, timeout_s):
@@ -342,7 +345,7 @@ _NODES: "Final[dict[Hashable, AmplifierNode]]" = {}
 def open_node(
     bus: "can.BusABC", node_id: int, runtime: "Runtime", options: IoOptions
 ) -> AmplifierNode:
-    """The node of this ID on this bus, made if it is the first use.
+    """Return the node of this ID on this bus, made on first use.
 
     Raises:
         UsageError: it is used with other options already.

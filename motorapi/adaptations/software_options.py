@@ -1,4 +1,4 @@
-"""What may be set of an I/O node with amplifiers, and what is found when it is brought up."""
+"""Options of an I/O node with amplifiers, and its bring-up results."""
 
 from dataclasses import dataclass
 from typing import final
@@ -10,20 +10,21 @@ from motorapi.errors import UsageError
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class IoOptions:
-    """How the host treats an I/O node; all motors on its channels share them.
+    """The settings of the host for an I/O node, shared by all motors on its channels.
 
     Attributes:
-        cycle_ms: period of the servo, and of SYNC.
-        misses_max: so many missed cycles in a row stop a motor.
-        counter: index of the object with the counters; 6820h: CiA 406 beside CiA 401.
-        host_node_id: under which the host sends its heartbeat, from the first motor's being enabled
-            on. Not the one that drives are watched by: another process may send that one as well,
-            and then nobody would miss a servo that died.
+        cycle_ms: the period of the servo, and of SYNC.
+        misses_max: the number of consecutive missed cycles that stops a motor.
+        counter: the index of the object with the counters; 6820h: CiA 406 beside CiA 401.
+        host_node_id: the node-ID of the host's heartbeat, sent since the first motor was enabled.
+            It must differ from the one that drives watch: another process may send that heartbeat
+            as well, and the death of a servo would not be detected.
         heartbeat_ms, heartbeat_timeout_ms, connect_timeout_s, sdo_timeout_s, sdo_quarantine_s: as
             in HwOptions.
-        status_period_ms: the node repeats its digital inputs so often; 0: on change only.
-        amplifier_tick_ms: an amplifier looks at its input so often, for predicting skew; None: not
-            known.
+        status_period_ms: the period with which the node sends its digital inputs; 0: on change
+            only.
+        amplifier_tick_ms: the period with which an amplifier samples its input, for predicting
+            skew; None: not known.
     """
 
     cycle_ms: float = 1.0
@@ -39,7 +40,7 @@ class IoOptions:
     amplifier_tick_ms: float | None = None
 
     def __post_init__(self) -> None:
-        """Refuse what no node can be told.
+        """Refuse invalid options.
 
         Raises:
             UsageError: an option has the wrong type or is out of range.
@@ -47,7 +48,7 @@ class IoOptions:
         if not isinstance(self.cycle_ms, int | float) or not 0.1 <= self.cycle_ms <= 1000.0:
             raise UsageError(f"cycle_ms = {self.cycle_ms!r}: must be 0.1 to 1000 ms")
         if not isinstance(self.misses_max, int) or not 1 <= self.misses_max <= 1_000_000:
-            raise UsageError(f"misses_max = {self.misses_max!r}: must be a whole number >= 1")
+            raise UsageError(f"misses_max = {self.misses_max!r}: must be an integer >= 1")
         if not isinstance(self.counter, int) or not 0x2000 <= self.counter <= 0x9FFF:
             raise UsageError(f"counter = {self.counter!r}: must be an index, 2000h to 9FFFh")
         tick_ms = self.amplifier_tick_ms
@@ -67,14 +68,14 @@ class IoOptions:
 @final
 @dataclass(frozen=True, slots=True)
 class IoFacts:
-    """What was found and agreed when the node was brought up.
+    """The results of the bring-up of a node.
 
     Attributes:
-        channels: how many have both an analogue output and a counter.
-        enable_id: identifier of the RPDO with the digital outputs.
-        pairs: identifiers of (RPDO, TPDO) of channels 1 and 2, and of 3 and 4.
-        boot: which boot of the node it was.
-        limitations: what this node cannot do for us, in words.
+        channels: the number of channels that have both an analogue output and a counter.
+        enable_id: the identifier of the RPDO with the digital outputs.
+        pairs: the identifiers of (RPDO, TPDO) of channels 1 and 2, and of 3 and 4.
+        boot: the number of the boot-up.
+        limitations: the functions that this node lacks or refuses, in words.
     """
 
     channels: int

@@ -1,9 +1,10 @@
-"""The servo of one motor on the host: counts in, current out, once a cycle. Sans-I/O, no clock.
+"""Servo of one motor on the host: counts in, current out (sans-I/O).
 
-Velocity is controlled as position: the demand moves on at the demanded velocity, so that the motor
-makes the way it should have made. While the output is saturated, what would only wind up stands
-still: the integral, and the error of a velocity that cannot be reached. All in increments of the
-counter, seconds and amperes; a positive current turns the motor towards higher counts.
+Velocity is controlled as position: the demand advances at the demanded velocity, so that the motor
+covers the demanded distance. While the output is saturated, the integral and the error of an
+unreachable velocity are frozen (anti-windup). All values are in increments of the counter, seconds
+and amperes; a positive current turns the motor towards higher counts. The servo has no clock: it
+runs once a cycle.
 """
 
 from dataclasses import dataclass
@@ -14,9 +15,9 @@ from motorapi.adaptations.software_courses import CURRENT, POSITION, VELOCITY, B
 from motorapi.adaptations.software_gains import PidGains
 from motorapi.errors import MotorError, PluginError
 
-_AHEAD: Final = 1.5  # cycles: the output is out from the next SYNC to the one after it
-_SMOOTH: Final = 0.2  # of the velocity that is told, which one count makes coarse
-_DEAD_BAND_INC: Final = 1.0  # an error at rest that is none: the integral would hunt for it
+_AHEAD: Final = 1.5  # cycles: the output acts between the next two SYNCs
+_SMOOTH: Final = 0.2  # smoothing of the reported velocity, which has the resolution of one count
+_DEAD_BAND_INC: Final = 1.0  # an error at rest within it is ignored: the integral would oscillate
 _STILL_INC: Final = 2.0
 _NO_SPEED: Final = 1e-3  # [inc/s]
 _HALF: Final = 0x8000_0000
@@ -26,15 +27,17 @@ _MASK: Final = 0xFFFF_FFFF
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ServoLimits:
-    """What the servo keeps to, and when it takes a motion for ended.
+    """The limits of the servo, and its criteria for the end of a motion.
 
     Attributes:
         current_max_a: the output's saturation [A].
-        velocity_max: what a large error may be answered with, beyond what is demanded [inc/s].
-        following_error: beyond it for `following_s` the motor is stopped [inc]; inf: never.
+        velocity_max: the limit of the velocity in response to a large error, beyond the demand
+            [inc/s].
+        following_error: the largest error; exceeding it for `following_s` stops the motor [inc];
+            inf: no limit.
         window: a position is reached within it, for `settle_s` [inc].
         velocity_window: a velocity is reached within it, for `settle_s` [inc/s].
-        deceleration: what the motor is brought to rest with if its course fails [inc/s²].
+        deceleration: the deceleration to rest if the course fails [inc/s²].
     """
 
     current_max_a: float
@@ -65,13 +68,13 @@ class Servo:
     """Position, velocity and current control of one motor.
 
     Attributes:
-        position: measured [inc]; velocity: likewise, smoothed [inc/s].
-        demand, demand_velocity: what should be [inc, inc/s]; without a course what is measured.
-        current_a: what the amplifier is asked for.
-        course: what is demanded; None: no control, no current.
+        position: the measured position [inc]; velocity: likewise, smoothed [inc/s].
+        demand, demand_velocity: the demands [inc, inc/s]; without a course, the measured values.
+        current_a: the current demand of the amplifier [A].
+        course: the active course; None: no control, no current.
         is_done: whether the course has come to its end, and the motor with it.
-        lags: whether the following error is beyond its limit for too long.
-        error: what went wrong with the demand itself; None: nothing.
+        lags: whether the following error exceeds its limit for too long.
+        error: an error of the demand itself, or None.
     """
 
     def __init__(self, period_s: float) -> None:
@@ -94,32 +97,32 @@ class Servo:
         self._rate = 0.0
         self._integral = 0.0
         self._settled = 0
-        self._still = (0.0, 0)  # where it stands still, and for how many cycles
+        self._still = (0.0, 0)  # position of standstill, and its duration in cycles
         self._behind = 0
         self._gains = _NO_GAINS
         self._limits = _NO_LIMITS
         self._take(_NO_GAINS, _NO_LIMITS)
 
     def _take(self, gains: PidGains, limits: ServoLimits) -> None:
-        """These count from the next cycle on."""
+        """Set gains and limits from the next cycle on."""
         self._gains = gains
         self._limits = limits
         period_s = self._period_s
         self._alpha = period_s / (period_s + gains.derivative_filter_s)
         self._settle_cycles = max(1, round(limits.settle_s / period_s))
         self._following_cycles = max(1, round(limits.following_s / period_s))
-        # More error than this is answered with velocity_max, where kd balances kp.
+        # A larger error is answered with velocity_max, where kd balances kp.
         self._error_max = limits.velocity_max * gains.kd / gains.kp if gains.kd > 0.0 else 1e300
 
     @property
     def deceleration(self) -> float:
-        """What the motor is brought to rest with if its course fails [inc/s²]."""
+        """The deceleration to rest if the course fails [inc/s²]."""
         return self._limits.deceleration
 
-    # --- what to do
+    # --- commands
 
     def begin(self, course: Course, gains: PidGains, limits: ServoLimits, cycle: int) -> None:
-        """The course begins with the count of this cycle."""
+        """Begin a course with the count of this cycle."""
         was = self.course
         if was is None or was.kind == CURRENT:
             self._integral = 0.0 if was is None else self.current_a
@@ -128,7 +131,7 @@ class Servo:
             self.demand = self.position
         self._take(gains, limits)
         if course.is_step:
-            self.demand = course.target  # the step itself is no velocity
+            self.demand = course.target  # the step itself is not a velocity
         self.course = course
         self._begun = cycle
         self._settled = self._behind = 0
@@ -136,7 +139,7 @@ class Servo:
         self.is_done = self.lags = False
 
     def brake(self, deceleration: float) -> None:
-        """The motor comes to rest at this rate [inc/s²], from what is demanded now, and holds."""
+        """Bring the motor to rest at this rate [inc/s²], from the present demand, and hold it."""
         course = self.course
         if course is None:
             return
@@ -147,7 +150,7 @@ class Servo:
         self.begin(stop, self._gains, self._limits, self._cycle)
 
     def release(self) -> None:
-        """No control any more, no current."""
+        """End control and current."""
         self.course = None
         self.current_a = 0.0
         self.demand = self.position
@@ -155,12 +158,12 @@ class Servo:
         self._integral = self._rate = 0.0
 
     def forget(self) -> None:
-        """The next count says nothing of how far the motor went since the last."""
+        """Discard the last count, as the next one does not show the distance since then."""
         self.release()
         self._cycle = -1
 
     def call_here(self, position: int) -> None:
-        """The place where the motor rests is called `position` from now on; nothing moves."""
+        """Define the present position as `position`, without motion."""
         by = position - self._travel - self._offset
         self._offset += by
         self.position = float(position)
@@ -170,20 +173,20 @@ class Servo:
             self.course = Course(POSITION, self.demand)
 
     def restart(self, count: int) -> None:
-        """The counter has begun anew, and says this: the position is what it counts."""
+        """Set the position to `count`, as the counter was restarted."""
         self.forget()
         self._count = self._travel = count
         self._offset = 0
         self.position = self.demand = float(count)
 
     def look(self, count: int) -> None:
-        """A count that was asked for, in no cycle."""
+        """Process a polled count, outside of any cycle."""
         self.measure(count, self._cycle)
 
     # --- once a cycle
 
     def measure(self, count: int, cycle: int) -> int:
-        """A count came, of this cycle; how many cycles after the last one (0: it is the first)."""
+        """Process the count of this cycle; return the cycles since the last one (0: the first)."""
         before = self._cycle
         self._cycle = cycle
         change = ((count - self._count + _HALF) & _MASK) - _HALF
@@ -207,7 +210,7 @@ class Servo:
         return cycles
 
     def step(self, count: int, cycle: int) -> float:
-        """A count came, of this cycle: what the amplifier shall be asked for now [A]."""
+        """Process the count of this cycle, and return the current for the amplifier [A]."""
         place = self.position
         cycles = self.measure(count, cycle)
         course = self.course
@@ -222,7 +225,7 @@ class Servo:
         except MotorError as error:
             self.error = error
             return self.current_a
-        except Exception as error:  # of an argument, or a function, that somebody else made
+        except Exception as error:  # an error of a user's argument or function
             self.error = PluginError(
                 plugin=type(error).__name__, where="sampling a trajectory", problem=str(error)
             )
@@ -249,7 +252,7 @@ class Servo:
         return self.current_a
 
     def _control(self, course: Course, passed_s: float) -> None:
-        """PID, feed-forward, saturation, and no winding up."""
+        """Compute PID, feed-forward, saturation and anti-windup."""
         gains = self._gains
         error = self.demand - self.position
         bound = self._error_max
@@ -271,20 +274,20 @@ class Servo:
             wanted = limit if is_high else -limit
             if is_high == (error > 0.0):
                 if course.kind == VELOCITY and abs(error) > abs(self._error):
-                    error = self._error  # it cannot keep up: the way lost is not made good
+                    error = self._error  # it cannot keep up: the lost distance is not recovered
                     self.demand = self.position + error
                 self._error = error
                 self.current_a = wanted
                 return
         self._error = error
         self.current_a = wanted
-        # Still, and within an increment: that is there. Far behind: kp and kd see to it.
+        # No integration at rest within one increment, nor far behind, where kp and kd act.
         if acting == error and (velocity or abs(error) > _DEAD_BAND_INC):
             self._integral += gains.ki * error * passed_s
             self._integral = max(-limit, min(limit, self._integral))
 
     def _judge(self, course: Course) -> None:
-        """Whether the motor is where, or as fast as, it should be; or not, for too long."""
+        """Detect the end of the course, and a following error that lasts too long."""
         limits = self._limits
         error = self._error
         if not course.is_step and abs(error) > limits.following_error:
@@ -307,7 +310,7 @@ class Servo:
         self.is_done = self._settled >= self._settle_cycles
 
     def _stands_still(self) -> bool:
-        """Whether the motor has not moved for as long as settling takes."""
+        """Return whether the motor has not moved during the settling time."""
         place, cycles = self._still
         if abs(self.position - place) > _STILL_INC:
             self._still = (self.position, 0)

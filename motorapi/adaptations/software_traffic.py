@@ -1,4 +1,4 @@
-"""What an I/O node sends once it was brought up, and this program for it."""
+"""Traffic of a configured I/O node, and of this program for it."""
 
 from typing import TYPE_CHECKING, Final
 
@@ -9,7 +9,7 @@ if TYPE_CHECKING:
     from motorapi.adaptations.pdo_setup import PdoFound
     from motorapi.adaptations.software_options import IoFacts, IoOptions
 
-_SHORTER: Final = 0.999  # what the node times, its clock may make so much too short
+_SHORTER: Final = 0.999  # a fast oscillator shortens the node's times
 _OUTPUT_BYTES: Final = 4
 _COUNT_BYTES: Final = 8
 
@@ -17,7 +17,7 @@ _COUNT_BYTES: Final = 8
 def node_traffic(
     node_id: int, facts: "IoFacts", inputs: "tuple[int, PdoFound]", options: "IoOptions"
 ) -> NodeTraffic:
-    """Of a node with these frames; `inputs`: (identifier, TPDO) of its digital inputs."""
+    """Return the traffic of a node; `inputs`: (identifier, TPDO) of its digital inputs."""
     sent: list[PeriodicMessage] = []
     ours: tuple[PeriodicMessage, ...] = ()
     unknown = ""

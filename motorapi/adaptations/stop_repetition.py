@@ -1,4 +1,4 @@
-"""A stop is commanded again while the drive does not show that it has it: a frame may be lost."""
+"""Repetition of a stop until the drive obeys, against lost frames."""
 
 import struct
 from collections.abc import Callable
@@ -22,13 +22,13 @@ _CONTROL: Final = struct.Struct("<IB3xH6x")
 def stop_sender(
     node: "DriveNode", physical: "PhysicalMotor", control_id: int | None, word: int
 ) -> "Callable[[Fence | None], None]":
-    """What puts the controlword on its way, whatever else goes on; it does not wait.
+    """Return a function that sends the controlword at once, without waiting.
 
     Args:
-        node: of the drive.
-        physical: whose low-level access keeps it from being sent (MotorBusyError).
-        control_id: of the RPDO that brings it; None: there is none, so that it goes by SDO.
-        word: stops the drive.
+        node: the drive.
+        physical: its motor; low-level access of another thread prevents sending (MotorBusyError).
+        control_id: the identifier of the RPDO for it; None: there is none, and SDO is used.
+        word: the controlword of the stop.
     """
 
     def send(fence: "Fence | None") -> None:
@@ -43,15 +43,15 @@ def stop_sender(
 
 @final
 class StopRepetition:
-    """Sends a stop while `watch` sees no end of it, until it is cancelled.
+    """A repeated stop, sent until `watch` sees its end or it is cancelled.
 
-    To stop takes nobody's permission. But who owned the drive when he stopped it, and has lost it
-    since, does not stop its new owner without knowing it.
+    Any program may stop a drive without owning it. But a former owner that stopped the drive and
+    has lost it since must not stop its new owner unknowingly.
 
     Args:
-        node: what is heard of the drive.
-        watch: follows how it comes to rest.
-        fence: of the drive; None: nobody can take it over.
+        node: the received state of the drive.
+        watch: observes the deceleration.
+        fence: the fence of the drive; None: no other process can take it over.
         send: sends the stop once, through a fence if there is one.
     """
 
@@ -68,7 +68,7 @@ class StopRepetition:
         self._left = _REPEATS
         self._fence: BoundFence | None = None
         if fence is not None and fence.is_owned:
-            with suppress(MotorBusyError):  # it is lost already
+            with suppress(MotorBusyError):  # the drive is already lost
                 self._fence = fence.bound("a stop")
         self._registration = node.link.runtime.every(_REPEAT_S, self._again)
 
@@ -85,5 +85,5 @@ class StopRepetition:
             self.cancel()
 
     def cancel(self) -> None:
-        """It is not sent again."""
+        """End the repetition."""
         self._registration.cancel()

@@ -1,19 +1,21 @@
-"""A motion as set-points: where a drive in csp shall be at each cycle, in its own increments.
+"""Set-points of a motion for a drive in csp, in increments.
 
-Cycle k is k set-point periods after the start; a period in which the host sends no SYNC does not
-count, so that no set-point is ever two steps away. A trajectory over time is sampled there; over
-another argument, that is asked for its value in each cycle. A trajectory of velocity is followed by
-its integral: exactly over time, by the trapezoidal rule over another argument.
+Cycle k is k set-point periods after the start. A period in which the host sends no SYNC does not
+count, so that set-points are never two steps apart. A trajectory over time is sampled at these
+times; another argument is read in each cycle. A velocity trajectory is followed by its integral:
+exactly over time, by the trapezoidal rule over another argument.
 
-What another argument does is known only as it does it. So its set-points are held against the
-limits one by one: no step of position beyond the velocity limit; at the start, where the motor is
-at rest, no step of velocity beyond what the acceleration limit makes in a period; later, where an
-argument that is heard over a bus may come a period late, no change of the velocity over 20 ms
-beyond it. What exceeds them is a LimitError, and is not sent.
+Another argument is not predictable. So its set-points are checked against the limits one by one:
+- no step of position beyond the velocity limit;
+- at the start, where the motor is at rest, no step of velocity beyond the acceleration limit times
+  a period;
+- later, no change of the velocity over 20 ms beyond that limit, as an argument received over a bus
+  may be a period late.
+A set-point that exceeds them raises LimitError, and is not sent.
 
-An absolute trajectory may begin a little beside where the motor is (`MotorModel.start_tolerance`).
-To step there in one period would break every limit, so the motor first moves there, within the
-limits: `lead_in` cycles before the first one of the trajectory.
+An absolute trajectory may begin a little beside the motor's position
+(`MotorModel.start_tolerance`). A step there in one period would violate every limit, so the motor
+first moves there, within the limits: `lead_in` cycles before the first one of the trajectory.
 """
 
 from collections import deque
@@ -31,9 +33,9 @@ if TYPE_CHECKING:
     from motorapi.functions.function import Function
 
 _ROUNDING: Final = 1e-9
-_STEP_ROUNDING_INC: Final = 1.0  # two targets, each off by at most half an increment
+_STEP_ROUNDING_INC: Final = 1.0  # two targets, each rounded by at most half an increment
 _WINDOW_S: Final = 0.02
-_LATE: Final = 1.5  # periods: an argument may come one late, and its own be another than ours
+_LATE: Final = 1.5  # periods: an argument may be one period late, and have another period than ours
 
 
 @final
@@ -41,17 +43,17 @@ class StreamedMotion:
     """The set-points of one motion.
 
     Args:
-        motor: its name, for messages.
-        motion: as planned, with a function.
-        units: of the drive.
-        period_s: between two set-points.
+        motor: the motor's name, for messages.
+        motion: the planned motion, with a function.
+        units: the units of the drive.
+        period_s: the time between two set-points [s].
         held_inc: the position the drive holds now.
 
     Attributes:
-        lead_in: cycles before cycle 0 that it takes to get to where the trajectory begins.
-        lead: cycles to wait for others that take longer to get there; set by whoever starts them.
+        lead_in: the cycles before cycle 0 for the move to the beginning of the trajectory.
+        lead: `lead_in`, or more to wait for other motors; set by the trigger.
         over: whether the end of the trajectory has been demanded.
-        velocity: what the set-points amount to at the moment [U/s].
+        velocity: the present velocity of the set-points [U/s].
     """
 
     def __init__(
@@ -64,7 +66,7 @@ class StreamedMotion:
         self._demand = demand_of(motion)
         self._argument = motion.argument
         self._integral: Function | None = None
-        self._before: tuple[float, float] | None = None  # velocity and position of the cycle before
+        self._before: tuple[float, float] | None = None  # the previous velocity and position
         self._held_inc = held_inc
         self._last_inc = held_inc
         self._step_inc_max = (
@@ -80,7 +82,7 @@ class StreamedMotion:
         self._scale = abs(units.increments(1.0))
         self._window = max(1, ceil(_WINDOW_S / period_s))
         self._recent: deque[float] = deque([self._from], 2 * self._window + 1)
-        self._shift = 0.0  # of a relative trajectory, by what the argument did since it was planned
+        self._shift = 0.0  # of a relative trajectory: change of the argument since planning
         self._approach = self._approach_of(motion)
         self.lead_in = 0
         if self._approach is not None:
@@ -90,20 +92,20 @@ class StreamedMotion:
         self.velocity = 0.0
 
     def _approach_of(self, motion: Motion) -> Trapezoid | None:
-        """From where the motor is to where the trajectory begins; None: it is there."""
+        """Return the profile from the motor's position to the beginning; None: it is there."""
         away = self._from - self._units.position(self._held_inc)
         if abs(self._units.increments(away)) <= _STEP_ROUNDING_INC:
             return None
         return shortest(away, motion.velocity, motion.acceleration, motion.deceleration)
 
     def target(self, cycle: int) -> int | None:
-        """The set-point of a cycle, counted from 1, in increments; None: there are no more.
+        """Return the set-point of a cycle, counted from 1, in increments; None at the end.
 
-        Asked once for each cycle, in order.
+        Call it once for each cycle, in order.
 
         Raises:
-            LimitError: it is further from the one before than the velocity limit allows.
-            MotorError: the argument cannot be told.
+            LimitError: it is further from the previous one than the velocity limit allows.
+            MotorError: the argument is not known.
         """
         if self.over and self.velocity == 0.0:
             return None
@@ -121,11 +123,11 @@ class StreamedMotion:
         return target
 
     def _check_change(self, place: int, position: float) -> None:
-        """How fast the velocity changes, of an argument nobody knows beforehand."""
+        """Check the change of velocity of an argument that is not predictable."""
         recent, period_s = self._recent, self._period_s
         limit = min(self._motion.acceleration, self._motion.deceleration)
         recent.append(position)
-        if place <= 2:  # of a relative trajectory the first set-point is where the motor is
+        if place <= 2:  # a relative trajectory's first set-point is the motor's position
             velocity = (position - recent[-2]) / period_s
             allowed = limit * period_s + 2.0 * _STEP_ROUNDING_INC / (self._scale * period_s)
             if abs(velocity) > allowed:
@@ -140,7 +142,7 @@ class StreamedMotion:
             raise self._beyond("change of velocity", change / window_s, limit)
 
     def _approached(self, cycle: int) -> int:
-        """Where it is on the way to the beginning."""
+        """Return the set-point on the way to the beginning."""
         approach = self._approach
         if approach is None or cycle <= 0:
             return self._held_inc
@@ -154,7 +156,7 @@ class StreamedMotion:
         return self._last_inc
 
     def _position(self, place: int) -> float:
-        """The position demanded `place` periods after the start [U]."""
+        """Return the position demanded `place` periods after the start [U]."""
         demand = self._demand
         if self._argument is None:
             elapsed_s = place * self._period_s
@@ -164,7 +166,7 @@ class StreamedMotion:
         end = demand.final_argument
         if self.over or at >= end - _ROUNDING * max(1.0, abs(end)):
             self.over = True
-            at = max(at, end)  # an argument may turn back: what is over stays over
+            at = max(at, end)  # an argument may turn back, but the trajectory stays over
         if self._motion.variable is ControlVariable.VELOCITY:
             return self._travelled(at)
         trajectory = self._motion.trajectory
@@ -173,7 +175,7 @@ class StreamedMotion:
         return demand.value(at) + self._shift
 
     def _travelled(self, at: float) -> float:
-        """The integral of a trajectory of velocity; after its end it goes on as it ended."""
+        """Return the integral of a velocity trajectory, continued at its final velocity."""
         demand = self._demand
         self.velocity = demand.value(at)
         integral = self._integral
@@ -196,7 +198,7 @@ class StreamedMotion:
         else:
             period_ms = self._period_s * 1e3
             reason = f"the {argument.name} steps: set-points are {period_ms:g} ms apart; it must be"
-            reason += " heard as often (status_period_ms, of a motor's position), or be slower"
+            reason += " received as often (status_period_ms, of a motor's position), or be slower"
         per = "/s²" if quantity.startswith("change") else "/s"
         return LimitError(
             motor=self._motor,

@@ -1,4 +1,4 @@
-"""An amplifier is switched off again until its node shows that it is: a frame may be lost."""
+"""Repeated switching-off of an amplifier, as a frame may be lost."""
 
 from typing import TYPE_CHECKING, Final, final
 
@@ -15,17 +15,16 @@ _REPEATS: Final = 500
 
 @final
 class SwitchOff:
-    """Takes the enable input of one amplifier away, every 10 ms.
+    """A command that clears the enable input of one amplifier, every 10 ms until it is confirmed.
 
-    Otherwise an amplifier that missed the one frame would go on with the current that it was given
-    last, for as long as its node hears the host: nobody's servo closes the loop any more, and no
-    dead-man helps. Meanwhile the node stays this process's: who else enabled an amplifier of it
-    would have it switched off again.
+    Without it, an amplifier that missed the one frame would keep its last current while its node
+    hears the host. The loop is open, and no supervision helps. Meanwhile this process occupies the
+    node; otherwise another process could enable an amplifier that is then switched off again.
 
     Args:
         io: the node.
-        channel: of the amplifier.
-        hold: of the node, released at the end; None: no other process can have it.
+        channel: the channel of the amplifier.
+        hold: the occupation of the node, released at the end; None: no other process can have it.
     """
 
     def __init__(self, io: "AmplifierNode", channel: int, hold: "Hold | None") -> None:
@@ -37,7 +36,7 @@ class SwitchOff:
         self._registration = io.link.runtime.every(_REPEAT_S, self._again)
 
     def see(self, time_ns: int) -> None:
-        """The node told its digital inputs."""
+        """Evaluate digital inputs received from the node."""
         if time_ns > self._since_ns and not self._io.status(self._channel) & READY:
             self.end()
 
@@ -49,12 +48,12 @@ class SwitchOff:
         try:
             self._io.switch(self._channel, False)
         except LinkError:
-            pass  # the bus may take the next one
+            pass  # the bus may accept the next one
         except MotorBusyError:
-            self.end()  # another process's by now, and so is the amplifier
+            self.end()  # another process owns the node now, and the amplifier
 
     def end(self) -> None:
-        """Nothing is sent any more, and the node not held for it; again does nothing."""
+        """End the repetition and release the node; further calls do nothing."""
         self._registration.cancel()
         hold, self._hold = self._hold, None
         if hold is not None:

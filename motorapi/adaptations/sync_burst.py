@@ -1,11 +1,11 @@
-"""Set-points that begin together where a cyclic SYNC runs: one burst just after a SYNC.
+"""Joint start of set-points beside a cyclic SYNC, in one burst.
 
-Nothing can be armed one by one there: each would begin with the SYNC that comes next. So all are
-made ready, up to the one frame that is still to be sent; then all of these go out just after a SYNC
-and have a period to pass the bus before the next one latches them. If they have not passed by then
-(other traffic, a frame that was delayed), that SYNC *straddles* the burst: those that have passed
-begin with it, the others with a later one. That is seen, for every frame tells when it was on the
-wire, and counted.
+Set-points cannot be armed one by one there: each would begin with the next SYNC. So all are
+prepared up to the one frame that is still to be sent. Then all frames are sent just after a SYNC,
+and have a period to pass the bus before the next SYNC latches them. If they have not passed by then
+(other traffic, a delayed frame), that SYNC *straddles* the burst. The drives whose frames have
+passed begin with it, the others with a later one. This is detected and counted, as each frame's
+time on the wire is known.
 """
 
 from collections.abc import Callable, Sequence
@@ -27,17 +27,17 @@ class ArmedSetPoint:
     """A set-point of one drive that begins at a SYNC, with others.
 
     Args:
-        link: of the bus.
-        control: of the drive.
-        index: of the object that holds the target: 607Ah, 60FFh.
-        target: in the drive's units.
-        fired: is told when that SYNC was on the wire [ns].
+        link: the link of the bus.
+        control: the controls of the drive.
+        index: the object that holds the target: 607Ah, 60FFh.
+        target: the target in the drive's units.
+        fired: called with the time [ns] when that SYNC was on the wire.
 
     Attributes:
-        latched_ns: when it was; None: not yet.
+        latched_ns: the time of that SYNC; None: not yet.
         place: the number of that SYNC, on this link.
-        straddles: SYNCs between that of the first of the group and this one's.
-        transmission: its frame; None: it was not sent yet.
+        straddles: the SYNCs between the first one of the group and this one's.
+        transmission: the frame; None: not sent yet.
     """
 
     def __init__(
@@ -60,21 +60,21 @@ class ArmedSetPoint:
         self.straddles = 0
 
     def mark(self, node_id: int, can_id: int) -> None:
-        """Other processes see that it waits in this RPDO of the drive, until `unmark`."""
+        """Mark the set-point as waiting in this RPDO of the drive, for other processes."""
         self._mark = self._link.bus_sync.marks.mark(self._link, node_id, can_id, self)
 
     def unmark(self) -> None:
-        """It waits no more: a SYNC has latched it, or it was overwritten."""
+        """Remove the mark: a SYNC has latched the set-point, or it was overwritten."""
         mark, self._mark = self._mark, None
         if mark is not None:
             mark.release()
 
     def send(self) -> None:
-        """Its frame is on its way, unless the drive was told to stop.
+        """Send the frame, unless the drive was stopped.
 
         Raises:
-            LinkError: the bus does not take it.
-            MotorBusyError: somebody has low-level access, or has taken the motor over.
+            LinkError: the bus does not accept the frame.
+            MotorBusyError: low-level access is active, or another program has taken the motor over.
         """
         if not self._control.is_halted:
             self.transmission = self._control.send_armed(
@@ -88,7 +88,7 @@ class ArmedSetPoint:
 
     @property
     def is_over(self) -> bool:
-        """Whether no SYNC is waited for: it was latched, or the drive was told to stop."""
+        """True if no SYNC is awaited: the set-point was latched, or the drive stopped."""
         return self.latched_ns is not None or not self._control.is_armed
 
 
@@ -110,19 +110,19 @@ class Burst:
         try:
             for one in self._armed:
                 one.send()
-        except Exception as error:  # it is told by whoever waits
+        except Exception as error:  # raised in the waiting call
             self._error = error
 
     def await_latched(self) -> None:
-        """All have begun, or were told to stop.
+        """Wait until all set-points have begun, or their drives were stopped.
 
         Raises:
-            LinkError: the bus does not take them, or no SYNC comes.
-            MotorBusyError: somebody has low-level access to one, or has taken it over.
+            LinkError: the bus does not accept the frames, or no SYNC comes.
+            MotorBusyError: low-level access is active, or another program has taken a motor over.
         """
         link, armed = self._link, self._armed
         if not self._comes(lambda: self._is_sent):
-            self._send(0)  # whoever produced SYNC has ended: one of ours begins them
+            self._send(0)  # the producer of SYNC has ended: one of ours begins them
         if self._error is not None:
             raise self._error
         link.confirmed([one.transmission for one in armed if one.transmission is not None])
@@ -130,10 +130,10 @@ class Burst:
             link.confirmed([link.sync()])
 
     def _comes(self, done: Callable[[], bool]) -> bool:
-        """Whether it is done; False: no SYNC runs any more.
+        """Return whether `done` becomes true; False: the cyclic SYNC has ended.
 
         Raises:
-            LinkError: one should run, and does not come.
+            LinkError: a cyclic SYNC should run, but does not come.
         """
         link = self._link
         runs = link.bus_sync.known()
@@ -149,7 +149,7 @@ class Burst:
 
 
 def count_straddles(armed: Sequence[ArmedSetPoint]) -> None:
-    """Each of a group knows how many SYNCs after the first one it began."""
+    """Set `straddles` of each set-point: the number of SYNCs after the first one."""
     latched = [one for one in armed if one.latched_ns is not None]
     for one in latched:
         one.straddles = one.place - min(other.place for other in latched)

@@ -1,4 +1,4 @@
-"""Who produces the SYNC of a bus: one seat for all links and processes on it."""
+"""The role of SYNC producer on a bus, among links and processes."""
 
 import re
 import weakref
@@ -19,21 +19,21 @@ if TYPE_CHECKING:
     from motorapi.adaptations.canopen_link import CanopenLink
 
 _EQUAL: Final = 0.1
-_EQUAL_NS: Final = 300_000  # what a host's jitter makes of the period of a fast one
+_EQUAL_NS: Final = 300_000  # jitter of a host, for short periods
 _PURPOSE: Final = re.compile(r"SYNC every ([0-9.]+) ms")
 
 
 @final
 @dataclass(frozen=True, slots=True)
 class CyclicSync:
-    """A SYNC that runs on a bus: its period [ns], who produces it, and whether that one is ours."""
+    """A SYNC that runs on a bus: its period [ns], its producer, and whether it is one of ours."""
 
     period_ns: int
     who: str
     is_ours: bool
 
     def has_period(self, period_ns: int) -> bool:
-        """Whether this is its period, as far as one can hear."""
+        """Return whether this is its period, within the accuracy of listening."""
         if self.is_ours:
             return self.period_ns == period_ns
         return abs(self.period_ns - period_ns) <= max(_EQUAL * period_ns, _EQUAL_NS)
@@ -44,7 +44,10 @@ class CyclicSync:
 
 @final
 class ProducerSeat:
-    """Who produces the SYNC of one bus: one link, of one process. Costs no more than a look."""
+    """The role of SYNC producer on one bus, held by one link of one process.
+
+    Reading it is cheap.
+    """
 
     def __init__(self, lock: ProcessLock | None) -> None:
         self._lock = lock
@@ -54,12 +57,12 @@ class ProducerSeat:
         self._hold: Hold | None = None
 
     def take(self, runtime: Runtime, who: object, period_ns: int) -> None:
-        """It is the seat of `who`, who has the bus's turn; who has it may take it again.
+        """Take the seat for `who`, which has the bus's turn; its holder may take it again.
 
-        It is taken over from a process that is paused, and so produces nothing.
+        The seat is taken over from a process that is paused, and so produces nothing.
 
         Raises:
-            MotorBusyError: another process has it.
+            MotorBusyError: another process holds it.
         """
         lock = self._lock
         if lock is not None and self._hold is None:
@@ -70,7 +73,7 @@ class ProducerSeat:
         self._holder, self._period_ns = who, period_ns
 
     def give(self, who: object) -> None:
-        """It is nobody's, if it was that one's."""
+        """Release the SYNC producer role if `who` holds it."""
         if self._holder is who:
             self._holder = None
             hold, self._hold = self._hold, None
@@ -78,7 +81,7 @@ class ProducerSeat:
                 hold.release()
 
     def begin(self) -> bool:
-        """Whether it still is this process's, until `end`: nobody takes it over meanwhile."""
+        """Return whether this process still holds the seat, and keep it until `end`."""
         hold = self._hold
         if hold is None:
             return True
@@ -89,25 +92,25 @@ class ProducerSeat:
         return True
 
     def end(self) -> None:
-        """What was begun is over."""
+        """End the period that `begin` began."""
         if self._hold is not None:
             self._hold.end_write()
 
     def evict_paused(self, runtime: Runtime) -> None:
-        """A paused process has it no more: it would go on in the middle of what others arm."""
+        """Evict a paused process, which could resume while others arm."""
         lock = self._lock
         if lock is None or self._hold is not None:
             return
         holder = lock.look().holder
         if holder is not None and holder.is_paused:
-            lock.acquire(runtime, "ended, for it was paused", 0.0, self, take_over=True).release()
+            lock.acquire(runtime, "eviction of paused process", 0.0, self, take_over=True).release()
 
     def is_of(self, who: object) -> bool:
-        """Whether that one has it."""
+        """Return whether `who` holds the seat."""
         return self._holder is who
 
     def look(self) -> CyclicSync | None:
-        """Who has it now; None: nobody, or a process that is paused."""
+        """Return the SYNC of the holder; None: there is none, or its process is paused."""
         if self._holder is not None:
             return CyclicSync(self._period_ns, "this program", True)
         holder = None if self._lock is None else self._lock.look().holder
@@ -120,7 +123,7 @@ class ProducerSeat:
 
 @final
 class SharedBus:
-    """What all links of this process on one physical bus share."""
+    """The state that all links of this process share for one physical bus."""
 
     def __init__(self, name: str, where: str | None) -> None:
         lock: ProcessLock | None = None
@@ -137,7 +140,7 @@ _buses: Final["weakref.WeakValueDictionary[Hashable, SharedBus]"] = weakref.Weak
 
 
 def shared_bus(link: "CanopenLink") -> SharedBus:
-    """The one of the bus that the link is on, whatever path leads there."""
+    """Return the shared state of the link's bus, independent of the path by which it was opened."""
     where = bus_name(link.bus) if can_share_time(link.runtime) else None
     key: Hashable = bus_key(link.bus) if where is None else where
     bus = _buses.get(key)
@@ -147,12 +150,12 @@ def shared_bus(link: "CanopenLink") -> SharedBus:
 
 
 def median_ns(times_ns: tuple[int, ...]) -> int:
-    """The middle one of the steps between two times [ns], of several in order."""
+    """Return the median step between times in order [ns]."""
     return _middle(_steps(times_ns))
 
 
 def regular_ns(times_ns: tuple[int, ...]) -> int:
-    """As `median_ns` [ns]; 0 if they do not come regularly, but for those that waited."""
+    """Return the median step [ns], or 0 if the steps are not regular within bus delays."""
     steps = _steps(times_ns)
     middle_ns = _middle(steps)
     return middle_ns if steps[0] >= middle_ns // 2 and steps[-1] <= middle_ns * 3 // 2 else 0

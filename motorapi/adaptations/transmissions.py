@@ -1,4 +1,4 @@
-"""Own frames on their way, and when each was on the wire."""
+"""Own frames that wait for transmission, and their times on the wire."""
 
 from collections import deque
 from collections.abc import Sequence
@@ -11,7 +11,7 @@ _UNCONFIRMED_MAX: Final = 1000
 
 @final
 class Transmission:
-    """One frame on its way; `time_ns` is when it was complete on the bus, None before that."""
+    """One queued frame; `time_ns` is its time of completion on the bus, None before that."""
 
     __slots__ = ("frame", "time_ns")
 
@@ -21,20 +21,20 @@ class Transmission:
 
 
 def all_sent(transmissions: Sequence[Transmission]) -> bool:
-    """Whether all of them were on the wire."""
+    """Return whether all of them were on the wire."""
     return all(one.time_ns is not None for one in transmissions)
 
 
 @final
 class Transmissions:
-    """All that wait for one bus, by identifier."""
+    """All frames that wait for one bus, by identifier."""
 
     def __init__(self, link: str) -> None:
         self._link: Final = link
         self._awaited: dict[bytes, deque[Transmission]] = {}
 
     def add(self, transmission: Transmission, confirms: bool) -> None:
-        """It waits for the bus, which tells of own frames (`confirms`), or has not yet.
+        """Record a frame that waits for the bus; `confirms`: whether the bus reports own frames.
 
         Raises:
             LinkError: the bus has not transmitted anything for a long time.
@@ -47,19 +47,19 @@ class Transmissions:
             if confirms:
                 reason = f"{len(waiting)} frames wait, none is transmitted"
                 raise LinkError(link=self._link, reason=reason)
-            waiting.popleft()  # a bus that never tells of own frames
+            waiting.popleft()  # a bus that does not report own frames
         waiting.append(transmission)
 
     def remove(self, transmission: Transmission) -> None:
-        """It was not sent after all."""
+        """Remove a frame that was not sent."""
         self._awaited[transmission.frame[:4]].remove(transmission)
 
     def pending(self, key: bytes) -> Sequence[Transmission]:
-        """Those that wait with this identifier (its 4 bytes)."""
+        """Return the waiting frames with this identifier (its 4 bytes)."""
         return tuple(self._awaited.get(key, ()))
 
     def confirm(self, frame: bytes, time_ns: int) -> None:
-        """Of one identifier's frames the oldest equal one was sent; those before it never were."""
+        """Confirm the oldest equal frame with this identifier; earlier ones were never sent."""
         waiting = self._awaited.get(frame[:4])
         if not waiting:
             return
@@ -71,5 +71,5 @@ class Transmissions:
                 return
 
     def forget(self) -> None:
-        """None of them is waited for any more: with the bus off they are lost."""
+        """Forget all frames: with the bus off they are lost."""
         self._awaited.clear()

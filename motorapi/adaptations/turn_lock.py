@@ -1,4 +1,4 @@
-"""Whose turn it is to talk to a device: one exchange after another, in the order of asking."""
+"""A FIFO lock for exchanges with a device."""
 
 from collections import deque
 from collections.abc import Iterator
@@ -11,17 +11,17 @@ from motorapi.runtime import Runtime
 
 @final
 class TurnLock:
-    """One party at a time, first come first served; those who wait let time pass."""
+    """A lock that serves callers in order of arrival; waiting callers let time pass."""
 
     def __init__(self, runtime: Runtime) -> None:
         self._runtime = runtime
         self._tickets: deque[object] = deque()
 
     def take(self, timeout_s: float, awaited: str) -> object:
-        """It is the caller's turn, until `give_back` of what this returns.
+        """Wait for the caller's turn, and return the ticket for `give_back`.
 
         Raises:
-            DeadlineExceeded: others kept it for `timeout_s` [s]; `awaited` says what for.
+            DeadlineExceeded: others kept it for `timeout_s` [s]; `awaited` names the purpose.
         """
         ticket = object()
         tickets = self._tickets
@@ -40,12 +40,12 @@ class TurnLock:
         )
 
     def give_back(self, ticket: object) -> None:
-        """The turn is the next one's."""
+        """Pass the turn to the next caller."""
         self._tickets.remove(ticket)
 
     @contextmanager
     def turn(self, timeout_s: float, awaited: str) -> Iterator[None]:
-        """The block is run alone. Raises as `take`."""
+        """Run the block alone; raises as `take`."""
         ticket = self.take(timeout_s, awaited)
         try:
             yield

@@ -110,7 +110,7 @@ def test_who_loses_a_drive_reads_what_is_wrong_with_the_bus(tmp_path, fault, tol
     """A cable of the host's, and none of the drive's."""
     with opened(tmp_path, fault + "\nfrom_s = 1.0") as rig:
         motor = start(rig)
-        lost = rf"no heartbeat for 300 ms since 1\.\d+ s; look at the bus first: {told}"
+        lost = rf"no heartbeat for 300 ms since 1\.\d+ s; check the bus first: {told}"
         with pytest.raises(LinkError, match=lost):
             motor.wait_until_done(timeout_s=5)
 

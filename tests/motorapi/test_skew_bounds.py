@@ -147,7 +147,7 @@ def test_a_stream_and_a_set_point_are_a_period_apart_as_predicted(tmp_path: Path
     assert outcome.command_ns == 5_000_000
     assert found["command"] is not None
     assert found["command"] > 0.7
-    assert "a stream of set-points" in outcome.predicted.no_end_bound
+    assert "streamed set-points is not predicted" in outcome.predicted.no_end_bound
 
 
 # --- where there is no bound ---------------------------------------------------------------------
@@ -176,7 +176,7 @@ def test_undeclared_traffic_is_told_as_no_bound_and_a_declaration_mends_it(tmp_p
         group = group_of(rig)
         told = group.sync_capability()
         assert told.command_skew_s is told.start_skew_s is told.end_skew_s is None
-        reason = "a: what else is sent on can0 is not declared (declare_traffic)"
+        reason = "a: the other traffic on can0 is not declared (declare_traffic)"
         assert told.no_command_bound == told.no_start_bound == told.no_end_bound == reason
         with pytest.raises(UsageError):
             group.start(max_skew_s=1.0)
@@ -193,10 +193,10 @@ def test_undeclared_traffic_is_told_as_no_bound_and_a_declaration_mends_it(tmp_p
     [
         (
             "oscillator_ppm = 50",
-            "a: its profile tick is not told (servo_period_ms)",
-            "a: its profile tick is not told (servo_period_ms)",
+            "a: its profile tick is not known (servo_period_ms)",
+            "a: its profile tick is not known (servo_period_ms)",
         ),
-        ("servo_period_ms = 1", "", "a: the accuracy of its clock is not told (oscillator_ppm)"),
+        ("servo_period_ms = 1", "", "a: the accuracy of its clock is not known (oscillator_ppm)"),
     ],
 )
 def test_what_is_not_told_of_a_drive_leaves_no_bound(
@@ -214,7 +214,7 @@ def test_a_handshake_needs_the_time_in_which_the_drive_answers(tmp_path: Path):
     with rig_of(tmp_path, motor, SEQUENTIAL, head) as rig:
         told = group_of(rig, ControlVariable.VELOCITY).sync_capability()
         assert told.no_command_bound == (
-            "a: how long the drive takes to answer an SDO is not told (sdo_reply_ms)"
+            "a: the drive's SDO response time is not known (sdo_reply_ms)"
         )
 
 
@@ -223,7 +223,7 @@ def test_what_is_sent_on_change_without_an_inhibit_time_has_no_bound(tmp_path: P
     with rig_of(tmp_path, motor, SEQUENTIAL, f"{HEAD}message = []\n") as rig:
         told = group_of(rig).sync_capability()
         assert told.no_command_bound == (
-            "a: what is sent on can0 has no bound: TPDO 181h of node 1 has no inhibit time"
+            "a: the traffic on can0 has no bound: TPDO 181h of node 1 has no inhibit time"
         )
 
 
@@ -234,7 +234,7 @@ def test_the_walls_time_has_no_bound_whatever_is_declared():
         traffic, why = traffic_on(link)
         release_link(link)
     assert traffic is None
-    assert why == "on the wall clock nothing promises when this program goes on"
+    assert why == "on the wall clock the delays of this program have no bound"
 
 
 def test_what_is_no_traffic_is_not_declared():

@@ -1,9 +1,10 @@
-"""A program whose servo holds the motor on channel 1 of node 1 of a hub, until it has lost it.
+"""A program with a servo that loses its motor.
 
 python -m tests.wall.fenced_servo CHANNEL HOW
 
-It says "holding"; then, for each line it reads, how its servo is: "holds", or "ended: WHY". HOW is
-"fenced", or "unfenced": then its frames go out whoever owns the node.
+The motor is on channel 1 of node 1. The program prints "holding"; then, for each line it reads, the
+state of its servo: "holds", or "ended: WHY". HOW is "fenced", or "unfenced": then its frames are
+sent without regard to the owner of the node.
 """
 
 import sys

@@ -1,4 +1,4 @@
-"""A program on the wall: moves a PR-mode drive over `tcp HOST:PORT` or `rtu LINK`."""
+"""A program that moves a PR-mode drive over `tcp HOST:PORT` or `rtu LINK`."""
 
 import sys
 

@@ -1,7 +1,8 @@
-"""Algorithms 1 and 2 of the paper on nodes 1 and 2, as a user's program, for a slow machine.
+"""Algorithms 1 and 2 of the paper, for a slow machine.
 
-Its deadlines are longer than the defaults: it runs on the wall clock, perhaps on a busy machine
-inside an emulated one. What it prints does not depend on how slow that is.
+The program uses nodes 1 and 2. Its deadlines are longer than the defaults: it runs on the wall
+clock, perhaps on a busy machine inside an emulated one. Its output does not depend on the machine's
+speed.
 """
 
 import sys

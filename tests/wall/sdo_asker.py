@@ -1,4 +1,4 @@
-"""A program that asks node 1 of a hub for 1018h:01h, and waits for the answer; it is killed then.
+"""A program that uploads 1018h:01h of node 1 of a hub.
 
 python -m tests.wall.sdo_asker CHANNEL
 """
@@ -14,7 +14,7 @@ from motorapi.runtime import runtime_of
 
 
 def channel_of(bus, *, quarantine_s):
-    """The SDO channel of node 1, as hardware objects have it."""
+    """Return the SDO channel of node 1, as hardware objects have it."""
     runtime = runtime_of(bus)
     channel = SdoChannel(open_link(bus, runtime), 1, timeout_s=30.0, quarantine_s=quarantine_s)
     channel.process_lock = node_locks(bus, runtime, 1, "node 1")[1]

@@ -1,4 +1,4 @@
-"""`motorhil conform --on`: the clauses on drives of another process, on the wall clock."""
+"""`motorhil conform --on`: the clauses on drives of another process."""
 
 import json
 
@@ -16,16 +16,14 @@ pytestmark = pytest.mark.wall
 
 @pytest.fixture
 def strict_rig(tmp_path):
-    """On it no motor can come to rest near enough to where it was."""
+    """Return a drive that no motor can bring to rest near enough to its start."""
     rig = tmp_path / "strict.toml"
     text = (RIGS / "cia402.toml").read_text()
     rig.write_text(text.replace("window_rad = 0.001", "window_rad = 1e-12"))
     return str(rig)
 
 
-def test_drives_of_another_process_are_checked_and_what_fails_leaves_its_record(
-    tmp_path, strict_rig
-):
+def test_conform_checks_foreign_drives_and_records_failures(tmp_path, strict_rig):
     hub, found = tmp_path / "hub", tmp_path / "found.json"
     clauses = [word for one in ("STATE-01", "MOVE-02", "UNIT-01") for word in ("--clause", one)]
     words = ("--rig", strict_rig, "--on", f"can0={hub}", "--json", str(found), *clauses)
@@ -57,13 +55,13 @@ def test_drives_of_another_process_are_checked_and_what_fails_leaves_its_record(
         ("=vcan0", "is not a free bus of the motors under test"),
     ],
 )
-def test_a_bus_that_cannot_be_reached_is_one_line(on, told):
+def test_unreachable_bus_is_a_one_line_error(on, told):
     with pytest.raises(RigError) as refused:
         Target(Job("cia402", on=(on,))).opener()()
     assert told in str(refused.value)
 
 
-def test_every_bus_of_the_motors_has_to_be_said(tmp_path):
+def test_missing_bus_of_a_motor_is_refused(tmp_path):
     rig = tmp_path / "rig.toml"
     text = (RIGS / "cia402.toml").read_text()
     second = '[bus.can1]\nbitrate_bit_s = 1_000_000\n\n[controller.right]\nkind = "cia402"\n'

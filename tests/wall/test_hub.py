@@ -48,14 +48,14 @@ def message(can_id, data=b""):
     return can.Message(arbitration_id=can_id, data=data, is_extended_id=False)
 
 
-def test_a_program_talks_to_a_controller_in_another_loop(path):
+def test_program_talks_to_a_controller_in_another_loop(path):
     with serving(path, Echo(0x180)), can.Bus(interface="emulated", channel=path) as bus:
         bus.send(message(0x100, b"\x2a"))
         answer = bus.recv(30.0)
     assert (answer.arbitration_id, bytes(answer.data), answer.is_rx) == (0x180, b"\x2a", True)
 
 
-def test_nothing_is_lost_and_everybody_hears_one_order(path):
+def test_all_clients_receive_all_frames_in_one_order(path):
     count = 3000
     with (
         serving(path),
@@ -76,7 +76,7 @@ def test_nothing_is_lost_and_everybody_hears_one_order(path):
     ]
 
 
-def test_own_frames_come_back_when_transmitted_if_asked_for(path):
+def test_own_frames_return_when_transmitted_if_requested(path):
     with (
         serving(path),
         can.Bus(interface="emulated", channel=path, receive_own_messages=True) as own,
@@ -88,7 +88,7 @@ def test_own_frames_come_back_when_transmitted_if_asked_for(path):
     assert echo.timestamp == heard.timestamp > 0.0
 
 
-def test_the_other_bus_is_another_bus(path):
+def test_two_buses_of_a_hub_are_separate(path):
     with (
         serving(path),
         can.Bus(interface="emulated", channel=path) as first,
@@ -98,7 +98,7 @@ def test_the_other_bus_is_another_bus(path):
         assert second.recv(0.2) is None
 
 
-def test_an_unknown_bus_is_refused_with_the_known_ones(path):
+def test_unknown_bus_is_refused_naming_the_known_ones(path):
     with (
         serving(path),
         pytest.raises(can.CanInitializationError, match=r"no bus 'can9' here.*can1"),
@@ -106,26 +106,26 @@ def test_an_unknown_bus_is_refused_with_the_known_ones(path):
         can.Bus(interface="emulated", channel=path + "#can9")
 
 
-def test_a_stranger_is_told_so_in_words(path):
+def test_client_of_another_protocol_is_refused_in_words(path):
     with serving(path), socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET) as stranger:
         stranger.connect(path)
         stranger.send(b"\x01hello")
         assert stranger.recv(500).startswith(b"refused this is motorhil's hub")
 
 
-def test_nobody_there_says_how_to_start_one(path):
+def test_missing_hub_error_says_how_to_start_one(path):
     with pytest.raises(can.CanInitializationError, match="motorhil serve"):
         can.Bus(interface="emulated", channel=path)
 
 
-def test_a_hub_that_goes_away_is_an_error_not_silence(path):
+def test_lost_hub_raises_an_error(path):
     with serving(path):
         bus = can.Bus(interface="emulated", channel=path)
     with bus, pytest.raises(can.CanOperationError, match="closed the connection"):
         bus.recv(30.0)
 
 
-def test_a_bus_is_known_to_be_shut_down_before_its_connection_ends(path, monkeypatch):
+def test_bus_is_marked_shut_down_before_its_connection_ends(path, monkeypatch):
     known = []
     with serving(path):
         bus = can.Bus(interface="emulated", channel=path)
@@ -137,7 +137,7 @@ def test_a_bus_is_known_to_be_shut_down_before_its_connection_ends(path, monkeyp
     assert known == [True]
 
 
-def test_a_path_in_use_is_refused_and_a_dead_hubs_path_is_taken_over(path):
+def test_used_path_is_refused_and_a_dead_hubs_path_reused(path):
     queue = EventQueue()
     world = World(queue)
     world.add_bus(CanBus("can0"))
@@ -148,7 +148,7 @@ def test_a_path_in_use_is_refused_and_a_dead_hubs_path_is_taken_over(path):
     HubServer(path, world).close()
 
 
-def test_a_file_in_the_way_is_left_alone(tmp_path):
+def test_regular_file_at_the_path_is_kept(tmp_path):
     world = World(EventQueue())
     world.add_bus(CanBus("can0"))
     file = tmp_path / "precious"
@@ -158,7 +158,7 @@ def test_a_file_in_the_way_is_left_alone(tmp_path):
     assert file.read_text() == "keep"
 
 
-def test_a_path_too_long_is_told_with_the_limit(tmp_path):
+def test_path_too_long_is_refused_with_the_limit(tmp_path):
     world = World(EventQueue())
     world.add_bus(CanBus("can0"))
     with pytest.raises(HubError, match="107 bytes"):
@@ -173,7 +173,7 @@ NO_FRAMES = {
 
 
 @pytest.mark.parametrize("frame", NO_FRAMES.values(), ids=NO_FRAMES)
-def test_who_sends_what_no_bus_carries_is_told_so_and_the_others_stay(path, frame):
+def test_invalid_frame_is_refused_and_other_clients_stay(path, frame):
     with serving(path, Echo(0x180)), can.Bus(interface="emulated", channel=path) as bus:
         with can.Bus(interface="emulated", channel=path) as broken:
             broken.transmit(frame)
@@ -183,7 +183,7 @@ def test_who_sends_what_no_bus_carries_is_told_so_and_the_others_stay(path, fram
         assert bytes(bus.recv(30.0).data) == b"\x2a"
 
 
-def test_there_is_room_for_many_and_the_next_is_told_so(path, monkeypatch):
+def test_client_beyond_the_maximum_is_refused(path, monkeypatch):
     monkeypatch.setattr("emulators.hub.CLIENTS_MAX", 2)
     with (
         serving(path, Echo(0x180)),
@@ -196,7 +196,7 @@ def test_there_is_room_for_many_and_the_next_is_told_so(path, monkeypatch):
         assert bytes(bus.recv(30.0).data) == b"\x2a"
 
 
-def test_a_path_that_would_read_as_path_and_bus_is_refused(tmp_path):
+def test_path_that_looks_like_path_and_bus_is_refused(tmp_path):
     world = World(EventQueue())
     world.add_bus(CanBus("can0"))
     with pytest.raises(HubError, match=r"a#b.*'#'"):
@@ -204,12 +204,12 @@ def test_a_path_that_would_read_as_path_and_bus_is_refused(tmp_path):
     assert not list(tmp_path.iterdir())
 
 
-def test_a_hub_takes_only_its_own_socket_away(path):
+def test_hub_removes_only_its_own_socket(path):
     queue = EventQueue()
     world = World(queue)
     world.add_bus(CanBus("can0"))
     first = HubServer(path, world)
-    os.unlink(path)  # somebody tidied up
+    os.unlink(path)  # removed from outside
     second = HubServer(path, world)
     first.close()
     assert os.path.exists(path)

@@ -1,7 +1,7 @@
-"""Four threads, each with a logical motor of its own on node 1, as a user's program.
+"""Four threads with a logical motor each on node 1.
 
-Each moves, looks, is told how its motion ended, and now and then has the hardware for itself. All
-that is not as if it were alone: whoever has the motor is waited for.
+Each thread moves, reads, gets the end of its motion, and sometimes has low-level access. Each works
+as if it were alone: each operation waits for the present owner of the motor.
 """
 
 import sys
@@ -40,7 +40,7 @@ def use(motor: Cia402Motor) -> None:
         motor.wait_until_done(timeout_s=WAIT_S)
         with motor.low_level(timeout_s=WAIT_S) as hardware:
             inside.append(motor.name)
-            hardware.write("profile_velocity", 1)  # nobody's next start may believe in another
+            hardware.write("profile_velocity", 1)  # no later start may rely on another
             hardware.read("statusword")
             assert inside == [motor.name], inside
             inside.clear()

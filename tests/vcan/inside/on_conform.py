@@ -1,4 +1,4 @@
-"""The conformance kit on a real SocketCAN interface: the same clauses, the same adaptation."""
+"""The conformance kit on a real SocketCAN interface."""
 
 from harness.conformance.job import Job
 from harness.conformance.kit import all_clauses
@@ -10,7 +10,7 @@ from tests.vcan.inside.on_fencing import serving_on
 from traces.reader import read_trace
 
 
-def test_a_clause_is_checked_and_what_was_on_the_bus_is_recorded(tmp_path, monkeypatch):
+def test_clause_is_checked_and_its_bus_traffic_recorded(tmp_path, monkeypatch):
     monkeypatch.setenv(VARIABLE, str(tmp_path))
     tmp_path.chmod(0o700)
     target = Target(Job("cia402", on=("can0=vcan0",)))

@@ -1,4 +1,4 @@
-"""CAN FD on real vcan: the kernel between a rig's bus and python-can's own interface."""
+"""CAN FD on real vcan: the kernel between a rig and python-can."""
 
 import fcntl
 import socket
@@ -23,7 +23,7 @@ UP = 1
 
 
 def change_mtu(interface, size):
-    """As `ip link set down ...; ip link set ... mtu SIZE up`."""
+    """Run `ip link set down ...; ip link set ... mtu SIZE up`."""
     name = interface.encode()
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as kernel:
         fcntl.ioctl(kernel, SIOCSIFFLAGS, struct.pack("16sh14x", name, 0))
@@ -49,7 +49,7 @@ class Bench(ErrorBench):
 
 
 class Across:
-    """Its buses are on vcan0 and on the rig's in turns: what one sends passes the gateway."""
+    """A pair of buses on vcan0 and on the rig in turns: each frame passes the gateway."""
 
     def __init__(self, bench):
         self._bench = bench
@@ -87,7 +87,7 @@ class TestFromTheRigToVcan(FdFrames):
         return across
 
 
-def test_what_a_classical_bus_cannot_carry_stays_outside():
+def test_frames_unfit_for_a_classical_bus_stay_outside():
     bench = ErrorBench(lambda world: [SocketCanGateway("vcan0", world, "can0")])
     try:
         with can.Bus(interface="socketcan", channel="vcan0", fd=True) as bus:
@@ -96,11 +96,11 @@ def test_what_a_classical_bus_cannot_carry_stays_outside():
         with can.Bus(interface="socketcan", channel="vcan0") as bus:
             bus.send(can.Message(arbitration_id=0x125, is_extended_id=False))
     finally:
-        bench.close()  # once all that has come is dealt with
+        bench.close()  # once all received frames are processed
     assert all(len(frame) == 16 for _, frame in bench.heard)
 
 
-def test_an_interface_that_carries_no_fd_is_told_of():
+def test_interface_without_fd_is_reported():
     world = World(EventQueue())
     world.add_bus(CanBus("can0", data_bitrate_bit_s=2_000_000))
     world.add_bus(CanBus("can1"))

@@ -1,4 +1,4 @@
-"""Drives on a real SocketCAN interface, shared by programs of which one is killed."""
+"""Drives on a real SocketCAN interface, shared by programs; one is killed."""
 
 import signal
 import subprocess
@@ -12,7 +12,7 @@ from tests.wall.test_shared_drive import SERVE
 
 
 def await_boot():
-    """Node 1 answers."""
+    """Wait until node 1 answers."""
     ask = can.Message(
         arbitration_id=0x601, data=bytes.fromhex("4000100000000000"), is_extended_id=False
     )
@@ -49,7 +49,7 @@ def on_vcan(**plan):
     return outcome
 
 
-def test_who_has_the_motor_is_one_at_a_time_though_somebody_is_killed():
+def test_motor_has_one_owner_at_a_time_despite_a_kill():
     outcome = on_vcan(
         work="harness.sharing.drivers:work_motor",
         workers=2,
