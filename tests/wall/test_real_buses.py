@@ -114,9 +114,9 @@ def test_places_are_for_the_bus_that_they_name_and_the_only_bus_needs_no_name():
 @pytest.mark.parametrize(
     ("texts", "why"),
     [
-        (["vcan3"], "there are frames of can0, can1; write --on can0=WHERE"),
-        (["can7=vcan3"], "there are frames of can0, can1; write --on can0=WHERE"),
-        (["can0=vcan3", "can0=vcan4"], "--on can0=vcan4: can0 is sent elsewhere already"),
+        (["vcan3"], "the recording has frames of can0, can1; write --on can0=WHERE"),
+        (["can7=vcan3"], "the recording has frames of can0, can1; write --on can0=WHERE"),
+        (["can0=vcan3", "can0=vcan4"], "--on can0=vcan4: can0 has a destination already"),
     ],
 )
 def test_a_place_for_no_bus_or_a_second_one_is_refused(texts, why):

@@ -35,7 +35,9 @@ def test_what_names_no_bus_is_refused_with_what_to_write(text):
 def test_two_buses_need_two_names():
     places = [parse_place("vcan0"), parse_place("./hub")]
     refuse_twice(["vcan0", "can0"], places)
-    with pytest.raises(PlaceError, match=r"--on ./hub: vcan0 is called can0 already.*NAME=./hub"):
+    with pytest.raises(
+        PlaceError, match=r"--on ./hub: the name can0 is used already, by vcan0.*NAME=./hub"
+    ):
         refuse_twice(["can0", "can0"], places)
 
 
@@ -108,7 +110,7 @@ def test_an_interfaces_own_stamps_are_used_and_moved_only_where_they_must_be(tap
 
 
 def test_an_unknown_interface_is_told_with_those_there_are():
-    with pytest.raises(PlaceError, match=r"no interface 'vrtual'; it has .*virtual"):
+    with pytest.raises(PlaceError, match=r"no interface 'vrtual'; available: .*virtual"):
         PythonCanTap(parse_place("vrtual:0"), {})
 
 

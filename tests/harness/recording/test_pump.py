@@ -190,7 +190,7 @@ def test_an_older_recording_is_not_lost_unless_that_is_said(tmp_path):
     path = tmp_path / "run.mcap"
     write_series(path, 10)
     before = path.read_bytes()
-    with pytest.raises(TraceError, match=r"run.mcap: exists; name another file, or say --force"):
+    with pytest.raises(TraceError, match=r"run.mcap: exists; name another file, or give --force"):
         write_series(path, 10)
     assert path.read_bytes() == before
     write_series(path, 20, overwrite=True)

@@ -268,9 +268,9 @@ def test_any_interface_of_python_can_is_sent_to(capsys, tmp_path):
     ("words", "told"),
     [
         ((), "names no bus to send to: --on can0=vcan0"),
-        (("--on", "virtual:1"), "there are frames of can0, can1; write --on can0=WHERE"),
-        (("--on", "can7=virtual:1"), "there are frames of can0, can1"),
-        (("--on", "can0=virtual:1", "--on", "can0=virtual:2"), "can0 is sent elsewhere already"),
+        (("--on", "virtual:1"), "the recording has frames of can0, can1; write --on can0=WHERE"),
+        (("--on", "can7=virtual:1"), "the recording has frames of can0, can1"),
+        (("--on", "can0=virtual:1", "--on", "can0=virtual:2"), "can0 has a destination already"),
         (("--on", "can0=vcan7"), "vcan7"),
         (("--on", "can0=/nowhere/hub"), "no hub answers here"),
         (("--bus", "can9", "--on", "virtual:1"), "holds no CAN frame to send"),
