@@ -65,8 +65,8 @@ def test_a_bus_that_is_not_there_is_named_with_those_that_are(folder, say):
     (folder / "empty.toml").write_text("bus.arm.bitrate_bit_s = 1_000_000\n")
     status, out, err = say("replay", "bench.mcap", "--as", "host", "--rig", "empty.toml")
     assert (status, out) == (2, "")
-    assert "the recorded host sends on 'can0', and empty.toml has no such bus or line" in err
-    assert "it has arm" in err
+    assert "the recorded host sends on 'can0', but empty.toml has no such bus or line" in err
+    assert "available: arm" in err
 
 
 def hosts_frames(path):
@@ -137,7 +137,7 @@ def test_a_rig_and_buses_are_not_driven_both(folder, say):
     words = ("--rig", "empty.toml", "--on", "virtual:1")
     status, out, err = say("replay", "bench.mcap", "--as", "host", *words)
     assert (status, out) == (2, "")
-    assert err == "motorhil replay: --on names buses, and --rig a rig to drive: say one of them\n"
+    assert err == "motorhil replay: --on and --rig exclude each other; give one of them\n"
 
 
 SINGLE = """\

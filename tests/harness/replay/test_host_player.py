@@ -145,7 +145,7 @@ def test_a_state_is_waited_for_by_its_value_and_what_came_instead_is_told():
     assert player.missed[0].instead == "last told: node 5 is stopped"
     player = waiting()
     player.take(100 * MS)
-    assert player.missed[0].instead == "it has told nothing of it"
+    assert player.missed[0].instead == "no report received"
     player = waiting()
     player.heard("can0", OPERATIONAL, 20 * MS, False)
     assert len(player.take(20 * MS)) == 1

@@ -245,7 +245,7 @@ def test_lines_that_are_named_by_addresses_stand_in_as_well(folder, say):
     assert (status, err) == (0, "")
     assert out == "2.mcap: generated: 1 bus, 1 controller\n"
     status, _, err = say("run", "2.mcap", "nothing.py")
-    assert (status, "the recording goes on: 1 more command" in err) == (0, True), err
+    assert (status, "the recording has 1 more command" in err) == (0, True), err
 
 
 def test_a_recording_without_devices_is_told_to_have_none(folder, say):

@@ -267,7 +267,7 @@ def test_any_interface_of_python_can_is_sent_to(capsys, tmp_path):
 @pytest.mark.parametrize(
     ("words", "told"),
     [
-        ((), "names no bus to send to: --on can0=vcan0"),
+        ((), "no destination given: name a bus with --on can0=vcan0"),
         (("--on", "virtual:1"), "the recording has frames of can0, can1; write --on can0=WHERE"),
         (("--on", "can7=virtual:1"), "the recording has frames of can0, can1"),
         (("--on", "can0=virtual:1", "--on", "can0=virtual:2"), "can0 has a destination already"),

@@ -44,14 +44,14 @@ def test_what_was_left_out_and_what_is_still_to_come_are_counted(rig):
     total = sum(one.to_come() for one in players(rig).values())
     assert list(summary(rig)) == [
         "2 recorded controllers: 0 commands, all answered as recorded",
-        f"the recording goes on: {total} more commands",
+        f"the recording has {total} more commands",
     ]
     (place, request), *_ = [one for one in commands(rig, "left") if one[0] > 3]
     tell(rig, 1, request)
     assert list(summary(rig)) == [
         "2 recorded controllers: 1 commands, all answered as recorded",
-        f"commands of the recording that did not come: left {place - 1}",
-        f"the recording goes on: {total - place} more commands",
+        f"commands of the recording that were not sent: left {place - 1}",
+        f"the recording has {total - place} more commands",
     ]
     tell(rig, 1, UNKNOWN)
     assert next(summary(rig)).startswith("2 recorded controllers: 1 of 2 commands not in")
