@@ -253,7 +253,7 @@ class _Levels:
         return self._bit_ns
 
     def errors_ns(self, window_ns: int, longest_ns: int) -> int:
-        """Return the cost of errors in a window, with retransmissions of this length at most [ns]."""
+        """Return the cost of errors in a window, where retransmissions take `longest_ns` [ns]."""
         return self._errors.count(window_ns) * (self._recovery_ns + longest_ns)
 
     def errors_share(self, longest_ns: int) -> float:
@@ -338,7 +338,7 @@ class _Level:
         return total_ns
 
     def _waited_ns(self, before_ns: int, least_ns: int) -> int | None:
-        """Return the start time after `before_ns` of its queue, at least `least_ns` [ns]; or None."""
+        """Return the start time after `before_ns` of its queue, `least_ns` or later; or None."""
         fixed_ns = self.blocking_ns + before_ns
         waited_ns = max(least_ns, fixed_ns)
         for _ in range(_ROUNDS_MAX):

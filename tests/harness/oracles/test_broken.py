@@ -69,7 +69,7 @@ BY_PRESENCE = [  # oracle, frames, when it is told [ms], words of the violation
     (
         "rest-when-told",
         instead(status(1100, 0x0637, 530), status(1200, 0x0637, 560)),
-        *(1200, "moves while it says, since 0.900000 s, that it has arrived: 30 inc, limit 10"),
+        *(1200, "moves while it reports arrival, since 0.900000 s: 30 inc, limit 10"),
     ),
     ("following-bounded", instead(*LAGS), 755, "since 0.605000 s"),
     ("torque-off", instead(torque(1555, -120)), 1555, "since 1.420000 s: 120 permille"),
@@ -108,15 +108,15 @@ BY_ABSENCE = [  # what was not heard
         "error-states",
         without((0x2000_0204, 1670, 1670)),
         1680,
-        "left: bus-off (TEC 255, REC 0), and was error warning",
+        "left: bus-off (TEC 255, REC 0), but was error warning",
     ),
     (
         "error-states",
         instead(error(1690, 0x204, "0008000000006000")),
         1690,
-        "left: error warning (TEC 96, REC 0), and was bus-off",
+        "left: error warning (TEC 96, REC 0), but was bus-off",
     ),
-    ("no-reboot", with_more((1000, 0x701, b"\0")), 1000, "booted again, and nobody had reset it"),
+    ("no-reboot", with_more((1000, 0x701, b"\0")), 1000, "booted again without an NMT reset"),
 ]
 REACH = {  # of the sound story, counted in it by hand
     "limit-position": 7,  # one target, six positions while it is enabled in pp

@@ -60,7 +60,7 @@ def test_a_machine_reads_the_same(say, broken):
     first = findings["pds-legal"]["first"]
     assert (first["time_ns"], first["bus"], first["node"]) == (420_000_000, "can0", 1)
     assert findings["pds-legal"]["verdict"] == "broken"
-    assert findings["owner-commands"]["reason"].startswith("nothing is told of who had")
+    assert findings["owner-commands"]["reason"].startswith("no motor ownership ")
 
 
 def test_each_oracle_says_its_promise_and_its_source(say):
@@ -78,7 +78,7 @@ def test_an_imported_recording_is_complete_if_somebody_says_so(say, broken, tmp_
     status, out, _ = say("judge", log)
     assert status == 0
     assert "pds-legal: perhaps: 0.420000000 s can0 node 1: switch on disabled" in out
-    assert "nobody says that this recording (candump) has every frame: --complete says so" in out
+    assert "nothing shows that this recording (candump) has every frame; --complete asserts it" in out
     assert say("judge", log, "--complete")[0] == 1
 
 

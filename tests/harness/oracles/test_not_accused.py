@@ -91,7 +91,7 @@ def reason(path):
 def test_an_answer_without_its_question_shows_that_frames_are_missing(tmp_path):
     frames = without((0x201, 410, 410), (0x601, 474, 474))
     path = record(tmp_path / "one.mcap", frames)
-    assert reason(path) == "there is an SDO answer without its question"
+    assert reason(path) == "it has an SDO answer without a request"
     begun_in_the_middle = without((0x201, 410, 410), (0x601, 10, 10))
     assert reason(record(tmp_path / "two.mcap", begun_in_the_middle)) == ""
 
@@ -138,7 +138,7 @@ def test_a_driver_that_tells_counters_in_its_own_way_is_doubted_not_accused(tmp_
     assert (finding.verdict, finding.looked) == (Verdict.NOT_JUDGED, 2)
     assert finding.first.text == (
         "the CAN controller: error passive by receiving (TEC 0, REC 127): "
-        "the greater should be 128 to 255"
+        "the greater counter should be 128 to 255"
     )
 
 

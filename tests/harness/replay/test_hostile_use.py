@@ -255,7 +255,7 @@ def test_a_recording_without_devices_is_told_to_have_none(folder, say):
         status, out, err = say(*words)
         assert (status, out) == (2, "")
         assert err == (
-            "free.mcap: holds nothing that a device told, of CANopen or Modbus; "
+            "free.mcap: holds no CANopen or Modbus message of a device; "
             "give a recording with devices in it\n"
         )
 

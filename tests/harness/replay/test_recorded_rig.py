@@ -50,7 +50,7 @@ def booted(number):
 
 def test_of_a_node_on_two_buses_one_is_to_be_named(tmp_path):
     path = recording(tmp_path / "a.mcap", ("can0", booted(1)), ("can1", booted(1)))
-    with pytest.raises(SettingError, match=r"name one; .* has node 1 on several buses: can0, can1"):
+    with pytest.raises(SettingError, match=r"name one of them; .* has node 1 on several buses: can0, can1"):
         built(path, node_id=1)
     core = built(path, node_id=1, recorded_bus="can1")
     assert isinstance(core, RecordedNode)
@@ -68,7 +68,7 @@ def test_a_unit_and_a_node_of_one_number_are_told_apart(tmp_path):
     assert isinstance(unit, RecordedUnit)
     assert isinstance(node, RecordedNode)
     assert (unit.player.tape.bus, node.player.tape.bus) == ("rs485", "can0")
-    with pytest.raises(SettingError, match="nothing of a unit 4"):
+    with pytest.raises(SettingError, match="no data of unit 4"):
         built(path, unit=4)
 
 

@@ -168,7 +168,7 @@ def test_a_rig_may_name_a_recording_for_one_of_its_controllers(folder, say):
         ('recording = "none.mcap"', "no such file"),
         ('recording = "other.toml"', "is no MCAP file"),
         ("", "is missing or not a text"),
-        ('recording = "bench.mcap"\nrecorded_bus = "can7"', "nothing of a node 1 on can7"),
+        ('recording = "bench.mcap"\nrecorded_bus = "can7"', "no data of node 1 on can7"),
         ('recording = "bench.mcap"\nplant = {}', "is not known"),
     ],
 )

@@ -84,7 +84,7 @@ def test_a_drive_on_an_imported_bus_is_drawn_in_its_own_increments(drive, report
     assert "6062h minus 6064h" in error["source"]
     assert plots["velocity"]["lines"] == []
     assert "no velocity in the recording" in plots["velocity"]["missing"]
-    assert "not in the recording" in motor["scale"]
+    assert "the recording does not give" in motor["scale"]
 
 
 def test_its_states_and_faults_are_told(drive, report_of):
@@ -126,7 +126,7 @@ def test_pdos_of_an_unknown_mapping_are_counted_not_guessed(tmp_path, report_of)
     path = plain(tmp_path / "a.mcap", [(n * MS, frame(0x181, "3706000000FF")) for n in range(9)])
     _, document, _ = report_of(path)
     assert document["motors"] == []
-    assert any("9 frames that may be PDOs" in note for note in document["notes"])
+    assert any("9 possible PDOs" in note for note in document["notes"])
 
 
 def test_a_mapping_that_is_told_late_counts_from_then_on(tmp_path, report_of):
@@ -136,7 +136,7 @@ def test_a_mapping_that_is_told_late_counts_from_then_on(tmp_path, report_of):
     path = plain(tmp_path / "a.mcap", [*told, (5, frame(0x181, "3106"))])
     _, document, arrays = report_of(path)
     assert words(document, arrays, "PDS FSA", "can0 node 1") == ["ready to switch on"]
-    assert any("of 1 frames that may be PDOs" in note for note in document["notes"])
+    assert any("of 1 possible PDOs" in note for note in document["notes"])
 
 
 def test_a_device_of_another_profile_is_no_drive(tmp_path, report_of):
@@ -174,7 +174,7 @@ def test_frames_without_times_are_drawn_in_their_order(tmp_path, report_of):
     _, document, arrays = report_of(plain(tmp_path / "a.mcap", told))
     assert document["time"]["kind"] == "order"
     assert arrays.times(document["traffic"][0]["t"]) == list(range(1, 51))
-    assert any("all messages have one time" in note for note in document["notes"])
+    assert any("all messages have the same time" in note for note in document["notes"])
 
 
 def test_two_clocks_are_told_and_drawn_by_stamp(tmp_path, report_of):
@@ -183,7 +183,7 @@ def test_two_clocks_are_told_and_drawn_by_stamp(tmp_path, report_of):
     times = arrays.times(document["traffic"][0]["t"])
     assert times == sorted(times)
     assert len(times) == 5
-    assert any("2 messages are stamped earlier" in note for note in document["notes"])
+    assert any("2 messages have earlier stamps" in note for note in document["notes"])
 
 
 def test_can_fd_frames_count_as_long_as_they_are_at_both_rates(tmp_path, report_of):
@@ -283,12 +283,12 @@ def test_who_waited_and_how_it_ended_is_in_the_lock_timeline(tmp_path, report_of
         ("leg.py [12]", False, 5.0, 7.0),
     ]
     texts = [row["texts"][number] for number in arrays.whole(row["text"])]
-    assert "died with it" in texts[0]
+    assert "died as the owner" in texts[0]
     assert "leg.py [12] has left_wheel for a walk" in texts[2]
     ((_, severity, kind, place, _),) = document["incidents"]["list"]
     assert (severity, document["incidents"]["kinds"][kind], place) == (
         1,
-        "lock of one who died",
+        "lock of a dead owner",
         "left_wheel",
     )
 
@@ -394,7 +394,7 @@ def test_cells_hold_all_that_was_on_the_bus(told, width_ns):
 def test_beyond_the_budget_extremes_and_sums_are_drawn_and_it_is_said(demo, report_of):
     _, document, arrays = report_of(demo, points_max=2_000, frames_max=3_000)
     notes = " ".join(document["notes"])
-    assert "points of quantities are drawn by about 2,000" in notes
+    assert "points of quantities are reduced to about 2,000" in notes
     assert "drawn as sums over short stretches" in notes
     for traffic in document["traffic"]:
         assert traffic["cell_s"] > 0

@@ -57,7 +57,7 @@ def test_what_was_recorded_stands_beside_the_bound_and_the_deadline(tmp_path, re
     frames = every(10 * MS, pack(0x000)) + every(40 * MS, pack(0x7FF), {5: 300 * US})
     (bus,) = report_of(recorded(tmp_path / "a.mcap", frames))[1]["responses"]
     assert (bus["bus"], bus["why"]) == ("can0", "")
-    assert bus["about"] == "500000 bit/s, 1.4% of it used at most"
+    assert bus["about"] == "500000 bit/s, utilisation at most 1.4%"
     first, second = bus["messages"]
     assert [first["label"], first["frames"], first["bytes"]] == ["000h", 39, "0"]
     assert seconds(first, "least", "usual", "most") == [53 * BIT_S, 53 * BIT_S, 53 * BIT_S]
@@ -136,7 +136,7 @@ def test_a_rig_with_errors_and_can_fd_records_what_can_be_drawn(tmp_path):
 def test_where_no_bit_rate_is_known_it_says_so(tmp_path, report_of):
     path = recorded(tmp_path / "a.mcap", every(10 * MS, pack(0x7FF)), rig="")
     (bus,) = report_of(path)[1]["responses"]
-    assert bus["why"] == "its bit rate is not in the recording; give it by --bitrate"
+    assert bus["why"] == "its bit rate is not in the recording; give --bitrate"
     assert bus["messages"] == []
     page = tmp_path / "a.html"
     assert main(["report", str(path), "-o", str(page), "--bitrate", "can0=500k"]) == 0
@@ -153,7 +153,7 @@ def test_where_no_bit_rate_is_known_it_says_so(tmp_path, report_of):
         ([(7, pack(n)) for n in range(30)], None),  # all at one time
         (
             [(n * 10 * MS, pack(number)) for n in range(12) for number in range(MESSAGES_MAX + 1)],
-            "it has 501 messages, 500 are analysed",
+            "it has 501 messages; at most 500 are analysed",
         ),
     ],
 )

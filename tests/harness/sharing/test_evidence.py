@@ -74,7 +74,7 @@ def test_frames_of_the_owner_and_of_nobodys_time_are_sound():
 @pytest.mark.parametrize("at_ms", [10, 19.9, 30, 39.9, 45])
 def test_a_frame_of_another_while_it_is_somebodys_is_told(at_ms):
     evidence = judged(frame(at_ms, "c"))
-    with pytest.raises(SharingViolated, match="1 commanding frames of one who did not have"):
+    with pytest.raises(SharingViolated, match="1 commanding frames from a process that did not own"):
         evidence.require_sound()
 
 
@@ -110,7 +110,7 @@ def test_other_nodes_buses_and_stops_are_no_matter():
 )
 def test_a_motor_that_nothing_commands_is_not_proven_sound(nodes, named):
     evidence = judge_frames([frame(15, "a")], ownership_of(TOLD), nodes)
-    with pytest.raises(SharingViolated, match=f"nothing is proven of {named}"):
+    with pytest.raises(SharingViolated, match=f"nothing is proved about {named}"):
         evidence.require_sound()
 
 

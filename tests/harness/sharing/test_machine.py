@@ -97,5 +97,5 @@ def test_the_same_choices_make_the_same_history():
 
 
 def test_a_rig_without_a_second_owner_is_told_so():
-    with pytest.raises(SharingViolated, match="no motor of the rig has two logical ones"):
+    with pytest.raises(SharingViolated, match="no motor of the rig has two logical motors"):
         run(ownership_machine(rig_of("ideal", ["ann"])), 1)
