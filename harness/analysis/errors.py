@@ -3,8 +3,8 @@
 Each error costs the longest error frame and one retransmission, of the longest frame that can
 interfere. Source: Tindell, Burns & Wellings, Calculating Controller Area Network (CAN) message
 response times (1995), section 5: (n + ceil(t / T) - 1) (31 bits + C). The 31 bits are two
-consecutive flags of six bits, eight bits of delimiter, three of intermission, and eight of
-suspended transmission after an error passive sender.
+consecutive flags of six bits, a delimiter of eight, and an intermission of three. The last eight
+are the suspended transmission of an error passive sender.
 """
 
 from dataclasses import dataclass

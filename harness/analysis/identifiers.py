@@ -9,9 +9,9 @@ Audsley's argument holds for CAN (Davis et al. 2007, section 7): the response ti
 depends on the set of more urgent messages, not on their order. If no message fits a level, no order
 exists.
 
-Messages that cannot move keep their order. Of the others, as many as possible keep their
-identifiers; the number of changes is not proved to be minimal. Where the gaps between kept
-identifiers are too small, messages exchange their identifiers.
+Messages that cannot move keep their order. As many others as possible keep their identifiers; the
+number of changes is not proved to be minimal. Where the gaps between kept identifiers are too
+small, messages exchange their identifiers.
 
 A node with one FIFO queue breaks Audsley's argument, since a message delays more urgent ones behind
 it. In that case only single moves are tried.

@@ -27,8 +27,8 @@ class Message:
         period_ns: distance between two frames, apart from the jitter [ns].
         jitter_ns: maximum delay from the due time to queueing; for a sporadic message, how far a
             burst runs ahead of the period [ns].
-        irregular_ns: how much closer than period and jitter allow some frames came [ns]. It counts
-            as more jitter for other messages, but does not delay this one.
+        irregular_ns: how much closer than period and jitter allow some frames came [ns]; jitter for
+            other messages, but no delay of this one.
         distance_ns: minimum distance between frames [ns]; 0: unknown.
         deadline_ns: maximum response time from the due time (sporadic: from queueing) [ns]; None:
             no deadline.

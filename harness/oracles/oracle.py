@@ -1,7 +1,7 @@
 """Base of oracles: a promise with a source, fed with events, counting examined cases.
 
-An oracle receives decoded events in the order of the recording, with their times. It knows no file,
-bus or clock. Its memory is bounded by nodes, axes and motors, never by time.
+An oracle receives decoded events in the order of the recording, with their times. An oracle knows
+no file, bus or clock. Its memory is bounded by nodes, axes and motors, never by time.
 """
 
 from collections.abc import Mapping, Sequence

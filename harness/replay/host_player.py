@@ -1,7 +1,7 @@
 """Player of a recorded host: which frames it sends, and when.
 
-The player is sans-I/O. It sends a step once everything that the recorded host had waited for has
-arrived again. It then keeps the recorded pause after the last of these observations, or after the
+The player is sans-I/O, and sends a step once everything that the recorded host had waited for has
+arrived again. Then the recorded pause is kept after the last of these observations, or after the
 host's last frame. An observation that does not arrive within the patience after its time is missed.
 The player notes it and continues, as a human operator would.
 

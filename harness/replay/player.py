@@ -1,6 +1,6 @@
 """Player of an exchange log: the answers of one recorded controller.
 
-The player is sans-I/O and independent of the protocol. It finds commands by key, the next one in
+The player is sans-I/O and independent of the protocol. Commands are found by key, the next one in
 recorded order first. A skipped command may still come later. Spontaneous frames keep their recorded
 delay after the command. When the recording has no more of them, periodic frames continue with their
 period.
@@ -95,7 +95,7 @@ class TapePlayer:
     def command(self, key: Key, now_ns: int) -> Step | None:
         """Return the step of this command, or None if the recording has no such command.
 
-        A command that is not next in the recording but equals the last one is a repetition. It gets
+        A command that is not next in the recording but equals the last one is a repetition: it gets
         the same answer and has no other effect.
         """
         is_again = self._values.get(key[:2]) == key[2] and not self.is_next(key)

@@ -1,10 +1,10 @@
 """Plots of each motor: position, velocity, following error, torque.
 
-The application's state is in rad or m. A drive counts in its own increments. They are converted to
-rad or m if the motor's model is in the recording, or if its truth has a position in both units.
-Otherwise they are drawn as increments. Missing quantities are not derived from others, with two
-exceptions, which are labelled. The velocity demand is the slope of the position demand. The
-following error of a drive without 60F4h is its demand minus its actual position.
+The application's state is in rad or m. A drive counts in its own increments. The motor's model, or
+a truth with a position in both units, allows a conversion to rad or m. Otherwise increments are
+drawn. Missing quantities are not derived from others, with two exceptions, which are labelled. The
+velocity demand is the slope of the position demand. The following error of a drive without 60F4h is
+its demand minus its actual position.
 """
 
 from dataclasses import dataclass, field

@@ -2,7 +2,7 @@
 
     python -m harness.sharing.arena FOLDER PLAN
 
-The arena is a separate process without threads. It forks the workers before it has held any lock.
+The arena is a separate process without threads, and forks the workers before it has held any lock.
 """
 
 import ctypes

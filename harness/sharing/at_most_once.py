@@ -6,7 +6,7 @@ is lost, delayed or repeated on the bus during a move, in either direction, must
 
 - Reported done: the motor is further by exactly the distance.
 - Reported failed, by an error of `motorapi`: the motor is anywhere between its start and the
-  distance. It was never further.
+  distance, and was never further.
 - Late frames (answers, commands) do not move it any more once it has come to rest.
 - Any raised exception is an error of `motorapi`, and not one of the adaptation's own code.
 

@@ -8,11 +8,11 @@ The function takes the desk and returns the motors of that process. All processe
 order, and the same names apart from the process. Each worker opens the bus by itself, as unrelated
 programs do.
 
-`work_motor` shares the first motor. It reserves the motor, with a lease if facts["lease_s"] is set,
+`work_motor` shares the first motor: it reserves the motor, with a lease if facts["lease_s"] is set,
 or takes it over. Then it moves the motor there and back, and releases it. `work_groups` shares all
-motors. It reserves them as a group for facts["rounds"] rounds, every other worker in the opposite
-order. It moves them in every facts["move_every"]-th round. Each completed round counts as a use of
-the motor "rounds".
+motors: it reserves them as a group for facts["rounds"] rounds. Every other worker uses the opposite
+order. The motors move in every facts["move_every"]-th round. Each completed round counts as a use
+of the motor "rounds".
 """
 
 from collections.abc import Callable

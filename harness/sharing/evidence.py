@@ -14,10 +14,10 @@ uses NMT start to make a node transmit. A frame passed to the bus just before it
 motor may follow later, by its waiting time on the bus. `late_s` allows for that, and such frames
 are counted.
 
-Settings of the next owner (no RPDOs) may appear before the recorded end of an ownership, if its
-owner died or lost it, or if its release was recorded too late. A death is not reported. A joining
-program sets up the drive under the lock before it owns the motor for its own operation, and only
-that ownership is reported.
+Settings of the next owner (no RPDOs) may appear before the recorded end of an ownership. This
+happens if its owner died or lost it, or if its release was recorded too late. A death is not
+reported. A joining program sets up the drive under the lock, before it owns the motor for its own
+operation. Only the latter ownership is reported.
 """
 
 import os

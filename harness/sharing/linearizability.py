@@ -1,9 +1,9 @@
 """Linearizability of histories, and the specification of an owned motor.
 
-A history is *linearizable* if every use can be assigned one instant between its call and its
-return, such that the sequential specification allows the uses in the order of these instants
-(Herlihy & Wing 1990). A history is linearizable if the history of each motor is (their Theorem 1).
-The motors are therefore searched one by one.
+In a *linearizable* history every use can be assigned one instant between its call and its return.
+The sequential specification must allow the uses in the order of these instants (Herlihy & Wing
+1990). A history is linearizable if the history of each motor is (their Theorem 1). The motors are
+therefore searched one by one.
 
 The search is that of Wing & Gong (1993), with Lowe's improvements (2017). The first remaining
 return bounds the candidates for the next use. A set of uses that was reached once with one state is

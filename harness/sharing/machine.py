@@ -15,7 +15,7 @@ following must hold for any adaptation:
   with growing tokens (`require_linearizable`).
 - A party that lost the motor, or never had it, does not command it. A motor with a valid lease is
   not taken over.
-- An uninterrupted motion takes the time and goes the distance that its owner asked for. It thus
+- An uninterrupted motion takes the time and goes the distance that its owner asked for, and thus
   used the settings of its owner.
 - A party that is killed at any point leaves a motor that others can take.
 - All motors of a group are armed before one is fired. If one refuses, none has moved. Overlapping

@@ -6,8 +6,8 @@
 
 `run` starts an *arena* as a separate process. The arena forks the workers before it has held any
 lock, kills and pauses them according to the plan, and starts replacements. A worker is a function
-`work(desk: Desk)` named as "module:function". It runs until `desk.is_over`, and notes all its uses
-in `desk.history`. Every use is in a file before it can have an effect. The actions of a killed
+`work(desk: Desk)` named as "module:function", which runs until `desk.is_over` and notes all its
+uses in `desk.history`. Every use is in a file before it can have an effect. The actions of a killed
 worker are therefore known, except for the result of its last use. Available workers are
 `harness.sharing.desk:work_lock`, which takes a bare lock, and those of `harness.sharing.drivers`,
 which work motors on a hub or on SocketCAN.

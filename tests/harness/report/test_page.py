@@ -13,7 +13,7 @@ from traces.reader import read_trace
 
 
 def test_page_has_no_external_address(demo_page):
-    """It has no address, no link except to its own sections, and nothing to load."""
+    """There are no addresses, no links except to its own sections, and nothing to load."""
     text = demo_page.read_text("utf-8")
     markup = re.sub(
         r'<script type="(application/json|text/plain)".*?</script>', "", text, flags=re.S
