@@ -190,8 +190,8 @@ class StateMachine(Oracle):
             return
         heard = ", ".join(command.value for command in Command if command in commands)
         text = (
-            f"{STATES[before][2]}, then {STATES[state][2]} (statusword {word:04X}h), told "
-            f"{heard or 'nothing that leads there'}"
+            f"{STATES[before][2]}, then {STATES[state][2]} (statusword {word:04X}h), after "
+            f"{heard or 'no command that leads there'}"
         )
         found = Violation(time_ns, text, bus, node, number, axis.name)
         if not remote and state != NOT_READY:

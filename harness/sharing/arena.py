@@ -125,7 +125,7 @@ class _Arena:
                     return pid
                 os.kill(pid, signal.SIGCONT)
             _pass(0.001)
-        self.counts["nobody inside"] += 1
+        self.counts["no owner inside"] += 1
         return None
 
     def pause_one(self) -> None:

@@ -213,7 +213,7 @@ class Owner(Party):
 
     def _refusal(self, error: MotorBusyError, kind: str) -> Answer:
         if any(word in error.holder for word in _STOPS):
-            self.stage.counts[f"{kind}: refused while somebody stops it"] += 1
+            self.stage.counts[f"{kind}: refused during a stop"] += 1
             return Answer.UNKNOWN
         if self.reservation is not None:
             self._expect_lost(kind)

@@ -84,12 +84,12 @@ BY_PRESENCE = [  # oracle, frames, time of the violation [ms], words of the viol
 ]
 BY_ABSENCE = [  # missing frames
     ("pds-legal", without((0x201, 450, 450)), 460, "switched on, then operation enabled"),
-    ("pds-legal", instead(status(1700, 0x0231, 500)), 1700, "told enable operation, fault reset"),
+    ("pds-legal", instead(status(1700, 0x0231, 500)), 1700, "after enable operation, fault reset"),
     (
         "pds-legal",
         without((0x201, 410, 410)),
         420,
-        "ready to switch on (statusword 0231h), told not",
+        "ready to switch on (statusword 0231h), after no",
     ),
     ("pds-legal", without((0x201, 1610, 1610)), 1620, "fault, then switch on disabled"),
     ("pds-legal", with_more(status(610, 0x0200, 99)), 610, "then not ready to switch on"),

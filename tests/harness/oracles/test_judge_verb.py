@@ -37,7 +37,7 @@ def test_broken_recording_fails_with_first_violation(say, broken):
     assert status == 1
     assert out.splitlines()[2:] == [
         "pds-legal: 0.420000000 s can0 node 1 (wheel): switch on disabled, then ready to switch on"
-        " (statusword 0231h), told nothing that leads there; 1 more",
+        " (statusword 0231h), after no command that leads there; 1 more",
         f"{broken}: broken: 1 broken",
     ]
     assert say("judge", broken, "--to", "0.4", "--only", "pds-legal")[0] == 3

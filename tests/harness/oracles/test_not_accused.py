@@ -41,7 +41,7 @@ def lowered():
 
 
 FINE = {
-    "a distance is no place": by_time(
+    "a distance is not a position": by_time(
         *instead((510, 0x201, b"\x5f\0")), *written(500, 0x607A, 4, 1500)
     ),
     "a motion of torque passes 607Dh": by_time(

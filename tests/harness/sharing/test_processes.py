@@ -92,7 +92,7 @@ def test_paused_owner_loses_its_lease_and_writes_nothing():
     )
     reached = outcome.reached()
     assert reached["take: done from a living owner"] >= 3
-    assert reached["command: lost"] >= 1, "nobody tried to write who had lost it"
+    assert reached["command: lost"] >= 1, "no worker that lost the lock tried to write"
     assert outcome.counts["paused inside"] >= 1
 
 
