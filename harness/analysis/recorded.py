@@ -1,12 +1,12 @@
 """Periods and jitter of messages, measured in a recording.
 
 A message is periodic if nearly all of its distances are close to their median. Its period minimises
-the spread of its frames, in runs that start at a common due time and end at an irregular distance.
-Its jitter is how much closer than the period any two frames came. Irregular distances (a boot-up
-message between heartbeats, an immediate change report) are accounted for separately. All other
-messages are sporadic: the period is the mean over the whole recording, and the jitter is how far
-bursts run ahead of it. The minimum distance is known for both. The result covers everything that
-was recorded, and not much more; unrecorded behaviour is not covered.
+the spread of its frames about a grid, which restarts after each irregular distance. Its jitter is
+how much closer than the period any two frames came. Irregular distances (a boot-up message between
+heartbeats, an immediate change report) are accounted for separately. All other messages are
+sporadic: the period is the mean over the whole recording, and the jitter is how far bursts run
+ahead of it. The minimum distance is known for both. The result covers everything that was recorded,
+and not much more; unrecorded behaviour is not covered.
 
 Stamps mark the ends of frames, so waiting for the bus is part of the jitter. The delay of a frame
 is not recorded, but later frames prove a part of it. If one comes too early, those before it were
