@@ -1,11 +1,11 @@
-"""The clock behind a periodic message: its period, its error, its jitter, as they were recorded.
+"""Clock of a periodic message: period, error and jitter, as recorded.
 
-A straight line is fitted to when the frames came over their numbers, by least squares. A distance
-that is not like the others (a pause, a frame that was lost) begins a new run with a phase of its
-own; all runs share one period. Jitter is what is left beside that line.
+A straight line is fitted to the frames' times over their numbers, by least squares. An irregular
+distance (a pause, a lost frame) begins a new run with its own phase. All runs share one period. The
+jitter is the residual of the fit.
 
-All of it is measured by the clock that stamped the recording, whose own error is in every ppm but
-not in the drift of two messages that it stamped both.
+All times come from the clock that stamped the recording. The error of that clock is part of every
+value in ppm, but not of the drift between two messages stamped by it.
 """
 
 from collections.abc import Sequence
@@ -23,14 +23,14 @@ _STEPS: Final = (1.0, 0.1, 0.05)  # of the first digit: 10, 12, 12.5
 @final
 @dataclass(frozen=True, slots=True)
 class Clock:
-    """What was measured of a message.
+    """The measured clock of a message.
 
     Attributes:
-        period_ns: fitted.
-        peak_to_peak_ns, deviation_ns: of its frames beside that grid; the latter is the standard
-            deviation.
-        nominal_ns: what the period is meant to be; None: it is near to nothing.
-        is_told: the recording says so; if not, it is the nearest round period.
+        period_ns: the fitted period [ns].
+        peak_to_peak_ns, deviation_ns: jitter of the frames around the fit [ns]; the latter is the
+            standard deviation.
+        nominal_ns: the intended period [ns]; None if no round period is near.
+        is_told: True if the recording states the period; otherwise it is the nearest round one.
     """
 
     period_ns: float
@@ -41,21 +41,21 @@ class Clock:
 
     @property
     def error_ppm(self) -> float | None:
-        """How much faster the clock goes than it is meant to."""
+        """The relative error of the clock [ppm]; positive if it is fast."""
         return None if self.nominal_ns is None else (self.nominal_ns / self.period_ns - 1) * 1e6
 
     def drift_ppm(self, other: "Clock") -> float | None:
-        """How much faster than another one it goes; None: their periods are not meant to be one."""
+        """Return how much faster this clock is than another [ppm]; None if their periods differ."""
         drift = (other.period_ns / self.period_ns - 1) * 1e6
         return drift if abs(drift) <= _TOLD_WITHIN_PPM else None
 
 
 def clock_of(times_ns: Sequence[int], told_ns: Sequence[int] = ()) -> Clock:
-    """The clock of a message that is periodic.
+    """Fit the clock of a periodic message.
 
     Args:
-        times_ns: of its frames, at least three, in order.
-        told_ns: periods that the recording tells, the one that counts last.
+        times_ns: the times of its frames, at least three, in order [ns].
+        told_ns: periods stated by the recording [ns]; the last one that fits counts.
     """
     runs = _runs(times_ns)
     twice_xy = sum(
@@ -84,7 +84,7 @@ def clock_of(times_ns: Sequence[int], told_ns: Sequence[int] = ()) -> Clock:
 
 
 def _runs(times_ns: Sequence[int]) -> list[Sequence[int]]:
-    """Parts without a pause, of two frames or more."""
+    """Return the parts without a pause that have two frames or more."""
     gaps = [after - before for before, after in pairwise(times_ns)]
     median = sorted(gaps)[len(gaps) // 2]
     ends = [place + 1 for place, gap in enumerate(gaps) if abs(gap - median) * _LIKE > median]
@@ -93,7 +93,7 @@ def _runs(times_ns: Sequence[int]) -> list[Sequence[int]]:
 
 
 def _nearest_round(period_ns: float) -> float | None:
-    """The roundest period that it can be meant to be."""
+    """Return the roundest period that may be intended [ns], or None."""
     digit = 10.0 ** floor(log10(period_ns * (1 + _ROUND_WITHIN_PPM / 1e6)))
     for step in _STEPS:
         near = round(period_ns / (digit * step)) * step * digit

@@ -1,10 +1,10 @@
-"""How errors on the bus are bounded: so many at once, and then no more often than so.
+"""Error model of the bus: a burst, then a minimum distance.
 
-Each costs the longest error frame and the frame that is sent again, the longest of those that can
-be in the way. Source: Tindell, Burns & Wellings, Calculating Controller Area Network (CAN) message
-response times (1995), section 5: (n + ceil(t / T) - 1) (31 bits + C). 31 bits are two flags of six,
-one behind the other, eight bits of delimiter, three of intermission and eight in which a sender
-that is error passive suspends transmission.
+Each error costs the longest error frame and one retransmission, of the longest frame that can
+interfere. Source: Tindell, Burns & Wellings, Calculating Controller Area Network (CAN) message
+response times (1995), section 5: (n + ceil(t / T) - 1) (31 bits + C). The 31 bits are two
+consecutive flags of six bits, a delimiter of eight, and an intermission of three. The last eight
+are the suspended transmission of an error passive sender.
 """
 
 from dataclasses import dataclass
@@ -17,18 +17,18 @@ RECOVERY_BITS: Final = 31
 @final
 @dataclass(frozen=True, slots=True)
 class ErrorModel:
-    """Errors that may strike.
+    """Bound on the number of errors.
 
     Attributes:
-        burst: so many at once.
-        interval_ns: and from then on never two closer than this; None: no more than the burst.
+        burst: number of simultaneous errors.
+        interval_ns: minimum distance between later errors [ns]; None: no errors after the burst.
     """
 
     burst: int = 1
     interval_ns: int | None = None
 
     def count(self, window_ns: int) -> int:
-        """How many in a window of this length, at most."""
+        """Return the maximum number of errors in a window of this length."""
         if self.interval_ns is None:
             return self.burst
         return self.burst + max(0, -(-window_ns // self.interval_ns) - 1)
@@ -38,11 +38,11 @@ NO_ERRORS: Final = ErrorModel(burst=0)
 
 
 def more_errors_probability(errors: int, bits: int, bit_error_rate: float) -> float:
-    """That more than so many errors strike so many bits, each on its own with that chance; at most.
+    """Bound the probability of more than `errors` independent bit errors in `bits` bits.
 
-    The number is binomial; a Poisson number of mean -bits ln(1 - rate) is at least as large in
-    every sense, and its tail is what is told. Source: Broster, Burns & Rodriguez-Navas,
-    Probabilistic analysis of CAN with faults (2002), for the idea.
+    The number of errors is binomial. A Poisson variable of mean -bits ln(1 - rate) is
+    stochastically at least as large, and its tail is returned. Source: Broster, Burns &
+    Rodriguez-Navas, Probabilistic analysis of CAN with faults (2002), for the idea.
     """
     mean = -bits * log1p(-bit_error_rate)
     if mean == 0.0:

@@ -1,17 +1,20 @@
-"""Which identifiers to change so that every message is in time, as few as can be found.
+"""Proposal of new identifiers that bring every message in time, with few changes.
 
-First a single message is moved, to every other place in the order of priorities where its format
-has a free identifier; the shortest move comes first, and of large sets not all are tried. If none
-helps, a whole order is made from the bottom: at each level the least urgent message (as it is now)
-that meets its deadline there.
-Audsley's argument holds for CAN (Davis et al. 2007, section 7): how late a message is depends on
-which others are more urgent, not on their order; so if nothing fits at a level, no order exists.
-Messages that cannot move keep their order. Of those that can, as many as possible keep their
-identifiers; that this takes the fewest changes of all is not proved. Where the gaps between those
-have too few free identifiers, messages exchange theirs.
+First a single message is moved to each other priority where its format has a free identifier. The
+shortest moves come first, and large sets are not searched completely. If no move helps, a complete
+order is built from the bottom. Each level takes the message that is least urgent now and meets its
+deadline there.
 
-A node with one queue, first in, first out, breaks Audsley's argument (a message holds up more
-urgent ones behind it): then only single moves are tried.
+Audsley's argument holds for CAN (Davis et al. 2007, section 7): the response time of a message
+depends on the set of more urgent messages, not on their order. If no message fits a level, no order
+exists.
+
+Messages that cannot move keep their order. As many others as possible keep their identifiers; the
+number of changes is not proved to be minimal. Where the gaps between kept identifiers are too
+small, messages exchange their identifiers.
+
+A node with one FIFO queue breaks Audsley's argument, since a message delays more urgent ones behind
+it. In that case only single moves are tried.
 """
 
 from bisect import bisect_left
@@ -26,36 +29,36 @@ from harness.analysis.response_time import are_in_time, response_between, respon
 
 _SFF_MAX: Final = 0x7FF
 _EFF_MAX: Final = 0x1FFF_FFFF
-_WORK_MAX: Final = 10_000  # messages looked at, in all moves that are tried
+_WORK_MAX: Final = 10_000  # total number of messages examined, over all moves
 _MOVES_MIN: Final = 100
 
 Reserved = Callable[[int, bool], bool]
-"""Whether an identifier (extended or not) must not be given to a message."""
+"""Predicate: True if an identifier (extended or not) must not be assigned to a message."""
 
 
 @final
 @dataclass(frozen=True, slots=True)
 class Change:
-    """A message gets another identifier of its format."""
+    """A new identifier of the same format for a message."""
 
     message: Message
     identifier: int
 
     @property
     def label(self) -> str:
-        """The new identifier, as everywhere here."""
+        """The new identifier in the form of `Message.label`."""
         return replace(self.message, identifier=self.identifier).label
 
 
 @final
 @dataclass(frozen=True, slots=True)
 class Proposal:
-    """What to change.
+    """A proposal of identifier changes.
 
     Attributes:
-        changes: None: nothing was found.
-        is_impossible: it is proved that no identifiers help.
-        reason: in words why nothing was found.
+        changes: the changes; None if none were found.
+        is_impossible: True if no identifiers help, as proved.
+        reason: why no changes were found.
     """
 
     changes: tuple[Change, ...] | None
@@ -63,11 +66,11 @@ class Proposal:
     reason: str = ""
 
 
-_NO_ROOM: Final = "another order helps, but between identifiers that stay too few are free"
+_NO_ROOM: Final = "another order helps, but too few identifiers are free between those that stay"
 
 
 def propose(load: BusLoad, errors: ErrorModel, is_reserved: Reserved) -> Proposal:
-    """The changes after which every message is in time; none, if all are now."""
+    """Propose changes after which every message is in time; none if all are in time now."""
     if are_in_time(load, errors):
         return Proposal(())
     queues = _has_queues(load)
@@ -86,7 +89,7 @@ def propose(load: BusLoad, errors: ErrorModel, is_reserved: Reserved) -> Proposa
     if order is None:
         return Proposal(
             None,
-            reason="no change of one identifier was found; with FIFO queues no more is tried",
+            reason="no single change helps; with FIFO queues only single changes are tried",
         )
     changes = _renamed(load, order, is_reserved) or _exchanged(order)
     if changes is None:
@@ -95,7 +98,7 @@ def propose(load: BusLoad, errors: ErrorModel, is_reserved: Reserved) -> Proposa
 
 
 def with_changes(load: BusLoad, changes: Sequence[Change]) -> BusLoad:
-    """The bus with them."""
+    """Return the bus load after the changes."""
     new = {change.message.rank: change.identifier for change in changes}
     return replace(
         load,
@@ -107,9 +110,9 @@ def with_changes(load: BusLoad, changes: Sequence[Change]) -> BusLoad:
 
 
 def best_order(load: BusLoad, errors: ErrorModel = NO_ERRORS) -> tuple[Message, ...] | None:
-    """The most urgent first, near to what it is now, so that all are in time; None: there is none.
+    """Return a feasible order close to the present one, most urgent first, or None.
 
-    Every message is sent by priority.
+    Every node must send its messages by priority.
     """
     left = sorted(load.messages, key=lambda one: one.rank)
     below: list[Message] = []
@@ -136,7 +139,7 @@ def _has_queues(load: BusLoad) -> bool:
 
 
 def _moves(load: BusLoad, is_reserved: Reserved) -> Iterator[Change]:
-    """Every message to every other place, short moves first."""
+    """Yield the moves of every message to every other place, short moves first."""
     order = sorted(load.messages, key=lambda one: one.rank)
     used = frozenset((one.identifier, one.extended) for one in order)
     for step in range(1, len(order)):
@@ -154,7 +157,7 @@ def _moves(load: BusLoad, is_reserved: Reserved) -> Iterator[Change]:
 
 
 def _may_help(move: Change, late: Sequence[int]) -> bool:
-    """Whether each late message is moved up, or has the moved one above it no longer."""
+    """Return True if each late message moves up, or is no longer preceded by the moved one."""
     old = move.message.rank
     new = rank_of(move.identifier, extended=move.message.extended)
     return all(new < old if rank == old else old < rank < new for rank in late)
@@ -169,7 +172,7 @@ def _free(
     *,
     upward: bool,
 ) -> Iterator[int]:
-    """Free identifiers with ranks between, not included; `upward`: from the lowest."""
+    """Yield free identifiers between two ranks (exclusive); `upward`: the lowest first."""
     last = _EFF_MAX if extended else _SFF_MAX
     numbers = range(last + 1)
     begin = bisect_left(numbers, low + 1, key=lambda n: rank_of(n, extended=extended))
@@ -182,7 +185,7 @@ def _free(
 def _renamed(
     load: BusLoad, order: Sequence[Message], is_reserved: Reserved
 ) -> tuple[Change, ...] | None:
-    """What must change for this order, keeping as many identifiers as can be; None: no room."""
+    """Return the changes for this order with as many kept identifiers as possible, or None."""
     kept = _longest_kept(order)
     used = frozenset((one.identifier, one.extended) for one in load.messages)
     changes: list[Change] = []
@@ -202,7 +205,7 @@ def _renamed(
 
 
 def _exchanged(order: Sequence[Message]) -> tuple[Change, ...] | None:
-    """This order by the identifiers there are; None: who keeps his, or a format, forbids it."""
+    """Return this order by exchange of the existing identifiers; None if that is not possible."""
     changes: list[Change] = []
     for one, place in zip(order, sorted(order, key=lambda each: each.rank), strict=True):
         if one is place:
@@ -214,7 +217,7 @@ def _exchanged(order: Sequence[Message]) -> tuple[Change, ...] | None:
 
 
 def _longest_kept(order: Sequence[Message]) -> frozenset[int]:
-    """Ranks of a longest part of it that stands in the order of today, all fixed ones in it."""
+    """Return the ranks of a longest subset in the present order that has all fixed messages."""
     best: list[tuple[int, tuple[int, ...]]] = []
     for one in order:
         before = [

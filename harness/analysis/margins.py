@@ -1,4 +1,4 @@
-"""How much a bus stands: errors, bit errors, and what another bit rate or queue would change."""
+"""Margins of a bus: tolerated errors, and helpful bit rates and queues."""
 
 from dataclasses import dataclass, replace
 from typing import Final, final
@@ -12,18 +12,18 @@ USUAL_BIT_S: Final = (
 )
 _INTERVAL_MAX_NS: Final = 100_000_000_000
 _STEP_NS: Final = 1_000
-ERRORS_MAX: Final = 99  # counted so far
+ERRORS_MAX: Final = 99  # upper limit of the search
 
 
 def shortest_error_interval_ns(load: BusLoad, burst: int = 1) -> int | None:
-    """Errors no closer than this, after a burst of so many, make no message late.
+    """Return the shortest error interval, after a burst, that makes no message late [ns].
 
-    To the microsecond or a thousandth, whichever is more, and never too short; None: not even the
-    burst alone is stood.
+    The result is accurate to 1 us or 1/1000, whichever is more, and never too short. None: the
+    burst alone makes a message late.
     """
     if not are_in_time(load, ErrorModel(burst)):
         return None
-    low, high = 0, _INTERVAL_MAX_NS // _STEP_NS  # not stood, stood
+    low, high = 0, _INTERVAL_MAX_NS // _STEP_NS  # not tolerated, tolerated
     if not are_in_time(load, ErrorModel(burst, high * _STEP_NS)):
         return None
     while high - low > max(1, low // 1_000):
@@ -38,13 +38,13 @@ def shortest_error_interval_ns(load: BusLoad, burst: int = 1) -> int | None:
 @final
 @dataclass(frozen=True, slots=True)
 class Tolerance:
-    """How many errors a message stands.
+    """The number of errors that a message tolerates.
 
     Attributes:
-        message: of the bus; it has a deadline.
-        errors: so many at any time in a busy period leave it in time, counted to ERRORS_MAX;
-            None: not even without.
-        window_bits: the longest busy period with so many.
+        message: a message with a deadline.
+        errors: the largest tolerated number of errors in a busy period, up to ERRORS_MAX; None: the
+            message is late even without errors.
+        window_bits: the longest busy period with that many errors [bit].
     """
 
     message: Message
@@ -52,9 +52,9 @@ class Tolerance:
     window_bits: int
 
     def late_probability(self, bit_error_rate: float) -> float:
-        """That a frame of it is late where each bit is destroyed with this chance, at most.
+        """Bound the probability that a frame is late at this bit error rate.
 
-        Who is late has seen more errors in a busy period than it stands.
+        A late frame has seen more errors in its busy period than it tolerates.
         """
         if self.errors is None:
             return 1.0
@@ -62,11 +62,11 @@ class Tolerance:
 
 
 def tolerances(load: BusLoad) -> tuple[Tolerance, ...]:
-    """Of every message with a deadline, the most urgent first."""
+    """Return the tolerance of every message with a deadline, the most urgent first."""
     found: dict[int, Tolerance] = {}
     timed = [one for one in load.messages if one.deadline_ns is not None]
-    low: dict[int, int] = {one.rank: -1 for one in timed}  # stood
-    high: dict[int, int] = {one.rank: ERRORS_MAX + 1 for one in timed}  # not stood
+    low: dict[int, int] = {one.rank: -1 for one in timed}  # tolerated
+    high: dict[int, int] = {one.rank: ERRORS_MAX + 1 for one in timed}  # not tolerated
     asked: set[int] = set()
     while True:
         open_ranks = [rank for rank in low if high[rank] - low[rank] > 1]
@@ -91,14 +91,14 @@ def tolerances(load: BusLoad) -> tuple[Tolerance, ...]:
 
 
 def _next_burst(low: int, high: int) -> int:
-    """Small numbers first: few buses stand many."""
+    """Return the next burst to try; small numbers first, since few buses tolerate many."""
     if low < 0:
         return 0
     return min(max(1, 2 * low), (low + high) // 2) if 2 * low < high else (low + high) // 2
 
 
 def rate_that_helps(load: BusLoad, errors: ErrorModel = NO_ERRORS) -> int | None:
-    """The lowest usual bit rate, above today's, with which all are in time; None: there is none."""
+    """Return the lowest usual bit rate above the present one that brings all in time, or None."""
     for rate in USUAL_BIT_S:
         if rate > load.bitrate_bit_s and are_in_time(at_rate(load, rate), errors):
             return rate
@@ -106,7 +106,7 @@ def rate_that_helps(load: BusLoad, errors: ErrorModel = NO_ERRORS) -> int | None
 
 
 def at_rate(load: BusLoad, bitrate_bit_s: int) -> BusLoad:
-    """The same messages at another nominal bit rate; a lower data rate rises to it."""
+    """Return the load at another nominal bit rate; a lower data rate rises to it."""
     data = load.data_bitrate_bit_s
     return replace(
         load,
@@ -116,9 +116,9 @@ def at_rate(load: BusLoad, bitrate_bit_s: int) -> BusLoad:
 
 
 def queues_that_help(load: BusLoad, errors: ErrorModel = NO_ERRORS) -> tuple[str, ...] | None:
-    """Senders that must send their most urgent frame first for all to be in time; None: no help.
+    """Return the senders that must send by priority to bring all in time; None: no help.
 
-    One that is enough, if there is such; else all of them.
+    A single sender is returned if one is sufficient, otherwise all of them.
     """
     for sender in sorted(load.fifo):
         if are_in_time(replace(load, fifo=load.fifo - {sender}), errors):

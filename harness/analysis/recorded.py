@@ -1,17 +1,16 @@
-"""Periods and jitter of messages as a recording shows them.
+"""Periods and jitter of messages, measured in a recording.
 
-A message is periodic if nearly all of its distances are like their median. Its period is the one
-with which its frames were least late, all from one due time on where no distance between them is
-irregular: with no other is their spread smaller, with their real one neither. Its jitter is how
-much closer than that any of them came; what irregular distances add (a boot-up message between
-heartbeats, a change that is told at once) is kept apart. Everything else is sporadic: its period is
-the mean over the whole recording, its jitter how far its bursts run ahead of that. Of both the
-least distance is known. So what comes out allows all that was recorded, and not much more; what was
-not recorded it does not know.
+A message is periodic if nearly all of its distances are close to their median. Its period minimises
+the spread of its frames about a grid, which restarts after each irregular distance. Its jitter is
+how much closer than the period any two frames came. Irregular distances (a boot-up message between
+heartbeats, an immediate change report) are accounted for separately. All other messages are
+sporadic: the period is the mean over the whole recording, and the jitter is how far bursts run
+ahead of it. The minimum distance is known for both. The result covers everything that was recorded,
+and not much more; unrecorded behaviour is not covered.
 
-Stamps are of the ends of frames: waiting for the bus is in the jitter already. How late a frame was
-is not recorded, but those after it prove some of it: if one comes closer than it should, those
-before it were late by as much.
+Stamps mark the ends of frames, so waiting for the bus is part of the jitter. The delay of a frame
+is not recorded, but later frames prove a part of it. If one comes too early, those before it were
+late by as much.
 """
 
 from array import array
@@ -32,11 +31,16 @@ _FINE: Final = 1 << 16  # of a nanosecond: a period's error grows with the numbe
 @final
 @dataclass(slots=True)
 class Heard:
-    """All frames of one identifier, as they were recorded.
+    """All frames of one identifier, as recorded.
 
-    Attributes: identifier, extended; times_ns (of their ends, in order); length (data bytes, the
-    most); fd (some of them); switched (all of them); senders (in the order met); shortest (none
-    has fewer bits, at either rate; None: not known).
+    Attributes:
+        identifier, extended: 29 bits if extended.
+        times_ns: the ends of the frames, in order [ns].
+        length: maximum number of data bytes.
+        fd: True if some are CAN FD frames.
+        switched: True if all have a bit rate switch.
+        senders: the senders, in order of appearance.
+        shortest: no frame has fewer bits at either rate; None: unknown.
     """
 
     identifier: int
@@ -49,7 +53,7 @@ class Heard:
     shortest: Bits | None = None
 
     def add(self, time_ns: int, length: int, sender: str) -> None:
-        """One more frame."""
+        """Add one frame."""
         self.times_ns.append(time_ns)
         self.length = max(self.length, length)
         if sender and sender not in self.senders:
@@ -59,16 +63,16 @@ class Heard:
 @final
 @dataclass(frozen=True, slots=True)
 class Measured:
-    """A message as it was recorded.
+    """A message as measured in a recording.
 
     Attributes:
-        message: as the analysis takes it.
-        frames: it stands on so many.
-        least_ns, most_ns: distances between two of them; None: there is one frame only.
-        irregular: how many distances of a periodic message are not like the others.
-        usual_late_ns: half of the frames of a periodic message were proved no later than this
-            after they could have come; the latest one by its jitter.
-        shortest: none of its frames was shorter; None: not known.
+        message: the message as input of the analysis.
+        frames: number of its frames.
+        least_ns, most_ns: smallest and largest distance of two frames [ns]; None: only one frame.
+        irregular: number of irregular distances of a periodic message.
+        usual_late_ns: median of the proved delays of a periodic message [ns]; the maximum is its
+            jitter.
+        shortest: lower bound of the length of its frames; None: unknown.
     """
 
     message: Message
@@ -81,12 +85,12 @@ class Measured:
 
 
 def measured(heard: Heard, span_ns: int, name: str = "") -> Measured:
-    """The message that these frames are of.
+    """Measure the message from its frames.
 
     Args:
         heard: at least one frame.
-        span_ns: of the whole recording, > 0.
-        name: what it is, in words.
+        span_ns: duration of the whole recording, > 0 [ns].
+        name: a description of the message.
     """
     times = sorted(heard.times_ns)
     gaps = [after - before for before, after in pairwise(times)]
@@ -133,7 +137,7 @@ def measured(heard: Heard, span_ns: int, name: str = "") -> Measured:
 
 
 def _regular(gaps: list[int]) -> list[int]:
-    """The distances that are like their median, if nearly all are; else none."""
+    """Return the distances close to their median; none if they are too few."""
     if len(gaps) + 1 < SAMPLES_MIN:
         return []
     median = sorted(gaps)[len(gaps) // 2]
@@ -142,16 +146,16 @@ def _regular(gaps: list[int]) -> list[int]:
 
 
 def _runs(times: list[int], gaps: list[int], regular: list[int]) -> list[list[int]]:
-    """Parts without an irregular distance."""
+    """Return the parts without an irregular distance."""
     low, high = min(regular), max(regular)
     ends = [place + 1 for place, gap in enumerate(gaps) if not low <= gap <= high]
     return [times[begin:end] for begin, end in pairwise([0, *ends, len(times)])]
 
 
 def _period_ns(runs: list[list[int]], low_ns: int, high_ns: int) -> int:
-    """The one with which the frames of no run spread more than they must, rounded down.
+    """Return the period with the smallest spread of frames in any run, rounded down [ns].
 
-    How much they spread is the larger, the further a period is from that one, on either side.
+    The spread grows with the distance from that period, on either side.
     """
     hulls = [(_hull(run, 1), _hull(run, -1)) for run in runs]
 
@@ -173,7 +177,7 @@ def _period_ns(runs: list[list[int]], low_ns: int, high_ns: int) -> int:
 
 
 def _hull(run: list[int], side: int) -> list[tuple[int, int]]:
-    """Of the points (number, time) those on the convex hull; side 1: above all others, -1: below.
+    """Return the points (number, time) on the convex hull; side 1: upper, -1: lower.
 
     Source: A. M. Andrew, Another efficient algorithm for convex hulls in two dimensions (1979).
     """
@@ -190,9 +194,9 @@ def _hull(run: list[int], side: int) -> list[tuple[int, int]]:
 
 
 def _late_ns(run: list[int], period_ns: int) -> list[int]:
-    """Of each frame how late it was at least, by those after it."""
+    """Return a lower bound of each frame's delay, as proved by later frames [ns]."""
     late_ns: list[int] = []
-    lead_ns: int | None = None  # of a grid of periods over the frame that came soonest in it
+    lead_ns: int | None = None  # of a grid of periods ahead of the earliest frame in it
     for number in range(len(run) - 1, -1, -1):
         place_ns = number * period_ns - run[number]
         lead_ns = place_ns if lead_ns is None else max(lead_ns, place_ns)
@@ -201,7 +205,7 @@ def _late_ns(run: list[int], period_ns: int) -> list[int]:
 
 
 def _ahead_ns(times: Iterable[int], period_ns: int) -> int:
-    """How much closer than once a period any of them came to any one before."""
+    """Return how far any frame runs ahead of a period grid from an earlier frame [ns]."""
     lowest: int | None = None
     ahead_ns = 0
     for number, time_ns in enumerate(times):

@@ -1,8 +1,7 @@
-"""One CAN bus as oracles hear it: values of objects, and services, taken out of its frames.
+"""Listener of one CAN bus: object values and services from its frames.
 
-Which bits of a PDO are which object is worked out once and again after whatever can change it; SDO
-and what resets a node are the decoder's (`traces.decode_canopen`). Of a PDO whose mapping nobody
-told nothing is guessed.
+The layout of a PDO is computed once, and again after anything that may change it. SDO transfers and
+node resets are decoded by `CanopenDecoder`. Nothing is guessed about a PDO without a known mapping.
 """
 
 import struct
@@ -21,19 +20,20 @@ _ERR: Final = 0x2000_0000
 _EFF_RTR: Final = 0xC000_0000
 _HEAD: Final = struct.Struct("<IB")
 _RESETS: Final = (0x81, 0x82)
-_ASKED_MAX: Final = 8  # by several hosts at once
-_MAY_BE_DRIVES: Final = (0, 402, 0xFFFF)  # low word of 1000h: no profile told, drive, several
+_ASKED_MAX: Final = 8  # from several hosts at once
+_MAY_BE_DRIVES: Final = (0, 402, 0xFFFF)  # low word of 1000h: no profile, drive, several
 
 _Value = Callable[[int, Axis, int, int, int, bool], None]
 _Part = tuple[Axis, int, int, int, int, int, bool, tuple[_Value, ...]]
-"""Axis, shift, mask, sign bit (0: unsigned), index, sub-index, told to it, who wants to know."""
+"""Axis, shift, mask, sign bit (0: unsigned), index, sub-index, True if sent to it, listeners."""
 
 
 @final
 class BusEar:
-    """Takes the frames of one bus, and tells oracles what they say.
+    """Listener that passes the decoded frames of one bus to the oracles.
 
-    Attributes: fd_frames, how many CAN FD frames there were: nothing of them is judged.
+    Attributes:
+        fd_frames: number of CAN FD frames, which are not judged.
     """
 
     def __init__(self, name: str, scene: Scene, oracles: Sequence[Oracle]) -> None:
@@ -44,11 +44,11 @@ class BusEar:
         scene.buses[name] = False
         objects = {n: eds for (bus, n), eds in scene.names.objects.items() if bus == name}
         self._decoder = CanopenDecoder(objects=objects)
-        self._plans: dict[int, tuple[_Part, ...] | None] = {}  # None: no PDO
+        self._plans: dict[int, tuple[_Part, ...] | None] = {}  # None: not a PDO
         self._senders: dict[int, str] = {}
         self._no_drives: dict[int, None] = {}
-        self._asked: dict[int, list[bytes]] = {}  # by node: objects, not answered yet
-        self._answered: dict[int, None] = {}  # nodes that have
+        self._asked: dict[int, list[bytes]] = {}  # by node: unanswered objects
+        self._answered: dict[int, None] = {}  # nodes that have answered
         self._blocks: dict[int, None] = {}  # nodes with block transfers
         self._signed: dict[int, bool] = {}
         self._wanted: dict[int, tuple[_Value, ...]] = {}
@@ -56,13 +56,13 @@ class BusEar:
             for index, is_signed in oracle.objects.items():
                 self._signed[index] = is_signed
                 self._wanted[index] = (*self._wanted.get(index, ()), oracle.value)
-        self._off: dict[str, int] = {}  # since when, by name of the node
+        self._off: dict[str, int] = {}  # time of bus-off, by node name
         self._on_sync = _hooks(oracles, "sync")
         self._on_sender = _hooks(oracles, "sender")
         self._on_heartbeat = _hooks(oracles, "heartbeat")
 
     def take(self, time_ns: int, frame: bytes, sender: str) -> None:
-        """A recorded frame."""
+        """Take a recorded frame."""
         can_id, length = _HEAD.unpack_from(frame)
         if can_id & _ERR:
             self._error(time_ns, frame, sender)
@@ -103,7 +103,7 @@ class BusEar:
     # ------------------------------------------------------------------------------------ PDO
 
     def _values(self, time_ns: int, plan: tuple[_Part, ...], raw: int, size: int) -> None:
-        # A PDO's objects are of one moment: all are known before anybody is told of one.
+        # The objects of a PDO are simultaneous: all values are set before any oracle is called.
         told: list[tuple[Axis, int, int, int, bool, tuple[_Value, ...]]] = []
         for axis, shift, mask, sign, index, subindex, told_to, wanted in plan:
             if shift + mask.bit_length() > size:
@@ -118,7 +118,7 @@ class BusEar:
                 tell(time_ns, axis, index, subindex, value, told_to)
 
     def _plan(self, identifier: int) -> tuple[_Part, ...] | None:
-        """What of a PDO is told; None: it is none."""
+        """Return the parts of a PDO that oracles need; None: not a PDO."""
         keys = self._decoder.maps.of(identifier)
         if not keys:
             return None
@@ -207,7 +207,7 @@ class BusEar:
             return
         number, first = axis_of(index)
         if is_request and first == CONTROLWORD and data[0] >> 5 == 1 and data[0] & 2:
-            # It acts when it arrives, not when it is confirmed.
+            # A controlword acts on arrival, not on confirmation.
             word = int.from_bytes(data[4:6], "little")
             self._tell(time_ns, (node, number), first, said.subindex or 0, word, True)
         if not said.facts or not isinstance(said.facts[0].value, int):
@@ -227,9 +227,9 @@ class BusEar:
             self._tell(time_ns, (node, number), first, said.subindex or 0, value, told_to)
 
     def _follow(self, node: int, data: bytes, is_request: bool) -> None:
-        """An answer about what was asked is CANopen; one that nobody asked for: a frame is missing.
+        """Match answers with requests: a match proves CANopen, a missing request proves a gap.
 
-        Only beginnings of transfers name their object, and segments of blocks look like anything.
+        Only the start of a transfer names its object, and block segments may have any content.
         """
         specifier = data[0] >> 5
         if node in self._blocks or (is_request and specifier in (5, 6)):
@@ -248,7 +248,7 @@ class BusEar:
                 self._scene.buses[self._name] = True
                 self._answered[node] = None
             elif node in self._answered:
-                self._scene.gaps["there is an SDO answer without its question"] = None
+                self._scene.gaps["it has an SDO answer without a request"] = None
         elif data[0] == 0x80 and data[1:4] in asked:
             asked.remove(data[1:4])
             self._answered[node] = None
@@ -266,6 +266,6 @@ class BusEar:
 
 
 def _hooks(oracles: Sequence[Oracle], name: str) -> Sequence[Callable[..., None]]:
-    """Those who want to be told this, and nobody else."""
+    """Return the hooks of those oracles that override this method."""
     base = getattr(Oracle, name)
     return [getattr(one, name) for one in oracles if getattr(type(one), name) is not base]

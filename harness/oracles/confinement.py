@@ -1,4 +1,4 @@
-"""An oracle of the bus itself: what CAN controllers tell of their own states."""
+"""Oracle of fault confinement: the reported states of CAN controllers."""
 
 from typing import Final, final
 
@@ -21,31 +21,31 @@ _RANGES: Final = {  # of the greater counter
     ControllerState.BUS_OFF: (_TOLD_MAX, _TOLD_MAX),
     ControllerState.RESTARTED: (0, 0),
 }
-_DRIVERS: Final = "drivers of hardware tell counters in ways of their own"
+_DRIVERS: Final = "hardware drivers report counters in different ways"
 
 
 @final
 class Confinement(Oracle):
-    """`error-states`."""
+    """The oracle `error-states`."""
 
     id = "error-states"
     promise = (
-        "A CAN controller's states follow one another as its counters can: active, warning (96), "
-        "passive (128), bus-off, restarted; bus-off it sends nothing"
+        "The states of a CAN controller follow one another as its counters allow: active, "
+        "warning (96), passive (128), bus-off, restarted; in bus-off it sends nothing"
     )
     source = "ISO 11898-1, fault confinement; linux/can/error.h"
-    needs = "it holds no error message (SocketCAN error frame) that tells a state"
+    needs = "the recording has no error message (SocketCAN error frame) with a controller state"
     needs_canopen = False
 
     def __init__(self, scene: Scene) -> None:
-        """See Oracle."""
+        """Set up the oracle; see `Oracle`."""
         super().__init__(scene)
         self._states: dict[tuple[str, str], ControllerState] = {}
 
     def error(self, time_ns: int, bus: str, sender: str, told: BusError) -> None:
-        """The state is held against its counters, and against the state before.
+        """Compare the state with its counters and with the previous state.
 
-        Counters without a state may be ahead of the next message, which tells it.
+        Counters without a state may be ahead of the next message, which has the state.
         """
         if told.state is None:
             return
@@ -55,13 +55,13 @@ class Confinement(Oracle):
         if told.counters is not None:
             self._counters(time_ns, key, told.text, told.state, told.counters)
         if before is not None and not _may_follow(before, told.state):
-            text = f"{told.state.value}{told.counted}, and was {before.value}"
+            text = f"{told.state.value}{told.counted}, but was {before.value}"
             self.absent(self._violation(time_ns, key, text))
         is_new = told.state is ControllerState.RESTARTED
         self._states[key] = ControllerState.ACTIVE if is_new else told.state
 
     def sent_while_off(self, time_ns: int, bus: str, sender: str, identifier: int) -> None:
-        """It may not."""
+        """Report a frame sent in bus-off."""
         text = f"sends {identifier & 0x1FFF_FFFF:X}h while it is bus-off"
         self.broken(self._violation(time_ns, (bus, sender), text))
 
@@ -77,7 +77,7 @@ class Confinement(Oracle):
         if low <= max(counters) <= high:
             return
         tec, rec = counters
-        text = f"{text} (TEC {tec}, REC {rec}): the greater should be {low} to {high}"
+        text = f"{text} (TEC {tec}, REC {rec}): the greater counter should be {low} to {high}"
         violation = self._violation(time_ns, key, text)
         if key[1]:
             self.broken(violation)
@@ -93,7 +93,7 @@ class Confinement(Oracle):
 
 
 def _may_follow(before: ControllerState, state: ControllerState) -> bool:
-    """A counter grows by 8 at most, and falls by 1 or to just below 128: no state is left out."""
+    """Return True if no state is skipped; counters rise by 8 at most, and fall by 1 or to 127."""
     if state is ControllerState.RESTARTED:
         return before is ControllerState.BUS_OFF
     if before is ControllerState.BUS_OFF:

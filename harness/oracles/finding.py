@@ -1,4 +1,4 @@
-"""What an oracle says of a recording, as values."""
+"""Findings: the results of oracles."""
 
 from dataclasses import asdict, dataclass
 from enum import Enum
@@ -9,7 +9,7 @@ _NS: Final = 1_000_000_000
 
 @final
 class Verdict(Enum):
-    """What was found. Nothing is ever HELD that was not looked at."""
+    """The verdict of an oracle; HELD requires that something was examined."""
 
     HELD = "held"
     BROKEN = "broken"
@@ -19,10 +19,13 @@ class Verdict(Enum):
 @final
 @dataclass(frozen=True, slots=True)
 class Violation:
-    """Once that a promise was not kept.
+    """One violation of a promise.
 
-    Attributes: time_ns (log time); text (what happened, in words); bus, node, axis, motor (as far
-    as they are known; 0 and "" where not); value, limit [unit] (None: it is not about a number).
+    Attributes:
+        time_ns: log time [ns].
+        text: the description.
+        bus, node, axis, motor: the place as far as known; otherwise 0 or "".
+        value, limit: [unit]; None if no number is concerned.
     """
 
     time_ns: int
@@ -52,16 +55,16 @@ class Violation:
 @final
 @dataclass(frozen=True, slots=True)
 class Finding:
-    """What one oracle says of one recording.
+    """The result of one oracle for one recording.
 
     Attributes:
         oracle: its id.
-        promise, source: what should hold, in a sentence, and who says so.
-        verdict: see Verdict.
-        looked: how often there was something to judge: its reach.
-        first: the first violation of a promise that is broken, or, where the verdict is
-            NOT_JUDGED, the first thing that would be one if the recording were complete.
-        further: violations (or doubts) after that one.
+        promise, source: the rule as a sentence, and its source.
+        verdict: the verdict.
+        looked: number of examined cases.
+        first: the first violation of a broken promise. If the verdict is NOT_JUDGED: the first
+            violation that would count if the recording were complete.
+        further: number of violations (or doubts) after the first one.
         reason: why it could not be judged; "" if it was.
     """
 
@@ -75,7 +78,7 @@ class Finding:
     reason: str = ""
 
     def as_table(self) -> dict[str, object]:
-        """The same for a machine."""
+        """Return the finding as a table for JSON."""
         table = asdict(self)
         table["verdict"] = self.verdict.value
         return table

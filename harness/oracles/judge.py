@@ -1,12 +1,12 @@
-"""A recording in one pass, judged by every oracle.
+"""Judgement of a recording by every oracle, in one pass.
 
     from harness.oracles.judge import judge
 
     for finding in judge("run.mcap"):
         print(finding.oracle, finding.verdict.value, finding.looked, finding.first)
 
-Memory grows with nodes, motors and identifiers, not with time; each message is looked at once (of
-who owns which motor: twice, and only where it is told).
+Memory grows with nodes, motors and identifiers, not with time. Each message is read once. For motor
+ownership the messages are read twice, and only if ownership is recorded.
 """
 
 import os
@@ -45,9 +45,9 @@ CATALOGUE: Final = (
     *((one.id, one.promise, one.source, one.needs) for one in ORACLES),
     (ownership.ID, ownership.PROMISE, ownership.SOURCE, ownership.NEEDS),
 )
-"""Id, promise, source, why it may be unable to judge."""
+"""Id, promise, source, and the reason why it may be unable to judge."""
 IDS: Final = tuple(row[0] for row in CATALOGUE)
-_LOST: Final = "frames were lost here"  # as `motorhil record` says it
+_LOST: Final = "frames were lost here"  # as written by `motorhil record`
 _START: Final = 1  # of GROUP_SYNC's phases
 _ACTIONS: Final[dict[object, LockAction]] = {action.value: action for action in LockAction}
 _BACKWARD: Final = "its times go backwards"
@@ -64,19 +64,21 @@ def judge(
     progress: Callable[[int], None] | None = None,
     note: Callable[[str], None] | None = None,
 ) -> list[Finding]:
-    """What each oracle says of the recording, of a cut one as far as it goes, in the order of IDS.
+    """Return the findings of all oracles in the order of IDS.
+
+    A truncated recording is judged as far as it is readable.
 
     Args:
-        recording: ours, or in any format that `traces.formats` reads.
-        facts: what is known beside it; what its own rig tells is known, too.
+        recording: an MCAP file, or a file in any format that `traces.formats` reads.
+        facts: facts beyond those of the recording's own rig.
         only: ids of oracles; empty: all.
-        from_ns: what happens from then on is judged; what was before is heard all the same.
-        to_ns: what happens before is judged.
-        progress: called now and then with how many messages have been read.
-        note: called in the end with what was passed over, in words.
+        from_ns: events from this time on are judged; earlier ones are still decoded [ns].
+        to_ns: events before this time are judged [ns].
+        progress: called from time to time with the number of messages read.
+        note: called at the end with each remark about skipped data.
 
     Raises:
-        TraceError: it cannot be read, is of no known format, or is damaged.
+        TraceError: it cannot be read, has an unknown format, or is damaged.
     """
     facts = Facts() if facts is None else facts
     if isinstance(recording, Trace):
@@ -92,7 +94,7 @@ def judge(
 
 
 def is_sound(findings: Collection[Finding]) -> bool:
-    """Whether something was judged, and nothing was broken."""
+    """Return True if something was judged and nothing was broken."""
     verdicts = [finding.verdict for finding in findings]
     return Verdict.HELD in verdicts and Verdict.BROKEN not in verdicts
 
@@ -115,7 +117,7 @@ def _judge_trace(
 
 @final
 class Pass:
-    """Hands each message to whom it concerns."""
+    """Dispatcher of messages to the oracles."""
 
     def __init__(self, scene: Scene, only: Collection[str]) -> None:
         self._scene = scene
@@ -126,12 +128,12 @@ class Pass:
         self._last_ns = 0
 
     def hear(self, time_ns: int, bus: str, frame: bytes, sender: str) -> None:
-        """A frame, out of whatever."""
+        """Take a frame from any source."""
         self._ear(bus).take(time_ns, frame, sender)
         self._last_ns = max(self._last_ns, time_ns)
 
     def frames_of(self, source: Source, progress: Callable[[int], None] | None) -> None:
-        """All frames of a file that is no recording of ours."""
+        """Take all frames of a file in a foreign format."""
         reading = Reading()
         for time_ns, bus, frame, _, sender in source.frames(reading):
             self.hear(time_ns, bus, frame, sender)
@@ -144,12 +146,12 @@ class Pass:
         if reading.backward:
             gaps[_BACKWARD] = None
         if reading.unstamped:
-            gaps["frames have no times"] = None
+            gaps["its frames have no times"] = None
 
     def messages_of(
         self, trace: Trace, to_ns: int | None, progress: Callable[[int], None] | None
     ) -> None:
-        """All messages of a recording, up to a time."""
+        """Take all messages of a recording, up to a time."""
         messages = trace.messages(None, None, to_ns)
         for count, (channel, time_ns, payload) in enumerate(messages, 1):
             if channel.number in self._handlers:
@@ -173,7 +175,7 @@ class Pass:
     def findings(
         self, trace: Trace | None, from_ns: int | None, to_ns: int | None
     ) -> list[Finding]:
-        """What all oracles say."""
+        """Return the findings of all oracles."""
         for oracle in self._oracles:
             oracle.end(self._last_ns)
         found = [oracle.finding() for oracle in self._oracles]
@@ -184,18 +186,18 @@ class Pass:
         return found
 
     def tell(self, note: Callable[[str], None] | None) -> None:
-        """What no oracle has looked at."""
+        """Report frames that no oracle has examined."""
         for bus, ear in self._buses.items():
             if note is not None and ear.fd_frames:
                 note(f"{ear.fd_frames} CAN FD frames of {bus} are not judged")
 
     def imported(self, origin: str) -> None:
-        """Of a recording that is not ours nobody knows whether it has every frame."""
+        """Note that a foreign recording may be incomplete."""
         if not self._scene.facts.is_complete:
-            what = f"nobody says that this recording ({origin or 'of another writer'}) has every"
-            self._scene.gaps[f"{what} frame: --complete says so"] = None
+            what = f"nothing shows that this recording ({origin or 'of another writer'}) has every"
+            self._scene.gaps[f"{what} frame; --complete asserts it"] = None
 
-    # --------------------------------------------------------------------------- who is told
+    # --------------------------------------------------------------------------- dispatch
 
     def _ear(self, bus: str) -> BusEar:
         ear = self._buses.get(bus)

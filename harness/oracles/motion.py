@@ -1,4 +1,4 @@
-"""Oracles of what a drive does while it is in control, and while it is not.
+"""Oracles of a drive's motion, with and without power.
 
 Source: CiA 402-2: statusword (following error), following error window 6065h and time-out 6066h,
 states without power.
@@ -29,22 +29,22 @@ _PP, _IP, _CSP = 1, 7, 8
 
 @final
 class Following(Oracle):
-    """`following-bounded`."""
+    """The oracle `following-bounded`."""
 
     id = "following-bounded"
     promise = (
-        "A following error beyond its window 6065h for longer than 6066h is told: bit 13, a fault;"
-        " none is beyond what --limits FILE allows"
+        "A following error beyond its window 6065h for longer than 6066h is reported (bit 13, "
+        "or a fault); none exceeds the limit of --limits FILE"
     )
     source = "CiA 402-2, following error window 6065h, time-out 6066h, statusword bit 13"
-    needs = "nobody told a following error (60F4h, or truth) and its window 6065h, or its limit"
+    needs = "no following error (60F4h, or truth) is known with its window 6065h, or its limit"
     objects: ClassVar[Mapping[int, bool]] = {
         **{STATUSWORD: False, 0x60F4: True, 0x6062: True, _POSITION: True},
         **{0x6065: False, 0x6066: False, 0x6060: True, 0x6061: True},
     }
 
     def __init__(self, scene: Scene) -> None:
-        """See Oracle."""
+        """Set up the oracle; see `Oracle`."""
         super().__init__(scene)
         self._since: dict[Place, int] = {}
         self._told: dict[Place, bool] = {}
@@ -53,7 +53,7 @@ class Following(Oracle):
     def value(
         self, time_ns: int, axis: Axis, index: int, subindex: int, value: int, told_to: bool
     ) -> None:
-        """An error, or what ends its being too large."""
+        """Examine a following error, or a statusword that ends its excess."""
         if index == 0x60F4:
             self._error(time_ns, axis, value)
         elif index == STATUSWORD and (axis.state != ENABLED or value & BIT_13):
@@ -61,7 +61,7 @@ class Following(Oracle):
             self._told.pop(axis.place, None)
 
     def truth(self, time_ns: int, controller: str, values: Mapping[str, float]) -> None:
-        """The emulated drive's own error, of which it may tell nothing on the bus."""
+        """Examine the true error of an emulated drive, which may be absent on the bus."""
         error = values.get("following_error_inc")
         if error is None:
             return
@@ -87,12 +87,12 @@ class Following(Oracle):
         limit_ns = axis.objects.get((0x6066, 0), 0) * MS + SETTLE_NS
         if time_ns - since_ns > limit_ns and axis.place not in self._told:
             self._told[axis.place] = True
-            text = f"following error since {since_ns / 1e9:.6f} s, and the drive does not tell it"
+            text = f"following error since {since_ns / 1e9:.6f} s, not reported by the drive"
             numbers = (abs(error), float(window), "inc")
             self.broken(Violation(time_ns, text, bus, node, number, axis.name, *numbers))
 
     def _held_to_file(self, time_ns: int, axis: Axis, error: float) -> None:
-        """Against a file of limits: in the drive's increments, or in U where these are known."""
+        """Examine the error against a file of limits, in increments or in the motor's unit."""
         one = axis.subject
         if one is None:
             return
@@ -115,24 +115,24 @@ _PERMILLE: Final = 50.0
 
 @final
 class TorqueOff(Oracle):
-    """`torque-off`."""
+    """The oracle `torque-off`."""
 
     id = "torque-off"
-    promise = "A motor makes no torque once its power stage is off: STO, switched off, or a fault"
+    promise = "A motor makes no torque after its power stage is off: STO, switched off, or a fault"
     source = "CiA 402-2, PDS FSA: drive power is disabled; IEC 61800-5-2, safe torque off"
-    needs = "no drive was heard without power whose torque (6077h, 6078h, or truth) is told, too"
+    needs = "no drive without power was heard together with its torque (6077h, 6078h, or truth)"
     objects: ClassVar[Mapping[int, bool]] = {STATUSWORD: False, 0x6077: True, 0x6078: True}
 
     def __init__(self, scene: Scene) -> None:
-        """See Oracle."""
+        """Set up the oracle; see `Oracle`."""
         super().__init__(scene)
-        self._off: dict[str, int] = {}  # by controller, since when
+        self._off: dict[str, int] = {}  # start time, by controller
         self._peak: dict[str, float] = {}
 
     def value(
         self, time_ns: int, axis: Axis, index: int, subindex: int, value: int, told_to: bool
     ) -> None:
-        """A measured torque or current, in thousandths of what is rated."""
+        """Examine a measured torque or current [0.1 % of rated]."""
         if index == STATUSWORD or told_to or axis.state not in _POWERLESS:
             return
         if time_ns - axis.state_ns < SETTLE_NS:
@@ -145,7 +145,7 @@ class TorqueOff(Oracle):
             self.broken(Violation(time_ns, text, bus, node, number, axis.name, *numbers))
 
     def truth(self, time_ns: int, controller: str, values: Mapping[str, float]) -> None:
-        """The motor's own torque, and the drive's own state."""
+        """Examine the motor's true torque in the drive's true state."""
         torque, state = values.get("torque_n_m"), values.get("state")
         if torque is None or state is None:
             return

@@ -1,4 +1,4 @@
-"""Oracles of what CANopen promises of any node: heartbeats, answers, boot-ups, identifiers."""
+"""Oracles of CANopen rules for any node: heartbeats, answers, boot-ups, identifiers."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -13,7 +13,7 @@ from traces.said import Kind, Said
 _Node = tuple[str, int]
 _S: Final = 1_000_000_000
 ANSWER_NS: Final = 1 * _S
-"""How long a server may take: hosts give up after 0.3 to 1 s (CiA 301 names no time)."""
+"""The time allowed for an answer; hosts give up after 0.3 to 1 s (CiA 301 names no time)."""
 _RESET_NS: Final = 10 * _S
 _CERTAIN: Final = 10
 _SAMPLES: Final = 8
@@ -37,16 +37,16 @@ class _Beat:
 
 @final
 class Heartbeats(Oracle):
-    """`heartbeat-kept`."""
+    """The oracle `heartbeat-kept`."""
 
     id = "heartbeat-kept"
-    promise = "A node that has begun to send heartbeats goes on at its period, until it is reset"
+    promise = "A node that has begun to send heartbeats continues with its period until it is reset"
     source = "CiA 301, heartbeat protocol, 1017h producer heartbeat time"
-    needs = "no node sent enough heartbeats to tell its period, and no 1017h was heard"
+    needs = "no node sent enough heartbeats to determine its period, and no 1017h was heard"
     objects: ClassVar[Mapping[int, bool]] = {0x1017: False}
 
     def __init__(self, scene: Scene) -> None:
-        """See Oracle."""
+        """Set up the oracle; see `Oracle`."""
         super().__init__(scene)
         self._beats: dict[_Node, _Beat] = {}
         self._told_ms: dict[_Node, int] = {}
@@ -54,25 +54,25 @@ class Heartbeats(Oracle):
     def value(
         self, time_ns: int, axis: Axis, index: int, subindex: int, value: int, told_to: bool
     ) -> None:
-        """A period that was written holds from now on; 0 ends the heartbeats."""
+        """Take a written period; 0 ends the heartbeats."""
         node = axis.place[:2]
         if self._told_ms.get(node) != value:
             self._told_ms[node] = value
             self._beats.pop(node, None)
 
     def boot(self, time_ns: int, bus: str, node: int) -> None:
-        """It begins anew."""
+        """Forget the node's heartbeat after its boot-up."""
         self._beats.pop((bus, node), None)
         self._told_ms.pop((bus, node), None)
 
     def nmt(self, time_ns: int, bus: str, node: int | None, command: int) -> None:
-        """A node that is reset is silent for as long as it needs."""
+        """Forget the heartbeats of reset nodes, which may be silent for a while."""
         if command in _RESETS:
             for one in [one for one in self._beats if one[0] == bus and node in (None, one[1])]:
                 del self._beats[one]
 
     def heartbeat(self, time_ns: int, bus: str, node: int, state: int) -> None:
-        """One more."""
+        """Examine the distance to the previous heartbeat."""
         beat = self._beats.get((bus, node))
         if beat is None:
             self._beats[bus, node] = _Beat(time_ns)
@@ -81,10 +81,10 @@ class Heartbeats(Oracle):
         if not beat.period_ns:
             self._learn(bus, node, beat, gap_ns)
         if beat.period_ns and gap_ns > 0 and self.look(time_ns, bus):
-            self._judge(time_ns, bus, node, beat, gap_ns, "since the heartbeat before")
+            self._judge(time_ns, bus, node, beat, gap_ns, "since the previous heartbeat")
 
     def _learn(self, bus: str, node: int, beat: _Beat, gap_ns: int) -> None:
-        """The period is what 1017h says, else the median of the first few."""
+        """Set the period from 1017h, otherwise from the median of the first distances."""
         told_ms = self._told_ms.get((bus, node))
         if told_ms:
             beat.period_ns = told_ms * MS
@@ -105,19 +105,20 @@ class Heartbeats(Oracle):
             *(time_ns, f"no heartbeat {since}, {gap_ns / 1e9:.3f} s", bus, node, 1, name),
             *(gap_ns / 1e6, limit_ns / 1e6, "ms"),
         )
-        # That each of so many was lost in a recording while the bus goes on: nobody believes it.
+        # So many lost frames while other nodes were heard are not plausible as gaps of the
+        # recording.
         certain = gap_ns > _CERTAIN * beat.period_ns and self._went_on(bus, time_ns, beat)
         (self.broken if certain else self.absent)(found)
 
     def _went_on(self, bus: str, time_ns: int, beat: _Beat) -> bool:
-        """Whether others were heard meanwhile, to the end."""
+        """Return True if other nodes were heard throughout."""
         return any(
             place[0] == bus and other is not beat and other.last_ns >= time_ns - 2 * beat.period_ns
             for place, other in self._beats.items()
         )
 
     def end(self, time_ns: int) -> None:
-        """Those that have fallen silent."""
+        """Examine the nodes that have stopped sending."""
         for (bus, node), beat in self._beats.items():
             if beat.period_ns and self.scene.judges(time_ns):
                 gap_ns = time_ns - beat.last_ns
@@ -126,20 +127,20 @@ class Heartbeats(Oracle):
 
 @final
 class Answers(Oracle):
-    """`sdo-answered`."""
+    """The oracle `sdo-answered`."""
 
     id = "sdo-answered"
-    promise = "A node that is there answers each SDO request, by data, confirmation or an abort"
+    promise = "A present node answers each SDO request, with data, a confirmation or an abort"
     source = "CiA 301, SDO protocols: each service is confirmed"
-    needs = "no SDO request was heard to a node that had been heard before"
+    needs = "no SDO request to a node that had been heard before"
 
     def __init__(self, scene: Scene) -> None:
-        """See Oracle."""
+        """Set up the oracle; see `Oracle`."""
         super().__init__(scene)
-        self._open: dict[_Node, dict[bytes, int]] = {}  # objects, since when
+        self._open: dict[_Node, dict[bytes, int]] = {}  # objects with their request times
 
     def sdo(self, time_ns: int, bus: str, said: Said, data: bytes) -> None:
-        """A request, an answer, or an abort. Only where a transfer begins it names its object."""
+        """Take a request, an answer, or an abort; only the start of a transfer names its object."""
         assert said.node is not None
         node = (bus, said.node)
         if node in self._open:
@@ -157,23 +158,23 @@ class Answers(Oracle):
                 self.broken(self._violation(time_ns, node, place, begun_ns, "the client gave up"))
         elif data[0] >> 5 in (1, 2):
             if node not in self.scene.heard:
-                self.cannot(f"{bus} node {said.node} was asked and had never been there")
+                self.cannot(f"{bus} node {said.node} received a request, but was never heard")
                 return
             asked = self._open.setdefault(node, {})
             if len(asked) < _ASKED_MAX:
                 asked.setdefault(place, time_ns)
 
     def boot(self, time_ns: int, bus: str, node: int) -> None:
-        """What was asked before is forgotten."""
+        """Forget the open requests to the node."""
         self._open.pop((bus, node), None)
 
     def nmt(self, time_ns: int, bus: str, node: int | None, command: int) -> None:
-        """A node that is reset answers nothing; one that is stopped neither."""
+        """Forget open requests, since a reset or stopped node does not answer."""
         for one in [one for one in self._open if one[0] == bus and node in (None, one[1])]:
             del self._open[one]
 
     def end(self, time_ns: int) -> None:
-        """What was asked last."""
+        """Examine the last requests."""
         for node in list(self._open):
             self._expire(time_ns, node)
 
@@ -197,54 +198,54 @@ class Answers(Oracle):
 
 @final
 class BootUps(Oracle):
-    """`no-reboot`."""
+    """The oracle `no-reboot`."""
 
     id = "no-reboot"
-    promise = "A node that was there boots again only when NMT resets it"
+    promise = "A node that was present boots again only after an NMT reset"
     source = "CiA 301, boot-up protocol, NMT services reset node and reset communication"
-    needs = "no node was heard, or only such as are no CANopen"
+    needs = "no CANopen node was heard"
 
     def __init__(self, scene: Scene) -> None:
-        """See Oracle."""
+        """Set up the oracle; see `Oracle`."""
         super().__init__(scene)
         self._reset_ns: dict[tuple[str, int | None], int] = {}
 
     def nmt(self, time_ns: int, bus: str, node: int | None, command: int) -> None:
-        """Who is reset boots."""
+        """Take the time of a reset."""
         if command in _RESETS:
             self._reset_ns[bus, node] = time_ns
 
     def boot(self, time_ns: int, bus: str, node: int) -> None:
-        """A node boots; it is not in `heard` if nothing was heard of it before."""
+        """Examine a boot-up; a node that is not in `heard` boots for the first time."""
         if not self.look(time_ns, bus) or (bus, node) not in self.scene.heard:
             return
         told = max(self._reset_ns.get((bus, one), -_RESET_NS - 1) for one in (node, None))
         if time_ns - told > _RESET_NS:
             name = self.scene.names.nodes.get((bus, node), "")
-            text = "booted again, and nobody had reset it"
+            text = "booted again without an NMT reset"
             self.absent(Violation(time_ns, text, bus, node, 1, name))
 
     def heartbeat(self, time_ns: int, bus: str, node: int, state: int) -> None:
-        """It is there, and did not boot."""
+        """Count a node that is present and did not boot."""
         self.look(time_ns, bus)
 
 
 @final
 class OneSender(Oracle):
-    """`one-sender`."""
+    """The oracle `one-sender`."""
 
     id = "one-sender"
-    promise = "What only one node may send (TPDO, EMCY, SDO answer, heartbeat) only one does send"
+    promise = "A message of one node (TPDO, EMCY, SDO answer, heartbeat) has only one sender"
     source = "CiA 301, pre-defined connection set; ISO 11898-1: an identifier has one sender"
-    needs = "the recording does not tell who sent its frames"
+    needs = "the recording does not name the senders of its frames"
 
     def __init__(self, scene: Scene) -> None:
-        """See Oracle."""
+        """Set up the oracle; see `Oracle`."""
         super().__init__(scene)
         self._before: dict[tuple[str, int], dict[str, None]] = {}
 
     def sender(self, time_ns: int, bus: str, identifier: int, before: str, now: str) -> None:
-        """One who sends again after another one has: they are two."""
+        """Examine a change of sender; the return of an earlier sender proves two senders."""
         if identifier >> 7 not in _NODES_OWN or not identifier & 0x7F:
             return
         if not self.look(time_ns, bus) or not before:
@@ -260,16 +261,16 @@ class OneSender(Oracle):
 
 @final
 class FaultsTold(Oracle):
-    """`fault-told`."""
+    """The oracle `fault-told`."""
 
     id = "fault-told"
-    promise = "A drive that sends EMCYs sends one, with its code, when it goes into a fault"
+    promise = "A drive that sends EMCYs sends one with its error code when it enters a fault"
     source = "CiA 301, EMCY; CiA 402-2, fault reaction active and fault"
-    needs = "no drive that has ever sent an EMCY (optional in CiA 301) went into a fault"
+    needs = "no drive that sends EMCYs (optional in CiA 301) entered a fault"
     objects: ClassVar[Mapping[int, bool]] = {0x6041: False, 0x1014: False}
 
     def __init__(self, scene: Scene) -> None:
-        """See Oracle."""
+        """Set up the oracle; see `Oracle`."""
         super().__init__(scene)
         self._last_ns: dict[_Node, int] = {}
         self._ever: dict[_Node, None] = {}
@@ -277,7 +278,7 @@ class FaultsTold(Oracle):
         self._waiting: list[Violation] = []
 
     def emergency(self, time_ns: int, bus: str, node: int, code: int) -> None:
-        """One that tells an error serves all who wait for it."""
+        """Settle all waiting faults of the node with an EMCY that has an error code."""
         self._ever[bus, node] = None
         if code:
             self._last_ns[bus, node] = time_ns
@@ -286,7 +287,7 @@ class FaultsTold(Oracle):
     def value(
         self, time_ns: int, axis: Axis, index: int, subindex: int, value: int, told_to: bool
     ) -> None:
-        """A statusword; or whether its EMCYs are switched on, and go by their usual identifier."""
+        """Examine a statusword, or take 1014h: EMCYs enabled with their default identifier."""
         bus, node, number = axis.place
         if index == 0x1014:
             if value & _INVALID or value & 0x7FF != 0x80 + node:
@@ -304,15 +305,15 @@ class FaultsTold(Oracle):
             if time_ns - self._last_ns.get((bus, node), -_S - 1) <= _S:
                 self.look(time_ns, bus)
             else:
-                text = f"a fault (statusword {value:04X}h), and no EMCY within 1 s"
+                text = f"a fault (statusword {value:04X}h) without an EMCY within 1 s"
                 self._waiting.append(Violation(time_ns, text, bus, node, number, axis.name))
 
     def end(self, time_ns: int) -> None:
-        """Those who still wait."""
+        """Settle the faults that still wait."""
         self._settle(time_ns, None)
 
     def _settle(self, time_ns: int, told: _Node | None) -> None:
-        """Those who were told, or have waited for long enough, wait no longer."""
+        """Settle the faults of node `told`, and those that have waited long enough."""
         for one in list(self._waiting):
             node = (one.bus, one.node)
             late = time_ns - one.time_ns > _S

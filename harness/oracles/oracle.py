@@ -1,7 +1,7 @@
-"""What every oracle is: a promise with a source, told what goes by, counting what it looked at.
+"""Base of oracles: a promise with a source, fed with events, counting examined cases.
 
-An oracle is told decoded things in the order of the recording, with their times; it knows no file,
-no bus, no clock. What it keeps is bounded by nodes, axes and motors, never by time.
+An oracle receives decoded events in the order of the recording, with their times. An oracle knows
+no file, bus or clock. Its memory is bounded by nodes, axes and motors, never by time.
 """
 
 from collections.abc import Mapping, Sequence
@@ -15,12 +15,12 @@ from traces.schema import LockAction
 
 MS: Final = 1_000_000
 SETTLE_NS: Final = 100 * MS
-"""A sample may be older than the word beside it by what a PDO waits; a servo settles."""
+"""A sample may be older than the word beside it by a PDO's waiting time, and a servo settles."""
 
 
 @final
 class Tally:
-    """What was found on one bus, or ("") elsewhere."""
+    """The counts for one bus, or ("") for events without a bus."""
 
     __slots__ = (
         *("absent", "broken", "doubts", "first", "first_absent", "first_doubt", "looked", "why"),
@@ -38,15 +38,15 @@ class Tally:
 
 
 class Oracle:
-    """One promise. Whoever is one overrides what it wants to be told.
+    """One promise; a subclass overrides the hooks that it needs.
 
     Attributes:
         id: its name on the command line.
-        promise: what should hold.
-        source: who says so.
-        needs: what must be in a recording for it to judge anything.
-        objects: indices it is told of (of the first axis, CiA 402), and whether they are signed.
-        needs_canopen: it judges nothing on a bus that nothing says is CANopen.
+        promise: the rule.
+        source: the source of the rule.
+        needs: why a recording may be insufficient for a judgement.
+        objects: the indices it needs (of the first axis, CiA 402), and True if signed.
+        needs_canopen: True if it ignores buses without a sign of CANopen.
     """
 
     id: ClassVar[str] = ""
@@ -61,66 +61,66 @@ class Oracle:
         self._tallies: dict[str, Tally] = {}
         self._reasons: dict[str, None] = {}
 
-    # ------------------------------------------------------------------- what it may be told
+    # ------------------------------------------------------------------- hooks
 
     def value(
         self, time_ns: int, axis: Axis, index: int, subindex: int, value: int, told_to: bool
     ) -> None:
-        """An object has this value: told to the node, or by it. The axis knows it already."""
+        """Handle an object's value, written to the node or sent by it; the axis has it already."""
 
     def sync(self, time_ns: int, bus: str, identifier: int) -> None:
-        """A SYNC."""
+        """Handle a SYNC."""
 
     def heartbeat(self, time_ns: int, bus: str, node: int, state: int) -> None:
-        """A heartbeat that is no boot-up."""
+        """Handle a heartbeat other than a boot-up."""
 
     def boot(self, time_ns: int, bus: str, node: int) -> None:
-        """A boot-up. What was known of the node's axes is forgotten afterwards."""
+        """Handle a boot-up; the axes of the node are reset afterwards."""
 
     def nmt(self, time_ns: int, bus: str, node: int | None, command: int) -> None:
-        """An NMT command; None: to all."""
+        """Handle an NMT command; None: to all nodes."""
 
     def emergency(self, time_ns: int, bus: str, node: int, code: int) -> None:
-        """An EMCY."""
+        """Handle an EMCY."""
 
     def sdo(self, time_ns: int, bus: str, said: Said, data: bytes) -> None:
-        """A frame of an SDO transfer."""
+        """Handle a frame of an SDO transfer."""
 
     def sender(self, time_ns: int, bus: str, identifier: int, before: str, now: str) -> None:
-        """An identifier is sent by another one than before."""
+        """Handle a change of an identifier's sender."""
 
     def error(self, time_ns: int, bus: str, sender: str, told: BusError) -> None:
-        """An error message of this node's CAN controller; "": nobody tells whose."""
+        """Handle an error message of this node's CAN controller; "": unknown node."""
 
     def sent_while_off(self, time_ns: int, bus: str, sender: str, identifier: int) -> None:
-        """A frame of a node whose CAN controller has told bus-off, and nothing since."""
+        """Handle a frame from a node whose CAN controller has reported bus-off."""
 
     def truth(self, time_ns: int, controller: str, values: Mapping[str, float]) -> None:
-        """A controller's snapshot."""
+        """Handle a controller's snapshot."""
 
     def motion(self, time_ns: int, motor: str, values: Mapping[str, float]) -> None:
-        """What the application knows of a motor: position, velocity, effort."""
+        """Handle the motor state known to the application: position, velocity, effort."""
 
     def lock(self, time_ns: int, motor: str, action: LockAction) -> None:
-        """Something happened to the ownership of a motor."""
+        """Handle an ownership event of a motor."""
 
     def group(self, time_ns: int, motors: Sequence[str], is_start: bool) -> None:
-        """A group has begun a motion together, or ended it."""
+        """Handle the start or the end of a group motion."""
 
     def end(self, time_ns: int) -> None:
-        """Nothing more will come."""
+        """Handle the end of the recording."""
 
-    # --------------------------------------------------------------------- what it has found
+    # --------------------------------------------------------------------- results
 
     def look(self, time_ns: int, bus: str = "") -> bool:
-        """There is something to judge; False: but not at this time."""
+        """Count a case to examine; return False if it is outside the judged time."""
         if not self.scene.judges(time_ns):
             return False
         self._tally(bus).looked += 1
         return True
 
     def broken(self, violation: Violation) -> None:
-        """The promise was not kept, whatever else the recording may lack."""
+        """Count a violation that holds even if frames are missing."""
         if self.scene.judges(violation.time_ns):
             tally = self._tally(violation.bus)
             tally.broken += 1
@@ -128,7 +128,7 @@ class Oracle:
                 tally.first = violation
 
     def absent(self, violation: Violation) -> None:
-        """Something was not heard: the promise was not kept, if the recording has every frame."""
+        """Count a missing event, a violation if the recording is complete."""
         if self.scene.judges(violation.time_ns):
             tally = self._tally(violation.bus)
             tally.absent += 1
@@ -136,7 +136,7 @@ class Oracle:
                 tally.first_absent = violation
 
     def doubt(self, violation: Violation, why: str) -> None:
-        """Perhaps it was not kept; why it is not certain."""
+        """Count an uncertain violation, with the reason of the uncertainty."""
         if self.scene.judges(violation.time_ns):
             tally = self._tally(violation.bus)
             tally.doubts += 1
@@ -144,7 +144,7 @@ class Oracle:
                 tally.first_doubt, tally.why = violation, why
 
     def cannot(self, reason: str) -> None:
-        """This is why something was not judged; told if nothing was."""
+        """Note a reason why something was not judged, reported if nothing was."""
         if len(self._reasons) < 4:
             self._reasons[reason] = None
 
@@ -155,7 +155,7 @@ class Oracle:
         return found
 
     def finding(self) -> Finding:
-        """What it says, when all was told. A bus that is not CANopen has told it nothing."""
+        """Return the result after the last event; buses without CANopen are left out."""
         gaps = "; ".join(self.scene.gaps)
         total, why = Tally(), ""
         for bus, tally in self._tallies.items():
@@ -192,7 +192,7 @@ class Oracle:
 def _sum(
     count: int, first: Violation | None, more: int, other: Violation | None
 ) -> tuple[int, Violation | None]:
-    """Both counts together, and the earlier of the two."""
+    """Return the sum of both counts, and the earlier violation."""
     if other is None:
         return count, first
     if first is None or other.time_ns < first.time_ns:

@@ -1,12 +1,12 @@
-"""The power drive system's state machine: what statuswords tell must be possible.
+"""Oracle of the PDS FSA: the sequence of reported states must be possible.
 
-A statusword is a sample: between two of them a drive may have gone through several states, and it
-may have been on its way since a controlword that was heard before the first. So what is asked is
-whether the second state can be reached from the first along the standard's transitions, with the
-controlwords that were in force or were heard up to `LAG_NS` before the first.
+A statusword is a sample. Between two samples a drive may have passed through several states. A
+statusword may also have been delayed since a controlword before the previous sample. The second
+state must be reachable from the first along the standard's transitions. All controlwords in force,
+or heard since `LAG_NS` before the first, may be used for it.
 
-Only what brings a drive closer to power needs a controlword (2, 3, 4, 15, 16). All others may also
-come from inside the drive: option codes, a lost supply, a lost host, a local operator.
+Only transitions towards power need a controlword (2, 3, 4, 15, 16). All others may also start
+inside the drive: option codes, a lost supply, a lost host, a local operator.
 
 Source: CiA 402-2 (IEC 61800-7-201), PDS FSA: states, transitions 0 to 16, table of commands in the
 controlword; bit 9 of the statusword (remote): the controlword is obeyed.
@@ -41,7 +41,7 @@ _REMOTE: Final = 0x0200
 
 @final
 class Command(Enum):
-    """What a controlword tells a drive to do; those that may raise power."""
+    """The commands of a controlword that may lead towards power."""
 
     SHUTDOWN = "shutdown"
     SWITCH_ON = "switch on"
@@ -50,7 +50,7 @@ class Command(Enum):
 
 
 _C: Final = Command
-# number, from, to, the commands of which one is needed; (): it also comes about by itself.
+# number, from, to, alternative commands; (): also without a command.
 TRANSITIONS: Final[tuple[tuple[int, int, int, tuple[Command, ...]], ...]] = (
     (1, NOT_READY, DISABLED, ()),
     (2, DISABLED, READY, (_C.SHUTDOWN,)),
@@ -72,11 +72,11 @@ TRANSITIONS: Final[tuple[tuple[int, int, int, tuple[Command, ...]], ...]] = (
 
 
 def command_in(word: int, before: int | None) -> Command | None:
-    """What a controlword commands that may raise power; None: nothing such.
+    """Return the command in a controlword that may lead towards power, or None.
 
     Args:
         word: the controlword.
-        before: the one before it; None: not known. A fault reset is the edge of bit 7.
+        before: the previous one; None: unknown. A fault reset is the rising edge of bit 7.
     """
     if word & 0x80:
         return None if before is not None and before & 0x80 else Command.FAULT_RESET
@@ -88,7 +88,7 @@ def command_in(word: int, before: int | None) -> Command | None:
 
 
 def reachable(state: int, commands: frozenset[Command]) -> frozenset[int]:
-    """The states a drive may be in after this one, if it was told these."""
+    """Return the states reachable from this one with these commands."""
     found = {state}
     grown = True
     while grown:
@@ -102,9 +102,10 @@ def reachable(state: int, commands: frozenset[Command]) -> frozenset[int]:
 
 @final
 class _Told:
-    """What one axis was told, and when last; what it told last.
+    """The commands to one axis with their times, and its last state.
 
-    Attributes: is_whole (all that it was told since it booted was heard).
+    Attributes:
+        is_whole: True if all commands since its boot-up were heard.
     """
 
     def __init__(self, is_whole: bool) -> None:
@@ -116,12 +117,12 @@ class _Told:
         self._last_ns: dict[Command | None, int] = {}
 
     def command(self, time_ns: int, word: int) -> None:
-        """A controlword."""
+        """Take a controlword."""
         self._last_ns[command_in(word, self.word)] = time_ns
         self.word = word
 
     def since(self, time_ns: int) -> frozenset[Command]:
-        """What it was told since then, and what was in force at that time."""
+        """Return the commands since then, with the one in force at that time."""
         told = [command for command, at_ns in self._last_ns.items() if at_ns >= time_ns]
         before = {command: at for command, at in self._last_ns.items() if at < time_ns}
         if before:
@@ -133,24 +134,24 @@ class _Told:
 
 @final
 class StateMachine(Oracle):
-    """`pds-legal`."""
+    """The oracle `pds-legal`."""
 
     id = "pds-legal"
     promise = (
-        "Each state that a drive tells can follow the one before it, by what it was told in between"
+        "Each state that a drive reports can follow the previous one with the commands in between"
     )
     source = "CiA 402-2, PDS FSA"
-    needs = "no drive tells a change of its state: no 6041h by SDO, or in a PDO that is known"
+    needs = "no drive reports a change of its state: no 6041h by SDO or in a mapped PDO"
     objects: ClassVar[Mapping[int, bool]] = {STATUSWORD: False, CONTROLWORD: False}
 
     def __init__(self, scene: Scene) -> None:
-        """See Oracle."""
+        """Set up the oracle; see `Oracle`."""
         super().__init__(scene)
         self._told: dict[Place, _Told] = {}
         self._booted: dict[tuple[str, int], None] = {}
 
     def boot(self, time_ns: int, bus: str, node: int) -> None:
-        """It begins anew, and has been told nothing yet."""
+        """Forget the commands to a node that has booted."""
         self._booted[bus, node] = None
         for place in [place for place in self._told if place[:2] == (bus, node)]:
             del self._told[place]
@@ -158,7 +159,7 @@ class StateMachine(Oracle):
     def value(
         self, time_ns: int, axis: Axis, index: int, subindex: int, value: int, told_to: bool
     ) -> None:
-        """A controlword to it, or a statusword of it."""
+        """Take a controlword, or examine a statusword."""
         told = self._told.get(axis.place)
         if told is None:
             told = self._told[axis.place] = _Told(axis.place[:2] in self._booted)
@@ -177,7 +178,7 @@ class StateMachine(Oracle):
         told.status, told.status_ns = word, time_ns
         told.state = None if state == UNKNOWN_STATE else state
         if state == UNKNOWN_STATE:
-            text = f"statusword {word:04X}h shows none of the eight states"
+            text = f"statusword {word:04X}h matches none of the eight states"
             if self.look(time_ns, bus):
                 self.broken(Violation(time_ns, text, bus, node, number, axis.name))
             return
@@ -189,8 +190,8 @@ class StateMachine(Oracle):
             return
         heard = ", ".join(command.value for command in Command if command in commands)
         text = (
-            f"{STATES[before][2]}, then {STATES[state][2]} (statusword {word:04X}h), told "
-            f"{heard or 'nothing that leads there'}"
+            f"{STATES[before][2]}, then {STATES[state][2]} (statusword {word:04X}h), after "
+            f"{heard or 'no command that leads there'}"
         )
         found = Violation(time_ns, text, bus, node, number, axis.name)
         if not remote and state != NOT_READY:

@@ -1,4 +1,4 @@
-"""At rest when told: by a drive's statusword, or by a group that has ended its motion.
+"""Oracle of rest: a motor rests while its drive or its group reports the end of motion.
 
 Source: CiA 402-2: statusword (target reached, homing attained), position window 6067h; the paper,
 3.3.3 (waiting blocks until the motion is over) and Algorithm 2.
@@ -29,11 +29,11 @@ _PP, _HM = 1, 6
 _NEW_SET_POINT: Final = 0x0010
 _LEAST_INC: Final = 4
 _SHARE: Final = 0.02
-"""Of the way that was travelled, where no window is known."""
+"""The allowed share of the travelled distance if no window is known."""
 
 
 def says_rest(axis: Axis) -> bool:
-    """Whether the drive tells by its last statusword that it stands still."""
+    """Return True if the drive's last statusword reports standstill."""
     word, mode = axis.word, axis.mode
     if word is None or mode is None or axis.state != ENABLED:
         return False
@@ -46,10 +46,14 @@ def says_rest(axis: Axis) -> bool:
 @final
 @dataclass(slots=True)
 class _Rest:
-    """A time in which a drive says that it stands still.
+    """A time in which a drive reports standstill.
 
-    Attributes: from_ns; low, high (of 6064h behind the settling); moved_ns (when it was largest);
-    sampled (whether there was any); confirmed (the span when it last said so).
+    Attributes:
+        from_ns: its start [ns].
+        low, high: range of 6064h after the settling time.
+        moved_ns: when the range last grew [ns].
+        sampled: True if there was a sample.
+        confirmed, confirmed_ns: the range, and its time, when standstill was last reported.
     """
 
     from_ns: int
@@ -67,11 +71,14 @@ _TAKES: Final = (LockAction.TAKEN, LockAction.BROKEN, LockAction.TAKEN_OVER)
 @final
 @dataclass(slots=True)
 class _Motor:
-    """A motor as its application knows it.
+    """A motor as known to its application.
 
-    Attributes: is_free (nobody has it; None: its handovers are not told); since_ns (told to be at
-    rest); low, high (of all positions); at (where it came to rest); worst, worst_ns (farthest from
-    there since).
+    Attributes:
+        is_free: True without an owner; None: handovers are not recorded.
+        since_ns: start of the reported rest [ns].
+        low, high: range of all positions.
+        at: the position at rest.
+        worst, worst_ns: the position farthest from there, and its time [ns].
     """
 
     is_free: bool | None = None
@@ -85,42 +92,42 @@ class _Motor:
 
 @final
 class AtRest(Oracle):
-    """`rest-when-told`."""
+    """The oracle `rest-when-told`."""
 
     id = "rest-when-told"
     promise = (
-        "A motor stays where it is while its drive tells target reached (pp) or homing attained"
-        " (hm), and after its group has ended, until somebody takes it"
+        "A motor stays at rest while its drive reports target reached (pp) or homing attained "
+        "(hm), and after the end of its group's motion until it has a new owner"
     )
     source = "CiA 402-2, statusword bits 10 and 12, position window 6067h; the paper, 3.3.3"
-    needs = "no drive told mode, position (6064h) and that it had arrived, and no group ended"
+    needs = "no drive with known mode and position (6064h) reported arrival, no group ended"
     objects: ClassVar[Mapping[int, bool]] = {
         **{STATUSWORD: False, CONTROLWORD: False, _POSITION: True},
         **{0x6060: True, 0x6061: True, 0x6067: False, 0x6068: False},
     }
 
     def __init__(self, scene: Scene) -> None:
-        """See Oracle."""
+        """Set up the oracle; see `Oracle`."""
         super().__init__(scene)
         self._rests: dict[Place, _Rest] = {}
         self._travel: dict[Place, tuple[int, int]] = {}  # lowest and highest position so far
         self._motors: dict[str, _Motor] = {}
 
     def boot(self, time_ns: int, bus: str, node: int) -> None:
-        """It says nothing any more."""
+        """Forget the rest of a node that has booted."""
         for place in [place for place in self._rests if place[:2] == (bus, node)]:
             del self._rests[place]
 
     def value(
         self, time_ns: int, axis: Axis, index: int, subindex: int, value: int, told_to: bool
     ) -> None:
-        """A word, a mode, a position."""
+        """Take a controlword, a statusword, a mode, or a position."""
         place = axis.place
         if index == _POSITION:
             self._position(time_ns, place, value)
         elif index == CONTROLWORD:
             if told_to and value & (_NEW_SET_POINT | 0x0F) != 0x0F:
-                self._close(time_ns, axis)  # it may begin to move before it says so
+                self._close(time_ns, axis)  # it may begin to move before it reports so
         elif index in (STATUSWORD, 0x6060, 0x6061) and not (told_to and index == STATUSWORD):
             self._word(time_ns, axis)
 
@@ -145,11 +152,11 @@ class AtRest(Oracle):
             self._close(time_ns, axis)
         elif rest is None:
             self._rests[axis.place] = _Rest(time_ns)
-        else:  # it moved, and still said so afterwards
+        else:  # it moved, and reported standstill afterwards
             rest.confirmed, rest.confirmed_ns = rest.high - rest.low, rest.moved_ns
 
     def _close(self, time_ns: int, axis: Axis) -> None:
-        """It says so no longer."""
+        """Examine a rest that the drive no longer reports."""
         rest = self._rests.pop(axis.place, None)
         if rest is None or not rest.sampled or not self.look(time_ns, axis.place[0]):
             return
@@ -159,7 +166,7 @@ class AtRest(Oracle):
         bound = max(_LEAST_INC, 2 * window if 0 < window < _OFF else (high - low) * _SHARE)
         if rest.confirmed > bound:
             since = f"{rest.from_ns / 1e9:.6f} s"
-            text = f"moves while it says, since {since}, that it has arrived"
+            text = f"moves while it reports arrival, since {since}"
             self.broken(
                 Violation(
                     *(rest.confirmed_ns, text, bus, node, number, axis.name),
@@ -168,7 +175,7 @@ class AtRest(Oracle):
             )
 
     def end(self, time_ns: int) -> None:
-        """Those that still say so."""
+        """Examine the rests that are still reported."""
         for place in list(self._rests):
             self._close(time_ns, self.scene.axis(place))
         for name in self._motors:
@@ -177,7 +184,7 @@ class AtRest(Oracle):
     # ------------------------------------------------------------------------- motors of groups
 
     def lock(self, time_ns: int, motor: str, action: LockAction) -> None:
-        """Whose it is may move it; nobody else does."""
+        """Take a handover: only an owner may move the motor."""
         one = self._motors.setdefault(motor, _Motor())
         if action in _TAKES:
             self._leave(time_ns, motor)
@@ -188,14 +195,14 @@ class AtRest(Oracle):
                 one.since_ns = max(one.since_ns, time_ns)
 
     def group(self, time_ns: int, motors: Sequence[str], is_start: bool) -> None:
-        """Where its motors' handovers are told, too, each is at rest from its end on."""
+        """Begin the rest of a group's motors at its end, if their handovers are recorded."""
         for name in motors:
             one = self._motors.setdefault(name, _Motor())
             self._leave(time_ns, name)
             one.since_ns = None if is_start or one.is_free is None else time_ns
 
     def motion(self, time_ns: int, motor: str, values: Mapping[str, float]) -> None:
-        """Where it is, as far as the application knows."""
+        """Take a position known to the application."""
         one, at = self._motors.get(motor), values.get("position")
         if at is None:
             return
@@ -209,14 +216,14 @@ class AtRest(Oracle):
             one.worst, one.worst_ns = at, time_ns
 
     def _leave(self, time_ns: int, motor: str) -> None:
-        """What it was told of is over. A motor whose state is not told any more does not change."""
+        """Examine a rest that has ended; a motor without recorded states does not change."""
         one = self._motors[motor]
         since_ns, one.since_ns = one.since_ns, None
         rested = since_ns is not None and one.is_free and time_ns - since_ns >= SETTLE_NS
         if rested and one.high >= one.low and self.look(time_ns):
             moved, limit = abs(one.worst - one.at), max((one.high - one.low) * _SHARE, 1e-6)
             if one.worst_ns and moved > limit:
-                text = "moves after its group has ended, and nobody has taken it"
+                text = "moves after the end of its group's motion, without an owner"
                 subject = self.scene.facts.motors.get(motor)
                 unit = subject.unit if subject is not None else ""
                 numbers = (moved, limit, unit or "rad or m")

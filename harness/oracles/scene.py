@@ -1,4 +1,4 @@
-"""What all oracles know of a recording while it goes by: motors, axes, what is missing in it."""
+"""Context shared by all oracles: motors, axes, gaps of the recording."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -16,7 +16,7 @@ CONTROLWORD: Final = 0x6040
 MODE: Final = 0x6060
 MODE_DISPLAY: Final = 0x6061
 
-# States of the PDS FSA, as traces.decode_cia402.STATES counts them.
+# States of the PDS FSA, with the numbers of `traces.decode_cia402.STATES`.
 NOT_READY, DISABLED, READY, SWITCHED_ON, ENABLED, QUICK_STOP, REACTION, FAULT = range(8)
 TARGET_REACHED: Final = 0x0400
 BIT_12: Final = 0x1000
@@ -26,11 +26,16 @@ BIT_13: Final = 0x2000
 @final
 @dataclass(slots=True)
 class Axis:
-    """One axis of a node on a bus, as far as it was heard.
+    """One axis of a node on a bus, as far as known from its frames.
 
-    Attributes: place; name (of its motor, or ""); subject (what is known of that motor); word,
-    state, state_ns (the last statusword, its state, since when it is told); mode; control (the last
-    controlword); objects (settings that were heard, by index and sub-index).
+    Attributes:
+        place: bus, node, axis.
+        name: the name of its motor, or "".
+        subject: the known facts of that motor.
+        word, state, state_ns: the last statusword, its state, and since when [ns].
+        mode: the mode of operation.
+        control: the last controlword.
+        objects: the settings heard, by index and sub-index.
     """
 
     place: Place
@@ -45,7 +50,7 @@ class Axis:
     objects: dict[tuple[int, int], int] = field(default_factory=dict)
 
     def take(self, time_ns: int, index: int, subindex: int, value: int, told_to: bool) -> None:
-        """An object of it has this value."""
+        """Take a value of an object."""
         if index == STATUSWORD:
             state = state_number(value)
             if state != self.state:
@@ -63,23 +68,23 @@ class Axis:
             self.objects[index, subindex] = value
 
     def forget(self) -> None:
-        """The drive begins anew."""
+        """Forget the state and the settings after a restart of the drive."""
         self.word = self.state = self.mode = self.control = None
         self.objects.clear()
 
 
 @final
 class Scene:
-    """Shared by all oracles.
+    """Recording context shared by all oracles.
 
     Attributes:
-        facts: what was known beforehand.
+        facts: the facts known beforehand.
         axes: by place; bounded by nodes and axes.
-        gaps: why frames may be missing, so that what was not heard proves nothing. Empty: it is
-            complete. Known for sure only at the end.
-        buses: whether anything was said there that only CANopen says, by bus.
-        heard: nodes that sent something, by bus and number.
-        unmapped: RPDOs that were heard and whose contents are not known, by bus and node.
+        gaps: reasons why frames may be missing, so that absence proves nothing. Empty: the
+            recording is complete. Final only at the end.
+        buses: by bus, True if it had a message that only CANopen has.
+        heard: nodes that sent something, by bus and node-ID.
+        unmapped: RPDOs heard without a known mapping, by bus and node.
     """
 
     def __init__(
@@ -92,7 +97,7 @@ class Scene:
         self.facts = facts
         self.names = names
         self.axes: dict[Place, Axis] = {}
-        self.gaps: dict[str, None] = {}  # in order
+        self.gaps: dict[str, None] = {}  # an ordered set
         self.buses: dict[str, bool] = {}
         self.heard: dict[tuple[str, int], None] = {}
         self.unmapped: dict[tuple[str, int], int] = {}
@@ -101,13 +106,13 @@ class Scene:
         self._subjects = {one.place: one for one in facts.motors.values() if one.place is not None}
 
     def judges(self, time_ns: int) -> bool:
-        """Whether what happened at this time was asked for."""
+        """Return True if this time is to be judged."""
         return (self._from_ns is None or time_ns >= self._from_ns) and (
             self._to_ns is None or time_ns < self._to_ns
         )
 
     def axis(self, place: Place) -> Axis:
-        """The axis there."""
+        """Return the axis at a place, created if necessary."""
         found = self.axes.get(place)
         if found is None:
             subject = self._subjects.get(place)
@@ -118,11 +123,11 @@ class Scene:
         return found
 
     def foreign(self) -> list[str]:
-        """Buses that nothing says are CANopen."""
+        """Return the buses without a sign of CANopen."""
         return [bus for bus, is_canopen in self.buses.items() if not is_canopen]
 
     def controllers(self) -> Mapping[str, list[Subject]]:
-        """Motors by what drives them."""
+        """Return the motors by controller."""
         found: dict[str, list[Subject]] = {}
         for one in self.facts.motors.values():
             if one.controller is not None:

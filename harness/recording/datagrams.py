@@ -1,11 +1,11 @@
-"""Frames off a datagram socket, as many as there are in one call, with the kernel's time stamps.
+"""Batched reading of CAN frames from datagram sockets, with kernel time stamps.
 
-recvmmsg(2) fills one block of memory: for each frame a row of its bytes, then what the kernel tells
-of it. Python looks at the block once for all of them. Python's own `recvmsg` costs ten times as
-much a frame.
+recvmmsg(2) fills one block of memory. Each frame has a row in it: its bytes, then the kernel's
+control messages. Python decodes the block once for the whole batch. Python's own `recvmsg` costs
+ten times as much per frame.
 
 Sources: linux/can/raw.h, Documentation/networking/can.rst (MSG_DONTROUTE: a frame of this host),
-asm-generic/socket.h, net/socket.c (the time stamp comes before the count of what was dropped).
+asm-generic/socket.h, net/socket.c (the time stamp precedes the drop counter).
 """
 
 import ctypes
@@ -30,7 +30,7 @@ class _Piece(ctypes.Structure):
 
 
 class _Header(ctypes.Structure):
-    """struct msghdr."""
+    """The C type `struct msghdr`."""
 
     _fields_ = (
         ("name", ctypes.c_void_p),
@@ -44,12 +44,12 @@ class _Header(ctypes.Structure):
 
 
 class _Message(ctypes.Structure):
-    """struct mmsghdr."""
+    """The C type `struct mmsghdr`."""
 
     _fields_ = (("header", _Header), ("length", ctypes.c_uint))
 
 
-# A row: the frame; a cmsghdr with a timespec; a cmsghdr with a number, padded to whole words.
+# A row: the frame, a cmsghdr with a timespec, and a cmsghdr with a counter, padded to whole words.
 _CMSG: Final = struct.calcsize("@Nii")
 _STAMP_SPACE: Final = struct.calcsize("@Niill")
 _SHORT_ROW: Final = struct.Struct(f"@16s{56 + _CMSG}xll{_CMSG}xI0N")
@@ -62,20 +62,20 @@ _HEAD: Final = struct.Struct(f"@{_Header.control_length.offset}xNi0NI0N")
 
 @final
 class DatagramReader:
-    """Reads CAN frames from a socket of datagrams.
+    """Reader of CAN frames from a datagram socket.
 
     Attributes:
-        stamped: whether the kernel has time stamps for this kind of socket.
-        dropped: frames that the kernel gave up since the socket was opened, as far as it has told
-            (it tells with the next frame).
-        ignored: datagrams that were no can_frame and no canfd_frame.
+        stamped: True if the kernel provides time stamps for this kind of socket.
+        dropped: number of frames dropped by the kernel since the socket was opened. The kernel
+            reports it with the next frame.
+        ignored: number of datagrams that were neither a can_frame nor a canfd_frame.
     """
 
     def __init__(self, source: socket.socket) -> None:
-        """Time stamps and the count of lost frames are switched on, as far as the kernel has them.
+        """Enable time stamps and the drop counter on the socket, where the kernel supports them.
 
         Args:
-            source: stays the caller's; it is read without blocking.
+            source: remains owned by the caller; it is read without blocking.
         """
         self.stamped = _switched_on(source, _SO_TIMESTAMPNS)
         self.dropped = 0
@@ -92,21 +92,21 @@ class DatagramReader:
             head = message.header
             head.pieces, head.piece_count = ctypes.addressof(piece), 1
             head.control, head.control_length = row + _CONTROL, _CONTROL_SPACE
-        self._fresh_heads = bytes(self._heads)  # the kernel writes lengths over them
+        self._fresh_heads = bytes(self._heads)  # the kernel overwrites the lengths
         self._row_view = memoryview(self._rows).cast("B")
         self._head_view = memoryview(self._heads).cast("B")
         self._receive = ctypes.CDLL(None, use_errno=True).recvmmsg
 
     def read(self, received: int, transmitted: int, now_ns: int) -> list[Entry]:
-        """What has come and was not read yet, `BATCH` frames at most; [] if there is nothing.
+        """Return the frames that are waiting, at most `BATCH`; [] if there are none.
 
         Args:
-            received: the source number of frames from elsewhere.
-            transmitted: that of frames of this host.
-            now_ns: the time of frames that have no stamp.
+            received: source number of frames from other hosts.
+            transmitted: source number of frames of this host.
+            now_ns: time for frames without a time stamp [ns].
 
         Raises:
-            OSError: the socket has nothing more to give, or not now.
+            OSError: the socket cannot be read, temporarily or permanently.
         """
         self._head_view[:] = self._fresh_heads
         descriptor = self._socket.fileno()
@@ -137,7 +137,7 @@ class DatagramReader:
         return entries
 
     def _count_drops(self, number: int) -> None:
-        """The kernel's count stands behind the last frame; it has 32 bits and begins anew."""
+        """Add the drops reported with the last frame; the kernel's 32-bit counter wraps around."""
         (_, _, _, count) = _SHORT_ROW.unpack_from(self._row_view, number * _ROW_SIZE)
         self.dropped += (count - self.dropped) % (1 << 32)
 

@@ -1,4 +1,4 @@
-"""What a terminal shows of a recording being made."""
+"""Progress line of a recording, for the terminal."""
 
 from typing import Final, final
 
@@ -8,22 +8,22 @@ PERIOD_NS: Final = 250_000_000
 
 @final
 class Progress:
-    """A line that says how it goes, four times a second; told the time, it asks no clock."""
+    """Progress line, updated four times a second; the caller passes the time."""
 
     def __init__(self, now_ns: int) -> None:
-        """It began at `now_ns`."""
+        """Start at `now_ns` [ns]."""
         self._begin_ns = now_ns
         self._last_ns = now_ns
         self._last_frames = 0
 
     def line(self, now_ns: int, frames: int, dropped: int, size: int) -> str | None:
-        """The line, if it is time for one.
+        """Return the progress line, or None before the next update is due.
 
         Args:
-            now_ns: by a clock that never goes back [ns].
-            frames: recorded so far.
-            dropped: lost so far.
-            size: of the files [bytes].
+            now_ns: monotonic time [ns].
+            frames: number of frames recorded so far.
+            dropped: number of frames lost so far.
+            size: size of the files [bytes].
         """
         passed_ns = now_ns - self._last_ns
         if passed_ns < PERIOD_NS:

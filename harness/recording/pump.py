@@ -1,8 +1,9 @@
-"""What was read from buses goes to a file, in the order of its times, and is counted.
+"""Ordering, counting and recording of frames from several buses.
 
-The pump is told the time and asks no clock. Whoever reads the buses reads all of them until they
-are empty and tells what came, and when that began: a frame stamped later may have an earlier one
-before it that another bus had not yet delivered, so it waits for the next round, never longer.
+The pump has no clock; its caller passes the time. In each round the caller reads every bus until it
+is empty, then passes the frames and the start time of the round. A frame stamped after that start
+may be preceded by a frame that another bus had not yet delivered. The pump therefore holds it back
+until the next round, and no longer.
 """
 
 from bisect import bisect_right
@@ -16,29 +17,29 @@ from traces.schema import CAN_FRAME, LOG, Direction, Level, Schema
 from traces.writer import TraceWriter
 
 FLUSH_NS: Final = 1_000_000_000
-_HAND_OVER: Final = 2048  # frames; packed in bulk they cost half as much as a few at a time
+_HAND_OVER: Final = 2048  # frames; packing in bulk halves the cost per frame
 _DIRECTIONS: Final = (Direction.RECEIVED, Direction.TRANSMITTED)
 _time_of: Final = itemgetter(1)
 _source_of: Final = itemgetter(0)
 
 
 class Sink(Protocol):
-    """Where messages go (harness.recording.series.Series); all may raise TraceError."""
+    """Destination of messages, such as `Series`; all methods may raise TraceError."""
 
     def extend(self, entries: list[Entry]) -> None:
-        """These messages are recorded, in this order."""
+        """Record these messages in this order."""
 
     def flush(self) -> None:
-        """All messages so far are with the operating system."""
+        """Pass all messages so far to the operating system."""
 
     def close(self, facts: dict[str, dict[str, str]]) -> None:
-        """The recording is complete, with these tables of strings."""
+        """Complete the recording, with these tables of strings as its metadata."""
 
 
 def opener(
     buses: Sequence[str], metadata: dict[str, dict[str, str]], compact: bool
 ) -> Callable[[str], TraceWriter]:
-    """Makes files in which bus k has the sources 2 k (received) and 2 k + 1 (of this host)."""
+    """Return a maker of files where bus k has sources 2 k (received) and 2 k + 1 (this host)."""
 
     def open_file(path: str) -> TraceWriter:
         writer = TraceWriter(path, metadata, compact)
@@ -54,22 +55,22 @@ def opener(
 
 @final
 class Pump:
-    """Orders, counts and records what comes from several buses.
+    """Recorder that orders and counts the frames of several buses.
 
     Attributes:
-        frames: recorded so far, by bus.
-        dropped: lost on the way to us, by bus, as far as it is known.
-        first_ns, last_ns: the earliest and latest time recorded; None: nothing was.
+        frames: number of frames recorded so far, by bus.
+        dropped: number of frames known to be lost before they reached the pump, by bus.
+        first_ns, last_ns: the earliest and latest recorded time [ns]; None if nothing is recorded.
     """
 
     def __init__(self, buses: Sequence[str], sink: Sink) -> None:
-        """Nothing is recorded yet; `sink` has the sources that `opener` gives it."""
+        """Set up an empty recording; `sink` must have the sources that `opener` creates."""
         self.frames = [0] * len(buses)
         self.dropped = [0] * len(buses)
         self.first_ns: int | None = None
         self.last_ns: int | None = None
         self._buses = list(buses)
-        self._events = len(buses) + 1  # the channel behind those of buses
+        self._events = len(buses) + 1  # the channel after those of the buses
         self._sink = sink
         self._held: list[Entry] = []
         self._pending: list[Entry] = []
@@ -77,15 +78,15 @@ class Pump:
         self._second = 0
 
     def take(self, came: Sequence[list[Entry]], began_ns: int) -> int:
-        """What buses gave in one round that began then; how many frames that was.
+        """Record the frames of one round and return their number.
 
         Args:
-            came: of each bus, (source, time [ns], frame) in order.
-            began_ns: when the first bus was asked, by the clock of the stamps.
+            came: (source, time [ns], frame) in order, for each bus.
+            began_ns: when the first bus was read, by the clock of the stamps [ns].
 
         Raises:
-            TraceError: they cannot be written.
-            ValueError: one is no CAN frame.
+            TraceError: the frames cannot be written.
+            ValueError: an entry is not a CAN frame.
         """
         count = 0
         entries = self._held
@@ -103,18 +104,18 @@ class Pump:
         return count
 
     def lost(self, bus: int, total: int, now_ns: int) -> None:
-        """So many frames of a bus have been lost up to now; told in the recording if it is news."""
+        """Set the total number of lost frames of a bus; record an event if it has grown."""
         more = total - self.dropped[bus]
         if more > 0:
             self.dropped[bus] = total
             self.event(now_ns, Level.WARNING, self._buses[bus], f"{more} frames were lost here")
 
     def event(self, time_ns: int, level: Level, name: str, text: str) -> None:
-        """Something happened to the recording itself. Raises TraceError as `take`."""
+        """Record an event about the recording itself. Raises TraceError like `take`."""
         self._record([(-self._events, time_ns, encode_log(time_ns, level, text, name))], time_ns)
 
     def tick(self, now_ns: int) -> None:
-        """It is `now_ns`: what has waited a second is in the file. Raises TraceError as `take`."""
+        """Write out entries that have waited for one second. Raises TraceError like `take`."""
         since = self._unwritten_since_ns
         if since is not None and not 0 <= now_ns - since < FLUSH_NS:
             self._unwritten_since_ns = None
@@ -122,7 +123,7 @@ class Pump:
             self._sink.flush()
 
     def close(self, facts: dict[str, dict[str, str]]) -> None:
-        """All is recorded, and the file complete. Raises TraceError as `take`."""
+        """Record the held entries and complete the file. Raises TraceError like `take`."""
         try:
             held, self._held = self._held, []
             self._record(held, 0)
@@ -137,7 +138,7 @@ class Pump:
         self.first_ns = first if self.first_ns is None else min(first, self.first_ns)
         self.last_ns = last if self.last_ns is None else max(last, self.last_ns)
         self._pending += entries
-        # The writer ends its chunk itself when a new second begins, by the clock of the stamps.
+        # The writer itself ends its chunk when a new second begins, by the clock of the stamps.
         is_new = last // FLUSH_NS > self._second
         if self._unwritten_since_ns is None or is_new:
             self._unwritten_since_ns = now_ns

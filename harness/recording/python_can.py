@@ -1,4 +1,4 @@
-"""Any bus that python-can reaches, being recorded; and its messages as frames, both ways."""
+"""Recording of python-can buses, and conversion of messages and frames."""
 
 from collections import deque
 from collections.abc import Mapping
@@ -12,22 +12,22 @@ from traces.chunk import Entry
 from traces.traffic import BRS, EFF, ERR, ESI, RTR, classic, fields, flexible, remote
 
 _NS: Final = 1_000_000_000
-_FAR_S: Final = 86_400.0  # further from our clock, a stamp counts from something else than 1970
+_FAR_S: Final = 86_400.0  # a stamp further from the wall clock does not count from 1970
 _BATCH: Final = 4096
 _LINUX_ERRORS: Final = (
     *("emulated", "gs_usb", "serial", "socketcan", "socketcand", "udp_multicast", "virtual"),
 )
-"""Interfaces of python-can 4.6.1 whose error frames have Linux's classes; others have their own."""
+"""The interfaces of python-can 4.6.1 whose error frames use Linux's error classes."""
 _BUS_ERROR: Final = 0x80
 
 
 def frame_of(message: can.Message, interface: str = "socketcan") -> bytes:
-    """The can_frame or canfd_frame of a message of this interface.
+    """Return the can_frame or canfd_frame of a message from this interface.
 
-    Where an error frame has other classes than Linux's, it is told as a bus error and no more.
+    An error frame of an interface without Linux's error classes becomes a plain bus error.
 
     Raises:
-        ValueError: it cannot be one.
+        ValueError: the message cannot be represented as a frame.
     """
     can_id = message.arbitration_id
     if message.is_error_frame:
@@ -48,7 +48,7 @@ def frame_of(message: can.Message, interface: str = "socketcan") -> bytes:
 
 
 def message_of(frame: bytes) -> can.Message:
-    """The message to send for a frame."""
+    """Return the message to send for a frame."""
     told = fields(frame)
     asks = bool(told.can_id & RTR)
     return can.Message(
@@ -64,28 +64,30 @@ def message_of(frame: bytes) -> can.Message:
 
 
 def open_bus(place: Place, options: Mapping[str, object]) -> can.BusABC:
-    """python-can's bus there.
+    """Open the python-can bus at a place.
 
     Raises:
-        PlaceError: python-can knows no such interface, or cannot open it.
+        PlaceError: python-can does not know the interface, or cannot open it.
     """
     if place.interface not in can.VALID_INTERFACES:
         known = ", ".join(sorted(can.VALID_INTERFACES))
         raise PlaceError(
-            f"--on {place.text}: python-can has no interface {place.interface!r}; it has {known}"
+            f"--on {place.text}: python-can has no interface {place.interface!r}; available: "
+            f"{known}"
         )
     try:
         return can.Bus(interface=place.interface, channel=place.channel, **options)  # type: ignore[arg-type]  # options of any interface
-    except Exception as error:  # drivers raise whatever they like: their words, and a place
+    except Exception as error:  # drivers raise exceptions of any type
         raise PlaceError(
-            f"--on {place.text}: {str(error) or type(error).__name__}; is the adapter there, its "
-            "driver installed, and --bitrate N or --fd said where it needs it?"
+            f"--on {place.text}: {str(error) or type(error).__name__}; check that the adapter "
+            "is connected and its driver installed, and give --bitrate N or --fd where it "
+            "needs them"
         ) from error
 
 
 @final
 class _Backlog(can.Listener):
-    """What python-can's reading thread has heard."""
+    """Messages heard by python-can's reading thread."""
 
     def __init__(self) -> None:
         self.messages: deque[can.Message] = deque()
@@ -98,7 +100,7 @@ class _Backlog(can.Listener):
         self.error = exc
 
     def stop(self) -> None:
-        """Nothing is to be stopped."""
+        """Do nothing; the backlog has nothing to stop."""
 
 
 @final
@@ -106,11 +108,11 @@ class PythonCanTap:
     """One bus of python-can, read by its Notifier.
 
     Attributes:
-        unreadable: messages that no frame can hold; they count as dropped.
+        dropped: number of messages that do not fit a frame.
     """
 
     def __init__(self, place: Place, options: Mapping[str, object]) -> None:
-        """It is being read. Raises PlaceError: it cannot be."""
+        """Open the bus and start reading it. Raises PlaceError if it cannot be opened."""
         self.default_name = topic_name(place.channel)
         self.dropped = 0
         self.source = 0
@@ -123,16 +125,16 @@ class PythonCanTap:
 
     @property
     def clock(self) -> str:
-        """The interface's own."""
+        """The clock of the python-can interface."""
         moved = ", moved by {} ns to ns since 1970".format
         return "of python-can's interface" + (moved(self._moved_ns) if self._moved_ns else "")
 
     def fileno(self) -> int:
-        """None: it is read elsewhere."""
+        """Return POLLED, since the Notifier reads the descriptor."""
         return POLLED
 
     def read(self, now_ns: int) -> list[Entry]:
-        """What has come; see Tap."""
+        """Return the entries that have arrived; see `Tap.read`."""
         messages = self._backlog.messages
         entries: list[Entry] = []
         while messages and len(entries) < _BATCH:
@@ -149,7 +151,7 @@ class PythonCanTap:
         return entries
 
     def _time_ns(self, stamp_s: float, now_ns: int) -> int:
-        """The stamp since 1970; what counts from elsewhere is moved, always by the same."""
+        """Return the stamp in ns since 1970; other epochs are shifted by a constant offset."""
         if not stamp_s > 0.0:
             return now_ns
         if self._moved_ns is None:
@@ -158,6 +160,6 @@ class PythonCanTap:
         return max(0, round(stamp_s * 1e9) + self._moved_ns)
 
     def close(self) -> None:
-        """The bus has been left."""
+        """Stop reading and shut the bus down."""
         self._notifier.stop(2.0)
         self._bus.shutdown()

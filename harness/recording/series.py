@@ -1,4 +1,4 @@
-"""One recording, or several one after another, each complete on its own."""
+"""Recording to one file, or to several consecutive files, each complete."""
 
 import os
 from bisect import bisect_left
@@ -16,11 +16,11 @@ _time_of: Final = itemgetter(1)
 
 @final
 class Series:
-    """Where frames go: a file until it is large or long enough, then the next one.
+    """Recording that starts a new file at a given size or duration.
 
     Attributes:
-        paths: the files, the one being written last.
-        bytes_before: of files that are complete.
+        paths: the files; the last one is being written.
+        bytes_before: total size of the completed files [bytes].
     """
 
     def __init__(
@@ -32,17 +32,17 @@ class Series:
         rotate_ns: int | None = None,
         overwrite: bool = False,
     ) -> None:
-        """The first file is begun.
+        """Open the first file.
 
         Args:
             path: FILE.mcap; with either limit the files are FILE-0001.mcap and so on.
-            open_file: makes a writer that knows its channels and sources, always the same.
-            rotate_bytes: a file ends once it is so large, behind a chunk.
-            rotate_ns: a file ends so long after its first message.
-            overwrite: older recordings of these names may be lost.
+            open_file: makes a writer with its channels and sources, always the same ones.
+            rotate_bytes: size after which a file ends, at the end of a chunk [bytes].
+            rotate_ns: duration after which a file ends, from its first message [ns].
+            overwrite: allow older recordings of these names to be overwritten.
 
         Raises:
-            TraceError: it cannot be written, or a file of that name would be lost.
+            TraceError: the file cannot be written, or an existing file would be overwritten.
         """
         self.paths: list[str] = []
         self.bytes_before = 0
@@ -51,17 +51,17 @@ class Series:
         self._rotate_bytes = rotate_bytes
         self._rotate_ns = rotate_ns
         self._overwrite = overwrite
-        self._end_ns: int | None = None  # of this file; None: nothing is in it
+        self._end_ns: int | None = None  # of this file; None while it is empty
         self._refuse_loss()
         self._writer = self._next()
 
     @property
     def bytes(self) -> int:
-        """Of all files, as far as it is with the operating system."""
+        """Total size of all files, as passed to the operating system [bytes]."""
         return self.bytes_before + self._writer.size
 
     def extend(self, entries: list[Entry]) -> None:
-        """These messages are recorded, in this order.
+        """Record these messages in this order.
 
         Raises:
             TraceError: they cannot be written.
@@ -79,13 +79,13 @@ class Series:
                 self._rotate()
 
     def flush(self) -> None:
-        """All messages so far are with the operating system. Raises as `extend`."""
+        """Pass all messages so far to the operating system. Raises TraceError like `extend`."""
         self._writer.flush()
         if self._is_large():
             self._rotate()
 
     def close(self, facts: dict[str, dict[str, str]]) -> None:
-        """The last file is complete, with these tables of strings. Raises as `extend`."""
+        """Complete the last file, with these metadata tables. Raises TraceError like `extend`."""
         try:
             if self._writer.error is None:
                 for name, values in facts.items():
@@ -109,7 +109,7 @@ class Series:
         return f"{root}-{number:04d}{ending}"
 
     def _refuse_loss(self) -> None:
-        """Raises TraceError before anything is recorded: a file that will be needed is there."""
+        """Raise TraceError before recording if an existing file would be overwritten."""
         if self._overwrite:
             return
         taken = [self._name(1)]
@@ -118,7 +118,7 @@ class Series:
             taken = sorted(glob(f"{escape(root)}-[0-9][0-9][0-9][0-9]{escape(ending)}"))
         for path in taken:
             if os.path.exists(path) and os.path.getsize(path):
-                raise TraceError(path, "exists", remedy="name another file, or say --force")
+                raise TraceError(path, "exists", remedy="name another file, or give --force")
 
     def _next(self) -> TraceWriter:
         path = self._name(len(self.paths) + 1)

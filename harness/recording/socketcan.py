@@ -1,4 +1,4 @@
-"""A SocketCAN interface being recorded: error frames, the kernel's stamps, its count of losses."""
+"""Recording of SocketCAN interfaces: error frames, time stamps, drop counter."""
 
 import errno
 import os
@@ -20,14 +20,14 @@ _CAN_RAW_ERR_FILTER: Final = 2
 _CAN_RAW_FD_FRAMES: Final = 5
 _CAN_ERR_MASK: Final = 0x1FFF_FFFF
 _SO_RCVBUFFORCE: Final = 33
-_BUFFER_BYTES: Final = 8 << 20  # the default holds some 280 frames: 13 ms of a full 1 Mbit/s bus
+_BUFFER_BYTES: Final = 8 << 20  # the default holds about 280 frames, 13 ms of a full 1 Mbit/s bus
 
 
 def open_interface(place: Place) -> socket.socket:
-    """A raw socket on the interface, which is there and up.
+    """Open a raw socket on an interface that exists and is up.
 
     Raises:
-        PlaceError: it is not, or not ours to use.
+        PlaceError: the interface is missing or down, or access is denied.
     """
     interface = place.channel
     try:
@@ -38,7 +38,7 @@ def open_interface(place: Place) -> socket.socket:
         else:
             remedy = "load it with 'modprobe vcan' (or the driver of your adapter)"
         raise PlaceError(
-            f"--on {place.text}: this kernel gives no CAN socket ({_reason(error)}); {remedy}"
+            f"--on {place.text}: the kernel refuses a CAN socket ({_reason(error)}); {remedy}"
         ) from None
     try:
         raw.bind((interface,))
@@ -55,36 +55,36 @@ def open_interface(place: Place) -> socket.socket:
 
 @final
 class SocketCanTap:
-    """Everything on one interface: frames of others, of this host, and what the bus itself says."""
+    """Tap of one interface: frames of other hosts, of this host, and error frames."""
 
     clock = "kernel's, at reception (SO_TIMESTAMPNS, CLOCK_REALTIME), ns since 1970"
 
     def __init__(self, place: Place) -> None:
-        """It is being read. Raises PlaceError: it cannot be."""
+        """Open the interface and start reading it. Raises PlaceError if it cannot be opened."""
         self.default_name = place.channel
         self.source = 0
         self._socket = open_interface(place)
         options = self._socket.setsockopt
         options(_SOL_CAN_RAW, _CAN_RAW_ERR_FILTER, struct.pack("@I", _CAN_ERR_MASK))
-        with suppress(OSError):  # a kernel before 3.6
+        with suppress(OSError):  # kernels before 3.6 lack this option
             options(_SOL_CAN_RAW, _CAN_RAW_FD_FRAMES, 1)
         try:
             options(socket.SOL_SOCKET, _SO_RCVBUFFORCE, _BUFFER_BYTES)
-        except OSError:  # as much as net.core.rmem_max lets us
+        except OSError:  # limited by net.core.rmem_max
             options(socket.SOL_SOCKET, socket.SO_RCVBUF, _BUFFER_BYTES)
         self._reader = DatagramReader(self._socket)
 
     @property
     def dropped(self) -> int:
-        """What the kernel had no room for."""
+        """Number of frames dropped by the kernel for lack of buffer space."""
         return self._reader.dropped
 
     def fileno(self) -> int:
-        """The socket's."""
+        """Return the socket's descriptor."""
         return self._socket.fileno()
 
     def read(self, now_ns: int) -> list[Entry]:
-        """What has come; see Tap."""
+        """Return the entries that have arrived; see `Tap.read`."""
         try:
             return self._reader.read(self.source, self.source + 1, now_ns)
         except OSError as error:
@@ -94,7 +94,7 @@ class SocketCanTap:
             raise BusEndedError(text) from None
 
     def close(self) -> None:
-        """The interface is left alone."""
+        """Close the socket; the interface itself is unaffected."""
         self._socket.close()
 
 
@@ -105,9 +105,9 @@ def _reason(error: OSError) -> str:
 def _remedy(error: OSError, interface: str) -> str:
     if error.errno == errno.ENODEV:
         return (
-            f"see 'ip link' for those there are, or make one with 'ip link add dev {interface} "
-            "type vcan'"
+            "list the interfaces with 'ip link', or create one with 'ip link add dev "
+            f"{interface} type vcan'"
         )
     if error.errno == errno.ENETDOWN:
         return f"bring it up with 'ip link set up {interface}' (CAN hardware: 'type can bitrate N')"
-    return f"look at it with 'ip -details link show {interface}'"
+    return f"inspect it with 'ip -details link show {interface}'"

@@ -1,4 +1,4 @@
-"""What a bus being recorded offers to the loop that reads it, and one that is a hub's."""
+"""Taps: the interface of a bus being recorded, and the tap of a hub's bus."""
 
 from typing import Final, Protocol, final
 
@@ -13,19 +13,19 @@ _BATCH: Final = 1024
 
 
 class BusDownError(Exception):
-    """The bus gives nothing now but may again; says why."""
+    """A bus that cannot be read now but may recover; the message says why."""
 
 
 class BusEndedError(Exception):
-    """The bus will give nothing any more; says why."""
+    """A bus that has ended for good; the message says why."""
 
 
 class Tap(Protocol):
     """One bus being read.
 
     Attributes:
-        default_name: what it is called if nobody says.
-        source: the number of its first of two sources; whoever records sets it.
+        default_name: the bus's name if none is given.
+        source: the number of its first of two sources, set by the recorder.
     """
 
     default_name: str
@@ -33,39 +33,39 @@ class Tap(Protocol):
 
     @property
     def dropped(self) -> int:
-        """Frames lost on the way to us, as far as is known."""
+        """Number of frames known to be lost before they reached the tap."""
 
     @property
     def clock(self) -> str:
-        """Whose its stamps are, in words; may become known with the first frame."""
+        """Description of the clock of the stamps; may be unknown until the first frame."""
 
     def fileno(self) -> int:
-        """What becomes readable when there is something; POLLED: look every now and then."""
+        """Return the descriptor that becomes readable when frames arrive, or POLLED."""
 
     def read(self, now_ns: int) -> list[Entry]:
-        """What has come (source, time [ns since 1970], frame), a bounded number; [] if nothing has.
+        """Return (source, time [ns since 1970], frame) of new frames, a bounded number; [] if none.
 
         Raises:
-            BusDownError: not now; it may be read again.
-            BusEndedError: nor ever again.
+            BusDownError: the bus cannot be read now; it may be read again.
+            BusEndedError: the bus cannot be read any more.
         """
 
     def close(self) -> None:
-        """The bus has been left."""
+        """Leave the bus."""
 
 
 @final
 class HubTap:
-    """A bus of `motorhil serve --socket`: lossless, in the bus's own order, with its own times.
+    """Lossless tap of a `motorhil serve --socket` bus, in its own order and with its own times.
 
-    All buses of a hub have one clock, so they must be shifted alike: `moved_ns`.
+    All buses of a hub share one clock, so they are shifted by the same `moved_ns`.
     """
 
     def __init__(self, place: Place, clocks: "HubClocks") -> None:
-        """Connected.
+        """Connect to the hub.
 
         Raises:
-            PlaceError: nobody serves there, or the hub refuses.
+            PlaceError: no hub serves there, or the hub refuses the connection.
         """
         try:
             self._link = HubLink.with_all(place.channel)
@@ -79,16 +79,19 @@ class HubTap:
 
     @property
     def clock(self) -> str:
-        """The hub's own, or moved by how much."""
+        """The hub's own clock, with the applied shift."""
         moved_ns = self._clocks.moved_ns.get(self._path, 0)
         return "the hub's" + (f", moved by {moved_ns} ns to ns since 1970" if moved_ns else "")
 
     def fileno(self) -> int:
-        """The socket's."""
+        """Return the socket's descriptor."""
         return self._link.fileno()
 
     def read(self, now_ns: int) -> list[Entry]:
-        """What has come; see Tap. Frames of the application that records: there are none."""
+        """Return the entries that have arrived; see `Tap.read`.
+
+        The recorder itself sends no frames.
+        """
         entries: list[Entry] = []
         try:
             while len(entries) < _BATCH:
@@ -104,25 +107,25 @@ class HubTap:
         return entries
 
     def close(self) -> None:
-        """Disconnected."""
+        """Disconnect from the hub."""
         self._link.close()
 
 
 @final
 class HubClocks:
-    """By how much the times of each hub are moved to become ns since 1970.
+    """Shifts that convert each hub's times to ns since 1970.
 
-    Where everything comes from one hub, its own times are kept as they are.
+    The times of a single hub stay unchanged if it is the only source.
     """
 
     def __init__(self, places: list[Place]) -> None:
-        """For a recording from these places."""
+        """Decide from the recorded places whether the hub's own times are kept."""
         hubs = {place.channel.partition("#")[0] for place in places if place.kind is Kind.HUB}
         self.moved_ns: dict[str, int] = {}
         self.keeps = len(hubs) == 1 and all(place.kind is Kind.HUB for place in places)
 
     def shift(self, path: str, time_ns: int, now_ns: int) -> int:
-        """What to add to the times of this hub; it is `now_ns`, and something came at `time_ns`."""
+        """Return the shift of this hub's times [ns], fixed by its first frame at `time_ns`."""
         if self.keeps:
             return 0
         return self.moved_ns.setdefault(path, now_ns - time_ns)

@@ -1,4 +1,4 @@
-"""The host of a recording drives devices; what they answer is compared with the recording."""
+"""Replay of a recorded host against devices, and comparison of their answers."""
 
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -23,18 +23,18 @@ if TYPE_CHECKING:
     from harness.rig import Rig
 
 _RESET_ALL: Final = classic(0, b"\x81\x00")
-"""NMT: reset node, to all (CiA 301)."""
+"""The frame of NMT service "reset node" to all nodes (CiA 301)."""
 _TAIL_S: Final = 0.1
-"""How long is listened beyond the end of the recording [s]: devices may be slower now."""
+"""How long to listen after the end of the recording [s], since devices may be slower now."""
 
 
 class Driven(Protocol):
-    """The buses and lines that a recorded host is to drive.
+    """The buses and lines that a recorded host drives.
 
     Attributes:
-        runtime: whose time it is.
+        runtime: the runtime that provides the time.
         buses, lines: their names.
-        what: what messages call them all.
+        what: the name of all of them together, for messages.
     """
 
     runtime: Runtime
@@ -43,13 +43,13 @@ class Driven(Protocol):
     what: str
 
     def bit_times_ns(self, bus: str) -> tuple[int, int]:
-        """How long a bit is on a bus [ns]: at the nominal rate, at the data rate of CAN FD."""
+        """Return the bit times [ns] of a bus: nominal, and in the CAN FD data phase."""
 
     def send(self, bus: str, frame: bytes) -> None:
-        """A can_frame waits its turn on a bus, or an ADU goes out on a line."""
+        """Queue a can_frame on a bus, or send an ADU on a line."""
 
     def listen(self, bus: str, player: HostPlayer, opening: bytes | None = None) -> None:
-        """The player hears what is on it, from this frame of its own on; None: at once."""
+        """Connect the player to a bus or line, from its own frame `opening` on; None: at once."""
 
 
 def drive(
@@ -59,18 +59,18 @@ def drive(
     patience_ns: int = PATIENCE_NS,
     reset: bool = False,
 ) -> HostPlayer:
-    """The devices have been told all that the recorded host sent.
+    """Send everything the recorded host sent to the devices.
 
     Args:
-        driven: where they are.
-        recording: with a host in it.
-        speed: how much faster the host's pauses are than recorded.
-        patience_ns: how much longer than recorded something is waited for [ns].
-        reset: all nodes are reset first, by NMT: what has long booted boots again.
+        driven: the buses and lines of the devices.
+        recording: a recording with a host in it.
+        speed: factor by which the host's pauses are shorter than recorded.
+        patience_ns: how much longer than recorded the player waits for an answer [ns].
+        reset: reset all nodes by NMT first, so that nodes that run already boot again.
 
     Raises:
         TraceError: the recording cannot be read.
-        RigError: there is no host in it, or it uses a bus or line that is not there.
+        RigError: the recording has no host, or it uses a bus or line that is missing.
     """
     buses, lines = driven.buses, driven.lines
     bits_ns = {bus: driven.bit_times_ns(bus) for bus in buses}
@@ -78,7 +78,7 @@ def drive(
     def length_ns(bus: str, frame: bytes) -> int:
         bit_ns, data_bit_ns = bits_ns.get(bus, (1000, 1000))
         if len(frame) > FRAME_BYTES and not data_bit_ns:
-            raise ValueError("a classical bus carries no CAN FD frame")
+            raise ValueError("a classical bus does not carry CAN FD frames")
         nominal, data = phases_of(measure(frame) & LENGTHS_MASK)
         return (nominal - INTERMISSION_BITS) * bit_ns + data * data_bit_ns
 
@@ -95,14 +95,14 @@ def drive(
         if bus not in (*buses, *lines):
             known = ", ".join((*buses, *lines))
             problem = (
-                f"the recorded host sends on {bus!r}, and {driven.what} has no such bus or line"
+                f"the recorded host sends on {bus!r}, but {driven.what} has no such bus or line"
             )
-            raise RigError(recording, problem, f"it has {known}")
+            raise RigError(recording, problem, f"available: {known}")
     player = HostPlayer(steps, Listener({}), begin_ns, lines, speed, patience_ns)
     player.unsent = unsent
     runtime = driven.runtime
     resets = [one for one in used if reset and one in buses]
-    for name in used:  # what was told before the reset is no answer
+    for name in used:  # messages from before the reset do not count as answers
         driven.listen(name, player, _RESET_ALL if name in resets else None)
     for bus in resets:
         driven.send(bus, _RESET_ALL)
@@ -136,10 +136,10 @@ class DrivenRig:
         self.lines: Sequence[str] = rig.world.line_names()
         self.what = str(rig.description.source.path)
         self._rig = rig
-        self._rests: dict[str, bytearray] = {}  # of answers that are not whole, by line
+        self._rests: dict[str, bytearray] = {}  # of incomplete answers, by line
 
     def bit_times_ns(self, bus: str) -> tuple[int, int]:
-        """How long a bit is on a bus [ns]: at the nominal rate, at the data rate of CAN FD.
+        """Return the bit times [ns] of a bus: nominal, and in the CAN FD data phase.
 
         The latter is 0 on a classical bus.
         """
@@ -147,17 +147,17 @@ class DrivenRig:
         return found.bit_ns, found.data_bit_ns
 
     def send(self, bus: str, frame: bytes) -> None:
-        """It waits its turn, or goes out."""
+        """Queue the frame on a bus, or send it on a line."""
         if bus in self.lines:
             line = self._rig.line(bus)
-            if line.framing == "rtu":  # what no answer was made of will not be one
+            if line.framing == "rtu":  # an incomplete answer cannot be part of a later one
                 self._rests.setdefault(bus, bytearray()).clear()
             line.send(frame)
         else:
             self.runtime.send(self._rig.bus(bus), frame)
 
     def listen(self, bus: str, player: HostPlayer, opening: bytes | None = None) -> None:
-        """The player hears what is on it, from this frame on."""
+        """Connect the player to a bus or line, from its own frame `opening` on."""
         if bus in self.lines:
             self._listen_to_line(bus, player)
             return
@@ -186,7 +186,7 @@ class DrivenRig:
 def compared(
     recording: Path, live: Path, pairs: list[tuple[int, int]], tolerance: Tolerance
 ) -> tuple[list[ObjectFidelity], list[Difference]]:
-    """How far the live devices behaved like the recorded ones, and where they began not to.
+    """Compare the live devices with the recorded ones: fidelity by object, and differences.
 
     Raises:
         TraceError: one of the files cannot be read.

@@ -1,4 +1,4 @@
-"""`motorhil replay FILE --as device SCRIPT`: a program against the recording of its devices."""
+"""`motorhil replay FILE --as device SCRIPT`: an application against recorded devices."""
 
 import argparse
 import shlex
@@ -13,7 +13,7 @@ if TYPE_CHECKING:
 
 
 def run(options: argparse.Namespace) -> int:
-    """Exit status: the script's; 1 if it raised, or told what the recording cannot answer.
+    """Return the script's exit status; 1 if it raised or sent an unanswerable command.
 
     Raises:
         RigError: the recording, the rig or the script cannot be used.

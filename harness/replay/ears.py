@@ -1,4 +1,4 @@
-"""What a replayed host hears of a bus: with a reset, nothing from before it."""
+"""Bus listener of a replayed host, which ignores frames from before a reset."""
 
 from collections.abc import Callable
 from typing import final
@@ -6,11 +6,11 @@ from typing import final
 
 @final
 class Ears:
-    """A listener to a bus, deaf until a frame of its own has been on it.
+    """A bus listener that ignores all frames before a given frame of its own.
 
     Args:
-        hear: told each frame, when it was on the bus, and whether it is an own one.
-        opening: the frame; None: there is none to wait for.
+        hear: called with each frame, its time [ns], and True if the frame is an own one.
+        opening: the frame to wait for; None: listen at once.
     """
 
     def __init__(self, hear: Callable[[bytes, int, bool], None], opening: bytes | None) -> None:
@@ -18,7 +18,7 @@ class Ears:
         self._opening = opening
 
     def heard(self, frame: bytes, time_ns: int, transmitted: bool) -> None:
-        """A frame was on the bus."""
+        """Handle a frame that was on the bus."""
         if self._opening is not None:
             if not transmitted or frame != self._opening:
                 return

@@ -1,12 +1,12 @@
-"""A recorded controller from its table in a rig: entry point `motorhil.controllers`, `recorded`.
+"""Factory of recorded controllers: entry point `motorhil.controllers`, `recorded`.
 
 [controller.left]
 kind = "recorded"
 bus = "can0"
 node_id = 1                     # on a line: unit
-recording = "bench.mcap"        # starts at the rig's folder
-recorded_bus = "can0"           # where the recording has it on more than one bus
-recorded_unit = 255             # on a line: where the recording has it as another unit
+recording = "bench.mcap"        # relative to the rig's folder
+recorded_bus = "can0"           # if the recording has the node on more than one bus
+recorded_unit = 255             # on a line: if the recording has it as another unit
 bitrate_bit_s = 1_000_000       # of the bus
 data_bitrate_bit_s = 2_000_000  # of a bus where it may send CAN FD frames
 """
@@ -38,11 +38,11 @@ _DATA_RATE_MAX: Final = 20_000_000
 
 
 def build(settings: Mapping[str, object], context: ControllerContext) -> Controller:
-    """The controller a rig describes.
+    """Build the controller that a rig describes.
 
     Args:
         settings: its table without `kind` and `bus`.
-        context: its name, where relative paths start, the seed.
+        context: its name, the folder of relative paths, and the seed.
 
     Raises:
         SettingError: a key or value is wrong, or the recording has no such controller.
@@ -55,11 +55,11 @@ def build(settings: Mapping[str, object], context: ControllerContext) -> Control
     number = whole(settings[key], (key,), 1, UNIT_MAX if is_unit else NODE_MAX)
     path, found = _recording(settings, context.folder)
     recorded = number
-    if is_unit and "recorded_unit" in settings:  # on TCP servers may be 0 or 255
+    if is_unit and "recorded_unit" in settings:  # TCP servers may use 0 or 255
         recorded = whole(settings["recorded_unit"], ("recorded_unit",), 0, _BYTE_MAX)
     tape = _tape(path, found, settings.get("recorded_bus"), recorded, is_unit)
     note = ""
-    if found.cut and tape is next(iter(found.tapes.values())):  # told once
+    if found.cut and tape is next(iter(found.tapes.values())):  # reported only once
         note = f"{path} is {found.cut}; commands behind that are not in it"
     if is_unit:
         return RecordedUnit(tape, number, note)
@@ -78,13 +78,13 @@ build.bus_kinds = BUS_KINDS  # type: ignore[attr-defined]  # how a plugin says w
 def _recording(settings: Mapping[str, object], folder: Path) -> tuple[Path, RecordedTapes]:
     value = settings.get("recording")
     if not isinstance(value, str):
-        raise SettingError(("recording",), "is missing, or no text", 'recording = "bench.mcap"')
+        raise SettingError(("recording",), "is missing or not a text", 'recording = "bench.mcap"')
     path = folder / value
     try:
         return path, recorded_tapes(path, _any_set_point(settings))
     except OSError as error:
         reason = (error.strerror or str(error)).lower()
-        remedy = "paths start at the rig's folder"
+        remedy = "paths are relative to the rig's folder"
         raise SettingError(("recording",), f"{path}: {reason}", remedy) from None
     except TraceError as error:
         raise SettingError(("recording",), str(error)) from None
@@ -99,11 +99,11 @@ def _any_set_point(settings: Mapping[str, object]) -> bool:
 
 
 def recorded_tapes(path: Path, any_set_point: bool = False) -> RecordedTapes:
-    """The tapes in a file, read once for all its controllers.
+    """Return the exchange logs in a file, which is read once for all its controllers.
 
     Raises:
-        OSError: there is no such file.
-        TraceError: it cannot be read.
+        OSError: the file does not exist.
+        TraceError: the file cannot be read.
     """
     about = path.stat()
     return _tapes(path, about.st_mtime_ns, about.st_size, any_set_point)
@@ -111,7 +111,7 @@ def recorded_tapes(path: Path, any_set_point: bool = False) -> RecordedTapes:
 
 @lru_cache(maxsize=2)
 def _tapes(path: Path, modified_ns: int, size: int, any_set_point: bool) -> RecordedTapes:
-    """All tapes of a file as it is now: its controllers are built one by one."""
+    """Return all exchange logs of a file in its present version."""
     with read_trace(path) as trace:
         return tapes_of(trace, any_set_point)
 
@@ -128,13 +128,13 @@ def _tape(path: Path, found: RecordedTapes, bus: object, number: int, is_unit: b
     if fitting:
         several = ", ".join(fitting)
         problem = f"{path} has {word} {number} on several buses: {several}"
-        raise SettingError(("recorded_bus",), "is missing", f"name one; {problem}")
+        raise SettingError(("recorded_bus",), "is missing", f"name one of them; {problem}")
     known = ", ".join(
         f"{of} on {where}" for where, of in found.tapes if (where in found.decoders) is not is_unit
     )
     on = f" on {bus}" if isinstance(bus, str) else ""
     raise SettingError(
         ("recording",),
-        f"{path} has nothing of a {word} {number}{on}",
-        f"it has {word}s {known}" if known else f"it has no {word}s at all",
+        f"{path} has no data of {word} {number}{on}",
+        f"available: {word}s {known}" if known else f"it has no {word}s",
     )

@@ -1,10 +1,11 @@
-"""Plays a recorded host: what it sends when, told what is heard and what time it is.
+"""Player of a recorded host: which frames it sends, and when.
 
-Sans-I/O. A step is sent when all it waited for has been told again, and as much time has passed
-behind the last of that, or behind the host's last frame, as in the recording. What is not told
-within the patience after its time is missed: that is noted, and the host goes on, as a person
-watching would.
-The host's own heartbeat waits for nothing, and goes on as long as there is something to send.
+The player is sans-I/O, and sends a step once everything that the recorded host had waited for has
+arrived again. Then the recorded pause is kept after the last of these observations, or after the
+host's last frame. An observation that does not arrive within the patience after its time is missed.
+The player notes it and continues, as a human operator would.
+
+The host's own heartbeat waits for nothing, and continues while there are steps to send.
 """
 
 from collections.abc import Collection, Sequence
@@ -20,7 +21,7 @@ _SDO_REQUEST: Final = 12  # function code of the pre-defined connection set
 @final
 @dataclass(frozen=True, slots=True)
 class Missed:
-    """Something the host had waited for, and that was not told: when it gave up, what, instead."""
+    """An observation that did not arrive: when it was given up, and the last one heard instead."""
 
     time_ns: int
     awaited: Told
@@ -30,7 +31,7 @@ class Missed:
 
 @final
 class _Heartbeat:
-    """Frames of one identifier that go out by the clock alone."""
+    """Frames of one identifier that are sent by time alone."""
 
     def __init__(self, steps: list[HostStep], speed: float) -> None:
         self.steps = steps
@@ -44,7 +45,7 @@ class _Heartbeat:
         self.due_ns = now_ns + round((self.steps[0].start_ns - begin_ns) / self._speed)
 
     def take(self) -> HostStep:
-        """The next one; it is then due again, with the last period when the recording is over."""
+        """Return the next frame and schedule its successor, at the end with the last period."""
         place = min(self.sent, len(self.steps) - 1)
         step = self.steps[place]
         self.sent += 1
@@ -63,21 +64,21 @@ _NEVER_NS: Final = 1 << 62
 
 @final
 class HostPlayer:
-    """One host on all buses.
+    """Player of one host on all its buses.
 
     Args:
-        steps: of the recording.
-        listener: that hears the live buses.
-        begin_ns: when the recording begins [ns of it].
-        lines: which of the buses are lines that speak Modbus.
-        speed: how much faster pauses are than recorded.
-        patience_ns: for each thing that is waited for, beyond the time it took when recorded [ns].
+        steps: the steps of the recording.
+        listener: the listener to the live buses.
+        begin_ns: the start time of the recording [ns].
+        lines: those of the buses that are Modbus lines.
+        speed: factor by which pauses are shorter than recorded.
+        patience_ns: extra time for each awaited observation, beyond its recorded time [ns].
 
     Attributes:
-        sent: how many frames were sent, without heartbeats.
-        unsent: how many frames of the recorded host cannot be sent (CAN FD, malformed).
-        missed: what was waited for in vain.
-        pairs: (time in the recording, live time) of frames that were on their bus [ns].
+        sent: number of frames sent, without heartbeats.
+        unsent: number of recorded host frames that cannot be sent (CAN FD, malformed).
+        missed: the observations that did not arrive.
+        pairs: (recorded time, live time) of frames that were on their bus [ns].
     """
 
     def __init__(
@@ -104,16 +105,16 @@ class HostPlayer:
         self._patience_ns = patience_ns
         self._told: dict[Subject, list[Told]] = {}
         self._seen: dict[Subject, int] = {}
-        self._anchor = (begin_ns, 0)  # the last that is known of: when recorded, when live
+        self._anchor = (begin_ns, 0)  # the last known pair of recorded and live time
         self._lines = frozenset(lines)
         self._waiting_since_ns = 0
-        self._given_up: set[Subject] = set()  # answers that may yet come, late
+        self._given_up: set[Subject] = set()  # subjects whose answers may still arrive late
         self._in_flight: list[HostStep] = []
         self._waits: list[Told] = []
         self._begin()
 
     def start(self, now_ns: int) -> None:
-        """The recording begins now."""
+        """Start the playback at `now_ns`."""
         begin_ns = self._anchor[0]
         self._anchor = (begin_ns, now_ns)
         self._waiting_since_ns = now_ns
@@ -121,11 +122,11 @@ class HostPlayer:
             one.start(begin_ns, now_ns)
 
     def is_over(self) -> bool:
-        """Whether all has been sent."""
+        """Return True once all steps are sent."""
         return self.sent == len(self._steps)
 
     def heard(self, bus: str, frame: bytes, now_ns: int, transmitted: bool) -> None:
-        """A frame was complete on a live bus; `transmitted`: it was one of the host's own."""
+        """Handle a complete frame on a live bus; `transmitted` marks one of the host's own."""
         if transmitted:
             for place, step in enumerate(self._in_flight):
                 if step.bus == bus and step.frame == frame:
@@ -138,19 +139,19 @@ class HostPlayer:
             self._told.setdefault(told.subject, []).append(told)
 
     def answered(self, line: str, unit: int, now_ns: int) -> None:
-        """A unit's answer was complete on a live line."""
+        """Handle a complete answer of a unit on a live line."""
         subject = (line, unit, ANSWER)
         self._told.setdefault(subject, []).append(Told(now_ns, subject, True, "its answer"))
 
     def next_deadline_ns(self) -> int | None:
-        """When `take` is wanted at the latest, if nothing is heard before [ns]."""
+        """Return when `take` is due if nothing is heard before [ns]."""
         if self.is_over():
             return None
         due_ns = self._due_ns() if self._is_ready() else self._patient_until_ns()
         return min([due_ns, *(one.due_ns for one in self._heartbeats)])
 
     def take(self, now_ns: int) -> list[tuple[str, bytes]]:
-        """(bus, frame) of what is to be sent by now."""
+        """Return (bus, frame) of each frame to send by now."""
         out: list[tuple[str, bytes]] = []
         for one in self._heartbeats:
             while one.due_ns <= now_ns and not self.is_over():
@@ -167,7 +168,7 @@ class HostPlayer:
             step = self._steps[self.sent]
             self._forget_late(step)
             out.append((step.bus, step.frame))
-            if step.bus in self._lines:  # nobody tells when it is out: it is a moment later
+            if step.bus in self._lines:  # a line does not report the end of transmission
                 self._is_out(step, now_ns + step.end_ns - step.start_ns)
             else:
                 self._in_flight.append(step)
@@ -179,23 +180,23 @@ class HostPlayer:
     # ------------------------------------------------------------------------------ inside
 
     def _begin(self) -> None:
-        """What the next step waits for is not told yet."""
+        """Set up the observations that the next step waits for."""
         if not self.is_over():
             self._waits = list(self._steps[self.sent].waits)
 
     def _is_out(self, step: HostStep, now_ns: int) -> None:
-        """A frame of the host has been on its bus."""
+        """Note that a frame of the host has been on its bus."""
         self.pairs.append((step.end_ns, now_ns))
         self._know(step.end_ns, now_ns)
 
     def _is_ready(self) -> bool:
-        """Whether all that this step waits for has been told."""
+        """Return True if everything that this step waits for has arrived."""
         while self._waits and self._has_come(self._waits[0]):
             del self._waits[0]
         return not self._waits
 
     def _has_come(self, awaited: Told) -> bool:
-        """Whether it has been told, behind what was waited for before; then that is behind us."""
+        """Return True if the observation came after those awaited before, and pass over it."""
         heard = self._told.get(awaited.subject, [])
         for place in range(self._seen.get(awaited.subject, 0), len(heard)):
             if heard[place].value == awaited.value:
@@ -205,13 +206,13 @@ class HostPlayer:
         return False
 
     def _patient_until_ns(self) -> int:
-        """When what this step waits for is given up: a homing may have taken minutes."""
+        """Return when this step stops waiting [ns]; its recorded wait may be minutes (homing)."""
         recorded_ns, live_ns = self._anchor
         pause_ns = round((self._waits[0].time_ns - recorded_ns) / self._speed)
         return max(self._waiting_since_ns, live_ns + pause_ns) + self._patience_ns
 
     def _give_up(self, now_ns: int) -> None:
-        """What this step waits for has not come: without it, then."""
+        """Give up the observation that this step waits for."""
         awaited = self._waits.pop(0)
         heard = self._told.get(awaited.subject, [])
         if awaited.subject[2] == ANSWER:
@@ -220,16 +221,16 @@ class HostPlayer:
         elif heard:
             instead = f"last told: {heard[-1].text}"
         else:
-            instead = "it has told nothing of it"
+            instead = "no report received"
         self.missed.append(Missed(now_ns, awaited, self._steps[self.sent], instead))
         self._waiting_since_ns = now_ns
         self._know(awaited.time_ns, now_ns)
 
     def _forget_late(self, step: HostStep) -> None:
-        """An answer that came after it had been given up is none to what is asked now."""
+        """Discard an answer that arrived after it was given up, before the next request."""
         can_id = int.from_bytes(step.frame[:4], "little")
         if step.bus in self._lines or can_id >> 7 != _SDO_REQUEST:
-            return  # on lines several requests may be on their way to one unit
+            return  # lines may have several requests to one unit in progress
         subject = (step.bus, can_id & 0x7F, ANSWER)
         if subject in self._given_up and len(self._told.get(subject, [])) > self._seen.get(
             subject, 0
@@ -238,11 +239,11 @@ class HostPlayer:
             self._given_up.discard(subject)
 
     def _know(self, recorded_ns: int, live_ns: int) -> None:
-        """What was recorded then was so now: pauses are counted from here."""
+        """Set the pair of recorded and live time from which pauses are counted."""
         if recorded_ns >= self._anchor[0]:
             self._anchor = (recorded_ns, live_ns)
 
     def _due_ns(self) -> int:
-        """When this step begins."""
+        """Return when this step is due, in live time [ns]."""
         recorded_ns, live_ns = self._anchor
         return live_ns + round((self._steps[self.sent].start_ns - recorded_ns) / self._speed)

@@ -1,4 +1,4 @@
-"""`motorhil replay FILE --as host`: the recorded host drives a rig; are its devices alike?"""
+"""`motorhil replay FILE --as host`: the recorded host against a rig or real devices."""
 
 import argparse
 import json
@@ -24,11 +24,11 @@ _SHOWN = 20
 
 
 def run(options: argparse.Namespace) -> int:
-    """Exit status: 0 the devices told what the recorded ones told, 1 something else.
+    """Return exit status 0 if the devices behaved as recorded, otherwise 1.
 
     Raises:
-        RigError: the rig cannot be used for it.
-        TraceError: the recording cannot be read, or the new one not be written.
+        RigError: the rig cannot be used.
+        TraceError: the recording cannot be read, or the new one cannot be written.
     """
     from harness.recording.places import PlaceError
     from harness.replay.as_host import compared
@@ -41,7 +41,7 @@ def run(options: argparse.Namespace) -> int:
         except PlaceError as error:
             print(f"motorhil replay: {error}", file=sys.stderr)
             return WRONG_USAGE
-        except MotorError as error:  # a bus that broke
+        except MotorError as error:  # a bus failed
             print(f"motorhil replay: {error}", file=sys.stderr)
             return FAILED
         found, differing = compared(
@@ -58,7 +58,7 @@ def run(options: argparse.Namespace) -> int:
 
 
 def _on_rig(options: argparse.Namespace, live: Path, folder: Path) -> "HostPlayer":
-    """Emulated devices, in virtual time or no faster than the wall's."""
+    """Drive emulated devices, in virtual time or in real time."""
     from harness.replay.as_host import DrivenRig, drive
     from harness.rig import Rig
 
@@ -70,14 +70,14 @@ def _on_rig(options: argparse.Namespace, live: Path, folder: Path) -> "HostPlaye
 
 
 def _on_buses(options: argparse.Namespace, live: Path) -> "HostPlayer":
-    """Devices on buses of the wall's world."""
+    """Drive devices on buses outside the rig, in wall time."""
     from harness.recording.places import PlaceError, places_of_buses
     from harness.replay.as_host import drive
     from harness.replay.real_buses import DrivenBuses
     from traces.reader import read_trace
 
     if options.rig is not None:
-        raise PlaceError("--on names buses, and --rig a rig to drive: say one of them")
+        raise PlaceError("--on and --rig exclude each other; give one of them")
     with read_trace(options.file) as trace:
         topics = sorted({channel.topic for channel in trace.channels.values()})
     buses = [topic.removeprefix("/can/") for topic in topics if topic.startswith("/can/")]
@@ -91,7 +91,7 @@ def _pace(options: argparse.Namespace) -> tuple[float, int, bool]:
 
 
 def _described(options: argparse.Namespace, folder: Path) -> "RigDescription":
-    """The rig that is named, or the one that the recording was made with."""
+    """Return the named rig, or the rig of the recording."""
     from harness.replay.recorded_rig import own_rig
     from harness.rig import describe, installed_plugins
 

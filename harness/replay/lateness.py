@@ -1,15 +1,17 @@
-"""How late things were, of however many: kept in a table that does not grow with them."""
+"""Statistics of delays, in a table of bounded size."""
 
 from typing import Final, final
 
-_BITS: Final = 6  # a figure is kept to 1 part in 32
+_BITS: Final = 6  # values are kept to 1 part in 32
 
 
 @final
 class Lateness:
-    """Delays [ns], counted by their size; quantiles are at most 1/32 too large.
+    """Histogram of delays [ns]; quantiles are at most 1/32 too large.
 
-    Attributes: count; worst_ns and last_ns, exactly (0: there was none).
+    Attributes:
+        count: the number of delays.
+        worst_ns, last_ns: the exact largest and last delay [ns]; 0 if there is none.
     """
 
     def __init__(self) -> None:
@@ -19,7 +21,7 @@ class Lateness:
         self._counts: dict[tuple[int, int], int] = {}
 
     def add(self, late_ns: int) -> None:
-        """One more; what was early counts as in time."""
+        """Add one delay; negative values count as 0."""
         late_ns = max(0, late_ns)
         self.count += 1
         self.last_ns = late_ns
@@ -29,7 +31,7 @@ class Lateness:
         self._counts[key] = self._counts.get(key, 0) + 1
 
     def quantile_ns(self, share: float) -> int:
-        """What this share of them (0 to 1) did not exceed; 0 if there were none."""
+        """Return the delay that this share of all delays (0 to 1) does not exceed; 0 if none."""
         left = share * self.count
         for (shift, high), count in sorted(self._counts.items()):
             left -= count

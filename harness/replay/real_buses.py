@@ -1,4 +1,4 @@
-"""Buses of the wall's world that a recorded host drives: real ones, and other processes'."""
+"""Buses outside the rig that a recorded host drives, in wall time."""
 
 from collections.abc import Mapping, Sequence
 from contextlib import ExitStack
@@ -26,17 +26,17 @@ _BITRATE_BIT_S: Final = 1_000_000
 
 @final
 class DrivenBuses:
-    """Open buses by name, and the record of what is on them; a context manager.
+    """Open buses by name, and the recording of their traffic; a context manager.
 
     Args:
-        places: by the name that a bus has in the recording.
-        bitrate_bit_s: of all of them [bit/s]; None: 1 Mbit/s, for how long frames are.
+        places: the places, by the bus's name in the recording.
+        bitrate_bit_s: bit rate of all buses [bit/s]; None: 1 Mbit/s, for frame durations only.
         live: the file to record to.
-        recording: whose attachments (rig, EDS) the record is to have, so that it is told alike.
+        recording: the source of the attachments (rig, EDS), so that both files decode alike.
 
     Raises:
         PlaceError: a bus cannot be reached.
-        TraceError: a file cannot be read, or not be written.
+        TraceError: a file cannot be read or written.
     """
 
     def __init__(
@@ -52,7 +52,7 @@ class DrivenBuses:
         self._bit_ns = 1_000_000_000 // (bitrate_bit_s or _BITRATE_BIT_S)
         options = {"bitrate": bitrate_bit_s} if bitrate_bit_s else {}
         with ExitStack() as cleanup:
-            # Closed last: as long as the runtime hears, there is something to record.
+            # The writer is closed last, since the runtime may still deliver frames.
             self._writer = cleanup.enter_context(TraceWriter(live))
             self._open: dict[str, can.BusABC] = {}
             for name, place in places.items():
@@ -77,15 +77,15 @@ class DrivenBuses:
         self._cleanup.close()
 
     def bit_times_ns(self, bus: str) -> tuple[int, int]:
-        """How long a bit is on a bus [ns]; a data rate of its own nobody tells."""
+        """Return the bit times [ns] of a bus; the data bit rate is not known here."""
         return self._bit_ns, self._bit_ns
 
     def send(self, bus: str, frame: bytes) -> None:
-        """The frame waits its turn."""
+        """Queue the frame on the bus."""
         self.runtime.send(self._open[bus], frame)
 
     def listen(self, bus: str, player: "HostPlayer", opening: bytes | None = None) -> None:
-        """The player hears what is on it, from this frame on, and the record does."""
+        """Connect the player and the recording to a bus, from its own frame `opening` on."""
         heard, sent = self._sources[bus]
 
         def hear(frame: bytes, time_ns: int, transmitted: bool) -> None:

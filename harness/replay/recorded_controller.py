@@ -1,4 +1,4 @@
-"""What controllers out of a recording have in common, whatever they are on."""
+"""Common base of recorded controllers, for any kind of bus."""
 
 from collections.abc import Mapping, Sequence
 from typing import Final
@@ -7,15 +7,15 @@ from harness.replay.player import TapePlayer
 
 
 class RecordedController:
-    """The parts of `emulators.controller.Controller` that need no protocol.
+    """Protocol-independent part of `emulators.controller.Controller`.
 
     Args:
-        player: of its tape.
-        word: what it is called: a drive, a unit.
-        note: what is to be known of the recording; it is told at power-on.
+        player: the player of its exchange log.
+        word: the word for it in messages: drive, unit.
+        note: a remark about the recording, reported at power-on.
 
     Attributes:
-        player: what was found, and what was not.
+        player: holds the matched commands and the mismatches.
     """
 
     def __init__(self, player: TapePlayer, word: str, note: str) -> None:
@@ -25,33 +25,33 @@ class RecordedController:
         self._events: list[tuple[str, str]] = [("warning", note)] if note else []
 
     def start(self, now_ns: int) -> None:
-        """The recording begins."""
+        """Start the playback at `now_ns`."""
         self.player.start(now_ns)
 
     def sent(self, data: bytes, now_ns: int) -> bool | None:
-        """Nothing comes of it."""
+        """Ignore the transmission of a frame."""
         return False
 
     def wants_sent(self) -> bool:
-        """Nothing comes of it."""
+        """Return False: transmissions are ignored."""
         return False
 
     def next_deadline_ns(self) -> int | None:
-        """When it sends something."""
+        """Return when the next frame is due [ns], or None."""
         return self.player.next_deadline_ns()
 
     def take_output(self) -> Sequence[bytes]:
-        """The frames to send now."""
+        """Return the frames to send now."""
         output, self._output = self._output, []
         return output
 
     def take_events(self) -> Sequence[tuple[str, str]]:
-        """What could not be answered."""
+        """Return the events since the last call: commands without an answer."""
         events, self._events = self._events, []
         return events
 
     def stimulate(self, name: str, value: float, now_ns: int) -> None:
-        """Nothing can happen to it but what was recorded.
+        """Refuse the stimulus: a recorded controller has no inputs.
 
         Raises:
             ValueError: always.
@@ -59,10 +59,10 @@ class RecordedController:
         raise ValueError(f"stimulus {name!r}: a recorded {self._word} has no inputs")
 
     def snapshot(self, now_ns: int) -> Mapping[str, float]:
-        """How much of the recording has been told."""
+        """Return the numbers of matched commands and of mismatches."""
         mismatches = len(self.player.mismatches)
         return {"matched": float(self.player.matched), "mismatches": float(mismatches)}
 
     def identifiers_revision(self) -> int:
-        """Never changes."""
+        """Return 0: the identifiers never change."""
         return 0

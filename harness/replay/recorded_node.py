@@ -1,7 +1,8 @@
-"""A CANopen node out of a recording, as a controller on an emulated bus.
+"""Recorded CANopen node, as a controller on an emulated bus.
 
-It answers a live host as the recorded node answered the recorded host; see `harness.replay.player`.
-What the recording cannot answer is refused by an SDO abort, and told as an error of this node.
+The node answers a live host as the recorded node answered the recorded host; see `TapePlayer`. A
+request that the recording cannot answer is refused by an SDO abort and reported as an error of this
+node.
 
 Source: CiA 301, SDO abort transfer protocol, node guarding protocol (toggle bit).
 """
@@ -41,18 +42,18 @@ NO_DATA: Final = 0x0800_0024
 
 @final
 class RecordedNode(RecordedController):
-    """Implements `emulators.controller.Controller`.
+    """Implementation of `emulators.controller.Controller` for a recorded CANopen node.
 
     Args:
-        tape: of the node.
-        decoder: that has seen the recording; what came is told in its words.
-        node_id: on this bus, as in the recording.
-        bit_ns: of the bus [ns]; recorded frames began so much before they were complete.
-        note: what is to be known of the recording; it is told at power-on.
-        data_bit_ns: of CAN FD [ns]; 0: the node sends none, and its recorded ones are left out.
+        tape: the exchange log of the node.
+        decoder: the decoder that has seen the recording; it describes received commands.
+        node_id: the node-ID on this bus, as in the recording.
+        bit_ns: bit time [ns], from which the start of recorded frames is computed.
+        note: a remark about the recording, reported at power-on.
+        data_bit_ns: data bit time of CAN FD [ns]; 0: its recorded CAN FD frames are left out.
 
     Attributes:
-        player: what was found, and what was not.
+        player: holds the matched commands and the mismatches.
     """
 
     def __init__(
@@ -86,7 +87,7 @@ class RecordedNode(RecordedController):
     # ------------------------------------------------------------------------- Controller
 
     def receive(self, data: bytes, now_ns: int) -> None:
-        """A frame was on the bus."""
+        """Handle a frame that was on the bus."""
         can_id = int.from_bytes(data[:4], "little")
         identifier = can_id & _NAMED
         if can_id & (EFF | ERR):
@@ -108,11 +109,11 @@ class RecordedNode(RecordedController):
         self._take(now_ns)
 
     def expire(self, now_ns: int) -> None:
-        """What is due is sent."""
+        """Send the frames that are due."""
         self._take(now_ns)
 
     def identifiers(self) -> Sequence[int] | None:
-        """What the recorded node was told, and its SDO server's."""
+        """Return the identifiers that the recorded node received, and its SDO server's."""
         plain = {0, *self._syncs, 0x600 + self.node_id, *self._pdos}
         return sorted(plain | {RTR | identifier for identifier in self._remotes})
 
@@ -129,7 +130,7 @@ class RecordedNode(RecordedController):
             self.player.forget_latest()
 
     def _take(self, now_ns: int) -> None:
-        """What is due goes out; behind its boot-up a node knows nothing of what it was told."""
+        """Send the due frames; after a boot-up message, forget all received values."""
         boot_up = (0x700 + self.node_id).to_bytes(4, "little")
         for frame in self.player.take(now_ns):
             self._output.append(frame)
@@ -143,14 +144,14 @@ class RecordedNode(RecordedController):
         self._toggle = None
 
     def _toggled(self, one: Sent) -> Sent:
-        """An answer to node guarding, its toggle bit the other one than the last time."""
+        """Return a node guarding answer with its toggle bit inverted since the last one."""
         state = one.data[8]
         self._toggle = state & _TOGGLE if self._toggle is None else self._toggle ^ _TOGGLE
         data = bytes([state & ~_TOGGLE | self._toggle])
         return replace(one, data=one.data[:8] + data + one.data[9:])
 
     def _mask(self, identifier: int) -> bytes | None:
-        """What counts of a PDO, as it is mapped where the recording is now."""
+        """Return the mask of a PDO's relevant bits at this point of the recording."""
         masks = self.player.tape.masks.get(identifier)
         if not masks:
             return None
@@ -165,7 +166,7 @@ class RecordedNode(RecordedController):
             self._command(pdo_key(identifier, told), frame, now_ns)
 
     def _sync(self, now_ns: int) -> None:
-        """It fires what it was told before if the recorded one did; else it only asks."""
+        """Handle a SYNC: a command if the recorded one triggered something, else a poll."""
         if self.player.is_next(SYNC_KEY):
             step = self.player.command(SYNC_KEY, now_ns)
         else:
@@ -173,7 +174,7 @@ class RecordedNode(RecordedController):
         self._answer(step, now_ns)
 
     def _answer(self, step: Step | None, now_ns: int) -> None:
-        """What answers a SYNC, or a remote frame; what is not known stays silent."""
+        """Send the answer to a SYNC or a remote frame, if it is known."""
         if step is not None:
             self.player.answer(step.answers, now_ns)
 
@@ -182,7 +183,7 @@ class RecordedNode(RecordedController):
             self._refuse(key, frame, now_ns)
 
     def _request(self, frame: bytes, now_ns: int) -> None:
-        """A frame of the SDO client: it goes on with the transfer there is, or begins one."""
+        """Handle a frame of the SDO client: continue the current transfer, or begin one."""
         step = self._dialogue
         if step is not None and self._turn < len(step.turns):
             turn = step.turns[self._turn]
@@ -196,7 +197,7 @@ class RecordedNode(RecordedController):
             self.player.forget_answers(0x580 + self.node_id)
             return
         key, place = sdo_key(data), data[1:4]
-        if step is not None and data[0] >> 5 in _SEGMENTS:  # they do not name their object
+        if step is not None and data[0] >> 5 in _SEGMENTS:  # segments do not name their object
             place = step.key[2][1:4]
         step = self._find(key, data, now_ns)
         if step is None or not step.turns:
@@ -209,7 +210,7 @@ class RecordedNode(RecordedController):
         self.player.answer(step.turns[0].answers, now_ns)
 
     def _find(self, key: Key, data: bytes, now_ns: int) -> Step | None:
-        """What the recording has for a request; a write is a command, a read a poll."""
+        """Find the recorded step for a request; a write is a command, a read is a poll."""
         kind = data[0] >> 5
         if kind == 2 or (kind == 5 and not data[0] & 0x03):
             return self.player.poll(key, now_ns)
@@ -226,14 +227,14 @@ class RecordedNode(RecordedController):
 
 
 def _toggles(tape: Tape, node_id: int) -> bool:
-    """Whether its answers to node guarding alternate, as they should."""
+    """Return True if the node guarding answers alternate, as the standard requires."""
     key = remote_key(0x700 + node_id)
     bits = [one.data[8] & _TOGGLE for step in tape.steps if step.key == key for one in step.answers]
     return 2 * sum(a != b for a, b in pairwise(bits)) >= len(bits) - 1
 
 
 def _is_same(step: Step, recorded: bytes, frame: bytes) -> bool:
-    """Whether a frame goes on with a transfer as recorded, in all that counts of it."""
+    """Return True if a frame continues a transfer as recorded, in its relevant bits."""
     if recorded == frame:
         return True
     is_block_download = step.turns[0].asked[8] >> 5 == 6
@@ -242,7 +243,7 @@ def _is_same(step: Step, recorded: bytes, frame: bytes) -> bool:
 
 
 def _timed(tape: Tape, bit_ns: int, data_bit_ns: int) -> tuple[Tape, int]:
-    """The tape with what each frame takes at these bit times; how many are left out of it."""
+    """Return the log with frame durations at these bit times, and the number of omitted frames."""
     left_out = 0
 
     def length_ns(frame: bytes) -> int:

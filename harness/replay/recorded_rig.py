@@ -1,7 +1,7 @@
-"""A rig whose controllers are out of a recording: of that recording's own rig, or of another.
+"""Rigs with recorded controllers, from the recording's own rig or another one.
 
-A recording without a rig (imported, or of real hardware) has its buses and whoever answers there,
-and no motors.
+A recording without a rig (imported, or of real hardware) yields a rig with its buses and the
+devices that answer there, without motors.
 """
 
 import re
@@ -30,13 +30,13 @@ if TYPE_CHECKING:
 
 _FILES: Final = ("eds", "nonvolatile_memory")  # of a controller
 _DEPTH: Final = 64
-"""Folders above the rig's in which files that it names as ../x can be put."""
+"""The number of folders above the rig's folder that file names such as ../x may reach."""
 _PATIENCE_MAX_S: Final = 3600
 _BITRATE_BIT_S: Final = 1_000_000
 
 
 def is_recording(path: Path) -> bool:
-    """Whether it is a recording, and no rig file; what a pipe gives is left in it."""
+    """Return True if the file is a recording; data in a pipe is not consumed."""
     if not path.is_file():
         return False
     try:
@@ -52,11 +52,11 @@ def with_recorded(
     set_points: str = SET_POINTS[0],
     places: Mapping[str, Mapping[str, object]] | None = None,
 ) -> "RigDescription":
-    """The rig with its controllers out of the recording, and without its faults and stimuli.
+    """Return the rig with recorded controllers, and without its faults and stimuli.
 
-    What they did is in the recording; and what nobody heard is not. `set_points` is "exact", or
-    "any" if their values in PDOs may be others than recorded; `places` tells by controller where
-    the recording has it (`recorded_bus`, `recorded_unit`), where it is elsewhere in the rig.
+    The effects of faults and stimuli are in the recording already. `set_points` is "exact", or
+    "any" if their values in PDOs may differ from the recorded ones. `places` gives, by controller,
+    its `recorded_bus` and `recorded_unit` where they differ from the rig's.
     """
     controllers = {}
     for name, controller in description.controllers.items():
@@ -79,10 +79,10 @@ def with_recorded(
 
 
 def rig_in(recording: Path, known: Known) -> "RigDescription":
-    """The rig that a recording was made with, its controllers out of the recording.
+    """Return the rig of a recording, with recorded controllers.
 
     Raises:
-        RigError: the recording cannot be read, or its rig not be used.
+        RigError: the recording cannot be read, or its rig cannot be used.
     """
     found = own_rig(recording, known)
     if found is not None:
@@ -92,7 +92,7 @@ def rig_in(recording: Path, known: Known) -> "RigDescription":
     except TraceError as error:
         raise RigError(error.path, error.what, error.remedy) from None
     if not recorded.tapes:
-        what = "holds nothing that a device told, of CANopen or Modbus"
+        what = "holds no CANopen or Modbus message of a device"
         raise RigError(recording, what, "give a recording with devices in it")
     text, places = _generated(recorded)
     found = parse_rig(Source(recording / "generated.toml", text), known)
@@ -100,15 +100,15 @@ def rig_in(recording: Path, known: Known) -> "RigDescription":
 
 
 def own_rig(recording: Path, known: Known, folder: Path | None = None) -> "RigDescription | None":
-    """The rig that a recording was made with, as it was; None: the recording holds none.
+    """Return the original rig of a recording, or None if it holds none.
 
     Args:
         recording: the file.
         known: the plugins that the rig may name.
-        folder: where controllers' files are put, to be built from; None: nobody builds.
+        folder: where the controllers' files are written; None: a temporary folder.
 
     Raises:
-        RigError: the recording cannot be read, or its rig not be used.
+        RigError: the recording cannot be read, or its rig cannot be used.
     """
     try:
         with read_trace(recording) as trace:
@@ -124,7 +124,7 @@ def own_rig(recording: Path, known: Known, folder: Path | None = None) -> "RigDe
 def _own_rig(
     recording: Path, attachments: list[Attachment], known: Known, folder: Path
 ) -> "RigDescription | None":
-    """Of the first attached file that is one; its motor models stay as tables, not as files."""
+    """Read the first attached rig file; its motor models stay as tables, not as files."""
     files = {one.name.rpartition("/")[2]: one for one in attachments}
     for name, attached in files.items():
         rig = rig_of(attached.data)
@@ -157,18 +157,18 @@ def _own_rig(
 
 
 def _with_files(settings: Mapping[str, object], home: Path) -> Mapping[str, object]:
-    """The controller's files where they have been put: the rig's own places of them are none."""
+    """Return the settings with the controllers' files in their new places."""
     named = {key: settings[key] for key in _FILES if isinstance(settings.get(key), str)}
     return {**settings, **{key: str(home / str(file)) for key, file in named.items()}}
 
 
 def _table(model: Path | Mapping[str, object]) -> Mapping[str, object]:
-    """A motor model as what its file says, for the file does not stay."""
+    """Return a motor model as a table, since its file is temporary."""
     return tomllib.loads(model.read_text("utf-8")) if isinstance(model, Path) else model
 
 
 def _places(rig: Mapping[str, object], files: Mapping[str, Attachment]) -> dict[str, bytes]:
-    """Where the rig looks for files that came with it."""
+    """Return the attached files by the path under which the rig expects them."""
     found: dict[str, bytes] = {}
     for named, _ in named_files(rig):
         place = PurePosixPath(named)
@@ -185,7 +185,7 @@ def _write(path: Path, data: bytes) -> Path:
 
 
 def _generated(recorded: RecordedTapes) -> tuple[str, dict[str, dict[str, object]]]:
-    """A rig file of buses and whoever answers there; and where the recording has these."""
+    """Return the text of a generated rig file, and each controller's place in the recording."""
     places: dict[str, dict[str, object]] = {}
     lines = ["[rig]"]
     names = _plain_names([bus for bus, _ in recorded.tapes])
@@ -212,7 +212,7 @@ def _generated(recorded: RecordedTapes) -> tuple[str, dict[str, dict[str, object
 
 
 def _patience_s(recorded: RecordedTapes, line: str) -> int:
-    """How long a gateway has to wait for its units to answer as late as they did [s]."""
+    """Return a gateway timeout that covers the latest recorded answer of its units [s]."""
     turns = [
         turn
         for (where, _), tape in recorded.tapes.items()
@@ -225,7 +225,7 @@ def _patience_s(recorded: RecordedTapes, line: str) -> int:
 
 
 def _plain_names(buses: Sequence[str]) -> dict[str, str]:
-    """What a rig can call these buses, by name: of an address, `line_192_168_0_20`."""
+    """Return a valid rig name for each bus; an address becomes `line_192_168_0_20`."""
     found: dict[str, str] = {}
     for bus in dict.fromkeys(buses):
         plain = re.sub(r"[^A-Za-z0-9_-]", "_", bus)

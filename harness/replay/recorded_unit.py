@@ -1,7 +1,7 @@
-"""A Modbus unit out of a recording, as a controller on an emulated line.
+"""Recorded Modbus unit, as a controller on an emulated line.
 
-It answers a live host as the recorded unit answered the recorded host; see `harness.replay.player`.
-A request that the recording cannot answer is refused with an exception, and told as an error.
+The unit answers a live host as the recorded unit answered the recorded host; see `TapePlayer`. A
+request that the recording cannot answer is refused with an exception and reported as an error.
 
 Source: MODBUS over Serial Line V1.02, section 2; Application Protocol V1.1b3, section 7.
 """
@@ -24,14 +24,14 @@ DEVICE_FAILURE: Final = 4
 
 @final
 class RecordedUnit(RecordedController):
-    """Implements `emulators.controller.Controller`.
+    """Implementation of `emulators.controller.Controller` for a recorded Modbus unit.
 
     Args:
-        tape: of the unit.
+        tape: the exchange log of the unit.
         unit: its server address on this line.
 
     Attributes:
-        player: what was found, and what was not.
+        player: holds the matched commands and the mismatches.
     """
 
     def __init__(self, tape: Tape, unit: int, note: str = "") -> None:
@@ -39,7 +39,7 @@ class RecordedUnit(RecordedController):
         self.unit: Final = unit
 
     def receive(self, data: bytes, now_ns: int) -> None:
-        """What was on the line between two silences; b"": it was spoiled."""
+        """Handle the bytes between two silences on the line; b"": they were corrupted."""
         if len(data) < _SHORTEST or crc16(data[:-2]) != data[-2:]:
             return
         if data[0] not in (0, self.unit):
@@ -61,10 +61,10 @@ class RecordedUnit(RecordedController):
         self.expire(now_ns)
 
     def expire(self, now_ns: int) -> None:
-        """What is due is sent."""
-        address = bytes([self.unit])  # the recording may have another
+        """Send the frames that are due."""
+        address = bytes([self.unit])  # the recording may have another address
         self._output += [with_crc(address + frame[1:]) for frame in self.player.take(now_ns)]
 
     def identifiers(self) -> Sequence[int] | None:
-        """On a line everybody hears everything."""
+        """Return None: every unit on a line hears everything."""
         return None

@@ -1,4 +1,4 @@
-"""Buses that recorded frames are sent to: of a rig, of a hub, SocketCAN, any of python-can."""
+"""Sinks of replayed frames: buses of a rig, hubs, SocketCAN, python-can."""
 
 import errno
 import os
@@ -24,19 +24,19 @@ _SOL_CAN_RAW: Final = 101  # linux/can/raw.h
 _CAN_RAW_FILTER: Final = 1
 _CAN_RAW_FD_FRAMES: Final = 5
 _FD_MTU: Final = 72
-_QUEUED_MAX: Final = 64  # so many are given to a bus of ours before it has carried them
+_QUEUED_MAX: Final = 64  # frames given to an emulated bus before it has carried them
 _PAUSE_S: Final = 0.0005
 
 
 def open_sink(place: Place, options: Mapping[str, object]) -> Sink:
-    """The bus there.
+    """Open the sink of a bus.
 
     Args:
-        place: of the wall's world.
+        place: a bus outside the rig.
         options: of python-can's interface (bitrate, fd).
 
     Raises:
-        PlaceError: it cannot be reached.
+        PlaceError: the bus cannot be reached.
     """
     if place.kind is Kind.SOCKETCAN:
         return SocketCanSink(place)
@@ -50,11 +50,11 @@ class RigSink:
     """A bus of an open rig, in the rig's time."""
 
     def __init__(self, rig: "Rig", bus: str) -> None:
-        """Joined. Raises PlaceError: the rig has no such bus."""
+        """Join the bus. Raises PlaceError if the rig has no such bus."""
         self.name = bus
         known = rig.world.bus_names()
         if bus not in known:
-            raise PlaceError(f"--on {bus}: the rig has no such bus (known: {', '.join(known)})")
+            raise PlaceError(f"--on {bus}: the rig has no such bus; available: {', '.join(known)}")
         self.carries_fd = rig.world.bus(bus).data_bitrate_bit_s is not None
         self._queued = 0
         self._port = rig.world.add_host(bus, HOST, self._hear, self._hear_error)
@@ -63,32 +63,32 @@ class RigSink:
         self._queued -= transmitted
 
     def _hear_error(self, message: bytes, time_ns: int, _: bool) -> None:
-        """That frames take long is seen without it."""
+        """Ignore error frames; the queue shows the delay."""
 
     def send(self, frame: bytes) -> None:
-        """The frame waits its turn."""
+        """Queue the frame on the bus."""
         self._queued += 1
         self._port.send(frame)
 
     def is_ready(self) -> bool:
-        """Whether not too many wait."""
+        """Return True if the queue has room."""
         return self._queued < _QUEUED_MAX
 
     def is_empty(self) -> bool:
-        """Whether none waits."""
+        """Return True if the queue is empty."""
         return not self._queued
 
     def close(self) -> None:
-        """It hears nothing any more."""
+        """Stop listening."""
         self._port.close()
 
 
 @final
 class HubSink:
-    """A bus of `motorhil serve --socket`, which tells when a frame was carried."""
+    """A bus of `motorhil serve --socket`, which reports when a frame was carried."""
 
     def __init__(self, place: Place) -> None:
-        """Connected. Raises PlaceError: nobody serves there, or the hub refuses."""
+        """Connect to the hub. Raises PlaceError if no hub serves there, or if it refuses."""
         self.name = place.text
         try:
             self._link = HubLink.with_all(place.channel)
@@ -98,7 +98,7 @@ class HubSink:
         self._queued = 0
 
     def send(self, frame: bytes) -> None:
-        """The hub has the frame."""
+        """Pass the frame to the hub."""
         try:
             self._link.send(frame)
         except can.CanError as error:
@@ -106,13 +106,13 @@ class HubSink:
         self._queued += 1
 
     def is_ready(self) -> bool:
-        """Whether not too many wait; looked at when it might not be."""
+        """Return True if the queue has room; the hub is read only when it may be full."""
         if self._queued >= _QUEUED_MAX // 2:
             self._listen()
         return self._queued < _QUEUED_MAX
 
     def is_empty(self) -> bool:
-        """Whether none waits."""
+        """Return True if the queue is empty."""
         self._listen()
         return not self._queued
 
@@ -124,62 +124,63 @@ class HubSink:
             raise SendError(str(error)) from None
 
     def close(self) -> None:
-        """Disconnected."""
+        """Disconnect from the hub."""
         self._link.close()
 
 
 @final
 class SocketCanSink:
-    """A SocketCAN interface; the kernel's queue paces what comes too fast."""
+    """A SocketCAN interface; the kernel's queue limits the rate."""
 
     def __init__(self, place: Place) -> None:
-        """Open. Raises PlaceError: it cannot be used."""
+        """Open the interface. Raises PlaceError if it cannot be used."""
         self.name = place.text
         self._socket = open_interface(place)
-        self._socket.setsockopt(_SOL_CAN_RAW, _CAN_RAW_FILTER, b"")  # nothing is to be heard
+        self._socket.setsockopt(_SOL_CAN_RAW, _CAN_RAW_FILTER, b"")  # receive nothing
         self.carries_fd = _mtu(place.channel) >= _FD_MTU
         if self.carries_fd:
             self._socket.setsockopt(_SOL_CAN_RAW, _CAN_RAW_FD_FRAMES, 1)
 
     def send(self, frame: bytes) -> None:
-        """The frame is in the interface's queue."""
+        """Put the frame into the interface's queue."""
         deadline_s = time.monotonic() + STUCK_S
         while True:
             try:
                 self._socket.send(frame)
             except OSError as error:
-                # ENOBUFS: the queue (10 frames by default) is full; no poll tells when it is not.
+                # ENOBUFS: the queue (10 frames by default) is full; poll does not report when it
+                # has room.
                 if error.errno != errno.ENOBUFS:
                     reason = os.strerror(error.errno or 0).lower()
                     raise SendError(f"{self.name}: {reason}") from None
                 if time.monotonic() > deadline_s:
                     raise SendError(
-                        f"{self.name}: its queue has been full for {STUCK_S:g} s; is another node "
-                        "there to acknowledge, and the bit rate right?"
+                        f"{self.name}: the queue has been full for {STUCK_S:g} s; check that "
+                        "another node acknowledges and that the bit rate is right"
                     ) from None
                 time.sleep(_PAUSE_S)
             else:
                 return
 
     def is_ready(self) -> bool:
-        """Always: `send` waits."""
+        """Return True: `send` waits."""
         return True
 
     def is_empty(self) -> bool:
-        """Taken to be: the kernel does not tell."""
+        """Return True: the kernel does not report it."""
         return True
 
     def close(self) -> None:
-        """The interface is left alone."""
+        """Close the socket; the interface itself is unaffected."""
         self._socket.close()
 
 
 @final
 class PythonCanSink:
-    """Any bus of python-can; what comes from it is heard and forgotten."""
+    """Any bus of python-can; received frames are discarded."""
 
     def __init__(self, place: Place, options: Mapping[str, object]) -> None:
-        """Open. Raises PlaceError: it cannot be."""
+        """Open the bus. Raises PlaceError if it cannot be opened."""
         self.name = place.text
         self._bus = open_bus(place, options)
         fd = (can.CanProtocol.CAN_FD, can.CanProtocol.CAN_FD_NON_ISO)
@@ -187,28 +188,28 @@ class PythonCanSink:
         self._notifier = can.Notifier(self._bus, [], timeout=0.1)
 
     def send(self, frame: bytes) -> None:
-        """The interface has the frame."""
+        """Pass the frame to the interface."""
         try:
             self._bus.send(message_of(frame), STUCK_S)
         except (can.CanError, OSError, ValueError) as error:
             raise SendError(f"{self.name}: {error}") from None
 
     def is_ready(self) -> bool:
-        """Always: `send` waits."""
+        """Return True: `send` waits."""
         return True
 
     def is_empty(self) -> bool:
-        """Taken to be: most interfaces do not tell."""
+        """Return True: most interfaces do not report it."""
         return True
 
     def close(self) -> None:
-        """The bus has been left."""
+        """Leave the bus."""
         self._notifier.stop(2.0)
         self._bus.shutdown()
 
 
 def _mtu(interface: str) -> int:
-    """The largest frame the interface carries [bytes]; 0 if that is not told."""
+    """Return the largest frame that the interface carries [bytes]; 0 if unknown."""
     with suppress(OSError, ValueError):
         return int(Path(f"/sys/class/net/{interface}/mtu").read_text())
     return 0

@@ -1,10 +1,10 @@
-"""Recorded frames sent again: at their times, scaled, or as fast as the buses take them.
+"""Replay of recorded frames: at their times, scaled, or without pauses.
 
-The schedule is absolute: when a frame is due follows from its own stamp and from when the replay
-began, never from when the frame before it went out. So nothing adds up, over an hour or a day; what
-the machine is late is late once, and measured.
+The schedule is absolute. A frame's due time follows from its own stamp and the start of the replay,
+never from the transmission of the previous frame. Delays therefore do not accumulate, over an hour
+or a day. A delay of the machine affects only the frames of that moment, and is measured.
 
-One code for virtual time and the wall: it waits in a Runtime only.
+The same code serves virtual time and wall time; it waits only in a Runtime.
 """
 
 from collections.abc import Callable, Iterable, Iterator, Mapping
@@ -23,38 +23,43 @@ _CLASSIC_SIZE: Final = 16
 
 
 class SendError(Exception):
-    """A bus does not take frames, or not such ones; says which, why and what to do."""
+    """A bus that does not take a frame; the message names the bus, the reason and the remedy."""
 
 
 class Sink(Protocol):
-    """Where the frames of a recorded bus go.
+    """Destination of the frames of a recorded bus.
 
-    Attributes: name, for messages; carries_fd, whether it takes CAN FD frames.
+    Attributes:
+        name: its name in messages.
+        carries_fd: True if it takes CAN FD frames.
     """
 
     name: str
     carries_fd: bool
 
     def send(self, frame: bytes) -> None:
-        """The frame waits its turn on the bus. Raises SendError."""
+        """Queue the frame on the bus. Raises SendError."""
 
     def is_ready(self) -> bool:
-        """Whether it may be given another one; asked before each. Raises SendError."""
+        """Return True if it takes another frame; called before each. Raises SendError."""
 
     def is_empty(self) -> bool:
-        """Whether all it was given was on the bus. Raises SendError."""
+        """Return True if all queued frames were on the bus. Raises SendError."""
 
     def close(self) -> None:
-        """The bus has been left."""
+        """Leave the bus."""
 
 
 @final
 @dataclass(frozen=True, slots=True)
 class Choice:
-    """Which frames: those that pass every filter that is given.
+    """Selection of the frames that pass every given filter.
 
-    Attributes: buses, identifiers, nodes (by what a CANopen frame says; NMT to all passes);
-    from_ns (log time, inclusive), to_ns (exclusive).
+    Attributes:
+        buses: names of buses.
+        identifiers: CAN identifiers.
+        nodes: node-IDs that a CANopen frame is about; NMT to all nodes passes.
+        from_ns, to_ns: log times [ns]; inclusive, exclusive.
     """
 
     buses: tuple[str, ...] | None = None
@@ -64,13 +69,13 @@ class Choice:
     to_ns: int | None = None
 
     def of(self, frames: Iterable[Frame]) -> Iterator[Frame]:
-        """Those of these frames, in their order; they begin with the recording."""
+        """Yield the selected frames in order; `frames` must begin with the recording."""
         decoders: dict[str, CanopenDecoder] = {}
         for frame in frames:
             time_ns, bus, data = frame[:3]
             if self.buses is not None and bus not in self.buses:
                 continue
-            if self.nodes is not None:  # what PDOs belong to whom is learned from all frames
+            if self.nodes is not None:  # all frames are decoded, to map PDOs to nodes
                 if bus not in decoders:
                     decoders[bus] = CanopenDecoder({}, {})
                 said = decoders[bus].decode(data)
@@ -91,10 +96,11 @@ class Choice:
 @final
 @dataclass(slots=True)
 class Survey:
-    """What there is to send.
+    """Summary of the frames to send.
 
-    Attributes: frames, long_frames (CAN FD) and error_frames, by bus; first_ns and last_ns, the
-    earliest and the latest log time.
+    Attributes:
+        frames, long_frames, error_frames: numbers of all, CAN FD and error frames, by bus.
+        first_ns, last_ns: the earliest and the latest log time [ns].
     """
 
     frames: dict[str, int] = field(default_factory=dict)
@@ -105,12 +111,12 @@ class Survey:
 
     @property
     def span_ns(self) -> int:
-        """From the first to the last."""
+        """The time between the first and the last frame [ns]."""
         return self.last_ns - self.first_ns
 
 
 def survey(frames: Iterable[Frame]) -> Survey:
-    """What is among these frames."""
+    """Count these frames."""
     found = Survey()
     first: int | None = None
     for time_ns, bus, data, _, _ in frames:
@@ -126,28 +132,32 @@ def survey(frames: Iterable[Frame]) -> Survey:
 
 
 def is_error(frame: bytes) -> bool:
-    """Whether it is no traffic, but what a controller said about the bus."""
+    """Return True for an error frame, which is a controller's report and not traffic."""
     return bool(int.from_bytes(frame[:4], "little") & ERR)
 
 
 def refuse_long(found: Survey, sinks: Mapping[str, Sink]) -> None:
-    """Raises SendError: there are CAN FD frames for a bus that carries none."""
+    """Raise SendError if there are CAN FD frames for a bus that does not carry them."""
     for bus, count in found.long_frames.items():
         sink = sinks.get(bus)
         if sink is not None and not sink.carries_fd:
             raise SendError(
-                f"{sink.name}: {count} frames of {bus} are CAN FD, which this bus does not carry; "
-                "nothing was sent; choose a CAN FD bus, or say --fd where the interface has it"
+                f"{sink.name}: {count} frames of {bus} are CAN FD, which this bus does not "
+                "carry; nothing was sent; choose a CAN FD bus, or give --fd where the "
+                "interface supports it"
             )
 
 
 @final
 @dataclass(slots=True)
 class Replayed:
-    """What came of it, also while it goes on.
+    """Result of a replay, updated while it runs.
 
-    Attributes: sent, frames by bus; errors, frames that cannot be sent, by bus; late, how much
-    later than due each one was sent; began_ns and ended_ns, by the runtime's clock.
+    Attributes:
+        sent: number of frames sent, by bus.
+        errors: number of error frames, which cannot be sent, by bus.
+        late: delays of the frames after their due times.
+        began_ns, ended_ns: by the runtime's clock [ns].
     """
 
     began_ns: int
@@ -159,7 +169,11 @@ class Replayed:
 
 @final
 class TrafficReplay:
-    """Sends recorded frames. Attributes: done, what came of it so far."""
+    """Replay of recorded frames.
+
+    Attributes:
+        done: the result so far.
+    """
 
     def __init__(
         self,
@@ -168,13 +182,13 @@ class TrafficReplay:
         first_ns: int,
         speed: Fraction | None = Fraction(1),
     ) -> None:
-        """It begins now.
+        """Start the replay now.
 
         Args:
             sinks: by recorded bus; frames of other buses are left out.
-            runtime: whose time it is, and where it waits.
-            first_ns: the log time that is now.
-            speed: how many times faster; None: as fast as the buses take it.
+            runtime: provides the time and waits.
+            first_ns: the log time that corresponds to now [ns].
+            speed: acceleration factor; None: as fast as the buses take the frames.
         """
         self.done = Replayed(runtime.now_ns())
         self._sinks = sinks
@@ -183,7 +197,7 @@ class TrafficReplay:
         self._speed = speed
 
     def due_ns(self, time_ns: int) -> int:
-        """When a frame of this log time is to be sent, by the runtime's clock."""
+        """Return when a frame of this log time is due, by the runtime's clock [ns]."""
         assert self._speed is not None
         step_ns = time_ns - self._first_ns
         return self.done.began_ns + step_ns * self._speed.denominator // self._speed.numerator
@@ -191,14 +205,14 @@ class TrafficReplay:
     def run(
         self, frames: Iterable[Frame], tell: Callable[[int, int], None] | None = None
     ) -> Replayed:
-        """All frames were on their buses.
+        """Send all frames, and wait until they were on their buses.
 
         Args:
-            frames: in order.
+            frames: the frames in order.
             tell: called with the log time [ns] and the number of each frame.
 
         Raises:
-            SendError: a bus does not take one.
+            SendError: a bus does not take a frame.
         """
         now_ns = self._runtime.now_ns
         done = self.done
@@ -230,8 +244,8 @@ class TrafficReplay:
     def _wait_for(self, sink: Sink, done: Callable[[], bool]) -> None:
         if not self._runtime.wait_until(done, STUCK_S):
             raise SendError(
-                f"{sink.name}: has taken no frame for {STUCK_S:g} s; is another node there to "
-                "acknowledge, and the bit rate right?"
+                f"{sink.name}: has taken no frame for {STUCK_S:g} s; check that another node "
+                "acknowledges and that the bit rate is right"
             )
 
 

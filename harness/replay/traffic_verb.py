@@ -1,4 +1,4 @@
-"""`motorhil replay FILE --as traffic`: recorded frames on a bus again, at their times."""
+"""`motorhil replay FILE --as traffic`: recorded frames on a bus, at their times."""
 
 import argparse
 import json
@@ -26,10 +26,10 @@ _SHOWN: Final = 3
 
 
 def run(options: argparse.Namespace) -> int:
-    """Exit status: 0 all was sent, 1 a bus did not take it, 2 it could not begin, 130 Ctrl-C.
+    """Return the exit status: 0 all sent, 1 a bus refused, 2 not started, 130 Ctrl-C.
 
     Raises:
-        RigError: the recording or the rig cannot be used for it.
+        RigError: the recording or the rig cannot be used.
         TraceError: the recording cannot be read.
     """
     from harness.recording.places import PlaceError
@@ -41,7 +41,7 @@ def run(options: argparse.Namespace) -> int:
     for _, problem in findings.problems[:_SHOWN]:
         print(f"{options.file}: {problem}", file=sys.stderr)
     if not found.frames:
-        raise RigError(options.file, "holds no CAN frame to send", "choose others, or none")
+        raise RigError(options.file, "holds no CAN frame to send", "change or drop the filters")
     with ExitStack() as cleanup:
         try:
             sinks, runtime = _open(options, list(found.frames), cleanup)
@@ -97,13 +97,15 @@ def _frames(
 def _open(
     options: argparse.Namespace, buses: list[str], cleanup: ExitStack
 ) -> "tuple[dict[str, Sink], Runtime]":
-    """(where each recorded bus is sent, whose time it is); raises PlaceError, RigError."""
+    """Return the sink of each recorded bus, and the runtime; raise PlaceError or RigError."""
     from harness.recording.places import PlaceError, places_of_buses
     from harness.replay.sinks import RigSink, open_sink
 
     rig = _rig(options, cleanup) if options.rig is not None else None
     if rig is None and not options.on:
-        raise PlaceError(f"names no bus to send to: --on {buses[0]}=vcan0, or --rig RIG")
+        raise PlaceError(
+            f"no destination given: name a bus with --on {buses[0]}=vcan0, or a rig with --rig RIG"
+        )
     interface: dict[str, object] = {"bitrate": options.bitrate} if options.bitrate else {}
     if options.fd:
         interface["fd"] = True
@@ -116,7 +118,9 @@ def _open(
             sinks = {bus: RigSink(rig, bus) for bus in buses if bus in rig.world.bus_names()}
         if not sinks:
             known = ", ".join(rig.world.bus_names())
-            raise PlaceError(f"the rig has no bus {buses[0]}: --on {buses[0]}=BUS, of {known}")
+            raise PlaceError(
+                f"the rig has no bus {buses[0]}; write --on {buses[0]}=BUS; available: {known}"
+            )
         return sinks, rig.runtime
     from motorapi.wall_runtime import WallRuntime
 
@@ -134,7 +138,7 @@ def _rig(options: argparse.Namespace, cleanup: ExitStack) -> "Rig":
 
 
 def _teller(found: "Survey", runtime: "Runtime") -> "Callable[[int, int], None] | None":
-    """Shows on a terminal how far it is; elsewhere nothing."""
+    """Return a display of the progress, or None if stderr is not a terminal."""
     if not sys.stderr.isatty():
         return None
     total = sum(found.frames.values())

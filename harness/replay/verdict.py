@@ -1,4 +1,4 @@
-"""Whether a recording could stand in for its devices: what it could not answer, in order."""
+"""Verdict on a replay as devices: the commands without a recorded answer."""
 
 import re
 from collections.abc import Iterator
@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 
 @final
 class Unanswered(NamedTuple):
-    """What one recorded controller was told, and could not answer."""
+    """A command that one recorded controller could not answer."""
 
     controller: str
     mismatch: Mismatch
@@ -24,7 +24,7 @@ class Unanswered(NamedTuple):
 
 
 def players(rig: "Rig") -> dict[str, TapePlayer]:
-    """Of the rig's controllers that are out of recordings, by name."""
+    """Return the players of the rig's recorded controllers, by name."""
     cores = {name: rig.controllers[name].core for name in rig.description.controllers}
     return {
         name: core.player
@@ -34,7 +34,7 @@ def players(rig: "Rig") -> dict[str, TapePlayer]:
 
 
 def unanswered(rig: "Rig") -> list[Unanswered]:
-    """What the rig's recorded controllers could not answer, by time; none: they stood in."""
+    """Return the commands that recorded controllers could not answer, by time."""
     found = [
         Unanswered(name, mismatch)
         for name, player in players(rig).items()
@@ -44,12 +44,12 @@ def unanswered(rig: "Rig") -> list[Unanswered]:
 
 
 def summary(rig: "Rig", failure: str = "") -> Iterator[str]:
-    """What came of a run against recorded controllers, in lines; none if there are none.
+    """Yield the lines of a summary; none if the rig has no recorded controllers.
 
     Args:
-        rig: open, or closed.
-        failure: what the application failed with; what the controllers named there answered last
-            is told, for it may have been that.
+        rig: open or closed.
+        failure: the application's error text. The last answers of the controllers named in it are
+            listed, since they may be the cause.
     """
     known = players(rig)
     if not known:
@@ -72,10 +72,10 @@ def summary(rig: "Rig", failure: str = "") -> Iterator[str]:
     left = {name: len(player.left()) for name, player in known.items() if player.left()}
     if left:
         told_of = ", ".join(f"{name} {count}" for name, count in left.items())
-        yield f"commands of the recording that did not come: {told_of}"
+        yield f"commands of the recording that were not sent: {told_of}"
     rest = sum(player.to_come() for player in known.values())
     if rest:
-        yield f"the recording goes on: {rest} more commands"
+        yield f"the recording has {rest} more command{'s' if rest > 1 else ''}"
 
 
 def _when(one: Unanswered) -> int:

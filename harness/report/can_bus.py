@@ -1,8 +1,8 @@
-"""One CAN bus as the page needs it: who takes how much of it, and what its nodes tell of motors.
+"""One CAN bus of the report: its load, and the quantities of its nodes.
 
-Most frames are PDOs, and of most objects in them nothing is drawn. So which bits of a PDO are which
-quantity is worked out once, from what the decoder has learned, and again after whatever can change
-it; all other CANopen frames are the decoder's. Heartbeats that repeat the last one tell nothing.
+Most frames are PDOs, and most of their objects are not drawn. The position of each quantity in a
+PDO is therefore computed once, from the decoder's knowledge, and again after anything that may
+change it. All other CANopen frames go to the decoder. Repeated heartbeats are ignored.
 """
 
 import struct
@@ -29,7 +29,7 @@ _ERR: Final = 0x2000_0000
 _SYNC: Final = 0x080
 _HEAD: Final = struct.Struct("<IBB")
 
-# Index: whether it is signed. Source: CiA 402-2, object dictionary.
+# Index: True if signed. Source: CiA 402-2, object dictionary.
 QUANTITIES: Final[dict[int, bool]] = {
     0x603F: False,  # error code
     0x6041: False,  # statusword
@@ -48,18 +48,20 @@ STATUSWORD: Final = 0x6041
 FAULTS: Final = tuple(n for n, (_, _, name) in enumerate(STATES) if name.startswith("fault"))
 
 _Part = tuple[int, int, int, bool, int, int]
-"""Node, shift, mask, whether it is signed, axis, index on the first axis."""
+"""Node, shift, mask, True if signed, axis, index on the first axis."""
 
 
 @final
 class CanBus:
-    """Takes the frames of one bus.
+    """Collector of the frames of one bus.
 
-    Attributes: traffic; unmapped (frames that would be PDOs, of which no mapping is known);
-    switched (frames with a bit rate switch, on a bus whose data bit rate is not known);
-    untyped (nodes whose device type tells no profile: what they call as CiA 402 does is
-    read so); doubtful (frames that would be emergencies, on a bus where nothing else says that it
-    is CANopen: they are told only after something has).
+    Attributes:
+        traffic: the load of the bus.
+        unmapped: number of possible PDOs without a known mapping.
+        switched: number of frames with a bit rate switch, on a bus without a known data bit rate.
+        untyped: nodes whose device type names no profile; their objects are read as CiA 402.
+        doubtful: possible emergencies on a bus without other signs of CANopen; they are reported
+            only after the first sign.
     """
 
     def __init__(
@@ -71,8 +73,8 @@ class CanBus:
         incidents: Incidents,
         data_bitrate_bit_s: int | None = None,
     ) -> None:
-        """What its nodes tell goes to `nodes`, what happens to `incidents`."""
-        why = "" if bitrate_bit_s else "its bit rate is not in the recording; give it by --bitrate"
+        """Set up the collector; states go to `nodes`, events go to `incidents`."""
+        why = "" if bitrate_bit_s else "its bit rate is not in the recording; give --bitrate"
         capacity = float(bitrate_bit_s) if bitrate_bit_s else None
         self.traffic = Traffic(name, "CAN", "bit", capacity, why)
         self.unmapped = 0
@@ -96,10 +98,10 @@ class CanBus:
         self.doubtful: list[tuple[int, Severity, str]] = []
 
     def take(self, time_ns: int, payload: bytes) -> None:
-        """A recorded frame.
+        """Take a recorded frame.
 
         Raises:
-            ValueError: it is none.
+            ValueError: the payload is not a frame.
         """
         frame, _, sender = self._frames.decode(payload)
         can_id, length, _ = _HEAD.unpack_from(frame)
@@ -128,20 +130,20 @@ class CanBus:
     def _weigh(self, time_ns: int, can_id: int, frame: bytes, sender: str) -> None:
         bits = self._recorded.take(time_ns, frame, sender)
         if bits is None:
-            raise ValueError(f"{frame.hex()}: no bus carries it")
+            raise ValueError(f"{frame.hex()}: not a valid CAN frame")
         key = self._labels.get(can_id)
         if key is None:
             key = self._labels[can_id] = self._new_label(can_id)
         nominal, data = bits
         rate, data_rate = self._rates
-        if data and rate and data_rate:  # how many nominal bits fit in that time
+        if data and rate and data_rate:  # in nominal bit times
             data = round(data * rate / data_rate)
         elif data and not data_rate:
             self.switched += 1
         self.traffic.add(time_ns, key, nominal + data)
 
     def subject(self, by_priority: frozenset[str]) -> Subject | None:
-        """What was sent, for the analysis of response times; None: the bit rate is not known.
+        """Return the input of the response time analysis, or None if the bit rate is unknown.
 
         Args:
             by_priority: nodes that send their most urgent frame first.
@@ -184,7 +186,7 @@ class CanBus:
             self._quantity(time_ns, node, axis, index, value)
 
     def _plan(self, identifier: int) -> tuple[_Part, ...] | None:
-        """What of a PDO is drawn; None: it is one and what it carries is not known."""
+        """Return the drawn parts of a PDO; None: a PDO without a known mapping."""
         layout, unknown = self._decoder.maps.layout(identifier)
         parts: list[_Part] = []
         for (node, _, _), at, (index, _, bits) in layout:
@@ -209,7 +211,7 @@ class CanBus:
             told.track(index).add(time_ns, value)
 
     def _tell(self, time_ns: int, said: Said) -> None:
-        """A frame that the decoder has read."""
+        """Handle a frame that the decoder has read."""
         kind, node = said.kind, said.node
         if not self._is_canopen and kind is not Kind.EMERGENCY:
             self._begin_canopen(said)
@@ -235,7 +237,7 @@ class CanBus:
                 self.doubtful.append((time_ns, level, said.text))
 
     def _begin_canopen(self, said: Said) -> None:
-        """Something that only CANopen says: what looked like emergencies were some."""
+        """Accept the doubtful emergencies after the first certain sign of CANopen."""
         if said.kind in (Kind.SDO_REQUEST, Kind.SDO_RESPONSE) and said.index is None:
             return
         self._is_canopen = True
@@ -279,9 +281,9 @@ _LEVELS: Final[dict[ControllerState | None, Severity]] = {
     ControllerState.RESTARTED: Severity.INFO,
 }
 _MAY_BE_DRIVES: Final = (0, 402, 0xFFFF)
-"""Low word of the device type 1000h: no profile is told, a drive, several devices in one."""
+"""Low word of the device type 1000h: no profile, a drive, or several devices in one."""
 
 
 def nmt_text(code: int) -> str:
-    """A state of the NMT slave in words."""
+    """Return the name of an NMT state."""
     return NMT_STATES.get(code, f"state {code:02X}h")

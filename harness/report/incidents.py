@@ -1,4 +1,4 @@
-"""What happened at one moment: faults, events, commands; bounded, and what was too much is told."""
+"""Incidents of a recording: faults, events, commands; limited in number."""
 
 from collections import Counter
 from dataclasses import dataclass
@@ -6,12 +6,12 @@ from enum import IntEnum
 from typing import Final, final
 
 KEPT: Final = 2_000
-"""Of each kind; a page with more of them is no list any more."""
+"""Limit for each kind; a longer list is not readable."""
 
 
 @final
 class Severity(IntEnum):
-    """How much it matters."""
+    """The severity of an incident."""
 
     INFO = 0
     WARNING = 1
@@ -21,10 +21,14 @@ class Severity(IntEnum):
 @final
 @dataclass(frozen=True, slots=True)
 class Incident:
-    """One of them.
+    """One incident.
 
-    Attributes: time_ns (from the recording's beginning), severity, kind (of a few words), place
-    (bus, motor or who says so), text.
+    Attributes:
+        time_ns: from the recording's beginning [ns].
+        severity: the severity.
+        kind: the kind, in a few words.
+        place: the bus, the motor, or the source of the message.
+        text: the description.
     """
 
     time_ns: int
@@ -36,9 +40,11 @@ class Incident:
 
 @final
 class Incidents:
-    """All of them, the first `KEPT` of each kind.
+    """All incidents, the first `KEPT` of each kind.
 
-    Attributes: kept (in the order they came), counts (of all, by kind).
+    Attributes:
+        kept: the incidents, in order of arrival.
+        counts: the number of all incidents, by kind.
     """
 
     def __init__(self) -> None:
@@ -46,15 +52,15 @@ class Incidents:
         self.counts: Counter[str] = Counter()
 
     def add(self, time_ns: int, severity: Severity, kind: str, place: str, text: str) -> None:
-        """It happened."""
+        """Add an incident."""
         self.counts[kind] += 1
         if self.counts[kind] <= KEPT:
             self.kept.append(Incident(time_ns, severity, kind, place, text))
 
     def left_out(self) -> list[str]:
-        """What is not shown, in words."""
+        """Return a remark for each kind that exceeds the limit."""
         return [
-            f"{count - KEPT} of {count} incidents of kind “{kind}” are not shown, the last ones"
+            f"the last {count - KEPT} of {count} incidents of kind “{kind}” are not shown"
             for kind, count in self.counts.items()
             if count > KEPT
         ]

@@ -1,4 +1,4 @@
-"""One Modbus line or connection as the page needs it: who takes its time, and what is refused."""
+"""One Modbus line or connection of the report: its load and its exceptions."""
 
 from typing import Final, final
 
@@ -28,13 +28,14 @@ _NS: Final = 1e9
 
 @final
 class ModbusLine:
-    """Takes the ADUs of one line.
+    """Collector of the ADUs of one line.
 
-    Attributes: traffic, of a serial line in ns that it was busy, else in bits of ADUs.
+    Attributes:
+        traffic: the load; in ns of occupation on a serial line, otherwise in bits of ADUs.
     """
 
     def __init__(self, name: str, tcp: bool, names: RecordedNames, incidents: Incidents) -> None:
-        """What happens on it goes to `incidents`; `tcp`: its framing is MBAP's."""
+        """Set up the collector; events go to `incidents`; `tcp`: the framing is MBAP."""
         if tcp:
             why = "a TCP connection has no bit rate of its own"
             self.traffic = Traffic(name, "Modbus/TCP", "bit", None, why)
@@ -47,7 +48,7 @@ class ModbusLine:
         self._labels: dict[tuple[int, int, bool], int] = {}
 
     def take(self, time_ns: int, fields: dict[str, Value], begin_ns: int) -> None:
-        """A recorded ADU; `time_ns` is from `begin_ns` on, as the times in its fields are not."""
+        """Take a recorded ADU; `time_ns` counts from `begin_ns`, unlike the times in its fields."""
         data = fields.get("data", b"")
         assert isinstance(data, bytes)
         to_server = fields.get("direction") == Direction.TRANSMITTED
@@ -57,7 +58,7 @@ class ModbusLine:
         tcp = bool(fields.get("tcp"))
         adu, problem = adu_of(time_ns, data, tcp=tcp, to_server=to_server)
         if fields.get("spoiled"):
-            adu, problem = None, "it was spoiled on the line"
+            adu, problem = None, "corrupted on the line"
         is_busy = self.traffic.unit == "ns" and end_ns > start_ns
         weight = end_ns - start_ns if is_busy else 8 * len(data)
         if self.traffic.unit == "ns" and not is_busy:

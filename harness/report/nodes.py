@@ -1,4 +1,4 @@
-"""What nodes on buses told of themselves: states and quantities, by bus, node and axis."""
+"""States and quantities of nodes on buses, by bus, node and axis."""
 
 from dataclasses import dataclass, field
 from typing import final
@@ -12,10 +12,13 @@ Place = tuple[str, int, int]
 @final
 @dataclass(slots=True)
 class Told:
-    """By one axis of one node.
+    """The values from one axis of one node.
 
-    Attributes: pds (states of the PDS FSA, as `traces.decode_cia402.STATES` counts them), mode (of
-    operation), nmt, tracks (by index of CiA 402, in the drive's own units).
+    Attributes:
+        pds: states of the PDS FSA, with the numbers of `traces.decode_cia402.STATES`.
+        mode: modes of operation.
+        nmt: NMT states.
+        tracks: by index of CiA 402, in the drive's own units.
     """
 
     pds: Steps = field(default_factory=Steps)
@@ -24,7 +27,7 @@ class Told:
     tracks: dict[int, Track] = field(default_factory=dict)
 
     def track(self, index: int) -> Track:
-        """The quantity with this index."""
+        """Return the quantity with this index, created if necessary."""
         found = self.tracks.get(index)
         if found is None:
             found = self.tracks[index] = Track(held=True)
@@ -33,13 +36,13 @@ class Told:
 
 @final
 class Nodes:
-    """All of them."""
+    """All nodes."""
 
     def __init__(self) -> None:
         self.told: dict[Place, Told] = {}
 
     def of(self, bus: str, node: int, axis: int) -> Told:
-        """What this one told."""
+        """Return the values of this axis, created if necessary."""
         place = (bus, node, axis)
         found = self.told.get(place)
         if found is None:
@@ -47,7 +50,7 @@ class Nodes:
         return found
 
     def is_drive(self, bus: str, node: int) -> bool:
-        """Whether it told something of CiA 402, on any axis."""
+        """Return True if a node has CiA 402 values on any axis."""
         return any(
             place[:2] == (bus, node) and bool(told.tracks or len(told.pds) or len(told.mode))
             for place, told in self.told.items()

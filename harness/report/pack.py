@@ -1,4 +1,4 @@
-"""Arrays of numbers in one compressed text: base64 of deflate of bytes sorted by significance."""
+"""Packing of arrays into one text: base64 of deflated bytes, sorted by significance."""
 
 import base64
 import zlib
@@ -11,15 +11,16 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
 Packed = dict[str, object]
-"""Where an array is: type ("u8", "u16", "u32", "f32"), offset, count; of times, delta is true."""
+"""A packed array: type ("u8", "u16", "u32", "f32"), offset, count; for times, delta is true."""
 TICKS_MAX: Final = (1 << 32) - 1
 
 
 @final
 class Packer:
-    """Collects arrays. Times are in ticks, of which the whole recording has 2^32 at most.
+    """Packer of arrays, with times in ticks; the whole recording has at most 2^32 of them.
 
-    Attributes: tick_ns.
+    Attributes:
+        tick_ns: duration of a tick [ns].
     """
 
     def __init__(self, span_ns: int) -> None:
@@ -28,11 +29,11 @@ class Packer:
         self._size = 0
 
     def ticks(self, time_ns: int) -> int:
-        """A time from the recording's beginning in ticks."""
+        """Return a time from the recording's beginning in ticks."""
         return min(max(0, time_ns) // self.tick_ns, TICKS_MAX)
 
     def times(self, times_ns: "NDArray[int64]") -> Packed:
-        """Ascending times, as differences."""
+        """Pack ascending times as differences."""
         import numpy as np
 
         ticks = np.clip(times_ns // self.tick_ns, 0, TICKS_MAX)
@@ -40,7 +41,7 @@ class Packer:
         return {**self._add("u32", steps.astype("<u4")), "delta": True}
 
     def whole(self, values: "Sequence[int] | NDArray[int64]") -> Packed:
-        """Whole numbers from 0, in as many bytes as the largest needs."""
+        """Pack whole numbers from 0, in as many bytes as the largest needs."""
         import numpy as np
 
         array = np.asarray(values, dtype=np.int64)
@@ -49,7 +50,7 @@ class Packer:
         return self._add(kind, np.minimum(array, TICKS_MAX).astype(f"<u{int(kind[1:]) // 8}"))
 
     def numbers(self, values: "NDArray[float64]") -> Packed:
-        """Numbers, as what they differ from the first finite one."""
+        """Pack numbers as differences from the first finite one."""
         import numpy as np
 
         finite = values[np.isfinite(values)]
@@ -58,7 +59,7 @@ class Packer:
             return {**self._add("f32", (values - base).astype("<f4")), "base": base}
 
     def text(self) -> str:
-        """All of them."""
+        """Return all arrays as one text."""
         return base64.b64encode(zlib.compress(b"".join(self._parts), 7)).decode("ascii")
 
     def _add(self, kind: str, array: "NDArray[integer[object]] | NDArray[float64]") -> Packed:  # type: ignore[type-var]
@@ -66,7 +67,7 @@ class Packer:
 
         size = array.dtype.itemsize
         told: Packed = {"type": kind, "offset": self._size, "count": len(array)}
-        # Most significant bytes hardly differ: next to one another they take no place.
+        # The most significant bytes hardly vary; next to each other they compress well.
         data = array.view(np.uint8).reshape(-1, size).T.tobytes()
         self._parts.append(data)
         self._size += len(data)

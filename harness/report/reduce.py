@@ -1,4 +1,4 @@
-"""Fewer points that draw the same picture: first, last, lowest and highest of each stretch."""
+"""Reduction of points without visible loss: first, last, lowest, highest of each stretch."""
 
 from typing import TYPE_CHECKING, Final
 
@@ -7,20 +7,20 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
 POINTS_MAX: Final = 1_500_000
-"""Points of all quantities together; below, every one is in the page."""
+"""Points of all quantities together; below this number all are in the page."""
 FRAMES_MAX: Final = 1_500_000
-"""Frames of all buses together; above, they are summed up in cells of time and identifier."""
+"""Frames of all buses together; above, they are summed in cells of time and identifier."""
 
 
 def share(count: int, total: int, budget: int) -> int:
-    """How many of a budget belong to one who has `count` of `total`; all, where it is enough."""
+    """Return the share of a budget for `count` of `total`; all of them if it is sufficient."""
     return count if total <= budget else max(400, count * budget // total)
 
 
 def extremes(
     times: "NDArray[int64]", values: "NDArray[float64]", points: int
 ) -> "tuple[NDArray[int64], NDArray[float64]]":
-    """At most about so many of the points, of each stretch of time those that a picture shows.
+    """Return about `points` of the points: those of each stretch of time that are visible.
 
     Shapes: (n,) each, times ascending. Source: Jugel, Jerzak, Hackenbroich & Markl, M4: A
     Visualization-Oriented Time Series Data Aggregation (VLDB 2014).
@@ -35,7 +35,7 @@ def extremes(
     group = (times - first) // width
     starts = np.flatnonzero(np.diff(group, prepend=group[0] - 1))
     ends = np.append(starts[1:], len(times)) - 1
-    by_value = np.lexsort((values, group))  # within each stretch by value
+    by_value = np.lexsort((values, group))  # by value within each stretch
     kept = np.unique(np.concatenate((starts, ends, by_value[starts], by_value[ends])))
     return times[kept], values[kept]
 
@@ -43,9 +43,9 @@ def extremes(
 def cells(
     times: "NDArray[int64]", keys: "NDArray[int64]", weights: "NDArray[int64]", width_ns: int
 ) -> "tuple[NDArray[int64], NDArray[int64], NDArray[int64], NDArray[int64]]":
-    """Frames summed up by time and identifier: (ends [ns], keys, weights, counts), by time.
+    """Sum frames by time and identifier: (ends [ns], keys, weights, counts), by time.
 
-    Shapes: (n,) each, times ascending. A cell's end is that of its stretch of time.
+    Shapes: (n,) each, times ascending. The end of a cell is that of its stretch of time.
     """
     import numpy as np
 

@@ -1,9 +1,9 @@
-"""How long periodic messages took, and how long they can take: recorded, by theory, and allowed.
+"""Response times of periodic messages: recorded, by theory, and allowed.
 
-How late a frame was is not recorded, but what came after it proves some of it (see
-`harness.analysis.recorded`): what is told as seen is that, and the time of the shortest frame. The
-theory's bound is for the periods and jitter that were recorded, without errors. All of them go to
-the end of the intermission, as the theory has it.
+The delay of a frame is not recorded, but later frames prove a part of it (see `measured`). The
+recorded response time is that part plus the duration of the shortest frame. The theory's bound uses
+the recorded periods and jitter, without errors. All times extend to the end of the intermission, as
+in the theory.
 """
 
 from typing import Final
@@ -15,11 +15,11 @@ from harness.report.collect import Findings
 
 Json = dict[str, object]
 MESSAGES_MAX: Final = 500
-"""Messages of one bus whose bounds are looked for; with more of them it takes minutes."""
+"""Limit of analysed messages on one bus; more would take minutes."""
 
 
 def responses_of(found: Findings) -> list[Json]:
-    """Of every CAN bus that has periodic messages, or a reason to show none of them."""
+    """Return the response times of every CAN bus with periodic messages, or a reason for none."""
     if found.in_order:
         return []
     return [told for name in sorted(found.buses) if (told := _bus(found, name)) is not None]
@@ -37,7 +37,9 @@ def _bus(found: Findings, name: str) -> Json | None:
     if not periodic:
         return None
     if len(load.messages) > MESSAGES_MAX:
-        return _told(name, why=f"it has {len(load.messages)} messages, {MESSAGES_MAX} are analysed")
+        return _told(
+            name, why=f"it has {len(load.messages)} messages; at most {MESSAGES_MAX} are analysed"
+        )
     rates = load.bitrate_bit_s, load.data_bitrate_bit_s
     messages = [
         _message(one, periodic[one.message.rank], rates)
@@ -45,8 +47,8 @@ def _bus(found: Findings, name: str) -> Json | None:
         if one.message.rank in periodic
     ]
     sporadic = len(load.messages) - len(periodic)
-    used = f"{load.utilisation():.1%} of it used at most"
-    others = f"; {sporadic} sporadic messages count, too" if sporadic else ""
+    used = f"utilisation at most {load.utilisation():.1%}"
+    others = f"; including {sporadic} sporadic messages" if sporadic else ""
     about = f"{_rate(*rates)}, {used}{others}"
     return _told(name, about=about, messages=messages, notes=list(subject.notes))
 

@@ -1,4 +1,4 @@
-"""What the rig and the motor models attached to a recording tell of bit rates and units."""
+"""Bit rates and units from the rig and the motor models attached to a recording."""
 
 import tomllib
 from collections.abc import Iterable
@@ -15,13 +15,18 @@ Table = dict[str, Any]
 @final
 @dataclass(frozen=True, slots=True)
 class MotorFacts:
-    """What is known of a motor beforehand.
+    """The known facts of a motor.
 
-    Attributes: name; unit ("rad", "m", or "" if no model tells it); increments_per_unit (of the
-    drive's position; None: not known); velocity_unit (what 1 is in the drive's velocities, in units
-    a second; None: not known); controller (None: not told); place (bus and node or unit;
-    None: not told); channel (of the controller, from 1); model (the file that told the units);
-    model_table (all that the model says).
+    Attributes:
+        name: its name.
+        unit: "rad", "m", or "" without a model.
+        increments_per_unit: increments of the drive's position per unit; None: unknown.
+        velocity_unit: the value of 1 in the drive's velocities [unit/s]; None: unknown.
+        controller: its controller; None: not given.
+        place: bus, and node or unit; None: not given.
+        channel: channel of the controller, from 1.
+        model: the file that gives the units.
+        model_table: the contents of the model.
     """
 
     name: str
@@ -38,12 +43,16 @@ class MotorFacts:
 @final
 @dataclass(slots=True)
 class RigFacts:
-    """What is known of a rig.
+    """The known facts of a rig.
 
-    Attributes: name; bitrates [bit/s] of CAN buses and serial lines; data_bitrates [bit/s] of
-    CAN FD buses; by_priority, of each CAN bus (nodes that send their most urgent frame first);
-    motors, in the rig's order; groups (their motors); settings (of controllers, as
-    the rig has them).
+    Attributes:
+        name: its name.
+        bitrates: bit rates of CAN buses and serial lines [bit/s].
+        data_bitrates: data bit rates of CAN FD buses [bit/s].
+        by_priority: for each CAN bus, nodes that send their most urgent frame first.
+        motors: the motors, in the rig's order.
+        groups: the motors of each group.
+        settings: the settings of each controller, as in the rig.
     """
 
     name: str = ""
@@ -56,7 +65,7 @@ class RigFacts:
 
 
 def facts_of(attachments: Iterable[Attachment]) -> RigFacts:
-    """As far as they tell it; what cannot be read tells nothing."""
+    """Return the facts in the attachments; unreadable attachments are ignored."""
     tables: dict[str, Table] = {}
     rig: Table | None = None
     for one in attachments:
@@ -128,7 +137,7 @@ def _positive_or_negative(value: object) -> float | None:
 
 
 def _by_gear(model: Table, unit: str) -> float | None:
-    """Increments as gear and encoder make them, as motor models have it."""
+    """Return the increments per unit from gear and encoder of a motor model."""
     from math import tau
 
     encoder = model.get("encoder_increments_rev")

@@ -1,4 +1,4 @@
-"""Quantities over time as they come: appended one by one, then arrays of numpy."""
+"""Quantities over time: appended one by one, then read as numpy arrays."""
 
 from array import array
 from typing import TYPE_CHECKING, Final, final
@@ -8,15 +8,15 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
 TIME_MAX_NS: Final = 1 << 62
-"""Further from the beginning nothing is drawn: a stamp that far off is a broken one."""
+"""Limit of drawn times; a stamp that far from the beginning is invalid."""
 
 
 @final
 class Track:
-    """One quantity: times [ns from the recording's beginning] and values, in the order they came.
+    """One quantity: times [ns from the recording's beginning] and values, in order of arrival.
 
     Attributes:
-        held: whether a value stands until the next one; else it is a sample of something smooth.
+        held: True if a value holds until the next one; False if it samples a smooth quantity.
     """
 
     __slots__ = ("_last", "held", "times_ns", "values")
@@ -31,7 +31,7 @@ class Track:
         return len(self.times_ns)
 
     def add(self, time_ns: int, value: float) -> None:
-        """It had this value; of a held one, what is not new is left out."""
+        """Append a value; an unchanged value of a held quantity is skipped."""
         if self.held and value == self._last:
             return
         self._last = value
@@ -39,7 +39,7 @@ class Track:
         self.values.append(value)
 
     def sorted(self) -> "tuple[NDArray[int64], NDArray[float64]]":
-        """Times and values by time; what has one time keeps its order."""
+        """Return times and values by time; equal times keep their order."""
         import numpy as np
 
         times = np.array(self.times_ns, dtype=np.int64)
@@ -52,9 +52,11 @@ class Track:
 
 @final
 class Steps:
-    """A state over time: a number from each time on, in the order it came.
+    """A state over time: a number from each time on, in order of arrival.
 
-    Attributes: times_ns, codes, last (the present one; None: not known yet).
+    Attributes:
+        times_ns, codes: the times [ns] and the numbers.
+        last: the present number; None: unknown.
     """
 
     __slots__ = ("codes", "last", "times_ns")
@@ -68,7 +70,7 @@ class Steps:
         return len(self.times_ns)
 
     def add(self, time_ns: int, code: int) -> bool:
-        """It is in this state; whether that is new."""
+        """Append a state; return True if it differs from the previous one."""
         if code == self.last:
             return False
         self.last = code

@@ -1,4 +1,4 @@
-"""How much of a bus or line is used by what: one entry a frame, whatever the medium."""
+"""Traffic of a bus or line: one entry per frame, for any medium."""
 
 from array import array
 from dataclasses import dataclass, field
@@ -8,20 +8,20 @@ from typing import final
 @final
 @dataclass(slots=True)
 class Traffic:
-    """Everything that took time on one bus or line.
+    """All traffic of one bus or line.
 
     Attributes:
-        name: of the bus or line.
+        name: name of the bus or line.
         kind: "CAN", "Modbus RTU" or "Modbus/TCP".
-        unit: what `weights` are of: "bit" or "ns".
-        capacity_s: how much of it there is in a second; None: not known, so no load in per cent.
-        why_no_capacity: in words, if it is None.
-        times_ns: when each entry ended [ns from the recording's beginning].
-        keys: which of `labels` it is.
-        weights: how much of the unit it took.
-        labels: what is told apart (identifiers, functions), in the order met.
-        ranks: by label, where it belongs when they are put in order.
-        names: by label, what it is called.
+        unit: unit of `weights`: "bit" or "ns".
+        capacity_s: capacity per second in that unit; None: unknown, so no load in per cent.
+        why_no_capacity: the reason if it is None.
+        times_ns: end of each entry [ns from the recording's beginning].
+        keys: index into `labels` of each entry.
+        weights: capacity taken by each entry.
+        labels: the distinguished kinds (identifiers, functions), in order of appearance.
+        ranks: sort key of each label.
+        names: description of each label.
     """
 
     name: str
@@ -37,13 +37,13 @@ class Traffic:
     names: list[str] = field(default_factory=list)
 
     def add(self, time_ns: int, key: int, weight: int) -> None:
-        """One more entry."""
+        """Add one entry."""
         self.times_ns.append(time_ns)
         self.keys.append(key)
         self.weights.append(weight)
 
     def label(self, text: str, rank: int, name: str = "") -> int:
-        """The number of a new label; from `LABELS_MAX` on there is one for all the rest."""
+        """Return the number of a new label; from `LABELS_MAX` on, one number for all the rest."""
         if len(self.labels) >= LABELS_MAX:
             if len(self.labels) == LABELS_MAX:
                 self.labels.append("others")
@@ -57,4 +57,4 @@ class Traffic:
 
 
 LABELS_MAX = 4_000
-"""Identifiers that are told apart on one bus."""
+"""Limit of distinguished identifiers on one bus."""

@@ -1,4 +1,4 @@
-"""Snapshots of controllers: messages whose fields their channel tells itself."""
+"""Snapshots of controllers, whose channel defines its own fields."""
 
 from typing import Final, final
 
@@ -7,7 +7,7 @@ from traces.schema import Schema
 
 PREFIX: Final = "motorhil.truth."
 
-# Source: google/protobuf/descriptor.proto; only what is looked at.
+# Source: google/protobuf/descriptor.proto; only the fields used here.
 _FIELD: Final = Message(
     "google.protobuf.FieldDescriptorProto",
     (Field(1, "name", Kind.STRING), Field(3, "number", Kind.INT32), Field(5, "type", Kind.INT32)),
@@ -33,7 +33,7 @@ _SET: Final = Message(
 
 
 def message_of(schema: Schema) -> Message | None:
-    """The message type of a channel of truth, its fields of type double; None: it is none."""
+    """Return the message type of a truth channel with its double fields, or None."""
     if not schema.name.startswith(PREFIX) or schema.encoding != "protobuf":
         return None
     try:
@@ -63,17 +63,17 @@ def _doubles(fields: object) -> tuple[Field, ...]:
 
 @final
 class TruthReader:
-    """Reads the messages of one channel of truth."""
+    """Reader of the messages of one truth channel."""
 
     def __init__(self, message: Message) -> None:
         self._message = message
         self._names = [field.name for field in message.fields]
 
     def read(self, payload: bytes) -> dict[str, float]:
-        """Every field; one that is not there is 0, as protobuf has it.
+        """Return every field; a missing one is 0, as in protobuf.
 
         Raises:
-            ValueError: the payload is no such message.
+            ValueError: the payload is not such a message.
         """
         told = decode(self._message, payload)
         values: dict[str, float] = {}

@@ -1,8 +1,8 @@
-"""Where the workers of `harness.sharing.processes` run, are killed, and are paused.
+"""Arena: the process that runs, kills and pauses the worker processes.
 
     python -m harness.sharing.arena FOLDER PLAN
 
-A process of its own, which forks the workers before it has had any lock itself, and has no threads.
+The arena is a separate process without threads, and forks the workers before it has held any lock.
 """
 
 import ctypes
@@ -31,7 +31,7 @@ _PR_SET_PDEATHSIG: Final = 1
 
 @final
 class _Arena:
-    """The workers there are."""
+    """The running workers."""
 
     def __init__(self, folder: Path, plan: Plan) -> None:
         self.folder, self.plan = folder, plan
@@ -50,7 +50,7 @@ class _Arena:
             self.spawn()
 
     def spawn(self) -> None:
-        """One more worker."""
+        """Fork one more worker."""
         number = self.spawned
         self.spawned += 1
         arena = os.getpid()
@@ -71,7 +71,7 @@ class _Arena:
             os._exit(status)
 
     def goes_on(self) -> bool:
-        """Whether anybody has not come to an end by himself."""
+        """Return True while a worker is running; count those that have ended by themselves."""
         for pid in self.pids:
             if os.waitpid(pid, os.WNOHANG)[0]:
                 del self.numbers[pid]
@@ -79,7 +79,7 @@ class _Arena:
         return bool(self.numbers)
 
     def kill_one(self) -> None:
-        """Somebody is dead, and somebody new is there."""
+        """Kill one worker and start a new one."""
         pid = self.stop_inside() if self.plan.kill_inside else self.random.choice(self.pids)
         if pid is None:
             return
@@ -102,11 +102,11 @@ class _Arena:
 
     @property
     def pids(self) -> list[int]:
-        """Of those who live."""
+        """The process IDs of the running workers."""
         return list(self.numbers)
 
     def _stop(self, pid: int) -> bool:
-        """Whether he stands still; if he had ended by himself, somebody new is there."""
+        """Stop a worker and return True; if it has ended by itself, replace it and return False."""
         os.kill(pid, signal.SIGSTOP)
         if os.WIFSTOPPED(os.waitpid(pid, os.WUNTRACED)[1]):
             return True
@@ -116,7 +116,7 @@ class _Arena:
         return False
 
     def stop_inside(self) -> int | None:
-        """One that says he has the motor is stopped there; None: nobody says so for a while."""
+        """Stop a worker that reports to have the motor; return None if none does for a while."""
         until_s = time.monotonic() + GRACE_S
         while time.monotonic() < until_s:
             pid: int = PAGE.unpack_from(self.page, INSIDE_AT)[0]
@@ -125,11 +125,11 @@ class _Arena:
                     return pid
                 os.kill(pid, signal.SIGCONT)
             _pass(0.001)
-        self.counts["nobody inside"] += 1
+        self.counts["no owner inside"] += 1
         return None
 
     def pause_one(self) -> None:
-        """Somebody was stopped for a while, and goes on."""
+        """Stop one worker for a while, then continue it."""
         pid = self.stop_inside() if self.plan.pause_inside else self.random.choice(self.pids)
         if pid is None or not (self.plan.pause_inside or self._stop(pid)):
             return
@@ -139,7 +139,7 @@ class _Arena:
         os.kill(pid, signal.SIGCONT)
 
     def end(self) -> None:
-        """All have ended; those who do not end by themselves are killed."""
+        """End all workers; kill those that do not end by themselves."""
         PAGE.pack_into(self.page, OVER_AT, 1)
         watches = {os.pidfd_open(pid): pid for pid in self.numbers}
         until_s = time.monotonic() + GRACE_S
@@ -156,7 +156,7 @@ class _Arena:
 
 
 def _die_with(parent: int) -> None:
-    """This process is killed when the arena dies, however it dies, and even if it is paused."""
+    """Have this process killed when the arena dies in any way, even while it is paused."""
     ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGKILL)
     if os.getppid() != parent:
         os._exit(1)
@@ -188,7 +188,7 @@ def _act(arena: _Arena, plan: Plan) -> tuple[int, int]:
 
 
 def main() -> None:
-    """In the arena: the plan of the command line has been carried out, and told on stdout."""
+    """Carry out the plan of the command line and print the outcome on stdout."""
     plan = Plan(**json.loads(sys.argv[2]))
     arena = _Arena(Path(sys.argv[1]), plan)
     try:

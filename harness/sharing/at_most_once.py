@@ -1,17 +1,17 @@
-"""A relative move is never made twice, whatever becomes of frames: a property for any adaptation.
+"""Property: a relative move is never made twice, whatever happens to frames.
 
-"One radian further" is the one command that must not be repeated blindly. When its reply is lost,
-the host cannot know whether the motor heard it; who then sends it again may move two radians. So
-whatever is lost, delayed or repeated on the bus, in either direction, of one move must hold:
+"One radian further" is a command that must not be repeated blindly. If its reply is lost, the host
+cannot know whether the motor received it. A host that sends it again may move two radians. Whatever
+is lost, delayed or repeated on the bus during a move, in either direction, must satisfy:
 
-- Reported done: the motor is the distance further, and no more.
-- Reported failed, by an error of `motorapi`: it is anywhere from where it was to the distance
-  further. Nobody knows, but it was not further at any time.
-- What comes late (answers, commands) moves it no more once it has come to rest.
-- Whatever is raised is an error of `motorapi`, and not one of the adaptation's own code.
+- Reported done: the motor is further by exactly the distance.
+- Reported failed, by an error of `motorapi`: the motor is anywhere between its start and the
+  distance, and was never further.
+- Late frames (answers, commands) do not move it any more once it has come to rest.
+- Any raised exception is an error of `motorapi`, and not one of the adaptation's own code.
 
-That is judged on the truth in the emulated controller, never on what the adaptation says. To run it
-on an adaptation of yours, write a rig with a motor of yours, and say how it moves:
+The judgement uses the truth in the emulated controller, never the adaptation's reports. To run it
+on your own adaptation, write a rig with your motor, and describe how it moves:
 
     from harness.rig import Rig
     from harness.sharing.at_most_once import at_most_once
@@ -25,11 +25,11 @@ on an adaptation of yours, write a rig with a motor of yours, and say how it mov
 
     test_a_move_is_made_at_most_once = at_most_once(mover_of("wheel", opened, position))
 
-`at_most_once` is a Hypothesis test: a plan of moves and faults that breaks the property is shrunk
-to a small one, printed, and can be given to `judge` again. `single_faults` are the plans with
-exactly one fault, at each frame in turn from the start of a move until it is under way. A property
-that is never put to the test holds as well: look at the `Reach` of either, and demand what you
-want to be sure of, such as moves that failed although the motor had made them.
+`at_most_once` is a Hypothesis test. A plan of moves and faults that breaks the property is shrunk
+and printed, and can be given to `judge` again. `single_faults` are the plans with exactly one
+fault, at each frame in turn from the start of a move until it is under way. A property that is
+never tested holds as well. Check the `Reach` of either, and require the cases that you need, such
+as moves that failed although the motor had made them.
 """
 
 from collections.abc import Callable
@@ -57,11 +57,11 @@ _MS: Final = 1_000_000
 @final
 @dataclass(frozen=True, slots=True)
 class Traffic:
-    """What is on the buses while a move is made, undisturbed.
+    """The frames on the buses during one undisturbed move.
 
     Attributes:
-        identifiers: of all frames, sorted.
-        starting: frames from the call until the motor was under way.
+        identifiers: identifiers of all frames, sorted.
+        starting: number of frames from the call until the motor is under way.
     """
 
     identifiers: tuple[int, ...]
@@ -69,10 +69,10 @@ class Traffic:
 
 
 def traffic_of(mover: Mover, distance: float | None = None) -> Traffic:
-    """What is on the buses while the mover makes a move of `distance` [U]; None: half its longest.
+    """Record the traffic of a move of `distance` [U]; None: half of the longest one.
 
     Raises:
-        MadeMoreThanOnce: the motor did not move as it said.
+        MadeMoreThanOnce: the motor did not move as reported.
     """
     way = mover.distance_max / 2.0 if distance is None else distance
     heard: list[tuple[int, int]] = []
@@ -98,7 +98,7 @@ def traffic_of(mover: Mover, distance: float | None = None) -> Traffic:
 
 
 def single_faults(mover: Mover) -> list[Plan]:
-    """Two moves forth and back with one fault each: at every frame of a start, every kind."""
+    """Return plans of two moves, forth and back, with one fault at each frame of a start."""
     traffic = traffic_of(mover)
     distance = mover.distance_max / 2.0
     delays_ns = mover.delays_ns[len(mover.delays_ns) // 2 :: 2]
@@ -117,7 +117,7 @@ def single_faults(mover: Mover) -> list[Plan]:
 
 
 def plans(mover: Mover) -> st.SearchStrategy[Plan]:
-    """Plans of any kind for the mover: faults hit all frames or those of one identifier."""
+    """Return a strategy of plans whose faults affect all frames or those of one identifier."""
     return st.deferred(lambda: _plans(mover, traffic_of(mover)))
 
 
@@ -171,13 +171,13 @@ def _rule(
 def at_most_once(
     mover: Mover, *, examples: int = 50, reach: Reach | None = None, shrink: bool = True
 ) -> Callable[[], None]:
-    """The property as a Hypothesis test, to be called without arguments or found by pytest.
+    """Return the property as a Hypothesis test without arguments, for pytest or a direct call.
 
     Args:
-        mover: what is judged.
-        examples: how many plans.
-        reach: what is reached is added to it.
-        shrink: look for the smallest plan that breaks it, which may take minutes.
+        mover: the move to judge.
+        examples: number of plans.
+        reach: the reached cases are added to it.
+        shrink: search for the smallest failing plan, which may take minutes.
     """
     phases = [phase for phase in Phase if shrink or phase not in (Phase.shrink, Phase.explain)]
 

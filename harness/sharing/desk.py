@@ -1,4 +1,4 @@
-"""What a worker of `harness.sharing.processes` has; and the simplest worker."""
+"""Desk of a worker process: its name, history and shared page; and the simplest worker."""
 
 import mmap
 import os
@@ -26,9 +26,14 @@ _PATIENCE_S: Final = 10.0
 
 @final
 class Desk:
-    """What a worker has: its name and number, its own chance, a history, and a page that all share.
+    """The equipment of a worker.
 
-    Attributes: name, number, random, history, folder (a private one of all workers), facts.
+    Attributes:
+        folder: a private folder of all workers.
+        facts: the facts of the plan.
+        number, name: identify the worker.
+        random: its own random generator.
+        history: notes the worker's uses.
     """
 
     def __init__(self, folder: Path, plan: Plan, number: int, page: mmap.mmap, log: int) -> None:
@@ -46,11 +51,11 @@ class Desk:
 
     @property
     def is_over(self) -> bool:
-        """Whether it is time to end."""
+        """True when the worker has to end."""
         return self._read(OVER_AT) != 0
 
     def note_inside(self, inside: bool) -> None:
-        """He has the motor, or not, by his own word."""
+        """Note whether this worker has the motor, by its own account."""
         if inside:
             self._write(INSIDE_AT, os.getpid())
         elif self._read(INSIDE_AT) == os.getpid():
@@ -58,7 +63,7 @@ class Desk:
 
     @property
     def value(self) -> int:
-        """What stands in the page: the simplest of all things to command."""
+        """The number in the shared page, the simplest thing to command."""
         return self._read(_VALUE_AT)
 
     @value.setter
@@ -66,11 +71,11 @@ class Desk:
         self._write(_VALUE_AT, value)
 
     def fact(self, name: str, otherwise: float) -> float:
-        """A number of the plan's facts."""
+        """Return a number of the plan's facts."""
         return float(cast("float", self.facts.get(name, otherwise)))
 
     def spend(self, time_s: float) -> None:
-        """So much of the wall's time has passed, at work."""
+        """Keep the processor busy for this wall time [s]."""
         until_ns = time.monotonic_ns() + round(time_s * 1e9)
         while time.monotonic_ns() < until_ns:
             pass
@@ -84,9 +89,9 @@ class Desk:
 
 
 def work_lock(desk: Desk) -> None:
-    """Takes a bare lock again and again, and commands a number in memory while it has it.
+    """Take a bare lock repeatedly, and command a number in memory while holding it.
 
-    Facts: inside_s, lease_s (0: none), take_over (how often of 1), commands (each time).
+    Facts: inside_s, lease_s (0: none), take_over (probability), commands (each time).
     """
     lock = ProcessLock("lock", "the lock", LockDirectory(desk.folder / "locks"))
     runtime = WallRuntime()
@@ -120,7 +125,7 @@ def work_lock(desk: Desk) -> None:
         is_lost = hold.lost_to is not None
         hold.release()
         can_be_lost = bool(lease_s) or desk.fact("take_over", 0.0) > 0.0
-        unsure = Answer.UNKNOWN if can_be_lost else Answer.DONE  # between looking and giving
+        unsure = Answer.UNKNOWN if can_be_lost else Answer.DONE  # lost after the check
         give.returned(Answer.LOST if is_lost else unsure)
 
 

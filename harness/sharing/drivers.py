@@ -1,16 +1,18 @@
-"""Workers of `harness.sharing.processes` that share real motors: on a hub, or on SocketCAN.
+"""Workers that share real motors, on a hub or on SocketCAN.
 
     facts = {"channel": "/tmp/hub", "model": "wheel_model.toml", "node_ids": [1]}
     outcome = run(Plan(work="harness.sharing.drivers:work_motor", workers=4, facts=facts))
 
-Their motors are drives by CiA 402, unless facts["make"] names a function "module:function" of your
-own that is given the desk and returns the motors of that process, in the same order in each, named
-alike but for the process. Each worker opens the bus for itself, as unrelated programs do.
+Their motors are CiA 402 drives, unless facts["make"] names your own function as "module:function".
+The function takes the desk and returns the motors of that process. All processes must use the same
+order, and the same names apart from the process. Each worker opens the bus by itself, as unrelated
+programs do.
 
-`work_motor` shares the first motor: reserves it, with a lease if facts["lease_s"] says so, or takes
-it over, moves it there and back, and gives it back. `work_groups` shares all: it reserves them as a
-group for facts["rounds"] rounds, every other worker in the opposite order, and moves them in every
-facts["move_every"]-th; each round that ends is counted as a use of the motor "rounds".
+`work_motor` shares the first motor: it reserves the motor, with a lease if facts["lease_s"] is set,
+or takes it over. Then it moves the motor there and back, and releases it. `work_groups` shares all
+motors: it reserves them as a group for facts["rounds"] rounds. Every other worker uses the opposite
+order. The motors move in every facts["move_every"]-th round. Each completed round counts as a use
+of the motor "rounds".
 """
 
 from collections.abc import Callable
@@ -39,7 +41,7 @@ _TAKEN: Final = (LockAction.TAKEN, LockAction.BROKEN, LockAction.TAKEN_OVER)
 
 
 def drives(desk: Desk) -> list[Motor]:
-    """A motor on each drive of facts["node_ids"], on the bus of facts["channel"]."""
+    """Return a motor for each drive of facts["node_ids"], on the bus of facts["channel"]."""
     import can
 
     from motorapi.adaptations.cia402 import Cia402HwMotor, Cia402Motor, HwOptions
@@ -70,7 +72,7 @@ def _label(motor: Motor) -> str:
 
 
 def work_motor(desk: Desk) -> None:
-    """Reserves the first motor again and again and moves it; see above."""
+    """Reserve and move the first motor repeatedly; see the module's description."""
     motor = _motors(desk)[0]
     told: list[OwnershipEvent] = []
     motor._physical.ownership.listeners.append(told.append)  # noqa: SLF001 -- who has it
@@ -98,15 +100,15 @@ def work_motor(desk: Desk) -> None:
                 give = _move_in_turn(desk, motor, reservation, turn)
             desk.note_inside(False)
             give.returned(_given(desk, reservation))
-        except MotorBusyError:  # in reserve(): inside of the block they are seen to
+        except MotorBusyError:  # from reserve(); inside the block it is handled there
             was_taken = any(event.action in _TAKEN for event in told)
             take.returned(Answer.UNKNOWN if was_taken else Answer.REFUSED)
-            if was_taken:  # and lost again, or given back because somebody was stopping it
+            if was_taken:  # lost again, or released because another process was stopping it
                 desk.history.call(desk.name, _label(motor), Action.GIVE).returned(Answer.UNKNOWN)
 
 
 def _move_in_turn(desk: Desk, motor: Motor, reservation: "Reservation", turn: int) -> Note:
-    """A motion or two were made, as far as the motor was still his; he is about to give it back."""
+    """Make a motion or two while the motor is owned; return the note of the coming release."""
     for number in range(round(desk.fact("commands", 2))):
         value = (turn * 10 + number) * 1000 + desk.number
         command = desk.history.call(desk.name, _label(motor), Action.COMMAND, value=value)
@@ -115,14 +117,14 @@ def _move_in_turn(desk: Desk, motor: Motor, reservation: "Reservation", turn: in
             motor.start()
         except MotorBusyError:
             lost = reservation.lost_to is not None
-            command.returned(Answer.LOST if lost else Answer.UNKNOWN)  # unknown: somebody stops it
+            command.returned(Answer.LOST if lost else Answer.UNKNOWN)  # it is being stopped
             break
         except MotorError:
             command.returned(Answer.UNKNOWN)
             break
         command.returned()
         if desk.random.random() < desk.fact("stalls", 0.0):
-            desk.spend(desk.fact("stall_s", 0.1))  # neither waits nor commands, as behind a prompt
+            desk.spend(desk.fact("stall_s", 0.1))  # idle, like a program at a prompt
         try:
             motor.wait_until_done(_PATIENCE_S)
         except MotorError:
@@ -149,7 +151,7 @@ def _set_course(desk: Desk, motor: Motor) -> None:
 
 
 def work_groups(desk: Desk) -> None:
-    """Reserves all motors as a group, round by round; see above."""
+    """Reserve all motors as a group, in rounds; see the module's description."""
     motors = _motors(desk)
     if desk.number % 2:
         motors.reverse()

@@ -1,22 +1,23 @@
-"""What a bus itself proves: who commanded a motor, and whose it was just then.
+"""Evidence from a recorded bus: who commanded a motor, and who owned it then.
 
     evidence = read_evidence("run.mcap", {"left": ("can0", 1)})
     print(evidence.table())
     evidence.require_sound()
 
-The recording has every frame with who sent it, and every handover of a motor with who has it under
-what token (`harness.ownership_record`). Between the moment that one is told to have it and the
-moment that he gives it back, or that it is taken from him, no commanding frame of anybody else may
-be on the bus. A *commanding* frame is one that may start or change motion or settings: an RPDO, a
-request of an SDO download, NMT to the node. A controlword that only stops (disable voltage, quick
-stop, halt, disable operation) is none: stopping takes nobody's permission; nor are questions, SYNC,
-heartbeats, and NMT start, by which whoever joins makes a node speak. A frame that was handed to the
-bus by its owner just before he lost the motor may come after it, by as long as it waited for its
-turn: that is what `late_s` allows, and it is counted.
-So are settings of the next owner (no RPDOs) in what looks like the end of the time of one who died
-or lost it, or was heard to give it back too late: nobody tells when one dies, and a program that
-joins sets the drive up under the lock before it has the motor for an operation of its own, which
-alone is told.
+The recording has every frame with its sender, and every handover of a motor with its owner and
+token (`OwnershipRecord`). While one process owns a motor, until it releases or loses it, no
+commanding frame of another process may be on the bus. A *commanding* frame may start or change
+motion or settings: an RPDO, a request of an SDO download, NMT to the node. A controlword that only
+stops (disable voltage, quick stop, halt, disable operation) is not commanding, since stopping needs
+no ownership. SDO uploads, SYNC, heartbeats and NMT start are not commanding either; a joining host
+uses NMT start to make a node transmit. A frame passed to the bus just before its sender lost the
+motor may follow later, by its waiting time on the bus. `late_s` allows for that, and such frames
+are counted.
+
+Settings of the next owner (no RPDOs) may appear before the recorded end of an ownership. This
+happens if its owner died or lost it, or if its release was recorded too late. A death is not
+reported. A joining program sets up the drive under the lock, before it owns the motor for its own
+operation. Only the latter ownership is reported.
 """
 
 import os
@@ -48,7 +49,7 @@ _SHOWN: Final = 5
 @final
 @dataclass(frozen=True, slots=True)
 class BusFrame:
-    """A frame that was on a bus: when it was complete, and who sent it."""
+    """A complete frame on a bus, with its time [ns] and its sender."""
 
     bus: str
     time_ns: int
@@ -63,14 +64,14 @@ class BusFrame:
 @final
 @dataclass(frozen=True, slots=True)
 class Evidence:
-    """What the frames of a recording prove of its motors.
+    """The proof that the frames of a recording give for its motors.
 
     Attributes:
-        counts: commanding frames by motor and by whose the motor was: "own", "late" (the sender's
-            shortly before), "next" (see above), "free" (nobody's), "foreign".
-        foreign: the last kind, with whose the motor was.
-        contradictions: of what was told of ownership.
-        unseen: motors of which nothing is proven: no frame commanded them, if there are any at all.
+        counts: commanding frames by motor and owner at that time: "own", "late" (the sender's
+            shortly before), "next" (see above), "free" (no owner), "foreign".
+        foreign: the foreign frames, with the owner at that time.
+        contradictions: contradictions in the ownership record.
+        unseen: motors without any commanding frame, about which nothing is proved.
     """
 
     counts: Mapping[str, int]
@@ -79,34 +80,34 @@ class Evidence:
     unseen: tuple[str, ...]
 
     def table(self) -> str:
-        """The counts, for people."""
+        """Return the counts as text."""
         return "\n".join(f"{count:8d}  {name}" for name, count in sorted(self.counts.items()))
 
     def require_sound(self) -> None:
-        """Raises SharingViolated if somebody commanded a motor that was another's, or nobody did.
+        """Raise SharingViolated if a frame commanded another owner's motor, or if none was seen.
 
-        A recording without a commanding frame of a motor (a wrong bus, or node-ID) proves nothing.
+        A recording without a commanding frame of a motor (wrong bus or node-ID) proves nothing.
         """
         if self.contradictions:
             raise SharingViolated("\n".join(self.contradictions))
         if self.foreign:
             lines = [f"    {frame}\n  while {tenure}" for frame, tenure in self.foreign[:_SHOWN]]
             raise SharingViolated(
-                f"{len(self.foreign)} commanding frames of one who did not have the motor:\n"
-                + "\n".join(lines)
+                f"{len(self.foreign)} commanding frames from a process that did not own the "
+                "motor:\n" + "\n".join(lines)
             )
         if self.unseen:
             raise SharingViolated(
-                f"nothing is proven of {', '.join(self.unseen)}: no frame there commands it;"
-                " give the bus and the node-ID of each motor that was moved"
+                f"nothing is proved about {', '.join(self.unseen)}: no frame commands it; give "
+                "the bus and the node-ID of each moved motor"
             )
 
 
 def commanded_node(can_id: int, data: bytes) -> int | None:
-    """Which node's motion or settings the frame may change (0: all); None: nobody's.
+    """Return the node whose motion or settings the frame may change (0: all), or None.
 
-    Source: CiA 301 (predefined connection set; SDO command specifiers; NMT), CiA 402-2 (commands
-    in the controlword, halt). The controlword is taken to be the first object of an RPDO.
+    Source: CiA 301 (predefined connection set; SDO command specifiers; NMT), CiA 402-2 (commands in
+    the controlword, halt). The controlword is assumed to be the first object of an RPDO.
     """
     if can_id == 0:
         return data[1] if len(data) > 1 and data[0] != _NMT_START else None
@@ -123,12 +124,12 @@ def commanded_node(can_id: int, data: bytes) -> int | None:
 
 
 def _only_stops(data: bytes) -> bool:
-    """Whether the controlword in front stops, or switches off, and nothing else."""
+    """Return True if the leading controlword only stops or switches off."""
     if len(data) < _CONTROLWORD.size:
         return False
     word: int = _CONTROLWORD.unpack_from(data)[0]
     if word & 0x80:
-        return False  # a reset of a fault changes the drive's state
+        return False  # a fault reset changes the drive's state
     if not word & 0x02 or not word & 0x04:
         return True  # disable voltage, quick stop
     return not word & 0x08 or bool(word & 0x100)  # shutdown, switch on = disable operation; halt
@@ -141,13 +142,13 @@ def judge_frames(
     *,
     late_s: float = 0.002,
 ) -> Evidence:
-    """What the frames prove; of any source.
+    """Judge frames of any source.
 
     Args:
         frames: in any order.
-        ownership: who had which motor when, by the same clock.
+        ownership: the owners of each motor, by the same clock.
         nodes: (bus, node-ID) of each motor.
-        late_s: how long after he lost or gave back the motor a frame of one who had it may come.
+        late_s: how long a frame may follow after its sender lost or released the motor [s].
     """
     counts: Counter[str] = Counter()
     foreign: list[tuple[BusFrame, Tenure]] = []
@@ -175,13 +176,13 @@ def judge_frames(
             if motor not in seen
         ]
         if nodes
-        else ["any motor (none is named)"]
+        else ["any motor (no motor is named)"]
     )
     return Evidence(dict(counts), tuple(foreign), ownership.contradictions, tuple(unseen))
 
 
 def _whose(tenures: Sequence[Tenure], frame: BusFrame, late_ns: int) -> tuple[str, Tenure | None]:
-    """Whose the motor was when the frame was sent."""
+    """Return the relation of the frame's sender to the motor, and the owner's tenure."""
     owner = next((one for one in reversed(tenures) if one.has(frame.time_ns)), None)
     if owner is None:
         return "free", None
@@ -206,10 +207,10 @@ def read_evidence(
     *,
     late_s: float = 0.002,
 ) -> Evidence:
-    """What a recording proves; arguments as of `judge_frames`.
+    """Judge a recording; the arguments are those of `judge_frames`.
 
     Raises:
-        TraceError: it cannot be read.
+        TraceError: the recording cannot be read.
     """
     frames: list[BusFrame] = []
     with read_trace(recording) as trace:
@@ -219,7 +220,7 @@ def read_evidence(
                 continue
             facts = decode(CAN_FRAME, data)
             if facts.get("extended") or facts.get("remote") or facts.get("error"):
-                continue  # of no use in CANopen, or not sent by anybody
+                continue  # not used in CANopen, or not sent by a node
             can_id, payload, sender = (facts.get(name) for name in ("id", "data", "sender"))
             if isinstance(can_id, int) and isinstance(payload, bytes) and isinstance(sender, str):
                 bus = channel.topic[len("/can/") :]

@@ -1,4 +1,4 @@
-"""Owners of groups that overlap, as `harness.sharing.owners` has them of single motors."""
+"""Owners of overlapping groups; the counterpart of `Owner` for single motors."""
 
 # ruff: noqa: SLF001 -- the harness looks at who has a motor, and lets arming fail
 
@@ -25,7 +25,7 @@ _PATIENT_S: Final = 120.0
 
 @final
 class _WatchedTrigger:
-    """A trigger that tells when it is fired; all else is the trigger's own."""
+    """A trigger that reports its firing; everything else is delegated."""
 
     def __init__(self, trigger: Trigger, watch: "Watch") -> None:
         self.trigger = trigger
@@ -38,19 +38,19 @@ class _WatchedTrigger:
         return repr(self.trigger)
 
     def fire(self) -> None:
-        """As the trigger's."""
+        """Report the firing, then fire the trigger."""
         self._watch.fired()
         self.trigger.fire()
 
 
 @final
 class Watch:
-    """Looks at how one logical motor is armed and fired, and lets arming fail.
+    """Observer of arming and firing of one logical motor; can make arming fail.
 
     Attributes:
-        refuses: whether it refuses to be armed next.
-        was_armed: since `begin`.
-        fired: is called before its trigger is fired.
+        refuses: True if the motor refuses to be armed next.
+        was_armed: True if it was armed since `begin`.
+        fired: called before its trigger is fired.
     """
 
     def __init__(self, motor: Motor) -> None:
@@ -59,18 +59,20 @@ class Watch:
         self.was_armed = False
         self.fired: Callable[[], None] = lambda: None
         self._arm = motor._arm
-        self._known: list[_WatchedTrigger] = []  # one trigger of several motors stays one
+        self._known: list[_WatchedTrigger] = []  # a common trigger stays a single one
         motor._arm = self._watched_arm  # type: ignore[method-assign]
 
     def begin(
         self, fired: Callable[[], None], known: list[_WatchedTrigger], *, refuses: bool
     ) -> None:
-        """A start begins; `known` are its triggers, to be filled in."""
+        """Begin a start; its triggers are added to `known`."""
         self.was_armed, self.refuses, self.fired, self._known = False, refuses, fired, known
 
     def _watched_arm(self, motion: Motion, *, together: bool) -> Trigger:
         if self.refuses:
-            raise LinkError(link=self.motor._physical.label, reason="it refuses, as it was told to")
+            raise LinkError(
+                link=self.motor._physical.label, reason="it refuses, as planned by the test"
+            )
         trigger = self._arm(motion, together=together)
         self.was_armed = True
         for known in self._known:
@@ -81,18 +83,18 @@ class Watch:
 
 
 def watched(motor: Motor) -> Watch:
-    """The motor, looked at from now on."""
+    """Return an observer of the motor."""
     return Watch(motor)
 
 
 @final
 class GroupOwner(Party):
-    """Somebody with a logical motor of each physical one, who moves them in groups.
+    """An owner with a logical motor of each physical one, who moves them in groups.
 
     Args:
-        name: who.
-        motors: of each physical motor his own, in the order of the rig.
-        number: among all owners.
+        name: its name.
+        motors: its logical motor of each physical one, in the order of the rig.
+        number: its number among all owners.
     """
 
     def __init__(self, name: str, motors: Sequence[Watch], number: int, stage: Stage) -> None:
@@ -103,7 +105,7 @@ class GroupOwner(Party):
     def move(
         self, chosen: Sequence[int], refuses: int | None, reserves: bool, patient: bool
     ) -> None:
-        """The motors chosen were moved together; or none was, for one refused, or was not free."""
+        """Move the chosen motors together, or none if one refuses or is not free."""
         stage = self.stage
         places = list(dict.fromkeys(place % len(self.motors) for place in chosen))
         watches = [self.motors[place] for place in places]
@@ -124,7 +126,7 @@ class GroupOwner(Party):
                 )
             except LinkError:
                 stage.counts[f"{words}: one refused to be armed"] += 1
-                stage.require(refusing is not None, f"{self.name}: nobody was told to refuse")
+                stage.require(refusing is not None, f"{self.name}: a motor refused unexpectedly")
             except MotorError as error:
                 stage.counts[f"{words}: {type(error).__name__}"] += 1
             else:
@@ -146,9 +148,7 @@ class GroupOwner(Party):
         def fired() -> None:
             late = [watch.motor.name for watch in watches if not watch.was_armed]
             stage.counts["trigger fired"] += 1
-            stage.require(
-                not late, f"{self.name}: fired before {', '.join(late)} was armed and had said so"
-            )
+            stage.require(not late, f"{self.name}: fired before {', '.join(late)} was armed")
 
         known: list[_WatchedTrigger] = []
         for watch in watches:
@@ -163,17 +163,17 @@ class GroupOwner(Party):
             raise
         if not reserved:
             self._take(watches)
-        gives = [] if reserved else self._gives(watches)  # he has them as long as they move
+        gives = [] if reserved else self._gives(watches)  # owned as long as they move
         group.wait_until_done(_PATIENT_S)
         for give in gives:
             give.returned()
         took_s = (stage.runtime.now_ns() - self._begun_ns(watches)) / 1e9
         stage.require(
             abs(took_s - duration_s) <= stage.course.tolerance_s,
-            f"{self.name} asked for {duration_s:g} s, and it took {took_s:g} s",
+            f"{self.name} asked for {duration_s:g} s, but the motion took {took_s:g} s",
         )
         if reserved:
-            self._require_moved(watches, before, ways, "to where it was told to")
+            self._require_moved(watches, before, ways, "to its target")
 
     def _begun_ns(self, watches: Sequence[Watch]) -> int:
         runs = [watch.motor._run for watch in watches]
@@ -212,6 +212,6 @@ class GroupOwner(Party):
             self.stage.history.call(self.name, label, Action.TAKE).returned()
 
     def _gives(self, watches: Sequence[Watch]) -> list[Note]:
-        """They are his no more, when that is completed."""
+        """Begin the notes of release; they are completed when ownership has ended."""
         labels = [watch.motor._physical.label for watch in watches]
         return [self.stage.history.call(self.name, label, Action.GIVE) for label in labels]

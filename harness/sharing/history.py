@@ -1,19 +1,19 @@
-"""Who did what with one motor, when, and what came of it: what sharing is judged by.
+"""History of motor uses by several parties: the basis for judging sharing.
 
-Every use is noted twice, before it can have an effect and after it cannot any more; so a note that
-was never completed (whoever made it died, or waits still) is a use that *may* have had its effect,
-up to the end of the one who made it. Times are of one clock that all share.
+Every use is noted twice, before it can have an effect and after its effect has ended. A note may
+remain incomplete, because its author died or still waits. Such a use *may* have had its effect,
+until the end of its author. All times come from one common clock.
 
-A use is one of these. The answer says what came of it:
+A use is one of these. The answer gives its result:
 
-| action  | done                                | refused                       | lost             |
-| ------- | ----------------------------------- | ----------------------------- | ---------------- |
-| TAKE    | the motor is his, under a token;    | somebody else has it, or      |                  |
-|         | also from a living one, if `forced` | waits for it and was first    |                  |
-| GIVE    | he has it no more                   |                               |                  |
-| COMMAND | the motor does what he says         | it was never his              | he had lost it   |
-| READ    | `value` was commanded last          |                               |                  |
-| DIE     | he, and whatever he had, is gone    |                               |                  |
+| action  | done                                  | refused                     | lost             |
+| ------- | ------------------------------------- | --------------------------- | ---------------- |
+| TAKE    | it owns the motor under a token;      | another one owns it, or     |                  |
+|         | if `forced`, also from a living owner | waits for it and was first  |                  |
+| GIVE    | it has released the motor             |                             |                  |
+| COMMAND | the motor executes the command        | it never owned the motor    | it had lost it   |
+| READ    | `value` is the last command           |                             |                  |
+| DIE     | it is gone with everything it owned   |                             |                  |
 """
 
 import json
@@ -25,12 +25,12 @@ from typing import Final, final
 
 
 class SharingViolated(AssertionError):  # noqa: N818 -- it says what happened, as a verdict does
-    """What must hold of motors that are shared did not; the message names the uses."""
+    """A violated rule of motor sharing; the message names the uses."""
 
 
 @final
 class Action(Enum):
-    """What somebody did."""
+    """The kind of a use."""
 
     TAKE = "take"
     GIVE = "give"
@@ -41,7 +41,7 @@ class Action(Enum):
 
 @final
 class Answer(Enum):
-    """What came of it. UNKNOWN: whoever asked never said."""
+    """The result of a use. UNKNOWN: its author did not report it."""
 
     DONE = "done"
     REFUSED = "refused"
@@ -52,14 +52,15 @@ class Answer(Enum):
 @final
 @dataclass(frozen=True, slots=True)
 class Use:
-    """One use of one motor by one who uses nothing else meanwhile.
+    """One use of one motor, by an author with no other use in progress.
 
-    called_ns: before it could have an effect.
-    returned_ns: after it could not any more.
-    queued_ns: TAKE: when he was in the queue at the latest, where that was seen; else None.
-    token: TAKE, done: what he owns it under; 0: not told.
-    value: COMMAND: what he said; READ: what he read.
-    forced: TAKE: from a living owner, as a lease that ended or an explicit takeover allow.
+    Attributes:
+        called_ns: a time before its effect [ns].
+        returned_ns: a time after its effect [ns].
+        queued_ns: TAKE: when the author was in the queue at the latest [ns]; None if not observed.
+        token: TAKE, done: the token of the ownership; 0: unknown.
+        value: COMMAND: the commanded value; READ: the value read.
+        forced: TAKE: allowed from a living owner, by an expired lease or an explicit takeover.
     """
 
     who: str
@@ -86,7 +87,7 @@ class Use:
 
 @final
 class Note:
-    """A use that goes on; `returned` completes it."""
+    """A use in progress; `returned` completes it."""
 
     __slots__ = ("_history", "_place", "_use")
 
@@ -96,14 +97,14 @@ class Note:
         self._use = use
 
     def queued(self) -> None:
-        """He is in the queue now."""
+        """Note that the author is in the queue now."""
         self._use = replace(self._use, queued_ns=self._history.now_ns())
         self._history.replace(self._place, self._use)
 
     def returned(
         self, answer: Answer = Answer.DONE, *, token: int = 0, value: int = 0, forced: bool = False
     ) -> Use:
-        """It had its effect, or none, and this is what came of it."""
+        """Complete the use with its result."""
         use = replace(
             self._use,
             returned_ns=self._history.now_ns(),
@@ -118,11 +119,11 @@ class Note:
 
 @final
 class History:
-    """Uses, in the order of their calls.
+    """Uses in the order of their calls.
 
     Args:
-        now_ns: the clock that all share.
-        tell: is told every use as soon as it is called, and again when more is known of it.
+        now_ns: the common clock [ns].
+        tell: called with every use when it begins, and again when more is known.
     """
 
     def __init__(
@@ -141,7 +142,7 @@ class History:
     def call(
         self, who: str, motor: str, action: Action, *, value: int = 0, forced: bool = False
     ) -> Note:
-        """`who` is about to do it. Until the note is completed nobody knows what came of it."""
+        """Note that `who` is about to do it; the result is unknown until the note is completed."""
         now_ns = self.now_ns()
         use = Use(
             who, motor, action, now_ns, FOREVER_NS, Answer.UNKNOWN, value=value, forced=forced
@@ -152,13 +153,13 @@ class History:
         return Note(self, len(self._uses) - 1, use)
 
     def replace(self, place: int, use: Use) -> None:
-        """The use that was noted there is this one."""
+        """Replace the use noted at this index."""
         self._uses[place] = use
         if self._tell is not None:
             self._tell(use)
 
     def uses(self) -> tuple[Use, ...]:
-        """All, those of the dead ended by their death."""
+        """Return all uses; incomplete ones of the dead end with their death."""
         return ended_by_death(self._uses)
 
 
@@ -166,9 +167,9 @@ FOREVER_NS: Final = 1 << 62
 
 
 def ended_by_death(uses: Iterable[Use]) -> tuple[Use, ...]:
-    """What somebody began and never completed has had its effect by the end of his death, or none.
+    """End the incomplete uses of the dead with their death.
 
-    Where he died in the middle of several motors, he died at each of them.
+    A death is copied to every motor that the dead party used.
     """
     uses = list(uses)
     died = {use.who: use for use in uses if use.action is Action.DIE}
@@ -186,7 +187,7 @@ def ended_by_death(uses: Iterable[Use]) -> tuple[Use, ...]:
 
 
 def per_motor(uses: Iterable[Use]) -> dict[str, list[Use]]:
-    """The uses of each motor, in the order of their calls."""
+    """Return the uses of each motor in the order of their calls."""
     motors: dict[str, list[Use]] = {}
     for use in sorted(uses, key=lambda use: use.called_ns):
         motors.setdefault(use.motor, []).append(use)
@@ -194,9 +195,10 @@ def per_motor(uses: Iterable[Use]) -> dict[str, list[Use]]:
 
 
 def overtaken(uses: Sequence[Use]) -> list[tuple[Use, Use]]:
-    """(first, second) of one motor: first was in the queue before second asked, and had it later.
+    """Return pairs of uses (first, second) of one motor where the second overtook the first.
 
-    Judged by tokens, where both have one; whoever takes it from a living one needs no place.
+    The first was in the queue before the second asked, but got the motor later. The order is that
+    of their tokens, if both have one. A forced use from a living owner needs no place in the queue.
     """
     found: list[tuple[Use, Use]] = []
     for of_motor in per_motor(uses).values():
@@ -207,7 +209,7 @@ def overtaken(uses: Sequence[Use]) -> list[tuple[Use, Use]]:
         ]
         queued = [use for use in got if use.queued_ns is not None and use.token]
         queued.sort(key=lambda use: use.token, reverse=True)
-        first: Use | None = None  # of those with a greater token, who was in the queue first
+        first: Use | None = None  # the earliest in the queue among those with a greater token
         for use in queued:
             if first is not None and _place_ns(first) < use.called_ns:
                 found.append((first, use))
@@ -221,7 +223,7 @@ def _place_ns(use: Use) -> int:
 
 
 def tokens_that_did_not_grow(uses: Sequence[Use]) -> list[tuple[Use, Use]]:
-    """(earlier, later) of one motor: the later one was taken afterwards, under no greater token."""
+    """Return pairs of uses (earlier, later) of one motor where the later token is not greater."""
     found: list[tuple[Use, Use]] = []
     for of_motor in per_motor(uses).values():
         got = [use for use in of_motor if use.action is Action.TAKE and use.token]
@@ -236,7 +238,7 @@ def tokens_that_did_not_grow(uses: Sequence[Use]) -> list[tuple[Use, Use]]:
 
 
 def worst_gap_s(uses: Iterable[Use], begun_ns: int, ended_ns: int) -> float:
-    """The longest time [s] in which nobody was given the motor."""
+    """Return the longest time without a grant of the motor [s]."""
     times = sorted(
         use.returned_ns
         for use in uses
@@ -247,7 +249,7 @@ def worst_gap_s(uses: Iterable[Use], begun_ns: int, ended_ns: int) -> float:
 
 
 def to_line(use: Use) -> str:
-    """One line of JSON, without its end."""
+    """Return the use as one line of JSON, without a newline."""
     return json.dumps(
         [
             use.who,
@@ -265,7 +267,7 @@ def to_line(use: Use) -> str:
 
 
 def from_lines(lines: Iterable[str]) -> list[Use]:
-    """What somebody told line by line: of every use what he said of it last."""
+    """Read uses from lines; the last line of each use counts."""
     uses: dict[tuple[str, str, Action, int], Use] = {}
     for line in lines:
         use = from_line(line)
@@ -274,7 +276,7 @@ def from_lines(lines: Iterable[str]) -> list[Use]:
 
 
 def from_line(line: str) -> Use:
-    """What `to_line` wrote."""
+    """Read a use from a line of `to_line`."""
     who, motor, action, called, returned, answer, queued, token, value, forced = json.loads(line)
     return Use(
         who, motor, Action(action), called, returned, Answer(answer), queued, token, value, forced

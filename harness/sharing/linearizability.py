@@ -1,16 +1,18 @@
-"""Whether a history could have come from uses that happened one by one, each at some instant.
+"""Linearizability of histories, and the specification of an owned motor.
 
-A history is *linearizable* if every use can be given one instant between its call and its return,
-such that, one after another at those instants, they are what the sequential specification allows
-(Herlihy & Wing 1990). It is so as a whole if it is so for each motor alone (their Theorem 1), so
-motors are searched one by one.
+In a *linearizable* history every use can be assigned one instant between its call and its return.
+The sequential specification must allow the uses in the order of these instants (Herlihy & Wing
+1990). A history is linearizable if the history of each motor is (their Theorem 1). The motors are
+therefore searched one by one.
 
-The search is that of Wing & Gong (1993), with Lowe's improvements (2017): always the first return
-that is left bounds who may be next, and a set of uses that was reached once with one state is not
-entered again. It is exponential at worst; with n uses of which few overlap it takes some n steps.
+The search is that of Wing & Gong (1993), with Lowe's improvements (2017). The first remaining
+return bounds the candidates for the next use. A set of uses that was reached once with one state is
+not entered again. The search is exponential in the worst case. For n uses with few overlaps it
+takes about n steps.
 
-The specification here is a motor that is owned, first come, first served, by `OwnedMotor`. A TAKE
-is two uses for it: to be in the queue, and to be given the motor; so that order is judged too.
+The specification `OwnedMotor` is a motor with one owner at a time, first come, first served. A TAKE
+is split into two events, entering the queue and being granted the motor, so that the order is
+judged as well.
 """
 
 from collections.abc import Hashable, Iterable, Sequence
@@ -32,37 +34,38 @@ E_contra = TypeVar("E_contra", contravariant=True)
 
 
 class Interval(Protocol):
-    """What has a call and a return."""
+    """An event with a call and a return."""
 
     @property
     def called_ns(self) -> int:
-        """Before it could have its effect."""
+        """A time before its effect [ns]."""
 
     @property
     def returned_ns(self) -> int:
-        """After it could not any more."""
+        """A time after its effect [ns]."""
 
 
 class Specification(Protocol[S, E_contra]):
-    """What is allowed one by one."""
+    """The allowed sequences of events."""
 
     def initial(self) -> S:
-        """The state at the beginning."""
+        """Return the initial state."""
 
     def step(self, state: S, event: E_contra) -> Sequence[S]:
-        """The states in which `event` may leave the thing; none: it could not happen there."""
+        """Return the possible states after `event`; none if the event is not allowed."""
 
 
 @final
 @dataclass(frozen=True, slots=True)
 class Search(Generic[E]):
-    """What came of a search.
+    """The result of a search.
 
-    order: the events in an order that the specification allows; None: there is none.
-    reached: the longest beginning of such an order that was found.
-    stuck: what could have been next after that by its times, and was not allowed.
-    state: in which state that was.
-    steps: how often an event was tried.
+    Attributes:
+        order: the events in an allowed order; None: there is none.
+        reached: the longest start of such an order that was found.
+        stuck: the events that could follow by their times, but were not allowed.
+        state: the state at that point.
+        steps: number of tried events.
     """
 
     order: tuple[E, ...] | None
@@ -73,7 +76,7 @@ class Search(Generic[E]):
 
 
 class _Entry(Generic[E]):
-    """A call or a return, in a list that they can be taken out of and put back into."""
+    """A call or a return, in a linked list that supports removal and reinsertion."""
 
     __slots__ = ("after", "before", "end", "event", "number")
 
@@ -85,13 +88,13 @@ class _Entry(Generic[E]):
         self.after: _Entry[E] | None = None
 
     def lift(self) -> None:
-        """A call and its return are out of the list, and remember where they were."""
+        """Remove a call and its return from the list, keeping their positions."""
         self._leave()
         if self.end is not None:
             self.end._leave()  # noqa: SLF001 -- another of its kind
 
     def put_back(self) -> None:
-        """They are where they were; what was lifted later was put back before."""
+        """Reinsert them at their positions, in the reverse order of removal."""
         if self.end is not None:
             self.end._come_back()  # noqa: SLF001 -- another of its kind
         self._come_back()
@@ -108,18 +111,18 @@ class _Entry(Generic[E]):
 
 
 _Choice = tuple[_Entry[E], S, list[S], int, int]
-"""An event that was taken: the state before, others that it may lead to, who was taken before."""
+"""A chosen event: entry, state before, alternative states, and the set chosen before."""
 
 
 def _entries(events: Sequence[E]) -> _Entry[E]:
-    """The head of the list of all calls and returns by time; calls first: they may overlap."""
+    """Return the head of the list of all calls and returns by time; calls first."""
     marks: list[tuple[int, int, int, _Entry[E]]] = []
     for number, event in enumerate(events):
         end: _Entry[E] = _Entry(event, number, None)
         marks.append((event.called_ns, 0, number, _Entry(event, number, end)))
         marks.append((event.returned_ns, 1, number, end))
     marks.sort(key=lambda mark: mark[:3])
-    head: _Entry[E] = _Entry(events[0], -1, None)  # a place to begin at, whatever its event
+    head: _Entry[E] = _Entry(events[0], -1, None)  # a sentinel; its event is not used
     last = head
     for *_, entry in marks:
         last.after, entry.before = entry, last
@@ -128,7 +131,7 @@ def _entries(events: Sequence[E]) -> _Entry[E]:
 
 
 def search(events: Sequence[E], specification: Specification[S, E]) -> Search[E]:
-    """An order that the specification allows, or how far there is one."""
+    """Search for an order that the specification allows, or the longest start of one."""
     events = sorted(events, key=lambda event: event.called_ns)
     if not events:
         return Search((), (), (), specification.initial(), 0)
@@ -136,14 +139,14 @@ def search(events: Sequence[E], specification: Specification[S, E]) -> Search[E]
     state = specification.initial()
     taken: list[_Choice[E, S]] = []
     seen: set[tuple[int, int, S]] = set()
-    passed = ahead = steps = 0  # all before number `passed` are taken, and those in `ahead`
+    passed = ahead = steps = 0  # all before number `passed` are chosen, and those in `ahead`
     furthest: Search[E] | None = None
     entry = head.after
     while entry is not None:
-        if entry.end is not None:  # a call: may it be the next?
+        if entry.end is not None:  # a call: a candidate for the next event
             steps += 1
             choices = list(specification.step(state, entry.event))
-        else:  # a return that may not be passed: the last choice was wrong
+        else:  # a return that must not be passed: the last choice was wrong
             if furthest is None or len(taken) > len(furthest.reached):
                 furthest = Search(None, _events(taken), _first_calls(head), state, steps)
             if not taken:
@@ -167,7 +170,7 @@ def search(events: Sequence[E], specification: Specification[S, E]) -> Search[E]
 
 
 def _with(passed: int, ahead: int, number: int) -> tuple[int, int]:
-    """A set of numbers with one more: all below the first, and bits from there on."""
+    """Add a number to a set: all numbers below the first, and bits from there on."""
     ahead |= 1 << (number - passed)
     while ahead & 1:
         ahead >>= 1
@@ -180,7 +183,7 @@ def _events(taken: "Sequence[_Choice[E, S]]") -> tuple[E, ...]:
 
 
 def _first_calls(head: _Entry[E]) -> tuple[E, ...]:
-    """Who may be next, by the times alone."""
+    """Return the events that may be next by their times."""
     calls: list[E] = []
     entry = head.after
     while entry is not None and entry.end is not None:
@@ -189,13 +192,13 @@ def _first_calls(head: _Entry[E]) -> tuple[E, ...]:
     return tuple(calls)
 
 
-# ---- a motor that is owned ----
+# ---- an owned motor ----
 
 
 @final
 @dataclass(frozen=True, slots=True)
 class Owned:
-    """A motor in between two uses: whose it is, under what token, who waits, what it does."""
+    """The state of a motor between two uses: owner, token, queue, and last command."""
 
     holder: str
     token: int
@@ -206,7 +209,7 @@ class Owned:
 @final
 @dataclass(frozen=True, slots=True)
 class Event:
-    """One thing that happens at an instant between two: a use, or (`queues`) its first half."""
+    """One event: a use, or (`queues`) the first half of a TAKE."""
 
     use: Use
     called_ns: int
@@ -219,36 +222,36 @@ class Event:
 
 @final
 class OwnedMotor:
-    """The specification: one owner at a time, first come, first served; who owns it commands it.
+    """The specification: one owner at a time, first come, first served; only it commands.
 
     Args:
-        value: what was commanded before the first use.
+        value: the command before the first use.
     """
 
     def __init__(self, value: int = 0) -> None:
         self._value: Final = value
 
     def initial(self) -> Owned:
-        """Nobody has it."""
+        """Return the state without an owner."""
         return Owned("", 0, (), self._value)
 
     def step(self, state: Owned, event: Event) -> list[Owned]:
-        """See `Specification`."""
+        """Return the possible next states; see `Specification.step`."""
         use = event.use
         allowed = _effect(state, event)
         if use.answer is Answer.UNKNOWN and (not event.queues or use.queued_ns is None):
             without = state
             is_over = event.returned_ns < FOREVER_NS
-            if use.action is Action.TAKE and not event.queues and is_over:  # he waits no more
+            if use.action is Action.TAKE and not event.queues and is_over:  # no longer waiting
                 without = _left(state, use.who)
-                if allowed is None:  # or he took it from a living one, and could not say so
+                if allowed is None:  # or taken from a living owner without a report
                     allowed = _taken(state, replace(use, forced=True))
             return [without] if allowed is None or allowed == without else [allowed, without]
         return [] if allowed is None else [allowed]
 
 
 def _effect(state: Owned, event: Event) -> Owned | None:
-    """What becomes of the motor; None: that cannot happen now. Unknown answers are as if done."""
+    """Return the next state, or None if impossible now; unknown answers count as done."""
     use, who = event.use, event.use.who
     is_his = state.holder == who
     if event.queues:
@@ -270,7 +273,7 @@ def _effect(state: Owned, event: Event) -> Owned | None:
 
 
 def _left(state: Owned, who: str) -> Owned:
-    """He waits no more."""
+    """Return the state without `who` in the queue."""
     if who not in state.queue:
         return state
     return replace(state, queue=tuple(one for one in state.queue if one != who))
@@ -291,7 +294,7 @@ def _taken(state: Owned, use: Use) -> Owned | None:
 
 
 def events_of(uses: Iterable[Use]) -> list[Event]:
-    """The uses of one motor as what the specification speaks of."""
+    """Return the uses of one motor as events of the specification."""
     events: list[Event] = []
     for use in uses:
         if use.action is Action.TAKE and (use.queued_ns is not None or not use.forced):
@@ -302,14 +305,14 @@ def events_of(uses: Iterable[Use]) -> list[Event]:
 
 
 def require_linearizable(uses: Iterable[Use], value: int = 0) -> int:
-    """Every motor's uses could have happened one by one; how many steps it took to see that.
+    """Check that every motor's history is linearizable, and return the number of steps.
 
     Args:
-        uses: of any number of motors; of the dead, as `History.uses` ends them.
-        value: what was commanded of each before the first use.
+        uses: of any number of motors; those of the dead as in `History.uses`.
+        value: the command of each motor before the first use.
 
     Raises:
-        SharingViolated: they could not; names the uses that do not fit.
+        SharingViolated: a history is not linearizable; the message names the uses in conflict.
     """
     steps = 0
     for motor, of_motor in per_motor(uses).items():
@@ -325,10 +328,10 @@ def _complaint(motor: str, found: Search[Event], number: int) -> str:
     stuck = [f"    {event}" for event in found.stuck]
     return "\n".join(
         [
-            f"{motor}: no order of its {number} uses is one of a motor that has one owner at a"
-            " time, first come, first served. One by one went well at best, last of all:",
+            f"{motor}: no order of its {number} uses fits a motor with one owner at a time, "
+            "first come, first served. The longest possible order ends with:",
             *last,
-            f"so that it was {found.state}; then one of these had to be next, and could not be:",
+            f"The state is then {found.state}; one of these had to be next, but is not allowed:",
             *stuck,
         ]
     )

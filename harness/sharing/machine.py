@@ -6,23 +6,23 @@
     TestMyMotor = ownership_machine(shared_rig("rig.toml")).TestCase
     TestMyGroups = group_machine(shared_rig("rig.toml")).TestCase
 
-Hypothesis chooses who does what, and how much virtual time passes in between: none, so that several
-ask at one instant; less than a frame takes, so that one asks while another's settings are being
-pushed; or long enough for a motion. The same choices make the same run, and a failure is shrunk.
+Hypothesis chooses the actions and the virtual time between them. No time lets several owners ask at
+the same instant. Less than a frame's duration lets one ask while another's settings are being sent.
+A long time allows a whole motion. The same choices give the same run, and a failure is shrunk. The
+following must hold for any adaptation:
 
-What must hold, of any adaptation:
+- The history of every motor is that of a motor with one owner at a time, first come, first served,
+  with growing tokens (`require_linearizable`).
+- A party that lost the motor, or never had it, does not command it. A motor with a valid lease is
+  not taken over.
+- An uninterrupted motion takes the time and goes the distance that its owner asked for, and thus
+  used the settings of its owner.
+- A party that is killed at any point leaves a motor that others can take.
+- All motors of a group are armed before one is fired. If one refuses, none has moved. Overlapping
+  groups wait for each other, but never forever.
 
-- the history of every motor is that of a motor with one owner at a time, first come, first served,
-  whose tokens grow (`harness.sharing.linearizability`);
-- nobody who lost the motor, or never had it, commands it; a lease that goes on is not taken over;
-- a motion that nobody cut short takes as long as its owner asked, and goes as far: it was made with
-  his settings and with nobody else's;
-- whoever is killed, wherever he is, leaves a motor that others can take;
-- of a group all are armed before one is fired; if one refuses, none has moved; groups that overlap
-  wait for each other, and never for ever.
-
-How often each of these was put to the test is counted: in `reach` of the machine's class, and as
-Hypothesis' events (`pytest --hypothesis-show-statistics`).
+The number of tests of each rule is counted in `reach` of the machine's class, and as Hypothesis
+events (`pytest --hypothesis-show-statistics`).
 """
 
 # ruff: noqa: SLF001 -- the harness looks at who has a motor
@@ -59,7 +59,7 @@ _PAUSE_S: Final = st.sampled_from([None, 0.0, 1e-5, 2e-4, 1e-3, 0.02, 0.1, 0.5, 
 
 
 class SharingMachine(RuleBasedStateMachine):
-    """What both machines have in common; not to be used by itself."""
+    """Common base of both machines; not for direct use."""
 
     make_rig: ClassVar[MakeRig]
     course: ClassVar[Course]
@@ -78,30 +78,30 @@ class SharingMachine(RuleBasedStateMachine):
             raise
 
     def set_up(self) -> None:
-        """The parties are there."""
+        """Create the parties."""
 
     def idle(self, who: int) -> Party | None:
-        """One of those who have nothing to do; None: all are busy."""
+        """Return an idle party, or None if all are busy."""
         idle = [party for party in self.parties if party.is_idle]
         return idle[who % len(idle)] if idle else None
 
     def pass_time(self, time_s: float | None) -> None:
-        """Whoever can go on does; None: nobody has a turn yet."""
+        """Let time pass, so that parties proceed; None: no party runs yet."""
         if time_s is not None:
             self.stage.runtime.run_for(time_s)
 
     @rule(time_s=_PAUSE_S)
     def wait(self, time_s: float | None) -> None:
-        """Nobody is told anything."""
+        """Let time pass without a new errand."""
         self.pass_time(time_s)
 
     @invariant()
     def nothing_went_wrong(self) -> None:
-        """What owners see to themselves."""
+        """Check that the owners have found no violation."""
         self.stage.check()
 
     def teardown(self) -> None:
-        """Everybody comes to an end, and the history is judged."""
+        """Let all parties finish, and judge the history."""
         try:
             self.settle()
             self.stage.check()
@@ -120,22 +120,22 @@ class SharingMachine(RuleBasedStateMachine):
             self.rig.close()
 
     def settle(self) -> None:
-        """Everybody's errand is done."""
+        """Wait until every errand is done."""
         done = self.stage.runtime.wait_until(
             lambda: all(party.is_idle for party in self.parties), _SETTLED_S
         )
         busy = ", ".join(party.name for party in self.parties if not party.is_idle)
-        self.stage.require(done, f"{busy} did not come to an end within {_SETTLED_S:g} s")
+        self.stage.require(done, f"{busy} did not finish within {_SETTLED_S:g} s")
 
 
 class OwnershipMachine(SharingMachine):
     """Several owners of one motor; see `ownership_machine`."""
 
     def set_up(self) -> None:
-        """An owner for each logical motor."""
+        """Create an owner for each logical motor."""
         shared = [motors for motors in self.stage.physical_motors() if len(motors) > 1]
         if not shared:
-            raise SharingViolated("no motor of the rig has two logical ones: see shared_rig()")
+            raise SharingViolated("no motor of the rig has two logical motors; use shared_rig()")
         self.label = shared[0][0]._physical.label
         self.owners: list[Owner] = []
         for number, motor in enumerate(shared[0]):
@@ -144,7 +144,7 @@ class OwnershipMachine(SharingMachine):
         self.stage.owners.extend(self.owners)
 
     def ask(self, who: int, errand: "Callable[[Owner], None]", pause_s: float | None) -> None:
-        """One who has nothing to do gets the errand, and time passes."""
+        """Give the errand to an idle owner, and let time pass."""
         party = self.idle(who)
         if isinstance(party, Owner):
             party.errand = partial(errand, party)
@@ -154,44 +154,44 @@ class OwnershipMachine(SharingMachine):
     def reserve(
         self, who: int, timeout_s: float | None, lease_s: float | None, pause_s: float | None
     ) -> None:
-        """Somebody reserves it."""
+        """Let an owner reserve the motor."""
         self.ask(who, lambda owner: owner.reserve(timeout_s, lease_s, False), pause_s)
 
     @rule(who=_WHO, lease_s=_LEASE_S, pause_s=_PAUSE_S)
     def take_over(self, who: int, lease_s: float | None, pause_s: float | None) -> None:
-        """Somebody takes it from whoever has it."""
+        """Let an owner take the motor over."""
         self.ask(who, lambda owner: owner.reserve(None, lease_s, True), pause_s)
 
     @rule(who=_WHO, timeout_s=_PATIENCE_S, wait=st.booleans(), pause_s=_PAUSE_S)
     def start(self, who: int, timeout_s: float | None, wait: bool, pause_s: float | None) -> None:
-        """Somebody starts a motion of his own."""
+        """Let an owner start its own motion."""
         self.ask(who, lambda owner: owner.start(timeout_s, wait), pause_s)
 
     @rule(who=_WHO, timeout_s=_PATIENCE_S, lease_s=_LEASE_S, pause_s=_PAUSE_S)
     def trip(
         self, who: int, timeout_s: float | None, lease_s: float | None, pause_s: float | None
     ) -> None:
-        """Somebody reserves it, moves it, waits for that, and gives it back."""
+        """Let an owner reserve the motor, move it, wait for the end, and release it."""
         self.ask(who, lambda owner: owner.trip(timeout_s, lease_s), pause_s)
 
     @rule(who=_WHO, pause_s=_PAUSE_S)
     def give(self, who: int, pause_s: float | None) -> None:
-        """Somebody's reservation ends."""
+        """Let an owner end its reservation."""
         self.ask(who, Owner.give, pause_s)
 
     @rule(who=_WHO, pause_s=_PAUSE_S)
     def renew(self, who: int, pause_s: float | None) -> None:
-        """Somebody says that he is alive."""
+        """Let an owner renew its lease."""
         self.ask(who, Owner.renew, pause_s)
 
     @rule(who=_WHO, pause_s=_PAUSE_S)
     def stop(self, who: int, pause_s: float | None) -> None:
-        """Somebody stops it, whosever it is."""
+        """Let an owner stop the motor, whichever owner has it."""
         self.ask(who, Owner.stop, pause_s)
 
     @rule(who=_WHO, really=st.integers(0, 2))
     def kill(self, who: int, really: int) -> None:
-        """Somebody is killed, at work if anybody is; somebody new has his logical motor."""
+        """Kill an owner, a busy one if there is one; a new one takes over its logical motor."""
         if really:
             return
         owners = [owner for owner in self.owners if not owner.is_idle] or self.owners
@@ -208,7 +208,7 @@ class OwnershipMachine(SharingMachine):
         self.parties[place] = new
 
     def settle(self) -> None:
-        """Everybody's errand is done and nobody has it; then anybody can have it at once."""
+        """Finish all errands and reservations; check that each owner then gets the motor."""
         super().settle()
         for errand in (Owner.give, Owner.wait):
             for owner in self.owners:
@@ -218,20 +218,20 @@ class OwnershipMachine(SharingMachine):
             owner.errand = partial(owner.reserve, None, None, False)
             super().settle()
             has = owner.reservation is not None
-            self.stage.require(has, f"nobody has it, and {owner.name} was refused")
+            self.stage.require(has, f"the motor is free, but {owner.name} was refused")
             owner.errand = owner.give
             super().settle()
 
 
 class GroupMachine(SharingMachine):
-    """Several groups that overlap; see `group_machine`."""
+    """Several overlapping groups; see `group_machine`."""
 
     def set_up(self) -> None:
-        """An owner for each set of logical motors."""
+        """Create an owner for each set of logical motors."""
         motors = self.stage.physical_motors()
         number = min(len(shared) for shared in motors)
         if len(motors) < 2 or number < 2:
-            raise SharingViolated("groups need two motors, each with two owners: see shared_rig()")
+            raise SharingViolated("groups need two motors, each with two owners; use shared_rig()")
         self.owners: list[GroupOwner] = []
         for place in range(number):
             name = motors[0][place].name.partition(".")[0]
@@ -256,7 +256,7 @@ class GroupMachine(SharingMachine):
         patient: bool,
         pause_s: float | None,
     ) -> None:
-        """Somebody moves a group of motors of his choice, in which one may refuse to be armed."""
+        """Let an owner move a group of motors, one of which may refuse to be armed."""
         party = self.idle(who)
         if isinstance(party, GroupOwner):
             party.errand = partial(party.move, chosen, refuses, reserves, patient)
@@ -264,7 +264,7 @@ class GroupMachine(SharingMachine):
 
     @rule(who=_WHO, really=st.integers(0, 3))
     def kill(self, who: int, really: int) -> None:
-        """Somebody is killed while he moves a group; somebody new has his logical motors."""
+        """Kill an owner that moves a group; a new one takes over its logical motors."""
         owners = [owner for owner in self.owners if not owner.is_idle]
         if really or not owners:
             return
@@ -280,17 +280,17 @@ class GroupMachine(SharingMachine):
 def ownership_machine(
     make_rig: MakeRig, course: Course | None = None
 ) -> type[RuleBasedStateMachine]:
-    """A state machine of several owners that share the first motor that has any; see above.
+    """Return a state machine of several owners that share the first motor with several.
 
     Args:
-        make_rig: opens a rig that has logical motors for one motor, as `shared_rig` makes it.
-        course: what the motor is told to do; None: 0.05 rad in 0.3 s, and more.
+        make_rig: opens a rig with several logical motors for one motor; see `shared_rig`.
+        course: the motion of each owner; None: 0.05 rad in 0.3 s for the first one.
     """
     return _machine(OwnershipMachine, make_rig, course)
 
 
 def group_machine(make_rig: MakeRig, course: Course | None = None) -> type[RuleBasedStateMachine]:
-    """A state machine of several groups that share motors; arguments as of `ownership_machine`."""
+    """Return a state machine of overlapping groups; arguments as for `ownership_machine`."""
     return _machine(GroupMachine, make_rig, course)
 
 

@@ -1,9 +1,9 @@
-"""Logical owners of shared motors, each a party of one virtual time that does what it is told.
+"""Logical owners of shared motors, as parties in one virtual time.
 
-What an owner is told to do next is an *errand*; it may take long, and others do theirs meanwhile.
-Whatever he does is noted in a history, whose clock never stands still: of two notes the later one
-was made later. What must hold of an owner alone he sees to himself: a motion that nobody cut short
-took as long as he asked for, and, where he had the motor for himself all along, went as far.
+The next action of an owner is an *errand*. An errand may take long, and other owners work
+meanwhile. All uses are noted in a history with a strictly increasing clock. Each owner checks its
+own motions. An uninterrupted motion must take the requested time. If the owner had the motor
+throughout, the motion must also go the requested distance.
 """
 
 # ruff: noqa: SLF001 -- the harness looks at who has a motor, and lets arming fail
@@ -28,19 +28,19 @@ if TYPE_CHECKING:
 
 _LONG_S: Final = 60.0
 _RENEWED: Final = 7 / 8
-"""So much of a lease is left at least when a use of the motor does not renew it."""
+"""The minimum share of a lease that is left when a use does not renew it."""
 _STOPS: Final = ("stop() of ", "halt() of ")
 
 
 @final
 class Owner(Party):
-    """One logical motor of a physical one, and who works it.
+    """One logical motor of a physical one, with its owner.
 
     Args:
-        name: told apart from whoever had the motor before, and died.
-        motor: his logical motor.
-        label: what the history calls the physical one.
-        number: among all owners.
+        name: unique also among earlier owners that died.
+        motor: its logical motor.
+        label: the name of the physical motor in the history.
+        number: its number among all owners.
     """
 
     def __init__(self, name: str, motor: Motor, label: str, number: int, stage: Stage) -> None:
@@ -49,9 +49,9 @@ class Owner(Party):
         self.reservation: Reservation | None = None
         self.lease_s: float | None = None
         self.is_lost = False
-        """Whether somebody is known to have taken it over."""
+        """True if another owner is known to have taken the motor over."""
         self.used_ns = 0
-        """When the last use of his began that went well: his lease began anew then or later."""
+        """The start of the last successful use [ns]; the lease was renewed then or later."""
         self._called_ns = 0
         self._label: Final = label
         self._stack: Final = ExitStack()
@@ -66,7 +66,7 @@ class Owner(Party):
     # ---- errands ----
 
     def reserve(self, timeout_s: float | None, lease_s: float | None, take_over: bool) -> None:
-        """He has reserved it, or was refused."""
+        """Reserve the motor, unless it is refused."""
         if self.reservation is not None:
             return
         self._await_rest()
@@ -90,7 +90,7 @@ class Owner(Party):
             self._note_taken(note, kind)
 
     def start(self, timeout_s: float | None, wait: bool) -> None:
-        """A motion of his has begun, or he was refused; it is over, if he waits."""
+        """Start a motion, unless it is refused; `wait`: wait until it has ended."""
         self._await_rest()
         motor, reserved = self.motor, self.reservation
         before = motor.position() if reserved is not None else 0.0
@@ -126,14 +126,14 @@ class Owner(Party):
             self._check_motion(before, distance, duration_s, reserved)
 
     def trip(self, timeout_s: float | None, lease_s: float | None) -> None:
-        """He had it for a motion of his, if he was given it."""
+        """Reserve the motor for one motion, if it is granted."""
         self.reserve(timeout_s, lease_s, False)
         if self.reservation is not None:
             self.start(None, True)
             self.give()
 
     def give(self) -> None:
-        """The reservation is over."""
+        """End the reservation."""
         reservation = self.reservation
         if reservation is None:
             return
@@ -149,7 +149,7 @@ class Owner(Party):
             note.returned()
 
     def renew(self) -> None:
-        """The lease begins anew; who lost it is told so."""
+        """Renew the lease; note the loss if it was lost."""
         if self.reservation is None:
             return
         self._called_ns = self.stage.runtime.now_ns()
@@ -161,7 +161,7 @@ class Owner(Party):
             self.used_ns = self._called_ns
 
     def stop(self) -> None:
-        """It slows down, whosever it is."""
+        """Stop the motor, whichever owner has it."""
         try:
             self.motor.stop()
             self.stage.counts["stop"] += 1
@@ -169,7 +169,7 @@ class Owner(Party):
             self._failed("stop", error)
 
     def wait(self) -> None:
-        """His motion is over."""
+        """Wait until the owner's motion has ended."""
         self._await_rest()
 
     # ---- inside ----
@@ -196,7 +196,7 @@ class Owner(Party):
             self._note_losers(taken, by_lease=kind != "take over")
 
     def _note_losers(self, taken: OwnershipEvent, *, by_lease: bool) -> None:
-        """Who had it until now had let his lease end, unless it was taken all the same."""
+        """Check that a motor taken from a living owner had an expired lease, unless by force."""
         for other in self.stage.owners:
             reservation = other.reservation
             if other.is_lost or reservation is None or reservation.lost_to is None:
@@ -207,25 +207,25 @@ class Owner(Party):
                 end_ns = other.used_ns + round(lease_s * 1e9)
                 self.stage.require(
                     taken.time_ns >= end_ns or not by_lease,
-                    f"{self.name} took the motor over from {other.name},"
-                    f" whose lease went on until {end_ns / 1e9:.6f} s",
+                    f"{self.name} took the motor over from {other.name}, whose lease was valid "
+                    f"until {end_ns / 1e9:.6f} s",
                 )
 
     def _refusal(self, error: MotorBusyError, kind: str) -> Answer:
         if any(word in error.holder for word in _STOPS):
-            self.stage.counts[f"{kind}: refused while somebody stops it"] += 1
+            self.stage.counts[f"{kind}: refused during a stop"] += 1
             return Answer.UNKNOWN
         if self.reservation is not None:
             self._expect_lost(kind)
             return Answer.LOST
-        if self._taken is not None:  # he had it, and lost it before he could say so
+        if self._taken is not None:  # it was granted, then lost before it could be reported
             self.stage.counts[f"{kind}: refused after it was taken"] += 1
             return Answer.UNKNOWN
         self.stage.counts[f"{kind}: refused"] += 1
         return Answer.REFUSED
 
     def _refused(self, take: Note, answer: Answer) -> None:
-        """He does not have it; if it is not known why, he may have had it for a moment."""
+        """Note a refusal; with an unknown reason the motor may have been owned for a moment."""
         take.returned(answer)
         if answer is Answer.UNKNOWN:
             self._call(Action.GIVE).returned(Answer.UNKNOWN)
@@ -234,7 +234,7 @@ class Owner(Party):
         reservation = self.reservation
         is_lost = reservation is not None and reservation.lost_to is not None
         self.stage.counts[f"{kind}: lost before"] += 1
-        self.stage.require(is_lost, f"{self.name}: {kind} was refused, and yet it has the motor")
+        self.stage.require(is_lost, f"{self.name}: {kind} was refused, although it owns the motor")
 
     def _failed(self, kind: str, error: MotorError) -> None:
         self.stage.counts[f"{kind}: {type(error).__name__}"] += 1
@@ -247,7 +247,7 @@ class Owner(Party):
         self.motor.on_done(lambda _: self._over())
 
     def _over(self) -> None:
-        """His motion is over: whoever waits may have the motor, unless it is reserved."""
+        """Complete the notes after the motion; the motor is free then, unless it is reserved."""
         self._moves = False
         give, self._give = self._give, None
         if give is not None:
@@ -257,7 +257,7 @@ class Owner(Party):
             death.returned()
 
     def _await_rest(self) -> bool:
-        """Whether what he commanded last is over, by itself."""
+        """Wait for the end of the last motion; return True if it ended without an error."""
         try:
             self.motor.wait_until_done(_LONG_S)
         except MotorError as error:
@@ -275,8 +275,8 @@ class Owner(Party):
         stage.counts["motion: as long as asked for"] += 1
         stage.require(
             abs(took_s - duration_s) <= stage.course.tolerance_s,
-            f"{self.name} asked for a motion of {duration_s:g} s, and it took {took_s:g} s: it was"
-            " made with settings that are not his",
+            f"{self.name} asked for a motion of {duration_s:g} s, but it took {took_s:g} s: it "
+            "was made with another owner's settings",
         )
         if reserved is None or reserved.lost_to is not None:
             return
@@ -284,11 +284,12 @@ class Owner(Party):
         stage.counts["motion: as far as asked for"] += 1
         stage.require(
             abs(went - distance) <= stage.course.window,
-            f"{self.name} had the motor to itself and moved it by {distance:g}; it went {went:g}",
+            f"{self.name} was the only owner and moved the motor by {distance:g}, but it went "
+            f"{went:g}",
         )
 
     def leave(self) -> None:
-        """His blocks are left, as by an exception."""
+        """Leave all blocks, as after an exception."""
         self._death = self.stage.history.call(self.name, "", Action.DIE)
         self._stack.close()
         self.reservation = None

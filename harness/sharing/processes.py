@@ -1,19 +1,19 @@
-"""Real processes that share motors, some of them killed or paused at random; and what they did.
+"""Real processes that share motors, some of them killed or paused at random.
 
     outcome = run(Plan(work="my_module:work", seconds=10.0, kill_period_s=0.05))
     print(outcome.table())
     outcome.require_sound()
 
-`run` starts an *arena*, a process of its own. It forks the workers before it has had any lock
-itself, kills and pauses them as the plan says, and starts others in their place. A worker is a
-function `work(desk: Desk)` named as "module:function"; it goes on until `desk.is_over`, and notes
-whatever it does in `desk.history`, in which every use is in a file before it can have an effect: so
-that what a killed one did is known, but for its last use, of which it is known what it would have
-been. There are workers: `harness.sharing.desk:work_lock`, which takes a bare lock, and those of
-`harness.sharing.drivers`, which work motors on a hub or on SocketCAN.
+`run` starts an *arena* as a separate process. The arena forks the workers before it has held any
+lock, kills and pauses them according to the plan, and starts replacements. A worker is a function
+`work(desk: Desk)` named as "module:function", which runs until `desk.is_over` and notes all its
+uses in `desk.history`. Every use is in a file before it can have an effect. The actions of a killed
+worker are therefore known, except for the result of its last use. Available workers are
+`harness.sharing.desk:work_lock`, which takes a bare lock, and those of `harness.sharing.drivers`,
+which work motors on a hub or on SocketCAN.
 
-What must hold: the history is that of motors with one owner at a time, first come, first served;
-nobody who was overtaken, and no token that does not grow; and it goes on after every death.
+The following must hold. The history is that of motors with one owner at a time, first come, first
+served. No use is overtaken, and every token grows. Work continues after every death.
 """
 
 import json
@@ -39,7 +39,7 @@ from harness.sharing.history import (
 from harness.sharing.linearizability import require_linearizable
 
 GRACE_S: Final = 2.0
-"""How long workers may take to end when they are told to [s]."""
+"""The time that workers have to end when told to [s]."""
 _ARENA: Final = "harness.sharing.arena"
 _ENDED_LATE_S: Final = 30.0
 
@@ -47,12 +47,13 @@ _ENDED_LATE_S: Final = 30.0
 @final
 @dataclass(frozen=True, slots=True)
 class Plan:
-    """What is to happen.
+    """The plan of a run.
 
-    work: the worker, "module:function".
-    facts: what the worker is told.
-    plant: "module:function" that breaks something in every worker before it begins, for tests.
-    kill_inside, pause_inside: it is done to those that have the motor just then, by their own word.
+    Attributes:
+        work: the worker, "module:function".
+        facts: parameters of the worker.
+        plant: "module:function" that plants a defect in every worker before it begins, for tests.
+        kill_inside, pause_inside: choose workers that have the motor, by their own account.
     """
 
     work: str = "harness.sharing.desk:work_lock"
@@ -71,7 +72,7 @@ class Plan:
 @final
 @dataclass(frozen=True, slots=True)
 class Outcome:
-    """What came of it: the uses of all, how often what was done, from when to when."""
+    """The outcome of a run: the uses of all workers, the counts of events, begin and end."""
 
     uses: tuple[Use, ...]
     counts: dict[str, int]
@@ -82,12 +83,12 @@ class Outcome:
 
     @property
     def worst_gap_s(self) -> float:
-        """The longest time [s] in which nobody was given the motor."""
+        """The longest time without a grant of the motor [s]."""
         return worst_gap_s(self.uses, self.begun_ns, self.ended_ns)
 
     @property
     def waits_s(self) -> list[float]:
-        """How long each who was given it had waited [s], shortest first."""
+        """The waiting times of all grants [s], the shortest first."""
         return sorted(
             (use.returned_ns - use.called_ns) / 1e9
             for use in self.uses
@@ -96,7 +97,7 @@ class Outcome:
 
     @property
     def taken_after_last_kill(self) -> int:
-        """How often somebody was given it after the last one was killed."""
+        """The number of grants after the last kill."""
         return sum(
             use.returned_ns > self.last_kill_ns
             for use in self.uses
@@ -104,7 +105,7 @@ class Outcome:
         )
 
     def reached(self) -> "Counter[str]":
-        """How often what was put to the test."""
+        """Return the number of events of each kind."""
         reached = Counter(self.counts)
         for use in self.uses:
             forced = " from a living owner" if use.forced and use.token else ""
@@ -112,27 +113,29 @@ class Outcome:
         return reached
 
     def table(self) -> str:
-        """That, and how long it took, for people."""
+        """Return the counts and the waiting times as text."""
         waits_s = self.waits_s or [0.0]
         lines = [f"{count:8d}  {name}" for name, count in sorted(self.reached().items())]
-        lines.append(f"{self.worst_gap_s * 1e3:8.1f}  ms in which nobody was given it, at most")
-        lines.append(f"{waits_s[-1] * 1e3:8.1f}  ms to wait, at most")
-        lines.append(f"{waits_s[len(waits_s) * 99 // 100] * 1e3:8.1f}  ms to wait, 99 of 100")
+        lines.append(f"{self.worst_gap_s * 1e3:8.1f}  ms without a grant, at most")
+        lines.append(f"{waits_s[-1] * 1e3:8.1f}  ms of waiting, at most")
+        lines.append(
+            f"{waits_s[len(waits_s) * 99 // 100] * 1e3:8.1f}  ms of waiting, 99th percentile"
+        )
         return "\n".join(lines)
 
     def require_sound(self) -> None:
-        """Raises SharingViolated if it was not as it must be."""
+        """Raise SharingViolated if a rule of sharing is violated."""
         if self.complaints:
             raise SharingViolated("\n".join(self.complaints))
         for earlier, later in tokens_that_did_not_grow(self.uses):
             raise SharingViolated(f"the token did not grow from\n    {earlier}\nto\n    {later}")
         for first, second in overtaken(self.uses):
-            raise SharingViolated(f"this one was overtaken:\n    {first}\nby\n    {second}")
+            raise SharingViolated(f"this use was overtaken:\n    {first}\nby\n    {second}")
         require_linearizable(self.uses)
 
 
 def run(plan: Plan) -> Outcome:
-    """What came of the plan, once all its processes have ended.
+    """Carry out the plan, and return the outcome after all its processes have ended.
 
     Raises:
         SharingViolated: the arena itself failed.
@@ -150,6 +153,6 @@ def run(plan: Plan) -> Outcome:
             raise SharingViolated(f"the arena failed ({done.returncode}): {done.stderr}")
         told = json.loads(done.stdout)
         uses = from_lines(Path(folder, "notes").read_text().splitlines())
-    # What else is told there is told to people: "it moves for a process that died: it is halted".
+    # Other lines are messages for the user: "it moves for a process that died: it is halted".
     complaints = tuple(line for line in done.stderr.splitlines() if line.startswith("worker "))
     return Outcome(ended_by_death(uses), complaints=complaints, **told)

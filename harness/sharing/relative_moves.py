@@ -1,7 +1,6 @@
-"""Relative moves under faults, judged by the truth: made once, or not, or in part; never twice.
+"""Relative moves under faults, judged by the truth: completely, partly or not made.
 
-What must hold, and how it is run on an adaptation of one's own, is told in
-harness.sharing.at_most_once.
+The rules, and how to run them on your own adaptation, are in `harness.sharing.at_most_once`.
 """
 
 from collections.abc import Callable, Sequence
@@ -24,33 +23,33 @@ DELAYS_NS: Final = (500_000, 5_000_000, 50_000_000, 150_000_000, 400_000_000)
 _LOOK_S: Final = 0.002
 _MOVE_TIMEOUT_S: Final = 10.0
 _REST_S: Final = 0.05
-_RPDOS: Final = range(0x200, 0x580)  # where hosts send what controllers are to do (CiA 301)
+_RPDOS: Final = range(0x200, 0x580)  # commands from hosts to controllers (CiA 301)
 
 
 class MadeMoreThanOnce(AssertionError):  # noqa: N818 -- it says what happened, as a verdict does
-    """A motor went further than it was told, or elsewhere; the message names the plan."""
+    """A motor that went further than commanded, or elsewhere; the message names the plan."""
 
 
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Mover:
-    """What is judged: how a motor of a rig makes a relative move, and what is true of it.
+    """The subject of the judgement: how a motor of a rig makes a relative move.
 
     Attributes:
-        name: what messages call it.
-        make_rig: an open rig with this seed, and no faults of its own.
-        ready: the motor is connected and enabled; nothing is disturbed yet.
-        move: makes one relative move, and returns when the motor has said that it is done; raises
-            what the motor does. The distance may be of either sign.
-        truth: where the motor is [U], of the truth: a controller's snapshot.
-        distance_max: moves are up to so long [U].
-        tolerance: a move that is done ends so near to its target [U].
-        overshoot: so far a motor may be outside of the way while it moves [U].
-        coast: so much further it may be where a move failed, if nothing brakes it then [U]; what
-            is to be found are moves longer than that.
-        delays_ns: frames may be late by so much [ns]. A loop that is closed over the bus cannot be
-            held with samples that are late: for such a motor these are short.
-        settle_s: after a move, until the motor is at rest and nothing more can come [s].
+        name: its name in messages.
+        make_rig: opens a rig with this seed, without faults of its own.
+        ready: connects and enables the motor, still undisturbed.
+        move: makes one relative move of either sign, and returns when the motor has reported it
+            done; raises the motor's errors.
+        truth: returns the true position [U] from a controller's snapshot.
+        distance_max: maximum length of a move [U].
+        tolerance: maximum distance from the target after a completed move [U].
+        overshoot: maximum distance outside the path during a move [U].
+        coast: additional distance after a failed move without braking [U]; only longer violations
+            are found.
+        delays_ns: possible delays of frames [ns]. A loop closed over the bus cannot work with late
+            samples; such a motor needs short delays.
+        settle_s: time after a move until the motor is at rest and no frame is pending [s].
     """
 
     name: str
@@ -75,7 +74,7 @@ def mover_of(
     tolerance: float = 2e-3,
     overshoot: float = 2e-3,
 ) -> Mover:
-    """A mover that gives one motor of the rig, by its name, relative set-points of position."""
+    """Return a mover that gives relative position set-points to one motor of the rig."""
 
     def ready(rig: "Rig") -> None:
         rig.motors[motor].enable()
@@ -102,12 +101,12 @@ def mover_of(
 @final
 @dataclass(frozen=True, slots=True)
 class Step:
-    """One move, and what goes wrong from its start on.
+    """One move, and the faults from its start on.
 
     Attributes:
-        distance: of the move [U].
-        rules: on every bus of the rig; their times count from the start of the move, and where one
-            has no end it holds during later moves, too.
+        distance: length of the move [U].
+        rules: for every bus of the rig; their times count from the start of the move. A rule
+            without an end also applies to later moves.
     """
 
     distance: float
@@ -117,7 +116,7 @@ class Step:
 @final
 @dataclass(frozen=True, slots=True)
 class Plan:
-    """Moves one after another, in a run with this seed."""
+    """Consecutive moves in a run with this seed."""
 
     seed: int
     steps: tuple[Step, ...]
@@ -125,25 +124,25 @@ class Plan:
 
 @final
 class Ending(Enum):
-    """What became of one move, by its report and by the truth."""
+    """The result of one move, by its report and by the truth."""
 
     DONE = "done"
-    FAILED_NOT_MADE = "failed, and it had not moved"
-    FAILED_PARTLY_MADE = "failed, and it had moved in part"
-    FAILED_MADE = "failed, though it had moved all the way"
+    FAILED_NOT_MADE = "failed, not moved"
+    FAILED_PARTLY_MADE = "failed, partly moved"
+    FAILED_MADE = "failed, although completely moved"
 
 
 @final
 @dataclass(slots=True)
 class Reach:
-    """How often what the property is about has happened: a property that nothing tests holds too.
+    """Counters of the tested cases, since an untested property holds as well.
 
     Attributes:
-        endings: of moves.
-        hit: moves during which a fault fired, by how they ended.
-        errors: raised by moves, by their class.
-        fired: faults, by their kind.
-        repeated: frames of the host heard twice in a row with one RPDO's identifier.
+        endings: moves by result.
+        hit: moves with a fault, by result.
+        errors: errors raised by moves, by class.
+        fired: faults by kind.
+        repeated: identical frames of the host in succession with one RPDO's identifier.
     """
 
     endings: dict[Ending, int] = field(default_factory=dict)
@@ -153,7 +152,7 @@ class Reach:
     repeated: int = 0
 
     def add(self, other: "Reach") -> None:
-        """What the other has reached is reached."""
+        """Add the counters of another one."""
         for mine, theirs in ((self.endings, other.endings), (self.hit, other.hit)):
             for ending, count in theirs.items():
                 mine[ending] = mine.get(ending, 0) + count
@@ -177,12 +176,12 @@ class Reach:
 
 
 def judge(mover: Mover, plan: Plan) -> Reach:
-    """The moves of the plan are made, and looked at all the way.
+    """Make the moves of the plan and observe them throughout.
 
     Raises:
-        MadeMoreThanOnce: the motor was where no single move could bring it, or is not where one
-            that was reported done ends.
-        PluginError: the adaptation failed by itself.
+        MadeMoreThanOnce: the motor was at a position that no single move can reach, or is not at
+            the target of a move reported as done.
+        PluginError: the adaptation itself failed.
     """
     reach = Reach()
     with mover.make_rig(plan.seed) as rig:
@@ -201,7 +200,7 @@ def judge(mover: Mover, plan: Plan) -> Reach:
 
 
 def _inject(rig: "Rig", rules: Sequence[FaultRule], step: int) -> list[FaultRule]:
-    """The rules hold from now on, under names of their own."""
+    """Inject the rules from now on, with unique names."""
     now_ns = rig.runtime.now_ns()
     injected = [
         replace(
@@ -220,7 +219,7 @@ def _inject(rig: "Rig", rules: Sequence[FaultRule], step: int) -> list[FaultRule
 
 @final
 class _Way:
-    """Where a motor has been since this was made."""
+    """The range of a motor's positions since the start."""
 
     def __init__(self, mover: Mover, rig: "Rig") -> None:
         self._mover = mover
@@ -230,13 +229,13 @@ class _Way:
         self._looking = rig.runtime.every(_LOOK_S, self.look)
 
     def look(self) -> None:
-        """Where it is now counts."""
+        """Take the present position into account."""
         self.now = self._mover.truth(self._rig)
         self.lowest = min(self.lowest, self.now)
         self.highest = max(self.highest, self.now)
 
     def end(self) -> None:
-        """Nobody looks any more."""
+        """Stop observing."""
         self.look()
         self._looking.cancel()
 
@@ -270,7 +269,7 @@ def _judge_move(mover: Mover, rig: "Rig", distance: float, plan: Plan, reach: Re
 
 
 def _verdict(mover: Mover, way: _Way, distance: float, *, is_done: bool, at_rest: float) -> str:
-    """What is wrong, in words; empty if nothing is."""
+    """Return the violation as text, or an empty text."""
     low, high = sorted((way.begin, way.begin + distance))
     outside = mover.overshoot if is_done else mover.overshoot + mover.coast
     low, high = low - outside, high + outside
@@ -279,7 +278,7 @@ def _verdict(mover: Mover, way: _Way, distance: float, *, is_done: bool, at_rest
     if way.lowest < low:
         return f"it was at {way.lowest:g}, beyond {low:g}"
     if abs(way.now - at_rest) > mover.tolerance:
-        return f"{mover.settle_s:g} s later it moves still, at {way.now:g}"
+        return f"it still moves {mover.settle_s:g} s later, at {way.now:g}"
     if is_done and abs(way.now - way.begin - distance) > mover.tolerance:
         return f"it is at {way.now:g}"
     return ""
@@ -297,7 +296,7 @@ def _ending(mover: Mover, way: _Way, distance: float, *, is_done: bool) -> Endin
 
 @final
 class _Repeats:
-    """Counts frames of the host that are heard twice in a row with one RPDO's identifier."""
+    """Counter of identical frames of the host in succession with one RPDO's identifier."""
 
     def __init__(self, rig: "Rig") -> None:
         self.count = 0

@@ -1,4 +1,4 @@
-"""Where owners share motors: a rig in virtual time, its history, and who acts there."""
+"""Stage of shared motors: a rig in virtual time, its history, and its parties."""
 
 # ruff: noqa: SLF001 -- the harness looks at who has a motor
 
@@ -24,12 +24,13 @@ _LONG_S: Final = 60.0
 @final
 @dataclass(frozen=True, slots=True)
 class Course:
-    """What owners do with a motor: owner number n goes (n + 1) times as far, and takes longer.
+    """The motions of the owners; owner number n goes (n + 1) times as far, and takes longer.
 
-    distance: of the first owner's motions [rad or m].
-    duration_s: likewise; of owner n it is (1 + n / 2) times that.
-    window: how far from its target a motor may end [rad or m].
-    tolerance_s: how much longer or shorter than asked for a motion may be told to be.
+    Attributes:
+        distance: of the first owner's motions [rad or m].
+        duration_s: of the first owner's motions [s]; owner n takes (1 + n / 2) times as long.
+        window: maximum distance from the target at the end [rad or m].
+        tolerance_s: maximum deviation of a motion's reported duration [s].
     """
 
     distance: float = 0.05
@@ -38,12 +39,12 @@ class Course:
     tolerance_s: float = 0.06
 
     def of(self, number: int) -> tuple[float, float]:
-        """(distance, duration_s) of owner `number`."""
+        """Return (distance, duration_s) of owner `number`."""
         return self.distance * (number + 1), self.duration_s * (1.0 + number / 2.0)
 
 
 def several_owners(rig: str | Path | RigDescription, owners: Sequence[str]) -> RigDescription:
-    """The rig with every motor once for each owner, as "owner.motor"; groups are left out."""
+    """Return the rig with each motor once per owner, as "owner.motor"; groups are left out."""
     if not isinstance(rig, RigDescription):
         rig = read_rig(Path(rig), installed_plugins())
     motors = {}
@@ -60,14 +61,14 @@ def several_owners(rig: str | Path | RigDescription, owners: Sequence[str]) -> R
 def shared_rig(
     rig: str | Path | RigDescription, owners: Sequence[str] = ("ann", "ben", "cem")
 ) -> Callable[[], Rig]:
-    """What opens the rig with so many owners of every motor, as often as it is called."""
+    """Return a function that opens the rig with these owners of every motor."""
     description = several_owners(rig, owners)
     return lambda: Rig(description)
 
 
 @final
 class Stage:
-    """What all owners of one run share: its time, the history, what was seen, what went wrong."""
+    """The common state of all owners of one run: time, history, counts, violations."""
 
     def __init__(self, rig: Rig, course: Course) -> None:
         self.rig: Final = rig
@@ -80,12 +81,12 @@ class Stage:
         self._last_ns = -1
 
     def _tick(self) -> int:
-        """The time, a little later than the last time that was told."""
+        """Return the time [ns], later than the last returned one."""
         self._last_ns = max(self._last_ns + 1, self.runtime.now_ns())
         return self._last_ns
 
     def physical_motors(self) -> list[list[Motor]]:
-        """The logical motors of each physical one, both in the order of the rig."""
+        """Return the logical motors of each physical one, both in the order of the rig."""
         found: dict[int, list[Motor]] = {}
         for name in self.rig.motors:
             motor = self.rig.motors[name]
@@ -93,36 +94,36 @@ class Stage:
         return list(found.values())
 
     def require(self, holds: bool, words: str) -> None:
-        """Notes it as a violation if it does not hold."""
+        """Note a violation if the condition does not hold."""
         if not holds:
             self.violations.append(f"at {self.runtime.now_ns() / 1e9:.6f} s: {words}")
 
     def check(self) -> None:
-        """Raises SharingViolated if anything went wrong."""
+        """Raise SharingViolated if there are violations."""
         if self.violations:
             raise SharingViolated("\n".join(self.violations))
 
 
 class Party:
-    """Somebody who does errands in the rig's virtual time, until he is killed."""
+    """A party that does errands in the rig's virtual time, until it is killed."""
 
     def __init__(self, name: str, stage: Stage) -> None:
         self.name: Final = name
         self.stage: Final = stage
         self.errand: Callable[[], None] | None = None
         self._party: Final[VirtualParty] = stage.runtime.spawn(name, self._work)
-        self._party.joined = True  # what goes wrong is told by the stage
-        stage.runtime.run_for(0.0)  # he has begun, and can be killed from now on
+        self._party.joined = True  # errors are reported by the stage
+        stage.runtime.run_for(0.0)  # it has begun, and can be killed from now on
 
     @property
     def is_idle(self) -> bool:
-        """Whether he has nothing to do, and lives."""
+        """True if it lives and has nothing to do."""
         return self.errand is None and not self._party.finished
 
     def kill(self) -> None:
-        """He does nothing more than leaving his blocks; it is waited for."""
+        """Kill the party, and wait until it has left its blocks."""
         self.stage.runtime.end(self._party)
-        self.stage.require(self._party.join(_LONG_S), f"{self.name} does not die")
+        self.stage.require(self._party.join(_LONG_S), f"{self.name} did not end after the kill")
 
     def _work(self) -> None:
         runtime = self.stage.runtime
@@ -138,4 +139,4 @@ class Party:
             self.leave()
 
     def leave(self) -> None:
-        """What he has open is closed."""
+        """Close everything that the party has open."""

@@ -114,9 +114,9 @@ def test_place_applies_to_its_bus_or_to_the_only_one():
 @pytest.mark.parametrize(
     ("texts", "why"),
     [
-        (["vcan3"], "there are frames of can0, can1; write --on can0=WHERE"),
-        (["can7=vcan3"], "there are frames of can0, can1; write --on can0=WHERE"),
-        (["can0=vcan3", "can0=vcan4"], "--on can0=vcan4: can0 is sent elsewhere already"),
+        (["vcan3"], "the recording has frames of can0, can1; write --on can0=WHERE"),
+        (["can7=vcan3"], "the recording has frames of can0, can1; write --on can0=WHERE"),
+        (["can0=vcan3", "can0=vcan4"], "--on can0=vcan4: can0 has a destination already"),
     ],
 )
 def test_place_for_an_unknown_bus_or_twice_is_refused(texts, why):

@@ -174,10 +174,10 @@ def test_any_python_can_interface_keeps_its_own_stamps(tmp_path):
     ("words", "told"),
     [
         (("--on", "/nowhere/hub"), "no hub answers here"),
-        (("--on", "nonsense:1"), "has no interface 'nonsense'; it has"),
+        (("--on", "nonsense:1"), "has no interface 'nonsense'; available:"),
         (("--on", "a b"), "names no bus"),
-        (("--on", "virtual:1", "--on", "virtual:1"), "is named twice"),
-        (("--on", "a=virtual:1", "--on", "a=virtual:2"), "is called a already"),
+        (("--on", "virtual:1", "--on", "virtual:1"), "is recorded already"),
+        (("--on", "a=virtual:1", "--on", "a=virtual:2"), "the name a is used already, by a="),
     ],
 )
 def test_unrecordable_bus_is_one_line_and_no_file(capsys, tmp_path, words, told):

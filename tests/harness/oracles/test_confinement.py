@@ -1,4 +1,4 @@
-"""What the medium's own nodes tell of their states is accused of nothing, wherever they get to."""
+"""Oracle of error states against the states of the simulated medium."""
 
 import random
 
@@ -17,7 +17,7 @@ EPISODES = 1500
 
 
 def struck(dice):
-    """Something that strikes every second frame, somewhere, for some or for all."""
+    """Return a disturbance for half of the frames, at some nodes or all."""
     if dice.random() < 0.5:
         return []
     ports = dice.choice([-1, *range(1, 1 << NODES)])
@@ -25,7 +25,7 @@ def struck(dice):
 
 
 def run(dice):
-    """What is recorded of a bus on which now one, now another node sends, and many frames fail."""
+    """Record a bus where random nodes send and many frames fail."""
     frames, now_ns = [], 0
     stations = {port: Station(port) for port in range(NODES)}
     off = {}
@@ -57,7 +57,7 @@ def run(dice):
     return sorted(frames, key=lambda frame: frame.time_ns)
 
 
-def test_the_states_that_the_medium_tells_are_legal_and_all_are_met(tmp_path):
+def test_states_of_the_medium_are_legal_and_all_reached(tmp_path):
     met = set()
     for seed in (1, 2):
         frames = run(random.Random(seed))

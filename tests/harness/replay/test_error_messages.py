@@ -1,4 +1,4 @@
-"""What CAN controllers told of errors while it was recorded is no traffic: it changes nothing."""
+"""Recorded error frames are not traffic and do not change a replay."""
 
 import pytest
 
@@ -18,7 +18,7 @@ from traces.traffic import ERR, classic
 from traces.writer import TraceWriter
 
 HEARD, OWN = Direction.RECEIVED, Direction.TRANSMITTED
-ERRORS = [  # some whose bits are those of NMT, SYNC, an SDO of node 1, were they identifiers
+ERRORS = [  # some with the bits of NMT, SYNC, or an SDO of node 1, read as identifiers
     (classic(ERR | 0x204, bytes.fromhex("0008000000006000")), "left", HEARD),
     (classic(ERR | 0x0A8, bytes.fromhex("0000801900000000")), "host", OWN),
     (classic(ERR | 0x080, bytes.fromhex("0000000000000000")), "left", HEARD),
@@ -31,7 +31,7 @@ EVERY = 7
 
 @pytest.fixture
 def told(tmp_path):
-    """The golden recording of two drives, with an error message behind each seventh frame."""
+    """Return the golden recording of two drives, with an error frame after each seventh frame."""
     with (
         golden("cia402") as path,
         read_trace(path) as trace,
@@ -54,7 +54,7 @@ def told(tmp_path):
     return tmp_path / "told.mcap"
 
 
-def test_the_devices_in_it_answer_as_if_there_were_none(told, tmp_path):
+def test_error_frames_do_not_change_recorded_devices(told, tmp_path):
     with golden("cia402") as path, read_trace(path) as plain, read_trace(told) as trace:
         assert tapes_of(trace).tapes == tapes_of(plain).tapes
     again = tmp_path / "again.mcap"
@@ -65,7 +65,7 @@ def test_the_devices_in_it_answer_as_if_there_were_none(told, tmp_path):
         assert traffic(again) == traffic(path)
 
 
-def test_the_host_in_it_waits_for_none_and_sends_none(told, tmp_path):
+def test_error_frames_are_not_awaited_or_sent_by_the_host(told, tmp_path):
     live = tmp_path / "live.mcap"
     with Rig(described("cia402"), record=live) as rig:
         player = drive(DrivenRig(rig), told)
@@ -74,7 +74,7 @@ def test_the_host_in_it_waits_for_none_and_sends_none(told, tmp_path):
     assert {one.label: one.share for one in objects if one.share < 1.0} == {}
 
 
-def test_oracles_say_what_they_said_and_one_more_judges(told):
+def test_error_frames_only_add_a_judging_oracle(told):
     with golden("cia402") as path:
         before = {one.oracle: one for one in judge(path)}
     after = {one.oracle: one for one in judge(told)}
