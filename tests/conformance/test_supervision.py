@@ -105,7 +105,7 @@ def test_what_builds_no_motor_is_told_by_the_line_of_the_rig(build, told):
     assert (verdict.result, verdict.place) == (Result.CRASHED, "")
     line = 1 + misbehaving.RIG.read_text().splitlines().index('adaptation = "ideal"')
     assert verdict.seen.startswith(f"{misbehaving.RIG}:{line}: motor.left.adaptation: plugin ")
-    assert f" built {told}, which is no motorapi.Motor; " in verdict.seen
+    assert f" built {told}, which is not a motorapi.Motor; " in verdict.seen
 
 
 def test_what_is_no_function_is_wrong_usage():

@@ -55,7 +55,7 @@ def test_a_link_left_by_a_killed_server_is_replaced_and_a_file_is_not(tmp_path):
         (["--modbus-rtu", "rs485="], "names no place"),
         (["--modbus-tcp", "5020"], "no HOST:PORT"),
         (["--modbus-tcp", "127.0.0.1:65536"], "no HOST:PORT"),
-        ([], "no place is named where to serve them"),
+        ([], "no address to serve them is given"),
         (["--socket", "/tmp/x", "--modbus-tcp", "127.0.0.1:0"], "no CAN bus for --on and --socket"),
     ],
 )

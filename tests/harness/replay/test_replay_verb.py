@@ -253,7 +253,7 @@ def test_a_file_that_is_called_a_recording_and_is_none_is_not_read_as_a_rig(fold
     (folder / "empty.mcap").write_bytes(b"")
     status, out, err = say("check", "empty.mcap")
     assert (status, out) == (2, "")
-    assert "empty.mcap: is no recording (MCAP); give a recording, or a rig file" in err
+    assert "empty.mcap: is not a recording (MCAP); give a recording, or a rig file" in err
 
 
 def test_a_record_of_vendors_drives_holds_the_rig_that_ran(tmp_path, say, monkeypatch, shared):
