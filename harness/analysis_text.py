@@ -109,7 +109,7 @@ def _sync(sync: Sync) -> str:
     text = f"SYNC{moved} every {clock.period_ns * _MS:.6f} ms"
     nominal_ns, error_ppm = clock.nominal_ns, clock.error_ppm
     if nominal_ns is not None and error_ppm is not None:
-        whence = "told by 1006h" if clock.is_told else "the nearest round period"
+        whence = "from 1006h" if clock.is_told else "the nearest round period"
         off_ppm = round(error_ppm, 1) + 0.0  # avoids -0.0
         text += f", its clock {off_ppm:+.1f} ppm off {nominal_ns * _MS:g} ms ({whence})"
     jitter = f"jitter {clock.peak_to_peak_ns / 1e3:.3f} us peak to peak"

@@ -1,9 +1,9 @@
 """python-can interface to an emulated bus: `can.Bus(interface="emulated", channel=...)`.
 
-`channel` is the name of a bus of the rig that is open in this process ("can0"), or the path of the
-socket that `motorhil serve --socket` created. A program written for python-can needs no other
-change. In a rig of this process, `recv` and `send_periodic` use the rig's time; over a socket they
-use wall time.
+`channel` is the name of a bus of the rig that is open in this process ("can0"). Alternatively it is
+the path of the socket that `motorhil serve --socket` created. A program written for python-can
+needs no other change. In a rig of this process, `recv` and `send_periodic` use the rig's time; over
+a socket they use wall time.
 
 CAN FD works as with SocketCAN: a connection opened without `fd=True` neither sends nor receives CAN
 FD frames. The bus must be an FD bus (`data_bitrate_bit_s`).

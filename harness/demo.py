@@ -1,4 +1,4 @@
-"""`motorhil demo`: a six-wheel rover drives an arc, a crab and a turn.
+"""`motorhil demo`: a six-wheel rover drives arc, crab and turn.
 
 Meanwhile its mast looks at a fixed point. The application is `harness/examples/rover.py`. The rig
 is `harness/examples/rover.toml`, or with `--rig` another one that has the same motors on other

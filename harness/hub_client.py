@@ -1,4 +1,4 @@
-"""Client end of a hub's socket (`motorhil serve --socket PATH`), in wall time."""
+"""Client of a hub's socket (`motorhil serve --socket PATH`), wall time."""
 
 import os
 import select

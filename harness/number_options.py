@@ -1,4 +1,4 @@
-"""Numbers on the command line, with limits and units in their error messages."""
+"""Numbers on the command line; errors name limits and unit."""
 
 import argparse
 import math

@@ -1,8 +1,8 @@
 """Conversion of ownership announcements into lock events of the record.
 
-Programs identify a motor by its bus and node (OwnershipNotice); the record uses the rig's name. An
-announcement about a node without a motor of the rig is recorded under the name of its controller,
-or of its bus and number.
+Programs identify a motor by its bus and node (OwnershipNotice); the record uses the rig's name. If
+no motor of the rig is on the node, the record uses the name of its controller, or of its bus and
+number.
 
 Announcements of the rig's own process must repeat exactly in every run of a seed. So no pid is
 recorded for them.

@@ -1,4 +1,4 @@
-"""Conformance kit as tests: `pytest --adaptation NAME --rig RIG`, one item per clause.
+"""Conformance clauses as tests: `pytest --adaptation NAME --rig RIG`.
 
 pytest collects them from the rig's file: `bench.toml::STOP-04` is one clause.
 """

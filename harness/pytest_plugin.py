@@ -1,4 +1,4 @@
-"""pytest plugin `motorhil`: rigs for tests, and a record of each failed test.
+"""pytest plugin `motorhil`: rigs for tests, records of failed tests.
 
     def test_the_wheel_turns(motor):  # pytest --rig=wheels/rig.toml
         motor.set_setpoint(1.0)

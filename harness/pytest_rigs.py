@@ -1,4 +1,4 @@
-"""The rig of one test: its choice, its record and its failure report."""
+"""The rig of one test: choice, record and failure report."""
 
 import hashlib
 import os

@@ -149,7 +149,9 @@ class RecordedBus:
             is_sync = is_canopen and key in self._syncs
             known.append((_at_home(found.message, is_canopen, is_sync), found))
         if left_out:
-            notes.append(f"not counted, SDO and NMT are sporadic (frames): {', '.join(left_out)}")
+            notes.append(
+                f"not counted because sporadic, SDO and NMT (frames): {', '.join(left_out)}"
+            )
         notes += self._notes(known)
         if self._switched and data_rate is None:
             notes.append(
@@ -197,29 +199,29 @@ class RecordedBus:
         notes = []
         if self._at_once and self._step_ns >= _COARSE_NS:
             step_ms = self._step_ns / 1e6
-            notes.append(f"stamps are in steps of {step_ms:g} ms: nothing finer can be seen")
+            notes.append(f"time stamps have a resolution of {step_ms:g} ms")
         once = [found.message.label for _, found in known if found.frames == 1]
         if once:
-            notes.append(f"seen once, nothing is known of how often they come: {', '.join(once)}")
+            notes.append(f"seen once, so that their period is unknown: {', '.join(once)}")
         irregular = [
             f"{found.message.label} ({found.irregular} of {found.frames - 1})"
             for _, found in known
             if found.irregular
         ]
         if irregular:
-            notes.append(f"periodic, but for some of their distances: {', '.join(irregular)}")
+            notes.append(f"periodic with some irregular intervals: {', '.join(irregular)}")
         several = [heard for heard in self._heard.values() if len(heard.senders) > 1]
         if several:
             labels = ", ".join(f"{one.identifier:03X}h" for one in several)
-            notes.append(f"of more than one sender, taken as one of a node of its own: {labels}")
+            notes.append(f"sent by more than one node, counted as one separate node: {labels}")
         if self._remote:
-            notes.append(f"{self._remote} remote frames, taken as without data")
+            notes.append(f"{self._remote} remote frames, counted as frames without data")
         if self._odd:
-            notes.append(f"{self._odd} frames are none that a bus could carry, and are left out")
+            notes.append(f"{self._odd} frames are impossible on a bus, and not counted")
         if self._errors:
             notes.append(
-                f"{self._errors} error messages were recorded; how late errors can make a message"
-                " is told by motorhil analyse --errors N"
+                f"{self._errors} error messages were recorded; motorhil analyse --errors N shows"
+                " how late errors can make a message"
             )
         return notes
 

@@ -78,6 +78,9 @@ def _told(source: Source) -> tuple[RecordedNames, RigFacts]:
 
 def _doubts(found: Findings) -> tuple[tuple[int, str], ...]:
     return (
-        (len(found.problems), "rows of the file cannot be read, and are left out"),
-        (found.backward, "frames are stamped earlier than the one before: ordered by stamp"),
+        (len(found.problems), "rows of the file cannot be read, and are not counted"),
+        (
+            found.backward,
+            "frames have an earlier time stamp than the one before: sorted by time stamp",
+        ),
     )

@@ -1,4 +1,4 @@
-"""Meaning of a recording for verbs that compare, with a warning for cut recordings."""
+"""Meaning of a recording, for verbs that compare."""
 
 import sys
 from os import PathLike

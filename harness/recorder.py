@@ -8,7 +8,7 @@ as long as it changes. The rest of a chunk is written when its second is over. F
 recorder must be called at certain times: see `connect`.
 
 So a channel is silent while its values stay the same. When they change after such a pause, the old
-value is recorded again before the new one, so that a plot shows a step and not a ramp.
+value is recorded again before the new one. A plot then shows a step and not a ramp.
 """
 
 import sys

@@ -1,4 +1,4 @@
-"""Open rig: buses, controllers and plants in virtual time, and the application's motors.
+"""Open rig: buses, controllers, plants and motors in virtual time.
 
     with Rig.open("rig.toml") as rig:
         wheel = rig.motors["left"]

@@ -1,4 +1,4 @@
-"""Motor models of a rig, from their own files or from the rig."""
+"""Motor models of a rig, from their own files or its."""
 
 from pathlib import Path
 

@@ -1,4 +1,4 @@
-"""Parts of an open rig: its controllers, its faults, and mappings by name."""
+"""Parts of an open rig: controllers, faults, and mappings by name."""
 
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass

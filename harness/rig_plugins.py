@@ -1,4 +1,4 @@
-"""Plugins of a rig: loading, calling, and errors that name the rig's line."""
+"""Plugins of a rig: loading, calling, and errors with line numbers."""
 
 import traceback
 from collections.abc import Callable, Iterator

@@ -1,8 +1,8 @@
-"""Declared traffic of a rig's buses, and the traffic of its own controllers.
+"""Traffic of a rig's buses: declarations, and its own controllers.
 
-`[[bus.NAME.message]]` declares a message that others send. With such tables (or with `message = []`
-if there are no others) the traffic on that bus is known, and motorapi can bound the delay of a
-start. A declaration does not send anything.
+`[[bus.NAME.message]]` declares a message that others send. `message = []` declares that there are
+no others. With a declaration the traffic on that bus is known, and motorapi can bound the delay of
+a start. A declaration does not send anything.
 """
 
 from collections.abc import Mapping

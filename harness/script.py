@@ -1,4 +1,4 @@
-"""User's program inside an open rig: its bus, its threads and its errors."""
+"""User's program inside an open rig: bus, threads and errors."""
 
 import builtins
 import code

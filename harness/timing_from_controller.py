@@ -1,4 +1,4 @@
-"""Drive timing assumed by a motor, taken from the emulated drive on request.
+"""Assumed drive timing, taken from the emulated drive on request.
 
 This is convenient but risky, like `plant.from_motor_model`: the host's assumption is right by
 construction, so that a wrong assumption about the real drive stays hidden. So a rig has to request

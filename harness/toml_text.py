@@ -1,4 +1,4 @@
-"""Rig text with a changed table; a recording contains the text of its rig."""
+"""Changes of one table in a rig's text, which recordings contain."""
 
 import re
 from collections.abc import Collection

@@ -1,13 +1,14 @@
-"""Virtual time: one event queue, and parties that take turns with one baton.
+"""Virtual time: one event queue, and parties that take turns.
 
 Time passes only while parties wait. A waiting party runs the world's events one by one, in the
-order (time, order of scheduling), until the condition of some party holds or its timeout expires.
-Then that party continues, and all others stand still. So ordinary blocking code is deterministic.
+order (time, order of scheduling). It stops when the condition of some party holds or its timeout
+expires. Then that party continues, and all others stand still. So ordinary blocking code is
+deterministic.
 
 The rules of turn:
     1. At any moment exactly one thread runs: the party that has the baton.
     2. The baton changes hands only in `wait_until`, and when a party ends.
-    3. Of several waiting parties that could continue at one time, the one that asked first does.
+    3. Of several waiting parties that could continue at one time, the one that waits longest does.
     4. Events at the very time of a timeout still count: events first, then the timeout.
 
 With `pace`, the same events happen in the same order, but none earlier than its wall time.

@@ -1,4 +1,4 @@
-"""Child processes beside a world in wall time, and the signals that stop it."""
+"""Child processes beside a world in wall time, and stop signals."""
 
 import os
 import signal

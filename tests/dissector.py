@@ -5,8 +5,8 @@ frames of CANopen controllers, on a bus or on a bench, pass through it. At the e
 through one run of `tshark -d can.subdissector,canopen`. Other processes (wall-time tests) run the
 same cores; their frames are not collected, and neither are those of compiled cores.
 
-No frame is excluded: identifiers outside the predefined connection set (CiA 301, 7.3.3) are judged
-by the service that normally has them, as a third party's analyser would do.
+No frame is excluded. An identifier outside the predefined connection set (CiA 301, 7.3.3) is judged
+by the service that normally has it. A third party's analyser would do the same.
 """
 
 import shutil

@@ -1,4 +1,4 @@
-"""Golden recordings: short runs of rigs of every kind of hardware, in traces/golden.
+"""Golden recordings: short runs of every kind of hardware, in traces/golden.
 
     make golden     records them again, and updates the index, if a digest differs
 

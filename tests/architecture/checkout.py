@@ -1,4 +1,4 @@
-"""Location of the sources, even if the tests run beside an installed build."""
+"""Location of the sources, also beside an installed build."""
 
 import os
 from pathlib import Path

@@ -1,4 +1,4 @@
-"""Runs import-linter on a copy of the sources with and without planted imports.
+"""import-linter on copied sources, with and without planted imports.
 
 python -m tests.architecture.lint_plants COPY < PLANTS
 

@@ -1,10 +1,11 @@
-"""README as a story: its fenced blocks run in order, in a folder beside a clone.
+"""README as a story: its fenced blocks run in order.
 
 python -m tests.architecture.readme       runs it, updates the outputs in README, and redraws
                                           its picture of the demo
 
-A block of Python or shell is run. A `text` block right after it is its output, including errors, in
-the order of a terminal. Comments before a block give options:
+The blocks run in a folder beside a clone. A block of Python or shell is run. A `text` block right
+after it is its output, including errors, in the order of a terminal. Comments before a block give
+options:
     <!-- file: NAME -->            the block is written to NAME, not run
     <!-- in the rig: RIG -->       the Python runs as `motorhil run RIG -`
     <!-- exit status: N -->        expected exit status (default 0)

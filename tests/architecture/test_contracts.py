@@ -1,4 +1,4 @@
-"""Import contracts of pyproject.toml: all are kept, and each of them can break."""
+"""Import contracts of pyproject.toml: all kept, and each can break."""
 
 import json
 import shutil

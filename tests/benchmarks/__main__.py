@@ -1,4 +1,4 @@
-"""`make bench`: performance figures of this machine, with peers in the same run.
+"""`make bench`: performance figures of this machine, compared with peers.
 
 python -m tests.benchmarks [NAME ...]      only benchmarks whose name contains one of these
 """

@@ -1,4 +1,4 @@
-"""CANopen figures: the slave's hot paths, and canopen's client against slave and peer."""
+"""CANopen figures: the slave's hot paths, and canopen as client and peer."""
 
 import time
 from collections.abc import Callable

@@ -1,4 +1,4 @@
-"""Costs of a servo tick, for each way a drive runs it, and time to rest."""
+"""Costs of servo ticks in several uses, and time to rest."""
 
 from collections.abc import Callable
 from dataclasses import replace

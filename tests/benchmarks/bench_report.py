@@ -1,4 +1,4 @@
-"""Costs of a report page: to make it, and to open it in a browser if there is one.
+"""Costs of making a report page, and of opening it in Chromium.
 
 The recording has a million frames of twelve drives on two buses with moving motors, and their PDO
 mappings. The peer is mcap's own reader, which only reads them, in the same run.

@@ -1,8 +1,8 @@
 """Central servo: twelve moving motors whose loops are closed on the host.
 
-In every cycle a motor costs a count to the host and an output back, exact frames on the bus, a
-trajectory sample, a PID step, and the plant. Times are CPU times of one thread. Figures grow with
-the number of motors and the rate.
+In every cycle a motor costs two messages (count and output), exact frames on the bus, a trajectory
+sample, a PID step, and the plant. Times are CPU times of one thread. Figures grow with the number
+of motors and the rate.
 """
 
 import time

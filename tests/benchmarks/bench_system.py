@@ -1,4 +1,4 @@
-"""System figures: the demo, csp at 1 kHz, a rig at rest, SDO over bus and drive.
+"""System figures: demo, csp at 1 kHz, rest, and SDO uploads.
 
 Each workload runs in a process of its own, with the pure cores and, after `make compiled`, with the
 compiled ones. The demo and csp grow with simulated time and drives, the rig at rest with heartbeats

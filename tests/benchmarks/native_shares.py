@@ -1,4 +1,4 @@
-"""Shares of a workload's time by layer, for compiled cores, sampled by perf.
+"""Shares of compiled cores' time by layer, sampled by perf.
 
 The innermost function of ours counts for each sample, including the Python work that it causes.
 Names of compiled functions contain their modules. Samples without a compiled function count as the

@@ -1,4 +1,4 @@
-"""Builds for tests of the compiled cores: through the Makefile, one at a time."""
+"""Builds of compiled cores through the Makefile, one at a time."""
 
 import contextlib
 import fcntl

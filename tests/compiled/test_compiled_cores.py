@@ -1,7 +1,8 @@
-"""Issue 2, item 10; issue 9, item 5: compiled cores equal pure cores; wheels, too.
+"""Compiled cores equal pure cores, in wheels too (issues 2, 9).
 
-`make compiled` builds them into .venv-compiled, unless a build of these sources exists. Hypothesis
-draws fewer examples than for the pure cores, which run the same tests at length.
+Issue 2, item 10; issue 9, item 5. `make compiled` builds them into .venv-compiled, unless a build
+of these sources exists. Hypothesis draws fewer examples than for the pure cores, which run the same
+tests at length.
 """
 
 import os

@@ -1,4 +1,4 @@
-"""Rule D7 for the demo: one seed and one source give one digest, anywhere."""
+"""Rule D7 for the demo: one seed, one source, one digest."""
 
 import pytest
 

@@ -1,4 +1,4 @@
-"""Fuzzing of emulated drives with millions of frames: `make fuzz`, or by hand.
+"""Fuzzing of emulated drives with millions of frames: `make fuzz`.
 
 python -m tests.fuzz [--seed N] [--frames N]     new frames, the same for the same seed
 python -m tests.fuzz --again FILE                failed ones, as kept in FILE

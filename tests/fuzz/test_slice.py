@@ -1,4 +1,4 @@
-"""A small part of `make fuzz`; failures are kept, reduced and can be repeated."""
+"""A small part of `make fuzz`, and its handling of failures."""
 
 import pytest
 

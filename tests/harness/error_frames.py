@@ -1,4 +1,4 @@
-"""CAN errors as python-can's users see them: one test class for every connection.
+"""CAN errors as python-can's users see them, over every connection.
 
 Expected bytes follow linux/can/error.h, by hand, and python-can's SocketCAN interface (4.6.1,
 `capture_message`). Filters work as in the kernel (net/can/raw.c): only CAN_RAW_ERR_FILTER applies

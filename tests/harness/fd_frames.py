@@ -1,4 +1,4 @@
-"""CAN FD as python-can's users see it: one test class for every connection.
+"""CAN FD as python-can's users see it, over every connection.
 
 Expectations follow python-can's SocketCAN interface (4.6.1) and the kernel: FD frames need sockets
 opened with `fd=True`; BRS and ESI arrive as sent.

@@ -332,7 +332,7 @@ def test_recorded_syncs_yield_clock_errors_and_drift(tmp_path, capsys):
     assert main(["analyse", str(path), *rates]) == 0
     lines = capsys.readouterr().out.splitlines()
     (line,) = [one for one in lines if one.startswith("can0: SYNC every")]
-    assert "its clock +40.0 ppm off 10 ms (told by 1006h); jitter 0.000 us peak to peak" in line
+    assert "its clock +40.0 ppm off 10 ms (from 1006h); jitter 0.000 us peak to peak" in line
     assert "can1: SYNC drifts by -70.0 ppm from that of can0" in lines
 
 
@@ -407,7 +407,7 @@ def test_car_recording_is_not_canopen_and_has_coarse_stamps(tmp_path, capsys):
     _, told = as_json(capsys, str(path), "--bitrate", "can0=500k")
     (bus,) = told["buses"]
     assert [one["name"] for one in bus["messages"]] == [""]
-    assert "stamps are in steps of 1000 ms: nothing finer can be seen" in bus["notes"]
+    assert "time stamps have a resolution of 1000 ms" in bus["notes"]
 
 
 def test_rig_without_can_bus_is_reported(tmp_path, capsys):

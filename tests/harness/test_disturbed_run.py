@@ -1,4 +1,4 @@
-"""A disturbed run (noise, broken frames, CAN FD, bus-off), read by every verb.
+"""A disturbed run (noise, errors, CAN FD, bus-off), read by every verb.
 
 The run is made twice, by processes with different hash seeds.
 """

@@ -1,4 +1,4 @@
-"""Tests of `motorhil new --ci`: the CI jobs, and their helper that chooses the bus."""
+"""Tests of `motorhil new --ci`: CI jobs, and their helper script."""
 
 import re
 import shutil

@@ -1,4 +1,4 @@
-"""Logical motors that take turns with one motor, according to the record alone."""
+"""Logical motors sharing one motor, according to the record alone."""
 
 from itertools import pairwise
 

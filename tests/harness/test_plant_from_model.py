@@ -1,4 +1,4 @@
-"""Plants with parameters from motor models: single motors and channels of a node."""
+"""Plants with parameters from motor models, also for channels."""
 
 import pytest
 

@@ -1,4 +1,4 @@
-"""`pytest --adaptation NAME --rig RIG`: every clause of the conformance kit as a test."""
+"""`pytest --adaptation NAME --rig RIG`: every clause as a test."""
 
 import json
 import re

@@ -1,4 +1,4 @@
-"""Rig keys of CAN controllers and of bus faults: valid and invalid values."""
+"""Rig keys of CAN controllers and bus faults, valid and invalid."""
 
 import contextlib
 import io

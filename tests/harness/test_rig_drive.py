@@ -1,4 +1,4 @@
-"""The shipped CiA 402 drive in a rig file; every mistake is one line of error."""
+"""The CiA 402 drive in a rig file; mistakes give one line."""
 
 import json
 import os

@@ -1,4 +1,4 @@
-"""The JSON Schema for editors agrees with the rig file's reader about structure."""
+"""The editors' JSON Schema agrees with the reader of rig files."""
 
 import json
 import tomllib

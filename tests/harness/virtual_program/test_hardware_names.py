@@ -45,7 +45,7 @@ def test_a_program_that_names_hardware_has_the_rigs_bus_of_that_name(rig, interf
 
 def test_hardware_that_is_no_bus_of_the_rig_is_refused_by_name(rig):
     with pytest.raises(
-        can.CanInitializationError, match=r"'socketcan', channel 'can7'.*there are: can0, ttyUSB0"
+        can.CanInitializationError, match=r"'socketcan', channel 'can7'.*its buses: can0, ttyUSB0"
     ):
         can.Bus(interface="socketcan", channel="can7")
 
