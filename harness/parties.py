@@ -1,7 +1,7 @@
 """Parties that take turns in virtual time, their waits, and periodic actions."""
 
 import threading
-from _thread import allocate_lock  # never what stands in for it in a program's own threads
+from _thread import allocate_lock  # the real one, never the replacement for programs
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Final, final
 

@@ -1,4 +1,4 @@
-"""Tests of `motorhil analyse`: rigs and recordings, tables and JSON, exit status."""
+"""`motorhil analyse`: rigs and recordings, tables and JSON, exit status and refusals."""
 
 import json
 import os
@@ -38,7 +38,7 @@ DAVIS = "[bus.can0]\nbitrate_bit_s = 125_000\n" + "".join(
 
 @pytest.fixture
 def rig(tmp_path: Path) -> Path:
-    """Return a rig that has only declared messages."""
+    """A rig with nothing but declared messages."""
     path = tmp_path / "rig.toml"
     path.write_text(DAVIS)
     return path
@@ -52,7 +52,7 @@ def as_json(capsys, *words: str) -> tuple[int, dict]:
 
 
 def recorded(path: Path, periods: dict[int, int], until_ns: int = 400 * MS) -> Path:
-    """Record strictly periodic messages of 4 bytes; `periods` [ns] by identifier."""
+    """A recording of strictly periodic messages of 4 bytes: [ns] by identifier."""
     frames = sorted(
         Frame(time_ns, "can0", pack(identifier, bytes(4)), Direction.UNKNOWN, "")
         for identifier, period_ns in periods.items()
@@ -62,19 +62,19 @@ def recorded(path: Path, periods: dict[int, int], until_ns: int = 400 * MS) -> P
     return path
 
 
-def test_late_message_is_reported_with_remedies(rig, capsys):
+def test_a_message_that_may_be_late_is_told_with_what_would_help(rig, capsys):
     assert main(["analyse", str(rig)]) == 1
     told = capsys.readouterr().out.splitlines()
     (row,) = [line.split() for line in told if line.startswith("003h")]
     assert row == ["003h", "declared", "7", "3.500", "0.000", "3.250", "3.500", "NO", "-"]
     assert "can0: may be late: 003h" in told
     assert "can0: no order of identifiers helps (proved level by level)" in told
-    assert not any("errors" in one for one in told[2:])  # late even without errors
+    assert not any("errors" in one for one in told[2:])  # it may be late without any
     assert "can0: all are in time at 250000 bit/s" in told
     assert told[-1] == f"{rig}: 1 message may be late"
 
 
-def test_json_of_a_rig_matches_the_schema(rig, capsys):
+def test_json_has_what_the_schema_says(rig, capsys):
     status, told = as_json(capsys, str(rig), "--bit-error-rate", "1e-6")
     assert status == 1
     (bus,) = told["buses"]
@@ -86,13 +86,13 @@ def test_json_of_a_rig_matches_the_schema(rig, capsys):
     assert bus["late"] == ["003h"]
 
 
-def test_bitrate_option_replaces_the_rigs_bit_rate(rig, capsys):
+def test_what_if_another_bit_rate(rig, capsys):
     status, told = as_json(capsys, str(rig), "--bitrate", "can0=250k")
     assert (status, told["verdict"]) == (0, "all messages are in time")
     assert told["buses"][0]["remedy"] is None
 
 
-def test_errors_make_punctual_messages_late(rig, capsys):
+def test_errors_can_make_late_what_was_in_time(rig, capsys):
     rate = ("--bitrate", "can0=250k")
     status, told = as_json(capsys, str(rig), *rate, "--errors", "1", "--error-interval", "1")
     assert status == 0
@@ -106,7 +106,7 @@ def test_errors_make_punctual_messages_late(rig, capsys):
     )
 
 
-def test_one_senders_messages_share_one_fifo_by_default(tmp_path, capsys):
+def test_messages_of_one_sender_wait_in_one_queue_unless_told_otherwise(tmp_path, capsys):
     path = tmp_path / "rig.toml"
     path.write_text(
         "[bus.can0]\nbitrate_bit_s = 1_000_000\n"
@@ -122,8 +122,8 @@ def test_one_senders_messages_share_one_fifo_by_default(tmp_path, capsys):
     assert [one["response_s"] for one in sorted_queue["messages"]] == [270e-6, 405e-6, 405e-6]
 
 
-def test_queue_order_of_a_node_is_taken_from_the_rig(tmp_path, capsys):
-    """Check it for `left` with a priority queue, and for the default FIFO queue."""
+def test_how_a_nodes_queue_is_set_up_needs_no_telling_twice(tmp_path, capsys):
+    """left sends its most urgent frame first; the other is as emulated nodes are by default."""
     path = tmp_path / "rig.toml"
     path.write_text(
         "[bus.can0]\nbitrate_bit_s = 1_000_000\n"
@@ -151,7 +151,7 @@ def test_queue_order_of_a_node_is_taken_from_the_rig(tmp_path, capsys):
     assert as_json(capsys, str(recording))[1]["buses"][0]["fifo"] == ["other"]
 
 
-def test_declared_can_fd_messages_use_both_bit_rates(tmp_path, capsys):
+def test_declared_can_fd_messages_take_both_rates(tmp_path, capsys):
     """64 bytes: 33 bits at 500 kbit/s and 679 at 2 Mbit/s, 712 without a switch (can-physics)."""
     path = tmp_path / "rig.toml"
     fd = "length = 64\nperiod_s = 0.01\nfd = true\n"
@@ -167,7 +167,7 @@ def test_declared_can_fd_messages_use_both_bit_rates(tmp_path, capsys):
     assert [one["bit_rate_switch"] for one in (first, second)] == [True, False]
 
 
-def test_messages_configured_by_motors_are_counted(capsys):
+def test_what_motors_have_their_drives_send_is_known(capsys):
     status, told = as_json(capsys, str(EXAMPLES / "two_wheels.toml"))
     assert status == 0
     messages = {one["label"]: one for one in told["buses"][0]["messages"]}
@@ -175,7 +175,7 @@ def test_messages_configured_by_motors_are_counted(capsys):
     assert messages["181h"]["sender"] == "left"
     assert messages["77Fh"]["sender"] == "host"
     assert messages["181h"]["arrival"] == "sporadic"
-    assert messages["181h"]["deadline_s"] == 0.02  # the drive's repetition period
+    assert messages["181h"]["deadline_s"] == 0.02  # the drive repeats it then
     notes = " ".join(told["buses"][0]["notes"])
     assert "not declared" in notes
     assert "SDO" in notes
@@ -184,7 +184,7 @@ def test_messages_configured_by_motors_are_counted(capsys):
     assert (sent["080h"], sent["301h"], sent["302h"]) == (0.005, 0.005, 0.005)
 
 
-def test_recording_yields_periods_and_jitter(tmp_path, capsys):
+def test_a_recording_tells_periods_and_jitter(tmp_path, capsys):
     path = recorded(tmp_path / "some.mcap", {0x101: 5 * MS, 0x102: 20 * MS})
     status, told = as_json(capsys, str(path), "--bitrate", "can0=500k")
     assert status == 0
@@ -196,7 +196,7 @@ def test_recording_yields_periods_and_jitter(tmp_path, capsys):
     assert "NO" in capsys.readouterr().out
 
 
-def test_plot_has_a_bar_per_message(rig, capsys, tmp_path):
+def test_a_picture_has_a_bar_for_each_message(rig, capsys, tmp_path):
     target = tmp_path / "times.svg"
     assert main(["analyse", str(rig), "--plot", str(target)]) == 1
     root = ElementTree.fromstring(target.read_text())
@@ -220,12 +220,12 @@ def test_plot_has_a_bar_per_message(rig, capsys, tmp_path):
         (["--bit-error-rate", "2"], "'2' is not a number from 0 to 0.5"),
     ],
 )
-def test_wrong_usage_is_reported(rig, capsys, words, told):
+def test_wrong_usage_is_told(rig, capsys, words, told):
     assert main(["analyse", str(rig), *words]) == 2
     assert told in capsys.readouterr().err
 
 
-def test_wrong_rig_is_reported_with_its_line(tmp_path, capsys):
+def test_a_wrong_rig_is_told_with_its_line(tmp_path, capsys):
     path = tmp_path / "rig.toml"
     path.write_text(DAVIS.replace("deadline_s = 0.0025", "deadline_s = -1"))
     assert main(["analyse", str(path)]) == 2
@@ -233,7 +233,7 @@ def test_wrong_rig_is_reported_with_its_line(tmp_path, capsys):
     assert "rig.toml:7: bus.can0.message[0].deadline_s: -1 s is out of range" in told
 
 
-def test_recording_without_bit_rate_is_refused(tmp_path, capsys):
+def test_a_recording_without_a_bit_rate_is_refused(tmp_path, capsys):
     path = recorded(tmp_path / "some.mcap", {0x101: 5 * MS})
     assert main(["analyse", str(path)]) == 2
     assert (
@@ -245,7 +245,7 @@ def test_recording_without_bit_rate_is_refused(tmp_path, capsys):
     assert "has no CAN bus nosuch; its buses: can0" in capsys.readouterr().err
 
 
-def test_can_fd_recording_is_measured_at_both_rates(tmp_path, capsys):
+def test_a_recording_of_can_fd_is_measured_at_both_rates(tmp_path, capsys):
     path = tmp_path / "fd.log"
     rows = [f"({n * 0.005:.6f}) can0 123##1{'55' * 64}\n" for n in range(40)]
     path.write_text("".join([*rows, f"(0.200000) can0 124##1{'55' * 9}\n"]))
@@ -253,11 +253,11 @@ def test_can_fd_recording_is_measured_at_both_rates(tmp_path, capsys):
     (bus,) = as_json(capsys, str(path), *rates)[1]["buses"]
     (message,) = [one for one in bus["messages"] if one["label"] == "123h"]
     assert (message["length"], message["fd"], message["bit_rate_switch"]) == (64, True, True)
-    # 712 bits at most (can-physics, 6.3), 33 of them before and after the data phase
+    # 712 bits at most (can-physics, 6.3), 33 of them before and behind the data phase
     assert message["takes_s"] == pytest.approx(33 / 500_000 + 679 / 2_000_000, abs=1e-12)
 
 
-def test_data_bit_rate_is_taken_from_the_recorded_rig(tmp_path, capsys):
+def test_the_data_bit_rate_stands_in_the_rig_or_in_the_rig_that_was_recorded(tmp_path, capsys):
     rig = "[bus.can0]\nbitrate_bit_s = 500_000\ndata_bitrate_bit_s = 2_000_000\n"
     path = tmp_path / "rig.toml"
     path.write_text(rig + "[[bus.can0.message]]\nidentifier = 1\nlength = 8\nperiod_s = 0.01\n")
@@ -275,14 +275,14 @@ def test_data_bit_rate_is_taken_from_the_recorded_rig(tmp_path, capsys):
     assert bus["messages"][0]["takes_s"] == pytest.approx(33 / 5e5 + 679 / 2e6, abs=1e-12)
 
 
-def test_frames_without_time_stamps_are_refused(tmp_path, capsys):
+def test_frames_without_a_time_are_refused(tmp_path, capsys):
     path = tmp_path / "plain.txt"
     path.write_text("  can0  181   [2]  37 06\n  can0  181   [2]  37 06\n")
     assert main(["analyse", str(path), "--bitrate", "can0=500k"]) == 2
     assert "has 2 frames without a time" in capsys.readouterr().err
 
 
-def test_no_periodic_messages_are_not_judged(tmp_path, capsys):
+def test_where_nothing_is_periodic_nothing_is_judged(tmp_path, capsys):
     path = tmp_path / "rig.toml"
     path.write_text("[bus.can0]\nbitrate_bit_s = 125_000\nmessage = []\n")
     assert main(["analyse", str(path)]) == 3
@@ -291,8 +291,8 @@ def test_no_periodic_messages_are_not_judged(tmp_path, capsys):
     capsys.readouterr()
 
 
-def test_demo_and_its_recording_agree(demo, capsys):
-    """Only commands are new in the recording; no message came more often than the rig allows."""
+def test_the_demo_and_its_recording_agree_but_for_what_is_explained(demo, capsys):
+    """Only commands are new in the recording; nothing came more often than the rig allows."""
     status, rig = as_json(capsys, str(EXAMPLES / "rover.toml"))
     again, record = as_json(capsys, str(demo))
     assert (status, again) == (0, 0)
@@ -309,12 +309,12 @@ def test_demo_and_its_recording_agree(demo, capsys):
             assert (other["length"], other["sender"]) == (one["length"], one["sender"])
             assert other["arrival"] == "periodic"
             assert other["period_s"] >= one["period_s"] * 0.999
-            if one["arrival"] == "sporadic":  # stamps are ends of frames, which may have waited
+            if one["arrival"] == "sporadic":  # stamps are of ends of frames: they waited
                 assert other["distance_s"] >= one["period_s"] - one["response_s"]
 
 
-def test_recorded_syncs_yield_clock_errors_and_drift(tmp_path, capsys):
-    """can0 runs 40 ppm fast and 1006h says 10 ms; can1 runs 30 ppm slow without 1006h."""
+def test_recorded_syncs_tell_their_clocks_and_how_they_drift(tmp_path, capsys):
+    """40 ppm fast on can0, where 1006h says 10 ms; 30 ppm slow on can1, where nothing is said."""
     path = tmp_path / "two.log"
     rows = [(5 * MS, "can0 601#2306100010270000")]
     for n in range(200):
@@ -336,8 +336,8 @@ def test_recorded_syncs_yield_clock_errors_and_drift(tmp_path, capsys):
     assert "can1: SYNC drifts by -70.0 ppm from that of can0" in lines
 
 
-def test_sync_with_another_identifier_is_measured(tmp_path, capsys):
-    """SYNC is 090h by 1005h, read from node 1 and written to node 2; by default it is an EMCY."""
+def test_a_sync_with_another_identifier_is_measured_as_one(tmp_path, capsys):
+    """1005h of node 1 is read, that of node 2 written: SYNC is 090h, an EMCY by default."""
     path = tmp_path / "moved.log"
     rows = [(1 * MS, "581#4305100090000000"), (2 * MS, "602#2305100090000000")]
     rows += [(n * 10 * MS, "090#") for n in range(40)]
@@ -352,7 +352,7 @@ def test_sync_with_another_identifier_is_measured(tmp_path, capsys):
     assert "can0: SYNC 090h every 10.000000 ms" in capsys.readouterr().out
 
 
-def test_sync_producing_controller_is_counted(tmp_path, capsys):
+def test_a_controller_that_sends_sync_is_counted(tmp_path, capsys):
     path = tmp_path / "rig.toml"
     path.write_text(
         "[bus.can0]\nbitrate_bit_s = 500_000\nmessage = []\n[controller.left]\nkind = 'cia402'\n"
@@ -365,8 +365,8 @@ def test_sync_producing_controller_is_counted(tmp_path, capsys):
     assert facts == ["SYNC", "left", 0.004, "periodic"]
 
 
-def test_reader_that_left_is_not_an_error(rig):
-    """The command ends silently with exit status 1, as every verb does."""
+def test_a_reader_that_has_left_is_no_error(rig):
+    """As of any verb: silent, exit status 1."""
     command = f"{sys.executable} -m harness analyse {rig} --json; echo $? >&2"
     read, write = os.pipe()
     os.close(read)
@@ -375,18 +375,18 @@ def test_reader_that_left_is_not_an_error(rig):
     assert told.stderr == "1\n"
 
 
-def test_message_late_by_itself_is_reported_as_such(tmp_path, capsys):
+def test_a_message_that_is_late_by_itself_is_told_so(tmp_path, capsys):
     path = tmp_path / "rig.toml"
     text = "[bus.can0]\nbitrate_bit_s = 500_000\n[[bus.can0.message]]\nidentifier = 1\nlength = 8\n"
     path.write_text(f"{text}period_s = 0.01\ndeadline_s = 0.0001\n")
     assert main(["analyse", str(path)]) == 1
     told = capsys.readouterr().out
     assert "can0: 001h: its jitter and its own frame alone take longer than its deadline" in told
-    assert "SDO" not in told  # not a CANopen bus
+    assert "SDO" not in told  # nobody there is of CANopen
 
 
-def test_any_identifier_may_change_without_canopen(tmp_path, capsys):
-    """300h is late behind 10h and 20h; CANopen has no free identifier below 081h."""
+def test_on_a_bus_without_canopen_every_identifier_may_be_changed(tmp_path, capsys):
+    """300h is late behind 10h and 20h; below 081h CANopen would have none to give."""
     path = tmp_path / "rig.toml"
     path.write_text(
         "[bus.can0]\nbitrate_bit_s = 125_000\n"
@@ -401,7 +401,7 @@ def test_any_identifier_may_change_without_canopen(tmp_path, capsys):
     assert change["to"] < "020h"
 
 
-def test_car_recording_is_not_canopen_and_has_coarse_stamps(tmp_path, capsys):
+def test_a_car_is_not_taken_for_canopen_and_coarse_stamps_are_told(tmp_path, capsys):
     path = tmp_path / "car.log"
     path.write_text("".join(f"({n // 20}.0) can0 7A8#0102\n" for n in range(200)))
     _, told = as_json(capsys, str(path), "--bitrate", "can0=500k")
@@ -410,7 +410,7 @@ def test_car_recording_is_not_canopen_and_has_coarse_stamps(tmp_path, capsys):
     assert "time stamps have a resolution of 1000 ms" in bus["notes"]
 
 
-def test_rig_without_can_bus_is_reported(tmp_path, capsys):
+def test_where_no_can_bus_is_it_says_so(tmp_path, capsys):
     path = tmp_path / "rig.toml"
     path.write_text('[bus.line]\nkind = "modbus_rtu"\n')
     assert main(["analyse", str(path)]) == 3

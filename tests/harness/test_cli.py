@@ -12,7 +12,7 @@ from tests.harness.rigs import GOOD
 # --- help and version
 
 
-def test_help_imports_no_large_library():
+def test_help_loads_none_of_the_big_libraries():
     code = (
         "import sys\nfrom harness.cli import main\nmain(['--help'])\n"
         "print([name for name in ('can', 'canopen', 'pymodbus', 'numpy', 'asyncio', 'mcap')"
@@ -23,7 +23,7 @@ def test_help_imports_no_large_library():
     assert "run a script, or a prompt, with a rig around it" in done.stdout
 
 
-def test_help_lists_existing_verbs_that_have_help(say):
+def test_help_names_only_verbs_that_exist_and_each_has_help_of_its_own(say):
     status, out, _ = say("--help")
     assert status == 0
     verbs = [line.split()[0] for line in out.splitlines() if line.startswith("    ")]
@@ -34,7 +34,7 @@ def test_help_lists_existing_verbs_that_have_help(say):
         assert out.startswith(f"usage: motorhil {verb}")
 
 
-def test_version_names_cores_and_source(say):
+def test_version_says_which_cores_run_and_of_which_source(say):
     status, out, _ = say("--version")
     assert status == 0
     assert out.startswith("motorhil ")
@@ -42,7 +42,7 @@ def test_version_names_cores_and_source(say):
 
 
 @pytest.mark.parametrize("words", [(), ("no-such-verb",), ("-x",), ("run",), ("list", "nonsense")])
-def test_wrong_usage_is_reported_on_stderr_with_status_2(say, words):
+def test_wrong_usage_is_told_on_stderr_with_status_2(say, words):
     status, out, err = say(*words)
     assert (status, out) == (2, "")
     assert "usage: motorhil" in err
@@ -51,13 +51,13 @@ def test_wrong_usage_is_reported_on_stderr_with_status_2(say, words):
 # --- check
 
 
-def test_check_prints_the_contents_of_a_rig(rig, say):
+def test_check_tells_what_a_rig_holds(rig, say):
     status, out, err = say("check", "rig.toml")
     assert (status, err) == (0, "")
     assert out == "rig.toml: rig: 1 bus, 2 controllers, 2 motors\n"
 
 
-def test_check_with_json_prints_machine_readable_result(rig, say):
+def test_check_answers_a_machine(rig, say):
     status, out, _ = say("check", "rig.toml", "--json")
     assert (status, out.startswith('{"right": true, "name": "rig", "buses": 1')) == (0, True)
     (rig / "rig.toml").write_text(GOOD.replace("seed", "sede"))
@@ -94,7 +94,7 @@ BAD_INPUT = {
 
 @pytest.mark.parametrize("verb", ["check", "run"])
 @pytest.mark.parametrize("what", BAD_INPUT)
-def test_bad_input_is_one_line_with_line_key_and_remedy(rig, say, verb, what):
+def test_bad_input_is_one_line_with_file_line_key_and_remedy(rig, say, verb, what):
     old, new, told = BAD_INPUT[what]
     assert old in GOOD
     (rig / "rig.toml").write_text(GOOD.replace(old, new, 1))
@@ -117,25 +117,25 @@ def test_bad_input_is_one_line_with_line_key_and_remedy(rig, say, verb, what):
         (("run", "rig.toml", "-o", "script.py"), "script.py: is no recording, and would be lost;"),
     ],
 )
-def test_missing_file_is_reported_in_one_line(rig, say, words, told):
+def test_missing_files_are_one_line_too(rig, say, words, told):
     status, out, err = say(*words)
     assert (status, out) == (2, "")
     assert err.startswith(told)
     assert err.count("\n") == 1
 
 
-def test_missing_argument_is_named_alone(say):
+def test_what_is_missing_on_the_command_line_is_named_and_nothing_else(say):
     assert say("run")[2].endswith("error: the following arguments are required: RIG\n")
 
 
-def test_check_reports_settings_that_only_a_motor_refuses(rig, say):
+def test_check_finds_what_only_a_motor_that_is_made_can_refuse(rig, say):
     (rig / "rig.toml").write_text(GOOD.replace('"left"\n[', '"left"\nheartbeat = 1\n[', 1))
     status, out, err = say("check", "rig.toml")
     assert (status, out) == (2, "")
     assert err.startswith("rig.toml:17: motor.left.heartbeat: ")
 
 
-def test_bad_input_leaves_no_process_and_no_traceback(rig):
+def test_bad_input_leaves_nothing_running_and_no_traceback(rig):
     (rig / "rig.toml").write_text(GOOD.replace("seed", "sede"))
     done = in_another_process("run", "rig.toml", "script.py")
     assert done.returncode == 2
@@ -146,7 +146,7 @@ def test_bad_input_leaves_no_process_and_no_traceback(rig):
 # --- new, and the examples
 
 
-def test_new_writes_a_valid_rig_and_a_working_script(bench, say):
+def test_new_writes_a_rig_that_is_right_and_a_script_that_runs(bench, say):
     status, out, err = say("new", "wheels")
     assert (status, err) == (0, "next: motorhil run wheels/rig.toml wheels/drive.py\n")
     assert out.splitlines() == [
@@ -164,14 +164,14 @@ def test_new_writes_a_valid_rig_and_a_working_script(bench, say):
     assert "#:schema ./rig.schema.json" in (bench / "wheels/rig.toml").read_text()
 
 
-def test_new_script_names_its_neighbour_files(bench, say):
+def test_the_new_script_names_the_files_beside_it(bench, say):
     assert say("new", "wheels")[0] == 0
     script = (bench / "wheels" / "drive.py").read_text()
     assert "motorhil run rig.toml drive.py" in script
     assert "two_wheels" not in script
 
 
-def test_new_does_not_overwrite_files(bench, say):
+def test_new_writes_over_nothing(bench, say):
     (bench / "drive.py").write_text("mine")
     assert say("new", ".") == (
         2,
@@ -184,9 +184,9 @@ def test_new_does_not_overwrite_files(bench, say):
     assert err.startswith("drive.py/below: cannot be written: ")
 
 
-def test_new_on_a_full_disk_leaves_no_files(bench, say, monkeypatch):
+def test_new_leaves_nothing_half_written(bench, say, monkeypatch):
     limit = resource.getrlimit(resource.RLIMIT_FSIZE)
-    resource.setrlimit(resource.RLIMIT_FSIZE, (3000, limit[1]))  # shorter than the schema
+    resource.setrlimit(resource.RLIMIT_FSIZE, (3000, limit[1]))  # the schema is longer
     try:
         status, out, err = say("new", "wheels")
     finally:
@@ -197,7 +197,7 @@ def test_new_on_a_full_disk_leaves_no_files(bench, say, monkeypatch):
     assert say("new", "wheels")[0] == 0
 
 
-def test_every_listed_example_is_valid(bench, say):
+def test_every_example_is_listed_and_right(bench, say):
     status, out, _ = say("list", "examples", "--json")
     examples = json.loads(out)
     assert [example["name"] for example in examples] == [
@@ -212,7 +212,7 @@ def test_every_listed_example_is_valid(bench, say):
 # --- list
 
 
-def test_list_shows_installed_plugins_and_our_eds(bench, say):
+def test_list_shows_what_is_installed_and_where_our_own_eds_is(bench, say):
     status, out, _ = say("list", "controllers")
     assert status == 0
     lines = {line.split()[0]: line for line in out.splitlines()}
@@ -227,10 +227,10 @@ def test_list_shows_installed_plugins_and_our_eds(bench, say):
     )
 
 
-# --- interrupts, and output that cannot be written
+# --- interrupted, and output that finds no place
 
 
-def test_interrupt_during_import_is_one_line():
+def test_an_interrupt_while_the_command_is_still_loading_is_one_line():
     code = (
         "import sys\nfrom harness.__main__ import start\n"
         "class Interrupt:\n    def find_spec(self, name, *_):\n"
@@ -242,7 +242,7 @@ def test_interrupt_during_import_is_one_line():
 
 
 @pytest.mark.parametrize("words", [("--version",), ("list", "examples")])
-def test_full_disk_behind_stdout_is_one_line(bench, words):
+def test_a_full_disk_behind_stdout_is_one_line(bench, words):
     with open("/dev/full", "w") as full:
         done = in_another_process(*words, stdout=full)
     assert done.returncode == 2
@@ -252,7 +252,7 @@ def test_full_disk_behind_stdout_is_one_line(bench, words):
     )
 
 
-def test_closed_standard_streams_do_no_harm(rig):
+def test_closed_standard_streams_are_no_matter(rig):
     for close in (">&-", "2>&-", "<&- >&- 2>&-"):
         command = ["sh", "-c", f'exec "$@" {close}', "sh", sys.executable, "-m", "harness"]
         done = subprocess.run(
@@ -269,7 +269,7 @@ def test_closed_standard_streams_do_no_harm(rig):
 
 @pytest.fixture
 def plugin(rig, monkeypatch):
-    """Return a function that writes a plugin `broken` for the left controller."""
+    """Writes a plugin `broken` for the left controller; its module is the caller's to name."""
 
     def write(module, text):
         (rig / f"{module}.py").write_text(text)
@@ -285,7 +285,7 @@ def plugin(rig, monkeypatch):
 LEFT_KIND = 'rig.toml:6: controller.left.kind: plugin "broken" '
 
 
-def test_plugin_that_exits_on_import_is_reported(plugin, say):
+def test_a_plugin_that_leaves_when_it_is_imported_is_told_not_obeyed(plugin, say):
     plugin("leaving_plugin", "import sys\nsys.exit(0)\n")
     assert say("check", "rig.toml") == (
         2,
@@ -323,7 +323,7 @@ FAILING_PLUGINS = {
 
 
 @pytest.mark.parametrize("name", FAILING_PLUGINS)
-def test_failing_plugin_is_named_with_its_line(plugin, say, name):
+def test_a_plugin_that_fails_is_named_with_its_line(plugin, say, name):
     text, told = FAILING_PLUGINS[name]
     path = plugin(f"{name}_plugin", text)
     status, out, err = say("check", "rig.toml")
@@ -332,7 +332,7 @@ def test_failing_plugin_is_named_with_its_line(plugin, say, name):
     assert err.endswith("; fix it, or report it to the author of bench 1.0\n")
 
 
-def test_group_with_two_motors_on_one_drive_is_refused(bench, say):
+def test_a_group_of_two_motors_on_one_drive_is_told_with_the_line(bench, say):
     say("new", ".")
     text = (bench / "rig.toml").read_text().replace('controller = "right"', 'controller = "left"')
     (bench / "rig.toml").write_text(text)

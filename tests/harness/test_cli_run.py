@@ -11,11 +11,11 @@ from tests.harness.rigs import SCRIPT
 from traces.digest import digest
 
 
-def test_script_joins_the_rig_with_a_plain_can_bus(rig, say):
+def test_a_script_joins_the_rig_with_a_plain_can_bus(rig, say):
     assert say("run", "rig.toml", "script.py") == (0, "[] __main__ 2a\n", "")
 
 
-def test_script_leaves_no_trace_in_the_process(rig, say, monkeypatch):
+def test_a_script_leaves_no_trace_in_the_process(rig, say, monkeypatch):
     monkeypatch.setenv("CAN_INTERFACE", "socketcan")
     monkeypatch.setenv("CAN_CONFIG", '{"fd": true}')
     before = (dict(os.environ), sys.argv, sys.path.copy(), sys.modules["__main__"])
@@ -23,7 +23,7 @@ def test_script_leaves_no_trace_in_the_process(rig, say, monkeypatch):
     assert (dict(os.environ), sys.argv, sys.path, sys.modules["__main__"]) == before
 
 
-def test_options_may_be_anywhere_before_two_dashes(rig, say):
+def test_options_may_stand_anywhere_and_the_scripts_own_come_behind_two_dashes(rig, say):
     expected = (0, "['a', '--seed', '--', 'b'] __main__ 2a\n", "")
     words = ("--seed", "3", "rig.toml", "script.py", "a", "--", "--seed", "--", "b")
     assert say("run", *words) == expected
@@ -39,7 +39,7 @@ def test_options_may_be_anywhere_before_two_dashes(rig, say):
         ("sys.exit('enough')", 1, "enough\n"),
     ],
 )
-def test_exit_status_of_the_script_is_returned(rig, say, line, status, told):
+def test_a_scripts_exit_status_is_ours(rig, say, line, status, told):
     (rig / "script.py").write_text(f"import sys\n{line}\n")
     again = "again: motorhil run rig.toml script.py --seed 7\n" if status else ""
     assert say("run", "rig.toml", "script.py") == (status, "", told + again)
@@ -62,7 +62,7 @@ def test_a_scripts_exception_is_told_from_the_scripts_first_line_on(rig, say):
     )
 
 
-def test_motor_interface_error_hides_internal_frames(rig, say):
+def test_what_the_motor_interface_refuses_is_told_without_its_insides(rig, say):
     (rig / "script.py").write_text(
         "import can\nfrom motorapi import runtime_of\nbus = can.Bus()\n"
         "runtime_of(bus).wait_until(lambda: False, -1.0)\n"
@@ -77,7 +77,7 @@ def test_motor_interface_error_hides_internal_frames(rig, say):
     assert err.splitlines()[3].startswith("motorapi.errors.UsageError: timeout_s = -1.0")
 
 
-def test_unjoined_party_error_fails_the_script(rig, say):
+def test_what_a_party_raised_and_nobody_asked_for_is_the_scripts_failure(rig, say):
     (rig / "script.py").write_text(
         "import can\nfrom motorapi import runtime_of\nwith can.Bus() as bus:\n"
         "    runtime = runtime_of(bus)\n    runtime.spawn('second', lambda: 1 / 0)\n"
@@ -94,7 +94,7 @@ def test_unjoined_party_error_fails_the_script(rig, say):
     assert lines[-1].startswith("again: motorhil run")
 
 
-def test_one_seed_gives_one_record_for_any_hash_seed(bench, say):
+def test_one_seed_is_one_record_whatever_the_hash_seed(bench, say):
     say("new", ".")
     digests = []
     for hash_seed in ("0", "1"):
@@ -111,7 +111,7 @@ def test_one_seed_gives_one_record_for_any_hash_seed(bench, say):
     assert digests[0] == digests[1]
 
 
-def test_script_with_syntax_error_is_reported_as_by_python(rig, say):
+def test_a_script_that_is_no_python_is_told_like_python_does(rig, say):
     (rig / "script.py").write_text("a = = 1\n")
     status, _, err = say("run", "rig.toml", "script.py")
     assert status == 1
@@ -119,14 +119,14 @@ def test_script_with_syntax_error_is_reported_as_by_python(rig, say):
     assert "SyntaxError: invalid syntax" in err
 
 
-def test_chained_errors_of_a_script_are_all_printed(rig, say):
+def test_errors_a_script_chains_are_all_told(rig, say):
     (rig / "script.py").write_text("try:\n    1/0\nexcept Exception as e:\n    raise KeyError(1)\n")
     _, _, err = say("run", "rig.toml", "script.py")
     assert err.index("ZeroDivisionError") < err.index("During handling") < err.index("KeyError: 1")
     assert "harness" not in err
 
 
-def test_script_can_come_from_standard_input(rig):
+def test_a_script_can_come_from_standard_input(rig):
     done = in_another_process("run", "rig.toml", "-", "a", input=SCRIPT)
     assert (done.returncode, done.stdout) == (0, "['a'] __main__ 2a\n")
     done = in_another_process("run", "rig.toml", "-", input="x = 1\nx / 0\n")
@@ -134,7 +134,7 @@ def test_script_can_come_from_standard_input(rig):
     assert '  File "<stdin>", line 2, in <module>\n    x / 0\n' in done.stderr
 
 
-def test_run_without_a_script_opens_a_prompt(rig):
+def test_without_a_script_there_is_a_prompt_with_the_rig(rig):
     lines = "rig.seed + 35\nrig.runtime.run_for(2.5); rig.runtime.now_ns()\nexit(3)\n"
     done = in_another_process("run", "rig.toml", input=lines)
     assert done.returncode == 3
@@ -158,7 +158,7 @@ def test_ctrl_c_ends_a_script_with_130_and_one_line(rig):
     assert err == "motorhil: interrupted\n"
 
 
-def test_unread_output_is_not_an_error(rig):
+def test_output_that_nobody_reads_is_no_error(rig):
     (rig / "script.py").write_text("for n in range(100_000): print('line', n)\n")
     command = f"{sys.executable} -m harness run rig.toml script.py | head -n 1"
     done = subprocess.run(
@@ -167,7 +167,7 @@ def test_unread_output_is_not_an_error(rig):
     assert (done.stdout, done.stderr) == ("line 0\n", "")
 
 
-def test_record_that_cannot_be_completed_is_one_line(rig):
+def test_a_record_that_cannot_be_finished_is_one_line_and_not_the_scripts_fault(rig):
     (rig / "script.py").write_text(
         "from motorapi import runtime_of\nimport can\nwith can.Bus() as bus:\n"
         "    task = bus.send_periodic(can.Message(arbitration_id=1), 0.0005)\n"
@@ -183,7 +183,7 @@ def test_record_that_cannot_be_completed_is_one_line(rig):
 
 
 @pytest.mark.wall
-def test_realtime_option_follows_the_wall_clock(rig, say):
+def test_realtime_takes_its_time(rig, say):
     (rig / "script.py").write_text(
         "from motorapi import runtime_of\nimport can\n"
         "runtime_of(can.Bus()).wait_until(lambda: False, 0.1)\n"
@@ -193,7 +193,7 @@ def test_realtime_option_follows_the_wall_clock(rig, say):
     assert time.monotonic() - start_s >= 0.1
 
 
-# --- threads of a script
+# --- threads of a script's own
 
 PLAIN_THREAD = """\
 import threading
@@ -215,12 +215,12 @@ bus.shutdown()
 """
 
 
-def test_thread_of_a_script_waits_in_virtual_time(rig, say):
+def test_a_thread_of_a_script_waits_in_virtual_time(rig, say):
     (rig / "script.py").write_text(PLAIN_THREAD + "print(bus.runtime.now_ns())\n")
-    assert say("run", "rig.toml", "script.py") == (0, "56000\n", "")  # duration of a boot-up frame
+    assert say("run", "rig.toml", "script.py") == (0, "56000\n", "")  # a boot-up
 
 
-def test_rig_stays_open_until_the_scripts_threads_end(rig, say):
+def test_the_rig_stays_open_until_the_scripts_threads_have_ended(rig, say):
     (rig / "script.py").write_text(
         "import sys, threading\nimport can\nbus = can.Bus()\nmain_ended = threading.Event()\n"
         "sys.modules['__main__'].ended = main_ended\n"
@@ -230,11 +230,11 @@ def test_rig_stays_open_until_the_scripts_threads_end(rig, say):
     )
     status, out, err = say("run", "rig.toml", "script.py")
     assert status == 1
-    assert 200_000_000 <= int(out) < 200_010_000  # includes the cost of clock readings
+    assert 200_000_000 <= int(out) < 200_010_000  # what waits has looked before
     assert "ZeroDivisionError" in err
 
 
-def test_deadlocked_threads_are_named_with_their_lines(rig, say):
+def test_threads_that_wait_for_one_another_are_told_by_name_and_line(rig, say):
     (rig / "script.py").write_text(
         "import threading\nthreading.Thread(target=threading.Event().wait, name='idle').start()\n"
     )
@@ -246,7 +246,7 @@ def test_deadlocked_threads_are_named_with_their_lines(rig, say):
     assert "(waiting: idle" in err
 
 
-def test_exit_handlers_of_a_script_run_while_the_rig_is_open(rig, say):
+def test_what_a_script_registers_for_its_end_runs_there_with_the_rig_still_open(rig, say):
     (rig / "script.py").write_text(
         "import atexit, threading, time\nimport can\nbus = can.Bus()\n"
         "atexit.register(bus.shutdown)\n\n"
@@ -299,7 +299,7 @@ finally:
         ("1 / 0", "ZeroDivisionError: division by zero"),
     ],
 )
-def test_callback_error_shows_only_the_scripts_lines(rig, say, act, told):
+def test_what_goes_wrong_in_a_callback_is_told_in_the_scripts_own_lines(rig, say, act, told):
     (rig / "script.py").write_text(CALLBACK.format(act=act))
     status, _, err = say("run", "rig.toml", "script.py")
     assert status == 1
@@ -314,7 +314,7 @@ def test_callback_error_shows_only_the_scripts_lines(rig, say, act, told):
     assert lines[5].startswith(told)
 
 
-def test_prompt_error_shows_only_the_users_lines(rig):
+def test_at_the_prompt_too_only_the_users_own_lines_are_told(rig):
     lines = (
         "rig.runtime.wait_until(lambda: False, -1.0)\n"
         "rig.motors['lift']\n"

@@ -1,4 +1,4 @@
-"""Tests of `motorhil convert`: frames read, problems, losses and refusals."""
+"""`motorhil convert`: what was read, what was not, what was lost; never a traceback, no silence."""
 
 import json
 
@@ -25,7 +25,7 @@ def folder(tmp_path, monkeypatch):
     return tmp_path
 
 
-def test_unreadable_rows_are_reported_with_their_lines(folder, say):
+def test_what_could_not_be_read_is_told_with_its_line(folder, say):
     status, out, err = say("convert", "in.txt", "-o", "out.mcap")
     assert status == 0
     assert out == "out.mcap: 2 frames of can0, from candump to mcap, 2 not readable\n"
@@ -36,7 +36,7 @@ def test_unreadable_rows_are_reported_with_their_lines(folder, say):
     ]
 
 
-def test_strict_fails_if_anything_is_unreadable_or_lost(folder, say):
+def test_strict_fails_where_anything_was_not_read_or_is_lost(folder, say):
     assert say("convert", "in.txt", "-o", "out.mcap", "--strict")[0] == 1
     assert say("convert", "out.mcap", "-o", "out.log", "--strict")[0] == 0
     record_frames("sent.mcap", [Frame(0, "can0", classic(1, b""), Direction.RECEIVED, "left")], {})
@@ -45,14 +45,14 @@ def test_strict_fails_if_anything_is_unreadable_or_lost(folder, say):
     assert "lost, candump cannot hold it: sender of 1 frames" in err
 
 
-def test_json_lists_all_problems(folder, say):
+def test_a_machine_is_told_all(folder, say):
     (folder / "in.txt").write_text(TEXT + "nonsense\n" * 30)
     facts = json.loads(say("convert", "in.txt", "-o", "x", "--to", "candump", "--json")[1])
     assert (facts["frames"], facts["buses"], facts["unstamped"]) == (2, ["can0"], 2)
     assert [problem["line"] for problem in facts["problems"]] == [1, 3, *range(5, 35)]
 
 
-def test_text_lists_twenty_problems_and_counts_the_rest(folder, say):
+def test_people_are_told_twenty_problems_and_how_many_more(folder, say):
     (folder / "in.txt").write_text(TEXT + "nonsense\n" * 30)
     err = say("convert", "in.txt", "-o", "x", "--to", "mcap")[2]
     assert "in.txt: 12 more problems: --all" in err
@@ -74,7 +74,7 @@ def test_text_lists_twenty_problems_and_counts_the_rest(folder, say):
         ((".", "-o", "x.mcap"), "is a directory"),
     ],
 )
-def test_wrong_usage_is_refused_in_one_sentence(folder, say, words, why):
+def test_wrong_usage_is_refused_in_a_sentence(folder, say, words, why):
     (folder / "there.log").write_text("mine\n")
     (folder / "folder.log").mkdir()
     (folder / "cut.txt").write_text("  can0  181   [8]  01 02 03")
@@ -85,7 +85,7 @@ def test_wrong_usage_is_refused_in_one_sentence(folder, say, words, why):
     assert not list(folder.glob("**/*.part"))
 
 
-def test_modbus_of_a_mixed_recording_can_be_extracted(folder, say):
+def test_modbus_lines_are_told_as_adus_and_can_be_taken_out_of_a_mixed_recording(folder, say):
     request = bytes.fromhex("01 03 0010 0002 C5CE")
     with TraceWriter("mixed.mcap") as writer:
         can = writer.channel("/can/can0", Schema.of(CAN_FRAME))

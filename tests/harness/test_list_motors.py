@@ -1,4 +1,4 @@
-"""Tests of `motorhil list motors` in one process; tests/wall has the others."""
+"""`motorhil list motors` without other processes; tests/wall has those."""
 
 import json
 import os
@@ -20,14 +20,16 @@ def runtime():
 
 @pytest.fixture
 def locks(tmp_path, monkeypatch):
-    """Return a lock factory with a folder of its own, so that only its locks are listed."""
+    """Makes what programs would have; theirs alone are listed."""
     folder = tmp_path / "locks"
     folder.mkdir(mode=0o700)
     monkeypatch.setenv(VARIABLE, str(folder))
     return ProcessLock
 
 
-def test_list_shows_lease_and_takeover(runtime, locks, capsys):
+def test_whose_lease_lasts_how_long_and_who_took_it_over_from_whom_is_listed(
+    runtime, locks, capsys
+):
     def listed():
         assert motorhil(["list", "motors", "--json"]) == 0
         (entry,) = json.loads(capsys.readouterr().out)
@@ -55,7 +57,9 @@ def test_list_shows_lease_and_takeover(runtime, locks, capsys):
     )
 
 
-def test_motors_of_a_gone_hub_are_listed_only_while_held(runtime, tmp_path, monkeypatch, capsys):
+def test_motors_of_a_hub_that_is_gone_are_left_out_unless_somebody_has_one(
+    runtime, tmp_path, monkeypatch, capsys
+):
     locks = tmp_path / "locks"
     locks.mkdir(mode=0o700)
     monkeypatch.setenv(VARIABLE, str(locks))
@@ -78,7 +82,7 @@ def test_motors_of_a_gone_hub_are_listed_only_while_held(runtime, tmp_path, monk
         assert any("for survey" in line for line in listed())
 
 
-def test_short_locks_are_listed_only_while_held(runtime, locks, capsys):
+def test_what_is_had_for_moments_only_is_listed_while_it_is_had(runtime, locks, capsys):
     names = ["can0-node3-sdo", "can0-sync", "can0-sync-producer", "can0-armed-3-200"]
     for name in names:
         with locks(name, name).acquire(runtime, "x"):
@@ -88,7 +92,9 @@ def test_short_locks_are_listed_only_while_held(runtime, locks, capsys):
         assert capsys.readouterr().out == ""
 
 
-def test_refused_lock_directory_is_reported_not_empty(tmp_path, monkeypatch, capsys):
+def test_lock_directories_that_are_refused_are_told_and_not_taken_for_empty_ones(
+    tmp_path, monkeypatch, capsys
+):
     def told():
         assert motorhil(["list", "motors"]) == 2
         output = capsys.readouterr()
@@ -105,7 +111,7 @@ def test_refused_lock_directory_is_reported_not_empty(tmp_path, monkeypatch, cap
     assert told() == f"motorhil list: {VARIABLE}=here: must be an absolute path\n"
 
 
-def test_one_invalid_lock_file_does_not_hide_the_others(runtime, locks, tmp_path, capsys):
+def test_one_file_that_is_no_lock_does_not_hide_the_others(runtime, locks, tmp_path, capsys):
     file = tmp_path / "locks" / "can0-node4"
     with locks("can0-node3", "can0 node 3").acquire(runtime, "survey"):
         file.write_bytes(b"a letter")
@@ -116,7 +122,7 @@ def test_one_invalid_lock_file_does_not_hide_the_others(runtime, locks, tmp_path
     assert output.err == f"motorhil list: {file}: this is no lock file; remove it\n"
 
 
-def test_control_characters_of_a_purpose_are_replaced(runtime, locks, capsys):
+def test_what_a_program_says_of_itself_cannot_work_the_terminal(runtime, locks, capsys):
     with locks("can0-node3", "can0 node 3").acquire(runtime, "a\nline \x1b[31mred"):
         assert motorhil(["list", "motors"]) == 0
     output = capsys.readouterr().out

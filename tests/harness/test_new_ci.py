@@ -1,4 +1,4 @@
-"""Tests of `motorhil new --ci`: CI jobs, and their helper script."""
+"""`motorhil new --ci`: the jobs it writes do what they say, and their helper chooses the bus."""
 
 import re
 import shutil
@@ -23,13 +23,13 @@ FAILING_TEST = "def test_it(motor):\n    motor.enable()\n    raise ValueError\n"
 
 
 def commands_in(job):
-    """Return the commands of a job, line by line, without comments."""
+    """What a job runs, line by line, without comments."""
     lines = re.findall(r"^ +(?:- )?(?:run: |- )((?:pytest|bash|for|python|if) .*)$", job, re.M)
     return [line.partition(" # ")[0] for line in lines]
 
 
 def programs(folder, **texts):
-    """Return a folder with these programs and the other programs that the helper needs."""
+    """A folder that has these programs, and what the helper needs of all others."""
     folder.mkdir(exist_ok=True)
     for name in ("bash", "cat", "env", "grep", "id", "mktemp", "rm", "tail", "uname", "timeout"):
         if name not in texts:
@@ -40,10 +40,10 @@ def programs(folder, **texts):
     return folder
 
 
-# --- the files written
+# --- what is written
 
 
-def test_ci_job_uses_the_new_or_existing_rig(bench, say):
+def test_a_job_is_for_the_rig_that_is_new_or_there(bench, say):
     status, out, _ = say("new", "my wheels", "--ci", "github")
     assert status == 0
     assert out.splitlines()[-2:] == list(CI)
@@ -63,7 +63,7 @@ def test_ci_job_uses_the_new_or_existing_rig(bench, say):
     assert Path("my wheels/rig.toml").read_text() == "mine"
 
 
-def test_ci_job_that_cannot_be_written_leaves_no_files(bench, say):
+def test_a_job_that_cannot_be_written_leaves_nothing(bench, say):
     assert say("new", "../elsewhere", "--ci", "github")[2] == (
         "../elsewhere: is not in the current folder, where the CI job is written; "
         "change to its parent folder first\n"
@@ -74,7 +74,7 @@ def test_ci_job_that_cannot_be_written_leaves_no_files(bench, say):
     assert [path.name for path in bench.iterdir()] == [".github"]
 
 
-def test_github_and_gitlab_jobs_run_the_same_commands():
+def test_both_jobs_run_the_same():
     github, gitlab = ((EXAMPLES / "ci" / f"{kind}.yml").read_text() for kind in CI_FILES)
     loop = 'for record in out/*.mcap; do motorhil report "$record"; done'
     assert len(commands_in(github)) == 4
@@ -84,7 +84,7 @@ def test_github_and_gitlab_jobs_run_the_same_commands():
 
 
 @pytest.mark.wall
-def test_ci_job_commands_work(bench, say, tmp_path):
+def test_the_job_runs(bench, say, tmp_path):
     say("new", "wheels", "--ci", "github")
     Path("test_wheels.py").write_text(FAILING_TEST)
     Path("wheels/drive.py").write_text(PROGRAM)
@@ -148,7 +148,7 @@ DO = 'echo "{0} $*" >> "$DID"; '
 
 
 @pytest.mark.parametrize("needs", ["nothing", "modprobe", "apt-get"])
-def test_helper_creates_interfaces_with_least_effort(tmp_path, needs):
+def test_interfaces_are_made_with_as_little_as_it_takes(tmp_path, needs):
     done = helped(
         tmp_path,
         *OPTIONS,
@@ -171,7 +171,7 @@ def test_helper_creates_interfaces_with_least_effort(tmp_path, needs):
     assert any(line.startswith("apt-get ") for line in did) is (needs == "apt-get")
 
 
-def test_helper_without_interfaces_uses_the_hub(tmp_path):
+def test_without_interfaces_it_is_the_hub_and_the_reason_is_told(tmp_path):
     refuse = "echo {0} is refused >&2; exit 1"
     names = ("ip", "modprobe", "sudo")
     texts = {name: refuse.format(name) for name in names}
@@ -185,7 +185,7 @@ def test_helper_without_interfaces_uses_the_hub(tmp_path):
 
 
 @pytest.mark.parametrize("options", [(), ("rig.toml", "--", "a"), ("rig.toml", "--on")])
-def test_helper_reports_wrong_usage(tmp_path, options):
+def test_wrong_usage_of_the_helper_is_told(tmp_path, options):
     done = helped(tmp_path, *options)
     assert (done.returncode, done.stdout) == (2, "")
     assert "--on" in done.stderr
@@ -195,7 +195,7 @@ def test_helper_reports_wrong_usage(tmp_path, options):
 
 
 @pytest.mark.parametrize("job", [".github/workflows/ci.yml", ".gitlab-ci.yml"])
-def test_our_own_jobs_run_existing_scripts(job):
+def test_our_own_jobs_run_what_is_there(job):
     text = (CHECKOUT / job).read_text()
     scripts = re.findall(r"\.ci/[\w-]+", text)
     assert set(scripts) == {".ci/run", ".ci/on-bus"}
