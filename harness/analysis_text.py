@@ -95,7 +95,7 @@ def _advice(found: Findings) -> list[str]:
     return lines
 
 
-_ALONE: Final = "its jitter and its own frame alone take longer than its deadline"
+_ALONE: Final = "its jitter and its own frame take longer than its deadline, whatever else is sent"
 
 
 def _is_alone(one: Response) -> bool:

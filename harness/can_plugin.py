@@ -86,7 +86,7 @@ def _refuse_in_virtual_time(channel: str) -> None:
 
     if program_here() is not None:
         raise CanInitializationError(
-            f"channel {channel!r}: a socket uses wall time, but this program runs in virtual "
+            f"channel {channel!r} is a socket in wall time, but this program runs in virtual "
             "time; join a bus of the rig by its name, or run the program with 'motorhil serve "
             "RIG -- python SCRIPT'"
         )

@@ -65,7 +65,7 @@ class HubLink:
             self._socket.close()
             reason = error.strerror or "no answer"
             raise CanInitializationError(
-                f"{path}: no hub answers ({reason}); start one with 'motorhil serve RIG "
+                f"{path}: no hub answers here ({reason}); start one with 'motorhil serve RIG "
                 f"--socket {path}'"
             ) from None
         if not answer.startswith(WELCOME):

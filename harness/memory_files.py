@@ -79,7 +79,7 @@ class MemoryFiles:
             raise SettingError(_KEY, f"{named!r} is not a path: {error}", "name a file") from None
         owner = self._owners.setdefault(path, controller)
         if owner != controller:
-            message = f"{named} is already the memory of controller {owner!r}"
+            message = f"{named} is the memory of controller {owner!r} already"
             raise SettingError(_KEY, message, "give each controller its own file")
         if not path.parent.is_dir():
             message = f"folder {path.parent} does not exist"

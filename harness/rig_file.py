@@ -309,7 +309,7 @@ def _place(
     if needs_bus is False:
         for key in ("controller", "bus", "node_id", "unit"):
             if table.has(key):
-                problem = f'motors of adaptation "{adaptation}" are not on a bus'
+                problem = f'a motor of adaptation "{adaptation}" is not on a bus'
                 raise table.error(key, problem, f"take out {key}")
         return None, None, None
     if table.has("controller"):

@@ -1,19 +1,21 @@
-"""README as a story: its fenced blocks run in order.
+"""README as a story that runs: its fenced blocks, one after another, in a folder beside a clone.
 
-python -m tests.architecture.readme       runs it, updates the outputs in README, and redraws
-                                          its picture of the demo
+python -m tests.architecture.readme       runs it, writes into README what really comes, and draws
+                                          its picture of the demo anew
 
-The blocks run in a folder beside a clone. A block of Python or shell is run. A `text` block right
-after it is its output, including errors, in the order of a terminal. Comments before a block give
-options:
+A block of Python or shell is run; a `text` block right behind it is what it prints, errors
+included, in the order of a terminal. In between, and before a block, comments say what is special:
+
     <!-- file: NAME -->            the block is written to NAME, not run
     <!-- in the rig: RIG -->       the Python runs as `motorhil run RIG -`
-    <!-- exit status: N -->        expected exit status (default 0)
-    <!-- not run: WHY -->          the block cannot be run here
-    <!-- by machine: REGEX -->     matches may differ in the text that follows
-Blocks of `pycon` are one session and a doctest: each runs after the ones before it.
-A line "..." in a text stands for any omitted lines, and "..." within a line for any characters.
-The first `make demo` runs the Makefile's commands for PURE=1; other targets must only exist.
+    <!-- exit status: N -->        it ends so (else 0)
+    <!-- not run: WHY -->          it cannot be run here
+    <!-- by machine: REGEX -->     what matches may differ in the text that follows
+
+Blocks of `pycon` are one session, and a doctest: each is run behind those before it.
+A line "..." in a text stands for any lines left out, and "..." within a line for any characters.
+The first `make demo` runs what the Makefile says of PURE=1; of other targets only that they exist
+is asked.
 """
 
 import os
@@ -52,7 +54,7 @@ pip() {{ command python -m pip "$@" --quiet --disable-pip-version-check --no-ind
 
 @dataclass
 class Block:
-    """A fenced block: its language, its lines in README (from 0), and its options."""
+    """A fenced block: what language, which lines of README (from 0) it fills, what is special."""
 
     language: str
     first: int
@@ -68,7 +70,7 @@ class Block:
 
 
 def blocks_of(text):
-    """Return all fenced blocks, each with the comments right before it."""
+    """All fenced blocks, each with the comments that stand right before it."""
     found, special, block = [], {}, None
     for number, line in enumerate(text.splitlines()):
         fence, comment = FENCE.match(line), COMMENT.match(line)
@@ -88,7 +90,7 @@ def blocks_of(text):
 
 
 def steps_of(text):
-    """Yield (block, expected output or None) for all blocks that do something, in order."""
+    """(block, what it prints or None) for all blocks that do something, in order."""
     blocks = blocks_of(text)
     lines = text.splitlines()
     for block, after in zip(blocks, [*blocks[1:], None], strict=True):
@@ -103,7 +105,7 @@ def steps_of(text):
 
 
 def environment(folder):
-    """Return the environment of a user who has only motorhil installed."""
+    """Of a user who has installed motorhil and nothing else."""
     kept = {k: v for k, v in os.environ.items() if not k.startswith(("CAN_", "MOTORHIL_"))}
     return {
         **kept,
@@ -115,7 +117,7 @@ def environment(folder):
 
 
 def run(block, folder):
-    """Run a block; return (exit status, output)."""
+    """(exit status, what it printed) of a block."""
     work = folder / "work"
     if not work.is_dir():
         work.mkdir()
@@ -153,14 +155,14 @@ def run(block, folder):
 
 
 def pattern_of(line, machine):
-    """Return the regular expression for a line of a text block."""
+    """The regex for a line of a text block."""
     parts = re.split(machine, line) if machine else [line]
     escaped = [r".*".join(re.escape(part) for part in piece.split("...")) for piece in parts]
     return f"(?:{machine})".join(escaped) if machine else escaped[0]
 
 
 def is_told(block, printed):
-    """Return True if a text block matches the output."""
+    """Whether a text block says what was printed."""
     machine = block.special.get("by machine", "")
     patterns = [
         r"(?:.*\n)*?" if line.strip() == "..." else pattern_of(line.rstrip(), machine) + r"\n"
@@ -171,7 +173,7 @@ def is_told(block, printed):
 
 
 def retold(block, printed):
-    """Return the new lines of the text block; omitted lines stay omitted."""
+    """The lines that the text block should have; what was left out is left out again."""
     lines = [line.rstrip() for line in printed.splitlines()]
     if not any(line.strip() == "..." for line in block.lines):
         return lines
@@ -188,7 +190,7 @@ def retold(block, printed):
 
 
 def same_row(old, new):
-    """Return True if both lines begin with the same word, apart from numbers, or are empty."""
+    """Whether two lines begin with the same word, numbers and units aside; or both are empty."""
     first, second = (re.search(r"[A-Za-z/]\S+", line) for line in (old, new))
     if first is None or second is None:
         return old.strip() == new.strip()
@@ -196,7 +198,7 @@ def same_row(old, new):
 
 
 def main():
-    """Update the outputs in README; print one line per changed block."""
+    """README says what its blocks print; one line for each that was changed."""
     text = README.read_text(encoding="utf-8")
     lines = text.splitlines()
     changes = []
@@ -213,7 +215,7 @@ def main():
         lines[told.first : told.first + len(told.lines)] = new
     README.write_text("\n".join(lines) + "\n", encoding="utf-8")
     for told, _ in changes:
-        print(f"{told}: updated")
+        print(f"{told}: written anew")
 
 
 if __name__ == "__main__":

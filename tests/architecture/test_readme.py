@@ -1,4 +1,4 @@
-"""README's blocks run as shown, and the things it names exist."""
+"""README is true: what it shows runs, and what it names is there."""
 
 import ast
 import re
@@ -18,12 +18,12 @@ TEXT = README.read_text(encoding="utf-8")
 PROSE = re.sub(r"^```.*?^```$", "", TEXT, flags=re.DOTALL | re.MULTILINE)
 CODE = re.findall(r"`([^`\n]+)`", PROSE)
 STEPS = list(steps_of(TEXT))
-TRIES_ON_THE_WALL = 3  # a busy machine may stop a process longer than a heartbeat's 300 ms
+TRIES_ON_THE_WALL = 3  # a busy machine may stop a process for longer than a heartbeat's 300 ms
 
 
 @pytest.fixture(scope="module")
 def story():
-    """Run all steps in one folder; yield their (exit status, output), and the folder."""
+    """What each step printed: (exit status, text), run in order in one folder; and that folder."""
     with tempfile.TemporaryDirectory(prefix="motorhil-readme-") as name:
         folder = Path(name)
         results = []
@@ -50,7 +50,7 @@ def test_a_block_runs_and_prints_what_is_shown(story, number):
         assert is_told(told, printed), f"{told} is not what comes ({again}):\n{printed}"
 
 
-def test_every_block_is_part_of_the_story():
+def test_every_block_of_commands_python_and_toml_is_part_of_the_story():
     places = [block.first for block, _ in STEPS]
     assert len(places) > 15
     for block in blocks_of(TEXT):
@@ -59,7 +59,7 @@ def test_every_block_is_part_of_the_story():
         assert "not run" not in block.special, f"{block}: everything can be run so far"
 
 
-def test_demo_block_runs_make_demo_and_shows_its_table(story):
+def test_the_demo_is_what_make_demo_runs_and_shows_its_table(story):
     printed = next(
         printed
         for (block, _), (_, printed) in zip(STEPS, story[0], strict=True)
@@ -69,10 +69,10 @@ def test_demo_block_runs_make_demo_and_shows_its_table(story):
     assert (story[1] / "out/demo.mcap").is_file()
 
 
-# --- names
+# --- what is named
 
 
-def test_named_files_and_tests_exist():
+def test_files_and_tests_that_are_named_are_there():
     links = re.findall(r"\]\(([^)#]+)\)", TEXT)
     paths = [word for word in CODE if re.fullmatch(r"tests/[\w/]+\.py(::\w+)?", word)]
     assert len(paths) > 10
@@ -88,7 +88,7 @@ def test_named_files_and_tests_exist():
             assert test in names, path
 
 
-def test_linked_headings_exist():
+def test_headings_that_are_linked_are_there():
     headings = re.findall(r"^##+ (.*)$", TEXT, re.MULTILINE)
     anchors = [re.sub(r"[^\w -]", "", h.lower()).replace(" ", "-") for h in headings]
     linked = re.findall(r"\]\(#([^)]+)\)", TEXT)
@@ -97,7 +97,7 @@ def test_linked_headings_exist():
 
 
 @pytest.mark.parametrize("command", sorted({word for word in CODE if word.startswith("motorhil ")}))
-def test_named_commands_exist_with_their_options(command, capsys):
+def test_commands_that_are_named_exist_with_their_options(command, capsys):
     words = command.split()
     if words[1].startswith("-"):
         assert motorhil(words[1:]) == 0
@@ -108,7 +108,7 @@ def test_named_commands_exist_with_their_options(command, capsys):
         assert option in told
 
 
-def test_existing_verbs_and_targets_are_named(capsys):
+def test_verbs_and_targets_that_exist_are_named(capsys):
     motorhil(["--help"])
     verbs = re.findall(r"^    (\w+)  ", capsys.readouterr().out, re.MULTILINE)
     assert verbs
@@ -123,7 +123,7 @@ def test_existing_verbs_and_targets_are_named(capsys):
         assert target in targets, target
 
 
-def test_error_tree_matches_the_errors_module():
+def test_the_error_tree_is_the_one_there_is():
     tree = next(block for block in blocks_of(TEXT) if block.lines[:1] == ["MotorError"])
     documented = [line.strip() for line in motorapi.errors.__doc__.splitlines()]
     assert [line.strip() for line in tree.lines] == [
@@ -140,7 +140,7 @@ def test_every_runtime_dependency_is_explained():
         assert re.search(rf"^\| {name} \| .+ \|$", TEXT, re.MULTILINE), name
 
 
-def test_determinism_contract_is_complete():
+def test_the_determinism_contract_is_whole():
     rows = re.findall(r"^\| D(\d) \| .+ \| .+ \|$", TEXT, re.MULTILINE)
     assert rows == [str(number) for number in range(1, 9)]
 
@@ -158,20 +158,20 @@ def texts(svg):
     return [t.text for t in ElementTree.fromstring(svg).iter("{http://www.w3.org/2000/svg}text")]
 
 
-def test_picture_matches_todays_demo(story):
+def test_the_picture_is_of_the_demo_that_runs_today(story):
     committed = PICTURE.read_text(encoding="utf-8")
     drawn = rover_picture.draw(story[1] / "out/demo.mcap")
     again = "python -m tests.architecture.readme draws what comes"
     assert texts(committed) == texts(drawn), again
     pairs = list(zip(polylines(committed), polylines(drawn), strict=True))
-    assert len(pairs) == 40  # 3 x 6 curves, pan and tilt, and their legends
+    assert len(pairs) == 40  # 3 x 6 curves, pan and tilt, and their keys
     for (colour, box), (other_colour, other_box) in pairs:
         assert colour == other_colour, again
-        # A tuned gain may change a following error by two increments, a tenth of a panel.
+        # Two increments of a following error, a tenth of a panel: what a tuned gain may change.
         assert all(abs(a - b) < 12.0 for a, b in zip(box, other_box, strict=True)), again
 
 
-# --- reachability of the test of blocks
+# --- that the test of a block can fail
 
 
 def block(text, machine=""):
@@ -194,18 +194,18 @@ def block(text, machine=""):
         ("x (1) 1.5", r"\d\.\d", "x (2) 1.5\n", False),
     ],
 )
-def test_different_text_is_found(shown, machine, printed, holds):
+def test_a_text_that_differs_is_found(shown, machine, printed, holds):
     assert is_told(block(shown, machine), printed) is holds
 
 
-def test_shortened_text_is_updated_row_by_row():
+def test_a_shortened_text_is_written_anew_row_by_row():
     shown = block("1.5 s head\n...\nrow 2\n\nend 1")
     assert retold(shown, "2.5 s head\n3.5 s old\nrow 7\nmore 1\n\nend 9\n") == [
         *("2.5 s head", "...", "row 7", "", "end 9")
     ]
 
 
-def test_failing_block_fails(tmp_path):
+def test_a_failing_block_fails(tmp_path):
     (found,) = blocks_of("```bash\nfalse\ntrue\n```\n")
     assert run(found, tmp_path)[0] == 1
     (found,) = blocks_of("```bash\nmake no-such-target\n```\n")

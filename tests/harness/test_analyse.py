@@ -381,7 +381,7 @@ def test_a_message_that_is_late_by_itself_is_told_so(tmp_path, capsys):
     path.write_text(f"{text}period_s = 0.01\ndeadline_s = 0.0001\n")
     assert main(["analyse", str(path)]) == 1
     told = capsys.readouterr().out
-    assert "can0: 001h: its jitter and its own frame alone take longer than its deadline" in told
+    assert "can0: 001h: its jitter and its own frame take longer than its deadline" in told
     assert "SDO" not in told  # nobody there is of CANopen
 
 

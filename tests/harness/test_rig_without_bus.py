@@ -106,7 +106,7 @@ def test_ideal_motors_and_drives_share_a_rig_and_a_group(folder):
     ("old", "new", "told"),
     [
         ("position_rad = 0.25", "position_m = 0.25", "6: motor.left.position_m: position_m is no"),
-        ("position_rad = 0.25", 'bus = "can0"', "6: motor.left.bus: motors of adaptation"),
+        ("position_rad = 0.25", 'bus = "can0"', "6: motor.left.bus: a motor of adaptation"),
         ("position_rad = 0.25", "axes = 1", "6: motor.left.axes: axes is no setting of an ideal"),
     ],
 )

@@ -175,7 +175,7 @@ def test_any_interface_of_python_can_is_recorded_with_its_own_stamps(tmp_path):
 @pytest.mark.parametrize(
     ("words", "told"),
     [
-        (("--on", "/nowhere/hub"), "no hub answers"),
+        (("--on", "/nowhere/hub"), "no hub answers here"),
         (("--on", "nonsense:1"), "has no interface 'nonsense'; it has"),
         (("--on", "a b"), "names no bus"),
         (("--on", "virtual:1", "--on", "virtual:1"), "is recorded already"),

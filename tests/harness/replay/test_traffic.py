@@ -272,7 +272,7 @@ def test_any_interface_of_python_can_is_sent_to(capsys, tmp_path):
         (("--on", "can7=virtual:1"), "there are frames of can0, can1"),
         (("--on", "can0=virtual:1", "--on", "can0=virtual:2"), "can0 is sent elsewhere already"),
         (("--on", "can0=vcan7"), "vcan7"),
-        (("--on", "can0=/nowhere/hub"), "no hub answers"),
+        (("--on", "can0=/nowhere/hub"), "no hub answers here"),
         (("--bus", "can9", "--on", "virtual:1"), "holds no CAN frame to send"),
         (("--rig", RIG, "--on", "can0=can7"), "can7"),
     ],
