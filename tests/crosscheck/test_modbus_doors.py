@@ -50,7 +50,7 @@ def test_a_link_left_by_a_killed_server_is_replaced_and_a_file_is_not(tmp_path):
         (["--modbus-tcp", "0.0.0.0:0"], "0.0.0.0:0 can be reached from other machines"),
         (["--modbus-tcp", "[::]:0"], "[::]:0 can be reached from other machines"),
         (["--modbus-tcp", "rs485=127.0.0.1:0"], "bus 'rs485': it is of kind modbus_rtu"),
-        (["--modbus-tcp", "no=127.0.0.1:0"], "bus 'no': the rig has none of it"),
+        (["--modbus-tcp", "no=127.0.0.1:0"], "bus 'no': the rig has no such bus"),
         (["--modbus-rtu", "plant=/tmp/x"], "bus 'plant': it is of kind modbus_tcp"),
         (["--modbus-rtu", "rs485="], "names no place"),
         (["--modbus-tcp", "5020"], "no HOST:PORT"),
