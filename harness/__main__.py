@@ -1,4 +1,4 @@
-"""`python -m harness` is `motorhil`."""
+"""Entry point of `python -m harness`, the same as `motorhil`."""
 
 import os
 import sys
@@ -6,7 +6,7 @@ import threading
 
 
 def start() -> int:
-    """The command line has been obeyed; the exit status. Ctrl-C counts from here on."""
+    """Run the command line and return its exit status; handle Ctrl-C even during imports."""
     try:
         from harness.cli import main
     except KeyboardInterrupt:
@@ -17,7 +17,7 @@ def start() -> int:
     if status == 130 and not all(thread.daemon for thread in others):
         sys.stdout.flush()
         sys.stderr.flush()
-        os._exit(status)  # Python would wait for a thread that nobody can end
+        os._exit(status)  # Python would wait for a thread that cannot be ended
     return status
 
 

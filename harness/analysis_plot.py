@@ -1,4 +1,4 @@
-"""Response times and deadlines of messages as a picture (SVG) that needs nothing but itself."""
+"""Response times and deadlines of messages as a self-contained SVG picture."""
 
 from math import log10
 from typing import Final
@@ -17,9 +17,9 @@ _PLAIN: Final = "#7a8794"
 
 
 def svg_of(found: list[Findings]) -> str:
-    """A panel for each bus: a bar for each message's response, a mark at its deadline.
+    """Return an SVG with one panel per bus: a bar per response time, a mark per deadline.
 
-    Times are on a logarithmic axis; who has no bound has a bar to its end.
+    Times are on a logarithmic axis. The bar of a message without a bound fills the whole axis.
     """
     height = 10
     parts: list[str] = []
@@ -79,7 +79,7 @@ def _row(one: Response, y: int, low: float, high: float) -> list[str]:
 
 
 def _range(responses: tuple[Response, ...]) -> tuple[float, float]:
-    """Powers of ten [ns] around all responses and deadlines."""
+    """Return the powers of ten [ns] that enclose all responses and deadlines."""
     times = [one.response_ns for one in responses if one.response_ns]
     times += [one.message.deadline_ns for one in responses if one.message.deadline_ns]
     least, most = min(times, default=1000), max(times, default=1000)

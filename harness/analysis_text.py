@@ -1,4 +1,4 @@
-"""What the analysis of a bus says, as tables of text and for machines."""
+"""Findings of a bus analysis as text tables and as JSON."""
 
 from collections.abc import Sequence
 from typing import Final
@@ -9,11 +9,11 @@ from harness.analysis.response_time import Response
 from harness.analysis.subject import Findings, Subject, Sync
 from harness.text_table import print_table
 
-_MS = 1e-6  # of a nanosecond
+_MS = 1e-6  # ms per ns
 
 
 def print_findings(found: Findings, bit_error_rate: float | None) -> None:
-    """One bus, as a person reads it."""
+    """Print the findings of one bus as a table for people."""
     _print_head(found)
     stands = {one.message.rank: one for one in found.tolerances}
     head = ["message", "what", "sender", "bytes", "period ms", "jitter ms", "deadline ms"]
@@ -40,9 +40,9 @@ def print_findings(found: Findings, bit_error_rate: float | None) -> None:
 
 
 def print_notes(subject: Subject) -> None:
-    """What whoever reads the results must know."""
+    """Print the notes that readers of the results must know."""
     if not subject.load.messages:
-        print(f"{subject.load.name}: nothing is known to be sent")
+        print(f"{subject.load.name}: no known messages")
     for note in subject.notes:
         print(f"{subject.load.name}: {note}")
 
@@ -109,15 +109,15 @@ def _sync(sync: Sync) -> str:
     text = f"SYNC{moved} every {clock.period_ns * _MS:.6f} ms"
     nominal_ns, error_ppm = clock.nominal_ns, clock.error_ppm
     if nominal_ns is not None and error_ppm is not None:
-        whence = "told by 1006h" if clock.is_told else "the nearest round period"
-        off_ppm = round(error_ppm, 1) + 0.0  # never -0.0
+        whence = "from 1006h" if clock.is_told else "the nearest round period"
+        off_ppm = round(error_ppm, 1) + 0.0  # avoids -0.0
         text += f", its clock {off_ppm:+.1f} ppm off {nominal_ns * _MS:g} ms ({whence})"
     jitter = f"jitter {clock.peak_to_peak_ns / 1e3:.3f} us peak to peak"
     return f"{text}; {jitter}, {clock.deviation_ns / 1e3:.3f} us standard deviation"
 
 
 def sync_drifts(found: Sequence[Findings]) -> list[dict[str, object]]:
-    """How much faster each bus's SYNC goes than that of the first, for JSON."""
+    """Return the clock drift of each bus's SYNC against the first bus's SYNC, for JSON."""
     timed = [(one.subject.load.name, one.subject.sync) for one in found]
     known = [(name, sync.clock) for name, sync in timed if sync is not None]
     return [
@@ -148,7 +148,7 @@ def _period(message: Message) -> str:
 
 
 def _jitter(message: Message) -> str:
-    """Of a burst there is none to tell: its least distance says how it comes."""
+    """Return the jitter as text; "-" for a burst, which its minimum distance describes."""
     is_burst = message.arrival is Arrival.SPORADIC and message.distance_ns
     return "-" if is_burst else _ms(message.jitter_ns)
 
@@ -162,7 +162,7 @@ def _ms(time_ns: int | None) -> str:
 
 
 def as_table(found: Findings, bit_error_rate: float | None) -> dict[str, object]:
-    """One bus for JSON; analyse.schema.json says what each key is."""
+    """Return the findings of one bus for JSON; analyse.schema.json describes every key."""
     load, subject, remedy = found.subject.load, found.subject, found.remedy
     stands = {one.message.rank: one for one in found.tolerances}
     counted = {one.message.rank: one.frames for one in subject.recorded}

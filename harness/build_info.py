@@ -1,4 +1,4 @@
-"""Which motorhil this is: its version, whether its cores are compiled, and from which source."""
+"""Identity of the running motorhil: version, compiled or pure cores, source digest."""
 
 import hashlib
 from functools import cache
@@ -11,17 +11,17 @@ from typing import Final
 import emulators
 
 _PACKAGES: Final = ("motorapi", "emulators", "traces", "harness")
-_A_CORE: Final = "emulators.event_queue"  # compiled wherever any core is
+_A_CORE: Final = "emulators.event_queue"  # compiled whenever any core is
 
 
 def version() -> str:
-    """The installed version; "unknown" when it runs from a folder that was never installed."""
+    """Return the installed version, or "unknown" in a folder that was never installed."""
     return version_of("motorhil") or "unknown"
 
 
 @cache
 def version_of(distribution: str) -> str:
-    """The installed version of any distribution; "" if it is not installed. Read once."""
+    """Return the installed version of a distribution, or "" without one. Cached."""
     try:
         return metadata.version(distribution)
     except metadata.PackageNotFoundError:
@@ -29,7 +29,7 @@ def version_of(distribution: str) -> str:
 
 
 def cores_are_compiled() -> bool:
-    """Whether the emulator cores run as machine code."""
+    """Return True if the emulator cores run as machine code."""
     spec = find_spec(_A_CORE)
     origin = "" if spec is None or spec.origin is None else spec.origin
     return origin.endswith(tuple(EXTENSION_SUFFIXES))
@@ -37,9 +37,9 @@ def cores_are_compiled() -> bool:
 
 @cache
 def source_digest() -> str:
-    """A short digest of the packages' source files: names and contents, in order of names.
+    """Return a short digest of the names and contents of the packages' source files.
 
-    Read once in a process: what runs does not change with the files.
+    Cached: the running code does not change when the files do.
     """
     root = _root()
     digest = hashlib.sha256()
@@ -51,12 +51,12 @@ def source_digest() -> str:
 
 
 def cores() -> str:
-    """Which cores run, in words."""
+    """Return in words which cores run."""
     return "compiled cores" if cores_are_compiled() else "pure Python cores"
 
 
 def describe() -> str:
-    """All of it, in one line."""
+    """Return version, cores, source digest and location in one line."""
     return f"motorhil {version()}, {cores()}, source {source_digest()} in {_root()}"
 
 

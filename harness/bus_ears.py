@@ -1,4 +1,7 @@
-"""What one application's connection to an emulated bus hears. Every frame on the bus comes here."""
+"""Receive queue of an application's connection to an emulated bus.
+
+The bus passes every frame to it.
+"""
 
 from collections import deque
 from typing import TYPE_CHECKING, final
@@ -11,22 +14,22 @@ if TYPE_CHECKING:
 
 @final
 class Ears:
-    """Hands frames to listeners, and keeps them for whoever reads them one by one.
+    """A receive queue that also passes frames to listeners.
 
     Attributes:
-        listeners: who hears every frame, in the order of subscription.
-        backlog: (frame, time [ns], transmitted) nobody has read yet, oldest first.
-        keeps: whether frames are kept at all.
-        dropped: frames nobody read, given up oldest first.
+        listeners: callbacks for every frame, in the order of subscription.
+        backlog: unread (frame, time [ns], transmitted), oldest first.
+        keeps: True if frames are queued at all.
+        dropped: number of unread frames that were discarded, oldest first.
     """
 
     def __init__(self, own: bool, backlog_max: int, fd: bool) -> None:
-        """Frames are kept.
+        """Create an empty queue that keeps frames.
 
         Args:
-            own: whether those that this connection has transmitted itself are kept too.
-            backlog_max: how many; then the oldest one is dropped.
-            fd: whether CAN FD frames are kept too. Listeners hear classical ones only.
+            own: True to queue frames that this connection transmitted itself as well.
+            backlog_max: maximum number of queued frames; beyond it the oldest one is dropped.
+            fd: True to queue CAN FD frames as well. Listeners get classical frames only.
         """
         self.listeners: list[FrameListener] = []
         self.backlog: deque[tuple[bytes, int, bool]] = deque()
@@ -37,7 +40,7 @@ class Ears:
         self._fd = fd
 
     def hear(self, frame: bytes, time_ns: int, transmitted: bool) -> None:
-        """A frame was on the bus; `transmitted`: by this connection."""
+        """Process a frame from the bus; `transmitted` marks frames that this connection sent."""
         if len(frame) == FRAME_BYTES:
             for listener in self.listeners:
                 listener(frame, time_ns, transmitted)
@@ -50,5 +53,5 @@ class Ears:
             self.backlog.append((frame, time_ns, transmitted))
 
     def has_frame(self) -> bool:
-        """Whether a frame is waiting to be read."""
+        """Return True if a frame is waiting to be read."""
         return bool(self.backlog)

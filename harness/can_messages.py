@@ -1,7 +1,7 @@
-"""python-can's messages as frames of an emulated bus, and the other way round.
+"""Conversion between python-can messages and frames of an emulated bus.
 
-A CAN FD message whose length is none of CAN FD's is filled up with 0 to the next one, as the kernel
-does it for python-can's SocketCAN interface.
+A CAN FD message of a length that CAN FD lacks is padded with 0 to the next valid length. The Linux
+kernel does the same for python-can's SocketCAN interface.
 """
 
 import struct
@@ -20,16 +20,16 @@ _ID_MAX: Final = 0x1FFF_FFFF
 
 
 def to_frame(message: Message) -> bytes:
-    """The Linux can_frame (16 bytes), or canfd_frame (72), of a python-can message.
+    """Return a python-can message as a Linux can_frame (16 bytes) or canfd_frame (72 bytes).
 
     Raises:
-        CanOperationError: a message that is no valid frame.
+        CanOperationError: the message is not a valid frame.
     """
     can_id = message.arbitration_id
     if message.is_error_frame:
         raise CanOperationError(
-            "an error frame cannot be sent: a CAN controller makes them, of what it noticed on the "
-            "bus; make the error itself, by a [[fault]] of the rig or rig.faults.inject"
+            "an error frame cannot be sent: CAN controllers create error frames from errors on "
+            "the bus; inject the error itself, with a [[fault]] of the rig or rig.faults.inject"
         )
     if not 0 <= can_id <= _ID_MAX:
         raise CanOperationError(f"identifier {can_id:X}h does not fit 29 bits")
@@ -43,10 +43,15 @@ def to_frame(message: Message) -> bytes:
         return _to_fd_frame(message, can_id)
     if message.is_remote_frame:
         if message.dlc > 8:
-            raise CanOperationError(f"a remote frame asks for 8 bytes at most, not {message.dlc}")
+            raise CanOperationError(
+                f"remote frame: DLC {message.dlc} is too large; a remote "
+                "frame requests at most 8 bytes"
+            )
         return _FRAME.pack(can_id | _RTR, message.dlc, b"")
     if len(message.data) > 8:
-        raise CanOperationError(f"{len(message.data)} data bytes: a classical frame holds 8")
+        raise CanOperationError(
+            f"{len(message.data)} data bytes: too many; a classical frame holds at most 8"
+        )
     return _FRAME.pack(can_id, len(message.data), bytes(message.data))
 
 
@@ -55,7 +60,9 @@ def _to_fd_frame(message: Message, can_id: int) -> bytes:
         raise CanOperationError(f"identifier {can_id & _ID_MAX:X}h: CAN FD has no remote frames")
     size = len(message.data)
     if size > FD_LENGTHS[-1]:
-        raise CanOperationError(f"{size} data bytes: a CAN FD frame holds {FD_LENGTHS[-1]}")
+        raise CanOperationError(
+            f"{size} data bytes: too many; a CAN FD frame holds at most {FD_LENGTHS[-1]}"
+        )
     length = next(one for one in FD_LENGTHS if one >= size)
     flags = BRS if message.bitrate_switch else 0
     if message.error_state_indicator:
@@ -64,7 +71,7 @@ def _to_fd_frame(message: Message, can_id: int) -> bytes:
 
 
 def to_message(frame: bytes, time_ns: int, channel: str, received: bool) -> Message:
-    """The python-can message of a Linux can_frame or canfd_frame."""
+    """Return a Linux can_frame or canfd_frame as a python-can message."""
     fd = len(frame) == FD_FRAME_BYTES
     if fd:
         can_id, length, flags, data = _FD_FRAME.unpack(frame)

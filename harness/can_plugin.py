@@ -1,14 +1,15 @@
-"""python-can's door into an emulated bus: `can.Bus(interface="emulated", channel=...)`.
+"""python-can interface to an emulated bus: `can.Bus(interface="emulated", channel=...)`.
 
-`channel` is the name of a bus of the rig that is open in this process ("can0"), or the path of the
-socket that `motorhil serve --socket` made. A program written for python-can needs no other change.
-In a rig of this process, `recv` and `send_periodic` use the rig's time; over a socket, the wall's.
+`channel` is the name of a bus of the rig that is open in this process ("can0"). Alternatively it is
+the path of the socket that `motorhil serve --socket` created. A program written for python-can
+needs no other change. In a rig of this process, `recv` and `send_periodic` use the rig's time; over
+a socket they use wall time.
 
-CAN FD is as with SocketCAN: who does not ask for it with `fd=True` neither sends nor hears it. The
-bus has to be an FD bus (`data_bitrate_bit_s`).
+CAN FD works as with SocketCAN: a connection opened without `fd=True` neither sends nor receives CAN
+FD frames. The bus must be an FD bus (`data_bitrate_bit_s`).
 
-What the program's own CAN controller tells of errors comes as from SocketCAN: error frames, which
-no `can_filters` hold back, and none with `ignore_rx_error_frames=True`.
+Errors seen by the program's own CAN controller arrive as error frames, as from SocketCAN.
+`can_filters` do not apply to them. `ignore_rx_error_frames=True` suppresses them.
 """
 
 from collections.abc import Callable, Sequence
@@ -47,7 +48,7 @@ _OPEN: dict[str, "tuple[World, VirtualRuntime]"] = {}
 
 
 def open_rig(world: "World", runtime: "VirtualRuntime") -> None:
-    """The buses of this rig can be joined by name in this process.
+    """Make the rig's buses available by name in this process.
 
     Raises:
         CanInitializationError: a bus of that name is open already.
@@ -55,39 +56,39 @@ def open_rig(world: "World", runtime: "VirtualRuntime") -> None:
     for name in world.bus_names():
         if name in _OPEN:
             raise CanInitializationError(
-                f"bus {name!r}: a rig that is open in this process has a bus of that name; "
-                "close that rig first"
+                f"bus {name!r}: another rig that is open in this process has a bus of that "
+                "name; close that rig first"
             )
     for name in world.bus_names():
         _OPEN[name] = (world, runtime)
 
 
 def close_rig(world: "World") -> None:
-    """Its buses can no longer be joined."""
+    """Withdraw the rig's buses; they can no longer be joined by name."""
     for name in [name for name, (owner, _) in _OPEN.items() if owner is world]:
         del _OPEN[name]
 
 
 def bus_names() -> tuple[str, ...]:
-    """The buses that can be joined by name in this process."""
+    """Return the names of the buses that can be joined in this process."""
     return tuple(_OPEN)
 
 
 def _overtaken(motor: str, token: int, newer: tuple[int, str]) -> "MotorBusyError":
-    from motorapi.errors import MotorBusyError  # only where there is motorapi to catch it
+    from motorapi.errors import MotorBusyError  # only where motorapi is used
 
     since = f"it took it over (token {newer[0]}; ours was {token})"
     return MotorBusyError(motor=motor, holder=newer[1], since_ns=0, since=since)
 
 
 def _refuse_in_virtual_time(channel: str) -> None:
-    from harness.virtual_program.turn import program_here  # only where there may be a program
+    from harness.virtual_program.turn import program_here  # only for programs
 
     if program_here() is not None:
         raise CanInitializationError(
-            f"channel {channel!r} is a socket, on the wall's clock, and this program runs in "
-            "virtual time: join a bus of the rig by its name, or run the program with 'motorhil "
-            "serve RIG -- python SCRIPT'"
+            f"channel {channel!r} is a socket in wall time, but this program runs in virtual "
+            "time; join a bus of the rig by its name, or run the program with 'motorhil serve "
+            "RIG -- python SCRIPT'"
         )
 
 
@@ -101,7 +102,7 @@ class _Subscription:
         listeners.append(listener)
 
     def cancel(self) -> None:
-        """It hears nothing any more."""
+        """Remove the listener."""
         if self._listener in self._listeners:
             self._listeners.remove(self._listener)
 
@@ -111,7 +112,7 @@ class EmulatedBus(can.BusABC):
     """One application's connection to an emulated bus, in virtual time or through a socket.
 
     Attributes:
-        runtime: the rig's Runtime if the bus is a rig's of this process; absent over a socket.
+        runtime: the rig's Runtime if the rig is in this process; absent over a socket.
     """
 
     def __init__(
@@ -122,7 +123,7 @@ class EmulatedBus(can.BusABC):
         receive_own_messages: bool = False,
         ignore_rx_error_frames: bool = False,
         fd: bool = False,
-        **kwargs: Any,  # Any: python-can hands every option of its configuration through here
+        **kwargs: Any,  # Any: python-can passes every option of its configuration here
     ) -> None:
         self.channel_info = f"emulated bus {channel}"
         self.channel = str(channel)
@@ -132,7 +133,7 @@ class EmulatedBus(can.BusABC):
         self._ears = Ears(receive_own_messages, _BACKLOG_MAX, fd)
         self._fd = fd
         self._has_received = False
-        self._is_shutdown = True  # until it is truly open: BusABC.__del__ looks
+        self._is_shutdown = True  # until fully open, because BusABC.__del__ reads it
         self._hub: HubLink | None = None
         self._port: HostPort | None = None
         if self.channel in _OPEN:
@@ -140,8 +141,8 @@ class EmulatedBus(can.BusABC):
             self._world = world
             if fd and world.bus(self.channel).data_bitrate_bit_s is None:
                 raise CanInitializationError(
-                    f"fd=True: bus {self.channel} is classical CAN; give [bus.{self.channel}] of "
-                    "the rig a data_bitrate_bit_s"
+                    f"fd=True: bus {self.channel} is classical CAN; give [bus.{self.channel}] "
+                    "of the rig a data_bitrate_bit_s"
                 )
             self._port = world.add_host(self.channel, "host", self._ears.hear, self._hear_error)
         elif "/" in self.channel:
@@ -150,18 +151,18 @@ class EmulatedBus(can.BusABC):
         else:
             known = ", ".join(_OPEN) or "none"
             raise CanInitializationError(
-                f"channel {self.channel!r}: no rig open in this process has that bus (open: "
-                f"{known}), and it is no socket of 'motorhil serve'; open the rig first, or run "
-                "the program with 'motorhil run RIG SCRIPT'"
+                f"channel {self.channel!r}: neither a bus of a rig open in this process (open: "
+                f"{known}) nor a socket of 'motorhil serve'; open the rig first, or run the "
+                "program with 'motorhil run RIG SCRIPT'"
             )
         self._is_shutdown = False
         super().__init__(channel=self.channel, can_filters=can_filters, **kwargs)
         self._can_protocol = CanProtocol.CAN_FD if fd else CanProtocol.CAN_20
 
-    # --- the motor interface's side (16-byte frames) -----------------------------------------
+    # --- interface of the motor interface (16-byte frames) ----------------------------------
 
     def subscribe(self, on_frame: "FrameListener") -> "Registration":
-        """`on_frame` hears every frame; `recv` then keeps none, unless it has been used before."""
+        """Call `on_frame` for every frame; stop queueing for `recv` unless `recv` has been used."""
         self._check_open()
         if not self._has_received:
             self._ears.keeps = False
@@ -170,16 +171,16 @@ class EmulatedBus(can.BusABC):
 
     @property
     def hub_bus(self) -> tuple[str, str] | None:
-        """(path of the hub's socket, name of the bus there); None in a rig of this process."""
+        """The (socket path, bus name) of the hub, or None in a rig of this process."""
         return None if self._hub is None else (self._hub.path, self._hub.bus)
 
     @property
     def dropped(self) -> int:
-        """Frames nobody read, given up oldest first (at most 65,536 wait)."""
+        """The number of unread frames discarded, oldest first (at most 65,536 wait)."""
         return self._ears.dropped
 
     def transmit(self, frame: bytes) -> None:
-        """The frame waits its turn on the bus."""
+        """Queue the frame for transmission on the bus."""
         if self._is_shutdown:
             self._check_open()
         if self._port is not None:
@@ -188,10 +189,10 @@ class EmulatedBus(can.BusABC):
             self._hub.send(frame)
 
     def transmit_fenced(self, frame: bytes, resource: int, token: int) -> None:
-        """As `transmit`, of a commanding frame; a hub looks at its token.
+        """Transmit a commanding frame with its fencing token, which a hub checks.
 
         Raises:
-            MotorBusyError: the hub has refused that token already.
+            MotorBusyError: the hub has already refused that token.
         """
         if self._hub is None:
             self.transmit(frame)
@@ -204,9 +205,9 @@ class EmulatedBus(can.BusABC):
         self._hub.send_fenced(frame, resource, token)
 
     def announce_ownership(self, resource: int, action: int, token: int, **facts: Any) -> None:
-        """Whoever listens at the bus's other end knows who owns a motor: a hub, or the open rig.
+        """Announce who owns a motor, to the hub or to the open rig.
 
-        `facts` as in emulators.hub_protocol.OwnershipNotice.
+        `facts` are the further fields of OwnershipNotice.
         """
         if self._is_shutdown:
             return
@@ -220,10 +221,10 @@ class EmulatedBus(can.BusABC):
         if self._is_shutdown:
             raise CanOperationError(f"{self.channel_info}: this bus object was shut down")
 
-    # --- python-can's side -----------------------------------------------------------------
+    # --- interface of python-can ---------------------------------------------------------------
 
     def send(self, msg: Message, timeout: float | None = None) -> None:
-        """The message waits its turn on the bus."""
+        """Queue the message for transmission on the bus."""
         if msg.is_fd and not self._fd:
             raise CanOperationError(
                 f"CAN FD frame {msg.arbitration_id:X}h: {self.channel_info} was opened for "
@@ -235,7 +236,7 @@ class EmulatedBus(can.BusABC):
             raise CanOperationError(str(error)) from error
 
     def recv(self, timeout: float | None = None) -> Message | None:
-        """The next message, or None after `timeout` [s] of the rig's time."""
+        """Return the next message, or None after `timeout` [s] of the rig's time."""
         if self._hub is not None:
             return super().recv(timeout)
         self._check_open()
@@ -258,7 +259,7 @@ class EmulatedBus(can.BusABC):
                 return message
 
     def _recv_internal(self, timeout: float | None) -> tuple[Message | None, bool]:
-        """Over a socket only: BusABC.recv applies the filters and the timeout."""
+        """Receive over a socket only; BusABC.recv applies the filters and the timeout."""
         if self._hub is None:
             return None, False
         while True:
@@ -278,29 +279,29 @@ class EmulatedBus(can.BusABC):
 
     @property
     def bus_off_remedy(self) -> str:
-        """What to do when it is off the bus; errors of the motor interface tell it."""
-        return "it is on again by recovery_s of its node in the rig, or by rig.faults.restart()"
+        """The remedy for bus-off, for error messages of the motor interface."""
+        return "recovery: recovery_s of its node in the rig, or rig.faults.restart()"
 
     @property
     def state(self) -> BusState:
-        """Of the CAN controller: PASSIVE is error passive, ERROR bus-off (harness.can_state).
+        """The state of the CAN controller: PASSIVE is error passive, ERROR is bus-off.
 
-        Over a socket as of the last message that was read.
+        Over a socket it is the state as of the last message that was read.
         """
         return self._state
 
     @state.setter
     def state(self, new_state: BusState) -> None:
         raise NotImplementedError(
-            f"{self.channel_info}: its state is what happens on the bus; it cannot be set"
+            f"{self.channel_info}: the state cannot be set; it follows from the errors on the bus"
         )
 
     def receive_frame(self, timeout_s: float) -> tuple[bytes, int, bool] | None:
-        """(frame, time_ns of the hub, transmitted), own frames too; over a socket only."""
+        """Return the next (frame, hub time [ns], transmitted), own ones too; socket only."""
         return None if self._hub is None else self._hub.receive(timeout_s)
 
     def fileno(self) -> int:
-        """The socket's descriptor; -1 in a rig of this process, which needs none."""
+        """Return the socket's descriptor, or -1 in a rig of this process, which has none."""
         return -1 if self._hub is None else self._hub.fileno()
 
     def _send_periodic_internal(
@@ -311,7 +312,7 @@ class EmulatedBus(can.BusABC):
         autostart: bool = True,
         modifier_callback: Callable[[Message], None] | None = None,
     ) -> CyclicSendTaskABC:
-        """Repeats in the rig's time (the inherited one starts a thread on the wall's)."""
+        """Send periodically in the rig's time; the inherited method starts a wall-time thread."""
         if self._hub is not None:
             return super()._send_periodic_internal(
                 msgs, period, duration, autostart, modifier_callback
@@ -322,9 +323,9 @@ class EmulatedBus(can.BusABC):
         return task
 
     def shutdown(self) -> None:
-        """The bus has been left; frames still queued go out."""
+        """Leave the bus; frames still queued are transmitted."""
         was_open = not self._is_shutdown
-        super().shutdown()  # first: whoever reads it in another thread then knows why it ends
+        super().shutdown()  # first, so that a reader in another thread sees the reason
         if was_open and self._port is not None:
             self._port.close()
         if was_open and self._hub is not None:
@@ -353,7 +354,7 @@ class _PeriodicTask(
         self._registration: Registration | None = None
 
     def start(self) -> None:
-        """The first message goes out now, one more each period."""
+        """Send the first message now and one more after each period."""
         self.stop()
         runtime = self._bus.runtime
         if self.duration is not None:
@@ -372,7 +373,7 @@ class _PeriodicTask(
         self._bus.send(message)
 
     def stop(self) -> None:
-        """Nothing more is sent."""
+        """Stop sending."""
         if self._registration is not None:
             self._registration.cancel()
             self._registration = None

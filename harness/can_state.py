@@ -1,7 +1,8 @@
-"""The state of a CAN controller as python-can has it, from its error messages.
+"""CAN controller states of python-can, derived from error messages.
 
-python-can has three: ACTIVE (error active, the warning level included), PASSIVE (error passive) and
-ERROR (bus-off). Its own SocketCAN interface asks nobody and always says ACTIVE.
+python-can has three: ACTIVE (error active, including the warning level), PASSIVE (error passive)
+and ERROR (bus-off). Its own SocketCAN interface never queries the controller and always reports
+ACTIVE.
 
 Source: Linux include/uapi/linux/can/error.h; python-can 4.6.1, can/bus.py and interfaces.
 """
@@ -28,12 +29,12 @@ _ACTIVE: Final = RX_WARNING | TX_WARNING | ERROR_ACTIVE
 
 
 def is_error(frame: bytes) -> bool:
-    """Whether it is no frame of the bus, but what a CAN controller tells."""
+    """Return True for an error message of a CAN controller, False for a frame of the bus."""
     return bool(can_id_of(frame) & ERR_FLAG)
 
 
 def state_after(message: bytes, before: BusState) -> BusState:
-    """The state once this error message was told; most of them change nothing."""
+    """Return the state after this error message; most messages do not change it."""
     classes = can_id_of(message)
     if classes & BUS_OFF:
         return BusState.ERROR

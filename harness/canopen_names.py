@@ -1,4 +1,4 @@
-"""What an identifier is for by the pre-defined connection set of CiA 301, and whose."""
+"""Names of identifiers by the CiA 301 pre-defined connection set."""
 
 from collections.abc import Mapping
 from typing import Final
@@ -21,11 +21,11 @@ _SERVICES: Final = {
 
 
 def usual_name(identifier: int, nodes: Mapping[int, str]) -> str:
-    """In words, with the node's name or number; "" where that set has nothing.
+    """Return service and node of an identifier in words, or "" if the set does not define it.
 
     Args:
-        identifier: of 11 bits.
-        nodes: names by node-ID.
+        identifier: an 11-bit identifier.
+        nodes: node names by node-ID.
     """
     if identifier in _ALL:
         return _ALL[identifier]
@@ -37,5 +37,5 @@ def usual_name(identifier: int, nodes: Mapping[int, str]) -> str:
 
 
 def is_sdo(identifier: int) -> bool:
-    """Whether it asks or answers in the default SDO channel."""
+    """Return True for a request or response identifier of the default SDO channel."""
     return 0x581 <= identifier <= 0x5FF or 0x601 <= identifier <= 0x67F

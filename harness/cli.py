@@ -1,9 +1,9 @@
-"""The command `motorhil`: one verb, one module, loaded when it is used.
+"""The command `motorhil`: one verb per module, loaded when it is used.
 
-Exit status: 0 passed, 1 the thing under test failed, 2 wrong usage, 3 nothing could be judged,
-130 interrupted. Results go to stdout, reasons to stderr. A verb's module has
-`add_arguments(parser)` and `run(arguments)`; what stands after `--` on the command line is
-`arguments.rest`, None if there is no `--`.
+Exit status: 0 passed, 1 the thing under test failed, 2 wrong usage, 3 nothing could be judged, 130
+interrupted. Results go to stdout, reasons to stderr. The module of a verb has
+`add_arguments(parser)` and `run(arguments)`. Words after `--` on the command line are
+`arguments.rest`, which is None without `--`.
 """
 
 import argparse
@@ -36,19 +36,27 @@ class _Verb:
 _VERBS: Final = (
     _Verb("demo", "a six-wheel rover drives, crabs and turns on emulated drives", "harness.demo"),
     _Verb("new", "write a working rig, and a script that drives it", "harness.verbs.new"),
-    _Verb("check", "say what is wrong in a rig file, or what it holds", "harness.verbs.check"),
+    _Verb("check", "check a rig file: print its errors, or its contents", "harness.verbs.check"),
     _Verb("run", "run a script, or a prompt, with a rig around it", "harness.verbs.run", True),
     _Verb("serve", "run a rig in real time for other processes", "harness.serving", True),
     _Verb("record", "record live CAN buses", "harness.verbs.record"),
     _Verb("replay", "let a recording stand in for devices or host", "harness.verbs.replay", True),
-    _Verb("recover", "make a cut or damaged recording whole again", "harness.verbs.recover"),
-    _Verb("show", "tell a recording in sentences", "harness.verbs.show"),
+    _Verb("recover", "repair a cut or damaged recording", "harness.verbs.recover"),
+    _Verb("show", "print a recording as sentences", "harness.verbs.show"),
+    _Verb("diff", "find the first difference between two recordings", "harness.verbs.diff"),
     _Verb(
-        "diff", "find the first thing that two recordings tell differently", "harness.verbs.diff"
+        "conform",
+        "check whether an adaptation fulfils the motor interface",
+        "harness.verbs.conform",
     ),
-    _Verb("conform", "check whether an adaptation keeps its promises", "harness.verbs.conform"),
-    _Verb("judge", "judge a recording: what must hold in any, did it?", "harness.verbs.judge"),
-    _Verb("analyse", "say whether every message on a CAN bus is in time", "harness.verbs.analyse"),
+    _Verb(
+        "judge", "judge a recording by rules that every recording must meet", "harness.verbs.judge"
+    ),
+    _Verb(
+        "analyse",
+        "check whether every message on a CAN bus meets its deadline",
+        "harness.verbs.analyse",
+    ),
     _Verb("report", "draw a recording on one page, on one time axis", "harness.verbs.report"),
     _Verb("convert", "turn recorded CAN traffic into another format", "harness.verbs.convert"),
     _Verb(
@@ -60,7 +68,7 @@ _VERBS: Final = (
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """The command line has been obeyed; the exit status."""
+    """Run the command line and return its exit status."""
     words = list(sys.argv[1:] if arguments is None else arguments)
     _open_standard_streams()
     try:
@@ -69,7 +77,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except KeyboardInterrupt:
         print("motorhil: interrupted", file=sys.stderr)
         return INTERRUPTED
-    except BrokenPipeError:  # whoever read our output has left: nothing more to say
+    except BrokenPipeError:  # the reader of our output has left
         _drop_output()
         return FAILED
     except OSError as error:
@@ -86,21 +94,21 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def _open_standard_streams() -> None:
-    """Where we were started without one, what is said goes nowhere."""
+    """Open the null device for each standard stream that the process lacks."""
     for name in ("stdin", "stdout", "stderr"):
         if getattr(sys, name) is None:
             setattr(sys, name, open(os.devnull, "r" if name == "stdin" else "w"))  # noqa: SIM115
 
 
 def _drop_output() -> None:
-    """What is still to be printed goes nowhere, also when Python ends."""
+    """Redirect stdout to the null device, including the flush at exit."""
     os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
 
 def _dispatch(words: list[str]) -> int:
     try:
         return _obey(words)
-    except SystemExit as leaving:  # argparse: help was given, or the usage is wrong
+    except SystemExit as leaving:  # argparse: help was printed, or the usage is wrong
         return leaving.code if isinstance(leaving.code, int) else PASSED
 
 
@@ -109,7 +117,7 @@ def _obey(words: list[str]) -> int:
     top = argparse.ArgumentParser(
         prog="motorhil", description="Motor code on emulated drives, in virtual time."
     )
-    top.add_argument("--version", action="store_true", help="say which version and cores these are")
+    top.add_argument("--version", action="store_true", help="print the version and which cores run")
     commands = top.add_subparsers(metavar="VERB", dest="verb")
     for verb in verbs.values():
         commands.add_parser(verb.name, help=verb.help, add_help=False)

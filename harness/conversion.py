@@ -1,4 +1,4 @@
-"""From one format of recorded traffic to another: what was read, written, and what that lost."""
+"""Conversion of recorded traffic between formats, with an account of losses."""
 
 import os
 from collections.abc import Iterator, Mapping
@@ -25,11 +25,16 @@ _WITH_MODBUS: Final = ("mcap", "pcap")
 @final
 @dataclass(frozen=True, slots=True)
 class Conversion:
-    """What came of it.
+    """The result of a conversion.
 
-    Attributes: source, target (its path), format (what was written), findings (of reading), buses,
-    lost (how many frames or ADUs have what the target's format does not hold), is_modbus (ADUs were
-    read, not frames).
+    Attributes:
+        source: the source that was read.
+        target: path of the file that was written.
+        format: format that was written.
+        findings: problems found while reading.
+        buses: names of the buses.
+        lost: number of frames or ADUs per feature that the target's format cannot hold.
+        is_modbus: True if ADUs were read, not frames.
     """
 
     source: Source
@@ -42,28 +47,28 @@ class Conversion:
 
 
 def format_named(name: str) -> Format | None:
-    """The format of this name; None: our own recording.
+    """Return the format of this name; None stands for motorhil's own recording.
 
     Raises:
-        KeyError: there is none.
+        KeyError: the name is unknown.
     """
     return None if name == "mcap" else {known.name: known for known in WRITABLE}[name]
 
 
 def format_of_ending(path: str) -> str | None:
-    """The format that a file name's ending stands for."""
+    """Return the name of the format for a file name's extension, or None if it is unknown."""
     endings = {".mcap": "mcap"} | {known.ending: known.name for known in WRITABLE}
     return endings.get(os.path.splitext(path)[1].lower())
 
 
 def convert(source_path: str, target: str, name: str, overwrite: bool = False) -> Conversion:
-    """The target holds the source's frames, as far as its format can.
+    """Write the source's frames to the target, as far as its format can hold them.
 
-    Where there are none, or the format is `MODBUS_PCAPNG`, it holds the ADUs of Modbus lines.
+    If there are no frames, or the format is `MODBUS_PCAPNG`, write the ADUs of Modbus lines.
 
     Raises:
-        TraceError: the source cannot be read or has no frames; the target cannot be written, or
-            exists and may not be lost.
+        TraceError: the source cannot be read or has no frames; or the target cannot be written, or
+            exists and `overwrite` is False.
     """
     source = open_source(source_path)
     with suppress(OSError):
@@ -98,7 +103,7 @@ def convert(source_path: str, target: str, name: str, overwrite: bool = False) -
 
 
 def _convert_modbus(source: Source, target: str, name: str) -> Conversion:
-    """The target holds the Modbus of a capture or recording without CAN frames."""
+    """Convert the Modbus of a capture or recording without CAN frames."""
     findings = Findings()
     adus = _adus(source, findings)
     first = next(adus, None)

@@ -1,8 +1,9 @@
-"""`motorhil demo`: a six-wheel rover drives an arc, a crab and a turn while its mast looks on.
+"""`motorhil demo`: a six-wheel rover drives arc, crab and turn.
 
-The application is `harness/examples/rover.py`, the rig `harness/examples/rover.toml`, or with
-`--rig` another that holds the same motors on other hardware; this is the frame around them:
-progress, record, and a table of what came of it. `--two-processes` is in `harness.two_processes`.
+Meanwhile its mast looks at a fixed point. The application is `harness/examples/rover.py`. The rig
+is `harness/examples/rover.toml`, or with `--rig` another one that has the same motors on other
+hardware. This module adds progress, recording and result tables. `--two-processes` has a module of
+its own.
 """
 
 import argparse
@@ -35,17 +36,18 @@ RIG: Final = EXAMPLES / "rover.toml"
 POINT_M: Final = (6.0, 1.5, 0.4)
 SAMPLE_NS: Final = 20_000_000
 PEAK_WINDOW_NS: Final = 100_000_000
-ERROR_MAX_RAD: Final = 0.002  # a motor that ends further off has not done its job
+ERROR_MAX_RAD: Final = 0.002  # largest acceptable position error of a motor at the end
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """The words after `motorhil demo`."""
+    """Add the arguments of `motorhil demo`."""
     parser.add_argument(
         "--rig",
         choices=RIGS,
         default=RIG.stem,
-        help="the rover's hardware: drives on two buses (rover), drives on one (rocky8), plain I/O"
-        " nodes and a servo on the host (fido); the application is the same (default rover)",
+        help="the rover's hardware: drives on two buses (rover), drives on one bus (rocky8), "
+        "plain I/O nodes with the servo on the host (fido); the application is the same "
+        "(default rover)",
     )
     parser.add_argument(
         "--eds",
@@ -53,19 +55,19 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         type=Path,
         default=[],
         metavar="FILE",
-        help="a vendor's EDS or DCF for the drives, instead of ours; several are dealt out in turn",
+        help="a vendor's EDS or DCF for the drives, instead of ours; several are assigned in turn",
     )
     parser.add_argument(
         "--mast",
         choices=MASTS,
         default=MASTS[0],
-        help="pan and tilt as the other drives (can), or on a serial line (modbus)",
+        help="pan and tilt on CAN like the other drives (can), or on a serial line (modbus)",
     )
     parser.add_argument(
         "--against",
         type=Path,
         metavar="FILE",
-        help="a recording of this demo, which stands in for the drives (record: out/against.mcap)",
+        help="a recording of this demo that replaces the drives (record: out/against.mcap)",
     )
     add_seed(parser)
     parser.add_argument(
@@ -75,16 +77,16 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="FILE",
         help="the record (default out/demo.mcap)",
     )
-    parser.add_argument("--realtime", action="store_true", help="no faster than the wall clock")
+    parser.add_argument("--realtime", action="store_true", help="run no faster than the wall clock")
     parser.add_argument(
         "--two-processes",
         action="store_true",
-        help="instead: two programs, in wall time, share the pan motor, and one of them is killed",
+        help="instead: two programs share the pan motor in wall time, and one of them is killed",
     )
 
 
 def run(options: argparse.Namespace) -> int:
-    """Exit status: 0 every motor arrived, 1 one did not.
+    """Run the demo; return 0 if every motor arrived, 1 if one did not.
 
     Raises:
         RigError: an option or an EDS file cannot be used.
@@ -114,7 +116,7 @@ def run(options: argparse.Namespace) -> int:
         with rig:
             arrived = _drive(rig)
             simulated_s = rig.runtime.now_ns() / 1e9
-    except MotorError as error:  # the mast's party may raise it, when the rig is closed
+    except MotorError as error:  # the mast's party may raise it when the rig closes
         _tell_failure(rig, error)
         print(f"the record so far: {options.output}", file=sys.stderr)
         print(f"again: {_again(options, rig.seed)}", file=sys.stderr)
@@ -126,13 +128,15 @@ def run(options: argparse.Namespace) -> int:
     )
     print(f"record {options.output}, digest {digest(options.output)} (seed {rig.seed})")
     if not arrived:
-        print(f"motorhil demo: a motor is off by more than {ERROR_MAX_RAD} rad", file=sys.stderr)
+        print(
+            f"motorhil demo: a motor's position error exceeds {ERROR_MAX_RAD} rad", file=sys.stderr
+        )
         print(f"again: {_again(options, rig.seed)}", file=sys.stderr)
     return PASSED if arrived else FAILED
 
 
 def _drive(rig: "Rig") -> bool:
-    """The manoeuvre has been driven, and what came of it told; whether all went well."""
+    """Drive the manoeuvre and print its results; return True if it succeeded."""
     from harness.examples.rover import Rover, manoeuvre
 
     for note in rig.notes:
@@ -151,7 +155,7 @@ def _drive(rig: "Rig") -> bool:
 
 
 def _tell_failure(rig: "Rig", error: BaseException | None) -> None:
-    """What went wrong, the cause first, and what recorded drives had to do with it."""
+    """Print the failure, its cause first, and any part that recorded drives had in it."""
     from motorapi import MotorError
 
     causes = []
@@ -164,19 +168,19 @@ def _tell_failure(rig: "Rig", error: BaseException | None) -> None:
 
 
 def _run_two(options: argparse.Namespace) -> int:
-    """As `run`, for two programs."""
+    """Run the demo with two programs; return its exit status."""
     from harness import two_processes
 
     others = options.rig != RIG.stem or options.mast != MASTS[0] or options.against is not None
     if others or options.eds or options.realtime:
-        print("motorhil demo: --two-processes takes --seed and -o alone", file=sys.stderr)
+        print("motorhil demo: --two-processes takes only --seed and -o", file=sys.stderr)
         return WRONG_USAGE
     _make_folder(options.output.parent)
     return two_processes.run(options.output, options.seed)
 
 
 def _against(description: "RigDescription", options: argparse.Namespace) -> "RigDescription":
-    """The rig with its drives out of a recording."""
+    """Return the rig with its drives replaced by a recording."""
     from harness.replay.recorded_rig import with_recorded
 
     if not options.against.is_file():
@@ -186,7 +190,7 @@ def _against(description: "RigDescription", options: argparse.Namespace) -> "Rig
 
 
 def _stood_in(rig: "Rig", failure: str = "") -> bool:
-    """Whether recorded drives, if there are any, could answer everything; it is told."""
+    """Print what recorded drives could not answer; return True if they answered everything."""
     from harness.replay.verdict import summary, unanswered
 
     for line in summary(rig, failure):
@@ -195,7 +199,7 @@ def _stood_in(rig: "Rig", failure: str = "") -> bool:
 
 
 def _again(options: argparse.Namespace, seed: int) -> str:
-    """The command that does the same once more."""
+    """Return the command that repeats this run."""
     words = ["motorhil", "demo", "--seed", str(seed), "-o", str(options.output)]
     if options.rig != RIG.stem:
         words += ["--rig", options.rig]
@@ -213,14 +217,14 @@ def _make_folder(folder: Path) -> None:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         reason = error.strerror or str(error)
-        raise RigError(folder, f"cannot be made: {reason}", "record elsewhere with -o") from None
+        raise RigError(folder, f"cannot be created: {reason}", "record elsewhere with -o") from None
 
 
 @final
 class _PeakFollowingError:
-    """The largest following error of each motor, in increments, sampled at 20 ms.
+    """The largest following error of each motor [inc], sampled every 20 ms.
 
-    As the drive knows it; where the servo is on the host, as the host does.
+    The value is the drive's own, or the host's if the servo runs there.
     """
 
     def __init__(self, rig: "Rig") -> None:
@@ -237,7 +241,7 @@ class _PeakFollowingError:
             self._peaks[name] = max(self._peaks[name], abs(size))
 
     def of(self, motor: str) -> float:
-        """The peak so far [increments]."""
+        """Return the peak so far [inc]."""
         return self._peaks[motor]
 
 
@@ -247,7 +251,7 @@ def _motors_behind(rig: "Rig", controller: str) -> list[str]:
 
 
 def _in_truth(rig: "Rig", motor: str, key: str) -> str:
-    """What the motor's controller calls it: of channels after the first with a prefix."""
+    """Return the controller's key for this motor; channels after the first have a prefix."""
     channel = rig.description.motors[motor].settings.get("channel", 1)
     return key if channel == 1 else f"channel_{channel}_{key}"
 
@@ -260,7 +264,7 @@ def _heard_error_inc(motor: "Motor") -> float:
 
 
 def _reached_rad(rig: "Rig", motor: str) -> float:
-    """Where the motor really is; of a recorded drive, where it says that it is."""
+    """Return the motor's true position [rad], or the reported one of a recorded drive."""
     controller = rig.description.motors[motor].controller
     assert controller is not None
     truth = rig.controllers[controller].snapshot().get(_in_truth(rig, motor, "position_rad"))
@@ -271,7 +275,7 @@ def _reached_rad(rig: "Rig", motor: str) -> float:
 
 
 def _print_motors(rig: "Rig", rover: "Rover", peaks: _PeakFollowingError) -> bool:
-    """One line a motor; whether all of them ended where they were told to."""
+    """Print one line per motor; return True if all motors reached their targets."""
     last: dict[str, tuple[float, Move, int]] = {}
     for move in rover.moves:
         for place, motor in enumerate(move.group):
@@ -320,7 +324,7 @@ def _print_buses(rig: "Rig") -> None:
 
 
 def _print_groups(rig: "Rig", rover: "Rover") -> None:
-    """Per group: what skew was possible, and the largest there was."""
+    """Print per group the possible start skew and the largest actual one."""
     rows = []
     for name in rig.groups:
         moves = [move for move in rover.moves if move.group is rig.groups[name]]
@@ -343,6 +347,6 @@ def _print_groups(rig: "Rig", rover: "Rover") -> None:
 
 
 def _largest_ms(values_s: Sequence[float | None]) -> str:
-    """The largest that is known; moves in which no motor had anywhere to go tell nothing."""
+    """Return the largest known value [ms]; moves in which no motor had to move have none."""
     known = [value for value in values_s if value is not None]
     return f"{max(known) * 1e3:.3f}" if known else "-"

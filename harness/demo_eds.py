@@ -1,4 +1,4 @@
-"""The demo's drives with vendors' EDS files: which file is whose, and what 1 means in it."""
+"""The demo's drives with vendors' EDS files, and the units they imply."""
 
 import json
 import os
@@ -20,14 +20,14 @@ INCREMENTS_PER_TURN: Final = 2000  # of the motors in the demo's rigs
 def with_eds(
     description: "RigDescription", files: Sequence[Path], known: Known
 ) -> "RigDescription":
-    """The rig with these files dealt out: one each to wheels, steering and mast, in turn.
+    """Return the rig with these files assigned in turn to wheels, steering and mast.
 
-    Drives and motor models are told one set of units, whatever a file says: increments, and rpm of
-    the motor, which is what most vendors mean by limits such as 607Fh. The rig's text is changed
-    so, for that is what a record says of the rig that ran.
+    Drives and motor models get one set of units, whatever a file says: increments, and rpm of the
+    motor. Most vendors mean rpm by limits such as 607Fh. The rig's text is changed accordingly,
+    because a recording contains the text of the rig that ran.
 
     Raises:
-        RigError: there is no such file, or the rig has no drives.
+        RigError: a file does not exist, or the rig has no drives.
     """
     path, text = description.source.path, description.source.text
     for file in files:
@@ -56,12 +56,12 @@ def with_eds(
 
 
 def _in_rpm(model: Path | Mapping[str, Any], unit_inc_s: float) -> dict[str, Any]:
-    """The same motor model (a TOML table, hence Any) for a drive that counts in rpm."""
+    """Return the same motor model (a TOML table, hence Any) for a drive that counts in rpm."""
     table = tomllib.loads(model.read_text("utf-8")) if isinstance(model, Path) else dict(model)
     unit_rad_s = unit_inc_s / table["increments_per_rad"]
     return {**table, "velocity_unit_rad_s": unit_rad_s, "acceleration_unit_rad_s2": unit_rad_s}
 
 
 def _inline(table: Mapping[str, Any]) -> str:
-    """An inline table of TOML, of texts and numbers."""
+    """Return an inline TOML table of strings and numbers."""
     return "{ " + ", ".join(f"{key} = {json.dumps(value)}" for key, value in table.items()) + " }"

@@ -1,4 +1,7 @@
-"""The demo's mast on Modbus: two PR-mode drives on a serial line, in place of those on CAN."""
+"""The demo's mast on Modbus: two PR-mode drives on a serial line.
+
+They replace the CAN drives of pan and tilt.
+"""
 
 from typing import TYPE_CHECKING, Final
 
@@ -22,18 +25,19 @@ _ON_CAN: Final = ("kind", "bus", "node_id", "adaptation", "servo_period_ms", "os
 
 
 def with_modbus_mast(description: "RigDescription", known: Known) -> "RigDescription":
-    """The rig with pan and tilt on a line of their own; nothing else differs.
+    """Return the rig with pan and tilt on a serial line; nothing else differs.
 
-    Its file's text is changed so, for that is what a record says of the rig that ran.
+    The rig's text is changed accordingly, because a recording contains the text of the rig that
+    ran.
 
     Raises:
-        RigError: it has no such drives.
+        RigError: the rig has no such drives.
     """
     path, text = description.source.path, description.source.text
     for name, unit in _UNITS.items():
         controller = description.controllers.get(name)
         if controller is None or controller.kind != "cia402":
-            problem = f"{name} is no drive of its own"
+            problem = f"{name} is not a separate CiA 402 drive"
             raise RigError(path, problem, "use --mast with --rig rover")
         drive = f'kind = "leadshine_pr"\nbus = "{LINE}"\nunit = {unit}\n'
         text = with_table(text, f"controller.{name}", drive, _ON_CAN)

@@ -1,4 +1,7 @@
-"""What a program registers with `atexit` runs when it ends, while its rig is still there."""
+"""Handlers that a program registers with `atexit`.
+
+They run when the program ends, while its rig is still open.
+"""
 
 import atexit
 import sys
@@ -9,9 +12,9 @@ from typing import Any, final
 
 @final
 class ExitHandlers:
-    """The handlers of one program.
+    """The exit handlers of one program.
 
-    Those of the standard library that it imports stay what they are: the process's.
+    Handlers registered by standard-library modules remain the process's own.
     """
 
     def __init__(self) -> None:
@@ -21,7 +24,7 @@ class ExitHandlers:
         self._unregister = atexit.unregister
 
     def register(self, function: Callable[..., Any], /, *args: Any, **kwargs: Any) -> Any:
-        """As atexit.register."""
+        """Register a handler, as atexit.register does."""
         caller = sys._getframe(1).f_globals.get("__name__", "")  # noqa: SLF001 -- who registers
         if str(caller).partition(".")[0] in sys.stdlib_module_names - {"__main__"}:
             return self._register(function, *args, **kwargs)
@@ -30,14 +33,14 @@ class ExitHandlers:
         return function
 
     def unregister(self, function: Callable[..., Any], /) -> None:
-        """As atexit.unregister."""
+        """Remove a handler, as atexit.unregister does."""
         self._unregister(function)
         while function in self._functions:
             place = self._functions.index(function)
             del self._functions[place], self._calls[place]
 
     def run(self, tell: Callable[[Exception], None]) -> None:
-        """All have run, the last one first; what one raises is told, and keeps no other from it."""
+        """Run all handlers, last one first; pass exceptions to `tell` and continue."""
         while self._calls:
             del self._functions[-1]
             try:
@@ -48,7 +51,7 @@ class ExitHandlers:
 
 @contextmanager
 def exit_handlers() -> Iterator[ExitHandlers]:
-    """Within it, what a program registers waits here to be run."""
+    """Collect the exit handlers that a program registers, for the duration of the context."""
     handlers = ExitHandlers()
     before = atexit.register, atexit.unregister
     atexit.register, atexit.unregister = handlers.register, handlers.unregister

@@ -1,4 +1,4 @@
-"""A client's end of a hub's socket (`motorhil serve --socket PATH`), wall time."""
+"""Client of a hub's socket (`motorhil serve --socket PATH`), wall time."""
 
 import os
 import select
@@ -34,20 +34,21 @@ _GREETING_TIMEOUT_S: Final = 5.0
 
 @final
 class HubLink:
-    """One connection to one bus of a hub. May be read in one thread and written in another.
+    """One connection to one bus of a hub; one thread may read while another one writes.
 
     Attributes:
-        fd: whether CAN FD frames are heard.
-        stale: what the hub has refused: resource -> (the greater token, whose it is).
+        fd: True if CAN FD frames are received.
+        stale: tokens that the hub refused: resource -> (the greater token, its owner).
     """
 
     def __init__(self, channel: str, fd: bool = False) -> None:
-        """Connected. `channel` is "PATH" (the hub's first bus) or "PATH#BUS".
+        """Connect to `channel`, which is "PATH" (the hub's first bus) or "PATH#BUS".
 
-        With `fd` CAN FD frames are heard, and may be sent; the hub refuses it for a classical bus.
+        With `fd`, CAN FD frames are received and may be sent; the hub refuses it for a classical
+        bus.
 
         Raises:
-            CanInitializationError: nobody serves there, or the hub refuses; says why.
+            CanInitializationError: no hub answers there, or it refuses the connection; says why.
         """
         self.fd = fd
         self.stale: dict[int, tuple[int, str]] = {}
@@ -57,19 +58,19 @@ class HubLink:
             self._socket.settimeout(_GREETING_TIMEOUT_S)
             self._socket.connect(path)
             name = f"{Path(sys.argv[0] or 'python').name}[{os.getpid()}]".replace(" ", "_")
-            with suppress(BrokenPipeError):  # then it has said why, and left
+            with suppress(BrokenPipeError):  # the hub has sent its reason and closed the connection
                 self._socket.send((FD_GREETING if fd else GREETING) + f"{bus} {name}".encode())
             answer = self._read()
         except OSError as error:
             self._socket.close()
             reason = error.strerror or "no answer"
             raise CanInitializationError(
-                f"{path}: no hub answers here ({reason}); start one with "
-                f"'motorhil serve RIG --socket {path}'"
+                f"{path}: no hub answers here ({reason}); start one with 'motorhil serve RIG "
+                f"--socket {path}'"
             ) from None
         if not answer.startswith(WELCOME):
             self._socket.close()
-            reason = answer.decode("utf-8", "replace") or "it has closed the connection"
+            reason = answer.decode("utf-8", "replace") or "the hub has closed the connection"
             raise CanInitializationError(f"{path}: {reason}")
         self.bus = answer[len(WELCOME) :].decode()
         self.path = path
@@ -77,33 +78,34 @@ class HubLink:
 
     @classmethod
     def with_all(cls, channel: str) -> "HubLink":
-        """Connected, and CAN FD frames heard where the bus has any.
+        """Connect, and receive CAN FD frames if the bus has them.
 
-        Raises: as of a new one.
+        Raises:
+            CanInitializationError: as for a new connection.
         """
         try:
             return cls(channel, True)
-        except CanInitializationError:  # a classical bus, or an older hub; or none, which it says
+        except CanInitializationError:  # a classical bus or an older hub
             return cls(channel)
 
     def fileno(self) -> int:
-        """For select and event loops."""
+        """Return the socket's descriptor, for select and event loops."""
         return self._socket.fileno()
 
     def send(self, frame: bytes) -> None:
-        """The hub has the frame; it waits its turn on the bus there.
+        """Send the frame to the hub, which queues it for the bus.
 
         Raises:
-            CanOperationError: the hub has gone.
+            CanOperationError: the hub has closed the connection.
         """
         self._send(pack_submit(frame))
 
     def send_fenced(self, frame: bytes, resource: int, token: int) -> None:
-        """As `send`; the hub refuses it if somebody has a greater token of the resource."""
+        """Send a frame with its token; the hub refuses it if a greater token is known."""
         self._send(pack_fenced(frame, resource, token))
 
     def announce(self, notice: OwnershipNotice) -> None:
-        """The hub knows who owns a motor, in the order of this and of frames. Raises as `send`."""
+        """Announce an owner to the hub, in order with the frames. Raises as `send` does."""
         self._send(pack_owns(notice))
 
     def _send(self, record: bytes) -> None:
@@ -113,12 +115,12 @@ class HubLink:
             raise self._gone() from error
 
     def receive(self, timeout_s: float | None) -> tuple[bytes, int, bool] | None:
-        """(frame, time_ns, transmitted) of the next frame on the bus; None after `timeout_s`.
+        """Return the next (frame, time [ns], transmitted) on the bus, or None after `timeout_s`.
 
-        An error message of this program's own CAN controller comes as a frame of somebody else.
+        An error message of this program's own CAN controller arrives as a frame of another sender.
 
         Raises:
-            CanOperationError: the hub has gone.
+            CanOperationError: the hub has closed the connection.
         """
         deadline_s = None if timeout_s is None else time.monotonic() + timeout_s
         while True:
@@ -133,7 +135,7 @@ class HubLink:
                 raise self._gone()
             if record.startswith(REFUSED):
                 reason = record[len(REFUSED) :].decode("utf-8", "replace")
-                raise CanOperationError(f"{self.path}: {reason}; the hub has disconnected us")
+                raise CanOperationError(f"{self.path}: {reason}; the hub has closed the connection")
             if record[0] in (HEARD, SENT, TOLD):
                 kind, time_ns, frame = unpack_told(record)
                 return frame, time_ns, kind == SENT
@@ -142,15 +144,15 @@ class HubLink:
                 self.stale[resource] = token, who
 
     def _read(self) -> bytes:
-        """The next record; empty if the hub has gone and left none."""
+        """Return the next record, or b"" if the hub has closed the connection."""
         try:
             return self._socket.recv(RECORD_MAX)
-        except ConnectionResetError:  # it left without reading all; what it said before is there
+        except ConnectionResetError:  # its last records are still readable
             return self._socket.recv(RECORD_MAX)
 
     def _gone(self) -> CanOperationError:
         return CanOperationError(f"{self.path}: the hub has closed the connection")
 
     def close(self) -> None:
-        """Disconnected."""
+        """Close the connection."""
         self._socket.close()

@@ -1,4 +1,7 @@
-"""Ctrl-C in an open rig: taken between two events, so that whoever catches it can go on."""
+"""Ctrl-C and SIGTERM in an open rig.
+
+Ctrl-C takes effect between two events, so that the rig remains usable after it is caught.
+"""
 
 import signal
 from collections.abc import Iterator
@@ -15,14 +18,14 @@ _TERMINATED = 128 + signal.SIGTERM
 
 @contextmanager
 def ends_by_signal() -> Iterator[None]:
-    """Within it, SIGTERM ends the program as Ctrl-C does, by way of what cleans up behind it."""
+    """Let SIGTERM end the program as Ctrl-C does, with all its cleanup."""
 
     def handle(number: int, frame: FrameType | None) -> None:
         raise SystemExit(_TERMINATED)
 
     try:
         before = signal.signal(signal.SIGTERM, handle)
-    except ValueError:  # another thread than the main one
+    except ValueError:  # not in the main thread
         yield
         return
     try:
@@ -33,10 +36,10 @@ def ends_by_signal() -> Iterator[None]:
 
 @contextmanager
 def interrupts_between_events(runtime: "VirtualRuntime") -> Iterator[None]:
-    """Within it, Ctrl-C lets the event that runs come to its end; a second one does not.
+    """Let the current event finish on the first Ctrl-C, but not on a second one.
 
-    Only where Python's own handler is in place, and in the main thread: where somebody else takes
-    care of Ctrl-C, it stays so.
+    Applies only in the main thread, and only if Python's own handler is installed; another handler
+    stays in place.
     """
 
     def handle(number: int, frame: FrameType | None) -> None:
@@ -45,7 +48,7 @@ def interrupts_between_events(runtime: "VirtualRuntime") -> Iterator[None]:
 
     placed = False
     if signal.getsignal(signal.SIGINT) is signal.default_int_handler:
-        with suppress(ValueError):  # another thread than the main one
+        with suppress(ValueError):  # not in the main thread
             signal.signal(signal.SIGINT, handle)
             placed = True
     try:

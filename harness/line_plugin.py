@@ -1,7 +1,7 @@
-"""An application's end of an emulated line, in virtual time: a `motorapi` ByteLine.
+"""Application's end of an emulated line in virtual time: a `motorapi` ByteLine.
 
-On a serial line every character takes its time, and `listen` hears them as they come; on a
-gateway's line (TCP) `send` and `listen` are the two directions of one connection.
+On a serial line every character takes its time, and listeners get characters as they arrive. On a
+gateway's line (TCP), `send` and `listen` are the two directions of one connection.
 """
 
 from collections.abc import Callable
@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from motorapi.runtime import Registration, Runtime
 
 DataListener = Callable[[bytes, int], None]
-"""(characters, when the last of them was complete [ns]); b"": the connection has ended."""
+"""Callback for (characters, time when the last one was complete [ns]); b"" ends the connection."""
 
 
 @final
@@ -29,7 +29,7 @@ class _Subscription:
         listeners.append(listener)
 
     def cancel(self) -> None:
-        """It hears nothing any more."""
+        """Remove the listener."""
         if self._listener in self._listeners:
             self._listeners.remove(self._listener)
 
@@ -39,11 +39,11 @@ class EmulatedLine:
     """One application's port on a line, or connection to a gateway.
 
     Attributes:
-        name: what messages call it.
+        name: the line's name in messages.
         framing: "rtu" on a serial line, "tcp" on a gateway's.
-        runtime: where its application waits.
+        runtime: the Runtime in which the application waits.
         silence_ns: t3.5 [ns]; 0 where silence means nothing.
-        is_closed: whether the other end has closed the connection, or this one.
+        is_closed: True once either end has closed the connection.
     """
 
     def __init__(self, world: "World", name: str, runtime: "Runtime") -> None:
@@ -59,11 +59,11 @@ class EmulatedLine:
         self._port: LineHost = world.add_line_host(name, "host", self._hear)
 
     def duration_ns(self, characters: int) -> int:
-        """How long so many characters are on the line [ns]; 0 where that means nothing."""
+        """Return the transmission time of this many characters [ns]; 0 on a gateway's line."""
         return 0 if self._serial is None else self._serial.duration_ns(characters)
 
     def send(self, data: bytes) -> None:
-        """These characters go on the line now.
+        """Send these characters now.
 
         Raises:
             LinkError: the line is closed.
@@ -73,11 +73,11 @@ class EmulatedLine:
         self._port.send(data)
 
     def listen(self, on_data: DataListener) -> "Registration":
-        """`on_data` hears what others send."""
+        """Call `on_data` with the characters that others send."""
         return _Subscription(self._listeners, on_data)
 
     def close(self) -> None:
-        """Nothing is sent or heard any more; closing again does nothing."""
+        """Close the connection; closing it again has no effect."""
         if not self.is_closed:
             self.is_closed = True
             self._port.close()
@@ -91,7 +91,7 @@ class EmulatedLine:
             listener(data, now_ns)
 
 
-if TYPE_CHECKING:  # it is one, or mypy says why not
+if TYPE_CHECKING:  # lets mypy check that EmulatedLine is a ByteLine
     from motorapi.adaptations.modbus_line import ByteLine
 
     _EMULATED: type[ByteLine] = EmulatedLine

@@ -1,16 +1,18 @@
-"""Who owns the motors on a SocketCAN interface is looked up, because nobody tells it there.
+"""Polled lock files as the record of who owns motors on SocketCAN.
 
-On a hub, programs say who owns what, in the order of their frames. On SocketCAN there are frames
-alone. But who owns a motor is written in its lock's file, for anybody of this host to read who may;
-so whoever records such a bus looks there, a few times a second. Looking takes nothing and delays
-nobody.
+On a hub, programs announce ownership in order with their frames. SocketCAN carries frames only. But
+the owner of a motor is written in its lock file, which other users of this host may be able to
+read. So the recorder of such a bus polls the lock files a few times per second. Polling takes no
+lock and delays no program.
 
-What is found in this way is marked as *looked*, and is less than what is told: an ownership that
-began and ended between two looks is missing (tokens show that there was one), an end is noticed up
-to a period late, and who waits, or was refused, is not recorded. When an owner began is exact, for
-it wrote so itself. Programs that use other lock files (another user's, another MOTORHIL_LOCK_DIR,
-another host's) are not seen, nor are those that use none; frames of all of them are recorded under
-the one name of the interface. The record says all this in one event, when looking begins.
+Events found in this way are marked *looked* and are less complete than announced ones. An ownership
+that begins and ends between two polls is missing; token numbers reveal it. An end is noticed up to
+one period late. Waiting and refused programs are not recorded. The start of an ownership is exact,
+because the owner wrote it.
+
+Programs that use other lock files (another user's, another MOTORHIL_LOCK_DIR, another host's) or
+none are not seen. Frames of all programs are recorded under the one name of the interface. One
+event at the start of polling records all this.
 """
 
 from collections.abc import Mapping
@@ -34,16 +36,16 @@ PERIOD_NS: Final = 100_000_000
 
 @final
 class LockLooks:
-    """Looks at the locks of motors on SocketCAN, and records what has changed.
+    """A recorder of changes in the lock files of motors on SocketCAN.
 
     Args:
-        writer: of lock events.
-        world: what serves them; its time is the wall's.
-        description: the rig's, for the motors and their names.
+        writer: writes lock events.
+        world: provides alarms; its time is wall time.
+        description: the rig's description, with motors and their names.
         interfaces: bus -> network interface.
 
     Raises:
-        UsageError: there is no such interface.
+        UsageError: an interface does not exist.
     """
 
     def __init__(
@@ -62,7 +64,7 @@ class LockLooks:
                 if motor.bus == bus:
                     name = f"{where}-node{motor.node_id}"
                     self._locks.append(_Lock(name, motor.name, bus, writer))
-                    name += f"-channel{motor.settings.get('channel', 1)}"  # where motors share it
+                    name += f"-channel{motor.settings.get('channel', 1)}"  # for shared nodes
                     self._locks.append(_Lock(name, motor.name, bus, writer))
             self._tell(
                 *("info", bus),
@@ -77,7 +79,7 @@ class LockLooks:
         self._world.report(self._world.queue.now_ns, level, bus, text)
 
     def look(self) -> None:
-        """What has changed since the last look is recorded now: before nobody looks any more."""
+        """Record the changes since the last poll now; for the end of polling."""
         self._look(self._world.queue.now_ns)
 
     def _look(self, now_ns: int) -> None:
@@ -94,23 +96,23 @@ class LockLooks:
 
 @final
 class _Lock:
-    """A motor's lock as it was seen last."""
+    """A motor's lock as last seen."""
 
     def __init__(self, name: str, motor: str, bus: str, writer: LockWriter) -> None:
         self.name: Final = name
         self.bus: Final = bus
         self._motor: Final = motor
         self._writer: Final = writer
-        self._token = 0  # of whom it was seen with last
-        self._holder: Occupant | None = None  # that one, while it has it
-        self._abandoned = 0  # the token of one who has died with it
+        self._token = 0  # of the last owner seen
+        self._holder: Occupant | None = None  # the present owner
+        self._abandoned = 0  # the token of an owner that died with the lock
 
     def note(self, view: LockView) -> str:
-        """What has changed is recorded; in words, if somebody died."""
+        """Record any change; return a message if the owner died, else ""."""
         if view.holder is None:
             return self._note_free(view)
         record = view.holder.record
-        if record is not None and record.number != self._token:  # it has said who it is
+        if record is not None and record.number != self._token:  # the owner has written its record
             from_dead = self._abandoned > 0 and record.number == self._abandoned + 1
             action = LockAction.BROKEN if from_dead else LockAction.TAKEN
             self._holder, self._token = view.holder, record.number

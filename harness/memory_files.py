@@ -1,4 +1,4 @@
-"""Files in which controllers keep what they keep without power (`nonvolatile_memory` in a rig)."""
+"""Files for controllers' nonvolatile memory (`nonvolatile_memory` in a rig)."""
 
 import errno
 import os
@@ -13,31 +13,31 @@ _MAX_BYTES = 1 << 20
 
 @final
 class FileMemory:
-    """One file, read when it is opened, and replaced as a whole whenever something is saved.
+    """One file, read when it is opened and replaced as a whole on every save.
 
-    Implements `emulators.controller.NonvolatileMemory`.
+    Implements `NonvolatileMemory` of the emulators.
     """
 
     def __init__(self, path: Path) -> None:
-        """Opens it.
+        """Open the file and read it.
 
         Raises:
-            OSError: it is there, and cannot be read.
+            OSError: the file exists but cannot be read.
         """
         self._path = path
         self._data = b""
         if path.exists():
-            if not path.is_file():  # a pipe is silent for ever, a device would be replaced
+            if not path.is_file():  # reading a pipe would block, and a device would be replaced
                 raise OSError(errno.EINVAL, "it is a folder or a device, not a file")
             with path.open("rb") as file:
                 self._data = file.read(_MAX_BYTES)
 
     def load(self) -> bytes:
-        """What was saved last, by this rig or one before."""
+        """Return the data saved last, by this rig or an earlier one."""
         return self._data
 
     def save(self, data: bytes) -> bool:
-        """The file holds this, or what it held before; never a part."""
+        """Replace the file's contents atomically; return False if it cannot be written."""
         new = self._path.with_name(f".{self._path.name}.{os.getpid()}")
         try:
             try:
@@ -46,7 +46,7 @@ class FileMemory:
                     file.flush()
                     os.fsync(file.fileno())
                 os.replace(new, self._path)
-            except BaseException:  # Ctrl-C, too, leaves nothing beside the file
+            except BaseException:  # leaves no temporary file, not even on Ctrl-C
                 new.unlink(missing_ok=True)
                 raise
         except OSError:
@@ -55,35 +55,35 @@ class FileMemory:
         return True
 
     def where(self) -> str:
-        """The file's name; its folder is another one on another machine."""
+        """Return the file's name, without the folder, which depends on the machine."""
         return self._path.name
 
 
 @final
 class MemoryFiles:
-    """The files of one rig: each is one controller's."""
+    """The memory files of one rig, one per controller."""
 
     def __init__(self, folder: Path) -> None:
         self._folder = folder
         self._owners: dict[Path, str] = {}
 
     def open(self, controller: str, named: str) -> FileMemory:
-        """The controller's file.
+        """Return the controller's file.
 
         Raises:
-            SettingError: it is another controller's, or cannot be used.
+            SettingError: the file belongs to another controller, or cannot be used.
         """
         try:
-            path = (self._folder / named).resolve()  # what a link leads to is the file
-        except (OSError, ValueError) as error:  # links in a circle; a path that no file can have
-            raise SettingError(_KEY, f"{named!r} is no path: {error}", "name a file") from None
+            path = (self._folder / named).resolve()  # compares the targets of links
+        except (OSError, ValueError) as error:  # a cycle of links, or a path that no file can have
+            raise SettingError(_KEY, f"{named!r} is not a path: {error}", "name a file") from None
         owner = self._owners.setdefault(path, controller)
         if owner != controller:
             message = f"{named} is the memory of controller {owner!r} already"
-            raise SettingError(_KEY, message, "one file for each")
+            raise SettingError(_KEY, message, "give each controller its own file")
         if not path.parent.is_dir():
-            message = f"there is no folder {path.parent}"
-            raise SettingError(_KEY, message, "make it; the file need not be there")
+            message = f"folder {path.parent} does not exist"
+            raise SettingError(_KEY, message, "create the folder; the file may be absent")
         try:
             return FileMemory(path)
         except OSError as error:

@@ -1,4 +1,4 @@
-"""`motorhil serve`: the lines of a rig on TCP and on pseudo-terminals."""
+"""Lines of a rig on TCP and pseudo-terminals, for `motorhil serve`."""
 
 import argparse
 from collections.abc import Iterable
@@ -17,36 +17,36 @@ _PORT_MAX: Final = 65_535
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """The words about Modbus after `motorhil serve`."""
+    """Add the Modbus arguments of `motorhil serve`."""
     parser.add_argument(
         "--modbus-tcp",
         action="append",
         default=[],
         metavar="[BUS=]HOST:PORT",
-        help="serve a bus of kind modbus_tcp (default: the first) there; port 0 is any that is "
-        "free; may be repeated",
+        help="serve a bus of kind modbus_tcp (default: the first) at this address; port 0 "
+        "means any free port; may be repeated",
     )
     parser.add_argument(
         "--modbus-rtu",
         action="append",
         default=[],
         metavar="[BUS=]LINK",
-        help="serve a bus of kind modbus_rtu (default: the first) on a pseudo-terminal, linked "
-        "there; may be repeated",
+        help="serve a bus of kind modbus_rtu (default: the first) on a pseudo-terminal with "
+        "this symbolic link; may be repeated",
     )
     parser.add_argument(
         "--any-address",
         action="store_true",
-        help="let --modbus-tcp be an address that other machines reach",
+        help="allow --modbus-tcp addresses that other machines can reach",
     )
 
 
 def open_doors(rig: Rig, loop: WallLoop, options: argparse.Namespace) -> dict[str, list[str]]:
-    """Where each line is to be found: bus -> HOST:PORT or LINK, as often as it was asked for.
+    """Open the requested endpoints and return them: bus -> HOST:PORT or LINK, one per request.
 
     Raises:
         RigError: the rig has no such line.
-        ModbusSocketError, ModbusPtyError: the place cannot be had.
+        ModbusSocketError, ModbusPtyError: an address or link cannot be used.
     """
     doors: dict[str, list[str]] = {}
     for text in options.modbus_tcp:
@@ -63,7 +63,7 @@ def open_doors(rig: Rig, loop: WallLoop, options: argparse.Namespace) -> dict[st
 
 
 def described(rig: Rig, doors: dict[str, list[str]]) -> Iterable[str]:
-    """A line for each door."""
+    """Return one line of text per endpoint."""
     for name, places in doors.items():
         bus = rig.description.buses[name]
         units = [
@@ -71,7 +71,7 @@ def described(rig: Rig, doors: dict[str, list[str]]) -> Iterable[str]:
             for one in rig.description.controllers.values()
             if one.bus == name and one.node_id is not None
         ]
-        behind = f"units {', '.join(units)}" if units else "no unit"
+        behind = f"units {', '.join(units)}" if units else "no units"
         for place in places:
             yield f"{name}: {_protocol(bus)} at {place}, {behind}"
 
@@ -93,7 +93,7 @@ def _tcp_words(rig: Rig, text: str) -> tuple[str, str, int]:
 
 
 def _words(rig: Rig, text: str, option: str, kind: str) -> tuple[str, str]:
-    """The bus, and what stands behind it."""
+    """Split an option's text into bus and place; the default is the first fitting bus."""
     buses = rig.description.buses
     fitting = [bus.name for bus in buses.values() if bus.kind == kind]
     name, _, place = text.rpartition("=")
@@ -102,10 +102,10 @@ def _words(rig: Rig, text: str, option: str, kind: str) -> tuple[str, str]:
             raise RigError(rig.description.source.path, *_none(kind, option))
         name = fitting[0]
     if name not in fitting:
-        had = f"it is of kind {buses[name].kind}" if name in buses else "the rig has none of it"
+        had = f"it is of kind {buses[name].kind}" if name in buses else "the rig has no such bus"
         known = ", ".join(fitting) or "none"
         raise ModbusSocketError(
-            f"{option} {text}: bus {name!r}: {had}; of kind {kind} there is {known}"
+            f"{option} {text}: bus {name!r}: {had}; buses of kind {kind}: {known}"
         )
     if not place:
         raise ModbusSocketError(f"{option} {text}: names no place; see motorhil serve --help")

@@ -1,4 +1,4 @@
-"""Numbers on the command line: what is none, or out of range, is told with its limits and unit."""
+"""Numbers on the command line; errors name limits and unit."""
 
 import argparse
 import math
@@ -10,7 +10,7 @@ _NS_MAX: Final = 2**64 - 1  # MCAP's log time
 
 
 def real(low: float, high: float, unit: str = "") -> Callable[[str], float]:
-    """For argparse's `type`: a finite number from `low` to `high` [unit]."""
+    """Return a reader of finite numbers from `low` to `high` [unit], for argparse's `type`."""
 
     def read(text: str) -> float:
         try:
@@ -25,7 +25,7 @@ def real(low: float, high: float, unit: str = "") -> Callable[[str], float]:
 
 
 def whole(low: int, high: int, unit: str = "") -> Callable[[str], int]:
-    """For argparse's `type`: a whole number from `low` to `high` [unit]."""
+    """Return a reader of whole numbers from `low` to `high` [unit], for argparse's `type`."""
 
     def read(text: str) -> int:
         value = int(text) if text.isdecimal() and text.isascii() else -1
@@ -37,19 +37,21 @@ def whole(low: int, high: int, unit: str = "") -> Callable[[str], int]:
 
 
 def identifier(text: str) -> int:
-    """For argparse's `type`: a CAN identifier in hexadecimal, with an h behind it or not."""
+    """Read a CAN identifier in hexadecimal, with or without a final h, for argparse's `type`."""
     digits = text.lower().removesuffix("h")
     try:
         value = int(digits, 16) if digits.isalnum() else -1
     except ValueError:
         value = -1
     if not 0 <= value <= 0x1FFFFFFF:
-        raise argparse.ArgumentTypeError(f"{text!r} is no identifier; say 0 to 1FFFFFFF, as 181")
+        raise argparse.ArgumentTypeError(
+            f"{text!r} is not an identifier; say 0 to 1FFFFFFF, such as 181"
+        )
     return value
 
 
 def time_ns(text: str) -> int:
-    """For argparse's `type`: seconds, exactly as they are written, as ns."""
+    """Read seconds, exactly as written, and return nanoseconds, for argparse's `type`."""
     whole_s, _, part = text.partition(".")
     digits = (whole_s or "0") + (part or "0")
     if text in ("", ".") or not (digits.isascii() and digits.isdecimal()) or len(part) > 9:
@@ -61,8 +63,8 @@ def time_ns(text: str) -> int:
 
 
 def _no_time(text: str) -> argparse.ArgumentTypeError:
-    limit = f"0 to {_NS_MAX / _NS:.0f} s, with 9 digits behind the point at most"
-    return argparse.ArgumentTypeError(f"{text!r} is no time; say {limit}")
+    limit = f"0 to {_NS_MAX / _NS:.0f} s, with at most 9 decimal places"
+    return argparse.ArgumentTypeError(f"{text!r} is not a time; say {limit}")
 
 
 def _wrong(text: str, what: str, low: float, high: float, unit: str) -> argparse.ArgumentTypeError:

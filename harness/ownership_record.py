@@ -1,21 +1,22 @@
-"""Who had which motor when, by a recording alone.
+"""Ownership of motors over time, reconstructed from a recording.
 
     ownership = read_ownership("run.mcap")
     for tenure in ownership.tenures["pan"]:
         print(tenure)
     tenure = ownership.owner_at("pan", time_ns)
 
-A *tenure* is one owner's time with one motor, from the message that it was taken to the one that it
-was given back, or to the next owner's. Tokens put tenures in order, whatever was heard first: what
-programs tell at the same time may cross, by several handovers too. Nobody had it later than it was
-heard that he, or anybody after him, had it: his time begins there, and the one's before ends there
-at the latest. `crossed_ns` tells how much later than that it was heard that it was given back.
+A *tenure* is one owner's time with one motor. It lasts from the message that the motor was taken to
+the message that it was released, or to the next owner's tenure. Tokens put tenures in order,
+whatever the order of their messages. Messages that programs send at the same time may cross, even
+over several handovers. An owner had the motor no later than the first message about that owner or a
+later one. So its tenure begins there at the latest, and the tenure before ends there at the latest.
+`crossed_ns` is the delay from that end to the message of the release.
 
-What a recording can prove is what was told to its recorder. Programs built on motorapi tell it on a
-rig of their own process and on a hub; others do not, and their frames have no tenure. Times are
-those at which the recorder heard of it: on a hub later than it happened, by the time the message
-took. A tenure lasts for the operation, the reservation or low-level access it was taken for; on a
-bus that other processes can join also as long as the motion that was begun goes on.
+A recording contains only what programs announced to its recorder. Programs built on motorapi
+announce ownership on a rig of their own process and on a hub. Other programs do not, so their
+frames have no tenure. Times are those at which the recorder received the messages; on a hub that is
+later by the message's delay. A tenure lasts for one operation, reservation or low-level access. On
+a bus that other processes can join, it also lasts until the motion that it started ends.
 """
 
 import os
@@ -36,11 +37,22 @@ _TENURE: Final = (*_BEGINS, LockAction.RELEASED, LockAction.LOST)
 @final
 @dataclass(frozen=True, slots=True)
 class LockEvent:
-    """One message of `/motor/<name>/lock`; what was not told is empty, or 0.
+    """One message of `/motor/<name>/lock`; fields that the message lacks are empty, or 0.
 
-    Attributes: motor; time_ns (when the recorder heard of it); action; owner (who takes, waits or
-    gives back); holder (who has it, if not the owner); purpose; token; pid; program; sender (what
-    the frames of that process are recorded under); waited_s; held_s; looked (seen from outside).
+    Attributes:
+        motor: name of the motor.
+        time_ns: when the recorder received the message [ns].
+        action: what happened.
+        owner: who takes, waits or releases.
+        holder: who has the motor, if not the owner.
+        purpose: what the owner wants the motor for.
+        token: fencing token of the ownership.
+        pid: process of the owner.
+        program: program of the owner.
+        sender: name under which frames of that process are recorded.
+        waited_s: waiting time of the owner [s].
+        held_s: duration of the ownership [s].
+        looked: True if the event was found by polling the lock file.
     """
 
     motor: str
@@ -60,7 +72,7 @@ class LockEvent:
 
 @final
 class Ended(Enum):
-    """How a tenure ended, in words that follow "it"."""
+    """The end of a tenure, in words that follow "it"."""
 
     RELEASED = "gave it back"
     DIED = "died with it"
@@ -74,11 +86,19 @@ class Ended(Enum):
 class Tenure:
     """One owner's time with one motor.
 
-    Attributes: motor; token; owner, purpose, pid, program, sender (as in LockEvent); from_ns, to_ns
-    (None: the record ends before); ended; waited_s (for its turn); noticed_ns (when one who lost it
-    noticed, if it did); crossed_ns (how much later than `to_ns` it was told that it was given
-    back); skipped (tokens between the one before and this one: of owners who did not tell, or were
-    not seen); looked (seen from outside).
+    Attributes:
+        motor: name of the motor.
+        token: fencing token of the ownership.
+        owner, purpose, pid, program, sender: as in LockEvent.
+        from_ns: start [ns].
+        to_ns: end [ns]; None if the record ends before.
+        ended: how the tenure ended.
+        waited_s: how long the owner waited for the motor [s].
+        noticed_ns: when an owner that lost the motor noticed it [ns]; None if it did not.
+        crossed_ns: delay from `to_ns` to the message of the release [ns].
+        skipped: number of tokens between the tenure before and this one, of owners that announced
+            nothing or were not seen.
+        looked: True if the tenure was found by polling the lock file.
     """
 
     motor: str
@@ -98,7 +118,7 @@ class Tenure:
     looked: bool = False
 
     def has(self, time_ns: int) -> bool:
-        """Whether the motor was its own at this time; of a handover, the later one's."""
+        """Return True if the motor belonged to this owner; a handover belongs to the next."""
         return self.from_ns <= time_ns and (self.to_ns is None or time_ns < self.to_ns)
 
     def __str__(self) -> str:
@@ -114,13 +134,13 @@ class Tenure:
 @final
 @dataclass(frozen=True, slots=True)
 class OwnershipRecord:
-    """What a recording tells of the ownership of motors.
+    """The ownership of motors according to a recording.
 
     Attributes:
-        events: all of them, in the order of the record.
-        tenures: by motor, in order of tokens; motors of which nothing was told are not in it.
-        contradictions: what cannot have been so, in words: one token taken by two, or a process
-            whose tokens fall. Empty in any recording of a lock that works.
+        events: all lock events, in the order of the record.
+        tenures: tenures by motor, in order of tokens; only motors that have lock events.
+        contradictions: descriptions of impossible events: one token with two owners, or a process
+            with decreasing tokens. Empty for any lock that works.
     """
 
     events: tuple[LockEvent, ...]
@@ -128,7 +148,7 @@ class OwnershipRecord:
     contradictions: tuple[str, ...]
 
     def owner_at(self, motor: str, time_ns: int) -> Tenure | None:
-        """Whose the motor was; None: nobody's, as far as was told."""
+        """Return the tenure of the motor at this time, or None if none is known."""
         for tenure in reversed(self.tenures.get(motor, ())):
             if tenure.has(time_ns):
                 return tenure
@@ -136,10 +156,10 @@ class OwnershipRecord:
 
 
 def read_ownership(recording: str | os.PathLike[str] | Trace) -> OwnershipRecord:
-    """What the recording tells of ownership, all motors together.
+    """Read the ownership of all motors from a recording.
 
     Raises:
-        TraceError: it cannot be read, or is damaged.
+        TraceError: the recording cannot be read, or is damaged.
     """
     if not isinstance(recording, Trace):
         with read_trace(recording) as trace:
@@ -148,7 +168,7 @@ def read_ownership(recording: str | os.PathLike[str] | Trace) -> OwnershipRecord
 
 
 def lock_events(trace: Trace) -> Iterator[LockEvent]:
-    """The messages of all `/motor/<name>/lock`, in the order of the record."""
+    """Yield the messages of all `/motor/<name>/lock` topics in the order of the record."""
     for channel, time_ns, data in trace.messages():
         name = motor_of(channel.topic)
         if name is not None:
@@ -156,7 +176,7 @@ def lock_events(trace: Trace) -> Iterator[LockEvent]:
 
 
 def motor_of(topic: str) -> str | None:
-    """The motor whose lock this topic tells of; None: it is another topic."""
+    """Return the motor of a lock topic, or None for another topic."""
     if topic.startswith("/motor/") and topic.endswith("/lock"):
         return topic[len("/motor/") : -len("/lock")]
     return None
@@ -165,13 +185,13 @@ def motor_of(topic: str) -> str | None:
 def _event(motor: str, time_ns: int, data: bytes) -> LockEvent:
     values = decode(MOTOR_LOCK, data)
     action = _ACTIONS.get(values.pop("action", 0), LockAction.UNKNOWN)  # of a later version
-    # Any: protobuf's fields are of the kinds that the table says, those of LockEvent's.
+    # Any: the table of the message defines the types of its fields, which are LockEvent's.
     facts: dict[str, Any] = dict(values)
     return LockEvent(motor, time_ns, action, **facts)
 
 
 def ownership_of(events: Iterable[LockEvent]) -> OwnershipRecord:
-    """The same of events that were heard otherwise, in their order."""
+    """Return the ownership record of events from another source, given in their order."""
     seen = tuple(events)
     told: dict[str, list[LockEvent]] = {}
     for event in seen:
@@ -185,13 +205,13 @@ def ownership_of(events: Iterable[LockEvent]) -> OwnershipRecord:
 
 
 def _as_they_happened(told: Sequence[LockEvent]) -> list[LockEvent]:
-    """What was told of one motor's handovers, by tokens; what began is told no later than it did.
+    """Order the events of one motor by token, and correct times of begins that arrived late.
 
-    Who took it is heard after he took it, and so is everybody after him: the first that is heard of
-    any of them is the latest that he can have begun.
+    The message of an owner arrives after the owner took the motor, and so do messages of later
+    owners. The earliest of these messages therefore bounds the start.
     """
     ranks: list[tuple[int, int, LockEvent]] = []  # token, place
-    last = 0  # where there are no tokens, the order is that of the messages
+    last = 0  # without tokens, the order of the messages counts
     for place, event in enumerate(told):
         if event.action in _TENURE:
             last = event.token or last
@@ -212,7 +232,7 @@ def _as_they_happened(told: Sequence[LockEvent]) -> list[LockEvent]:
 
 
 def _falls(told: Iterable[LockEvent]) -> Iterator[str]:
-    """What one process tells is heard in the order in which it told it: its tokens never fall."""
+    """Yield a contradiction for each process whose tokens decrease; its messages never cross."""
     last: dict[tuple[str, int], LockEvent] = {}
     for event in told:
         if event.action not in _BEGINS or not event.token:
@@ -226,8 +246,8 @@ def _falls(told: Iterable[LockEvent]) -> Iterator[str]:
 
 def _contradiction(event: LockEvent, owner: str, token: int) -> str:
     return (
-        f"{event.motor}: at {event.time_ns / 1e9:.6f} s {event.owner} has it under token"
-        f" {event.token}; {owner} had it under {token} already"
+        f"{event.motor}: at {event.time_ns / 1e9:.6f} s {event.owner} has it under token "
+        f"{event.token}; {owner} had it under {token} already"
     )
 
 
@@ -242,7 +262,7 @@ class _Book:
             self._enter(event)
 
     def _enter(self, event: LockEvent) -> None:
-        """One event more."""
+        """Update the tenures with one more event."""
         if event.action in _BEGINS:
             self._begin(event)
         elif event.action is LockAction.RELEASED:
@@ -252,7 +272,7 @@ class _Book:
 
     def _begin(self, event: LockEvent) -> None:
         from_ns = event.time_ns
-        if event.looked:  # it is older than the look, but no older than what was seen before
+        if event.looked:  # older than the poll, but newer than what was seen before
             from_ns = max(0, from_ns - round(event.held_s * 1e9))
         if self.tenures:
             last = self.tenures[-1]
@@ -261,7 +281,7 @@ class _Book:
                 return
             if event.looked:
                 from_ns = max(from_ns, last.from_ns if last.to_ns is None else last.to_ns)
-            if last.to_ns is None:  # over at the latest where the next one begins
+            if last.to_ns is None:  # ends no later than the next one begins
                 self.tenures[-1] = replace(last, to_ns=from_ns, ended=_ending_by(event.action))
         before = self.tenures[-1].token if self.tenures else 0
         self.tenures.append(
@@ -278,7 +298,7 @@ class _Book:
         )
 
     def _begin_again(self, event: LockEvent, last: Tenure) -> None:
-        """A token that is not new: one owner's taking told in two messages, or a contradiction."""
+        """Handle a known token: the same owner announced twice, or a contradiction."""
         before = self.tenures[-2] if len(self.tenures) > 1 else None
         if (event.token, event.pid, event.owner) != (last.token, last.pid, last.owner):
             self.contradictions.append(_contradiction(event, last.owner, last.token))
@@ -292,7 +312,7 @@ class _Book:
         tenure = self.tenures[place]
         if tenure.to_ns is None:
             tenure = replace(tenure, to_ns=event.time_ns, ended=Ended.RELEASED)
-        elif tenure.ended is Ended.UNTOLD:  # the next one's word was heard first
+        elif tenure.ended is Ended.UNTOLD:  # the next owner's message arrived first
             crossed_ns = event.time_ns - tenure.to_ns
             tenure = replace(tenure, ended=Ended.RELEASED, crossed_ns=crossed_ns)
         self.tenures[place] = tenure
@@ -308,7 +328,7 @@ class _Book:
         )
 
     def _place_of(self, event: LockEvent) -> int | None:
-        """Which tenure the event is of, looking from the last one backwards."""
+        """Return the index of the event's tenure, searching backwards, or None."""
         for place in range(len(self.tenures) - 1, -1, -1):
             tenure = self.tenures[place]
             if (tenure.token, tenure.pid) == (event.token, event.pid):
@@ -317,6 +337,6 @@ class _Book:
 
 
 def _ending_by(action: LockAction) -> Ended:
-    """How the one before ended, by how the next one took it."""
+    """Return how the tenure before ended, derived from how the next one began."""
     endings = {LockAction.BROKEN: Ended.DIED, LockAction.TAKEN_OVER: Ended.TAKEN_OVER}
     return endings.get(action, Ended.UNTOLD)

@@ -1,11 +1,11 @@
-"""What programs say of who owns which motor becomes lock events of the record.
+"""Conversion of ownership announcements into lock events of the record.
 
-Programs name a motor by its bus and node (`emulators.hub_protocol.OwnershipNotice`); the record
-names it as the rig does. What is said of a node that no motor of the rig is on is recorded under
-the name of its controller, or of its bus and number.
+Programs identify a motor by its bus and node (OwnershipNotice); the record uses the rig's name. If
+no motor of the rig is on the node, the record uses the name of its controller, or of its bus and
+number.
 
-What programs of the rig's own process say repeats with every run of one seed, so that of them no
-process is recorded: a pid never would.
+Announcements of the rig's own process must repeat exactly in every run of a seed. So no pid is
+recorded for them.
 """
 
 import os
@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 
 @final
 class MotorNames:
-    """What the rig calls who is commanded on a bus."""
+    """The rig's names for the targets of commands on a bus."""
 
     def __init__(self, description: RigDescription) -> None:
         self._motors: dict[tuple[str, int, int], str] = {}
@@ -42,7 +42,7 @@ class MotorNames:
                 self._controllers[controller.bus, controller.node_id] = controller.name
 
     def of(self, bus: str, node_id: int, channel: int = 0) -> str:
-        """The motor on this node, or on this channel of it (from 1)."""
+        """Return the name of the motor on this node, or on this channel of it (from 1)."""
         motor = self._motors.get((bus, node_id, channel))
         if motor is not None:
             return motor
@@ -52,10 +52,10 @@ class MotorNames:
 
 @final
 class LockWriter:
-    """Writes lock events to `/motor/<name>/lock`.
+    """A writer of lock events to `/motor/<name>/lock`.
 
-    An error of the record is raised by the next event of the world's, not in the middle of a
-    program's taking of its motor.
+    An error of the record is raised by the next event of the world, and not while a program takes
+    its motor.
     """
 
     def __init__(self, recorder: Recorder, world: "World") -> None:
@@ -63,7 +63,7 @@ class LockWriter:
         self._queue: Final = world.queue
 
     def write(self, motor: str, values: dict[str, Value]) -> None:
-        """A lock event of this motor is recorded; what is "", 0 or False was not told."""
+        """Record a lock event of this motor; values that are "", 0 or False are omitted."""
         told = {key: value for key, value in values.items() if value}
         now_ns = self._queue.now_ns
         try:
@@ -81,7 +81,7 @@ def _raiser(error: TraceError) -> Callable[[int], None]:
 
 @final
 class OwnershipTap:
-    """Hears on all buses who owns what; see `World.tap_ownership`."""
+    """A listener for ownership announcements on all buses; see `World.tap_ownership`."""
 
     def __init__(self, writer: LockWriter, names: MotorNames) -> None:
         self._writer: Final = writer
@@ -89,7 +89,7 @@ class OwnershipTap:
         self._own_pid: Final = os.getpid()
 
     def heard(self, bus: str, time_ns: int, sender: str, notice: "OwnershipNotice") -> None:
-        """A host on the bus said it, just now."""
+        """Record an announcement that a host on the bus has just made."""
         values: dict[str, Value] = {
             "action": notice.action,
             "owner": notice.owner,
@@ -110,14 +110,14 @@ class OwnershipTap:
 
 @final
 class MotorTap:
-    """Hears from a motor of this process itself who owns it: one that no bus tells of."""
+    """A listener for ownership of one motor of this process that no bus announces."""
 
     def __init__(self, writer: LockWriter, motor: str) -> None:
         self._writer: Final = writer
         self._motor: Final = motor
 
     def heard(self, event: "OwnershipEvent") -> None:
-        """It happened, just now; see `motorapi.ownership_events`."""
+        """Record an ownership event that has just happened."""
         values: dict[str, Value] = {
             "action": event.action.value,
             "owner": event.owner,

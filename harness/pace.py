@@ -1,4 +1,7 @@
-"""The wall clock as a brake: virtual events happen no earlier than their wall time."""
+"""Wall clock as a brake for virtual time.
+
+Virtual events happen no earlier than their wall time.
+"""
 
 import time
 from typing import final
@@ -6,11 +9,12 @@ from typing import final
 
 @final
 class WallPace:
-    """Called with the time of the next event [ns], it returns when the wall clock has come there.
+    """A callable that returns when wall time has reached the next event's time [ns].
 
-    Time 0 is the first call. What is late is not waited for, and not skipped either.
+    Time 0 is the first call. Late events are neither delayed further nor skipped.
 
-    Attributes: late_ns_max, the most that an event has been late so far [ns].
+    Attributes:
+        late_ns_max: largest lateness of an event so far [ns].
     """
 
     def __init__(self) -> None:
@@ -18,7 +22,7 @@ class WallPace:
         self.late_ns_max = 0
 
     def __call__(self, due_ns: int) -> None:
-        """Sleep until the wall clock has come to `due_ns`."""
+        """Sleep until wall time has reached `due_ns`."""
         now_ns = time.monotonic_ns()
         if self._start_ns is None:
             self._start_ns = now_ns

@@ -1,7 +1,7 @@
-"""Who takes turns in virtual time: parties, what they wait for, and actions that repeat."""
+"""Parties that take turns in virtual time, their waits, and periodic actions."""
 
 import threading
-from _thread import allocate_lock  # never what stands in for it in a program's own threads
+from _thread import allocate_lock  # the real one, never the replacement for programs
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Final, final
 
@@ -15,12 +15,12 @@ UNKNOWN: Final = 0
 
 
 class Cancelled(BaseException):
-    """The run is over; a party that still waits ends here."""
+    """The end of the run, raised in a party that still waits."""
 
 
 @final
 class Waiter:
-    """A party that waits: for what, until when, and how it ended."""
+    """A waiting party: its condition, its deadline and the result."""
 
     __slots__ = ("deadline_ns", "done", "error", "on_parties", "party", "result")
 
@@ -34,24 +34,24 @@ class Waiter:
         self.party = party
         self.done = done
         self.deadline_ns = deadline_ns
-        self.on_parties = on_parties  # it is for other parties, not for frames
+        self.on_parties = on_parties  # it waits for other parties, not for frames
         self.result = False
         self.error: BaseException | None = None
 
 
 @final
 class VirtualParty:
-    """One line of execution of the application, in virtual time.
+    """One thread of execution of the application, in virtual time.
 
     Attributes:
         name: as given to `spawn`.
-        error: what the function raised, once it has ended; else None.
-        is_ending: it was told to end.
-        thread: None of the first party.
-        ident: of its thread, as in threading.get_ident(); UNKNOWN before it runs.
-        looked_ns, owed_ns, read_ns: when it last looked at a clock, what its looks then cost, and
-            what the clock said [ns].
-        held_up_by: who holds the lock that it waits for.
+        error: the exception of the function once it has ended, else None.
+        is_ending: True once it has been asked to end.
+        thread: its thread; None for the first party.
+        ident: thread identifier, as in threading.get_ident(); UNKNOWN before it runs.
+        looked_ns, owed_ns, read_ns: time of its last clock reading, cost of its readings then,
+            and the clock value returned [ns].
+        held_up_by: the party that holds the lock it waits for.
     """
 
     def __init__(self, name: str, runtime: "VirtualRuntime") -> None:
@@ -69,12 +69,12 @@ class VirtualParty:
         self._runtime = runtime
 
     def join(self, timeout_s: float | None = None) -> bool:
-        """Whether it has ended within `timeout_s` [s]; what it raised is in `error`."""
+        """Wait up to `timeout_s` [s]; return True if it has ended. Its exception is in `error`."""
         self.joined = True
         return self._runtime.wait_until(self.has_finished, timeout_s)
 
     def has_finished(self) -> bool:
-        """Whether it has ended."""
+        """Return True if it has ended."""
         return self.finished
 
 
@@ -85,7 +85,7 @@ class PartyThread(threading.Thread):
 
 @final
 class Periodic:
-    """An action that repeats, at start + k * period, until it is cancelled."""
+    """An action that repeats at start + k * period until it is cancelled."""
 
     def __init__(self, runtime: "VirtualRuntime", period_ns: int, action: Callable[[], None]):
         self._period_ns = period_ns
@@ -98,5 +98,5 @@ class Periodic:
         self._action()
 
     def cancel(self) -> None:
-        """It does not run again."""
+        """Stop the repetition."""
         self._alarm.set(None)

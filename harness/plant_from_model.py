@@ -1,8 +1,9 @@
-"""A plant's numbers out of the motor model, when a rig asks for that.
+"""Plant parameters taken from the motor model on request of a rig.
 
-Convenient, and a trap: a wrong gear ratio on both sides hides itself. So a rig has to ask for it
-(`plant.from_motor_model = true`), what was taken is told, and what the rig says itself counts more.
-A controller of several motors asks for each channel, or for all of them if their models agree.
+This is convenient but risky: a wrong gear ratio on both sides hides itself. So a rig has to request
+it (`plant.from_motor_model = true`), and notes report the values taken. Values that the rig gives
+itself take precedence. A controller of several motors requests it for each channel, or for all of
+them if their models agree.
 """
 
 from collections.abc import Mapping
@@ -15,7 +16,7 @@ from harness.wording import dotted
 from motorapi.model import MotionKind, MotorModel
 
 _TURN_RAD: Final = 6.283185307179586
-_WHOLE_TOLERANCE: Final = 1e-3  # increments per turn: a model is written with a few digits
+_WHOLE_TOLERANCE: Final = 1e-3  # increments per turn: models are written with a few digits
 
 
 def settings_with_model(
@@ -23,15 +24,15 @@ def settings_with_model(
     controller: ControllerDescription,
     models: Mapping[str, MotorModel],
 ) -> tuple[dict[str, object], list[str]]:
-    """The controller's settings with what the models of its motors know, and notes that tell it.
+    """Return the controller's settings completed from its motors' models, and notes about it.
 
     Args:
         description: the rig.
         controller: one of its controllers.
-        models: of its motors, by name.
+        models: the models of its motors, by name.
 
     Raises:
-        RigError: there is no motor to ask, or what its model says does not do.
+        RigError: no motor uses the controller, or a model's values are not usable.
     """
     settings, notes = dict(controller.settings), []
     for place in controller.plants_from_model:
@@ -54,16 +55,16 @@ def _numbers_for(
     settings: Mapping[str, object],
     place: KeyPath,
 ) -> tuple[dict[str, int | float], str]:
-    """The numbers for the plant at `place`, and the name of the model they are from."""
+    """Return the parameters for the plant at `place`, and the name of their model."""
     path = ("controller", controller.name, *place, "from_motor_model")
     motors = _motors_behind(description, controller.name, place)
     if not motors:
         raise description.error(
-            path, "no motor of this rig has this controller", "take it out, or add one"
+            path, "no motor of this rig uses this controller", "remove the line, or add a motor"
         )
     plant = _table(settings, place)
     if len(place) > 1 and "preset" not in plant:
-        plant = {**_table(settings, ("plant",)), **plant}  # a channel's is the common one, but for
+        plant = {**_table(settings, ("plant",)), **plant}  # overrides the common one
     try:
         found = [plant_numbers(models[motor.name], plant) for motor in motors]
     except ValueError as error:
@@ -73,12 +74,12 @@ def _numbers_for(
         if numbers != found[0]:
             raise description.error(
                 path,
-                f'motors "{motors[0].name}" and "{motor.name}" have models that differ in it',
-                f"ask in [controller.{controller.name}.channel.1.plant] and so on",
+                f'the models of motors "{motors[0].name}" and "{motor.name}" differ',
+                f"write it in [controller.{controller.name}.channel.1.plant] and so on",
             )
     if not found[0]:
         raise description.error(
-            path, f'motor model "{first}" knows nothing the rig does not say', "take it out"
+            path, f'motor model "{first}" adds nothing to what the rig gives', "remove the line"
         )
     return found[0], first
 
@@ -86,7 +87,7 @@ def _numbers_for(
 def _motors_behind(
     description: RigDescription, controller: str, place: KeyPath
 ) -> list[MotorDescription]:
-    """The motors whose plant is at `place`: of one channel, or all of the controller."""
+    """Return the motors whose plant is at `place`: of one channel, or all of the controller."""
     motors = [motor for motor in description.motors.values() if motor.controller == controller]
     if len(place) == 1:
         return motors
@@ -101,22 +102,22 @@ def _table(settings: Mapping[str, object], place: KeyPath) -> Mapping[str, objec
 
 
 def plant_numbers(model: MotorModel, plant: Mapping[str, object]) -> dict[str, int | float]:
-    """What the model knows of the plant and `plant` (the rig's table) does not say itself.
+    """Return the plant parameters that the model has and `plant` (the rig's table) lacks.
 
     Args:
-        model: of the motor that this plant is behind.
-        plant: the rig's table; its gear ratio (or its preset's) is needed for the resolution, where
-            the model knows no gear.
+        model: model of the motor with this plant.
+        plant: the rig's table; its gear ratio (or its preset's) is needed for the resolution if the
+            model has no gear ratio.
 
     Raises:
-        ValueError: the model's resolution is no whole number of increments per motor turn.
+        ValueError: the model's resolution is not a whole number of increments per motor turn.
     """
     numbers: dict[str, int | float] = {}
     if model.current_max is not None and "current_max_a" not in plant:
         numbers["current_max_a"] = model.current_max
     rotary = model.kind is MotionKind.ROTARY
     if rotary and model.gear_ratio is not None and "gear_ratio" not in plant:
-        numbers["gear_ratio"] = abs(model.gear_ratio)  # which way is up, the drive says
+        numbers["gear_ratio"] = abs(model.gear_ratio)  # the drive defines the direction
     increments, source = model.encoder_increments_rev, f"{model.encoder_increments_rev}"
     if increments is None and rotary and model.increments_per_unit is not None:
         gear_ratio = _gear_ratio({**plant, **numbers})
@@ -125,8 +126,8 @@ def plant_numbers(model: MotorModel, plant: Mapping[str, object]) -> dict[str, i
     if increments is not None and "encoder_increments_rev" not in plant:
         if abs(increments - round(increments)) > _WHOLE_TOLERANCE or increments < 0.5:
             raise ValueError(
-                f"the motor model's increments, {source}, are {increments:.6g} per motor turn: no"
-                " whole number"
+                f"the motor model's increments, {source}, are {increments:.6g} per motor turn: "
+                "not a whole number"
             )
         numbers["encoder_increments_rev"] = round(increments)
     return numbers

@@ -1,6 +1,6 @@
-"""The conformance kit as tests: `pytest --adaptation NAME --rig RIG`, an item for each clause.
+"""Conformance clauses as tests: `pytest --adaptation NAME --rig RIG`.
 
-The rig's file is what pytest collects them from: `bench.toml::STOP-04` is one clause.
+pytest collects them from the rig's file: `bench.toml::STOP-04` is one clause.
 """
 
 import os
@@ -23,20 +23,20 @@ _PROPERTY: Final = "motorhil clause"
 
 
 def collect_clauses(config: pytest.Config) -> None:
-    """The kit's clauses are tests of this session: the only ones, where no others are named.
+    """Add the kit's clauses to the session; they are its only tests if no others are named.
 
     Raises:
-        pytest.UsageError: adaptation or rig cannot be used as they are named.
+        pytest.UsageError: the adaptation or the rig cannot be used.
     """
     name, rig = option(config, "adaptation"), option(config, "rig")
     if rig is None:
         raise pytest.UsageError(
-            f"--adaptation {name}: on which rig? Say --rig=FILE; on the one that comes with it: "
-            f"motorhil conform --adaptation {name}"
+            f"--adaptation {name}: no rig given; say --rig=FILE, or use the adaptation's own "
+            f"rig: motorhil conform --adaptation {name}"
         )
     here = config.invocation_params.dir
     if str(here) not in sys.path:
-        sys.path.insert(0, str(here))  # where what is not installed yet is looked for
+        sys.path.insert(0, str(here))  # finds adaptations that are not installed
     supervisor = Supervisor(Job(name, str(here / rig), option(config, "seed")))
     config.add_cleanup(lambda: supervisor.__exit__())
     try:
@@ -58,7 +58,7 @@ def collect_clauses(config: pytest.Config) -> None:
 
 @final
 class _Kit:
-    """What pytest asks of the kit: its items, and whether anything was shown."""
+    """The kit as a pytest plugin: its items, and a check that any clause was applicable."""
 
     def __init__(self, rig: Path, clauses: list[Promise], examiner: Examiner) -> None:
         self._rig = rig
@@ -69,7 +69,7 @@ class _Kit:
     def pytest_collect_file(
         self, file_path: Path, parent: pytest.Collector
     ) -> "ClausesOfKit | None":
-        """The rig's file holds the clauses."""
+        """Return the collector of the clauses for the rig's file."""
         if file_path != self._rig:
             return None
         return ClausesOfKit.of(parent, file_path, self._clauses, self._examiner)
@@ -78,27 +78,27 @@ class _Kit:
     def pytest_runtest_makereport(
         self, item: pytest.Item, call: pytest.CallInfo[None]
     ) -> Generator[None, pytest.TestReport, pytest.TestReport]:
-        """What is not applicable is told of the rig, not of a line in here."""
+        """Report a skipped clause at the rig's file instead of a line of this module."""
         report = yield
         if isinstance(item, ClauseOfKit) and report.skipped and call.excinfo is not None:
             report.longrepr = (str(item.path), 1, str(call.excinfo.value))
         return report
 
     def pytest_runtest_logreport(self, report: pytest.TestReport) -> None:
-        """Counts, also of what other processes ran."""
+        """Count results, including those of other pytest processes."""
         if report.when == "call" and any(name == _PROPERTY for name, _ in report.user_properties):
             self._results[report.outcome] = self._results.get(report.outcome, 0) + 1
 
     @pytest.hookimpl(tryfirst=True)
     def pytest_sessionfinish(self, session: pytest.Session) -> None:
-        """Where nothing was applicable, nothing was shown: that is no success."""
+        """Fail the session if no clause was applicable, because then nothing was shown."""
         if list(self._results) == ["skipped"]:
             session.exitstatus = pytest.ExitCode.TESTS_FAILED
 
     def pytest_terminal_summary(self, terminalreporter: "pytest.TerminalReporter") -> None:
-        """That is told."""
+        """Print that no clause was applicable."""
         if list(self._results) == ["skipped"]:
-            terminalreporter.write_line("motorhil: nothing was applicable, so nothing was shown")
+            terminalreporter.write_line("motorhil: no clause was applicable, so nothing was shown")
 
 
 @final
@@ -112,21 +112,22 @@ class ClausesOfKit(pytest.File):
     def of(
         cls, parent: pytest.Collector, path: Path, clauses: list[Promise], examiner: Examiner
     ) -> "ClausesOfKit":
-        """The collector of these clauses."""
+        """Return the collector of these clauses."""
         made: ClausesOfKit = cls.from_parent(parent, path=path)
         made.clauses, made.examiner = clauses, examiner
         return made
 
     def collect(self) -> Iterator["ClauseOfKit"]:
-        """Its clauses, in the order of the kit."""
+        """Yield its clauses in the order of the kit."""
         for promise in self.clauses:
             yield ClauseOfKit.of(self, promise)
 
 
 class NotKept(Exception):  # noqa: N818 -- it says what happened, as the errors of motorapi
-    """The check of a clause did not end well.
+    """The check of a clause did not pass.
 
-    Attributes: finding.
+    Attributes:
+        finding: the result of the check.
     """
 
     def __init__(self, finding: Finding) -> None:
@@ -136,24 +137,24 @@ class NotKept(Exception):  # noqa: N818 -- it says what happened, as the errors 
 
 @final
 class ClauseOfKit(pytest.Item):
-    """One clause."""
+    """One clause as a test item."""
 
     promise: Promise
     examiner: Examiner
 
     @classmethod
     def of(cls, parent: ClausesOfKit, promise: Promise) -> "ClauseOfKit":
-        """The item of this clause."""
+        """Return the item of this clause."""
         made: ClauseOfKit = cls.from_parent(parent, name=promise.id)
         made.promise, made.examiner = promise, parent.examiner
         made.user_properties.append((_PROPERTY, promise.id))
         return made
 
     def runtest(self) -> None:
-        """It is kept.
+        """Check the clause.
 
         Raises:
-            NotKept: it is not.
+            NotKept: the adaptation does not meet the clause.
         """
         finding = self.examiner.examine(self.promise)
         if finding.verdict.result is Result.NOT_APPLICABLE:
@@ -164,7 +165,7 @@ class ClauseOfKit(pytest.Item):
     def repr_failure(  # type: ignore[override] # a text is allowed, as of any Item
         self, excinfo: pytest.ExceptionInfo[BaseException]
     ) -> object:
-        """What was promised, where, what was seen, where its record is, how it is repeated."""
+        """Return promise, source, observation, record and the command that repeats the check."""
         error = excinfo.value
         if isinstance(error, WrongJobError | CannotTestError | RigError):
             return str(error)
@@ -179,5 +180,5 @@ class ClauseOfKit(pytest.Item):
         return shortened("\n".join(lines), self.config)
 
     def reportinfo(self) -> tuple[Path, None, str]:
-        """Where it stands, and what is promised."""
+        """Return the location and the promise of the clause."""
         return self.path, None, f"{self.promise.id}: {self.promise.promise}"

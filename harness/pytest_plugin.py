@@ -1,12 +1,12 @@
-"""The pytest plugin `motorhil`: rigs for tests, and a record of each that failed.
+"""pytest plugin `motorhil`: rigs for tests, records of failed tests.
 
     def test_the_wheel_turns(motor):  # pytest --rig=wheels/rig.toml
         motor.set_setpoint(1.0)
         ...
 
-pytest loads it wherever motorhil is installed. So it is small, and loads the rest when a test asks
-for a rig; and an option that another plugin or a conftest.py has as well is theirs: ours is then
-called by its long name alone (`--motorhil-seed`).
+pytest loads it wherever motorhil is installed. So it is small and imports the rest when a test uses
+a rig. An option that another plugin or a conftest.py also defines is left to them; ours then has
+only its long name (`--motorhil-seed`).
 """
 
 import os
@@ -25,16 +25,16 @@ if TYPE_CHECKING:
     from motorapi.motor import Motor
 
 OPENED: Final[pytest.StashKey["RigOfTest"]] = pytest.StashKey()
-"""Of a test: the rig that was opened for it."""
+"""Stash key of a test: the rig that was opened for it."""
 OWN_NAMES: Final = pytest.StashKey[dict[str, str]]()
-"""Of the configuration: what each option is called here."""
+"""Stash key of the configuration: the name of each option."""
 _MADE: Final = pytest.StashKey[Path]()
 
 _MARK: Final = (
-    'rig("FILE", seed=N, motor="NAME", group="NAME"): the rig of a test, from the test\'s folder; '
-    "what is left out is said by a mark further out, the command line, or the rig"
+    'rig("FILE", seed=N, motor="NAME", group="NAME"): the rig of a test, relative to the test\'s '
+    "folder; omitted values come from an outer mark, the command line, or the rig"
 )
-_RIG_HELP: Final = "of fixture `rig`: a rig file (TOML), or a recording, which then stands in"
+_RIG_HELP: Final = "for fixture `rig`: a rig file (TOML), or a recording that replaces the devices"
 _RECORDS: Final = "out"
 
 
@@ -44,7 +44,7 @@ def _seed(text: str) -> int:
     try:
         return seed(text)
     except ValueError:
-        raise ArgumentTypeError(f"{text!r} is no {seed.__name__}") from None
+        raise ArgumentTypeError(f"{text!r} is not a {seed.__name__}") from None
 
 
 def _level(text: str) -> int:
@@ -60,33 +60,38 @@ _OPTIONS: Final[tuple[tuple[str, dict[str, Any]], ...]] = (
         "record-dir",
         {
             "metavar": "DIR",
-            "help": "where a test that fails leaves its record (MCAP); "
-            f"default: {_RECORDS}, beside pytest's ini file if there is one",
+            "help": f"folder for the record (MCAP) of a test that fails; default: {_RECORDS}, "
+            "next to pytest's ini file if there is one",
         },
     ),
-    ("realtime", {"action": "store_true", "help": "rigs are no faster than the wall clock"}),
+    ("realtime", {"action": "store_true", "help": "run rigs no faster than the wall clock"}),
     (
         "adaptation",
         {
             "metavar": "NAME",
-            "help": "check whether it keeps its promises on --rig: a test for each clause of the "
-            "conformance kit; NAME or package.module:function",
+            "help": "check an adaptation on --rig, with one test per clause of the conformance "
+            "kit; NAME or package.module:function",
         },
     ),
-    ("level", {"metavar": "L3", "type": _level, "help": "all clauses of the kit up to this level"}),
+    (
+        "level",
+        {"metavar": "L3", "type": _level, "help": "run all clauses of the kit up to this level"},
+    ),
 )
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
-    """`motorhil_rig` may stand in pytest's ini file."""
-    parser.addini("motorhil_rig", f"{_RIG_HELP}; where neither mark nor command line names one")
+    """Register the ini option `motorhil_rig`."""
+    parser.addini(
+        "motorhil_rig", f"{_RIG_HELP}; used if neither a mark nor the command line names one"
+    )
 
 
 @pytest.hookimpl(wrapper=True)
 def pytest_load_initial_conftests(
     early_config: pytest.Config, parser: pytest.Parser, args: list[str]
 ) -> Generator[None]:
-    """Our options are known: last of all, when others and conftest.py have theirs.
+    """Register our options last, after those of other plugins and of conftest.py.
 
     Until then pytest takes `x.toml` of `--rig x.toml` for a folder of tests.
     """
@@ -110,17 +115,17 @@ def pytest_load_initial_conftests(
 def _is_free(parser: pytest.Parser, word: str) -> bool:
     try:
         return bool(parser.parse_known_and_unknown_args([f"{word}=0"])[1])
-    except pytest.UsageError:  # it is known, and no 0
+    except pytest.UsageError:  # the option is known, and 0 is not valid for it
         return False
 
 
 def option(config: pytest.Config, name: str) -> Any:
-    """What our option was given, or its default; None where our options came too late."""
+    """Return our option's value or default, or None if our options were registered too late."""
     return config.getoption(f"motorhil_{name.replace('-', '_')}", None)
 
 
 def record_folder(config: pytest.Config) -> Path:
-    """Where tests that fail leave their records."""
+    """Return the folder for records of failed tests."""
     here = config.invocation_params.dir
     named = option(config, "record-dir")
     if named is None and config.inipath is not None:
@@ -129,15 +134,15 @@ def record_folder(config: pytest.Config) -> Path:
 
 
 def shortened(text: str, config: pytest.Config) -> str:
-    """The text; what lies in the folder that pytest was called in is named from there."""
+    """Return the text with paths relative to the folder in which pytest was called."""
     return text.replace(f"{config.invocation_params.dir}{os.sep}", "")
 
 
 def pytest_configure(config: pytest.Config) -> None:
-    """What the command line names is there.
+    """Check the rig and the adaptation of the command line.
 
     Raises:
-        pytest.UsageError: rig or adaptation cannot be used; with file, line and remedy.
+        pytest.UsageError: the rig or the adaptation cannot be used; with file, line and remedy.
     """
     config.addinivalue_line("markers", _MARK)
     if not record_folder(config).exists():
@@ -153,13 +158,17 @@ def pytest_configure(config: pytest.Config) -> None:
 
 
 def pytest_report_header(config: pytest.Config) -> list[str]:
-    """Which rig the command line names; and whose `--seed` is another's, since that surprises."""
+    """Return header lines: the rig, its seed, and options whose short name another plugin owns."""
     if option(config, "rig") is None:
         return []
     seed = option(config, "seed")
     lines = [f"motorhil: rig {option(config, 'rig')}, seed {'its own' if seed is None else seed}"]
     names = config.stash.get(OWN_NAMES, {})
-    lines += [f"motorhil: --{n} is not ours here; {o} is" for n, o in names.items() if o[2:] != n]
+    lines += [
+        f"motorhil: --{n} belongs to another plugin; use {o}"
+        for n, o in names.items()
+        if o[2:] != n
+    ]
     return lines
 
 
@@ -167,7 +176,7 @@ def pytest_report_header(config: pytest.Config) -> list[str]:
 def pytest_runtest_makereport(
     item: pytest.Item, call: pytest.CallInfo[None]
 ) -> Generator[None, pytest.TestReport, pytest.TestReport]:
-    """A test that failed with a rig tells where its record is, and how it is repeated."""
+    """Add the record's path and the command that repeats the test to a failed test's report."""
     opened = item.stash.get(OPENED, None)
     if opened is not None and call.excinfo is not None:
         opened.shorten(call.excinfo)
@@ -179,7 +188,7 @@ def pytest_runtest_makereport(
 
 @pytest.hookimpl(trylast=True)
 def pytest_sessionfinish(session: pytest.Session) -> None:
-    """Nothing is left of tests that passed, and a record of the one that was interrupted."""
+    """Remove what passed tests left; keep the record of a test that was interrupted."""
     for item in getattr(session, "items", ()):
         opened = item.stash.get(OPENED, None)
         if opened is not None:
@@ -188,13 +197,13 @@ def pytest_sessionfinish(session: pytest.Session) -> None:
     if folder is not None and not hasattr(session.config, "workerinput"):
         from contextlib import suppress
 
-        with suppress(OSError):  # it was never made, or holds something
+        with suppress(OSError):  # never created, or not empty
             folder.rmdir()
 
 
 @pytest.fixture
 def rig(request: pytest.FixtureRequest) -> "Iterator[Rig]":
-    """The test's own rig, open, at time 0, recorded; within it `can.Bus()` joins its first bus."""
+    """Yield the test's rig, open at time 0 and recorded; `can.Bus()` joins its first bus."""
     from harness.pytest_rigs import opened_for
 
     with opened_for(request) as opened:
@@ -203,30 +212,30 @@ def rig(request: pytest.FixtureRequest) -> "Iterator[Rig]":
 
 @pytest.fixture
 def motor(request: pytest.FixtureRequest, rig: "Rig") -> "Motor":
-    """The rig's first motor; or the one that a mark, or an indirect parameter, names."""
+    """Return the rig's first motor, or the one named by a mark or an indirect parameter."""
     opened = request.node.stash[OPENED]
     return opened.named("motor", rig.motors, getattr(request, "param", None))  # type: ignore[no-any-return] # a node's stash is not typed
 
 
 @pytest.fixture
 def group(request: pytest.FixtureRequest, rig: "Rig") -> "MotorGroup":
-    """The rig's first group; or the one that a mark, or an indirect parameter, names."""
+    """Return the rig's first group, or the one named by a mark or an indirect parameter."""
     opened = request.node.stash[OPENED]
     return opened.named("group", rig.groups, getattr(request, "param", None))  # type: ignore[no-any-return] # likewise
 
 
 @pytest.fixture
 def recording(request: pytest.FixtureRequest, rig: "Rig") -> "RecordOfTest":
-    """The test's record: `complete()` closes the rig, and it can be read; `keep()` lets it stay."""
+    """Return the test's record: `complete()` closes the rig for reading it; `keep()` keeps it."""
     opened = request.node.stash[OPENED]
     return opened.record  # type: ignore[no-any-return] # likewise
 
 
 @pytest.fixture
 def virtual_time(request: pytest.FixtureRequest, rig: "Rig") -> None:
-    """`time`, `threading` and `queue` go by the rig from now on: for code that knows no rig.
+    """Let `time`, `threading` and `queue` use the rig's time, for code that knows no rig.
 
-    A test, or all of a suite, has it by `@pytest.mark.usefixtures("virtual_time")`, or by
-    `usefixtures = virtual_time` in pytest's ini file.
+    A test or a suite uses it by `@pytest.mark.usefixtures("virtual_time")`, or by `usefixtures =
+    virtual_time` in pytest's ini file.
     """
     request.node.stash[OPENED].enter_virtual_time()

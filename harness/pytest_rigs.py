@@ -1,4 +1,4 @@
-"""The rig of one test: which it is, where its record is, and how a failure is told."""
+"""The rig of one test: choice, record and failure report."""
 
 import hashlib
 import os
@@ -24,16 +24,16 @@ T = TypeVar("T")
 _KEYS: Final = ("seed", "motor", "group")
 _NAME_MAX: Final = 120
 _NO_RIG: Final = (
-    'no rig is named: say --rig=FILE, @pytest.mark.rig("FILE"), or motorhil_rig = "FILE" in '
+    'no rig given; say --rig=FILE, @pytest.mark.rig("FILE"), or motorhil_rig = "FILE" in '
     "pytest's ini file (motorhil new DIR writes a rig)"
 )
 
 
 def require_rig(config: pytest.Config, name: str) -> None:
-    """The rig that the command line names can be used.
+    """Check that the rig of the command line can be used.
 
     Raises:
-        pytest.UsageError: it cannot; with file, line and remedy.
+        pytest.UsageError: the rig cannot be used; with file, line and remedy.
     """
     try:
         describe(config.invocation_params.dir / name)
@@ -43,7 +43,7 @@ def require_rig(config: pytest.Config, name: str) -> None:
 
 @contextmanager
 def opened_for(request: pytest.FixtureRequest) -> Iterator["RigOfTest"]:
-    """The rig of a test, open within the block; what goes wrong with it is told in one line."""
+    """Open the rig of a test for the block; report its errors in one line."""
     try:
         opened = RigOfTest(request.node, getattr(request, "param", None))
     except RigError as error:
@@ -54,15 +54,17 @@ def opened_for(request: pytest.FixtureRequest) -> Iterator["RigOfTest"]:
 
 
 def _failure(text: str, config: pytest.Config) -> BaseException:
-    """To be raised: the test fails with this text, and no traceback of ours."""
+    """Return an exception that fails the test with this text and without a traceback."""
     return pytest.fail.Exception(shortened(text, config), pytrace=False)
 
 
 @final
 class RecordOfTest(os.PathLike[str]):
-    """Where a test's record is being written; a path.
+    """The path of a test's record, which is being written.
 
-    Attributes: path; kept, whether it stays though the test passes.
+    Attributes:
+        path: where the record is.
+        kept: True if the record is kept even if the test passes.
     """
 
     def __init__(self, opened: "RigOfTest", path: Path) -> None:
@@ -74,23 +76,25 @@ class RecordOfTest(os.PathLike[str]):
         return str(self.path)
 
     def keep(self) -> None:
-        """It stays, though the test passes."""
+        """Keep the record even if the test passes."""
         self.kept = True
 
     def complete(self) -> Path:
-        """The rig is closed, and the record can be read: where."""
+        """Close the rig and return the path of the record, which can then be read."""
         self._opened.close()
         return self.path
 
 
 @final
 class RigOfTest:
-    """The rig of one test, and what is told of it.
+    """The rig of one test, and its failure report.
 
-    Attributes: rig, open until `close`; record.
+    Attributes:
+        rig: the rig, open until `close`.
+        record: the record of the test.
 
     Raises:
-        RigError: no rig is named, or it cannot be used.
+        RigError: no rig is given, or it cannot be used.
     """
 
     def __init__(self, item: pytest.Item, parameter: object) -> None:
@@ -109,7 +113,7 @@ class RigOfTest:
             folder.mkdir(parents=True, exist_ok=True)
         except OSError as error:
             raise RigError(
-                folder, f"cannot be made: {error.strerror}", "name another with --record-dir"
+                folder, f"cannot be created: {error.strerror}", "name another with --record-dir"
             ) from None
         self.record = RecordOfTest(self, folder / f"{self._kept.stem}.{os.getpid()}.part.mcap")
         with ExitStack() as stack:
@@ -123,7 +127,7 @@ class RigOfTest:
             self._stack = stack.pop_all()
 
     def _path(self, parameter: object) -> tuple[Path, list[str]]:
-        """Of the rig; and what a command line must say so that it is this one."""
+        """Return the rig's path, and the command-line words that select the same rig again."""
         beside = self._item.path.parent
         named = parameter if parameter is not None else self._marked.get("rig")
         if isinstance(named, str | os.PathLike):
@@ -139,23 +143,23 @@ class RigOfTest:
         return (self._config.rootpath if place is None else place.parent) / ini, []
 
     def named(self, what: str, things: Mapping[str, T], parameter: object) -> T:
-        """The motor or group that the test means: by parameter, by mark, or the rig's first."""
+        """Return the motor or group of the test: by parameter, by mark, or the rig's first."""
         name = self._marked.get(what) if parameter is None else parameter
         try:
             if name is None and not things:
-                raise NoSuchName(f"no {what} in this rig")
+                raise NoSuchName(f"this rig has no {what}")
             return things[next(iter(things)) if name is None else str(name)]
         except (RigError, NoSuchName) as error:
             raise _failure(str(error), self._config) from None
 
     def enter_virtual_time(self) -> None:
-        """This thread, and those it starts, are a program in the rig's time, until `close`."""
+        """Run this thread and those it starts in the rig's time until `close`."""
         from harness.virtual_program import in_virtual_time
 
         self._stack.enter_context(in_virtual_time(self.rig))
 
     def close(self) -> None:
-        """The rig is closed, the record complete; the test fails where that was not possible."""
+        """Close the rig and complete the record; fail the test if that is not possible."""
         if self._is_closed:
             return
         self._is_closed = True
@@ -166,10 +170,10 @@ class RigOfTest:
         if unanswered(self.rig):
             raise _failure("\n".join(summary(self.rig)), self._config)
 
-    # --- what came of it ---------------------------------------------------------------------
+    # --- report --------------------------------------------------------------------------------
 
     def shorten(self, raised: pytest.ExceptionInfo[BaseException]) -> None:
-        """Of an error that tells the test something, the traceback ends in its own line."""
+        """End the traceback of a deliberate error in the test's own line."""
         if self._config.option.fulltrace or not is_on_purpose(raised.value):
             return
         last, line = None, raised.value.__traceback__
@@ -181,7 +185,7 @@ class RigOfTest:
             last.tb_next = None
 
     def hear(self, report: pytest.TestReport) -> None:
-        """A phase of the test is over: of a failure it is told where its record is."""
+        """Process the report of a test phase; on a failure, add where the record is."""
         if report.failed:
             self._failed = True
             if not self._is_told:
@@ -191,7 +195,7 @@ class RigOfTest:
             self._end()
 
     def interrupt(self) -> None:
-        """The session is over; if the test is not, it was interrupted, and its record stays."""
+        """Keep the record of a test that was interrupted at the end of the session."""
         if not self._is_over:
             self._failed = True
             self._end()
@@ -201,10 +205,10 @@ class RigOfTest:
                 reporter.write_line(f"motorhil: interrupted: {'; '.join(self._told())}")
 
     def _end(self) -> None:
-        """The record is where it stays, or it is no more."""
+        """Move the record to its final place, or delete it."""
         self._is_over = True
         if self.record.kept or self._failed:
-            with suppress(FileNotFoundError):  # never begun, or taken away by the test
+            with suppress(FileNotFoundError):  # never begun, or deleted by the test
                 self.record.path.replace(self._kept)
             self.record.path = self._kept
         else:
@@ -222,7 +226,7 @@ class RigOfTest:
         yield f"again:  {self._again()}"
 
     def _again(self) -> str:
-        """The command that repeats the test alone."""
+        """Return the command that repeats only this test."""
         config = self._config
         names = config.stash[OWN_NAMES]
         words = ["pytest"]
@@ -243,10 +247,10 @@ class RigOfTest:
 
 
 def _marked(item: pytest.Item) -> dict[str, object]:
-    """What the test's marks say, the innermost first.
+    """Return the arguments of the test's marks; the innermost mark counts.
 
     Raises:
-        RigError: one of them says what no mark can.
+        RigError: a mark has an argument that it does not support.
     """
     found: dict[str, object] = {}
     for mark in item.iter_markers("rig"):

@@ -1,4 +1,4 @@
-"""The frames of one CAN bus as they were recorded, as the analysis of response times takes them."""
+"""Recorded frames of one CAN bus, prepared for the response-time analysis."""
 
 import struct
 from collections.abc import Iterable, Mapping
@@ -29,11 +29,11 @@ _SYNC: Final = 0x080
 _BASE_MASK: Final = 0x7FF
 _COB_ID_EXTENDED: Final = 1 << 29
 _WHOLE_TOLD: Final = (0x23, 0x43)
-"""SDO that writes, or answers, four bytes at once (CiA 301)."""
+"""SDO commands that write or answer four bytes at once (CiA 301)."""
 _SYNC_COB_ID: Final = b"\x05\x10\x00"
 _CYCLE_PERIOD: Final = b"\x06\x10\x00"  # [us]
 _LSS: Final = (0x7E4, 0x7E5)
-_COARSE_NS: Final = 1_000_000  # a stamp that is no finer hides the jitter of most buses
+_COARSE_NS: Final = 1_000_000  # time stamps this coarse hide the jitter of most buses
 _HEARTBEATS: Final = range(0x701, 0x780)
 
 
@@ -42,7 +42,7 @@ class RecordedBus:
     """The frames of one bus."""
 
     def __init__(self, name: str) -> None:
-        """None yet."""
+        """Start without frames."""
         self._name = name
         self._heard: dict[int, Heard] = {}
         self._bits = 0
@@ -59,7 +59,7 @@ class RecordedBus:
         self._at_once = 0
 
     def take(self, time_ns: int, frame: bytes, sender: str) -> tuple[int, int] | None:
-        """One more frame: its bits at the nominal and at the data rate; None: no bus carries it."""
+        """Add a frame; return its bits at nominal and data rate, or None if it is impossible."""
         can_id, length, flags = _HEAD.unpack_from(frame)
         if can_id & ERR:
             self._errors += 1
@@ -70,7 +70,7 @@ class RecordedBus:
             frame = frame[:4] + bytes([length]) + frame[5:]
         try:
             nominal, data = phases_of(measure(frame) & LENGTHS_MASK)
-        except ValueError:  # recorded by somebody, and sent by nobody
+        except ValueError:  # recorded, but impossible on a bus
             self._odd += 1
             return None
         self._bits += nominal
@@ -104,7 +104,7 @@ class RecordedBus:
         return nominal, data
 
     def _learn(self, frame: bytes) -> None:
-        """What an SDO tells of SYNC."""
+        """Learn the COB-ID or the cycle period of SYNC from an SDO."""
         if frame[8] not in _WHOLE_TOLD:
             return
         value = int.from_bytes(frame[12:16], "little")
@@ -123,14 +123,14 @@ class RecordedBus:
         queues: Queues,
         doubts: Iterable[str] = (),
     ) -> Subject:
-        """The bus with all that was periodic, and what was not.
+        """Return the bus with all its periodic and sporadic messages.
 
         Args:
-            rate: the nominal bit rate.
-            data_rate: of CAN FD; None: not known.
-            nodes: names by node-ID.
-            queues: of senders that are known.
-            doubts: what is to be known of the file.
+            rate: nominal bit rate [bit/s].
+            data_rate: data bit rate of CAN FD [bit/s]; None if unknown.
+            nodes: node names by node-ID.
+            queues: queues of known senders.
+            doubts: notes about the file.
         """
         assert self._first_ns is not None or not self._heard
         span_ns = max(1, self._last_ns - (self._first_ns or 0))
@@ -149,7 +149,9 @@ class RecordedBus:
             is_sync = is_canopen and key in self._syncs
             known.append((_at_home(found.message, is_canopen, is_sync), found))
         if left_out:
-            notes.append(f"not counted, SDO and NMT are sporadic (frames): {', '.join(left_out)}")
+            notes.append(
+                f"not counted because sporadic, SDO and NMT (frames): {', '.join(left_out)}"
+            )
         notes += self._notes(known)
         if self._switched and data_rate is None:
             notes.append(
@@ -180,7 +182,7 @@ class RecordedBus:
         return "" if key & EFF else usual_name(key, nodes)
 
     def _sync(self, known: list[tuple[Message, Measured]]) -> Sync | None:
-        """What is known of the SYNC that came most often."""
+        """Return the findings about the most frequent SYNC, or None if there is none."""
         periodic = {
             message.identifier | (EFF if message.extended else 0): message
             for message, _ in known
@@ -197,35 +199,35 @@ class RecordedBus:
         notes = []
         if self._at_once and self._step_ns >= _COARSE_NS:
             step_ms = self._step_ns / 1e6
-            notes.append(f"stamps are in steps of {step_ms:g} ms: nothing finer can be seen")
+            notes.append(f"time stamps have a resolution of {step_ms:g} ms")
         once = [found.message.label for _, found in known if found.frames == 1]
         if once:
-            notes.append(f"seen once, nothing is known of how often they come: {', '.join(once)}")
+            notes.append(f"seen once, so that their period is unknown: {', '.join(once)}")
         irregular = [
             f"{found.message.label} ({found.irregular} of {found.frames - 1})"
             for _, found in known
             if found.irregular
         ]
         if irregular:
-            notes.append(f"periodic, but for some of their distances: {', '.join(irregular)}")
+            notes.append(f"periodic with some irregular intervals: {', '.join(irregular)}")
         several = [heard for heard in self._heard.values() if len(heard.senders) > 1]
         if several:
             labels = ", ".join(f"{one.identifier:03X}h" for one in several)
-            notes.append(f"of more than one sender, taken as one of a node of its own: {labels}")
+            notes.append(f"sent by more than one node, counted as one separate node: {labels}")
         if self._remote:
-            notes.append(f"{self._remote} remote frames, taken as without data")
+            notes.append(f"{self._remote} remote frames, counted as frames without data")
         if self._odd:
-            notes.append(f"{self._odd} frames are none that a bus could carry, and are left out")
+            notes.append(f"{self._odd} frames are impossible on a bus, and not counted")
         if self._errors:
             notes.append(
-                f"{self._errors} error messages were recorded; how late errors can make a message"
-                " is told by motorhil analyse --errors N"
+                f"{self._errors} error messages were recorded; motorhil analyse --errors N shows"
+                " how late errors can make a message"
             )
         return notes
 
 
 def _is_not_counted(message: Message) -> bool:
-    """What the analysis of a rig leaves out too: it comes when somebody asks."""
+    """Return True for on-demand messages, which the analysis of a rig omits as well."""
     if message.extended or message.arrival is Arrival.PERIODIC:
         return False
     identifier = message.identifier
@@ -233,11 +235,11 @@ def _is_not_counted(message: Message) -> bool:
 
 
 def _at_home(message: Message, is_canopen: bool, is_sync: bool) -> Message:
-    """As a CANopen bus has it: what SDO is asked has no deadline, and not all can be moved."""
+    """Return the message with CANopen rules: no deadline for SDO, reserved identifiers fixed."""
     if not is_canopen:
         return message
     reserved = is_canopen_reserved(message.identifier, message.extended)
     movable = not (reserved or is_sync)
-    asked = not message.extended and is_sdo(message.identifier)  # periodically, but nobody waits
+    asked = not message.extended and is_sdo(message.identifier)  # periodic, but without a deadline
     deadline_ns = None if asked else message.deadline_ns
     return replace(message, movable=movable, deadline_ns=deadline_ns)

@@ -1,4 +1,4 @@
-"""What was sent on the CAN buses of a recording, as the analysis of response times takes it."""
+"""Traffic of a recording's CAN buses, prepared for the response-time analysis."""
 
 from collections.abc import Mapping
 from pathlib import Path
@@ -19,17 +19,16 @@ def subjects_of_recording(
     data_bitrates: Mapping[str, int],
     fifo: bool | None = None,
 ) -> list[Subject]:
-    """Every CAN bus of the recording, by name.
+    """Return every CAN bus of the recording, ordered by name.
 
     Args:
-        path: a recording of any format that is read here.
-        bitrates: of buses [bit/s]; they go before what the recording tells.
-        data_bitrates: the same of CAN FD.
-        fifo: whether every sender that is known has one queue, first in, first out; None: as its
-            rig has it.
+        path: a recording of any readable format.
+        bitrates: bit rates of buses [bit/s]; they take precedence over the recording's.
+        data_bitrates: the same for the data bit rate of CAN FD [bit/s].
+        fifo: True if every known sender has a first-in-first-out queue; None: as in its rig.
 
     Raises:
-        TraceError: it cannot be read, or a bit rate is not known.
+        TraceError: the recording cannot be read, or a bit rate is unknown.
     """
     source = open_source(path)
     names, facts = _told(source)
@@ -45,7 +44,7 @@ def subjects_of_recording(
     if found.unstamped:
         raise TraceError(
             str(path),
-            f"has {found.unstamped} frames without a time: nothing can be said of periods",
+            f"has {found.unstamped} frames without a time stamp: periods cannot be determined",
             remedy="record with time stamps (candump -L, candump -t a)",
         )
     for name in (*bitrates, *data_bitrates):
@@ -57,7 +56,7 @@ def subjects_of_recording(
         if rate is None:
             raise TraceError(
                 str(path),
-                f"does not tell the bit rate of {name}",
+                f"does not contain the bit rate of {name}",
                 remedy=f"say --bitrate {name}=500k",
             )
         notes = [f"{count} {what}" for count, what in _doubts(found) if count]
@@ -70,7 +69,7 @@ def subjects_of_recording(
 
 
 def _told(source: Source) -> tuple[RecordedNames, RigFacts]:
-    """Names of nodes and bit rates that the recording itself tells."""
+    """Return the names of nodes and the bit rates that the recording contains."""
     if source.format != "mcap":
         return RecordedNames(), RigFacts()
     with read_trace(source.path) as trace:
@@ -79,6 +78,9 @@ def _told(source: Source) -> tuple[RecordedNames, RigFacts]:
 
 def _doubts(found: Findings) -> tuple[tuple[int, str], ...]:
     return (
-        (len(found.problems), "rows of the file cannot be read, and are left out"),
-        (found.backward, "frames are stamped earlier than the one before: ordered by stamp"),
+        (len(found.problems), "rows of the file cannot be read, and are not counted"),
+        (
+            found.backward,
+            "frames have an earlier time stamp than the one before: sorted by time stamp",
+        ),
     )

@@ -1,4 +1,4 @@
-"""What a recording means, for verbs that compare; that it is cut is told."""
+"""Meaning of a recording, for verbs that compare."""
 
 import sys
 from os import PathLike
@@ -8,10 +8,10 @@ from traces.reader import read_trace
 
 
 def meaning_in(path: str | PathLike[str], verb: str) -> Meaning:
-    """What it means, as far as it goes; where it is cut is told on stderr, by that verb.
+    """Return the recording's meaning; report a cut recording on stderr in the verb's name.
 
     Raises:
-        TraceError: it cannot be read, or is damaged.
+        TraceError: the recording cannot be read, or is damaged.
     """
     with read_trace(path) as trace:
         meaning = meaning_of(trace)

@@ -1,14 +1,14 @@
-"""Turns what happens in a rig into a recording: taps for a world, and samples of motors.
+"""Recorder of a rig: taps for a world, and samples of motors.
 
-The recorder is told everything (`frame`, `truth`, `event`) with its time and asks no clock. Frames
-only become a tuple in a list; they are packed in bulk, four times a second.
+All data arrive with their time (`frame`, `truth`, `event`); the recorder reads no clock. Frames
+only become a tuple in a list, and are packed in bulk four times per second.
 
-A rig at rest makes no work: a motor is looked at after a frame of its drive has passed, and again
-every period as long as it changes. What a chunk still holds is written when its second is over.
-For both the recorder needs to be called at certain times: see `connect`.
+A rig at rest causes no work. A motor is sampled after a frame of its drive, and then every period
+as long as it changes. The rest of a chunk is written when its second is over. For both, the
+recorder must be called at certain times: see `connect`.
 
-A channel is therefore silent while its values stay the same. When they change after such a pause,
-the old value is recorded once more before the new one, so that a plot shows a step, not a ramp.
+So a channel is silent while its values stay the same. When they change after such a pause, the old
+value is recorded again before the new one. A plot then shows a step and not a ramp.
 """
 
 import sys
@@ -37,13 +37,13 @@ _HAND_OVER_NS: Final = CHUNK_NS // 4  # how long frames wait to be packed in bul
 _NEVER: Final = 1 << 62
 
 Reading = tuple[float | None, float | None, float | None]
-"""Position [rad or m], velocity [per second], torque or force [N·m or N]; None: not known."""
+"""Position [rad or m], velocity [rad/s or m/s], torque or force [N·m or N]; None if unknown."""
 
 
 def run_metadata(
     *, seed: int, rig_digest: str, command_line: Sequence[str]
 ) -> dict[str, dict[str, str]]:
-    """What a recording says about the run that made it; no part of its digest."""
+    """Return metadata of the run for the recording; its digest does not include them."""
     versions = {"motorhil": version(), "python": sys.version.split()[0], "source": source_digest()}
     for name in ("python-can", "canopen", "pymodbus", "zstandard"):
         versions[name] = version_of(name) or "absent"
@@ -53,7 +53,7 @@ def run_metadata(
 
 @final
 class _Motor:
-    """A motor that is looked at while something happens to it."""
+    """A motor that is sampled while it changes."""
 
     def __init__(
         self, number: int, name: str, channel: int, read: Callable[[], Reading | None]
@@ -64,7 +64,7 @@ class _Motor:
         self.encoder = JointStateEncoder(name)
         self.active = True
         self.always = False
-        self.has_position = False  # until then its units may become known between two equal frames
+        self.has_position = False  # until then, units may become known between two equal frames
         self.payload = b""
         self.sampled_ns = 0
 
@@ -76,7 +76,7 @@ class _Source:
     def __init__(self, number: int) -> None:
         self.number = number
         self.motors: list[_Motor] = []
-        self.last = b""  # of its frames; the same again tells nothing of a motor
+        self.last = b""  # its last frame; a repetition brings no news about a motor
 
 
 @final
@@ -93,10 +93,10 @@ class _Truth:
 
 @final
 class Recorder:
-    """One recording being made. Times must not decrease from call to call.
+    """One recording in progress. Times must not decrease from call to call.
 
-    An error (TraceError) is raised once, by whatever call met it; from then on nothing is recorded,
-    `error` says why, and the rest of the run is not disturbed.
+    An error (TraceError) is raised once, by the call that caused it. From then on nothing is
+    recorded, `error` holds the reason, and the run continues undisturbed.
     """
 
     def __init__(
@@ -106,14 +106,15 @@ class Recorder:
         period_ns: int = PERIOD_NS,
         lines: Collection[str] = (),
     ) -> None:
-        """What is recorded goes to `writer`, which the recorder closes in the end.
+        """Record to `writer`, which the recorder closes at the end.
 
         Args:
             writer: the file.
-            kinds: controllers by name, and of which kind each is; other senders are applications.
-            period_ns: how often motors are looked at while they change [ns]; the controllers'
-                truth is expected at the same period.
-            lines: names of those buses that are lines and speak Modbus.
+            kinds: kind of each controller by name; other senders are applications.
+            period_ns: sampling period of motors while they change [ns]; the controllers' snapshots
+                are
+                expected at the same period.
+            lines: names of the buses that are Modbus lines.
         """
         self.error: TraceError | None = None
         self._writer = writer
@@ -138,7 +139,7 @@ class Recorder:
     # ----------------------------------------------------------------------------------- taps
 
     def frame(self, bus: str, time_ns: int, sender: str, frame: bytes) -> None:
-        """A Linux can_frame or canfd_frame of `sender` was complete on `bus`."""
+        """Record a complete Linux can_frame or canfd_frame of `sender` on `bus`."""
         try:
             source = self._sources[bus, sender]
         except KeyError:
@@ -162,7 +163,7 @@ class Recorder:
         data: bytes,
         spoiled: bool,
     ) -> None:
-        """An ADU of `sender` was complete on a line that speaks Modbus."""
+        """Record a complete ADU of `sender` on a Modbus line."""
         received = sender in self._kinds or sender == line  # the line's own gateway
         values: dict[str, Value] = {
             "direction": Direction.RECEIVED if received else Direction.TRANSMITTED,
@@ -182,7 +183,7 @@ class Recorder:
                 self._wake(motor, now_ns)
 
     def truth(self, time_ns: int, controller: str, values: Mapping[str, float]) -> None:
-        """A controller's snapshot; recorded if it is not the one before, bit for bit."""
+        """Record a controller's snapshot if it differs from the one before in any bit."""
         known = self._truths.get(controller)
         if known is None or known.keys != tuple(values):
             known = self._add_truth(controller, tuple(values))
@@ -196,14 +197,14 @@ class Recorder:
         known.sampled_ns = time_ns
 
     def event(self, time_ns: int, level: str, source: str, text: str) -> None:
-        """Something happened; `level` is "debug", "info", "warning", "error" or "fatal"."""
+        """Record an event; `level` is "debug", "info", "warning", "error" or "fatal"."""
         number = Level.__members__.get(level.upper(), Level.UNKNOWN)
         self._add(time_ns, self._channel("/events", LOG), encode_log(time_ns, number, text, source))
 
     def message(
         self, time_ns: int, topic: str, message: Message, values: Mapping[str, Value]
     ) -> None:
-        """A rare message: locks (`traces.schema.MOTOR_LOCK`), groups (`GROUP_SYNC`).
+        """Record a rare message, such as MOTOR_LOCK or GROUP_SYNC.
 
         Raises:
             ValueError: the values do not fit the message.
@@ -216,13 +217,14 @@ class Recorder:
         read: Callable[[], Reading | None],
         heard: Collection[tuple[str, str]] = (),
     ) -> None:
-        """The state of this motor is sampled, from the next period on.
+        """Sample the state of this motor from the next period on.
 
         Args:
-            name: of the motor.
-            read: what the application can know of it now, without asking it; None: nothing yet.
-            heard: (bus, sender) of the frames that can change it. Without any, it is looked at
-                every period, at rest too.
+            name: name of the motor.
+            read: returns what the application knows of the motor without querying it; None: nothing
+                yet.
+            heard: (bus, sender) of the frames that can change it. Without any, it is sampled every
+                period, even at rest.
         """
         channel = self._channel(f"/motor/{name}/state", JOINT_STATE)
         motor = _Motor(self._motor_count, name, channel, read)
@@ -238,16 +240,16 @@ class Recorder:
     # ------------------------------------------------------------------------------------ time
 
     def connect(self, set_alarm: Callable[[int | None], None]) -> None:
-        """Whoever owns the time calls `poll` at the time last given to `set_alarm` (None: never).
+        """Set the alarm function; its owner calls `poll` at the time last given (None: never).
 
         On an event queue: `recorder.connect(queue.alarm(recorder.poll).set)`. Without it, call
-        `poll` once a period.
+        `poll` once per period.
         """
         self._set_alarm = set_alarm
         self._arm()
 
     def poll(self, now_ns: int) -> None:
-        """It is `now_ns`: motors that are due are sampled, seconds that are over are written."""
+        """Sample motors that are due at `now_ns`, and write seconds that are over."""
         if now_ns >= self._sample_ns:
             self._sample(now_ns)
         if now_ns >= self._due_ns:
@@ -256,13 +258,13 @@ class Recorder:
         self._arm()
 
     def close(self, now_ns: int | None = None) -> None:
-        """The file is complete; closing again does nothing.
+        """Complete the file; closing it again has no effect.
 
         Args:
-            now_ns: the time; motors are then sampled once more, if something happened to them.
+            now_ns: the time [ns]; changed motors are then sampled once more.
 
         Raises:
-            TraceError: it cannot be completed.
+            TraceError: the file cannot be completed.
         """
         if self._closed:
             return
@@ -277,13 +279,13 @@ class Recorder:
     # ---------------------------------------------------------------------------------- inside
 
     def _add(self, time_ns: int, channel: int, payload: bytes) -> None:
-        """An encoded message takes its place behind the frames before it."""
+        """Append an encoded message after the frames before it."""
         if time_ns >= self._hand_over_ns:
             self._hand_over(time_ns)
         self._pending.append((-channel, time_ns, payload))
 
     def _hand_over(self, time_ns: int) -> None:
-        """What is pending is with the writer; a new second has begun, if it has."""
+        """Pass pending messages to the writer, and start a new second if one has begun."""
         self._write(time_ns)
         self._hand_over_ns = (time_ns // _HAND_OVER_NS + 1) * _HAND_OVER_NS
         if time_ns >= self._due_ns:
@@ -305,13 +307,13 @@ class Recorder:
             raise
 
     def _arm(self) -> None:
-        """The alarm is set to when there is next something to do."""
+        """Set the alarm to the next time when work is due."""
         if self._set_alarm is not None:
             next_ns = min(self._sample_ns, self._due_ns if self._unwritten else _NEVER)
             self._set_alarm(None if next_ns == _NEVER else next_ns)
 
     def _wake(self, motor: _Motor, time_ns: int) -> None:
-        """The motor is looked at when the next period begins."""
+        """Sample the motor at the start of the next period."""
         motor.active = True
         self._active.append(motor)
         if self._sample_ns == _NEVER:
@@ -319,11 +321,11 @@ class Recorder:
             self._arm()
 
     def _sample(self, now_ns: int) -> None:
-        """All motors that something happened to; those that changed are looked at again."""
+        """Sample all active motors; those that changed remain active."""
         again: list[_Motor] = []
         if self.error is not None:
             self._active.clear()
-        self._active.sort(key=_number_of)  # not in the order in which they woke
+        self._active.sort(key=_number_of)  # makes the order independent of when they woke
         for motor in self._active:
             reading = motor.read()
             payload = b""
@@ -345,14 +347,14 @@ class Recorder:
         self._sample_ns = (now_ns // self._period_ns + 1) * self._period_ns if again else _NEVER
 
     def _channel(self, topic: str, message: Message) -> int:
-        """The number of the channel, which is made when it is first used."""
+        """Return the number of the channel, which is created on first use."""
         number = self._channels.get(topic)
         if number is None:
             number = self._channels[topic] = self._new_channel(topic, message)
         return number
 
     def _new_channel(self, topic: str, message: Message) -> int:
-        """The number of a new channel; 0, which nothing is written to, after an error."""
+        """Create a channel and return its number; 0, which takes no data, after an error."""
         if self.error is not None:
             return 0
         try:
@@ -363,7 +365,7 @@ class Recorder:
 
     def _add_source(self, bus: str, sender: str) -> _Source:
         if bus in self._lines:
-            source = self._sources[bus, sender] = _Source(0)  # its ADUs are messages like others
+            source = self._sources[bus, sender] = _Source(0)  # its ADUs are ordinary messages
             return source
         direction = Direction.RECEIVED if sender in self._kinds else Direction.TRANSMITTED
         channel = self._channel(f"/can/{bus}", CAN_FRAME)
@@ -372,7 +374,7 @@ class Recorder:
         return source
 
     def _add_truth(self, controller: str, keys: tuple[str, ...]) -> _Truth:
-        """A channel for snapshots with these keys; a kind with several sets of keys is numbered."""
+        """Create a channel for snapshots with these keys; number a kind's further sets of keys."""
         truth = self._all_truths.get((controller, keys))
         if truth is None:
             kind = wanted = self._kinds.get(controller, "controller")

@@ -1,4 +1,4 @@
-"""A rig, open: buses, controllers and plants in virtual time, and the motors an application sees.
+"""Open rig: buses, controllers, plants and motors in virtual time.
 
     with Rig.open("rig.toml") as rig:
         wheel = rig.motors["left"]
@@ -53,18 +53,18 @@ if TYPE_CHECKING:
 
 @final
 class Rig:
-    """An open rig; leaving its `with` block closes everything in it, whatever happened.
+    """An open rig; leaving its `with` block always closes everything in it.
 
     Attributes (read only):
-        description: what the file says.
-        seed: of this run.
+        description: the contents of the rig file.
+        seed: the seed of this run.
         world: buses and controllers on one event queue.
         runtime: where an application waits, and so lets time pass.
         controllers, motors, groups: by name, in the order of the file; motors and groups are
-            made when they are first asked for.
-        faults: what goes wrong.
+            created on first use.
+        faults: faults of the rig, to inject and to query.
         recording: the recorder; None if nothing is recorded.
-        notes: what a person should know who reads the rig's results, one line each.
+        notes: notes for readers of the rig's results, one line each.
     """
 
     def __init__(
@@ -98,7 +98,7 @@ class Rig:
             cleanup.enter_context(interrupts_between_events(self.runtime))
             self._open_door(cleanup)
             self._cleanup = cleanup.pop_all()
-        self._in_use = ExitStack()  # what applications were given; closed before the rest
+        self._in_use = ExitStack()  # resources of applications; closed before the rest
         self.faults = RigFaults(self.world)
         self.controllers: Mapping[str, RigController] = Named(
             "controller", description.controllers, self._controller
@@ -117,20 +117,20 @@ class Rig:
         realtime: bool = False,
         record: str | Path | None = None,
     ) -> Self:
-        """The rig of a file, switched on at time 0.
+        """Open the rig of a file, switched on at time 0.
 
         Args:
-            path: the rig file; or a recording, whose controllers then are out of it.
-            seed: instead of the rig's own.
-            realtime: time passes no faster than the wall clock.
-            record: an MCAP file to write everything to.
+            path: the rig file; or a recording, which then replaces the controllers.
+            seed: overrides the rig's own seed.
+            realtime: True to run no faster than the wall clock.
+            record: an MCAP file for the recording.
 
         Raises:
             RigError: the rig cannot be used as it is written; nothing is left open.
         """
         description = describe(Path(path))
         if seed is not None and not 0 <= seed <= SEED_MAX:
-            raise RigError(path, f"seed {seed} is not within 0 to {SEED_MAX}", "another number")
+            raise RigError(path, f"seed {seed} is not within 0 to {SEED_MAX}", "use another seed")
         return cls(
             description,
             seed=seed,
@@ -139,7 +139,7 @@ class Rig:
         )
 
     def bus(self, name: str) -> "EmulatedBus":
-        """The application's own connection to a bus: a python-can bus.
+        """Return the application's own connection to a bus, a python-can bus.
 
         Raises:
             KeyError: the rig has no such bus.
@@ -147,7 +147,7 @@ class Rig:
         return self._buses[name]
 
     def line(self, name: str) -> "EmulatedLine":
-        """The application's own port on a line that speaks Modbus.
+        """Return the application's own port on a Modbus line.
 
         Raises:
             KeyError: the rig has no such line.
@@ -155,10 +155,10 @@ class Rig:
         return self._lines[name]
 
     def build_motors(self) -> None:
-        """Every motor and group has been made: what is wrong in their settings is told now.
+        """Create every motor and group now, to find errors in their settings.
 
         Raises:
-            RigError: a motor cannot be made as the rig describes it.
+            RigError: a motor cannot be built as the rig describes it.
         """
         for name in self.motors:
             self.motors[name]
@@ -166,7 +166,7 @@ class Rig:
             self.groups[name]
 
     def close(self) -> None:
-        """Parties have ended, motors and buses are closed, the record is complete."""
+        """End all parties, close motors and buses, and complete the record."""
         with self._cleanup, self._in_use:
             self.runtime.close()
 
@@ -181,7 +181,7 @@ class Rig:
     ) -> None:
         self.close()
 
-    # --- putting it together -----------------------------------------------------------------
+    # --- construction --------------------------------------------------------------------------
 
     def _add_buses(self) -> None:
         for bus in self.description.buses.values():
@@ -225,11 +225,11 @@ class Rig:
                 raise self.description.error(
                     (*place, *error.path), error.message, error.remedy
                 ) from error
-            except (ValueError, ArithmeticError) as error:  # numbers right only one by one
+            except (ValueError, ArithmeticError) as error:  # numbers that are only valid one by one
                 message = f"cannot be built: {error}"
                 raise self.description.error(place, message, "correct its numbers") from error
             if not callable(getattr(core, "next_deadline_ns", None)):
-                raise TypeError(f"it built {a_kind_of(core)}, which is no controller")
+                raise TypeError(f"it built {a_kind_of(core)}, which is not a controller")
             return core
 
     def _record(
@@ -250,7 +250,7 @@ class Rig:
         cleanup.callback(end_recording, recorder, self.world)
 
     def _open_door(self, cleanup: ExitStack) -> None:
-        """`can.Bus()` in this process finds the buses by name."""
+        """Make the rig's buses available by name to `can.Bus()` in this process."""
         from can import CanInitializationError
 
         from harness.can_plugin import close_rig, open_rig
@@ -261,7 +261,7 @@ class Rig:
             raise RigError(self.description.source.path, str(error)) from None
         cleanup.callback(close_rig, self.world)
 
-    # --- what applications use ---------------------------------------------------------------
+    # --- resources of applications -----------------------------------------------------------
 
     def _bus(self, name: str) -> "EmulatedBus":
         from harness.can_plugin import EmulatedBus
@@ -321,7 +321,7 @@ class Rig:
                 group.append(self.motors[motor])
             except UsageError as error:
                 path = ("group", name, "motors", place)
-                raise self.description.error(path, str(error), "take one out") from error
+                raise self.description.error(path, str(error), "remove one of them") from error
         if self.recording is not None:
             from harness.rig_recording import watch_group
 
@@ -330,10 +330,10 @@ class Rig:
 
 
 def describe(path: Path) -> RigDescription:
-    """What a rig file says, or the rig in a recording.
+    """Read a rig file, or the rig in a recording.
 
     Raises:
-        RigError: it cannot be used.
+        RigError: the rig cannot be used.
     """
     from harness.replay.recorded_rig import is_recording, rig_in
 
@@ -341,12 +341,12 @@ def describe(path: Path) -> RigDescription:
     if is_recording(path):
         return rig_in(path, known)
     if path.suffix == ".mcap" and path.exists():
-        raise RigError(path, "is no recording (MCAP)", "give a recording, or a rig file (TOML)")
+        raise RigError(path, "is not a recording (MCAP)", "give a recording, or a rig file (TOML)")
     return read_rig(path, known)
 
 
 def installed_plugins() -> Known:
-    """The plugins of this Python environment that a rig may name."""
+    """Return the plugins of this Python environment that a rig may name."""
 
     def needs_bus(adaptation: str) -> bool | None:
         try:

@@ -1,4 +1,4 @@
-"""The files that a rig names: they go with its recording, and come back out of it."""
+"""Files that a rig names, which are attached to its recordings."""
 
 import tomllib
 from collections.abc import Iterable, Mapping
@@ -17,7 +17,7 @@ _NAMING: Final = (
 
 
 def named_files(rig: Mapping[str, object]) -> list[tuple[str, str]]:
-    """(file as the rig has it, media type) of all that its tables name, each once."""
+    """Return (file as the rig names it, media type) of every file in its tables, each once."""
     found: dict[str, str] = {}
     for kind, key, media_type in _NAMING:
         tables = rig.get(kind)
@@ -29,9 +29,9 @@ def named_files(rig: Mapping[str, object]) -> list[tuple[str, str]]:
 
 
 def files_of(description: "RigDescription") -> list[tuple[str, str, bytes]]:
-    """(name, media type, contents) of the rig and of every file it names, each once.
+    """Return (name, media type, contents) of the rig and of every file it names, each once.
 
-    What a recorded rig's files said is not on a disk: they are those that came with it.
+    Files of a recorded rig are not on disk; their contents come from the recording.
     """
     source = description.source
     files = [(source.path.name, _TOML, source.text.encode())]

@@ -1,4 +1,4 @@
-"""The `[bus.NAME]` tables of a rig: CAN buses, and lines that speak Modbus.
+"""`[bus.NAME]` tables of a rig: CAN buses and Modbus lines.
 
 kind = "can"          bitrate_bit_s, data_bitrate_bit_s (CAN FD), [[bus.NAME.message]],
                       [bus.NAME.node.NAME]
@@ -46,17 +46,20 @@ class BusDescription:
     """A bus.
 
     Attributes:
+        name: name in the rig.
         kind: one of BUS_KINDS.
-        bitrate_bit_s: of a CAN bus it divides 1e9, so that a bit takes a whole number of
-            nanoseconds; of a serial line it is the baud rate; 0: there is none.
-        data_bitrate_bit_s: of CAN FD frames between BRS and CRC delimiter, as bitrate_bit_s; None:
-            the bus is classical CAN.
-        messages: what others send there (CAN); None: its traffic is not declared.
-        nodes: CAN controllers that are not plain, by controller, or "host".
-        silent: those of them that are no controllers, and only acknowledge.
+        bitrate_bit_s: bit rate of a CAN bus, which divides 1e9 so that a bit lasts a whole number
+            of
+            nanoseconds; baud rate of a serial line; 0 for a gateway.
+        data_bitrate_bit_s: bit rate of CAN FD frames between BRS and CRC delimiter, with the same
+            limit as bitrate_bit_s; None for classical CAN.
+        messages: messages that others send (CAN); None if its traffic is not declared.
+        nodes: CAN controllers with special settings, by controller or "host".
+        silent: those of `nodes` that are not controllers of the rig and only acknowledge.
         parity, stop_bits: of a serial line.
-        latency_ns: of a gateway: from sending to arriving [ns].
-        timeout_ns: how long a gateway waits for a unit before it answers itself (0Bh) [ns].
+        latency_ns: delay of a gateway from sending to arrival [ns].
+        timeout_ns: how long a gateway waits for a unit before it answers itself with exception
+            code 0Bh [ns].
     """
 
     name: str
@@ -73,14 +76,14 @@ class BusDescription:
 
     @property
     def is_line(self) -> bool:
-        """Whether it speaks Modbus: its controllers have units, not node-IDs."""
+        """True for a Modbus line, whose controllers have units instead of node-IDs."""
         return self.kind in LINES
 
     def destroyers(self, controllers: Sequence[str]) -> list[str]:
-        """Which nodes destroy the CAN FD frames of this bus; none of a classical bus.
+        """Return the nodes that destroy CAN FD frames of this bus; none on a classical bus.
 
         Args:
-            controllers: on the bus.
+            controllers: names of the controllers on the bus.
         """
         if self.data_bitrate_bit_s is None:
             return []
@@ -90,10 +93,10 @@ class BusDescription:
 
 
 def read_bus(name: str, table: Table) -> BusDescription:
-    """The bus of a table.
+    """Read the bus of a table.
 
     Raises:
-        RigError: the first thing wrong in it.
+        RigError: the first error in the table.
     """
     kind = table.one_of("kind", BUS_KINDS, "bus kind", default=CAN)
     for key in table.values:
@@ -148,15 +151,15 @@ def _data_bitrate(table: Table, rate: int) -> int | None:
 
 
 def address_key(bus: BusDescription) -> str:
-    """What its controllers' numbers are called."""
+    """Return the key of the address of this bus's controllers."""
     return "unit" if bus.is_line else "node_id"
 
 
 def read_address(table: Table, bus: BusDescription) -> int | None:
-    """The number of a controller, or of a motor's controller, on the bus; None: it tells none.
+    """Return the address of a controller (or of a motor's) on the bus, or None without one.
 
     Raises:
-        RigError: it is out of range, or called as on another kind of bus.
+        RigError: the address is out of range, or has the key of another kind of bus.
     """
     key = address_key(bus)
     other = "node_id" if bus.is_line else "unit"

@@ -1,4 +1,4 @@
-"""The `[[fault]]` tables of a rig: what goes wrong on a bus, when, and to whom."""
+"""`[[fault]]` tables of a rig: faults of buses and lines."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -20,7 +20,7 @@ from harness.rig_buses import BusDescription
 from harness.rig_line_faults import LINE_KEYS, read_hex, read_line_fault, read_times
 from harness.settings import Table
 
-HOST: Final = INTERFACE  # what the application's ports are called on every bus
+HOST: Final = INTERFACE  # name of the application's ports on every bus
 KINDS: Final = tuple(kind.value for kind in FaultKind)
 FAULT_KEYS: Final = (
     *("name", "bus", "kind", "identifier", "identifier_mask", "extended", "sender", "nodes"),
@@ -49,7 +49,7 @@ _COUNT_MAX: Final = 2**31
 @final
 @dataclass(frozen=True, slots=True)
 class FaultDescription:
-    """A rule for what goes wrong, and the bus, or line, it is for."""
+    """A fault rule, and the bus or line to which it applies."""
 
     bus: str
     rule: FaultRule | SerialFaultRule
@@ -60,10 +60,10 @@ def read_faults(
     controllers: Mapping[str, Sequence[str]],
     buses: Mapping[str, BusDescription],
 ) -> tuple[FaultDescription, ...]:
-    """The faults of a rig, in the order of the file; `controllers` on each of its `buses`.
+    """Return the faults of a rig in the order of the file; `controllers` are grouped by bus.
 
     Raises:
-        RigError: the first thing wrong in them.
+        RigError: the first error in them.
     """
     faults: list[FaultDescription] = []
     for number, table in enumerate(root.listed_tables("fault"), 1):
@@ -87,7 +87,7 @@ def _fault(
         return FaultDescription(bus, read_line_fault(f"fault {number}", table, ports, buses[bus]))
     for key in LINE_KEYS:
         if table.has(key):
-            raise table.error(key, f'bus "{bus}" is no line', "take it out: it is for Modbus")
+            raise table.error(key, f'bus "{bus}" is not a line', "remove it: it is for Modbus")
     kind = FaultKind(table.one_of("kind", KINDS, "fault kind"))
     for key, owner in _OWNERS.items():
         if table.has(key) and kind is not owner:
@@ -139,10 +139,12 @@ def _nodes(table: Table, ports: Sequence[str]) -> tuple[str, ...]:
 
 
 def _refuse_conditions(table: Table, kind: FaultKind) -> None:
-    """What lasts has no condition but its time, and who it is about."""
+    """Refuse conditions of a lasting fault other than its time and the nodes it concerns."""
     if kind in PARTING and not table.values.get("nodes"):
         raise table.error(
-            "nodes", f"a {kind.value} names who loses the bus", 'write nodes = ["left"]'
+            "nodes",
+            f"a {kind.value} must name the nodes that lose the bus",
+            'write nodes = ["left"]',
         )
     refused = list(_CONDITIONS)
     if kind is FaultKind.BABBLE:
@@ -161,7 +163,7 @@ def _refuse_conditions(table: Table, kind: FaultKind) -> None:
 
 
 def _own(table: Table, kind: FaultKind) -> dict[str, Any]:
-    """What belongs to this kind alone."""
+    """Return the arguments that only this kind of fault has."""
     if kind is FaultKind.ERROR and table.has("bit"):
         return {"bit": table.integer("bit", low=0, high=BIT_MAX, example="20")}
     if kind is FaultKind.ERROR:

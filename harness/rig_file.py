@@ -1,20 +1,20 @@
-"""The rig file: what hangs on which bus, which motors an application sees, what goes wrong when.
+"""Rig file: buses, controllers, motors, faults and stimuli.
 
-A rig is TOML. The structure is checked here, and every name that refers to another; a controller's
-and a motor's own settings are checked by whoever builds them, and told with their line all the same
-(`RigDescription.source`). `rig.schema.json` says the same to editors.
+A rig is TOML. This module checks its structure, and every name that refers to another one. The
+settings of a controller or motor are checked by its builder; errors in them still report their line
+(`RigDescription.source`). `rig.schema.json` describes the same for editors.
 
     [rig]                       name, seed
-    [bus.NAME]                  kind = "can", bitrate_bit_s; or a line (harness.rig_buses)
-    [bus.NAME.node.NAME]        the CAN controller of one on the bus (harness.rig_nodes)
-    [[bus.NAME.message]]        what others send there: identifier, length, period_s, jitter_s
+    [bus.NAME]                  kind = "can", bitrate_bit_s; or a line (see BusDescription)
+    [bus.NAME.node.NAME]        the CAN controller of one node (see read_nodes)
+    [[bus.NAME.message]]        a message of others: identifier, length, period_s, jitter_s
     [controller.NAME]           kind, bus, node_id, and the kind's own settings
-    [motor.NAME]                adaptation, model, and its own; where it is: controller, or bus and
-                                node_id, or nothing, if its adaptation needs no bus
+    [motor.NAME]                adaptation, model, and its own settings; its place: controller, or
+                                bus and node_id, or nothing if its adaptation needs no bus
     [group.NAME]                motors
-    [[fault]]                   bus, kind, what it hits and when
+    [[fault]]                   bus, kind, conditions
     [[stimulus]]                controller, name, value, at_s
-    [conformance]               what is declared of the motors under test
+    [conformance]               facts declared about the motors under test
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -55,11 +55,13 @@ class ControllerDescription:
     """An emulated controller.
 
     Attributes:
+        name: name in the rig.
         kind: the plugin that builds it.
-        node_id: where on the bus, if its kind has such numbers; on a line, the unit.
+        bus: its bus.
+        node_id: its node-ID, or its unit on a line; None if its kind has none.
         settings: its table without `kind`, `bus` and `plant.from_motor_model`.
-        plants_from_model: the plant tables in it (`plant`, `channel.2.plant`) that take what they
-            leave out from their motor's model.
+        plants_from_model: paths of the plant tables in it (`plant`, `channel.2.plant`) that take
+            missing values from their motor's model.
     """
 
     name: str
@@ -76,10 +78,11 @@ class MotorDescription:
     """A motor as the application sees it.
 
     Attributes:
+        name: name in the rig.
         adaptation: the plugin that builds it.
-        bus, node_id: where its controller is (on a line, the unit); None if the adaptation needs
-            no bus.
-        controller: the emulated controller behind it; None if it names bus and node_id itself.
+        bus, node_id: bus and node-ID (on a line: unit) of its controller; None if the adaptation
+            needs no bus.
+        controller: its emulated controller; None if the table names bus and node_id itself.
         model: a motor model file, or the model itself.
         settings: its table without the keys above.
     """
@@ -96,7 +99,7 @@ class MotorDescription:
 @final
 @dataclass(frozen=True, slots=True)
 class GroupDescription:
-    """Motors that move together, by name."""
+    """Names of motors that move together."""
 
     name: str
     motors: tuple[str, ...]
@@ -105,9 +108,9 @@ class GroupDescription:
 @final
 @dataclass(frozen=True, slots=True)
 class RigDescription:
-    """A rig file that was found right in itself; all names in it refer to something.
+    """A checked rig file, in which every name refers to something.
 
-    `attached`, of a rig out of a recording: (name, media type, contents) of what came with it.
+    `attached`, for a rig out of a recording: (name, media type, contents) of the recording's files.
     """
 
     name: str
@@ -124,13 +127,13 @@ class RigDescription:
 
     @property
     def folder(self) -> Path:
-        """Relative paths in the rig start here."""
+        """The folder in which relative paths of the rig start."""
         return self.source.path.parent
 
     def error(
         self, path: KeyPath, message: str, remedy: str = "", kind: type[RigError] = RigError
     ) -> RigError:
-        """The error for a value of this rig, with its line; to be raised."""
+        """Return the error for a value of this rig, with its line."""
         return self.source.error(path, message, remedy, kind)
 
 
@@ -141,11 +144,12 @@ def _all_need_one(adaptation: str) -> bool | None:
 @final
 @dataclass(frozen=True, slots=True)
 class Known:
-    """The plugins a rig may name.
+    """The plugins that a rig may name.
 
     Attributes:
-        needs_bus: whether a motor of this adaptation is on a bus; None: the adaptation cannot be
-            asked, which whoever builds the motor will tell.
+        controllers, adaptations: names of the plugins.
+        needs_bus: returns True if motors of this adaptation are on a bus, or None if the adaptation
+            cannot be loaded; the error is then reported when the motor is built.
     """
 
     controllers: tuple[str, ...]
@@ -154,19 +158,19 @@ class Known:
 
 
 def read_rig(path: Path, known: Known) -> RigDescription:
-    """The rig in a file.
+    """Read the rig in a file.
 
     Raises:
-        RigError: there is no such file, or the first thing wrong in it.
+        RigError: the file does not exist, or its first error.
     """
     return parse_rig(read_source(path, _NEW_REMEDY), known)
 
 
 def parse_rig(source: Source, known: Known) -> RigDescription:
-    """The rig in a text.
+    """Read the rig in a text.
 
     Raises:
-        RigError: the first thing wrong in it.
+        RigError: the first error in it.
     """
     root = source.root()
     root.refuse_unknown(TOP_KEYS, "table")
@@ -201,7 +205,7 @@ def parse_rig(source: Source, known: Known) -> RigDescription:
 
 
 def _needs_bus(root: Table, known: Known) -> bool:
-    """Whether anything in the rig must be on a bus, or there is nothing at all."""
+    """Return True if anything in the rig needs a bus, or if the rig is empty."""
     motors = [table for _, table in _named(root, "motor")]
     if root.table("controller").values or not motors:
         return True
@@ -213,13 +217,13 @@ def _rig_name(rig: Table) -> str:
     name = rig.text("name", rig.source.path.stem, '"my rig"')
     if rig.has("name") and not name.isprintable():
         raise rig.error(
-            "name", "holds a character that cannot be printed", "write one line of text"
+            "name", "contains a character that cannot be printed", "write one line of text"
         )
     return one_line(name)
 
 
 def _named(root: Table, key: str) -> "list[tuple[str, Table]]":
-    """The tables [key.NAME]."""
+    """Return the tables [key.NAME]."""
     outer = root.table(key)
     tables = []
     for name in outer.values:
@@ -243,20 +247,20 @@ def _controller(
             settings = replaced(settings, path, _without(plant, ("from_motor_model",)))
     if name == HOST or name.startswith(f"{HOST}-"):
         raise table.source.error(
-            table.path, "is what the application's ports are called on a bus", "rename it"
+            table.path, "is reserved for the application's ports on a bus", "rename it"
         )
     address = read_address(table, buses[bus])
     return ControllerDescription(name, kind, bus, address, settings, tuple(asking))
 
 
 def _plugin(table: Table, key: str, known: Sequence[str], what: str) -> str:
-    """The name of a plugin, or "package.module:function" of one that is not installed."""
+    """Read the name of a plugin, or "package.module:function" of one that is not installed."""
     name = table.values.get(key)
     return name if isinstance(name, str) and is_target(name) else table.one_of(key, known, what)
 
 
 def _plants(table: Table) -> list[Table]:
-    """The controller's plant tables: its own, and those of its channels."""
+    """Return the controller's plant tables: its own, and those of its channels."""
     plants = [table.table("plant")]
     if isinstance(table.values.get("channel"), dict):
         channels = table.table("channel")
@@ -271,7 +275,7 @@ def _plants(table: Table) -> list[Table]:
 def replaced(
     settings: Mapping[str, object], path: KeyPath, value: Mapping[str, object]
 ) -> dict[str, object]:
-    """The settings with another value at `path`."""
+    """Return the settings with another value at `path`."""
     key, *rest = path
     inner = settings.get(str(key), {})
     assert isinstance(inner, Mapping)
@@ -286,7 +290,7 @@ def _motor(
     known: Known,
 ) -> MotorDescription:
     if table.has("name"):
-        raise table.error("name", f'the motor is called "{name}", as its table', "take it out")
+        raise table.error("name", f'the motor has the name of its table, "{name}"', "take it out")
     adaptation = _plugin(table, "adaptation", known.adaptations, "adaptation")
     bus, node_id, controller = _place(table, adaptation, buses, controllers, known)
     settings = _without(table, ("adaptation", "controller", "bus", "node_id", "unit", "model"))
@@ -300,19 +304,19 @@ def _place(
     controllers: Mapping[str, ControllerDescription],
     known: Known,
 ) -> tuple[str | None, int | None, str | None]:
-    """(bus, node_id, controller) of a motor."""
+    """Return (bus, node_id, controller) of a motor."""
     needs_bus = known.needs_bus(adaptation)
     if needs_bus is False:
         for key in ("controller", "bus", "node_id", "unit"):
             if table.has(key):
-                problem = f'a motor of adaptation "{adaptation}" is on no bus'
+                problem = f'a motor of adaptation "{adaptation}" is not on a bus'
                 raise table.error(key, problem, f"take out {key}")
         return None, None, None
     if table.has("controller"):
         controller = table.name_of("controller", list(controllers), "controller")
         for key in ("bus", "node_id", "unit"):
             if table.has(key):
-                raise table.error(key, "is the controller's to say", f"take out {key}")
+                raise table.error(key, "follows from the controller", f"take out {key}")
         described = controllers[controller]
         return described.bus, described.node_id, controller
     if table.has("bus"):
@@ -372,8 +376,8 @@ def _refuse_shared_nodes(
             free = next((node for node in range(1, last + 1) if node not in used), None)
             raise source.error(
                 ("controller", name, key),
-                f'{place[1]} on bus "{place[0]}" is controller "{taken[place]}" already '
-                f"(line {first})",
+                f'{place[1]} on bus "{place[0]}" is already used by controller '
+                f'"{taken[place]}" (line {first})',
                 f"the first free {key} is {free}" if free else "use another bus",
             )
         taken[place] = name

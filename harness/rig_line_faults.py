@@ -1,4 +1,4 @@
-"""The `[[fault]]` tables for lines that speak Modbus: what becomes of what somebody sends."""
+"""`[[fault]]` tables for Modbus lines: faults of transmitted characters."""
 
 from collections.abc import Sequence
 from typing import Final
@@ -10,7 +10,7 @@ from harness.settings import Table
 KINDS: Final = tuple(kind.value for kind in SerialFaultKind)
 _ON_TCP: Final = ("lose", "delay", "truncate", "pause")
 LINE_KEYS: Final = ("unit", "function", "after", "noise")
-"""What faults on lines have and those on CAN buses have not."""
+"""Keys of faults on lines that faults on CAN buses lack."""
 _COMMON: Final = (
     *("name", "bus", "kind", "sender", "from_s", "until_s"),
     *("probability", "skip", "limit"),
@@ -31,10 +31,10 @@ _ADU_MAX: Final = 260
 def read_line_fault(
     name: str, table: Table, ports: Sequence[str], bus: BusDescription
 ) -> SerialFaultRule:
-    """The rule of a table; `ports` are the names of those on the line.
+    """Read the fault rule of a table; `ports` are the names of the ports on the line.
 
     Raises:
-        RigError: the first thing wrong in it.
+        RigError: the first error in it.
     """
     kinds = _ON_TCP if bus.kind == MODBUS_TCP else KINDS
     kind = table.one_of("kind", kinds, "fault kind")
@@ -45,7 +45,7 @@ def read_line_fault(
             what = f'belongs to kind "{of[0]}"' if of else f'bus "{bus.name}" is a line'
             raise table.error(key, what, "take it out")
     if kind == "noise" and not table.has("noise"):
-        raise table.missing("noise", 'what is glued in front, in hex: noise = "FF 00"')
+        raise table.missing("noise", 'write the bytes to send first, in hex: noise = "FF 00"')
     start_s, end_s = read_times(table)
     delay_s = 0.0
     if "delay_s" in known:
@@ -76,7 +76,7 @@ def _optional(table: Table, key: str, high: int) -> int | None:
 
 
 def read_times(table: Table) -> tuple[float, float | None]:
-    """(from_s, until_s) of a fault [s]; None: it has no end."""
+    """Return (from_s, until_s) of a fault [s]; until_s is None if the fault has no end."""
     start_s = table.number("from_s", 0.0, low=0.0, high=_TIME_MAX_S, unit="s")
     if not table.has("until_s"):
         return start_s, None
@@ -89,7 +89,7 @@ def read_times(table: Table) -> tuple[float, float | None]:
 
 
 def read_hex(table: Table, key: str, longest: int, *, must_change: bool) -> bytes:
-    """The bytes of a hex text; b"" where there is none."""
+    """Return the bytes of a hex text, or b"" if the key is absent."""
     if not table.has(key):
         return b""
     text = table.text(key)

@@ -1,8 +1,8 @@
-"""What is sent on the CAN buses of a rig, as the analysis of response times takes it.
+"""Traffic of a rig's CAN buses, prepared for the response-time analysis.
 
-Declared messages stand in the rig. What motors have their controllers send, and this program for
-them, motorapi knows once it has brought them up: so the rig is opened and every motor asked where
-it is. Nothing moves.
+The rig declares messages of others. The messages that motorapi configures in controllers, and sends
+itself, are known once the motors are connected. So the rig is opened and every motor's position is
+read. No motor moves.
 """
 
 from collections.abc import Iterable
@@ -33,12 +33,12 @@ _NOT_COUNTED: Final = "SDO, NMT, EMCY, LSS and single commands to drives are not
 @final
 @dataclass(frozen=True, slots=True)
 class Assumptions:
-    """What a rig's file does not tell.
+    """Assumptions that a rig's file does not contain.
 
     Attributes:
-        fifo: whether every node has one queue, first in, first out; None: as the rig has it.
-        sync_s: SYNC comes so often [s]; None: as the rig's servos on the host need it.
-        streamed: set-points are streamed to every drive that can take them, one for each SYNC.
+        fifo: True if every node has one first-in-first-out queue; None: as in the rig.
+        sync_s: period of SYNC [s]; None: as the rig's servos on the host need it.
+        streamed: True if every capable drive gets a streamed set-point per SYNC.
     """
 
     fifo: bool | None = None
@@ -47,7 +47,7 @@ class Assumptions:
 
 
 def subjects_of_rig(path: Path, assumptions: Assumptions) -> list[Subject]:
-    """Every CAN bus of the rig.
+    """Return every CAN bus of the rig.
 
     Raises:
         RigError: the rig cannot be used as it is written.
@@ -65,7 +65,7 @@ def subjects_of_rig(path: Path, assumptions: Assumptions) -> list[Subject]:
 
 @final
 class _Bus:
-    """One bus of a rig whose motors were brought up."""
+    """One bus of a rig whose motors are connected."""
 
     def __init__(
         self, rig: Rig, name: str, assumptions: Assumptions, failed: dict[str, str]
@@ -75,7 +75,7 @@ class _Bus:
         self._assumptions = assumptions
         self._found: dict[int, Message] = {}
         self._notes = [
-            f"motor {motor} cannot be brought up, what it would have sent is not counted: {text}"
+            f"motor {motor} cannot be connected, so its traffic is not counted: {text}"
             for motor, text in failed.items()
             if rig.description.motors[motor].bus == name
         ]
@@ -88,7 +88,7 @@ class _Bus:
         self._is_reserved = is_canopen_reserved if self._is_canopen else reserves_nothing
 
     def subject(self) -> Subject:
-        """The bus with all that is known to be sent on it."""
+        """Return the bus with all known messages."""
         description = self._rig.description
         told = declared(description, self._name)
         if told is None:
@@ -133,7 +133,7 @@ class _Bus:
         )
 
     def _add(self, messages: Iterable[Message]) -> None:
-        """These, too; of one identifier the worse counts."""
+        """Add these messages; the worse one counts if an identifier is known already."""
         for message in messages:
             known = self._found.get(message.rank)
             self._found[message.rank] = message if known is None else _worse(known, message)
@@ -153,7 +153,7 @@ class _Bus:
             )
 
     def _repeats(self) -> dict[int, int]:
-        """How often each node repeats what it tells by itself, by node-ID [ns]."""
+        """Return the repetition period of each node's spontaneous messages by node-ID [ns]."""
         found: dict[int, int] = {}
         for name, described in self._rig.description.motors.items():
             options = getattr(getattr(self._rig.motors[name], "hardware", None), "options", None)
@@ -163,9 +163,9 @@ class _Bus:
         return found
 
     def _message(self, one: PeriodicMessage, sender: str, source: str) -> Message:
-        """Heartbeats and SYNC are sent by the clock; of all else only a least distance is known.
+        """Return a message for the analysis; heartbeat and SYNC are periodic, the rest sporadic.
 
-        What a node tells by itself must arrive before it repeats it.
+        The deadline of a node's spontaneous message is its repetition.
         """
         is_sync = one.can_id in self._syncs
         by_clock = one.can_id >= 0x700 or is_sync
@@ -192,7 +192,7 @@ class _Bus:
         return "" if one.extended else usual_name(one.can_id, _numbered(self._nodes))
 
     def _link(self) -> "CanopenLink | None":
-        """What motors of this bus share."""
+        """Return the link that the motors of this bus share, or None."""
         for name, described in self._rig.description.motors.items():
             if described.bus == self._name:
                 hardware = getattr(self._rig.motors[name], "hardware", None)
@@ -217,11 +217,11 @@ class _Bus:
             periods = [one.period_ns for one in self._set_points()]
             period_s = min(periods) / 1e9 if periods else None
         if period_s is None and self._is_canopen:
-            self._notes.append("no cyclic SYNC; --sync S takes it as sent every S seconds")
+            self._notes.append("no cyclic SYNC; --sync S assumes one every S seconds")
         return period_s
 
     def _set_points(self) -> list[Message]:
-        """One for each drive that can take them, as motorapi streams them."""
+        """Return one set-point per capable drive, as motorapi streams them."""
         from motorapi.adaptations.cia402_hardware import Cia402HwMotor
 
         found: list[Message] = []
@@ -257,7 +257,7 @@ def _declared(one: Declared, is_reserved: Reserved) -> Message:
 
 
 def _worse(one: Message, other: Message) -> Message:
-    """At least as bad as both: a CAN FD frame that is not switched is longer than a classical."""
+    """Return a message at least as bad as both; an unswitched CAN FD frame is the longest."""
     deadlines = [each.deadline_ns for each in (one, other) if each.deadline_ns is not None]
     return replace(
         other,
@@ -277,5 +277,5 @@ def _numbered(nodes: dict[int | None, str]) -> dict[int, str]:
 
 
 def _floor_ns(time_s: float) -> int:
-    """Rounded down to whole nanoseconds, but for what floating point adds."""
+    """Return the time rounded down to whole ns [ns], tolerating floating-point errors."""
     return int(round(time_s * 1e12) // 1000)

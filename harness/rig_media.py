@@ -1,4 +1,4 @@
-"""The media of a rig, made from what its file says of each bus."""
+"""Construction of a rig's buses and lines from their descriptions."""
 
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
@@ -27,14 +27,14 @@ def add_bus(
     random: Callable[[], float],
     clocks: Mapping[str, int],
 ) -> None:
-    """The bus, or line, exists in the world, with what goes wrong there.
+    """Add the bus or line to the world, with its faults.
 
     Args:
-        world: of the rig.
-        bus: what the file says of it.
-        rules: of its faults, in the order of the file.
-        random: its stream of the run's seed.
-        clocks: by how much controllers' clocks are off, by name, as of `own_clocks`.
+        world: the rig's world.
+        bus: description of the bus.
+        rules: rules of its faults, in the order of the file.
+        random: its random stream, derived from the run's seed.
+        clocks: clock errors of controllers by name, as returned by `own_clocks`.
     """
     if not bus.is_line:
         frames = [rule for rule in rules if isinstance(rule, FaultRule)]
@@ -56,14 +56,14 @@ def add_bus(
 
 
 def own_clocks(description: "RigDescription", bus: str, seed: int) -> dict[str, int]:
-    """How much faster than true the clocks of a bus's controllers run [1e-12], of those that do.
+    """Return the clock errors of a bus's controllers by name [1e-12]; positive runs fast.
 
-    A controller's frames are sent by the oscillator that its firmware runs by.
+    A controller sends its frames with the oscillator of its firmware. Exact clocks are omitted.
     """
     clocks: dict[str, int] = {}
     for controller in description.controllers.values():
         if controller.bus == bus and "oscillator" in controller.settings:
-            with suppress(SettingError):  # whoever builds the controller tells where it is
+            with suppress(SettingError):  # reported with its line when the controller is built
                 own = oscillator_in(controller.settings, f"{seed}:{controller.name}")
                 if own.error_1e12:
                     clocks[controller.name] = own.error_1e12

@@ -1,4 +1,4 @@
-"""The motor models of a rig, each read once, from its own file or out of the rig's."""
+"""Motor models of a rig, from their own files or its."""
 
 from pathlib import Path
 
@@ -9,7 +9,7 @@ from motorapi.model import MotorModel
 
 
 def read_models(description: RigDescription) -> dict[str, MotorModel]:
-    """The models of all motors, each file read once. Raises as `_model`."""
+    """Read the models of all motors, each file once. Raises as `_model` does."""
     files: dict[Path, MotorModel] = {}
     models: dict[str, MotorModel] = {}
     for name, motor in description.motors.items():
@@ -21,10 +21,10 @@ def read_models(description: RigDescription) -> dict[str, MotorModel]:
 
 
 def _model(description: RigDescription, motor: str) -> MotorModel:
-    """The motor's model, from its own file or the rig's.
+    """Read the motor's model from its own file or from the rig.
 
     Raises:
-        RigError: with the file and line of the model, wherever it stands.
+        RigError: the model has an error; names its file and line.
     """
     described: MotorDescription = description.motors[motor]
     path = ("motor", motor, "model")

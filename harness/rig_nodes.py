@@ -1,15 +1,16 @@
-"""The `[bus.NAME.node.NAME]` tables of a rig: how a node's CAN controller is set up.
+"""`[bus.NAME.node.NAME]` tables of a rig: settings of CAN controllers.
 
 queue = "fifo"            or "priority": which of its pending frames competes
-frames = "classical"      or "fd_tolerant", "fd": which frames it can stand; hosts on a bus with a
+frames = "classical"      or "fd_tolerant", "fd": frames that it supports; hosts on a bus with a
                           data bit rate are "fd"
-one_shot = false          a frame that fails, or loses arbitration, is not sent again
-recovery_s = 0.0          after bus-off, before it counts the 128 x 11 recessive bits; or "command"
-error_reporting = false   it is told every error, not only when its state changes
-oscillator_ppm = 0.0      how much too fast its CAN controller's clock runs; without it, as the
-                          controller's own table `oscillator` says
-time_quanta = 16          in a bit time; with sample_point = 14 and jump_width = 1 of them
-silent = false            it is no controller of the rig: a node that acknowledges, and says nothing
+one_shot = false          true: no retransmission after an error or a lost arbitration
+recovery_s = 0.0          delay after bus-off before it counts the 128 x 11 recessive bits;
+                          or "command"
+error_reporting = false   true: reports every error, not only changes of its state
+oscillator_ppm = 0.0      clock error of its CAN controller, positive if fast; default: the
+                          `oscillator` of the controller's own table
+time_quanta = 16          per bit time; with sample_point = 14 and jump_width = 1 of them
+silent = false            true: not a controller of the rig, but a node that only acknowledges
 """
 
 from collections.abc import Mapping, Sequence
@@ -36,10 +37,10 @@ RECOVERY_MAX_S: Final = 1e6
 
 
 def read_nodes(bus: Table) -> Mapping[str, CanNode]:
-    """The CAN controllers that a bus says something of, by node.
+    """Read the CAN controllers that a bus's table configures, by node.
 
     Raises:
-        RigError: the first thing wrong in them.
+        RigError: the first error in them.
     """
     tables = bus.table("node")
     fd = bus.has("data_bitrate_bit_s")
@@ -48,19 +49,19 @@ def read_nodes(bus: Table) -> Mapping[str, CanNode]:
 
 
 def silent_nodes(bus: Table) -> tuple[str, ...]:
-    """Those of them that are no controllers.
+    """Return the nodes that are not controllers of the rig and only acknowledge.
 
     Raises:
-        RigError: one says so of the host's interface, or has no name of its own.
+        RigError: the host's interface is declared silent, or a name is reserved.
     """
     tables = bus.table("node")
     silent = [name for name in tables.values if tables.table(name).flag("silent", False)]
     if HOST in silent:
-        raise tables.table(HOST).error("silent", "applications send by it", "take it out")
+        raise tables.table(HOST).error("silent", "applications send through it", "take it out")
     for name in silent:
         tables.refuse_no_name(name)
         if name.startswith(f"{HOST}-"):
-            raise tables.error(name, "is what applications' ports are called", "rename it")
+            raise tables.error(name, "is reserved for ports of applications", "rename it")
     return tuple(silent)
 
 
@@ -71,7 +72,7 @@ def refuse_strangers(
     silent: Sequence[str],
     known: Sequence[str],
 ) -> None:
-    """Raises RigError at the first of a bus's `nodes` that is not `known` there, nor `silent`."""
+    """Raise RigError for the first of a bus's `nodes` that is neither `known` nor `silent`."""
     for name in nodes:
         path = ("bus", bus, "node", name)
         if name in silent and name in known:
@@ -115,8 +116,8 @@ def _timing(table: Table) -> BitTiming:
     elif sample > last:
         raise table.error(
             "time_quanta",
-            f"{quanta} quanta have no place for the usual sample point, {sample}",
-            f"write sample_point = {quanta * 7 // 8}",  # CiA 301 wants 87.5 %
+            f"{quanta} quanta leave no room for the usual sample point, {sample}",
+            f"write sample_point = {quanta * 7 // 8}",  # CiA 301 recommends 87.5 %
         )
     high = quanta - sample
     unit = "quanta behind the sample point"

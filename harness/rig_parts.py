@@ -1,4 +1,4 @@
-"""What an open rig hands out: its controllers, its faults, and things by name."""
+"""Parts of an open rig: controllers, faults, and mappings by name."""
 
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
@@ -15,9 +15,11 @@ T = TypeVar("T")
 
 @final
 class RigController:
-    """An emulated controller of an open rig: what happens to it physically, and the truth in it.
+    """An emulated controller of an open rig: its physical inputs and its true state.
 
-    Attributes: name; core, the controller itself.
+    Attributes:
+        name: name in the rig.
+        core: the controller itself.
     """
 
     def __init__(self, name: str, core: Controller, world: World) -> None:
@@ -26,28 +28,28 @@ class RigController:
         self._world = world
 
     def stimulate(self, stimulus: str, value: float) -> None:
-        """A physical input (load, switch) has this value from now on.
+        """Set a physical input (load, switch) to this value from now on.
 
         Raises:
-            ValueError: there is no such input; names the known ones.
+            ValueError: the input does not exist; names the known ones.
         """
         self._world.stimulate(self.name, stimulus, value)
 
     def snapshot(self) -> Mapping[str, float]:
-        """The truth inside now, units in the keys. Looking changes nothing."""
+        """Return the true state now, units in the keys. Has no side effects."""
         return self._world.snapshot(self.name)
 
 
 @final
 @dataclass(frozen=True, slots=True)
 class NodeState:
-    """How a node of a CAN bus takes part.
+    """The state of a node of a CAN bus.
 
     Attributes:
         state: error active, above the warning limit, error passive, or bus-off.
         tec, rec: its error counters.
-        errors: how many errors it has noticed.
-        aborted: how many frames of its were given up: bus-off, or one-shot.
+        errors: number of errors that it has detected.
+        aborted: number of its frames abandoned because of bus-off or one-shot mode.
     """
 
     state: ErrorState
@@ -59,17 +61,18 @@ class NodeState:
 
 @final
 class RigFaults:
-    """What goes wrong in an open rig, and what has."""
+    """The faults of an open rig, to inject and to query."""
 
     def __init__(self, world: World) -> None:
         self._world = world
 
     def inject(self, bus: str, rule: FaultRule | SerialFaultRule) -> None:
-        """The rule holds on the bus, or line, from now on.
+        """Apply the rule to the bus or line from now on.
 
         Raises:
-            ValueError: there is no such bus, it has had a rule of that name, or the rule is for
-                another kind of bus.
+            ValueError: the bus does not exist, it has had a rule of that name, or the rule is for
+                another
+                kind of bus.
         """
         plan = self._plan(bus)
         if plan is None and isinstance(rule, FaultRule):
@@ -81,7 +84,7 @@ class RigFaults:
             raise ValueError(f"bus {bus}: rule {rule.name}: its faults are of class {right}")
 
     def _plan(self, bus: str) -> SerialFaultPlan | None:
-        """Of a line; None: it is a CAN bus."""
+        """Return the fault plan of a line, or None for a CAN bus."""
         if bus in self._world.line_names():
             return self._world.line(bus).plan
         self._require_bus(bus)
@@ -91,13 +94,13 @@ class RigFaults:
         names = self._world.bus_names()
         if bus not in names:
             known = ", ".join(names) or "none"
-            raise ValueError(f"no CAN bus {bus!r} in this rig (known: {known})")
+            raise ValueError(f"this rig has no CAN bus {bus!r} (known: {known})")
 
     def lift(self, bus: str, name: str) -> None:
-        """The rule of this name holds no longer; its count stays.
+        """End the rule of this name; its count stays.
 
         Raises:
-            ValueError: there is no such bus, or it has no such rule.
+            ValueError: the bus does not exist, or has no such rule.
         """
         plan = self._plan(bus)
         if plan is None:
@@ -106,10 +109,10 @@ class RigFaults:
             plan.remove(name)
 
     def bus_state(self, bus: str) -> dict[str, NodeState]:
-        """How each node of the bus takes part now, by name, in the order of its ports.
+        """Return the state of each node of the bus by name, in the order of its ports.
 
         Raises:
-            ValueError: there is no such CAN bus.
+            ValueError: the CAN bus does not exist.
         """
         self._require_bus(bus)
         core = self._world.bus(bus)
@@ -126,16 +129,16 @@ class RigFaults:
         }
 
     def restart(self, bus: str, node: str) -> None:
-        """A node that is bus-off begins now to wait for the 128 x 11 recessive bits.
+        """Restart a bus-off node: it waits for 128 x 11 recessive bits from now on.
 
         Raises:
-            ValueError: there is no such bus, no such node on it, or it is not bus-off.
+            ValueError: the bus or the node does not exist, or the node is not bus-off.
         """
         self._require_bus(bus)
         self._world.restart(bus, node)
 
     def fired(self) -> dict[str, int]:
-        """How often each rule has fired, over all buses, in the order of adding."""
+        """Return how often each rule has fired, over all buses, in the order of addition."""
         counts: dict[str, int] = {}
         for bus in self._world.bus_names():
             for name, count in self._world.bus(bus).faults_fired().items():
@@ -149,7 +152,7 @@ class RigFaults:
 
 @final
 class NoSuchName(KeyError):  # noqa: N818 -- it says what happened, as the errors of motorapi
-    """A rig has no such motor, controller, bus or group; the message names those it has."""
+    """A rig has no such motor, controller, bus or group; the message names the known ones."""
 
     def __str__(self) -> str:
         return str(self.args[0])
@@ -157,7 +160,7 @@ class NoSuchName(KeyError):  # noqa: N818 -- it says what happened, as the error
 
 @final
 class Named(Mapping[str, T], Generic[T]):
-    """Things of a rig by name, each made when it is first asked for; in the order of the file."""
+    """Things of a rig by name, each created on first use, in the order of the file."""
 
     def __init__(self, what: str, names: Iterable[str], make: Callable[[str], T]) -> None:
         self._what = what
@@ -166,15 +169,15 @@ class Named(Mapping[str, T], Generic[T]):
         self._made: dict[str, T] = {}
 
     def __getitem__(self, name: str) -> T:
-        """The thing of this name.
+        """Return the thing of this name.
 
         Raises:
-            NoSuchName: there is none; a KeyError that names those there are.
+            NoSuchName: the name is unknown; a KeyError that names the known ones.
         """
         if name not in self._made:
             if name not in self._names:
                 known = ", ".join(self._names) or "none"
-                raise NoSuchName(f"no {self._what} {name!r} in this rig (known: {known})")
+                raise NoSuchName(f"this rig has no {self._what} {name!r} (known: {known})")
             self._made[name] = self._make(name)
         return self._made[name]
 

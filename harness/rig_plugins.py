@@ -1,4 +1,4 @@
-"""A rig's plugins at work: loaded, called, and blamed with the rig's line when they fail."""
+"""Plugins of a rig: loading, calling, and errors with line numbers."""
 
 import traceback
 from collections.abc import Callable, Iterator
@@ -20,21 +20,21 @@ if TYPE_CHECKING:
     from motorapi.runtime import Runtime
 
 _OF_MOTORS: Final = ("close", "latest", "ownership")
-"""By these a rig knows a motor; what wraps one has them, too."""
+"""Attributes by which a rig recognises a motor; wrappers of motors have them too."""
 
 
 @final
 class RigPlugins:
-    """What builds the controllers and motors of one rig."""
+    """The plugins that build the controllers and motors of one rig."""
 
     def __init__(self, description: RigDescription) -> None:
         self._description: Final = description
 
     def load(self, plugin: Plugin, path: tuple[str, ...]) -> Callable[..., Any]:
-        """What builds one, which the value at `path` names.
+        """Return the build function of the plugin that the value at `path` names.
 
         Raises:
-            BrokenPluginError: it cannot be imported.
+            BrokenPluginError: the plugin cannot be imported.
         """
         try:
             return plugin.load()
@@ -50,7 +50,7 @@ class RigPlugins:
     def require_kind(
         self, build: Callable[..., Any], bus: str, what: str, path: tuple[str, ...]
     ) -> None:
-        """What is built can be on a bus of that kind.
+        """Check that the built object can be on a bus of this kind.
 
         Raises:
             RigError: it cannot.
@@ -60,13 +60,13 @@ class RigPlugins:
         if found not in kinds:
             raise self._description.error(
                 path,
-                f'{what} is for buses of kind {", ".join(kinds)}, and "{bus}" is {found}',
-                "put it on another bus, or take another kind",
+                f'{what} is for buses of kind {", ".join(kinds)}, but "{bus}" is {found}',
+                "put it on another bus, or use another kind",
             )
 
     @contextmanager
     def blaming(self, plugin: Plugin, path: tuple[str, ...]) -> Iterator[None]:
-        """What goes wrong inside, and is no RigError, is told as the plugin's failure."""
+        """Raise any error within the context, except RigError, as the plugin's failure."""
         try:
             yield
         except RigError:
@@ -77,7 +77,7 @@ class RigPlugins:
                 path,
                 f'plugin "{plugin.name}" failed: {type(error).__name__}: {error} '
                 f"({frame.filename}:{frame.lineno})",
-                f"mend it, or tell who made {plugin.package or 'it'}",
+                f"fix it, or report it to the author of {plugin.package or 'the plugin'}",
                 BrokenPluginError,
             ) from error
 
@@ -89,17 +89,17 @@ class RigPlugins:
         open_link: Callable[[str], object],
         controller: "Controller | None" = None,
     ) -> "tuple[Motor, Callable[[], None], str]":
-        """A motor of the rig, what closes it, and what a person should know of it, or "".
+        """Return a motor of the rig, the function that closes it, and a note about it, or "".
 
         Args:
-            name: in the rig.
-            model: its own.
-            runtime: the time it lives in.
-            open_link: gives the bus or line of that name.
-            controller: the emulated one behind it, if it is of the same process.
+            name: its name in the rig.
+            model: its model.
+            runtime: the Runtime in which it waits.
+            open_link: returns the bus or line of a name.
+            controller: its emulated controller, if that is in the same process.
 
         Raises:
-            RigError: it cannot be built as the rig describes it.
+            RigError: the motor cannot be built as the rig describes it.
         """
         description = self._description
         motor = description.motors[name]
@@ -120,14 +120,14 @@ class RigPlugins:
             try:
                 built: Motor = build(link, settings, model, runtime)
             except UsageError as error:
-                word = str(error).partition(" ")[0].rstrip(":")  # mostly the key at fault
+                word = str(error).partition(" ")[0].rstrip(":")  # usually the wrong key
                 path = (*place, word) if word in settings else place
                 raise description.error(path, str(error), "correct its settings") from error
         if isinstance(built, type) or not all(hasattr(built, one) for one in _OF_MOTORS):
             raise description.error(
                 (*place, "adaptation"),
-                f'plugin "{plugin.name}" built {a_kind_of(built)}, which is no motorapi.Motor',
-                "let its function return one",
+                f'plugin "{plugin.name}" built {a_kind_of(built)}, which is not a motorapi.Motor',
+                "its function must return a motorapi.Motor",
                 BrokenPluginError,
             )
         return built, built.close, note

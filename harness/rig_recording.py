@@ -1,4 +1,4 @@
-"""The record of an open rig: what was put together, and taps on everything that happens in it."""
+"""Recording of an open rig: attached files, and taps on all events."""
 
 import hashlib
 import sys
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from motorapi.motor import Motor
     from motorapi.synchronization import SyncQuality
 
-_ON_ITS_WAY = 8  # frames, and silences behind them
+_ON_ITS_WAY = 8  # frames, and the silences after them
 _START, _END = 1, 2  # motorhil.GroupSync.Phase
 
 
@@ -33,14 +33,14 @@ def start_recording(
     world: "World",
     before: Iterable[tuple[int, str, str, str]],
 ) -> Recorder:
-    """Everything that happens in the world from now on is written to `target`.
+    """Start to record everything that happens in the world to `target`.
 
     Args:
         target: the MCAP file.
-        description: of the rig; its file and those it names are attached.
-        seed: of the run.
-        world: buses and controllers, all of them.
-        before: (time, level, source, text) of what happened already.
+        description: the rig's description; its file and the files it names are attached.
+        seed: seed of the run.
+        world: all buses and controllers.
+        before: (time [ns], level, source, text) of events that have already happened.
 
     Raises:
         TraceError: the file cannot be written.
@@ -72,7 +72,7 @@ def start_recording(
 
 
 def end_recording(recorder: Recorder, world: "World") -> None:
-    """The record is complete, with what was still on its way over a serial line."""
+    """Complete the record, including frames that are still in transit on serial lines."""
     for name in world.line_names():
         segment = world.line(name)
         if isinstance(segment, SerialSegment):
@@ -87,9 +87,9 @@ def end_recording(recorder: Recorder, world: "World") -> None:
 def watch_motor(
     recorder: Recorder, motor: "Motor", description: MotorDescription, world: "World"
 ) -> None:
-    """The motor's state is recorded while it changes, and its lock, under the rig's name of it.
+    """Record the motor's state while it changes, and its lock, under its name in the rig.
 
-    Of most kinds of motors their bus tells whose they are; others tell it themselves.
+    Most buses announce the owners of their motors; other motors announce them here.
     """
     bus, controller = description.bus, description.controller
     heard = () if bus is None or controller is None else ((bus, controller),)
@@ -100,13 +100,13 @@ def watch_motor(
 
 
 def watch_group(recorder: Recorder, group: "MotorGroup", name: str, world: "World") -> None:
-    """How well each start of the group was synchronised is recorded when it has been waited for."""
+    """Record how well each start of the group was synchronised, once it has been waited for."""
     group.observe(_GroupObserver(recorder, name, world).told)
 
 
 @final
 class _GroupObserver:
-    """Writes a START and an END message for each synchronised motion."""
+    """A writer of a START and an END message for each synchronised motion."""
 
     def __init__(self, recorder: Recorder, name: str, world: "World") -> None:
         self._recorder = recorder
@@ -146,7 +146,7 @@ class _GroupObserver:
 
 @final
 class _Reader:
-    """What an application knows of a motor, without asking it."""
+    """A reader of what an application knows of a motor without querying it."""
 
     def __init__(self, motor: "Motor") -> None:
         self._motor = motor

@@ -1,4 +1,4 @@
-"""The `[[stimulus]]` tables of a rig: what happens to a controller physically, and when."""
+"""`[[stimulus]]` tables of a rig: timed physical inputs of controllers."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -20,7 +20,7 @@ _TIME_MAX_S: Final = 1e9
 @final
 @dataclass(frozen=True, slots=True)
 class StimulusDescription:
-    """From `at_ns` on the controller's physical input `name` has this value.
+    """A value of the controller's physical input `name` from `at_ns` on.
 
     `path` leads to its table in the rig file.
     """
@@ -33,10 +33,10 @@ class StimulusDescription:
 
 
 def read_stimuli(root: Table, controllers: Sequence[str]) -> tuple[StimulusDescription, ...]:
-    """The stimuli of a rig, in the order of the file.
+    """Return the stimuli of a rig, in the order of the file.
 
     Raises:
-        RigError: the first thing wrong in them, short of what only the controller knows.
+        RigError: the first error in them, except errors that only the controller can detect.
     """
     return tuple(_stimulus(table, controllers) for table in root.listed_tables("stimulus"))
 
@@ -55,14 +55,14 @@ def _stimulus(table: Table, controllers: Sequence[str]) -> StimulusDescription:
 
 @final
 class _Occurrence:
-    """One stimulus on the agenda."""
+    """One scheduled stimulus."""
 
     def __init__(self, world: World, stimulus: StimulusDescription) -> None:
         self._world = world
         self._stimulus = stimulus
 
     def happen(self, now_ns: int) -> None:
-        """It is told, and comes."""
+        """Report the stimulus and apply it."""
         one = self._stimulus
         self._world.report(now_ns, "info", one.controller, f"stimulus {one.name} = {one.value:g}")
         self._world.stimulate(one.controller, one.name, one.value)
@@ -73,12 +73,12 @@ def schedule(
     world: World,
     build: "Callable[[ControllerDescription], Controller]",
 ) -> None:
-    """Every stimulus will come at its time.
+    """Schedule every stimulus.
 
-    A controller like the one that is meant, built for this alone, says now what it would refuse.
+    A twin of each controller, built for this purpose only, checks them in advance.
 
     Raises:
-        RigError: there is no such stimulus, or it has no such value.
+        RigError: the stimulus does not exist, or cannot have this value.
     """
     twins: dict[str, Controller] = {}
     for stimulus in description.stimuli:

@@ -1,8 +1,8 @@
-"""What a rig's file says of the traffic on its buses, and what its own controllers add to it.
+"""Traffic of a rig's buses: declarations, and its own controllers.
 
-`[[bus.NAME.message]]` tells what others send there. It is a declaration: with it (or with
-`message = []`, if there are no others) the traffic on that bus is known, and motorapi can tell how
-long a start takes at most. Nobody sends these messages because they stand here.
+`[[bus.NAME.message]]` declares a message that others send. `message = []` declares that there are
+no others. With a declaration the traffic on that bus is known, and motorapi can bound the delay of
+a start. A declaration does not send anything.
 """
 
 from collections.abc import Mapping
@@ -25,7 +25,7 @@ _EFF_MAX: Final = 0x1FFF_FFFF
 _PERIOD_MIN_S: Final = 1e-6
 _TIME_MAX_S: Final = 1e6
 _CLASSICAL_MAX: Final = 8
-_BOOT_UP_S: Final = 1.0  # between two boots of a node that sends no heartbeat
+_BOOT_UP_S: Final = 1.0  # between two boots of a node without heartbeat
 _HEARTBEAT_ID: Final = 0x700
 _HEARTBEAT_TIME: Final = 0x1017
 _SYNC_COB_ID: Final = 0x1005
@@ -37,15 +37,15 @@ _SENDS_SYNC: Final = 1 << 30
 def read_messages(
     bus: Table, bitrate_bit_s: int, data_bitrate_bit_s: int | None
 ) -> tuple[PeriodicMessage, ...] | None:
-    """What others send on a bus; None: its traffic is not declared.
+    """Read the messages that others send on a bus; None if its traffic is not declared.
 
     Args:
         bus: its table.
-        bitrate_bit_s: of the bus.
-        data_bitrate_bit_s: of its CAN FD frames; None: it is classical.
+        bitrate_bit_s: bit rate of the bus [bit/s].
+        data_bitrate_bit_s: bit rate of its CAN FD data [bit/s]; None for classical CAN.
 
     Raises:
-        RigError: the first thing wrong in it.
+        RigError: the first error in them.
     """
     if not bus.has("message"):
         return None
@@ -57,15 +57,15 @@ def read_messages(
             raise table.error(
                 "fd",
                 f'bus "{bus.path[-1]}" is classical CAN',
-                "give it a data_bitrate_bit_s, or take fd out",
+                "give it a data_bitrate_bit_s, or remove fd",
             )
         for place, other in enumerate(messages):
             if other.rank == message.rank:
                 line = bus.source.line((*bus.path, "message", place))
                 raise table.error(
                     "identifier",
-                    f"{message.name} is declared already (line {line})",
-                    "one sender each: give the shorter period and the greater length once",
+                    f"{message.name} is already declared (line {line})",
+                    "declare it once, with the shorter period and the greater length",
                 )
         messages.append(message)
         traffic = CanTraffic(bitrate_bit_s, data_bitrate_bit_s=data_bitrate_bit_s)
@@ -74,7 +74,7 @@ def read_messages(
             raise table.error(
                 "period_s",
                 f"the messages up to this one take {busy:.0%} of the bus",
-                "a longer period, or a higher bit rate",
+                "use a longer period, or a higher bit rate",
             )
     return tuple(messages)
 
@@ -82,12 +82,12 @@ def read_messages(
 @final
 @dataclass(frozen=True, slots=True)
 class Declared:
-    """A declared message, with what only the analysis of response times asks.
+    """A declared message, with data that only the response-time analysis needs.
 
     Attributes:
-        message: as motorapi takes it.
-        deadline_s: how long it may take [s]; its period, if nobody says.
-        sender: whose queue it waits in; "": nothing else is in that.
+        message: the message as motorapi uses it.
+        deadline_s: largest permitted response time [s]; default: its period.
+        sender: node in whose queue it waits; "" for a queue of its own.
     """
 
     message: PeriodicMessage
@@ -96,10 +96,10 @@ class Declared:
 
 
 def declared(description: "RigDescription", bus: str) -> tuple[Declared, ...] | None:
-    """What others send on a bus; None: its traffic is not declared.
+    """Return the declared messages of others on a bus, or None if there is no declaration.
 
     Raises:
-        RigError: the first thing wrong in it.
+        RigError: the first error in them.
     """
     table = description.source.root().table("bus").table(bus)
     if not table.has("message"):
@@ -122,8 +122,8 @@ def _message(table: Table) -> PeriodicMessage:
     high = _EFF_MAX if extended else _SFF_MAX
     fd, switched = table.flag("fd", False), table.flag("bit_rate_switch", False)
     if switched and not fd:
-        message = "only CAN FD frames switch the bit rate"
-        raise table.error("bit_rate_switch", message, "write fd = true, or take it out")
+        message = "only CAN FD frames can switch the bit rate"
+        raise table.error("bit_rate_switch", message, "write fd = true, or remove it")
     return PeriodicMessage(
         can_id=table.integer("identifier", low=0, high=high, example="0x181"),
         length=_length(table, fd),
@@ -141,19 +141,19 @@ def _length(table: Table, fd: bool) -> int:
     length = table.integer("length", low=0, high=FD_LENGTHS[-1], unit="bytes", example="8")
     if length > _CLASSICAL_MAX and not fd:
         message = f"{length} bytes is out of range; allowed: 0 to {_CLASSICAL_MAX} bytes"
-        raise table.error("length", message, "of CAN FD, with fd = true, up to 64")
+        raise table.error("length", message, "with fd = true (CAN FD) up to 64 bytes")
     if length not in FD_LENGTHS:
         padded = next(one for one in FD_LENGTHS if one > length)
-        message = f"no CAN FD frame has {length} bytes"
-        raise table.error("length", message, f"it is padded: write length = {padded}")
+        message = f"CAN FD frames cannot have {length} bytes"
+        raise table.error("length", message, f"the frame is padded: write length = {padded}")
     return length
 
 
 def traffic_of(description: "RigDescription", bus: str) -> CanTraffic | None:
-    """What is sent on a bus beside what motors have their controllers send; None: not declared.
+    """Return a bus's traffic apart from what motors configure, or None if undeclared.
 
-    A controller that no motor has brought up says no more than that it has booted, and its
-    heartbeat and SYNC where its table sets them.
+    A controller that no motor has configured contributes its boot-up message, and heartbeat and
+    SYNC if its table enables them.
     """
     described = description.buses[bus]
     if described.messages is None:
@@ -167,7 +167,7 @@ def traffic_of(description: "RigDescription", bus: str) -> CanTraffic | None:
 
 
 def heartbeats(description: "RigDescription", bus: str) -> list[PeriodicMessage]:
-    """What the controllers of a bus send though no motor has brought them up."""
+    """Return the heartbeat and boot-up messages of a bus's unconfigured controllers."""
     return [
         PeriodicMessage(_HEARTBEAT_ID + node.node_id, 1, _heartbeat_s(node))
         for node in description.controllers.values()
@@ -181,7 +181,7 @@ def _heartbeat_s(controller: "ControllerDescription") -> float:
 
 
 def syncs(description: "RigDescription", bus: str) -> list[tuple[str, PeriodicMessage]]:
-    """SYNC, with its sender's name, of controllers whose table makes them send it (CiA 301)."""
+    """Return SYNC with its sender's name for controllers whose table enables it (CiA 301)."""
     found: list[tuple[str, PeriodicMessage]] = []
     for node in description.controllers.values():
         cob_id, period_us = _object(node, _SYNC_COB_ID), _object(node, _SYNC_PERIOD)
@@ -193,7 +193,7 @@ def syncs(description: "RigDescription", bus: str) -> list[tuple[str, PeriodicMe
 
 
 def _object(controller: "ControllerDescription", index: int) -> int:
-    """A power-on value that the controller's table sets; 0: it sets none."""
+    """Return a power-on value that the controller's table sets, or 0."""
     objects = controller.settings.get("objects")
     if isinstance(objects, Mapping):
         for key in (f"{index:04X}h", f"{index:04X}"):

@@ -1,4 +1,4 @@
-"""The shipped examples, and how one of them becomes a new rig of one's own, with its CI."""
+"""Shipped examples, and new rigs with CI jobs made from them."""
 
 import shlex
 from collections.abc import Iterable, Mapping
@@ -10,8 +10,8 @@ from harness.settings import RigError
 
 EXAMPLES: Final = Path(__file__).parent / "examples"
 SCHEMA: Final = Path(__file__).parent / "rig.schema.json"
-_START: Final = "two_wheels"  # what a new rig begins as
-_FILES: Final = (  # (in the examples, in the new folder)
+_START: Final = "two_wheels"  # the example that a new rig starts from
+_FILES: Final = (  # (name among the examples, name in the new folder)
     (f"{_START}.toml", "rig.toml"),
     ("wheel_model.toml", "wheel_model.toml"),
     (f"{_START}.py", "drive.py"),
@@ -23,32 +23,32 @@ CI_FILES: Final = {"github": ".github/workflows/motors.yml", "gitlab": ".gitlab-
 
 
 def example_rigs() -> list[Path]:
-    """The shipped rigs, in alphabetical order; the other TOML files beside them are models."""
+    """Return the shipped rigs in alphabetical order, without the motor models beside them."""
     return [
         path for path in sorted(EXAMPLES.glob("*.toml")) if "\n[motor." in path.read_text("utf-8")
     ]
 
 
 def first_comment(path: Path) -> str:
-    """What a file says about itself in its first line, if that is a comment."""
+    """Return the first line of a file if it is a comment, else ""."""
     with path.open(encoding="utf-8") as file:
         line = file.readline().strip()
     return line.removeprefix("#").strip() if line.startswith("#") else ""
 
 
 def write_new_rig(folder: Path, ci: str | None = None) -> list[Path]:
-    """A working rig, a motor model, a script and the schema for editors are in the folder.
+    """Write a working rig, a motor model, a script and the editors' schema into the folder.
 
     Args:
-        folder: where; it is made if missing.
-        ci: also write such a CI job, one of CI_FILES, into the current folder; a rig that is in
-            `folder` already then stays as it is.
+        folder: the folder; created if missing.
+        ci: also write this CI job, one of CI_FILES, into the current folder; an existing rig in
+            `folder` then stays as it is.
 
     Returns:
         The files written.
 
     Raises:
-        RigError: one of them is there already, or cannot be written.
+        RigError: a file exists already, or cannot be written.
     """
     is_there = ci is not None and (folder / "rig.toml").exists()
     rig = {} if is_there else _rig(folder)
@@ -70,12 +70,14 @@ def _rig(folder: Path) -> dict[Path, str]:
 
 
 def _job(kind: str, folder: Path) -> dict[Path, str]:
-    """What runs tests with the folder's rig, and its helper."""
+    """Return the CI job that runs tests with the folder's rig, and its helper script."""
     try:
         place = folder.resolve().relative_to(Path.cwd())
     except ValueError:
         raise RigError(
-            folder, "is not in the current folder, where the CI job will be", "go there first"
+            folder,
+            "is not in the current folder, where the CI job is written",
+            "change to its parent folder first",
         ) from None
     job = (_CI / f"{kind}.yml").read_text("utf-8")
     for name in ("rig.toml", "drive.py"):
@@ -89,7 +91,7 @@ def _job(kind: str, folder: Path) -> dict[Path, str]:
 def _refuse_existing(paths: Iterable[Path], remedy: str) -> None:
     for path in paths:
         if path.exists():
-            raise RigError(path, "is there already", remedy)
+            raise RigError(path, "already exists", remedy)
 
 
 def _write(folder: Path, texts: Mapping[Path, str]) -> None:
@@ -111,7 +113,7 @@ def _write(folder: Path, texts: Mapping[Path, str]) -> None:
 
 
 def _take_back(files: Iterable[Path], folders: Iterable[Path]) -> None:
-    """None of these is there, as far as that can be had."""
+    """Delete these files and folders, as far as possible."""
     with suppress(OSError):
         for path in files:
             path.unlink()

@@ -1,4 +1,4 @@
-"""A user's program inside an open rig: how it finds the bus, and how it is told what went wrong."""
+"""User's program inside an open rig: bus, threads and errors."""
 
 import builtins
 import code
@@ -31,7 +31,7 @@ _OWN_FOLDER: Final = str(Path(__file__).parent.parent) + os.sep
 _PACKAGES: Final = ("motorapi", "emulators", "traces", "harness")
 _OWN_PACKAGES: Final = tuple(
     folder + package + os.sep
-    for folder in (_OWN_FOLDER, "")  # compiled modules do not know where they are
+    for folder in (_OWN_FOLDER, "")  # compiled modules do not know their path
     for package in _PACKAGES
 )
 
@@ -39,7 +39,7 @@ _OWN_PACKAGES: Final = tuple(
 @final
 @dataclass(frozen=True, slots=True)
 class Script:
-    """A Python program: what it says, and what tracebacks call it."""
+    """A Python program: its name in tracebacks, its source and its folder."""
 
     name: str
     source: bytes
@@ -47,10 +47,10 @@ class Script:
 
 
 def read_script(name: str) -> Script:
-    """The program in a file, or on standard input if the name is "-".
+    """Read the program in a file, or from standard input if the name is "-".
 
     Raises:
-        RigError: it is not there, or not readable.
+        RigError: the file does not exist, or is not readable.
     """
     if name == STDIN:
         return Script(_STDIN_NAME, sys.stdin.buffer.read(), "")
@@ -65,14 +65,15 @@ def read_script(name: str) -> Script:
 
 
 def run_script(rig: "Rig", script: Script, words: Sequence[str]) -> int:
-    """The program has run as `__main__`; its exit status, 1 if it raised.
+    """Run the program as `__main__`; return its exit status, or 1 if it raised.
 
-    What it raised, also in threads of its own, is told on stderr, from its own first line on;
-    KeyboardInterrupt is passed on. As with Python itself, it has run when its threads have ended.
+    Exceptions, also those of its threads, are printed on stderr, starting at its own first line.
+    KeyboardInterrupt propagates. As with Python itself, the program ends when its threads have
+    ended.
     """
     main = ModuleType("__main__")
     main.__dict__.update(__file__=script.name, __builtins__=builtins)
-    if script.name == _STDIN_NAME:  # tracebacks quote it all the same
+    if script.name == _STDIN_NAME:  # lets tracebacks quote its lines
         lines = script.source.decode("utf-8", "replace").splitlines(keepends=True)
         linecache.cache[_STDIN_NAME] = (len(script.source), None, lines, _STDIN_NAME)
     with (
@@ -91,14 +92,14 @@ def run_script(rig: "Rig", script: Script, words: Sequence[str]) -> int:
 
 
 def _run(rig: "Rig", script: Script, main: ModuleType) -> int:
-    """The program's own lines have run; its exit status."""
+    """Run the program's own lines; return its exit status."""
     try:
         program: CodeType = compile(script.source, script.name, "exec", dont_inherit=True)
         exec(program, main.__dict__)
     except SystemExit as leaving:
         return _status(leaving)
     except BrokenPipeError:
-        raise  # whoever read its output has left: as with any command
+        raise  # the reader of its output has left: as with any command
     except Exception as error:
         if rig.recording is not None and error is rig.recording.error:
             raise  # the record failed, not the program
@@ -108,14 +109,14 @@ def _run(rig: "Rig", script: Script, main: ModuleType) -> int:
 
 
 def run_judged(rig: "Rig", script: Script | None, words: Sequence[str], verb: str) -> int:
-    """The program, or a prompt, has run with the rig open around it; the rig is closed.
+    """Run the program, or a prompt, with the rig open around it; then close the rig.
 
     Returns:
-        The program's exit status; 1 if it raised, or told recorded controllers what their
-        recording cannot answer. That is told on stderr, as what `verb` says.
+        The program's exit status; 1 if it raised, or if recorded controllers could not answer its
+        requests. The latter is reported on stderr in the name of `verb`.
 
     Raises:
-        RigError, TraceError, BrokenPipeError: of the rig, its record, the output.
+        RigError, TraceError, BrokenPipeError: errors of the rig, its record or the output.
     """
     from harness.replay.verdict import summary, unanswered
 
@@ -127,16 +128,17 @@ def run_judged(rig: "Rig", script: Script | None, words: Sequence[str], verb: st
             return status or int(bool(unanswered(rig)))
     except (RigError, TraceError, BrokenPipeError):
         raise
-    except Exception as error:  # of a party that nobody joined, or while closing what is in use
+    except Exception as error:  # of a party without a join, or while closing resources
         print_error(error, "<prompt>" if script is None else script.name)
         return 1
 
 
 @final
 class _Threads:
-    """The threads a program starts, while it runs: what they raise is its failure.
+    """The threads that a program starts; an exception in them is the program's failure.
 
-    Attributes: failed, whether one of them raised.
+    Attributes:
+        failed: True if a thread raised an exception.
     """
 
     def __init__(self, script: str) -> None:
@@ -158,7 +160,7 @@ class _Threads:
             print_error(what.exc_value, self._script)
 
     def join(self) -> None:
-        """All have ended that are no daemons; after a second without an end, that is told."""
+        """Wait for all threads except daemons; report a thread that runs for more than a second."""
         join_executors()
         for thread in threading.enumerate():
             if thread in self._before or thread.daemon:
@@ -166,15 +168,16 @@ class _Threads:
             thread.join(_PATIENCE_S)
             if thread.is_alive():
                 print(
-                    f"{self._script} has ended, its thread {thread.name!r} has not; Ctrl-C ends it",
+                    f"{self._script} has ended, but its thread {thread.name!r} still runs; "
+                    "Ctrl-C ends it",
                     file=sys.stderr,
                 )
                 thread.join()
 
 
 def run_prompt(rig: "Rig") -> int:
-    """The user has had a Python prompt in which `rig` is the rig, and left it."""
-    with suppress(ImportError):  # a Python without it has a prompt without line editing
+    """Run a Python prompt in which `rig` is the rig, until the user leaves it."""
+    with suppress(ImportError):  # without readline the prompt lacks line editing
         import readline  # noqa: F401 -- importing is all it takes
     names = {"rig": rig, "__name__": "__console__", "__doc__": None}
     with bus_settings(rig), in_virtual_time(rig):
@@ -187,7 +190,7 @@ def run_prompt(rig: "Rig") -> int:
 
 @final
 class _Prompt(code.InteractiveConsole):
-    """Python's own, but for errors: told as a script's are."""
+    """Python's console, but with errors printed as for scripts."""
 
     def showtraceback(self) -> None:
         error = sys.exc_info()[1]
@@ -205,16 +208,16 @@ def _banner(rig: "Rig") -> str:
 
 @contextmanager
 def bus_settings(rig: "Rig") -> Iterator[None]:
-    """Within it, a plain `can.Bus()` joins the rig's first bus, and `can.Bus("can1")` another.
+    """Let a plain `can.Bus()` join the rig's first bus, and `can.Bus("can1")` another one.
 
-    Of a rig without a bus it joins nothing, and says so. An interface to hardware is the rig's bus
-    of the channel's name.
+    For a rig without a bus it raises an error that says so. A hardware interface joins the rig's
+    bus with the channel's name.
     """
     before = {name: os.environ.pop(name, None) for name in _CAN_SETTINGS}
     os.environ["CAN_INTERFACE"] = "emulated"
     os.environ["CAN_CHANNEL"] = next(iter(rig.description.buses), "none")
     try:
-        from harness.hardware_names import hardware_is_the_rigs  # python-can takes its time
+        from harness.hardware_names import hardware_is_the_rigs  # takes time
 
         with hardware_is_the_rigs():
             yield
@@ -238,7 +241,7 @@ def _as_main(main: ModuleType, script: Script, words: Sequence[str]) -> Iterator
 
 
 def _status(leaving: SystemExit) -> int:
-    """What Python itself would answer to sys.exit(...)."""
+    """Return the exit status that Python itself would give for sys.exit(...)."""
     if leaving.code is None:
         return 0
     if isinstance(leaving.code, int):
@@ -248,11 +251,11 @@ def _status(leaving: SystemExit) -> int:
 
 
 def print_error(error: BaseException, script: str) -> None:
-    """The traceback as the script's author needs it is on stderr.
+    """Print the traceback on stderr, reduced to the lines that the script's author needs.
 
-    It begins in the script, and keeps to it: what lies between the script's lines, or behind the
-    last of them if the motor interface or python-can raised on purpose, is nothing the author could
-    act on. An error that was raised inside and not on purpose is told in full.
+    It begins in the script and omits frames between the script's lines. It also omits frames after
+    the last of them if the motor interface or python-can raised the error deliberately. An
+    unexpected error from inside is printed in full.
     """
     on_purpose = is_on_purpose(error)
     report = traceback.TracebackException.from_exception(error)
@@ -269,7 +272,7 @@ def print_error(error: BaseException, script: str) -> None:
 
 
 def is_on_purpose(error: BaseException) -> bool:
-    """Whether the motor interface, python-can or a rig raised it to tell who called them."""
+    """Return True if the motor interface, python-can or a rig raised it for its caller."""
     kinds = [f"{kind.__module__}.{kind.__name__}" for kind in type(error).__mro__]
     return (
         "motorapi.errors.MotorError" in kinds
@@ -287,7 +290,7 @@ def _frames_of(
         frames = frames[places[0] :]
     folder = str(Path(script).resolve().parent) + os.sep
     users: list[traceback.FrameSummary] = []
-    inside: list[traceback.FrameSummary] = []  # from an own one on, until the user's come again
+    inside: list[traceback.FrameSummary] = []  # from one of our frames up to the user's next one
     for frame in frames:
         own = _is_own(frame.filename, script)
         is_users = frame.filename == script or (frame.filename.startswith(folder) and not own)
@@ -305,5 +308,5 @@ def _is_own(filename: str, script: str) -> bool:
 
 
 def is_of_ours(filename: str) -> bool:
-    """Whether a file of code belongs to these packages."""
+    """Return True if a code file belongs to these packages."""
     return filename.startswith(_OWN_PACKAGES)

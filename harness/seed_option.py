@@ -1,4 +1,4 @@
-"""The option --seed, the same for every verb that has it."""
+"""Option --seed, the same for every verb that has it."""
 
 import argparse
 from typing import Final
@@ -7,15 +7,15 @@ from harness.settings import SEED_MAX
 
 
 def add_seed(parser: argparse.ArgumentParser) -> None:
-    """`--seed N` is understood: a number a rig may have, else None."""
-    parser.add_argument("--seed", type=seed, metavar="N", help="instead of the rig's own seed")
+    """Add `--seed N`, a seed that a rig may have; None by default."""
+    parser.add_argument("--seed", type=seed, metavar="N", help="overrides the rig's own seed")
 
 
 def seed(text: str) -> int:
-    """For argparse's `type`: a seed.
+    """Read a seed, for argparse's `type`.
 
     Raises:
-        ValueError: it is none.
+        ValueError: the text is not a seed.
     """
     value = int(text, 0)
     if not 0 <= value <= SEED_MAX:
@@ -24,4 +24,4 @@ def seed(text: str) -> int:
 
 
 _NAME: Final = f"seed (0 to {SEED_MAX})"
-seed.__name__ = _NAME  # what argparse calls it when it is none
+seed.__name__ = _NAME  # argparse uses it in the error for an invalid value

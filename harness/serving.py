@@ -1,6 +1,6 @@
-"""`motorhil serve`: a rig in real time, for other processes.
+"""`motorhil serve`: a rig in real time for other processes.
 
-CAN buses on a socket or on SocketCAN, Modbus lines on TCP or on pseudo-terminals.
+CAN buses are served on a socket or on SocketCAN, Modbus lines on TCP or on pseudo-terminals.
 """
 
 import argparse
@@ -31,7 +31,7 @@ _GRACE_S: Final = 3.0
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """The words after `motorhil serve`."""
+    """Add the arguments of `motorhil serve`."""
     parser.add_argument("rig", type=Path, metavar="RIG", help="the rig file, or a recording")
     parser.add_argument(
         "--socket",
@@ -53,16 +53,16 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "-o", "--output", type=Path, metavar="FILE", help="record to this MCAP file"
     )
     parser.epilog = (
-        "With -- COMMAND, the command runs with the rig up (CAN_INTERFACE and CAN_CHANNEL name its "
-        "first CAN bus, MOTORHIL_CHANNEL_NAME bus or line `name`), and its exit status is ours. "
-        "Without, Ctrl-C stops."
+        "With -- COMMAND, the command runs while the rig is up, and its exit status is "
+        "returned (CAN_INTERFACE and CAN_CHANNEL name the first CAN bus, MOTORHIL_CHANNEL_NAME "
+        "bus or line `name`). Without a command, Ctrl-C stops."
     )
 
 
 def run(options: argparse.Namespace) -> int:
-    """Exit status: 0, 1 a recording could not answer, 2 wrong usage, or the command's own."""
+    """Serve a rig; return 0, 1 (a recording could not answer), 2, or the command's own status."""
     if options.rest == []:
-        print("motorhil serve: no command after --; name one, or leave -- out", file=sys.stderr)
+        print("motorhil serve: no command after --; name one, or omit --", file=sys.stderr)
         return WRONG_USAGE
     with ExitStack() as cleanup:
         rig = cleanup.enter_context(Rig.open(options.rig, seed=options.seed, record=options.output))
@@ -94,20 +94,20 @@ def run(options: argparse.Namespace) -> int:
 
 
 def _stood_in(rig: Rig) -> int:
-    """0 unless controllers out of a recording could not answer something; it is told."""
+    """Print what recorded controllers could not answer; return 0 if they answered everything."""
     for line in summary(rig):
         print(f"motorhil serve: {line}", file=sys.stderr)
     return FAILED if unanswered(rig) else PASSED
 
 
 def _refuse_nothing(rig: Rig, options: argparse.Namespace) -> None:
-    """Raises RigError: nothing would be served."""
+    """Raise RigError if nothing would be served."""
     if rig.world.bus_names() or options.modbus_tcp or options.modbus_rtu:
         return
     if rig.world.line_names():
         raise RigError(
             options.rig,
-            "the rig has lines and no CAN bus, and no place is named where to serve them",
+            "the rig has lines and no CAN bus, and no address to serve them is given",
             "say --modbus-tcp 127.0.0.1:5020, or --modbus-rtu LINK",
         )
     raise RigError(
@@ -118,7 +118,7 @@ def _refuse_nothing(rig: Rig, options: argparse.Namespace) -> None:
 
 
 def _environment(doors: dict[str, tuple[str, str]], lines: dict[str, list[str]]) -> dict[str, str]:
-    """What a command is told of where the buses and lines are."""
+    """Return environment variables that tell a command where buses and lines are."""
     told: dict[str, str] = {}
     if doors:
         told["CAN_INTERFACE"], told["CAN_CHANNEL"] = next(iter(doors.values()))
@@ -132,15 +132,13 @@ def _environment(doors: dict[str, tuple[str, str]], lines: dict[str, list[str]])
 def _open_doors(
     rig: Rig, loop: WallLoop, options: argparse.Namespace, cleanup: ExitStack
 ) -> dict[str, tuple[str, str]]:
-    """What python-can calls each bus: bus -> (interface, channel)."""
+    """Open each bus and return its python-can name: bus -> (interface, channel)."""
     names = rig.world.bus_names()
     doors: dict[str, tuple[str, str]] = {}
     if not names and not options.on and options.socket is None:
         return doors
     if not names:
-        raise RigError(
-            options.rig, "the rig has no CAN bus for --on and --socket", "leave them out"
-        )
+        raise RigError(options.rig, "the rig has no CAN bus for --on and --socket", "omit them")
     for text in options.on:
         bus, _, interface = text.rpartition("=")
         bus = bus or names[0]
@@ -164,17 +162,17 @@ def _open_doors(
 
 
 def _look_at_locks(rig: Rig, doors: dict[str, tuple[str, str]], cleanup: ExitStack) -> None:
-    """Who owns motors on SocketCAN is in the record too, if there is one."""
+    """Record the owners of motors on SocketCAN too, if there is a recording."""
     interfaces = {bus: channel for bus, (kind, channel) in doors.items() if kind == "socketcan"}
     if rig.recording is not None and interfaces:
         writer = LockWriter(rig.recording, rig.world)
         looks = LockLooks(writer, rig.world, rig.description, interfaces)
-        cleanup.callback(looks.look)  # what the command did last, it did after the last look
+        cleanup.callback(looks.look)  # covers what the command did after the last poll
 
 
 @final
 class _Service:
-    """The loop, until a signal or the command's end."""
+    """The event loop, until a signal or the end of the command."""
 
     def __init__(self, loop: WallLoop, signals: StopSignals) -> None:
         self._loop = loop
@@ -184,12 +182,12 @@ class _Service:
         return self._signals.number is not None
 
     def run_until_stopped(self) -> None:
-        """SIGINT or SIGTERM has come."""
+        """Run until SIGINT or SIGTERM."""
         self._loop.start()
         self._loop.run(self._is_stopped)
 
     def run_command(self, command: list[str], environment: dict[str, str]) -> int:
-        """The command has run with the rig up; its exit status (128 + n if signal n ended it)."""
+        """Run the command; return its exit status (128 + n if signal n ended it)."""
         try:
             process = subprocess.Popen(command, env={**os.environ, **environment})
         except OSError as error:
@@ -200,7 +198,7 @@ class _Service:
             self._loop.wake_on(watch)
             self._loop.start()
             self._loop.run(lambda: self._is_stopped() or bool(select.select([watch], [], [], 0)[0]))
-            if process.poll() is None:  # we were told to stop: so is the command
+            if process.poll() is None:  # we were asked to stop, so the command is as well
                 process.terminate()
                 try:
                     process.wait(_GRACE_S)

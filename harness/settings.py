@@ -1,8 +1,8 @@
-"""Reading a TOML file that a person wrote: every mistake is told with file, line, key and remedy.
+"""Reader of hand-written TOML files; errors name file, line, key and remedy.
 
-A `Source` is the file: its values, and the line of each. A `Table` is one table of it, asked key
-by key; it refuses keys nobody knows, before anything else, because a misspelt key explains a
-missing one. The first mistake ends the reading: RigError is one line, whatever the file holds.
+A `Source` is the file: its values and their lines. A `Table` is one of its tables, read key by key.
+It refuses unknown keys first, because a misspelt key explains a missing one. Reading ends at the
+first error; RigError is always one line.
 """
 
 import math
@@ -19,17 +19,17 @@ from harness.wording import dotted, kind_of, listed, nearest, one_line, shown
 _REQUIRED: Final = object()
 _NAME: Final = re.compile(r"[A-Za-z][A-Za-z0-9_-]*")
 SEED_MAX: Final = 2**32 - 1
-_INTEGER_MAX: Final = 2**63 - 1  # TOML 1.0, "Integer": 64-bit signed is what all must take
+_INTEGER_MAX: Final = 2**63 - 1  # TOML 1.0, "Integer": 64-bit signed is what all must accept
 
 
 class RigError(Exception):
-    """A rig cannot be used as it is written; nothing was started.
+    """The rig cannot be used as it is written; nothing was started.
 
     Attributes:
-        file: the file at fault.
-        line: counted from 1; None when it is not about a line (the file is missing).
-        key: keys down to the value, joined by dots; empty when it is not about one.
-        message: what is wrong, with value, limit and unit.
+        file: the file with the error.
+        line: line number from 1; None if the error has no line (the file is missing).
+        key: keys down to the value, joined by dots; empty if the error has no key.
+        message: the problem, with value, limit and unit.
         remedy: what to write or do instead.
     """
 
@@ -54,11 +54,11 @@ class RigError(Exception):
 
 @final
 class BrokenPluginError(RigError):
-    """A plugin cannot be loaded, or it failed; its maker, not the rig's, is to mend it."""
+    """A plugin cannot be loaded, or it failed; its author has to fix it, not the rig's."""
 
 
 def refuse_source(source: Path, target: Path) -> None:
-    """A recording is not written over while it is read.
+    """Refuse to overwrite a recording while it is read.
 
     Raises:
         RigError: the target is the source, by whatever name.
@@ -70,11 +70,11 @@ def refuse_source(source: Path, target: Path) -> None:
 
 @final
 class Source:
-    """A TOML file: where its values came from.
+    """A TOML file and the lines of its values.
 
     Attributes:
         path: the file; relative paths inside it start at its folder.
-        text: what it says.
+        text: its contents.
     """
 
     def __init__(self, path: Path, text: str) -> None:
@@ -83,7 +83,7 @@ class Source:
         self._lines: Mapping[KeyPath, int] | None = None
 
     def root(self) -> "Table":
-        """The whole file as a table.
+        """Return the whole file as a table.
 
         Raises:
             RigError: the text is not TOML.
@@ -101,7 +101,7 @@ class Source:
             counts = [line.count("[") + line.count("{") for line in self.text.split("\n")]
             line = counts.index(max(counts)) + 1
             raise RigError(self.path, "nested too deeply", "flatten it", line=line) from None
-        except ValueError as error:  # tomllib lets int() speak: more than 4300 digits
+        except ValueError as error:  # error of int() within tomllib: more than 4300 digits
             line = self.text.count("\n", 0, _longest_number_at(self.text)) + 1
             raise RigError(self.path, f"{error}", "shorten the number", line=line) from None
         return Table(self, (), values)
@@ -117,7 +117,7 @@ class Source:
             raise self.error(path, "is an integer of more than 64 bits", "write a smaller one")
 
     def line(self, path: KeyPath) -> int:
-        """The line of the value, or of the innermost table around it that the file has."""
+        """Return the line of the value, or of the innermost existing table around it."""
         lines = self._lines or {}
         while path and path not in lines:
             path = path[:-1]
@@ -126,11 +126,11 @@ class Source:
     def error(
         self, path: KeyPath, message: str, remedy: str = "", kind: type[RigError] = RigError
     ) -> RigError:
-        """The RigError for the value at `path`; to be raised."""
+        """Return the RigError for the value at `path`."""
         return kind(self.path, message, remedy, line=self.line(path), key=dotted(path))
 
     def no_such(self, path: KeyPath, name: str, known: Sequence[str], what: str) -> RigError:
-        """The RigError for a name at `path` that refers to nothing; to be raised."""
+        """Return the RigError for a name at `path` that refers to nothing."""
         remedy = nearest(name, known)
         if not remedy.startswith("did"):
             remedy = f"name one of these, or add [{what}.{name}]"
@@ -138,10 +138,10 @@ class Source:
 
 
 def read_source(path: Path, remedy: str) -> Source:
-    """The file's text.
+    """Return the file's contents as a Source.
 
     Raises:
-        RigError: it is not there (`remedy` says what to do), not readable, or not UTF-8.
+        RigError: the file is missing (`remedy` says what to do), not readable, or not UTF-8.
     """
     try:
         return Source(path, path.read_bytes().decode("utf-8-sig"))
@@ -163,7 +163,7 @@ def read_source(path: Path, remedy: str) -> Source:
 
 @final
 class Table:
-    """One table of a source, asked key by key."""
+    """One table of a source, read key by key."""
 
     def __init__(self, source: Source, path: KeyPath, values: Mapping[str, object]) -> None:
         self.source = source
@@ -171,7 +171,7 @@ class Table:
         self.values = values
 
     def refuse_unknown(self, known: Sequence[str], what: str = "key") -> None:
-        """Raises RigError at the first key that is not `known`, suggesting the nearest."""
+        """Raise RigError for the first key that is not `known`, suggesting the nearest."""
         for key in self.values:
             if key not in known:
                 raise self.error(
@@ -179,28 +179,28 @@ class Table:
                 )
 
     def error(self, key: str, message: str, remedy: str = "") -> RigError:
-        """The RigError for one of the table's keys; to be raised."""
+        """Return the RigError for one of the table's keys."""
         return self.source.error((*self.path, key), message, remedy)
 
     def refuse_no_name(self, key: str) -> None:
-        """Raises RigError for a key that goes into topics of the record and is not plain."""
+        """Raise RigError for a key that is not a plain name; topics of the record contain it."""
         if not _NAME.fullmatch(key):
             remedy = "use a letter, then letters, digits, - and _ only"
             raise self.error(key, "is not a name", remedy)
 
     def missing(self, key: str, remedy: str) -> RigError:
-        """The RigError for a key that should be there: at the table's line."""
+        """Return the RigError for a missing key, at the table's line."""
         where = self.source.line(self.path)
         return RigError(
             self.source.path, "is missing", remedy, line=where, key=dotted((*self.path, key))
         )
 
     def has(self, key: str) -> bool:
-        """Whether the key is there."""
+        """Return True if the key is present."""
         return key in self.values
 
     def text(self, key: str, default: object = _REQUIRED, example: str = "") -> str:
-        """A string that is not empty."""
+        """Return a non-empty string."""
         value = self._get(key, default, example)
         if not isinstance(value, str):
             raise self._wrong_type(key, "a string", value, example)
@@ -209,7 +209,7 @@ class Table:
         return value
 
     def one_of(self, key: str, known: Sequence[str], what: str, default: object = _REQUIRED) -> str:
-        """A word out of `known`; `what` they are."""
+        """Return a word out of `known`; `what` describes them in errors."""
         value = self.text(key, default, _alternatives(known))
         if value not in known:
             message = f'unknown {what} "{value}" (known: {listed(known)})'
@@ -217,14 +217,14 @@ class Table:
         return value
 
     def name_of(self, key: str, known: Sequence[str], what: str) -> str:
-        """The name of something else in the file; `what` that is."""
+        """Return the name of something else in the file; `what` describes it in errors."""
         value = self.text(key, example=_alternatives(known))
         if value not in known:
             raise self.source.no_such((*self.path, key), value, known, what)
         return value
 
     def flag(self, key: str, default: object = _REQUIRED) -> bool:
-        """True or false."""
+        """Return a boolean."""
         value = self._get(key, default, "true")
         if not isinstance(value, bool):
             raise self._wrong_type(key, "true or false", value, "true")
@@ -240,7 +240,7 @@ class Table:
         unit: str = "",
         example: str = "",
     ) -> int:
-        """An integer from `low` to `high`, both included."""
+        """Return an integer from `low` to `high`, both included."""
         value = self._get(key, default, example)
         if not isinstance(value, int) or isinstance(value, bool):
             raise self._wrong_type(key, "an integer" + _bracketed(unit), value, example)
@@ -257,7 +257,7 @@ class Table:
         unit: str = "",
         example: str = "",
     ) -> float:
-        """A finite number from `low` to `high`, both included."""
+        """Return a finite number from `low` to `high`, both included."""
         value = self._get(key, default, example)
         if not isinstance(value, int | float) or isinstance(value, bool):
             raise self._wrong_type(key, "a number" + _bracketed(unit), value, example)
@@ -265,7 +265,7 @@ class Table:
         return float(value)
 
     def texts(self, key: str, default: object = _REQUIRED, example: str = "") -> tuple[str, ...]:
-        """Strings, in order."""
+        """Return a list of strings as a tuple."""
         value = self._get(key, default, example)
         if not isinstance(value, list | tuple):
             raise self._wrong_type(key, "a list of strings", value, example)
@@ -276,7 +276,7 @@ class Table:
         return tuple(value)
 
     def table(self, key: str) -> "Table":
-        """A table; an empty one if the key is not there."""
+        """Return a table, or an empty one if the key is absent."""
         value = self.values.get(key, {})
         if not isinstance(value, dict):
             raise self._wrong_type(
@@ -285,7 +285,7 @@ class Table:
         return Table(self.source, (*self.path, key), value)
 
     def listed_tables(self, key: str) -> "list[Table]":
-        """The tables of an array of tables; none if the key is not there."""
+        """Return the tables of an array of tables, or [] if the key is absent."""
         value = self.values.get(key, [])
         remedy = f"write [[{dotted((*self.path, key))}]]"
         if not isinstance(value, list):
@@ -332,7 +332,7 @@ def _bracketed(unit: str) -> str:
 
 
 def _syntax_error(text: str, source: str) -> tuple[str, int]:
-    """The message of tomllib without its place, and the line it names."""
+    """Split an error text of tomllib into its message and its line."""
     message, found, place = text.rpartition(" (at ")
     if not found:
         return text, 1

@@ -1,4 +1,4 @@
-"""Tables of text, as a terminal shows them."""
+"""Text tables for terminals."""
 
 from collections.abc import Collection, Sequence
 
@@ -6,7 +6,7 @@ from collections.abc import Collection, Sequence
 def print_table(
     head: Sequence[str], rows: Sequence[Sequence[str]], words: Collection[int] = (0,)
 ) -> None:
-    """A line for the head and for each row; columns of words begin, numbers end, below another."""
+    """Print the head and rows in columns: words left-aligned, numbers right-aligned."""
     widths = [max(len(row[column]) for row in [head, *rows]) for column in range(len(head))]
     for row in [head, *rows]:
         cells = [

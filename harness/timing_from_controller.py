@@ -1,9 +1,9 @@
-"""A motor's assumptions on its drive's timing out of the emulated drive's table, when asked for.
+"""Assumed drive timing, taken from the emulated drive on request.
 
-Convenient, and a trap as `plant.from_motor_model` is: what the host assumes is then right by
-construction, and a wrong assumption about the real drive stays hidden. So a rig has to ask for it
-(`timing_from_controller = true`), what was taken is told, and what the motor says itself counts
-more.
+This is convenient but risky, like `plant.from_motor_model`: the host's assumption is right by
+construction, so that a wrong assumption about the real drive stays hidden. So a rig has to request
+it (`timing_from_controller = true`), and a note reports the values taken. Values that the motor
+gives itself take precedence.
 """
 
 from collections.abc import Mapping
@@ -24,15 +24,15 @@ _KIND: Final = "cia402"
 def with_timing(
     description: RigDescription, motor: MotorDescription, controller: Controller | None
 ) -> tuple[dict[str, object], str]:
-    """The motor's settings with what its emulated drive knows, and a note that tells it.
+    """Return the motor's settings completed from its emulated drive, and a note about it.
 
     Args:
         description: the rig.
         motor: one of its motors.
-        controller: the emulated one behind it, if the rig has it.
+        controller: its emulated controller, if the rig has one.
 
     Raises:
-        RigError: it asks for it, and there is no such drive; or it does not say true or false.
+        RigError: there is no suitable drive, or the key is not true or false.
     """
     settings = {key: value for key, value in motor.settings.items() if key != ASKED}
     asked = motor.settings.get(ASKED, False)
@@ -46,7 +46,7 @@ def with_timing(
         core = core.inner
     if motor.adaptation != _KIND or motor.controller is None or not isinstance(core, Cia402Drive):
         raise description.error(
-            path, "its controller is no emulated CiA 402 drive of this rig", "take it out"
+            path, "its controller is not an emulated CiA 402 drive of this rig", "take it out"
         )
     table = description.controllers[motor.controller].settings.get("oscillator")
     numbers = _numbers(core.settings, table if isinstance(table, Mapping) else {})
@@ -61,7 +61,7 @@ def with_timing(
 
 
 def _numbers(drive: DriveSettings, oscillator: Mapping[str, object]) -> dict[str, float]:
-    """What a host may assume; of a clock that is drawn within limits, the limit."""
+    """Return the host's assumptions; for a random clock error, its limit."""
     ppm = abs(drive.oscillator.error_1e12) / 1e6
     ppm_max = oscillator.get("ppm_max")
     if isinstance(ppm_max, int | float):

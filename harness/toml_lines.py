@@ -1,8 +1,7 @@
-"""Where in a TOML text each key stands: tomllib gives the values, this gives their lines.
+"""Line numbers of keys in a TOML text; tomllib reads the values.
 
-A path is the keys down to a value; items of arrays, and tables of an array of tables, are counted
-from 0: `("bus", "can0", "bitrate_bit_s")`, `("fault", 1, "kind")`, `("group", "all", "motors", 0)`.
-The text must be one that tomllib accepts, so there is nothing to check here, only to find.
+A path is the keys down to a value. Array items and tables of an array of tables are counted from 0.
+The text must be one that tomllib accepts, so nothing is checked here.
 """
 
 import re
@@ -13,24 +12,24 @@ from typing import Final
 KeyPath = tuple[str | int, ...]
 
 BARE_KEY: Final = re.compile(r"[A-Za-z0-9_-]+")
-_PLAIN_VALUE: Final = re.compile(r"[^,\]}#\n]+")  # number, boolean, date: ends at none of these
+_PLAIN_VALUE: Final = re.compile(r"[^,\]}#\n]+")  # number, boolean, date: ends before any of these
 _SPACE: Final = re.compile(r"[ \t]*")
 _SPACE_LINES_COMMENTS: Final = re.compile(r"(?:[ \t\n]|#[^\n]*)*")
 _STRING: Final = {
     '"': re.compile(r'"(?:[^"\\]|\\.)*"'),
     "'": re.compile(r"'[^']*'"),
-    # Up to two quotes may stand before the three that close a multi-line string.
+    # Up to two quotes may precede the three that close a multi-line string.
     '"""': re.compile(r'"""(?:[^"\\]|\\.|"{1,2}(?!"))*"{3,5}', re.DOTALL),
     "'''": re.compile(r"'''(?:[^']|'{1,2}(?!'))*'{3,5}"),
 }
 
 
 def key_lines(text: str) -> Mapping[KeyPath, int]:
-    """The line, counted from 1, of every table, key and array item in a valid TOML text.
+    """Return the line, counted from 1, of every table, key and array item in a valid TOML text.
 
-    A table that has a header of its own stands at that header; one that is only implied (by a
-    dotted key, or by the header of a table inside it) where it is first implied. The root, `()`,
-    stands at line 1.
+    A table with a header of its own is at that header. A table that is only implied (by a dotted
+    key, or by the header of a table inside it) is where it is first implied. The root, `()`, is at
+    line 1.
     """
     return _Locator(text.replace("\r\n", "\n")).run()
 
@@ -64,7 +63,7 @@ class _Locator:
         *outer, last = self._dotted_key()
         self._at += 1
         path = (*self._resolve(outer, line), last)
-        self._lines[path] = line  # its own header outranks where it was implied before
+        self._lines[path] = line  # its own header overrides where it was implied before
         return path
 
     def _array_header(self) -> KeyPath:
@@ -80,7 +79,7 @@ class _Locator:
         return (*array, count)
 
     def _resolve(self, keys: list[str], line: int) -> KeyPath:
-        """The path a header's outer keys mean: of an array of tables, its last one."""
+        """Return the path of a header's outer keys; an array of tables means its last table."""
         path: KeyPath = ()
         for key in keys:
             path = (*path, key)
@@ -101,7 +100,7 @@ class _Locator:
         self._value(path)
 
     def _dotted_key(self) -> list[str]:
-        """The keys at this place; afterwards this is the character that ends them."""
+        """Return the keys at this position, and move to the character that ends them."""
         keys = []
         while True:
             self._skip(_SPACE)
@@ -142,7 +141,7 @@ class _Locator:
 
     def _inline_table(self, path: KeyPath) -> None:
         self._at += 1
-        self._skip(_SPACE_LINES_COMMENTS)  # lines and comments inside: TOML 1.1
+        self._skip(_SPACE_LINES_COMMENTS)  # newlines and comments inside: TOML 1.1
         while self._text[self._at] != "}":
             self._key_and_value(path)
             self._end_of_item()

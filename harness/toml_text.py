@@ -1,13 +1,13 @@
-"""A rig file with another table in it: what a record tells of the rig that ran is its text."""
+"""Changes of one table in a rig's text, which recordings contain."""
 
 import re
 from collections.abc import Collection
 
 
 def with_table(text: str, table: str, lines: str, without: Collection[str]) -> str:
-    """The text with these lines in `[table]`, and without what it says there of the keys `without`.
+    """Return the text with these lines in `[table]`, and without that table's keys `without`.
 
-    The table must stand in the text by its own header, each of its keys on one line.
+    The table must have a header of its own in the text, and each of its keys must be on one line.
     """
     head = f"[{table}]\n"
     before, found, rest = text.partition(head)

@@ -1,14 +1,14 @@
-"""`motorhil demo --two-processes`: two programs share the pan motor, and one of them is killed.
+"""`motorhil demo --two-processes`: two programs share the pan motor.
 
-The rover is served on a hub, in wall time, and recorded. Two programs join it, each in a process of
-its own: `driving_program.py` drives a manoeuvre and looks along each leg before it, and
-`mast_program.py` takes panoramas. When the driving program has had the pan motor once, and waits
-for it again while the mast moves it, the mast's program is killed. The driving program is to finish
-all the same; who had the motor when, and why it changed hands, is then read from the record alone.
+The rover is served on a hub in wall time, and recorded. Two programs join it, each in a process of
+its own. `driving_program.py` drives a manoeuvre and looks along each leg before it;
+`mast_program.py` takes panoramas. The mast's program is killed once the driving program has had the
+pan motor, and waits for it again while the mast moves it. The driving program must finish all the
+same. The record alone then shows who had the motor when, and why it changed owners.
 
-Whatever happens, nothing is left behind: the programs are ended by their ids, the socket and the
-locks are in a folder that is removed. Should this process itself be killed, its programs end when
-the hub is gone, and the folder is removed when the demo is run next.
+Nothing is left behind in any case: programs are ended by their process ids, and socket and locks
+are in a folder that is removed. If this process itself is killed, its programs end with the hub,
+and the next run of the demo removes the folder.
 """
 
 import os
@@ -46,21 +46,21 @@ if TYPE_CHECKING:
     from emulators.hub_protocol import OwnershipNotice
 
 SHARED: Final = "pan"
-ERROR_MAX_RAD: Final = 0.002  # a motor that ends further off has not done its job
-MOVES_RAD_S: Final = 0.1  # a motor that is faster is in the middle of a move
+ERROR_MAX_RAD: Final = 0.002  # largest acceptable position error of a motor at the end
+MOVES_RAD_S: Final = 0.1  # a faster motor is in the middle of a move
 LONGEST_NS: Final = 120_000_000_000
 _FOLDER: Final = "motorhil-demo-"
 
 
 def run(target: Path, seed: int | None) -> int:
-    """Exit status: 0 the driving program has finished and the record shows why, else 1.
+    """Run the demo; return 0 if the driving program finished and the record shows why, else 1.
 
     Args:
         target: the record.
-        seed: instead of the rig's own.
+        seed: overrides the rig's own seed.
 
     Raises:
-        RigError, TraceError: something cannot be used, or written.
+        RigError, TraceError: something cannot be used or written.
         KeyboardInterrupt: Ctrl-C; everything has ended.
     """
     with ExitStack() as cleanup:
@@ -97,14 +97,14 @@ def run(target: Path, seed: int | None) -> int:
 
 
 def _again(target: Path, seed: int | None) -> str:
-    """The command that does the same once more."""
+    """Return the command that repeats this run."""
     seeded = [] if seed is None else ["--seed", str(seed)]
     return shlex.join(["motorhil", "demo", "--two-processes", *seeded, "-o", str(target)])
 
 
 @contextmanager
 def private_folder() -> Iterator[Path]:
-    """A folder for the socket and the locks; those of demos that were killed are removed first."""
+    """Create a folder for socket and locks; first remove folders of demos that were killed."""
     base = Path(tempfile.gettempdir())
     for left in base.glob(f"{_FOLDER}*"):
         with suppress(ValueError, OSError):
@@ -118,13 +118,13 @@ def private_folder() -> Iterator[Path]:
         made = tempfile.TemporaryDirectory(prefix=f"{_FOLDER}{os.getpid()}-{born}-")
     except OSError as error:
         reason = error.strerror or str(error)
-        raise RigError(base, f"no folder can be made: {reason}", "set TMPDIR") from None
+        raise RigError(base, f"cannot create a folder: {reason}", "set TMPDIR") from None
     with made as folder:
         yield Path(folder)
 
 
 def _serve(rig: Rig, loop: WallLoop, folder: Path) -> dict[str, str]:
-    """The rig's buses are on a hub; the environment of programs that are to join it."""
+    """Serve the rig's buses on a hub; return the environment for programs that join it."""
     hub = folder / "hub"
     locks = folder / "locks"
     locks.mkdir(mode=0o700)
@@ -132,7 +132,7 @@ def _serve(rig: Rig, loop: WallLoop, folder: Path) -> dict[str, str]:
         loop.add(HubServer(hub, rig.world))
     except HubError as error:
         reason = str(error).removeprefix(f"{hub}: ").partition(";")[0]
-        raise RigError(hub, reason, "set TMPDIR to another folder, of a short name") from None
+        raise RigError(hub, reason, "set TMPDIR to a folder with a shorter name") from None
     first, *others = rig.world.bus_names()
     channels = {first: str(hub), **{bus: f"{hub}#{bus}" for bus in others}}
     named = {f"MOTORHIL_CHANNEL_{bus.upper()}": channel for bus, channel in channels.items()}
@@ -147,7 +147,7 @@ def _serve(rig: Rig, loop: WallLoop, folder: Path) -> dict[str, str]:
 
 @final
 class _Story:
-    """What the two programs do, told as it happens; and the killing of one of them."""
+    """The actions of the two programs, printed as they happen, and the kill of one of them."""
 
     def __init__(self, rig: Rig, driving: Program, mast: Program) -> None:
         self._rig = rig
@@ -155,7 +155,7 @@ class _Story:
         self._mast = mast
         self._node_id = rig.description.motors[SHARED].node_id
         self._bus = rig.description.motors[SHARED].bus
-        self._holder = 0  # pids of who has the motor, and who waits for it
+        self._holder = 0  # pids of the owner and of the waiting program
         self._waiter = 0
         self._looks = 0  # how often the driving program had it
         self._killed = False
@@ -179,9 +179,9 @@ class _Story:
                 self._waiter = 0 if self._waiter == pid else self._waiter
 
     def is_over(self) -> bool:
-        """Whether there is no more to come; what there was is told, and done."""
+        """Process new output, kill the mast's program when due; return True at the end."""
         ended = [program.status for program in (self._driving, self._mast)]
-        for program in (self._driving, self._mast):  # all that one printed before it ended
+        for program in (self._driving, self._mast):  # also of an ended one
             for line in program.lines():
                 self._tell(program.name, line)
         if self._is_the_moment():
@@ -196,7 +196,7 @@ class _Story:
         return False
 
     def _is_the_moment(self) -> bool:
-        """The driving program has had the motor once, and waits while the mast moves it."""
+        """Return True when the driving program waits again while the mast moves the motor."""
         return (
             not self._killed
             and self._looks > 0
@@ -211,20 +211,20 @@ class _Story:
             self._rig.recording.event(now_ns, "info", who, text)
 
     def wrong(self) -> Iterator[str]:
-        """What did not go as it should."""
+        """Yield what did not go as it should."""
         driving, mast = self._ended
         if driving:
             yield f"{self._driving.file} failed with status {driving}"
         if mast is not None and not self._killed:
             yield f"{self._mast.file} ended by itself, with status {mast}"
         elif driving is None:
-            yield f"{self._driving.file} was not done after {LONGEST_NS / 1e9:.0f} s"
+            yield f"{self._driving.file} did not finish within {LONGEST_NS / 1e9:.0f} s"
         elif not self._killed:
-            yield f"there was no moment to kill {self._mast.file}: the two did not meet"
+            yield f"{self._mast.file} could not be killed in time: the two programs did not meet"
 
 
 def _motors(rig: Rig) -> tuple[list[tuple[str, ...]], list[str]]:
-    """A row a motor of where it should be and is, by the plants' truth; and what is off."""
+    """Return a row per motor of target and true position, and messages about large errors."""
     legs = {name: [leg.wheel(name) for leg in LEGS] for name in WHEELS}
     targets = {f"drive_{name}": sum(roll for _, roll in legs[name]) for name in WHEELS}
     targets |= {f"steer_{name}": legs[name][-1][0] for name in WHEELS}
@@ -236,14 +236,14 @@ def _motors(rig: Rig) -> tuple[list[tuple[str, ...]], list[str]]:
         error_rad = reached_rad - target_rad
         rows.append((motor, f"{target_rad:.4f}", f"{reached_rad:.4f}", f"{error_rad * 1e3:+.3f}"))
         if abs(error_rad) > ERROR_MAX_RAD:
-            off.append(f"{motor} is off by {error_rad * 1e3:.1f} mrad")
+            off.append(f"{motor}: the position error is {error_rad * 1e3:.1f} mrad")
     return rows, off
 
 
 def _print_owners(
     description: RigDescription, target: Path, driving: Program, mast: Program
 ) -> list[str]:
-    """Who had the shared motor when is printed, by the record alone; what it does not prove."""
+    """Print the owners of the shared motor from the record alone; return what it does not prove."""
     motor = description.motors[SHARED]
     assert motor.bus is not None
     assert motor.node_id is not None
@@ -268,22 +268,23 @@ def _print_owners(
     others = sum(count for (_, is_owners), count in commands.items() if not is_owners)
     wrong = list(record.contradictions)
     if others:
-        wrong.append(f"{others} commands are not of whoever had {SHARED} then")
+        wrong.append(f"{others} commands do not belong to the owner of {SHARED} at their time")
     died = [place for place, one in enumerate(tenures) if one.ended is Ended.DIED]
     if len(died) != 1 or tenures[died[0]].pid != mast.pid:
         wrong.append(f"the record does not show that {mast.file} died with {SHARED}")
     elif any(one.pid != driving.pid for one in tenures[died[0] + 1 :]):
-        wrong.append(f"the record shows somebody else than {driving.file} with it afterwards")
+        wrong.append(f"the record shows another owner than {driving.file} afterwards")
     return wrong
 
 
 def commands_by_tenure(
     record: OwnershipRecord, sent: Iterable[tuple[int, str]]
 ) -> Counter[tuple[Tenure | None, bool]]:
-    """How many commands (when, sender) the shared motor got in each tenure, and if its owner's.
+    """Count commands (time, sender) of the shared motor by (tenure, sent by its owner).
 
-    What a program sends in the instant of its death, its CAN controller still brings to the bus:
-    until its heir commands for the first time, it is the dead one's, as is what it began.
+    The CAN controller of a program still transmits what the program sent just before it died. Until
+    its successor commands for the first time, such frames count for the dead program, as does the
+    motion that it started.
     """
     tenures = record.tenures.get(SHARED, ())
     heirs = {after: dead for dead, after in pairwise(tenures) if dead.ended is Ended.DIED}
@@ -298,9 +299,9 @@ def commands_by_tenure(
 
 
 def _received_by(trace: Trace, bus: str, node_id: int) -> Iterator[tuple[int, str]]:
-    """(when, who sent it) of each RPDO of a node (CiA 301: 200h, 300h, 400h, 500h + node-ID)."""
+    """Yield (time [ns], sender) of each RPDO of a node (CiA 301: 200h to 500h + node-ID)."""
     for _, time_ns, data in trace.messages([f"/can/{bus}"]):
         frame = decode(CAN_FRAME, data)
-        can_id = -1 if frame.get("error") else frame.get("id", 0)  # a class is no identifier
+        can_id = -1 if frame.get("error") else frame.get("id", 0)  # a class
         if can_id in [0x200 + node_id, 0x300 + node_id, 0x400 + node_id, 0x500 + node_id]:
             yield time_ns, str(frame.get("sender", ""))

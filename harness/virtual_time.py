@@ -1,14 +1,16 @@
-"""Virtual time: one queue of events, and parties that take turns under one baton.
+"""Virtual time: one event queue, and parties that take turns.
 
-Waiting is what lets time pass. Whoever waits runs the world's events, one by one in the order
-(time, order of asking), until somebody's condition holds or somebody's time is up; then that party
-goes on, and everybody else stands still. So ordinary blocking code is deterministic.
+Time passes only while parties wait. A waiting party runs the world's events one by one, in the
+order (time, order of scheduling). It stops when the condition of some party holds or its timeout
+expires. Then that party continues, and all others stand still. So ordinary blocking code is
+deterministic.
 
 The rules of turn:
     1. At any moment exactly one thread runs: the party that has the baton.
     2. The baton changes hands only in `wait_until`, and when a party ends.
-    3. Of several waiting parties that could go on at one time, the one that asked first does.
-    4. What happens at the very time a timeout ends still counts: events first, then the timeout.
+    3. Of several waiting parties that could continue at one time, the one that waits longest does.
+    4. Events at the very time of a timeout still count: events first, then the timeout.
+
 With `pace`, the same events happen in the same order, but none earlier than its wall time.
 """
 
@@ -27,15 +29,15 @@ if TYPE_CHECKING:
     from motorapi.runtime import FrameListener, Registration
 
 _NEVER: Final = -1
-_END_NS: Final = 2 * 10**18  # 63 years: to controllers, what is later (2**61 ns) never comes
-_STUCK_NS: Final = 3600 * 10**9  # so long parties wait for one another while events go on
+_END_NS: Final = 2 * 10**18  # 63 years: controllers treat later times (2**61 ns) as never
+_STUCK_NS: Final = 3600 * 10**9  # limit for parties that wait only for one another
 _POLLS_MAX: Final = 1_000_000
-_LOOK_UP_TURNS: Final = 256  # compiled code must look for signals now and then
-GRACE_S: Final = 1.0  # wall time that a party has to wait next, or to end, once the run is over
+_LOOK_UP_TURNS: Final = 256  # compiled code must check for signals now and then
+GRACE_S: Final = 1.0  # wall time for a party to reach its next wait, or to end
 
 
 class _Port(Protocol):
-    """What a bus of this rig offers (harness.can_plugin.EmulatedBus)."""
+    """Interface of a bus of this rig (EmulatedBus)."""
 
     def subscribe(self, on_frame: "FrameListener") -> "Registration": ...
     def transmit(self, frame: bytes) -> None: ...
@@ -43,9 +45,9 @@ class _Port(Protocol):
 
 @final
 class VirtualRuntime:
-    """The Runtime of a rig in virtual time. The thread that makes it is the first party.
+    """The Runtime of a rig in virtual time. The thread that creates it is the first party.
 
-    A switch between parties costs some 15 us, an event with one party waiting no switch at all.
+    A switch between parties costs about 15 us. An event with one waiting party costs no switch.
     """
 
     def __init__(self, queue: EventQueue, pace: Callable[[int], None] | None = None) -> None:
@@ -59,22 +61,24 @@ class VirtualRuntime:
         self._in_callback = self._pumping = False
         self._closing = self._interrupted = False
         self._polls = self._turns = 0
-        self.on_poll: Callable[[], None] | None = None  # before one that lets no time pass
+        self.on_poll: Callable[[], None] | None = None  # called before polls
         self.whereabouts: Callable[[VirtualParty], str] = attrgetter("name")
 
     # --- Runtime ---------------------------------------------------------------------------
 
     def now_ns(self) -> int:
-        """The virtual time [ns] since the rig was switched on."""
+        """Return the virtual time [ns] since the rig was switched on."""
         return self.queue.now_ns
 
     def wait_until(self, done: Callable[[], bool], timeout_s: float | None = None) -> bool:
-        """Whether `done()` became true within `timeout_s` [s]; see the rules of turn above.
+        """Wait up to `timeout_s` [s] for `done()`, by the rules of turn; return True if it held.
 
         Raises:
-            UsageError: in a callback, or in a thread that this runtime did not start; or nothing
-                will ever happen that could end the wait, or only beyond the end of virtual time;
-                or a million polls let no time pass.
+            UsageError: called in a callback, or in a thread that this runtime did not start; or no
+                event
+                can ever end the wait, or only after the end of virtual time; or a million polls let
+                no
+                time pass.
         """
         return self._wait_until(done, timeout_s)
 
@@ -112,58 +116,58 @@ class VirtualRuntime:
         return waiter.result
 
     def every(self, period_s: float, action: Callable[[], None]) -> Periodic:
-        """`action` runs every `period_s` [s], first one period from now; it must not wait."""
+        """Call `action` every `period_s` [s], first after one period; it must not wait."""
         if not 1e-9 <= period_s <= 1e9:
             raise UsageError(f"period_s = {period_s}: must be 1e-9 to 1e9 s")
         return Periodic(self, round(period_s * 1e9), action)
 
     def spawn(self, name: str, function: Callable[[], None]) -> VirtualParty:
-        """`function` runs as a further party, from when this one next waits."""
+        """Run `function` as a further party, from the next wait of this one on."""
         self._party_here()
         party = VirtualParty(name, self)
         party.thread = PartyThread(
             target=self.run_party, args=(party, function), name=f"party {name}", daemon=True
         )
-        party.thread.start()  # first: whoever has a turn must be there to take it
+        party.thread.start()  # first, so that its thread exists when it gets a turn
         self._spawned.append(party)
         self.enrol(party)
         return party
 
     def listen(self, bus: "can.BusABC", on_frame: "FrameListener") -> "Registration":
-        """`on_frame` is told every frame on `bus`, own ones when they were transmitted."""
+        """Call `on_frame` for every frame on `bus`; own frames count when they were transmitted."""
         return _port_of(bus).subscribe(on_frame)
 
     def send(self, bus: "can.BusABC", frame: bytes) -> None:
-        """The can_frame (16 bytes) waits its turn on `bus`."""
+        """Queue the can_frame (16 bytes) for transmission on `bus`."""
         transmit = getattr(bus, "transmit", None)
         if transmit is None:
             transmit = _port_of(bus).transmit
         transmit(frame)
 
-    # --- a program's own threads (harness.virtual_program) ------------------------------------
+    # --- a program's own threads -----------------------------------------------------------------
 
     def party_of_thread(self) -> VirtualParty | None:
-        """The party that this thread is; None if it is none."""
+        """Return the party of this thread, or None."""
         return self._parties.get(threading.get_ident())
 
     def is_in_callback(self) -> bool:
-        """Whether an event's action runs: no wait is possible."""
+        """Return True while an event's action runs, in which waiting is not possible."""
         return self._in_callback
 
     def wait_for_parties(self, done: Callable[[], bool], timeout_s: float | None = None) -> bool:
-        """As `wait_until`, for what another party has to do: if none can, that is told."""
+        """Wait as `wait_until` does, but for another party; raise if no party can act."""
         return self._wait_until(done, timeout_s, on_parties=True)
 
     def enrol(self, party: VirtualParty) -> None:
-        """The party has a turn from when this one next waits; its thread is in `run_party`."""
+        """Give the party a turn at the next wait of this one; its thread is in `run_party`."""
         self._waiters.append(Waiter(party, _at_once, _NEVER))
 
     def abandon(self, party: VirtualParty) -> None:
-        """The party has no turn any more, ever."""
+        """Remove the party's turn for good."""
         self._waiters = [waiter for waiter in self._waiters if waiter.party is not party]
 
     def run_party(self, party: VirtualParty, function: Callable[[], None]) -> None:
-        """`function` has run in this thread, as the party, once that had its turn."""
+        """Run `function` in this thread as the party, once it has its turn."""
         party.ident = threading.get_ident()
         self._parties[party.ident] = party
         party.baton.acquire()
@@ -172,7 +176,7 @@ class VirtualRuntime:
                 function()
         except Cancelled:
             pass
-        except BaseException as error:  # it is the joiner's, or close()'s, to raise
+        except BaseException as error:  # raised by join() or close()
             party.error = error
         finally:
             party.finished = True
@@ -183,13 +187,14 @@ class VirtualRuntime:
     # --- the rig's side --------------------------------------------------------------------
 
     def run_for(self, duration_s: float) -> None:
-        """`duration_s` [s] have passed."""
+        """Let `duration_s` [s] pass."""
         self.wait_until(_never, duration_s)
 
     def interrupt(self) -> bool:
-        """Whether the first party gets a KeyboardInterrupt after this event; for signal handlers.
+        """Raise KeyboardInterrupt in the first party after this event; for signal handlers.
 
-        False: no event runs just now, or that was asked before.
+        Returns:
+            True if that will happen; False if no event is running, or it was requested before.
         """
         if not self._pumping or self._interrupted:
             return False
@@ -197,14 +202,14 @@ class VirtualRuntime:
         return True
 
     def end(self, party: VirtualParty) -> None:
-        """The party ends in the wait that it is in, as all do when the run is over."""
+        """End the party in its present wait, as all parties end when the run is over."""
         party.is_ending = True
         for waiter in self._waiters:
             if waiter.party is party:
                 waiter.done, waiter.error = _at_once, Cancelled()
 
     def close(self) -> None:
-        """Parties that still wait have ended; raises what a party raised and nobody joined."""
+        """End all waiting parties; raise the error of a party that was not joined."""
         self._closing = True
         me = self._parties.get(threading.get_ident())
         while self._waiters:
@@ -218,8 +223,9 @@ class VirtualRuntime:
                 thread.join(GRACE_S)
             if thread is not None and thread.is_alive():
                 raise UsageError(
-                    f"party {waiter.party.name!r} does not end with the run: it works on, or "
-                    "catches what ends it; catch Exception, never BaseException"
+                    f"party {waiter.party.name!r} does not end with the run: it does not wait, "
+                    "or catches the exception that ends it; catch Exception, never "
+                    "BaseException"
                 )
         for party in self._spawned:
             if party.error is not None and not party.joined:
@@ -260,7 +266,7 @@ class VirtualRuntime:
         return None
 
     def _pump(self, mine: Waiter | None) -> None:
-        """Events run until it is the turn of `mine` (None: until anybody has the baton)."""
+        """Run events until it is the turn of `mine` (None: of any party)."""
         self._pumping = True
         try:
             self._in_callback = True
@@ -284,19 +290,19 @@ class VirtualRuntime:
         return deadline_ns
 
     def _run_to_next_turn(self, deadline_ns: int) -> Waiter:
-        """Events have run until somebody can go on; nobody's time is up before `deadline_ns`."""
+        """Run events until a party can continue; no timeout expires before `deadline_ns`."""
         queue = self.queue
         stuck_ns = queue.now_ns + _STUCK_NS
         while True:
             self._turns += 1
             if self._turns % _LOOK_UP_TURNS == 0:
-                threading.current_thread()  # interpreted: there, handlers of signals run
+                threading.current_thread()  # interpreted code: signal handlers run there
             if self._interrupted:
                 self._interrupted = False
                 for waiter in self._waiters:
                     if waiter.party.thread is None:
                         waiter.done, waiter.error = _at_once, KeyboardInterrupt()
-            for waiter in self._waiters:  # whoever asked first; the answer is in the waiter
+            for waiter in self._waiters:  # in the order of their waits; the result is in the waiter
                 try:
                     if waiter.done():
                         waiter.result = True
@@ -317,13 +323,13 @@ class VirtualRuntime:
             due_ns = next_ns if is_event else deadline_ns
             if due_ns > stuck_ns and all(waiter.on_parties for waiter in self._waiters):
                 if deadline_ns == _NEVER:
-                    self._nothing_will_happen("all wait for one another, since an hour")
+                    self._nothing_will_happen("all parties have waited for one another for an hour")
                     continue
                 stuck_ns = _END_NS
             if due_ns > now_ns or not is_event:
                 self._polls = 0
             if self._pace is not None:
-                self._pumping = False  # asleep: an interrupt counts at once
+                self._pumping = False  # while asleep, an interrupt takes effect at once
                 self._pace(due_ns)
                 self._pumping = True
             if is_event:
@@ -333,14 +339,14 @@ class VirtualRuntime:
 
     def _await_baton(self, mine: Waiter) -> None:
         try:
-            # Not for ever: a signal that comes just before the wait is looked at only after it.
+            # Not without a timeout: a signal just before the wait would be handled only after it.
             while not mine.party.baton.acquire(timeout=GRACE_S):
-                threading.current_thread()  # as in _run_to_next_turn: there, handlers run
+                threading.current_thread()  # as in _run_to_next_turn: signal handlers run there
         except KeyboardInterrupt as interrupt:
-            # Another party runs just now: take the turn at its next wait, never beside it.
+            # Another party is running: take the turn at its next wait, never in parallel.
             mine.done, mine.error = _at_once, interrupt
             if not mine.party.baton.acquire(timeout=GRACE_S):
-                self._closing = True  # it does not wait: it is over when it does
+                self._closing = True  # it does not wait; it ends at its next wait
                 raise
 
     def _nothing_will_happen(self, why: str) -> None:
@@ -348,16 +354,16 @@ class VirtualRuntime:
         for waiter in self._waiters:
             waiter.done = _at_once
             waiter.error = UsageError(
-                f"party {waiter.party.name!r} waits without a timeout for what can never happen: "
-                f"{why} (waiting: {names}); give the wait a timeout"
+                f"party {waiter.party.name!r} waits without a timeout, but nothing can end the "
+                f"wait: {why} (waiting: {names}); give the wait a timeout"
             )
 
     def _leave(self, party: VirtualParty) -> None:
-        """The baton goes on to whoever is next; this thread runs events until there is one."""
+        """Pass the baton on to the next party; run events until there is one."""
         try:
             if self._waiters:
                 self._pump(None)
-        except BaseException as error:  # an event failed: tell whoever waits longest
+        except BaseException as error:  # an event failed: raise it in the longest-waiting party
             waiter = self._waiters.pop(0)
             waiter.error = error
             waiter.party.baton.release()

@@ -1,4 +1,4 @@
-"""Programs in processes of their own beside a world in wall time, and the signals that stop us."""
+"""Child processes beside a world in wall time, and stop signals."""
 
 import os
 import signal
@@ -21,17 +21,18 @@ class Wakeable(Protocol):
     """A loop that descriptors can wake."""
 
     def wake_on(self, descriptor: int) -> None:
-        """It also wakes when this one becomes readable."""
+        """Wake the loop also when this descriptor becomes readable."""
 
     def forget(self, descriptor: int) -> None:
-        """It no longer does."""
+        """Stop waking the loop for this descriptor."""
 
 
 @final
 class StopSignals:
-    """In the block, a signal that would end us wakes the loop instead, and is kept.
+    """A context in which a terminating signal wakes the loop instead, and is kept.
 
-    Attributes: number, the first one that came; None: none.
+    Attributes:
+        number: the first signal received, or None.
     """
 
     def __init__(self, loop: Wakeable, numbers: Sequence[signal.Signals] = STOPPING) -> None:
@@ -55,7 +56,7 @@ class StopSignals:
         return self
 
     def __exit__(self, *_: object) -> None:
-        """Signals mean what they meant before."""
+        """Restore the former signal handlers."""
         for number, handler in self._old_handlers.items():
             signal.signal(number, handler)
         signal.set_wakeup_fd(self._old_wakeup)
@@ -66,18 +67,21 @@ class StopSignals:
 
 @final
 class Program:
-    """A Python program that runs in a process of its own, until it ends, or the block does.
+    """A Python program in a process of its own, until it ends or the context does.
 
-    It is in a process group of its own: Ctrl-C is ours alone to hear, and we end it.
+    It has a process group of its own: Ctrl-C reaches only this process, which then ends it.
 
-    Attributes: name; pid.
+    Attributes:
+        name: name in messages.
+        file: name of its file.
+        pid: its process id.
     """
 
     def __init__(self, path: Path, environment: Mapping[str, str], loop: WallLoop) -> None:
-        """It has begun. What it prints, on either stream, is in `lines`."""
+        """Start the program; `lines` returns its output of both streams."""
         self.name: Final = path.stem.removesuffix("_program")
         self.file: Final = path.name
-        root = str(Path(harness.__file__).parent.parent)  # it finds the packages that we are of
+        root = str(Path(harness.__file__).parent.parent)  # lets it import the same packages
         others = [path for path in (environment.get("PYTHONPATH"),) if path]
         self._loop = loop
         self._process = subprocess.Popen(
@@ -108,7 +112,7 @@ class Program:
         return self
 
     def __exit__(self, *_: object) -> None:
-        """It has ended; if need be, it was killed."""
+        """Kill the program if it still runs, and wait for its end."""
         try:
             self.kill()
         finally:
@@ -120,18 +124,18 @@ class Program:
 
     @property
     def status(self) -> int | None:
-        """Its exit status, -n if signal n ended it; None while it runs."""
+        """The exit status, -n if signal n ended it, or None while it runs."""
         status = self._process.poll()
         if status is not None:
             self._forget_process()
         return status
 
     def kill(self) -> None:
-        """It is killed at once, by its id; nothing if it has ended."""
+        """Kill the program at once, by its process id; no effect if it has ended."""
         self._process.kill()
 
     def lines(self) -> list[str]:
-        """The lines it has printed since this was asked last."""
+        """Return the lines printed since the last call."""
         if self._hears:
             try:
                 data = os.read(self._output, _LINE_MAX)
@@ -147,7 +151,7 @@ class Program:
     def _forget_process(self) -> None:
         watch, self._watch = self._watch, None
         if watch is not None:
-            with suppress(KeyError):  # it was never woken by it
+            with suppress(KeyError):  # it was never registered
                 self._loop.forget(watch)
             os.close(watch)
 

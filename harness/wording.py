@@ -1,4 +1,4 @@
-"""How keys, names and values are written in messages: short, and never more than one line."""
+"""Wording of keys, names and values in messages: short, one line."""
 
 import difflib
 from collections.abc import Iterable, Sequence
@@ -10,7 +10,7 @@ _SHOWN_MAX: Final = 60
 
 
 def dotted(path: KeyPath) -> str:
-    """The path as a person writes it: keys joined by dots, items of lists in brackets."""
+    """Return the path as people write it: keys joined by dots, list items in brackets."""
     text = ""
     for key in path:
         if isinstance(key, int):
@@ -22,13 +22,13 @@ def dotted(path: KeyPath) -> str:
 
 
 def listed(names: Iterable[str]) -> str:
-    """Names with commas between them, or "none"."""
+    """Return the names separated by commas, or "none"."""
     return ", ".join(names) or "none"
 
 
 def nearest(name: str, known: Sequence[str]) -> str:
-    """A remedy: the known name that is most like `name`; else to take this one out."""
-    for candidate in known:  # a unit left out is the likeliest mistake of all
+    """Return a remedy: the known name most similar to `name`, or to remove it."""
+    for candidate in known:  # a missing unit is the likeliest mistake
         if candidate.startswith(f"{name}_"):
             return f"did you mean {candidate}?"
     found = difflib.get_close_matches(name.lower(), [k.lower() for k in known], 1, 0.6)
@@ -39,7 +39,7 @@ def nearest(name: str, known: Sequence[str]) -> str:
 
 
 def kind_of(value: object) -> str:
-    """What TOML calls a value of this type, with its article."""
+    """Return TOML's word for the type of this value, with its article."""
     if isinstance(value, bool):
         return "a boolean"
     for kind, name in _KINDS:
@@ -49,7 +49,7 @@ def kind_of(value: object) -> str:
 
 
 def a_kind_of(value: object) -> str:
-    """What Python calls it, with an article: "None", "the class Motor", "a 'str'"."""
+    """Return Python's word for it, with its article: "None", "the class Motor", "a 'str'"."""
     if value is None:
         return "None"
     return (
@@ -67,7 +67,7 @@ _KINDS: Final = (
 
 
 def shown(value: object) -> str:
-    """A value as TOML writes it, cut short."""
+    """Return a value as TOML writes it, shortened."""
     if isinstance(value, bool):
         return "true" if value else "false"
     if isinstance(value, dict | list):
@@ -77,5 +77,5 @@ def shown(value: object) -> str:
 
 
 def one_line(text: str) -> str:
-    """The text with everything that is not printable written as an escape."""
+    """Return the text with every non-printable character as an escape."""
     return "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in text)

@@ -1,4 +1,4 @@
-"""Who may import whom: the contracts of pyproject.toml are kept, and each of them can break."""
+"""Import contracts of pyproject.toml: all kept, and each can break."""
 
 import json
 import shutil
@@ -10,7 +10,7 @@ import pytest
 
 from tests.architecture.checkout import CHECKOUT, PACKAGES
 
-# (contract, where a line is planted, the line, what import-linter says of it)
+# (contract, file of the planted line, the line, import-linter's message)
 PLANTS = [
     (
         "analysis",
@@ -243,7 +243,7 @@ PLANTS = [
 
 @pytest.fixture(scope="module")
 def told(tmp_path_factory):
-    """What import-linter says of the sources as they are, then of each plant."""
+    """Return import-linter's results for the unchanged sources and for each plant."""
     copy = tmp_path_factory.mktemp("copy")
     for name in PACKAGES:
         ignored = shutil.ignore_patterns("__pycache__", "*.so")
@@ -267,13 +267,13 @@ def test_every_contract_is_kept(told):
 
 
 @pytest.mark.parametrize("number", range(len(PLANTS)), ids=[f"{p[0]}-{p[1]}" for p in PLANTS])
-def test_a_planted_import_breaks_its_contract(told, number):
+def test_planted_import_breaks_its_contract(told, number):
     kept, printed = told[number + 1]
     assert not kept
     assert PLANTS[number][3] in " ".join(printed.split())
 
 
-def test_every_contract_has_been_seen_broken():
+def test_every_contract_has_a_plant():
     written = tomllib.loads((CHECKOUT / "pyproject.toml").read_text())
     ids = [contract["id"] for contract in written["tool"]["importlinter"]["contracts"]]
     assert sorted(ids) == sorted({plant[0] for plant in PLANTS})

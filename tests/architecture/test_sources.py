@@ -1,4 +1,4 @@
-"""Sizes of modules and functions, and tests that neither sleep nor ask a clock."""
+"""Sizes of modules and functions, and tests without sleep or clock."""
 
 import ast
 
@@ -10,10 +10,10 @@ MODULE_LINES = 400
 FUNCTION_LINES = 60
 REASON = ("one function, and long, because", "one module, and long, because")
 
-# Tests here run on the wall clock, or measure it: that is what they are for.
+# Tests in these folders run in wall time, or measure it.
 OF_THE_WALL = ("wall", "vcan", "benchmarks")
-# They read a clock. The first two hold `realtime` to be no faster than the wall, and bound it
-# below; the others wait for other programs, on the wall, and bound that above.
+# These files read a clock. The first two check that `realtime` is no faster than wall time, a lower
+# bound; the others wait for other programs with an upper bound.
 READ_A_CLOCK = (
     "tests/harness/test_rig.py",
     "tests/harness/test_cli_run.py",
@@ -21,12 +21,12 @@ READ_A_CLOCK = (
     "tests/crosscheck/test_modbus_clients.py",
     "tests/fuzz/__main__.py",
 )
-# Here sleeping in virtual time is what is under test; conftest.py fails who sleeps on the wall.
+# These tests sleep in virtual time; conftest.py fails tests that sleep in wall time.
 OF_VIRTUAL_SLEEP = "tests/harness/virtual_program/"
 
 
 def too_long(path, text):
-    """What in a module is longer than it may be, without a reason in its docstring."""
+    """Return modules and functions that are too long without a reason in their docstring."""
     tree = ast.parse(text)
     found = []
     if len(text.splitlines()) > MODULE_LINES and not has_reason(tree):
@@ -45,7 +45,7 @@ def has_reason(node):
 
 
 def code_lines(node, text):
-    """Lines of the function that are neither its docstring nor empty."""
+    """Return the number of lines of the function without its docstring and empty lines."""
     lines = text.splitlines()[node.lineno - 1 : node.end_lineno]
     first = node.body[0]
     if ast.get_docstring(node) is not None:
@@ -54,7 +54,7 @@ def code_lines(node, text):
 
 
 def uses_of_time(text):
-    """Calls of something called sleep, and imports of modules that tell the time."""
+    """Return calls of functions named sleep, and imports of clock modules."""
     found = []
     for node in ast.walk(ast.parse(text)):
         if isinstance(node, ast.Call):
@@ -78,14 +78,14 @@ def virtual_time_tests():
             yield name, path.read_text()
 
 
-def test_modules_and_functions_are_short_or_say_why_not():
+def test_modules_and_functions_are_short_or_give_a_reason():
     found = []
     for path in sources():
         found += too_long(path.relative_to(CHECKOUT).as_posix(), path.read_text())
     assert found == []
 
 
-def test_no_test_sleeps_and_none_asks_a_clock_but_where_the_wall_is_the_matter():
+def test_tests_neither_sleep_nor_read_a_clock():
     found = []
     for name, text in virtual_time_tests():
         uses = uses_of_time(text)
@@ -97,12 +97,12 @@ def test_no_test_sleeps_and_none_asks_a_clock_but_where_the_wall_is_the_matter()
 
 
 @pytest.mark.parametrize("lines", [MODULE_LINES, MODULE_LINES + 1])
-def test_the_module_limit_is_found(lines):
+def test_too_long_module_is_found(lines):
     assert bool(too_long("m.py", "x = 1\n" * lines)) is (lines > MODULE_LINES)
 
 
 @pytest.mark.parametrize("lines", [FUNCTION_LINES, FUNCTION_LINES + 1])
-def test_the_function_limit_is_found_and_docstring_and_empty_lines_do_not_count(lines):
+def test_too_long_function_is_found_without_its_docstring(lines):
     body = "    x = 1\n\n" * (lines - 1)
     text = f'def f():\n    """One.\n\n    More.\n    """\n{body}'
     assert bool(too_long("m.py", text)) is (lines > FUNCTION_LINES)
@@ -114,9 +114,9 @@ def test_the_function_limit_is_found_and_docstring_and_empty_lines_do_not_count(
     "text",
     ["import time", "from time import sleep as nap", "def f(x):\n    x.sleep(1)", "sleep(1)"],
 )
-def test_sleeping_and_clocks_are_found(text):
+def test_sleep_and_clocks_are_found(text):
     assert uses_of_time(text)
 
 
-def test_all_four_packages_are_looked_at():
+def test_all_four_packages_are_checked():
     assert {path.relative_to(CHECKOUT).parts[0] for path in sources()} == set(PACKAGES)

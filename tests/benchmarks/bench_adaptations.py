@@ -1,4 +1,4 @@
-"""The host's side: what a status frame costs it, and SDO uploads through the whole emulated bus."""
+"""Host-side costs: status frames, and SDO uploads over the emulated bus."""
 
 import time
 from pathlib import Path
@@ -26,7 +26,7 @@ node_id = 3
 
 
 def run() -> list[tuple[str, float, str]]:
-    """(name, figure, unit) of each."""
+    """Return the figures as (name, figure, unit)."""
     with TemporaryDirectory() as folder:
         path = Path(folder) / "rig.toml"
         path.write_text(RIG)
@@ -45,7 +45,7 @@ def run() -> list[tuple[str, float, str]]:
 
 
 def _status_frames(hw: Cia402HwMotor) -> list[tuple[str, float, str]]:
-    """Through the link's dispatch, as they come from the runtime."""
+    """Measure status frames through the link's dispatch, as the runtime delivers them."""
     on_frame = hw.link._on_frame
     still = b"\x83\x01\0\0\x06\0\0\0\x37\x06\x10\x27\0\0\0\0"
     other = b"\x83\x01\0\0\x06\0\0\0\x37\x02\x11\x27\0\0\0\0"

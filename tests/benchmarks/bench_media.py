@@ -1,4 +1,4 @@
-"""What a frame costs on the emulated CAN bus, in CPU time of this process."""
+"""CPU time per frame on the emulated CAN bus."""
 
 from random import Random
 from time import process_time_ns
@@ -10,7 +10,7 @@ from tests.emulators.media.noisy import noisy_hours
 
 
 def run() -> list[tuple[str, float, str]]:
-    """(name, figure, unit) of each measurement."""
+    """Return the figures as (name, figure, unit)."""
     frames = bus_traffic()
     rule = FaultRule("rare", FaultKind.DROP, probability=0.01)
 

@@ -103,7 +103,7 @@ def test_builder_without_motor_is_reported_with_rig_line(build, told):
     assert (verdict.result, verdict.place) == (Result.CRASHED, "")
     line = 1 + misbehaving.RIG.read_text().splitlines().index('adaptation = "ideal"')
     assert verdict.seen.startswith(f"{misbehaving.RIG}:{line}: motor.left.adaptation: plugin ")
-    assert f" built {told}, which is no motorapi.Motor; " in verdict.seen
+    assert f" built {told}, which is not a motorapi.Motor; " in verdict.seen
 
 
 def test_target_that_is_not_a_function_is_wrong_usage():

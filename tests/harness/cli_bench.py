@@ -1,4 +1,4 @@
-"""Running the command line in tests: in this process, or in another one."""
+"""Command lines run by tests, in this process or in another one."""
 
 import os
 import subprocess
@@ -8,7 +8,7 @@ from pathlib import Path
 
 
 def environment():
-    """For another process: it finds the plugins of bench.py, and bench.py itself."""
+    """Return an environment in which another process finds bench.py and its plugins."""
     folders = [str(Path.cwd().parent / "site"), str(Path(__file__).parents[2])]
     return {**os.environ, "PYTHONPATH": os.pathsep.join(folders)}
 
@@ -29,7 +29,7 @@ INTERRUPTIBLE = (
 
 @contextmanager
 def beside(*words):
-    """The command, running; it has ended afterwards, whatever happens."""
+    """Run the command in the background; kill it at the end of the context."""
     pipe = subprocess.PIPE
     command = [sys.executable, "-c", INTERRUPTIBLE, *words]
     with subprocess.Popen(

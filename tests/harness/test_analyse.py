@@ -236,7 +236,9 @@ def test_wrong_rig_is_reported_with_line(tmp_path, capsys):
 def test_recording_without_bit_rate_is_refused(tmp_path, capsys):
     path = recorded(tmp_path / "some.mcap", {0x101: 5 * MS})
     assert main(["analyse", str(path)]) == 2
-    assert "does not tell the bit rate of can0; say --bitrate can0=500k" in capsys.readouterr().err
+    assert (
+        "does not contain the bit rate of can0; say --bitrate can0=500k" in capsys.readouterr().err
+    )
     assert main(["analyse", str(path), "--bitrate", "can0=500k", "--streamed"]) == 2
     assert "--sync and --streamed are for rigs" in capsys.readouterr().err
     assert main(["analyse", str(path), "--bitrate", "nosuch=500k"]) == 2
@@ -330,7 +332,7 @@ def test_recorded_sync_gives_clock_deviation_and_drift(tmp_path, capsys):
     assert main(["analyse", str(path), *rates]) == 0
     lines = capsys.readouterr().out.splitlines()
     (line,) = [one for one in lines if one.startswith("can0: SYNC every")]
-    assert "its clock +40.0 ppm off 10 ms (told by 1006h); jitter 0.000 us peak to peak" in line
+    assert "its clock +40.0 ppm off 10 ms (from 1006h); jitter 0.000 us peak to peak" in line
     assert "can1: SYNC drifts by -70.0 ppm from that of can0" in lines
 
 
@@ -405,7 +407,7 @@ def test_car_bus_is_not_canopen_and_coarse_stamps_are_noted(tmp_path, capsys):
     _, told = as_json(capsys, str(path), "--bitrate", "can0=500k")
     (bus,) = told["buses"]
     assert [one["name"] for one in bus["messages"]] == [""]
-    assert "stamps are in steps of 1000 ms: nothing finer can be seen" in bus["notes"]
+    assert "time stamps have a resolution of 1000 ms" in bus["notes"]
 
 
 def test_rig_without_can_bus_is_reported(tmp_path, capsys):

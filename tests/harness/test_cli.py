@@ -176,7 +176,7 @@ def test_new_overwrites_no_file(bench, say):
     assert say("new", ".") == (
         2,
         "",
-        "drive.py: is there already; name another folder: motorhil new DIR\n",
+        "drive.py: already exists; name another folder: motorhil new DIR\n",
     )
     assert [path.name for path in bench.iterdir()] == ["drive.py"]
     status, _, err = say("new", "drive.py/below")
@@ -329,7 +329,7 @@ def test_failing_plugin_is_reported_with_line(plugin, say, name):
     status, out, err = say("check", "rig.toml")
     assert (status, out, err.count("\n")) == (2, "", 1)
     assert err.startswith(f"{LEFT_KIND}failed: {told.format(path=path)}")
-    assert err.endswith("; mend it, or tell who made bench 1.0\n")
+    assert err.endswith("; fix it, or report it to the author of bench 1.0\n")
 
 
 def test_group_of_two_motors_on_one_drive_is_reported(bench, say):
@@ -341,5 +341,5 @@ def test_group_of_two_motors_on_one_drive_is_reported(bench, say):
     assert (status, out) == (2, "")
     assert err == (
         f"rig.toml:{line}: group.both.motors[1]: right and left are the same physical motor, "
-        "can0 node 1: a group can move it only once; take one out\n"
+        "can0 node 1: a group can move it only once; remove one of them\n"
     )

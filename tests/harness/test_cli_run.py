@@ -240,9 +240,9 @@ def test_deadlocked_threads_are_reported_with_name_and_line(rig, say):
     )
     status, out, err = say("run", "rig.toml", "script.py")
     assert (status, out) == (1, "")
-    told = "script.py has ended, its thread 'idle' has not; Ctrl-C ends it"
+    told = "script.py has ended, but its thread 'idle' still runs; Ctrl-C ends it"
     assert err.splitlines()[0] == told
-    assert "party 'idle' waits without a timeout for what can never happen" in err
+    assert "party 'idle' waits without a timeout, but nothing can end the wait" in err
     assert "(waiting: idle" in err
 
 
@@ -270,7 +270,7 @@ def test_ctrl_c_ends_script_with_endless_thread(rig):
         told = process.stderr.readline()
         process.send_signal(signal.SIGINT)
         _, err = process.communicate(timeout=60)
-    assert told == "script.py has ended, its thread 'idle' has not; Ctrl-C ends it\n"
+    assert told == "script.py has ended, but its thread 'idle' still runs; Ctrl-C ends it\n"
     assert (process.returncode, err) == (130, "motorhil: interrupted\n")
 
 
@@ -330,7 +330,7 @@ def test_prompt_traceback_has_only_user_lines(rig):
     assert told[2].startswith("motorapi.errors.UsageError: timeout_s = -1.0: must be a number")
     assert told[3:5] == ["Traceback (most recent call last):", where]
     assert (
-        told[5] == "harness.rig_parts.NoSuchName: no motor 'lift' in this rig (known: left, right)"
+        told[5] == "harness.rig_parts.NoSuchName: this rig has no motor 'lift' (known: left, right)"
     )
     assert told[6:10] == [
         "Traceback (most recent call last):",

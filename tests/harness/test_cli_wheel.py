@@ -1,4 +1,4 @@
-"""What a user installs carries everything the commands need."""
+"""Contents of the wheel that users install."""
 
 import os
 import shutil
@@ -29,7 +29,7 @@ def wheel(tmp_path_factory):
     return next(folder.glob("*.whl"))
 
 
-def test_the_wheel_carries_every_file_that_is_no_program(wheel):
+def test_wheel_contains_every_data_file(wheel):
     wanted = {
         path.relative_to(CHECKOUT).as_posix()
         for name in PACKAGES
@@ -45,7 +45,7 @@ def test_the_wheel_carries_every_file_that_is_no_program(wheel):
 
 @pytest.fixture(scope="module")
 def installed(wheel, tmp_path_factory):
-    """Runs a command line with what the wheel holds, and nothing of the checkout."""
+    """Return a function that runs a command line from the wheel alone, without the checkout."""
     site = tmp_path_factory.mktemp("site")
     with zipfile.ZipFile(wheel) as archive:
         archive.extractall(site)
@@ -59,7 +59,7 @@ def installed(wheel, tmp_path_factory):
     return run
 
 
-def test_from_the_wheel_alone_a_new_rig_is_made_and_runs(installed, tmp_path):
+def test_new_rig_is_made_and_runs_from_the_wheel_alone(installed, tmp_path):
     bench = tmp_path / "bench"
     for words in (["new", bench], ["run", bench / "rig.toml", bench / "drive.py"]):
         done = installed(*map(str, words))
@@ -67,7 +67,7 @@ def test_from_the_wheel_alone_a_new_rig_is_made_and_runs(installed, tmp_path):
     assert "right is at 3.1416 rad" in done.stdout
 
 
-def test_from_the_wheel_alone_a_recording_is_drawn(installed, tmp_path):
+def test_report_works_from_the_wheel_alone(installed, tmp_path):
     bench = tmp_path / "bench"
     installed("new", str(bench))
     recording = str(tmp_path / "run.mcap")
@@ -77,5 +77,5 @@ def test_from_the_wheel_alone_a_recording_is_drawn(installed, tmp_path):
     assert '"name":"left"' in (tmp_path / "run.html").read_text("utf-8")
 
 
-def test_the_same_source_has_the_same_digest_wherever_it_is(installed):
+def test_source_digest_does_not_depend_on_the_place(installed):
     assert f"source {source_digest()} in " in installed("--version").stdout

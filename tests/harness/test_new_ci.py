@@ -56,7 +56,7 @@ def test_job_is_written_for_new_or_existing_rig(bench, say):
     Path("my wheels/rig.toml").write_text("mine")
     assert say("new", "my wheels", "--ci", "gitlab") == (
         *(2, ""),
-        f".ci/vcan-or-hub: is there already; take what you need from {HELPER.parent}\n",
+        f".ci/vcan-or-hub: already exists; take what you need from {HELPER.parent}\n",
     )
     Path(CI[1]).unlink()
     assert say("new", "my wheels", "--ci", "gitlab")[:2] == (0, f"{CI_FILES['gitlab']}\n{CI[1]}\n")
@@ -65,7 +65,8 @@ def test_job_is_written_for_new_or_existing_rig(bench, say):
 
 def test_job_that_cannot_be_written_leaves_no_files(bench, say):
     assert say("new", "../elsewhere", "--ci", "github")[2] == (
-        "../elsewhere: is not in the current folder, where the CI job will be; go there first\n"
+        "../elsewhere: is not in the current folder, where the CI job is written; "
+        "change to its parent folder first\n"
     )
     Path(".github").write_text("")
     status, _, err = say("new", "wheels", "--ci", "github")

@@ -143,7 +143,7 @@ def test_times_must_be_seconds(text, capsys, recording):
     assert time_ns("1.000000001") == S + 1
     with pytest.raises(SystemExit):
         shown(capsys, recording, f"--from={text}")
-    assert f"{text!r} is no time; say 0 to 18446744074 s" in capsys.readouterr().err
+    assert f"{text!r} is not a time; say 0 to 18446744074 s" in capsys.readouterr().err
 
 
 def test_command_line_has_verb_show(capsys, recording, tmp_path):

@@ -1,4 +1,4 @@
-"""Whose commands a shared motor got, by what a record tells."""
+"""Attribution of a shared motor's commands to owners, from a record."""
 
 import pytest
 
@@ -43,5 +43,5 @@ def table(events, sent):
     ],
     ids=["in its controller yet", "after its heir's", "a stranger's", "given back", "nobody's"],
 )
-def test_what_the_dead_one_had_sent_is_its_own_until_its_heir_commands(events, sent, counted):
+def test_dead_owners_frames_are_its_own_until_the_next_commands(events, sent, counted):
     assert table(events, sent) == counted

@@ -134,9 +134,7 @@ def test_absent_bus_or_interface_is_one_line_with_a_remedy(on, reason):
 def test_two_dashes_without_a_command_are_one_line():
     done = motorhil("serve", RIG, "--")
     assert done.returncode == 2
-    assert one_line(done.stderr) == (
-        "motorhil serve: no command after --; name one, or leave -- out"
-    )
+    assert one_line(done.stderr) == ("motorhil serve: no command after --; name one, or omit --")
 
 
 def test_invalid_seed_is_wrong_usage():

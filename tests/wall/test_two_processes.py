@@ -202,11 +202,11 @@ def test_folder_unusable_for_sockets_is_one_line(tmp_path):
     )
     assert (done.returncode, done.stdout) == (2, "")
     (line,) = done.stderr.splitlines()
-    assert line.endswith("path too long; set TMPDIR to another folder, of a short name")
+    assert line.endswith("path too long; set TMPDIR to a folder with a shorter name")
     assert list(far.iterdir()) == []
 
 
 def test_single_process_option_is_refused_with_two(tmp_path):
     done = subprocess.run([*DEMO, "--realtime"], capture_output=True, text=True, check=False)
     assert (done.returncode, done.stdout) == (2, "")
-    assert done.stderr == "motorhil demo: --two-processes takes --seed and -o alone\n"
+    assert done.stderr == "motorhil demo: --two-processes takes only --seed and -o\n"

@@ -251,7 +251,7 @@ def test_invalid_mcap_file_is_not_read_as_a_rig(folder, say):
     (folder / "empty.mcap").write_bytes(b"")
     status, out, err = say("check", "empty.mcap")
     assert (status, out) == (2, "")
-    assert "empty.mcap: is no recording (MCAP); give a recording, or a rig file" in err
+    assert "empty.mcap: is not a recording (MCAP); give a recording, or a rig file" in err
 
 
 def test_demo_recording_with_eds_keeps_its_rig(tmp_path, say, monkeypatch, shared):

@@ -45,7 +45,7 @@ def test_named_hardware_opens_bus_of_that_name(rig, interface, channel, bus):
 
 def test_hardware_without_rig_bus_is_refused(rig):
     with pytest.raises(
-        can.CanInitializationError, match=r"'socketcan', channel 'can7'.*there are: can0, ttyUSB0"
+        can.CanInitializationError, match=r"'socketcan', channel 'can7'.*its buses: can0, ttyUSB0"
     ):
         can.Bus(interface="socketcan", channel="can7")
 
