@@ -129,7 +129,7 @@ def test_inputs_can_be_forced_and_let_go_and_their_tpdo_goes_by_itself():
         bench.run(10 * MS)  # TPDO 1 has an inhibit time of 5 ms
         told.append((bench.last(0x185), struct.pack("<I", bits)))
     assert [got for got, _ in told] == [expected for _, expected in told]
-    with pytest.raises(ValueError, match="home is 0 or 1, or -1 for its switch's own, not 2"):
+    with pytest.raises(ValueError, match="home = 2: must be 0, 1 or -1"):
         bench.drive.stimulate("home", 2, bench.now)
 
 

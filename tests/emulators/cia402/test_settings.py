@@ -122,14 +122,14 @@ def test_numbers_arrive():
         ({"objects": {"\uff16065h": 1}}, "is no object; like"),
         ({"objects": {"6065h": 1, "6065H:0": 2}}, "objects.6065H:0: is given twice; take one out"),
         ({"objects": {"6065h": [1]}}, "objects.6065h: [1] is no value"),
-        ({"objects": {"6065h": 1.5}}, "objects.6065h: 1.5 is no whole number"),
+        ({"objects": {"6065h": 1.5}}, "objects.6065h: 1.5 is not a whole number"),
         ({"objects": {"6065h": -1}}, "objects.6065h: -1 does not fit data type 07h"),
         ({"objects": {"60C2h:2": 3}}, "objects.60C2h:2: 3 is outside -6..0"),
-        ({"objects": {"6065h": "a"}}, "objects.6065h: 'a' is no number"),
+        ({"objects": {"6065h": "a"}}, "objects.6065h: 'a' is not a number"),
         ({"objects": {"2000h": 1}}, "objects.2000h: motorhil_cia402.eds has no such object"),
         ({"objects": {"60c2h:3": 1}}, "objects.60c2h:3: motorhil_cia402.eds has no such object"),
-        ({"supported_modes": "pp"}, "supported_modes: 'pp' is no list of modes"),
-        ({"supported_modes": []}, "supported_modes: [] is no list of modes"),
+        ({"supported_modes": "pp"}, "supported_modes: 'pp' is not a list of modes"),
+        ({"supported_modes": []}, "supported_modes: [] is not a list of modes"),
         ({"supported_modes": ["vl"]}, "supported_modes: mode vl is not emulated; known: pp, pv"),
         ({"supported_modes": ["p"]}, "supported_modes: there is no mode 'p'; known: pp, pv"),
         ({"protection": {"stop": 1}}, "protection.stop: is not known; "),
@@ -170,13 +170,16 @@ def test_numbers_arrive():
             "protection.under_voltage_v: under-voltage at 40 V is not below over-voltage at 30 V; "
             "the supply's own is 24 V",
         ),
-        ({"quirks": "slow_sdo"}, "quirks: 'slow_sdo' is no list of names"),
+        ({"quirks": "slow_sdo"}, "quirks: 'slow_sdo' is not a list of names"),
         (
             {"quirks": ["slow"]},
             "quirks: there is no quirk 'slow'; did you mean slow_sdo? known: inverted_set_point_",
         ),
         ({"quirks": [["a"]]}, "quirks: there is no quirk \"['a']\"; known: "),
-        ({"quirks": {"slow_sdo": 3}}, "quirks.slow_sdo: 3 says nothing; true, or a table of: mean"),
+        (
+            {"quirks": {"slow_sdo": 3}},
+            "quirks.slow_sdo: 3 is not a valid value; true, or a table of: mean",
+        ),
         (
             {"quirks": {"slow_sdo": {"mean": 1}}},
             "quirks.slow_sdo.mean: is not known; did you mean mean_s?",
@@ -189,12 +192,13 @@ def test_numbers_arrive():
             {"quirks": {"stray_emcy": {"for_s": 1}}},
             "quirks.stray_emcy.for_s: is not known; take it out, there are none",
         ),
-        ({"quirks": "stray_emcy"}, "quirks: 'stray_emcy' is no list of names; [\"stray_emcy\"]"),
-        ({"quirks": ["stray_emcy"] * 2}, "quirks: stray_emcy is there twice; take one out"),
-        ({"supported_modes": ["pp", "pp"]}, "supported_modes: mode pp is there twice"),
+        ({"quirks": "stray_emcy"}, "quirks: 'stray_emcy' is not a list of names; [\"stray_emcy\"]"),
+        ({"quirks": ["stray_emcy"] * 2}, "quirks: stray_emcy is listed twice; take one out"),
+        ({"supported_modes": ["pp", "pp"]}, "supported_modes: mode pp is listed twice"),
         (
             {"cyclic": {"sync_lost_code": 0x8700}},
-            "cyclic.sync_lost_code: there is no fault to tell; write sync_lost_periods = 5, too",
+            "cyclic.sync_lost_code: has no effect without sync_lost_periods; "
+            "add sync_lost_periods = 5",
         ),
         (
             {"plant": {"preset": "wheel_6w"}},
@@ -269,7 +273,7 @@ def test_a_missing_node_id_is_told():
 def test_a_file_that_is_no_drives_is_refused(tmp_path):
     text = OWN_EDS.read_text()
     (tmp_path / "other.eds").write_text(text.replace("6041", "6042"))
-    assert "no CiA 402 drive's file" in refused(folder=tmp_path, eds="other.eds")
+    assert "not the EDS of a CiA 402 drive" in refused(folder=tmp_path, eds="other.eds")
 
 
 def test_a_broken_file_is_refused_with_its_line(tmp_path):

@@ -383,5 +383,5 @@ def test_a_tick_must_hold_a_whole_number_of_current_steps(tick_ns, steps):
 
 def test_gains_that_make_the_current_loop_unstable_are_refused():
     for kp in (1e3, -10.0):
-        with pytest.raises(ValueError, match="current loop is unstable"):
+        with pytest.raises(ValueError, match="current loop: unstable"):
             Axis(WHEEL_60W, replace(GAINS, current_kp_v_a=kp), MS, 10)
