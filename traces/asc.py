@@ -1,7 +1,8 @@
-"""Reads Vector's ASC files, classic and CAN FD rows, decimal or hexadecimal; writes them.
+"""Reader and writer for Vector ASC files, classic and CAN FD.
 
-A time is that of the head's date, taken for UTC, and the row's; without a date that can be read,
-the row's alone. Where the head says "relative", each row's time counts from the row before.
+Numbers may be decimal or hexadecimal. A time is the sum of the date in the head, taken as UTC, and
+the row's time. Without a readable date it is the row's time alone. If the head says "relative",
+each row's time counts from the previous row.
 
 Source: Vector, "CAN ASC Logging Files Format Description", 1.16; rows of real files.
 """
@@ -33,7 +34,7 @@ _SPELLED: Final = (
     "nov",
     "dec|dez",
 )
-_MONTHS: Final = {  # English; and German where it differs
+_MONTHS: Final = {  # English, and German where it differs
     name: number for number, names in enumerate(_SPELLED, 1) for name in names.split("|")
 }
 _NAMES: Final = ("Jan", "Feb", "Mar", "Apr", "May", "Jun", "Jul", "Aug", "Sep", "Oct", "Nov", "Dec")
@@ -48,13 +49,13 @@ _RTR_FLAG: Final = 0x0010
 
 
 def looks_like_asc(line: str) -> bool:
-    """Whether it is a line of an ASC file's head."""
+    """Return True if the line belongs to the head of an ASC file."""
     return line.startswith("date ") or _BASE.match(line) is not None
 
 
 @final
 class AscReader:
-    """Rows; what the head says holds for all that follow."""
+    """Reader of ASC lines; the settings of the head apply to all following rows."""
 
     name = "asc"
 
@@ -65,7 +66,7 @@ class AscReader:
         self._before_ns = 0
 
     def take(self, line: str, findings: Findings) -> Sequence[Frame]:
-        """The frame of a line. Raises ValueError: why it cannot be read."""
+        """Return the frame of a line. Raises ValueError with the reason if it is unreadable."""
         stripped = line.strip()
         if not stripped:
             return ()
@@ -134,7 +135,9 @@ class AscReader:
         if parts[2] == "ErrorFrame":
             return Frame(time_ns, _bus(parts[0]), traffic.classic(traffic.ERR | 0x80, bytes(8)))
         can_id, way = self._identifier(parts[2]), _WAYS[parts[1]]
-        at = 3 if parts[3] in ("0", "1") and parts[4] in ("0", "1") else 4  # 4: behind a name
+        at = (
+            3 if parts[3] in ("0", "1") and parts[4] in ("0", "1") else 4
+        )  # 4: after a symbolic name
         if len(parts) < at + 4:
             raise ValueError("ends in the middle")
         brs, esi, _, size = parts[at : at + 4]
@@ -180,14 +183,14 @@ def _bus(channel: str) -> str:
 
 
 def _length(digit: str) -> int:
-    """A DLC is one hexadecimal digit, whatever the base."""
+    """Return a DLC, which is one hexadecimal digit in any base."""
     if len(digit) != 1:
         raise ValueError(f"no DLC: {digit!r}")
     return int(digit, 16)
 
 
 def _date_ns(line: str) -> int:
-    """Since 1970; 0: it cannot be read."""
+    """Return the time since 1970 [ns]; 0 if it is unreadable."""
     match = _DATE.match(line)
     month = _MONTHS.get(match[1][:3].lower()) if match else None
     if match is None or month is None:
@@ -203,7 +206,7 @@ def _date_ns(line: str) -> int:
 def write_asc(
     file: TextIOBase, buses: Sequence[str], first_ns: int, places: int, frames: Iterator[Frame]
 ) -> None:
-    """A file whose date is the whole second that log time `first_ns` is in."""
+    """Write a file whose date is the full second of log time `first_ns`."""
     numbers = traffic.bus_numbers(buses)
     start_ns = first_ns // NS * NS
     year, month, day = traffic.date_of(start_ns)
@@ -235,5 +238,5 @@ def _row(frame: Frame, channel: int) -> str:
     dlc = next(n for n in range(16) if traffic.FD_LENGTHS[n] >= told.length)
     flags = _EDL | (_BRS_FLAG if brs else 0) | (_ESI_FLAG if esi else 0)
     head = f"CANFD {channel:3d} {way} {digits:>10} {'':>33}{brs} {esi} {dlc:x} {told.length:2d}"
-    # behind the data: duration, length in bits, flags, CRC, bit timing: only the flags are known
+    # after the data: duration, length in bits, flags, CRC, bit timing; only the flags are known
     return f"{head} {data}{' ' if data else ''}       0    0 {flags:8X}        0 0 0 0 0"

@@ -1,10 +1,12 @@
-"""Reads Vector's BLF files: classic, CAN FD and error frames, with stamps of 10 us or 1 ns.
+"""Reader for Vector BLF files: classic, CAN FD and error frames.
 
-A time is that of the file's start, taken for UTC, and the object's; without a start, the object's
-alone. What ends in the middle, or is damaged, is told, and what is whole is read.
+Time stamps have a resolution of 10 us or 1 ns. A time is the sum of the file's start, taken as UTC,
+and the object's time. Without a start it is the object's time alone. Truncated or damaged parts are
+reported, and everything intact is read.
 
-Source: Vector, "Binary Logging Format" (vector_blf, LGPL, by T. Lorenz, tells the same); python-can
-4.6.1, whose reader holds stamps in floats (0.24 us today), and ends at the first damage.
+Source: Vector, "Binary Logging Format" (also described by vector_blf, LGPL, by T. Lorenz);
+python-can 4.6.1, whose reader keeps stamps in floats (0.24 us today), and stops at the first
+damage.
 """
 
 import os
@@ -22,7 +24,7 @@ from traces.traffic import Findings, Frame
 MAGIC: Final = b"LOGG"
 _OBJECT: Final = b"LOBJ"
 _BASE: Final = struct.Struct("<4sHHII")  # signature, size and version of the head, size, type
-_STAMP: Final = struct.Struct("<I4xQ")  # flags, time: the same place in versions 1 and 2
+_STAMP: Final = struct.Struct("<I4xQ")  # flags, time: at the same offset in versions 1 and 2
 _START: Final = struct.Struct("<8H")  # SYSTEMTIME: year, month, day of week, day, h, m, s, ms
 _START_AT: Final = 40
 _MESSAGE: Final = struct.Struct("<HBBI8s")  # channel, flags, DLC, identifier, data
@@ -36,15 +38,15 @@ _INNER_MAX: Final = 1 << 22  # inside a container
 _EXTENDED: Final = 0x8000_0000
 _REMOTE: Final = 0x80
 _SENT: Final = 0x01
-_CORE_TOLD: Final = 2  # of an error frame: the controller's own error code is valid
+_CORE_TOLD: Final = 2  # in an error frame: the controller's own error code is valid
 _CORE_SENT: Final = 0x1000
 
 
 def blf_frames(path: str, findings: Findings) -> Iterator[Frame]:
-    """The frames of a BLF file, in its order.
+    """Yield the frames of a BLF file, in file order.
 
     Raises:
-        TraceError: it cannot be read, or is no BLF file.
+        TraceError: the file cannot be read, or is not a BLF file.
     """
     try:
         data = Path(path).read_bytes()
@@ -77,7 +79,7 @@ class _Objects:
         self._others = 0
 
     def frames(self, data: bytes) -> Iterator[Frame]:
-        """What is in containers, and beside them; an object may go on in the next container."""
+        """Yield frames inside and outside containers; objects can span two containers."""
         at = min(struct.unpack_from("<I", data, 4)[0], _HEAD_MAX)
         rest = b""
         if at > len(data):
@@ -114,7 +116,7 @@ class _Objects:
                 and kind == _CONTAINER
                 and at + size < len(data)
             ):
-                rest = b""  # a size that is damaged must not swallow the containers behind
+                rest = b""  # a damaged size must not swallow the following containers
             at += size + size % 4
         if data[at:].strip(b"\0"):
             left = len(data) - at
@@ -127,7 +129,7 @@ class _Objects:
             self._findings.note(f"{self._others} objects are no frames, and left out")
 
     def _content(self, body: bytes, head: int, at: int) -> bytes:
-        """What is in a container; of a damaged one, what can be had."""
+        """Return the content of a container, or as much as possible of a damaged one."""
         if len(body) < head + 16:
             return b""
         method = struct.unpack_from("<H", body, head)[0]
@@ -148,7 +150,7 @@ class _Objects:
         return bytes(out)
 
     def _in(self, data: bytes) -> Iterator[tuple[int, Frame | None]]:
-        """(where the next object begins, a frame) of each whole object."""
+        """Yield the end and the frame of each complete object."""
         at = 0
         while True:
             found = data.find(_OBJECT, at)
@@ -226,7 +228,7 @@ def _fd_message_64(body: bytes, at: int) -> _Told:
     told = _FD_MESSAGE_64.unpack_from(body, at)
     channel, dlc, valid, can_id, flags, sent, extra = (told[n] for n in (0, 1, 2, 4, 6, 12, 13))
     begin = at + _FD_MESSAGE_64.size
-    # More may be called valid than is there; it is zero (CANoe; python-can, issue 1905).
+    # More bytes can be declared valid than exist; they are zero (CANoe; python-can, issue 1905).
     data = body[begin : min(begin + valid, extra or len(body))].ljust(valid, b"\0")
     bits = (traffic.BRS if flags & 0x2000 else 0) | (traffic.ESI if flags & 0x4000 else 0)
     frame = _either(_can_id(can_id), flags & 0x10, flags & 0x1000, bits, dlc, data)

@@ -1,7 +1,8 @@
-"""Reads what `candump` of can-utils printed, with `-L` or without, as people keep it; writes both.
+"""Reader and writer for the output of `candump`, with and without `-L`.
 
-What people keep has no time stamps, or dates; no interface; comments behind the rows; the command
-line in front of them; two rows in one line; an end in the middle of a row.
+The reader accepts files as people keep them: without time stamps, with dates, without an interface,
+with comments after the rows or a command line before them, with two rows in one line, or cut in the
+middle of a row.
 
 Source: can-utils, candump.c and lib.c (`sprint_canframe`, `sprint_long_canframe`).
 """
@@ -14,7 +15,7 @@ from traces import traffic
 from traces.schema import Direction
 from traces.traffic import Findings, Frame, shown
 
-_BUS: Final = "can0"  # where no interface is told
+_BUS: Final = "can0"  # default without an interface
 _LOG: Final = re.compile(
     r"\s*\((\d+(?:\.\d*)?)\)\s+(\S+)\s+([0-9A-Fa-f]+)#([^\s(]*)(?:\s+([RT])(?=\s|$))?\s*(.*)"
 )
@@ -31,18 +32,18 @@ _WAYS: Final = {"R": Direction.RECEIVED, "T": Direction.TRANSMITTED}
 
 
 def looks_like_log(line: str) -> bool:
-    """Whether it is a row of `candump -L`."""
+    """Return True for a row of `candump -L`."""
     return _LOG.match(line) is not None
 
 
 def looks_plain(line: str) -> bool:
-    """Whether it is a row of `candump`."""
+    """Return True for a row of `candump`."""
     return _PLAIN.match(line) is not None
 
 
 @final
 class CandumpReader:
-    """Rows of both kinds, also mixed. Source of the forms: can-utils."""
+    """Reader of rows of both kinds, also mixed. Source: can-utils."""
 
     name = "candump"
 
@@ -50,13 +51,13 @@ class CandumpReader:
         self._after_error = False
 
     def take(self, line: str, findings: Findings) -> Sequence[Frame]:
-        """The frames of a line. Raises ValueError: why it cannot be read."""
+        """Return the frames of a line. Raises ValueError with the reason if it is unreadable."""
         stripped = line.strip()
         if not stripped or stripped.startswith(_COMMENT):
             findings.comments += bool(stripped)
             return ()
         if self._after_error and line.startswith("\t"):
-            return ()  # candump -e: the error frame's meaning, in words
+            return ()  # candump -e: the error frame's meaning in words
         match = _LOG.match(line)
         if match is not None:
             frame, rest = self._log_row(match), match[6]
@@ -67,7 +68,7 @@ class CandumpReader:
         return self._plain_row(match, findings)
 
     def _with_rest(self, found: list[Frame], rest: str, findings: Findings) -> list[Frame]:
-        """What stands behind a row: nothing, a comment, or another row."""
+        """Handle the text after a row: nothing, a comment, or another row."""
         self._after_error = bool(traffic.fields(found[-1].frame).can_id & traffic.ERR)
         if not rest or rest in ("ERRORFRAME",) or rest.startswith("'"):
             return found
@@ -111,10 +112,10 @@ class CandumpReader:
 
 
 def _bytes(text: str, length: int) -> tuple[bytes, str]:
-    """So many bytes, and what stands behind them."""
+    """Return `length` bytes, and the text after them."""
     if length > 64:
         raise ValueError(f"{length} bytes in a frame")
-    if len(text.rstrip()) == 3 * length - 1:  # as most rows are
+    if len(text.rstrip()) == 3 * length - 1:  # fast path for most rows
         try:
             data = bytes.fromhex(text)
         except ValueError:
@@ -147,7 +148,7 @@ def _stamp_ns(text: str) -> int:
 
 
 def _log_frame(can_id: int, body: str) -> bytes:
-    """The frame behind "#"."""
+    """Return the frame described by the text after "#"."""
     if body.startswith("#"):
         if len(body) < 2:
             raise ValueError("a CAN FD frame without flags")
@@ -170,7 +171,7 @@ def _packed(digits: str) -> bytes:
 
 
 def plain_row(frame: Frame, places: int = 6) -> str:
-    """A row of `candump -t a -x`; who cannot say which way a frame went, has received it."""
+    """Return a row of `candump -t a -x`; an unknown direction becomes RX."""
     told = traffic.fields(frame.frame)
     fd = told.fd
     way = "TX" if frame.direction is Direction.TRANSMITTED else "RX"
@@ -197,7 +198,7 @@ def _stamp(time_ns: int, places: int) -> str:
 
 
 def log_row(frame: Frame, places: int = 6) -> str:
-    """A row of `candump -L`; microseconds as it writes them, or with -N nanoseconds."""
+    """Return a row of `candump -L`, with microseconds, or with nanoseconds like -N."""
     told = traffic.fields(frame.frame)
     can_id = told.can_id
     if can_id & traffic.RTR:

@@ -1,4 +1,4 @@
-"""How chunks are compressed: zstd by us, also lz4 or not at all by others."""
+"""Compression of chunks: zstd, and on reading also lz4 or none."""
 
 from typing import Final, final
 
@@ -9,14 +9,14 @@ _PIECE: Final = 4096
 
 @final
 class CompressionError(Exception):
-    """What was compressed is damaged, or compressed by something unknown."""
+    """Compressed data is damaged, or its compression is unknown."""
 
 
 def decompress(compression: str, data: bytes, size: int) -> bytes:
-    """The `size` bytes that `data` is the compressed form of.
+    """Return the `size` uncompressed bytes of `data`.
 
     Raises:
-        CompressionError: they cannot be had.
+        CompressionError: the data is damaged, or the compression unknown.
     """
     try:
         if compression == "zstd":
@@ -37,7 +37,7 @@ def decompress(compression: str, data: bytes, size: int) -> bytes:
 
 
 def salvage(compression: str, data: bytes) -> bytes:
-    """As much as can still be had when the end of `data` is missing; zstd gives whole blocks."""
+    """Return as much as possible of data whose end is missing; zstd yields whole blocks."""
     if not compression:
         return data
     if compression != "zstd":

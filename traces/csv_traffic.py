@@ -1,9 +1,9 @@
-"""CSV: ours, which holds all that a frame has; python-can's; and SavvyCAN's.
+"""CSV formats: ours (complete frames), python-can's and SavvyCAN's.
 
-    time_s,bus,id,extended,kind,brs,esi,direction,sender,length,data
-    12.000000001,can0,181,0,data,0,0,received,left,2,0102
+  time_s,bus,id,extended,kind,brs,esi,direction,sender,length,data
+  12.000000001,can0,181,0,data,0,0,received,left,2,0102
 
-Columns are found by their names, so others may stand between them.
+Columns are found by name, so additional columns are allowed.
 
 Source: python-can 4.6.1, can/io/csv.py; SavvyCAN, framefileio.cpp (GVRET logs, times in us).
 """
@@ -36,7 +36,7 @@ Row = dict[str, str]
 
 
 def _dialect(line: str) -> tuple[list[str], Callable[[Row], Frame]] | None:
-    """The names of its columns, and what reads a row; None: it is the head of no known table."""
+    """Return column names and row reader for a table's head; None if the table is unknown."""
     columns = [name.strip().lower() for name in line.strip().lstrip("\ufeff").split(",")]
     for needed, take in ((COLUMNS, _ours), (_PYTHON_CAN, _python_can), (_SAVVYCAN, _savvycan)):
         if set(needed) <= set(columns):
@@ -45,13 +45,13 @@ def _dialect(line: str) -> tuple[list[str], Callable[[Row], Frame]] | None:
 
 
 def looks_like_csv(line: str) -> bool:
-    """Whether it is the head of a table that is known here."""
+    """Return True for the head of a known table."""
     return _dialect(line) is not None
 
 
 @final
 class CsvReader:
-    """Rows of a table behind its head."""
+    """Reader of a table's head and rows."""
 
     name = "csv"
 
@@ -60,7 +60,7 @@ class CsvReader:
         self._take: Callable[[Row], Frame] = _ours
 
     def take(self, line: str, findings: Findings) -> Sequence[Frame]:
-        """The frame of a line. Raises ValueError: why it cannot be read."""
+        """Return the frame of a line. Raises ValueError with the reason if it is unreadable."""
         if not line.strip():
             return ()
         if not self._columns:
@@ -166,7 +166,7 @@ def _byte(text: str) -> int:
 
 
 def write_csv(file: TextIOBase, places: int, frames: Iterator[Frame]) -> None:
-    """Our own table."""
+    """Write our own table."""
     buffer = StringIO()
     rows = csv.writer(buffer, lineterminator="\n")
     file.write(",".join(COLUMNS) + "\n")
