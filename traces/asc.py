@@ -90,9 +90,11 @@ class AscReader:
         elif line.startswith("date "):
             self._start_ns = _date_ns(line)
             if not self._start_ns:
-                findings.note(f"no date that can be read: times are from its beginning ({line})")
+                findings.note(
+                    f"no readable date: times count from the beginning of the recording ({line})"
+                )
         elif not line.lower().startswith(_SILENT):
-            raise ValueError("no row")
+            raise ValueError("not a row")
         else:
             findings.comments += line.startswith("//")
 
@@ -106,19 +108,19 @@ class AscReader:
             if rest.startswith(_EVENTS):
                 findings.comments += 1
                 return None
-            raise ValueError("no frame but another event")
+            raise ValueError("not a frame but another event")
         bus = _bus(parts[0])
         if len(parts) > 1 and parts[1] == "ErrorFrame":
-            findings.note("error frames do not tell what was wrong: taken for a bus error")
+            findings.note("error frames do not state the cause; read as bus errors")
             way = _WAYS.get(parts[2], Direction.UNKNOWN) if len(parts) > 2 else Direction.UNKNOWN
             return Frame(time_ns, bus, traffic.classic(traffic.ERR | 0x80, bytes(8)), way)
         if len(parts) > 1 and parts[1].startswith(_EVENTS):
             findings.comments += 1
             return None
         if len(parts) < 4 or parts[2] not in (*_WAYS, "TxRq") or parts[3] not in ("d", "r"):
-            raise ValueError("no frame" if len(parts) >= 4 else "ends in the middle")
+            raise ValueError("not a frame" if len(parts) >= 4 else "ends in the middle")
         if parts[2] == "TxRq":
-            findings.note("requests to send (TxRq) are no frames, and left out")
+            findings.note("requests to send (TxRq) are not frames, and are omitted")
             return None
         can_id, way = self._identifier(parts[1]), _WAYS[parts[2]]
         length = _length(parts[4]) if len(parts) > 4 else None
@@ -131,7 +133,7 @@ class AscReader:
 
     def _fd_row(self, parts: list[str], time_ns: int) -> Frame:
         if len(parts) < 7 or parts[1] not in _WAYS:
-            raise ValueError("ends in the middle" if len(parts) < 7 else "no frame")
+            raise ValueError("ends in the middle" if len(parts) < 7 else "not a frame")
         if parts[2] == "ErrorFrame":
             return Frame(time_ns, _bus(parts[0]), traffic.classic(traffic.ERR | 0x80, bytes(8)))
         can_id, way = self._identifier(parts[2]), _WAYS[parts[1]]
@@ -142,7 +144,7 @@ class AscReader:
             raise ValueError("ends in the middle")
         brs, esi, _, size = parts[at : at + 4]
         if not size.isdecimal():
-            raise ValueError("no length of its data")
+            raise ValueError("data length is missing")
         rest = parts[at + 4 :]
         length = int(size)
         data = self._bytes(rest, length)
@@ -162,7 +164,7 @@ class AscReader:
         try:
             can_id = int(digits[:-1] if extended else digits, self._base)
         except ValueError:
-            raise ValueError(f"no identifier: {digits!r}") from None
+            raise ValueError(f"not an identifier: {digits!r}") from None
         if not 0 <= can_id <= (traffic.EFF_MASK if extended else traffic.SFF_MASK):
             raise ValueError(f"identifier {digits} is too large")
         return can_id | traffic.EFF if extended else can_id
@@ -173,19 +175,19 @@ class AscReader:
         try:
             return bytes(int(part, self._base) for part in parts[:length])
         except ValueError:
-            raise ValueError("its data are no bytes") from None
+            raise ValueError("the data is not a sequence of bytes") from None
 
 
 def _bus(channel: str) -> str:
     if not channel.isdecimal():
-        raise ValueError(f"no channel: {channel!r}")
+        raise ValueError(f"not a channel: {channel!r}")
     return f"can{max(0, int(channel) - 1)}"
 
 
 def _length(digit: str) -> int:
     """Return a DLC, which is one hexadecimal digit in any base."""
     if len(digit) != 1:
-        raise ValueError(f"no DLC: {digit!r}")
+        raise ValueError(f"not a DLC: {digit!r}")
     return int(digit, 16)
 
 

@@ -53,7 +53,7 @@ def blf_frames(path: str, findings: Findings) -> Iterator[Frame]:
     except OSError as error:
         raise TraceError(os.fspath(path), str(error.strerror).lower()) from error
     if data[:4] != MAGIC:
-        raise TraceError(os.fspath(path), "is no BLF file")
+        raise TraceError(os.fspath(path), "is not a BLF file")
     if len(data) < _START_AT + _START.size:
         findings.problem(0, f"ends at byte {len(data)}, within its head")
         return
@@ -64,7 +64,7 @@ def _start_ns(data: bytes, findings: Findings) -> int:
     told: tuple[int, ...] = _START.unpack_from(data, _START_AT)
     year, month, _, day, hours, minutes, seconds, ms = told
     if year < 1970 or not 1 <= month <= 12 or not 1 <= day <= 31:
-        findings.note("no start since 1970 is told: times are from its beginning")
+        findings.note("no start time since 1970: times count from the beginning of the recording")
         return 0
     of_day_ms = ((hours * 60 + minutes) * 60 + seconds) * 1000 + ms
     return traffic.date_ns(year, month, day) + of_day_ms * 1_000_000
@@ -89,7 +89,7 @@ class _Objects:
             if signature != _OBJECT or not _BASE.size <= size <= _OBJECT_MAX:
                 found = data.find(_OBJECT, at + 1)
                 lost = (found if found >= 0 else len(data)) - at
-                self._findings.problem(self._number, f"{lost} bytes at byte {at} are no object")
+                self._findings.problem(self._number, f"{lost} bytes at byte {at} are not an object")
                 if found < 0:
                     return
                 at = found
@@ -124,9 +124,9 @@ class _Objects:
                 self._number, f"ends within the head of an object ({left} bytes)"
             )
         if rest.strip(b"\0"):
-            self._findings.problem(self._number, f"{len(rest)} bytes are left of its last object")
+            self._findings.problem(self._number, f"{len(rest)} bytes remain of its last object")
         if self._others:
-            self._findings.note(f"{self._others} objects are no frames, and left out")
+            self._findings.note(f"{self._others} objects are not frames, and are omitted")
 
     def _content(self, body: bytes, head: int, at: int) -> bytes:
         """Return the content of a container, or as much as possible of a damaged one."""
@@ -158,7 +158,9 @@ class _Objects:
                 return
             if data[at:found].strip(b"\0"):
                 lost = found - at
-                self._findings.problem(self._number, f"{lost} bytes in a container are no object")
+                self._findings.problem(
+                    self._number, f"{lost} bytes in a container are not an object"
+                )
             _, _, version, size, kind = _BASE.unpack_from(data, found)
             if not _BASE.size <= size <= _INNER_MAX:
                 self._findings.problem(self._number, f"an object of {size} bytes")
@@ -187,12 +189,14 @@ class _Objects:
         if time_ns > traffic.TIME_MAX:
             raise ValueError(f"a time stamp beyond the year 2554: {ticks}")
         if kind == 2:
-            self._findings.note("error frames do not tell what was wrong: taken for a bus error")
+            self._findings.note("error frames do not state the cause; read as bus errors")
             (channel,) = struct.unpack_from("<H", body, 32)
             error = traffic.classic(traffic.ERR | 0x80, bytes(8))
             return Frame(time_ns, f"can{max(0, channel - 1)}", error)
         if kind == 73:
-            self._findings.note("error frames are kept as told: by Linux or by Vector")
+            self._findings.note(
+                "error frames are kept as recorded, in Linux's or Vector's encoding"
+            )
         channel, frame, direction = take[kind](body, 32)
         return Frame(time_ns, f"can{max(0, channel - 1)}", frame, direction)
 

@@ -114,7 +114,7 @@ def bus_error(frame: bytes) -> BusError:
     elif classes & _BUS_ERROR:
         what.append("bus error")
     if classes & _NO_ACKNOWLEDGE:
-        what.append("nobody acknowledged")
+        what.append("no acknowledgement")
     if classes & _ARBITRATION:
         bit = f" in bit {data[0]}" if data[0] else ""
         what.append(f"arbitration lost{bit}")

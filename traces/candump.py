@@ -64,7 +64,7 @@ class CandumpReader:
             return self._with_rest([frame], rest, findings)
         match = _PLAIN.match(line)
         if match is None:
-            raise ValueError("no frame")
+            raise ValueError("not a frame")
         return self._plain_row(match, findings)
 
     def _with_rest(self, found: list[Frame], rest: str, findings: Findings) -> list[Frame]:
@@ -76,7 +76,9 @@ class CandumpReader:
             try:
                 behind = self.take(rest, findings)
             except ValueError as error:
-                findings.problem(findings.line, f"{error}, in a row behind another: {shown(rest)}")
+                findings.problem(
+                    findings.line, f"{error}, in a second row on the line: {shown(rest)}"
+                )
             else:
                 findings.note("some lines hold more than one row")
                 found.extend(behind)
@@ -103,7 +105,7 @@ class CandumpReader:
             flags = (traffic.BRS if brs == "B" else 0) | (traffic.ESI if esi == "E" else 0)
             frame = traffic.flexible(can_id, flags, data) if fd else traffic.classic(can_id, data)
             if fd and brs is None:
-                findings.note("whether CAN FD frames had BRS or ESI is not told: taken for not set")
+                findings.note("BRS and ESI of CAN FD frames are not stated; read as not set")
         time_ns = _stamp_ns(stamp) if stamp else 0
         if not stamp:
             findings.unstamped += 1
@@ -156,7 +158,7 @@ def _log_frame(can_id: int, body: str) -> bytes:
     if body[:1] in ("R", "r"):
         match = _REMOTE.match(body[1:])
         if match is None:
-            raise ValueError("a remote frame without a length that can be")
+            raise ValueError("a remote frame with an invalid length")
         return traffic.remote(can_id, int(match[1] or 0))
     if ":" in body:
         raise ValueError("a CAN XL frame")
@@ -167,7 +169,7 @@ def _packed(digits: str) -> bytes:
     try:
         return bytes.fromhex(digits.replace(".", ""))
     except ValueError:
-        raise ValueError("no whole bytes") from None
+        raise ValueError("an incomplete byte") from None
 
 
 def plain_row(frame: Frame, places: int = 6) -> str:

@@ -26,13 +26,13 @@ def decompress(compression: str, data: bytes, size: int) -> bytes:
 
             content = bytes(lz4.frame.decompress(data))
         elif compression:
-            raise CompressionError(f"{compression!r} is no compression known here")
+            raise CompressionError(f"{compression!r} is not a known compression")
         else:
             content = data
     except (zstandard.ZstdError, RuntimeError, EOFError, OverflowError, MemoryError) as error:
-        raise CompressionError(str(error) or "its size is beyond all memory") from error
+        raise CompressionError(str(error) or "its size exceeds the memory") from error
     if len(content) != size:
-        raise CompressionError(f"{len(content)} bytes in it, should be {size}")
+        raise CompressionError(f"{len(content)} bytes; expected {size}")
     return content
 
 

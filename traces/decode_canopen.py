@@ -158,8 +158,8 @@ class CanopenDecoder:
 
     def _nmt(self, data: bytes) -> Said:
         if len(data) < 2:
-            return Said(Kind.NMT, None, f"NMT command of {len(data)} bytes, should be 2")
-        command = NMT_COMMANDS.get(data[0], f"command {data[0]:02X}h, unknown")
+            return Said(Kind.NMT, None, f"NMT command of {len(data)} bytes instead of 2")
+        command = NMT_COMMANDS.get(data[0], f"unknown command {data[0]:02X}h")
         node = data[1] or None
         whom = "all nodes" if node is None else self._node(node).name
         fact = Fact("NMT command", data[0], command, told_to=True)
@@ -297,7 +297,9 @@ class CanopenDecoder:
         at = 0
         for index, subindex, bits in objects:
             if at + bits > 8 * len(data):
-                facts.append(Fact(place_text(index, subindex), b"", "missing, the PDO is short"))
+                facts.append(
+                    Fact(place_text(index, subindex), b"", "missing: the PDO is too short")
+                )
                 break
             value = raw >> at & (1 << bits) - 1
             at += bits
@@ -317,7 +319,7 @@ def place_text(index: int, subindex: int) -> str:
 
 def _time_text(data: bytes) -> str:
     if len(data) != 6:
-        return f"TIME of {len(data)} bytes, should be 6"
+        return f"TIME of {len(data)} bytes instead of 6"
     milliseconds, days = struct.unpack("<IH", data)
     return f"TIME {(milliseconds & 0xFFF_FFFF) / 1000:.3f} s after midnight, day {days} from 1984"
 

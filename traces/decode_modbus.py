@@ -67,14 +67,14 @@ class ModbusDecoder:
         found = paired([asked, adu]).exchanges if asked is not None else ()
         name = self._name(adu.unit)
         if not found or found[0].response is None:
-            text = f"Modbus {name}: answers nothing that was asked: {_hex(adu.pdu)}"
+            text = f"Modbus {name}: response without a request: {_hex(adu.pdu)}"
             return Said(Kind.MODBUS_RESPONSE, adu.unit, text)
         del self._pending[key]
         request, delay_s = found[0].request, found[0].delay_s or 0.0
         late = f" (after {delay_s * 1e3:.3f} ms)"
         if adu.is_exception:
             code = adu.pdu[1] if len(adu.pdu) > 1 else 0
-            words = EXCEPTIONS.get(code, "a code that is in no standard")
+            words = EXCEPTIONS.get(code, "a non-standard code")
             asked_for = _request_text(request.pdu)
             text = f"Modbus {name}: refuses {asked_for}: exception {code}, {words}{late}"
             facts = (Fact(f"{asked_for} refused", code, f"exception {code}, {words}"),)
@@ -92,13 +92,13 @@ def adu_of(time_ns: int, data: bytes, *, tcp: bool, to_server: bool) -> tuple[Ad
     """Return a recorded ADU, or None and the reason why its bytes are not one."""
     if tcp:
         if len(data) < 8 or int.from_bytes(data[4:6], "big") != len(data) - 6:
-            return None, "no MBAP header that fits its length"
+            return None, "MBAP header missing, or its length wrong"
         transaction = int.from_bytes(data[0:2], "big")
         return Adu(time_ns, None, to_server, transaction, data[6], data[7:]), ""
     if len(data) < 4:
-        return None, f"{len(data)} bytes, an ADU has 4 at least"
+        return None, f"{len(data)} bytes; an ADU has at least 4"
     if crc16(data[:-2]) != int.from_bytes(data[-2:], "little"):
-        return None, "its CRC does not fit"
+        return None, "wrong CRC"
     return Adu(time_ns, None, to_server, 0, data[0], data[1:-2]), ""
 
 
@@ -191,7 +191,7 @@ def _fact(name: str, address: int, value: int, told_to: bool) -> Fact:
 def _told(facts: "tuple[Fact, ...] | list[Fact]") -> str:
     """Return addresses and values; of consecutive addresses, the first is named."""
     if not facts:
-        return "nothing that is well formed"
+        return "malformed data"
     values = " ".join(fact.text for fact in facts[:16])
     more = f" and {len(facts) - 16} more" if len(facts) > 16 else ""
     return f"{facts[0].subject} = {values}{more}"

@@ -45,8 +45,7 @@ class ObjectFidelity:
 
     @property
     def of(self) -> int:
-        """The number of reports that could agree; for a quantity, the first recording's samples.
-        """
+        """The number of reports that could agree; for a quantity, the first recording's samples."""
         if not self.is_compared:
             return 0
         is_there = self.worst is not None and self.first

@@ -95,7 +95,7 @@ def adus(stream: Iterable[Piece], port: int = PORT) -> Iterator[Adu | Malformed]
             length = int.from_bytes(data[4:6], "big")
             if protocol or not 2 <= length <= _LENGTH_MAX:
                 if rest:  # the leftover belongs to nothing: start again with this segment
-                    lost = f"{len(rest)} bytes behind an ADU that are the beginning of none"
+                    lost = f"{len(rest)} bytes after an ADU that do not begin another"
                     yield Malformed(piece.time_ns, way, piece.packet, rest, lost)
                     data, rest = piece.data, b""
                     continue

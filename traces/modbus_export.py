@@ -102,7 +102,7 @@ class ModbusExport:
         assert isinstance(data, bytes)
         direction = next((way for way in RTAC_EVENTS if way == values.get("direction")), None)
         if direction is None:
-            raise ValueError("an ADU of which nobody said which way it went")
+            raise ValueError("an ADU without a direction")
         if values.get("tcp"):
             self._on_tcp(time_ns, name, data, direction, sender)
         else:
@@ -196,7 +196,7 @@ def _check(data: bytes) -> None:
     """Raise ValueError if a stream reader would misinterpret the ADU."""
     length = int.from_bytes(data[4:6], "big")
     if len(data) <= _HEAD or data[2:4] != b"\0\0" or not 2 <= length <= _LENGTH_MAX:
-        raise ValueError(f"no Modbus/TCP: {data[:_HEAD].hex(' ').upper()}")
+        raise ValueError(f"not Modbus/TCP: {data[:_HEAD].hex(' ').upper()}")
     if len(data) != 6 + length:
         raise ValueError(f"{len(data) - 6} bytes of an ADU of {length}")
 

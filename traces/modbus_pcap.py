@@ -88,14 +88,14 @@ class _Reader:
         while self._serial and (self._serial[0].number < before or not before):
             packet = self._serial.popleft()
             if len(packet.data) < RTAC_HEAD.size:
-                what = f"{len(packet.data)} bytes are no event of a serial line"
+                what = f"{len(packet.data)} bytes are not an event of a serial line"
                 self._findings.problem(packet.number, what)
                 continue
             event = RTAC_HEAD.unpack_from(packet.data)[2]
             direction = _EVENTS.get(event)
             data = packet.data[RTAC_HEAD.size :]
             if direction is None or not data:
-                self._findings.note("events of a serial line that carry no data are left out")
+                self._findings.note("events of a serial line without data are omitted")
                 continue
             origin = self._origin(packet.number)
             sender = origin.sender or ""

@@ -57,7 +57,9 @@ def _open(path: str, flags: int) -> int:
 def _check_ours(path: str, descriptor: int) -> None:
     with open(path, "rb") as file:
         if not MAGIC.startswith(file.read(len(MAGIC))):
-            raise TraceError(path, "is no recording, and would be lost", remedy="name another file")
+            raise TraceError(
+                path, "is not a recording, and would be overwritten", remedy="name another file"
+            )
     try:
         fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
     except BlockingIOError:

@@ -85,7 +85,7 @@ class Capture:
             begins = start.hex(" ").upper() or "nothing"
             remedy = "give a capture of tcpdump, tshark or Wireshark"
             raise TraceError(
-                self.path, f"no pcap and no pcapng (begins with {begins})", remedy=remedy
+                self.path, f"is neither pcap nor pcapng (begins with {begins})", remedy=remedy
             )
 
     def packets(self) -> Iterator[Packet]:
@@ -137,7 +137,7 @@ class Capture:
             if data[at : at + 4] == b"\x0a\x0d\x0d\x0a":
                 found = _ORDERS.get(data[at + 8 : at + 12])
                 if found is None:
-                    self._problem(at, "a section of no known byte order")
+                    self._problem(at, "a section with an unknown byte order")
                     return
                 order, interfaces = found, []
             kind, size = struct.unpack_from(order + "II", data, at)

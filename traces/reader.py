@@ -198,7 +198,7 @@ class Trace:
         """
         size = self._file.seek(0, os.SEEK_END)
         if size < self._size:
-            raise TraceError(self.path, "has become shorter: it was written over")
+            raise TraceError(self.path, "has become shorter: it was overwritten")
         if size == self._size or self.cut is None:
             return False
         self._size = size
@@ -225,7 +225,7 @@ class Trace:
         """Read everything except the messages; set `cut` to the end of complete records."""
         if not self._scanned:
             if self._read(0, len(records.MAGIC)) != records.MAGIC:
-                what = "is empty" if not self._size else "is no MCAP file"
+                what = "is empty" if not self._size else "is not an MCAP file"
                 remedy = "give a recording, as `--record` makes them"
                 raise TraceError(self.path, what, remedy=remedy)
             self._scanned = len(records.MAGIC)
@@ -350,7 +350,7 @@ class Trace:
                 if channel is None:
                     raise TraceError(
                         self.path,
-                        f"a message of channel {number}, of which nothing is said",
+                        f"a message of unknown channel {number}",
                         offset=chunk.offset,
                     )
                 yield channel, time_ns, data[offset + 31 : stop]
@@ -376,7 +376,7 @@ class Trace:
         if crc and zlib.crc32(content) != crc:
             raise TraceError(
                 self.path,
-                f"damaged chunk (CRC {zlib.crc32(content):08X}h, should be {crc:08X}h)",
+                f"damaged chunk (CRC {zlib.crc32(content):08X}h; expected {crc:08X}h)",
                 offset=chunk.offset,
                 remedy=f"all before {chunk.first_ns / 1e9:.3f} s is good",
             )

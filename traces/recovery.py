@@ -123,10 +123,10 @@ def recover(source: str, target: str, overwrite: bool = False) -> Recovery:
     try:
         with open(source, "rb") as file:
             if not os.fstat(file.fileno()).st_size:
-                raise TraceError(source, "is empty", remedy="nothing can be recovered of it")
+                raise TraceError(source, "is empty", remedy="there is nothing to recover")
             with mmap(file.fileno(), 0, access=ACCESS_READ) as data:
                 if data[: len(records.MAGIC)] != records.MAGIC:
-                    raise TraceError(source, "is no MCAP file", remedy="give a recording")
+                    raise TraceError(source, "is not an MCAP file", remedy="give a recording")
                 return _recover_into(target, data)
     except OSError as error:
         raise TraceError(source, f"cannot be read: {reason(error)}") from error
@@ -222,9 +222,9 @@ class _Walk:
             self._ended = True
             behind = record.end + len(records.MAGIC)
             if self._data[record.end : behind] != records.MAGIC:
-                self._lose(record.end, self._size, "the closing magic is not whole", False)
+                self._lose(record.end, self._size, "the closing magic is incomplete", False)
             elif behind < self._size:
-                self._lose(behind, self._size, "bytes behind the end", False)
+                self._lose(behind, self._size, "bytes after the end", False)
         return record.end
 
     # --------------------------------------------------------------------------------- chunks
@@ -257,7 +257,7 @@ class _Walk:
         except ValueError as error:
             whole = _whole_records(chunk.content)
             self._done.nameless += self._assembly.content(whole)
-            self._lose(offset, end, f"the end of what is in a chunk ({error})")
+            self._lose(offset, end, f"the end of a chunk's content ({error})")
 
     def _take_loose(self, record: Record) -> None:
         """Collect messages outside chunks into new chunks."""
@@ -290,7 +290,7 @@ class _Walk:
         if is_cut and opcode == records.CHUNK and self._salvage(offset):
             return end
         name = _NAMES.get(opcode, "")
-        what = "no whole record"
+        what = "not a complete record"
         if is_cut and name:
             what = f"{name} whose end is missing"
         elif opcode == records.CHUNK:

@@ -26,7 +26,7 @@ def refuse_pipe(path: str | os.PathLike[str]) -> None:
     """
     kind = _kind_of(path, _STREAMS)
     if kind is not None:
-        what = f"is {kind}, and read from its beginning to its end only"
+        what = f"is {kind}, which can only be read from beginning to end"
         raise TraceError(os.fspath(path), what, remedy="write it to a file first")
 
 

@@ -35,8 +35,10 @@ class SdRowReader:
             return ()
         match = _ROW.match(stripped)
         if match is None:
-            raise ValueError("no frame")
-        findings.note("identifiers up to 7FFh are taken for 11 bits: the rows do not tell")
+            raise ValueError("not a frame")
+        findings.note(
+            "identifiers up to 7FFh are read as 11 bits; the rows do not state the format"
+        )
         can_id = int(match[2], 16)
         if can_id > traffic.EFF_MASK:
             raise ValueError(f"identifier {match[2]} has more than 29 bits")

@@ -62,7 +62,7 @@ def captured_frames(path: str, findings: Findings) -> Iterator[Frame]:
         way = origin.direction or direction
         yield Frame(packet.time_ns, origin.interface, frame, way, origin.sender or "")
     if others:
-        findings.note(f"{others} packets are no CAN frames, and left out")
+        findings.note(f"{others} packets are not CAN frames, and are omitted")
     for problem in capture.problems:
         findings.problem(0, problem.removeprefix(f"{path}: "))
 
@@ -85,7 +85,7 @@ def _can_part(packet: Packet) -> tuple[bytes | None, Direction]:
 
 def _frame(content: bytes, missing: int) -> bytes:
     if len(content) < 8:
-        raise ValueError(f"{len(content)} bytes are no CAN frame")
+        raise ValueError(f"{len(content)} bytes are not a CAN frame")
     can_id, length, flags = _HEAD.unpack_from(content)
     fd = bool(flags & traffic.FDF) or len(content) > 16
     data = content[8 : 8 + length]

@@ -28,10 +28,10 @@ PREAMBLE_MAX: Final = 50_000
 _ID_MASK: Final = 0x1FFF_FFFF
 _LOCK_WORDS: Final = {
     LockAction.TAKEN: "takes {motor}",
-    LockAction.RELEASED: "gives {motor} back",
+    LockAction.RELEASED: "releases {motor}",
     LockAction.WAITING: "waits for {motor}",
     LockAction.REFUSED: "is refused {motor}",
-    LockAction.BROKEN: "takes {motor} from one who died",
+    LockAction.BROKEN: "takes {motor} from a dead owner",
     LockAction.TAKEN_OVER: "takes {motor} over",
     LockAction.LOST: "has lost {motor}",
 }
@@ -128,7 +128,7 @@ class Story:
                     values=tuple(fields.items()),
                 )
         except ValueError as error:
-            return Line(time_ns, topic, place, f"a message that cannot be read: {error}")
+            return Line(time_ns, topic, place, f"unreadable message: {error}")
         return None
 
     def _learn(self, from_ns: int) -> None:
@@ -165,9 +165,9 @@ class Story:
         to_server = fields.get("direction") == Direction.TRANSMITTED
         adu, problem = adu_of(time_ns, data, tcp=bool(fields.get("tcp")), to_server=to_server)
         if fields.get("spoiled"):
-            adu, problem = None, "it was spoiled on the line"
+            adu, problem = None, "it was corrupted on the line"
         if adu is None:
-            text = f"Modbus, no ADU ({problem}): {data.hex(' ').upper()}"
+            text = f"Modbus, not an ADU ({problem}): {data.hex(' ').upper()}"
             return Line(time_ns, topic, name, text)
         if not to_server and sender:
             decoder.call(adu.unit, sender)
@@ -187,10 +187,10 @@ class Story:
 def _lock(motor: str, fields: dict[str, Value]) -> tuple[str, tuple[str, ...]]:
     number = fields.get("action", 0)
     action = next((one for one in LockAction if one == number), LockAction.UNKNOWN)
-    words = _LOCK_WORDS.get(action, "does something unknown to {motor}").format(motor=motor)
-    text = f"{_text(fields, 'owner') or 'somebody'} {words}"
+    words = _LOCK_WORDS.get(action, "takes an unknown action on {motor}").format(motor=motor)
+    text = f"{_text(fields, 'owner') or 'unknown owner'} {words}"
     if fields.get("holder"):
-        text += f", which is {_text(fields, 'holder')}'s"
+        text += f", held by {_text(fields, 'holder')}"
     waited, held = fields.get("waited_s", 0.0), fields.get("held_s", 0.0)
     if isinstance(waited, float) and waited:
         text += f", after waiting {waited:.3f} s"

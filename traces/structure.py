@@ -62,5 +62,5 @@ def attachment_in(content: bytes) -> Attachment:
     data = content[at + 8 : at + 8 + size]
     (crc,) = records.UINT32.unpack_from(content, at + 8 + size)
     if crc not in (0, zlib.crc32(content[: at + 8 + size])):
-        raise ValueError("its CRC does not fit")
+        raise ValueError("its CRC is wrong")
     return Attachment(name, media_type, time_ns, data)

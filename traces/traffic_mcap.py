@@ -40,7 +40,7 @@ def recorded_frames(trace: Trace, findings: Findings) -> Iterator[Frame]:
             continue
         yield Frame(time_ns, bus, frame, direction, sender)
     for topic, count in left_out.items():
-        findings.note(f"{topic}: {count} messages are no CAN frames, and left out")
+        findings.note(f"{topic}: {count} messages are not CAN frames, and are omitted")
     if trace.cut is not None and trace.cut.messages_missing:
         findings.problem(0, str(trace.cut))
 

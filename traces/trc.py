@@ -34,7 +34,7 @@ _KINDS: Final = {  # types of 2.x rows that are frames: (CAN FD, its flags)
 _OTHER_KINDS: Final = {
     "ST": "the state of the interface",
     "EC": "error counters",
-    "ER": "an error frame as PEAK tells it",
+    "ER": "an error frame in PEAK's encoding",
     "EV": "an event",
 }
 _NAMES: Final = {flags: name for name, (fd, flags) in _KINDS.items() if fd}
@@ -76,7 +76,9 @@ class TrcReader:
         if key == "STARTTIME":
             self._start_ns = _start_ns(value)
             if not self._start_ns:
-                findings.note("no start since 1970 is told: times are from its beginning")
+                findings.note(
+                    "no start time since 1970: times count from the beginning of the recording"
+                )
         elif key == "COLUMNS":
             self._columns = None
             self._columns = _Columns.named([column.strip() for column in value.split(",")])
@@ -87,7 +89,7 @@ class TrcReader:
         kind = row[columns.kind] if told > columns.kind else ""
         known = _KINDS.get(kind)
         if known is None:
-            raise ValueError(f"no frame but {_OTHER_KINDS.get(kind, f'a row of type {kind!r}')}")
+            raise ValueError(f"not a frame but {_OTHER_KINDS.get(kind, f'a row of type {kind!r}')}")
         if told <= columns.last_needed:
             raise ValueError("ends in the middle")
         can_id = _identifier(row[columns.identifier])
@@ -102,7 +104,7 @@ class TrcReader:
         else:
             text = row[columns.data] if told > columns.data else ""
             if not fd and 8 < length < 16 and len(text) > 23:  # a DLC above 8 means 8 bytes
-                findings.problem(findings.line, f"behind 8 bytes of data there are '{text[24:]}'")
+                findings.problem(findings.line, f"after 8 bytes of data there are '{text[24:]}'")
                 text = text[:23]
             content = _data(text, length if fd else min(length, 8))
             data = (
@@ -157,10 +159,10 @@ def _row_1(line: str, start_ns: int) -> Frame:
     """Parse a row of 1.0 to 1.3; bus number, type and reserved column can be missing."""
     match = _ROW_1.match(line)
     if match is None:
-        raise ValueError("no frame")
+        raise ValueError("not a frame")
     stamp, bus, kind, digits, count, rest = match.groups()
     if digits.upper() == "FFFFFFFF" or (kind is not None and kind not in _WAYS):
-        raise ValueError("no frame but the state of the interface")
+        raise ValueError("not a frame but the state of the interface")
     can_id, length, rest = _identifier(digits), _number(count), (rest or "").strip()
     if rest.startswith("RTR"):
         frame = traffic.remote(can_id, length)
@@ -177,7 +179,7 @@ def _identifier(digits: str) -> int:
     try:
         can_id = int(digits, 16)
     except ValueError:
-        raise ValueError(f"no identifier: {digits!r}") from None
+        raise ValueError(f"not an identifier: {digits!r}") from None
     if can_id > traffic.EFF_MASK:
         raise ValueError(f"identifier {digits} has more than 29 bits")
     return can_id | traffic.EFF if len(digits) > 4 else can_id
@@ -185,7 +187,7 @@ def _identifier(digits: str) -> int:
 
 def _number(digits: str) -> int:
     if not digits.isdecimal():
-        raise ValueError(f"no number: {digits!r}")
+        raise ValueError(f"not a number: {digits!r}")
     return int(digits)
 
 
@@ -193,7 +195,7 @@ def _data(text: str, length: int) -> bytes:
     try:
         data = bytes.fromhex(text)
     except ValueError:
-        raise ValueError("its data are no bytes") from None
+        raise ValueError("the data is not a sequence of bytes") from None
     if len(data) != length:
         raise ValueError(f"{len(data)} of {length} bytes")
     return data

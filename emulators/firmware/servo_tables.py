@@ -243,10 +243,7 @@ def shrinking_norm(matrix: Matrix) -> tuple[float, float, float]:
         total = [[total[r][c] + added[r][c] for c in range(2)] for r in range(2)]
         power = product(power, power)
         if not total[0][0] + total[1][1] < 1e15:
-            raise ValueError(
-                "current loop: unstable, or nearly so, with these gains; reduce "
-                "current_kp or current_ki"
-            )
+            raise ValueError("current loop: unstable, or nearly so, with these gains")
     return total[0][0], total[0][1] + total[1][0], total[1][1]
 
 

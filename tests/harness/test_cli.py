@@ -114,7 +114,10 @@ def test_bad_input_is_one_line_with_file_line_key_and_remedy(rig, say, verb, wha
         (("run", "rig.toml", "."), ".: cannot be read: Is a directory; name a Python program"),
         (("run", "rig.toml", "--", "x"), "rig.toml: arguments, but no script to take them; name"),
         (("run", "rig.toml", "script.py", "-o", "no/x.mcap"), "no/x.mcap: "),
-        (("run", "rig.toml", "-o", "script.py"), "script.py: is no recording, and would be lost;"),
+        (
+            ("run", "rig.toml", "-o", "script.py"),
+            "script.py: is not a recording, and would be overwritten;",
+        ),
     ],
 )
 def test_missing_files_are_one_line_too(rig, say, words, told):

@@ -99,7 +99,8 @@ def test_briefly_what_repeats_is_left_out(capsys, recording):
 def test_the_last_second_knows_the_mappings_of_the_beginning_and_no_old_transfer(capsys, recording):
     assert told(capsys, recording, "--last", "1") == [
         "can0      left (1) TPDO 1: 6041h statusword = 0218h fault",
-        "can0      SDO left (1): tells a segment of an object (the beginning was not recorded): 61",
+        "can0      SDO left (1): uploads a segment of an object "
+        "(the beginning was not recorded): 61",
     ]
 
 
@@ -154,7 +155,7 @@ def test_the_command_line_knows_it(capsys, recording, tmp_path):
     assert main(["diff", recording, recording]) == 0
     (tmp_path / "none.mcap").write_bytes(b"candump?")
     assert main(["show", str(tmp_path / "none.mcap")]) == 2
-    assert "no MCAP file" in capsys.readouterr().err
+    assert "not an MCAP file" in capsys.readouterr().err
 
 
 def test_that_there_is_nothing_to_tell_is_told_and_why(capsys, recording, tmp_path):

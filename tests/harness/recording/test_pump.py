@@ -196,7 +196,7 @@ def test_an_older_recording_is_not_lost_unless_that_is_said(tmp_path):
     write_series(path, 20, overwrite=True)
     assert len(recorded(path)) == 20
     (tmp_path / "notes.mcap").write_text("dear diary")
-    with pytest.raises(TraceError, match="is no recording, and would be lost"):
+    with pytest.raises(TraceError, match="is not a recording, and would be overwritten"):
         write_series(tmp_path / "notes.mcap", overwrite=True)
 
 

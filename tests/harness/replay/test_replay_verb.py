@@ -128,7 +128,7 @@ def test_a_drive_that_is_not_there_is_waited_for_and_told(folder, say):
     ("words", "told"),
     [
         (("none.mcap", "--as", "device"), "none.mcap"),
-        (("text.mcap", "--as", "host"), "is no MCAP file"),
+        (("text.mcap", "--as", "host"), "is not an MCAP file"),
         (("bench.mcap", "--as", "host", "--rig", "missing.toml"), "missing.toml"),
         (("bench.mcap", "--as", "device", "missing.py"), "missing.py"),
         (("bench.mcap", "--as", "host", "-o", "nowhere/x.mcap"), "nowhere"),
@@ -166,7 +166,7 @@ def test_a_rig_may_name_a_recording_for_one_of_its_controllers(folder, say):
     ("line", "told"),
     [
         ('recording = "none.mcap"', "no such file"),
-        ('recording = "other.toml"', "is no MCAP file"),
+        ('recording = "other.toml"', "is not an MCAP file"),
         ("", "is missing, or no text"),
         ('recording = "bench.mcap"\nrecorded_bus = "can7"', "nothing of a node 1 on can7"),
         ('recording = "bench.mcap"\nplant = {}', "is not known"),
