@@ -137,9 +137,8 @@ class AscReader:
         if parts[2] == "ErrorFrame":
             return Frame(time_ns, _bus(parts[0]), traffic.classic(traffic.ERR | 0x80, bytes(8)))
         can_id, way = self._identifier(parts[2]), _WAYS[parts[1]]
-        at = (
-            3 if parts[3] in ("0", "1") and parts[4] in ("0", "1") else 4
-        )  # 4: after a symbolic name
+        # 4: after a symbolic name
+        at = 3 if parts[3] in ("0", "1") and parts[4] in ("0", "1") else 4
         if len(parts) < at + 4:
             raise ValueError("ends in the middle")
         brs, esi, _, size = parts[at : at + 4]

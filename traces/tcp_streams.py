@@ -199,9 +199,7 @@ def _ipv4(data: bytes) -> tuple[bytes, bytes, bytes] | None:
     if len(data) < 20 or data[9] != _TCP:
         return None
     head = (data[0] & 0x0F) * 4
-    size = int.from_bytes(data[2:4], "big") or len(
-        data
-    )  # 0: segmented by the network card (offloading)
+    size = int.from_bytes(data[2:4], "big") or len(data)  # 0: segmentation offload
     is_fragment = int.from_bytes(data[6:8], "big") & 0x3FFF
     if is_fragment or head < 20:
         return None

@@ -217,9 +217,7 @@ class PowerDrive:
     def fault(self, code: int, now_ns: int) -> None:
         """Take transition 13 with this error code (603Fh), with the reaction of the fault table."""
         self.told.append(code)
-        self.error_code = self.standing.note(
-            code
-        )  # the last one, although an earlier one caused the reaction
+        self.error_code = self.standing.note(code)  # the last, not always the reaction's cause
         state = self.fsa.state
         if state is PdsState.FAULT_REACTION_ACTIVE:
             if is_at_once(code):

@@ -22,9 +22,8 @@ from emulators.plant.dc_motor import MotorPlant
 
 _BACKWARD: Final = 1
 _FORWARD: Final = 2
-_OF_PROFILE: Final = (
-    IN_TARGET_WINDOW | IN_VELOCITY_WINDOW | CURRENT_REACHED
-)  # cleared by the next profile
+_OF_PROFILE: Final = IN_TARGET_WINDOW | IN_VELOCITY_WINDOW | CURRENT_REACHED
+"""Flags cleared by the next profile."""
 _CURRENT_WINDOW: Final = (
     0.05  # share of the plant's maximum current within which the target counts as reached
 )

@@ -79,9 +79,7 @@ class StepNumbers:
             self.coulomb += load_friction
             steep_rotor += steep_load
         static = max(extras.static_friction_n_m, plant.coulomb_friction_n_m)
-        self.more: float = (
-            static - plant.coulomb_friction_n_m
-        )  # excess over the Coulomb friction, at standstill
+        self.more: float = static - plant.coulomb_friction_n_m  # excess at standstill
         self.stribeck: float = 1.0 / (extras.stribeck_speed_rad_s * extras.stribeck_speed_rad_s)
 
         # the rotor: rows current, speed, position; columns current, speed, voltage, torque

@@ -1,4 +1,4 @@
-"""A rig's table: every mistake is told with the keys down to it and the way out."""
+"""A rig's table: every mistake is reported with the path of its key and a remedy."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -19,7 +19,7 @@ def refused(**table: object) -> str:
     return str(caught.value)
 
 
-def test_a_node_id_is_all_it_takes():
+def test_node_id_alone_is_sufficient():
     settings = read_settings({"node_id": 7}, HERE)
     assert settings.node_id == 7
     assert settings.eds == OWN_EDS
@@ -32,7 +32,7 @@ def test_a_node_id_is_all_it_takes():
     )
 
 
-def test_numbers_arrive():
+def test_numbers_reach_the_settings():
     settings = read_settings(
         {
             "node_id": 1,
@@ -243,16 +243,16 @@ def test_numbers_arrive():
         ),
     ],
 )
-def test_mistakes_are_told(table, text):
+def test_mistake_is_reported_with_key_and_remedy(table, text):
     assert text in refused(**table)
 
 
-def test_what_is_written_as_it_is_by_default_does_no_harm():
+def test_explicit_default_values_change_nothing():
     told = {"coupling_damping_n_m_s_rad": 0.0, "ambient_c": 25.0}
     assert read_settings({"node_id": 3, "plant": told}, HERE).plant == PRESETS["wheel_60w"]
 
 
-def test_a_switch_beyond_the_ends_of_the_way_is_told():
+def test_switch_beyond_the_end_of_travel_is_reported():
     plant = {"preset": "wheel_60w", "stop_low_rad": -1.0, "stop_high_rad": 1.0}
     there = {"negative_limit_rad": -0.9, "positive_limit_rad": 1.1, "home_from_rad": -3.0}
     drive = new_drive(plant=plant, switches={**there, "home_to_rad": -2.0})
@@ -265,32 +265,32 @@ def test_a_switch_beyond_the_ends_of_the_way_is_told():
     assert not new_drive(switches=there).take_events()
 
 
-def test_a_missing_node_id_is_told():
+def test_missing_node_id_is_reported():
     with pytest.raises(SettingError, match="node_id: is missing"):
         read_settings({}, HERE)
 
 
-def test_a_file_that_is_no_drives_is_refused(tmp_path):
+def test_file_not_of_a_cia402_drive_is_rejected(tmp_path):
     text = OWN_EDS.read_text()
     (tmp_path / "other.eds").write_text(text.replace("6041", "6042"))
     assert "not the EDS of a CiA 402 drive" in refused(folder=tmp_path, eds="other.eds")
 
 
-def test_a_broken_file_is_refused_with_its_line(tmp_path):
+def test_broken_file_is_rejected_with_its_line(tmp_path):
     (tmp_path / "broken.eds").write_text("[1000]\nParameterName=x\nthis is no eds\n")
     message = refused(folder=tmp_path, eds="broken.eds")
     assert message.startswith("eds: ")
     assert "broken.eds" in message
 
 
-def test_initial_position_is_where_the_output_stands():
+def test_initial_position_is_that_of_the_output():
     bench = Bench(initial_position_rad=0.25)
     bench.boot()
     assert bench.truth("position_rad") == pytest.approx(0.25, abs=1e-4)
     assert bench.read(0x6064) == 0.25 / 6.283185307179586 * 132_000 // 1
 
 
-def test_an_object_the_file_lacks_may_have_a_value_behind_the_scenes(tmp_path):
+def test_object_missing_in_the_file_may_have_a_hidden_value(tmp_path):
     eds = tmp_path / "without.eds"
     eds.write_text(OWN_EDS.read_text().replace("60F2", "60EF").replace("60C5", "60EE"))
     bench = Bench(eds=str(eds), objects={"60F2h": 1})  # relative moves count from the demand

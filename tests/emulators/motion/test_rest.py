@@ -47,8 +47,7 @@ def ticks_to_rest(axis: Axis, limit: int = 60_000) -> int:
 
 
 def assert_fixed(axis: Axis, plant: MotorPlant) -> None:
-    """Check that 100 further ticks of the step function change nothing, not even a zero's sign.
-    """
+    """Check that 100 further ticks of the step function change nothing, not even a zero's sign."""
     time = axis._time
     tick_ns, steps = axis._tick_ns, axis._time._current_steps
     tables = ServoTables(plant, ServoGains.tuned(plant, tick_ns, steps), tick_ns, steps)
