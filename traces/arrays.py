@@ -1,8 +1,8 @@
-"""The CAN frames of a recording as numpy arrays, millions a second.
+"""CAN frames of a recording as numpy arrays, millions per second.
 
-Messages that begin alike (`traces.frame_decoder`) differ in their times and data alone, and those
-stand at the same places. So one of them is decoded, and of the others columns are taken; each is
-compared with what it should begin with, and whatever differs is decoded by itself.
+Messages with the same beginning (see `FrameDecoder`) differ only in time and data, which are at
+fixed offsets. One of them is decoded, and the others are read as columns. Each message is compared
+with its expected beginning, and decoded singly if it differs.
 """
 
 import os
@@ -21,18 +21,18 @@ from traces.records import MESSAGE
 from traces.schema import CAN_FRAME
 
 _PREFIX: Final = "/can/"
-_CHANNEL_AT: Final = 9  # in a message record
+_CHANNEL_AT: Final = 9  # offset in a message record
 _TIME_AT: Final = 15
 _PAYLOAD_AT: Final = 31
-_ID_AT: Final = 32  # of ours
+_ID_AT: Final = 32  # in payloads of our writer
 _ID_TAG: Final = 0x0D
-_WORDS: Final = 8  # of 8 bytes, that a prefix may have; and the data of a CAN FD frame
-_PADDING: Final = bytes(2 * 8 * _WORDS + 8)  # so that no word goes beyond the end
+_WORDS: Final = 8  # maximum 8-byte words of a prefix, and of the data of a CAN FD frame
+_PADDING: Final = bytes(2 * 8 * _WORDS + 8)  # keeps every word within the buffer
 _PAYLOAD_MAX: Final = 0xFFFF
-_NOT_ALIKE: Final = b"\xff"  # no payload of ours begins so
+_NOT_ALIKE: Final = b"\xff"  # no payload of our writer begins with it
 _REMEMBERED: Final = 1 << 16
 _FDF: Final = 4
-_ROUNDS: Final = 8  # senders and lengths of one identifier; what is left is decoded one by one
+_ROUNDS: Final = 8  # senders and lengths per identifier; the rest is decoded one by one
 _LENGTH: Final = struct.Struct("<Q")
 _FRAME_HEAD: Final = struct.Struct("<IBB")
 _U64 = NDArray[np.uint64]
@@ -42,20 +42,20 @@ _Indices = NDArray[np.intp]
 @final
 @dataclass(frozen=True, slots=True)
 class CanArrays:
-    """n frames, in the order they were written.
+    """n frames, in the order in which they were written.
 
     Attributes:
         time_ns: log times [ns], (n,) uint64.
         can_id: identifiers with Linux's flags EFF, RTR and ERR, (n,) uint32.
-        flags: BRS 1, ESI 2, FDF 4, (n,) uint8; 0 of a classic frame.
+        flags: BRS 1, ESI 2, FDF 4, (n,) uint8; 0 for a classic frame.
         length: bytes of data, or the DLC of a remote frame, (n,) uint8.
-        data: (n, 8) uint8, or (n, 64) where there are CAN FD frames; zero behind the length.
+        data: (n, 8) uint8, or (n, 64) if there are CAN FD frames; zero beyond the length.
         bus: index in `buses`, (n,) uint16.
         sender: index in `senders`, (n,) uint32.
-        direction: of `traces.schema.Direction`, (n,) uint8.
+        direction: `traces.schema.Direction`, (n,) uint8.
         buses, senders: their names.
-        unreadable: messages on these buses that are no CAN frames, and left out.
-        cut: where the recording ends too early; None: it is complete.
+        unreadable: number of messages on these buses that are not CAN frames; they are omitted.
+        cut: where the recording ends prematurely; None: it is complete.
     """
 
     time_ns: _U64
@@ -72,7 +72,7 @@ class CanArrays:
     cut: Cut | None
 
     def __len__(self) -> int:
-        """How many frames."""
+        """Return the number of frames."""
         return len(self.time_ns)
 
 
@@ -82,16 +82,16 @@ def read_can_arrays(
     from_ns: int | None = None,
     to_ns: int | None = None,
 ) -> CanArrays:
-    """The CAN frames of a recording, ours or another writer's.
+    """Read the CAN frames of a recording, from our writer or another.
 
     Args:
         path: an MCAP file.
-        bus: only of this bus, or of these; None: of all.
+        bus: the bus or buses to read; None: all.
         from_ns: log time, inclusive; None: from the beginning.
         to_ns: log time, exclusive; None: to the end.
 
     Raises:
-        TraceError: it cannot be read, or is damaged.
+        TraceError: the file cannot be read, or is damaged.
     """
     buses = None if bus is None else {bus} if isinstance(bus, str) else set(bus)
     with read_trace(path) as trace:
@@ -117,9 +117,9 @@ _Rows = NDArray[np.void]
 
 @final
 class _Alike:
-    """What messages begin with, a row a kind; kinds are found by keys, of which each is there once.
+    """Known beginnings of messages, one row per kind, found by unique keys.
 
-    A key is made of a message's size, its channel and the identifier.
+    A key combines a message's size, its channel and the identifier.
     """
 
     def __init__(self) -> None:
@@ -129,16 +129,16 @@ class _Alike:
         self.words: _U64 = np.empty((0, _WORDS), np.uint64)
         self.masks: _U64 = np.empty((0, _WORDS), np.uint64)
         self.rows: _Rows = np.empty(0, _ROW)
-        self.used = 0  # words, by the longest prefix
+        self.used = 0  # words of the longest prefix
 
     def add(self, key: int, prefix: bytes, row: tuple[int, ...]) -> None:
-        """Messages with this key may begin so; the row is theirs but for the time."""
+        """Add a kind of message; its row is complete except for the time."""
         if len(self._kinds) >= _REMEMBERED:
             self._kinds.clear()
         self._kinds[key] = (len(prefix), prefix, row)
 
     def sort(self) -> None:
-        """What was added is found."""
+        """Sort the added kinds, so that `of` finds them."""
         keys = sorted(self._kinds)
         kinds = [self._kinds[key] for key in keys]
         width = 8 * _WORDS
@@ -150,7 +150,7 @@ class _Alike:
         self.used = (int(self.size.max(initial=0)) + 7) // 8
 
     def of(self, keys: _U64) -> tuple[_Indices, NDArray[np.bool_]]:
-        """(the row for each key; whether it is one)."""
+        """Return the row of each key, and a mask of the keys that were found."""
         if not len(self.keys):
             return np.zeros(len(keys), np.intp), np.zeros(len(keys), bool)
         at = np.minimum(np.searchsorted(self.keys, keys), len(self.keys) - 1)
@@ -162,7 +162,7 @@ def _words(data: bytes) -> _U64:
 
 
 def _places(records: bytes) -> tuple[_Indices, _Indices] | None:
-    """(where its records begin, how long payloads are); None: there is more than messages."""
+    """Return offset and payload size of each message; None if there are other records."""
     unpack = _LENGTH.unpack_from
     places: list[int] = []
     append = places.append
@@ -183,7 +183,7 @@ def _places(records: bytes) -> tuple[_Indices, _Indices] | None:
 
 @final
 class _Columns:
-    """A chunk's messages. Attributes: of each of them, but for `u64`, the word at every byte."""
+    """A chunk's messages as columns; `u64` is the 8-byte word at every byte offset."""
 
     def __init__(self, records: bytes, begin: _Indices, size: _Indices) -> None:
         self._bytes = records + _PADDING
@@ -203,7 +203,7 @@ class _Columns:
         return len(self.size)
 
     def choose(self, bus: NDArray[np.int64]) -> None:
-        """Each is on this bus; those on -1 are left out."""
+        """Assign each message its bus; remove those with bus -1."""
         self.bus = bus
         chosen = bus >= 0
         if not chosen.all():
@@ -211,12 +211,12 @@ class _Columns:
                 setattr(self, name, getattr(self, name)[chosen])
 
     def one(self, index: int) -> bytes:
-        """A payload."""
+        """Return one payload."""
         at = int(self.payload[index])
         return self._bytes[at : at + int(self.size[index])]
 
     def data(self, begin: _Indices, size: _Indices, words: int) -> NDArray[np.uint8]:
-        """What stands there, so many bytes of it, (n, 8 * words)."""
+        """Return `size` bytes from each of `begin`, as an array (n, 8 * words)."""
         out = np.empty((len(begin), words), "<u8")
         for word in range(words):
             there = np.clip(size - 8 * word, 0, 8)
@@ -228,7 +228,7 @@ _FIRST_BYTES: Final = np.array([(1 << 8 * count) - 1 for count in range(9)], np.
 
 
 def _at_every_byte(data: bytes, kind: str) -> NDArray[Any]:
-    """The number that begins at each byte."""
+    """Return the number that begins at each byte offset."""
     size = np.dtype(kind).itemsize
     return np.ndarray((len(data) - size + 1,), kind, data, strides=(1,))
 
@@ -242,13 +242,13 @@ class _Reader:
         self._senders: dict[str, int] = {}
         self._decode = FrameDecoder().decode
         self._rounds = [_Alike() for _ in range(_ROUNDS)]
-        self._channels: dict[int, int | None] = {}  # their bus; None: not asked for
+        self._channels: dict[int, int | None] = {}  # bus of each channel; None: not requested
         self._rows: list[_Rows] = []
         self._data: list[NDArray[np.uint8]] = []
         self._unreadable = 0
 
     def arrays(self, from_ns: int | None, to_ns: int | None) -> CanArrays:
-        """All that was taken, of this span."""
+        """Return everything taken so far within this span."""
         rows = np.concatenate([np.empty(0, _ROW), *self._rows])
         width = max((data.shape[1] for data in self._data), default=8)
         data = np.zeros((len(rows), width), np.uint8)
@@ -275,7 +275,7 @@ class _Reader:
         )
 
     def take(self, records: bytes, messages: Iterator[TraceMessage]) -> None:
-        """A chunk."""
+        """Take one chunk."""
         found = _places(records)
         chunk = None if found is None else _Columns(records, *found)
         if chunk is None or not self._know(chunk):
@@ -286,7 +286,7 @@ class _Reader:
     # -------------------------------------------------------------------------- in columns
 
     def _know(self, chunk: "_Columns") -> bool:
-        """Only messages on buses that are asked for are left in it; False: nobody knows some."""
+        """Keep only messages on requested buses; return False if a channel is unknown."""
         numbers = np.flatnonzero(np.bincount(chunk.channel))
         if any(int(number) not in self._trace.channels for number in numbers):
             return False
@@ -299,7 +299,7 @@ class _Reader:
 
     def _take_alike(self, chunk: "_Columns") -> None:
         rows = np.zeros(len(chunk), _ROW)
-        begin = chunk.payload.copy()  # of the data
+        begin = chunk.payload.copy()  # start of the data
         pending = np.flatnonzero(chunk.has_key)
         for alike in self._rounds:
             if not len(pending):
@@ -336,7 +336,7 @@ class _Reader:
         self._data.append(data)
 
     def _learn(self, alike: _Alike, chunk: "_Columns", unknown: _Indices) -> None:
-        """How messages like these begin is known, by one of each key."""
+        """Learn the beginning of unknown messages from one message per key."""
         for key, first in zip(*np.unique(chunk.key[unknown], return_index=True), strict=True):
             payload = chunk.one(int(unknown[first]))
             try:
@@ -356,7 +356,7 @@ class _Reader:
     # -------------------------------------------------------------------------- one by one
 
     def _take_slowly(self, messages: Iterator[TraceMessage]) -> None:
-        """A chunk in which is more than messages, or that was cut."""
+        """Take a chunk that was cut or contains more than messages."""
         rows: list[tuple[int, ...]] = []
         contents: list[bytes] = []
         for channel, time_ns, payload in messages:
@@ -374,7 +374,7 @@ class _Reader:
         self._data.append(np.frombuffer(joined, np.uint8).reshape(-1, width))
 
     def _row(self, time_ns: int, bus: int, payload: bytes) -> tuple[tuple[int, ...], bytes] | None:
-        """(row, data) of a message; None: it is no frame."""
+        """Return row and data of a message; None if it is not a frame."""
         try:
             frame, direction, sender = self._decode(payload)
         except ValueError:
@@ -385,7 +385,7 @@ class _Reader:
         return (time_ns, can_id, number, bus, flags, length, int(direction)), frame[8:]
 
     def _bus_of(self, number: int) -> int | None:
-        """The number of a channel's bus; None: it is not asked for, or has no frames."""
+        """Return the index of a channel's bus; None if not requested or without CAN frames."""
         if number not in self._channels:
             channel = self._trace.channels[number]
             bus = channel.topic.removeprefix(_PREFIX)

@@ -1,7 +1,8 @@
-"""Reads Vector's ASC files, classic and CAN FD rows, decimal or hexadecimal; writes them.
+"""Reader and writer for Vector ASC files, classic and CAN FD.
 
-A time is that of the head's date, taken for UTC, and the row's; without a date that can be read,
-the row's alone. Where the head says "relative", each row's time counts from the row before.
+Numbers may be decimal or hexadecimal. A time is the sum of the date in the head, taken as UTC, and
+the row's time. Without a readable date it is the row's time alone. If the head says "relative",
+each row's time counts from the previous row.
 
 Source: Vector, "CAN ASC Logging Files Format Description", 1.16; rows of real files.
 """
@@ -33,7 +34,7 @@ _SPELLED: Final = (
     "nov",
     "dec|dez",
 )
-_MONTHS: Final = {  # English; and German where it differs
+_MONTHS: Final = {  # English, and German where it differs
     name: number for number, names in enumerate(_SPELLED, 1) for name in names.split("|")
 }
 _NAMES: Final = ("Jan", "Feb", "Mar", "Apr", "May", "Jun", "Jul", "Aug", "Sep", "Oct", "Nov", "Dec")
@@ -48,13 +49,13 @@ _RTR_FLAG: Final = 0x0010
 
 
 def looks_like_asc(line: str) -> bool:
-    """Whether it is a line of an ASC file's head."""
+    """Return True if the line belongs to the head of an ASC file."""
     return line.startswith("date ") or _BASE.match(line) is not None
 
 
 @final
 class AscReader:
-    """Rows; what the head says holds for all that follow."""
+    """Reader of ASC lines; the settings of the head apply to all following rows."""
 
     name = "asc"
 
@@ -65,7 +66,7 @@ class AscReader:
         self._before_ns = 0
 
     def take(self, line: str, findings: Findings) -> Sequence[Frame]:
-        """The frame of a line. Raises ValueError: why it cannot be read."""
+        """Return the frame of a line. Raises ValueError with the reason if it is unreadable."""
         stripped = line.strip()
         if not stripped:
             return ()
@@ -89,9 +90,11 @@ class AscReader:
         elif line.startswith("date "):
             self._start_ns = _date_ns(line)
             if not self._start_ns:
-                findings.note(f"no date that can be read: times are from its beginning ({line})")
+                findings.note(
+                    f"no readable date: times count from the beginning of the recording ({line})"
+                )
         elif not line.lower().startswith(_SILENT):
-            raise ValueError("no row")
+            raise ValueError("not a row")
         else:
             findings.comments += line.startswith("//")
 
@@ -105,19 +108,19 @@ class AscReader:
             if rest.startswith(_EVENTS):
                 findings.comments += 1
                 return None
-            raise ValueError("no frame but another event")
+            raise ValueError("not a frame but another event")
         bus = _bus(parts[0])
         if len(parts) > 1 and parts[1] == "ErrorFrame":
-            findings.note("error frames do not tell what was wrong: taken for a bus error")
+            findings.note("error frames do not state the cause; read as bus errors")
             way = _WAYS.get(parts[2], Direction.UNKNOWN) if len(parts) > 2 else Direction.UNKNOWN
             return Frame(time_ns, bus, traffic.classic(traffic.ERR | 0x80, bytes(8)), way)
         if len(parts) > 1 and parts[1].startswith(_EVENTS):
             findings.comments += 1
             return None
         if len(parts) < 4 or parts[2] not in (*_WAYS, "TxRq") or parts[3] not in ("d", "r"):
-            raise ValueError("no frame" if len(parts) >= 4 else "ends in the middle")
+            raise ValueError("not a frame" if len(parts) >= 4 else "ends in the middle")
         if parts[2] == "TxRq":
-            findings.note("requests to send (TxRq) are no frames, and left out")
+            findings.note("requests to send (TxRq) are not frames, and are omitted")
             return None
         can_id, way = self._identifier(parts[1]), _WAYS[parts[2]]
         length = _length(parts[4]) if len(parts) > 4 else None
@@ -130,16 +133,17 @@ class AscReader:
 
     def _fd_row(self, parts: list[str], time_ns: int) -> Frame:
         if len(parts) < 7 or parts[1] not in _WAYS:
-            raise ValueError("ends in the middle" if len(parts) < 7 else "no frame")
+            raise ValueError("ends in the middle" if len(parts) < 7 else "not a frame")
         if parts[2] == "ErrorFrame":
             return Frame(time_ns, _bus(parts[0]), traffic.classic(traffic.ERR | 0x80, bytes(8)))
         can_id, way = self._identifier(parts[2]), _WAYS[parts[1]]
-        at = 3 if parts[3] in ("0", "1") and parts[4] in ("0", "1") else 4  # 4: behind a name
+        # 4: after a symbolic name
+        at = 3 if parts[3] in ("0", "1") and parts[4] in ("0", "1") else 4
         if len(parts) < at + 4:
             raise ValueError("ends in the middle")
         brs, esi, _, size = parts[at : at + 4]
         if not size.isdecimal():
-            raise ValueError("no length of its data")
+            raise ValueError("data length is missing")
         rest = parts[at + 4 :]
         length = int(size)
         data = self._bytes(rest, length)
@@ -159,7 +163,7 @@ class AscReader:
         try:
             can_id = int(digits[:-1] if extended else digits, self._base)
         except ValueError:
-            raise ValueError(f"no identifier: {digits!r}") from None
+            raise ValueError(f"not an identifier: {digits!r}") from None
         if not 0 <= can_id <= (traffic.EFF_MASK if extended else traffic.SFF_MASK):
             raise ValueError(f"identifier {digits} is too large")
         return can_id | traffic.EFF if extended else can_id
@@ -170,24 +174,24 @@ class AscReader:
         try:
             return bytes(int(part, self._base) for part in parts[:length])
         except ValueError:
-            raise ValueError("its data are no bytes") from None
+            raise ValueError("the data is not a sequence of bytes") from None
 
 
 def _bus(channel: str) -> str:
     if not channel.isdecimal():
-        raise ValueError(f"no channel: {channel!r}")
+        raise ValueError(f"not a channel: {channel!r}")
     return f"can{max(0, int(channel) - 1)}"
 
 
 def _length(digit: str) -> int:
-    """A DLC is one hexadecimal digit, whatever the base."""
+    """Return a DLC, which is one hexadecimal digit in any base."""
     if len(digit) != 1:
-        raise ValueError(f"no DLC: {digit!r}")
+        raise ValueError(f"not a DLC: {digit!r}")
     return int(digit, 16)
 
 
 def _date_ns(line: str) -> int:
-    """Since 1970; 0: it cannot be read."""
+    """Return the time since 1970 [ns]; 0 if it is unreadable."""
     match = _DATE.match(line)
     month = _MONTHS.get(match[1][:3].lower()) if match else None
     if match is None or month is None:
@@ -203,7 +207,7 @@ def _date_ns(line: str) -> int:
 def write_asc(
     file: TextIOBase, buses: Sequence[str], first_ns: int, places: int, frames: Iterator[Frame]
 ) -> None:
-    """A file whose date is the whole second that log time `first_ns` is in."""
+    """Write a file whose date is the full second of log time `first_ns`."""
     numbers = traffic.bus_numbers(buses)
     start_ns = first_ns // NS * NS
     year, month, day = traffic.date_of(start_ns)
@@ -235,5 +239,5 @@ def _row(frame: Frame, channel: int) -> str:
     dlc = next(n for n in range(16) if traffic.FD_LENGTHS[n] >= told.length)
     flags = _EDL | (_BRS_FLAG if brs else 0) | (_ESI_FLAG if esi else 0)
     head = f"CANFD {channel:3d} {way} {digits:>10} {'':>33}{brs} {esi} {dlc:x} {told.length:2d}"
-    # behind the data: duration, length in bits, flags, CRC, bit timing: only the flags are known
+    # after the data: duration, length in bits, flags, CRC, bit timing; only the flags are known
     return f"{head} {data}{' ' if data else ''}       0    0 {flags:8X}        0 0 0 0 0"

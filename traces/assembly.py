@@ -1,6 +1,7 @@
-"""An MCAP file put together from records that exist already, as they are.
+"""Assembly of an MCAP file from existing records.
 
-But for what is no UTF-8 where text should be: other readers refuse the whole file for it.
+Records are copied unchanged, except for text that is not valid UTF-8, because other readers refuse
+the whole file for it.
 """
 
 import zlib
@@ -20,19 +21,19 @@ _NO_SCHEMA: Final = 0
 
 @final
 class Assembly:
-    """A file being put together; every chunk gets its index anew.
+    """A file that is being assembled; every chunk gets a new index.
 
     Attributes:
-        messages: in it so far.
-        first_ns, last_ns: the earliest and latest log time of those; None: there are none.
+        messages: number of messages so far.
+        first_ns, last_ns: their earliest and latest log time; None: no messages.
     """
 
     def __init__(self, file: BinaryIO, indexed: bool) -> None:
-        """The file is begun.
+        """Begin the file.
 
         Args:
-            file: open for writing, empty; OSError of it goes through to the caller.
-            indexed: with a message index behind each chunk.
+            file: open for writing, empty; its OSError is passed on to the caller.
+            indexed: True to write a message index after each chunk.
         """
         self.messages = 0
         self.first_ns: int | None = None
@@ -45,22 +46,22 @@ class Assembly:
         self._schemas: set[int] = set()
         self._channels: set[int] = set()
         self._spare: dict[tuple[int, int], bytes] = {}
-        self._order: dict[int, None] = {}  # channels as they came up: so our writer has them
+        self._order: dict[int, None] = {}  # channels in order of appearance, as our writer has them
         self._put(records.MAGIC)
 
     def expect(self, record: Record) -> None:
-        """This schema or channel is surely right: it is used in place of what has its number."""
+        """Register a reliable schema or channel, used instead of any with the same number."""
         number = int.from_bytes(record.content[:2], "little")
         self._spare[record.opcode, number] = record.content
 
     def header(self, content: bytes) -> None:
-        """The header; it comes first, once."""
+        """Write the header; call it first, and once."""
         profile, at = records.read_string(content, 0)
         library, _ = records.read_string(content, at)
         self._put(records.header(profile, library))
 
     def schema(self, content: bytes) -> None:
-        """A schema; one whose number is taken is left out."""
+        """Write a schema, unless its number is taken."""
         number = int.from_bytes(content[:2], "little")
         if number not in self._schemas and number != _NO_SCHEMA:
             content = self._spare.get((records.SCHEMA, number), content)
@@ -72,7 +73,7 @@ class Assembly:
             self._summary.schemas.append(data)
 
     def channel(self, content: bytes) -> None:
-        """A channel; one whose number is taken, or whose schema is not there, is left out."""
+        """Write a channel, unless its number is taken or its schema is missing."""
         number = int.from_bytes(content[:2], "little")
         content = self._spare.get((records.CHANNEL, number), content)
         schema = int.from_bytes(content[2:4], "little")
@@ -89,14 +90,14 @@ class Assembly:
             self._summary.counts[number] = 0
 
     def metadata(self, content: bytes) -> None:
-        """A named table of strings."""
+        """Write a named table of strings."""
         name, at = records.read_string(content, 0)
         data = records.metadata(name, records.read_string_map(content, at))
         self._summary.metadata_indexes.append(records.metadata_index(self._offset, len(data), name))
         self._put(data)
 
     def attachment(self, content: bytes) -> None:
-        """A file inside the file."""
+        """Write an attachment."""
         (time_ns,) = records.UINT64.unpack_from(content)
         name, at = records.read_string(content, 16)
         media_type, at = records.read_string(content, at)
@@ -108,10 +109,10 @@ class Assembly:
         self._put(data)
 
     def chunk(self, chunk: Chunk) -> list[int]:
-        """A chunk as it is; channels of which nothing was known, and which so became nameless.
+        """Write a chunk unchanged; return unknown channels, which became nameless.
 
         Raises:
-            ValueError: what is in it does not end with it.
+            ValueError: the last record in it is incomplete.
         """
         places: dict[int, list[int]] = {}
         for opcode, offset, end, time_ns in messages_in(chunk.content):
@@ -133,20 +134,20 @@ class Assembly:
         return nameless
 
     def _name(self, number: int) -> bool:
-        """Whether something is known of a channel that was not told of; it is told now."""
+        """Write a channel that is only known from `expect`; return True if it is known."""
         if (records.CHANNEL, number) in self._spare:
             self.channel(self._spare[records.CHANNEL, number])
         return number in self._channels
 
     def content(self, content: bytes) -> list[int]:
-        """Records of messages, in a chunk of their own; as `chunk`."""
+        """Write message records as a chunk of their own, like `chunk`."""
         times = [time_ns for opcode, _, _, time_ns in messages_in(content) if opcode == 5]
         data = zstandard.ZstdCompressor(level=_LEVEL).compress(content)
         first, last = (min(times), max(times)) if times else (0, 0)
         return self.chunk(Chunk(first, last, zlib.crc32(content), "zstd", data, content))
 
     def end(self) -> None:
-        """The file is complete."""
+        """Complete the file."""
         for opcode, number in self._spare:
             if opcode == records.CHANNEL:
                 self._name(number)
@@ -176,7 +177,7 @@ class Assembly:
 
 
 def _packed(places: list[int]) -> bytes:
-    """Times and offsets as a message index holds them."""
+    """Return times and offsets in the layout of a message index."""
     out = array("Q", places)
     if byteorder == "big":
         out.byteswap()
@@ -184,7 +185,7 @@ def _packed(places: list[int]) -> bytes:
 
 
 def take(assembly: Assembly, record: Record) -> None:
-    """What a record of the file's structure says is in the assembly too."""
+    """Add a schema, channel, metadata or attachment record to the assembly."""
     if record.opcode == records.SCHEMA:
         assembly.schema(record.content)
     elif record.opcode == records.CHANNEL:

@@ -1,10 +1,12 @@
-"""Reads Vector's BLF files: classic, CAN FD and error frames, with stamps of 10 us or 1 ns.
+"""Reader for Vector BLF files: classic, CAN FD and error frames.
 
-A time is that of the file's start, taken for UTC, and the object's; without a start, the object's
-alone. What ends in the middle, or is damaged, is told, and what is whole is read.
+Time stamps have a resolution of 10 us or 1 ns. A time is the sum of the file's start, taken as UTC,
+and the object's time. Without a start it is the object's time alone. Truncated or damaged parts are
+reported, and everything intact is read.
 
-Source: Vector, "Binary Logging Format" (vector_blf, LGPL, by T. Lorenz, tells the same); python-can
-4.6.1, whose reader holds stamps in floats (0.24 us today), and ends at the first damage.
+Source: Vector, "Binary Logging Format" (also described by vector_blf, LGPL, by T. Lorenz);
+python-can 4.6.1, whose reader keeps stamps in floats (0.24 us today), and stops at the first
+damage.
 """
 
 import os
@@ -22,7 +24,7 @@ from traces.traffic import Findings, Frame
 MAGIC: Final = b"LOGG"
 _OBJECT: Final = b"LOBJ"
 _BASE: Final = struct.Struct("<4sHHII")  # signature, size and version of the head, size, type
-_STAMP: Final = struct.Struct("<I4xQ")  # flags, time: the same place in versions 1 and 2
+_STAMP: Final = struct.Struct("<I4xQ")  # flags, time: at the same offset in versions 1 and 2
 _START: Final = struct.Struct("<8H")  # SYSTEMTIME: year, month, day of week, day, h, m, s, ms
 _START_AT: Final = 40
 _MESSAGE: Final = struct.Struct("<HBBI8s")  # channel, flags, DLC, identifier, data
@@ -36,22 +38,22 @@ _INNER_MAX: Final = 1 << 22  # inside a container
 _EXTENDED: Final = 0x8000_0000
 _REMOTE: Final = 0x80
 _SENT: Final = 0x01
-_CORE_TOLD: Final = 2  # of an error frame: the controller's own error code is valid
+_CORE_TOLD: Final = 2  # in an error frame: the controller's own error code is valid
 _CORE_SENT: Final = 0x1000
 
 
 def blf_frames(path: str, findings: Findings) -> Iterator[Frame]:
-    """The frames of a BLF file, in its order.
+    """Yield the frames of a BLF file, in file order.
 
     Raises:
-        TraceError: it cannot be read, or is no BLF file.
+        TraceError: the file cannot be read, or is not a BLF file.
     """
     try:
         data = Path(path).read_bytes()
     except OSError as error:
         raise TraceError(os.fspath(path), str(error.strerror).lower()) from error
     if data[:4] != MAGIC:
-        raise TraceError(os.fspath(path), "is no BLF file")
+        raise TraceError(os.fspath(path), "is not a BLF file")
     if len(data) < _START_AT + _START.size:
         findings.problem(0, f"ends at byte {len(data)}, within its head")
         return
@@ -62,7 +64,7 @@ def _start_ns(data: bytes, findings: Findings) -> int:
     told: tuple[int, ...] = _START.unpack_from(data, _START_AT)
     year, month, _, day, hours, minutes, seconds, ms = told
     if year < 1970 or not 1 <= month <= 12 or not 1 <= day <= 31:
-        findings.note("no start since 1970 is told: times are from its beginning")
+        findings.note("no start time since 1970: times count from the beginning of the recording")
         return 0
     of_day_ms = ((hours * 60 + minutes) * 60 + seconds) * 1000 + ms
     return traffic.date_ns(year, month, day) + of_day_ms * 1_000_000
@@ -77,7 +79,7 @@ class _Objects:
         self._others = 0
 
     def frames(self, data: bytes) -> Iterator[Frame]:
-        """What is in containers, and beside them; an object may go on in the next container."""
+        """Yield frames inside and outside containers; objects can span two containers."""
         at = min(struct.unpack_from("<I", data, 4)[0], _HEAD_MAX)
         rest = b""
         if at > len(data):
@@ -87,7 +89,7 @@ class _Objects:
             if signature != _OBJECT or not _BASE.size <= size <= _OBJECT_MAX:
                 found = data.find(_OBJECT, at + 1)
                 lost = (found if found >= 0 else len(data)) - at
-                self._findings.problem(self._number, f"{lost} bytes at byte {at} are no object")
+                self._findings.problem(self._number, f"{lost} bytes at byte {at} are not an object")
                 if found < 0:
                     return
                 at = found
@@ -114,7 +116,7 @@ class _Objects:
                 and kind == _CONTAINER
                 and at + size < len(data)
             ):
-                rest = b""  # a size that is damaged must not swallow the containers behind
+                rest = b""  # a damaged size must not swallow the following containers
             at += size + size % 4
         if data[at:].strip(b"\0"):
             left = len(data) - at
@@ -122,12 +124,12 @@ class _Objects:
                 self._number, f"ends within the head of an object ({left} bytes)"
             )
         if rest.strip(b"\0"):
-            self._findings.problem(self._number, f"{len(rest)} bytes are left of its last object")
+            self._findings.problem(self._number, f"{len(rest)} bytes remain of its last object")
         if self._others:
-            self._findings.note(f"{self._others} objects are no frames, and left out")
+            self._findings.note(f"{self._others} objects are not frames, and are omitted")
 
     def _content(self, body: bytes, head: int, at: int) -> bytes:
-        """What is in a container; of a damaged one, what can be had."""
+        """Return the content of a container, or as much as possible of a damaged one."""
         if len(body) < head + 16:
             return b""
         method = struct.unpack_from("<H", body, head)[0]
@@ -148,7 +150,7 @@ class _Objects:
         return bytes(out)
 
     def _in(self, data: bytes) -> Iterator[tuple[int, Frame | None]]:
-        """(where the next object begins, a frame) of each whole object."""
+        """Yield the end and the frame of each complete object."""
         at = 0
         while True:
             found = data.find(_OBJECT, at)
@@ -156,7 +158,9 @@ class _Objects:
                 return
             if data[at:found].strip(b"\0"):
                 lost = found - at
-                self._findings.problem(self._number, f"{lost} bytes in a container are no object")
+                self._findings.problem(
+                    self._number, f"{lost} bytes in a container are not an object"
+                )
             _, _, version, size, kind = _BASE.unpack_from(data, found)
             if not _BASE.size <= size <= _INNER_MAX:
                 self._findings.problem(self._number, f"an object of {size} bytes")
@@ -185,12 +189,14 @@ class _Objects:
         if time_ns > traffic.TIME_MAX:
             raise ValueError(f"a time stamp beyond the year 2554: {ticks}")
         if kind == 2:
-            self._findings.note("error frames do not tell what was wrong: taken for a bus error")
+            self._findings.note("error frames do not state the cause; read as bus errors")
             (channel,) = struct.unpack_from("<H", body, 32)
             error = traffic.classic(traffic.ERR | 0x80, bytes(8))
             return Frame(time_ns, f"can{max(0, channel - 1)}", error)
         if kind == 73:
-            self._findings.note("error frames are kept as told: by Linux or by Vector")
+            self._findings.note(
+                "error frames are kept as recorded, in Linux's or Vector's encoding"
+            )
         channel, frame, direction = take[kind](body, 32)
         return Frame(time_ns, f"can{max(0, channel - 1)}", frame, direction)
 
@@ -226,7 +232,7 @@ def _fd_message_64(body: bytes, at: int) -> _Told:
     told = _FD_MESSAGE_64.unpack_from(body, at)
     channel, dlc, valid, can_id, flags, sent, extra = (told[n] for n in (0, 1, 2, 4, 6, 12, 13))
     begin = at + _FD_MESSAGE_64.size
-    # More may be called valid than is there; it is zero (CANoe; python-can, issue 1905).
+    # More bytes can be declared valid than exist; they are zero (CANoe; python-can, issue 1905).
     data = body[begin : min(begin + valid, extra or len(body))].ljust(valid, b"\0")
     bits = (traffic.BRS if flags & 0x2000 else 0) | (traffic.ESI if flags & 0x4000 else 0)
     frame = _either(_can_id(can_id), flags & 0x10, flags & 0x1000, bits, dlc, data)

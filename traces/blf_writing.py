@@ -1,8 +1,8 @@
-"""Writes Vector's BLF files: stamps of 1 ns, containers of zlib.
+"""Writer for Vector BLF files: stamps of 1 ns, zlib containers.
 
-A file of ours and not python-can's, whose writer takes stamps as floats (0.24 us today). Times
-count from the millisecond that the earliest frame is in. What an error frame tells stands where
-python-can puts it: Linux's class in the identifier, and its data.
+python-can's writer is not used, because it keeps stamps in floats (0.24 us today). Times count from
+the full millisecond of the earliest frame. The content of an error frame is where python-can puts
+it: Linux's class in the identifier, and its data.
 
 Source: as `traces.blf`; the flags of error frames, Wireshark, wiretap/blf.h.
 """
@@ -26,13 +26,13 @@ _MESSAGE_KIND: Final = 1
 _CONTAINER_KIND: Final = 10
 _ERROR_KIND: Final = 73
 _FD_KIND: Final = 100
-_CONTENT_MAX: Final = 128 << 10  # of a container, as Vector's and python-can's are
+_CONTENT_MAX: Final = 128 << 10  # bytes per container, as with Vector and python-can
 _NANOSECONDS: Final = 2
 _ZLIB: Final = 2
 _EXTENDED: Final = 0x8000_0000
 _REMOTE: Final = 0x80
 _SENT: Final = 0x01
-_CORE_TOLD: Final = 2  # the core's error code is valid, and which way the frame went
+_CORE_TOLD: Final = 2  # the core's error code and direction are valid
 _CORE_SENT: Final = 0x1000
 _CORE_NOT_ACKNOWLEDGE: Final = 0x2000
 _CORE_OTHER, _CORE_UNACKNOWLEDGED = 3 << 6, 7 << 6
@@ -47,7 +47,7 @@ _REMEMBERED: Final = 1 << 16
 
 
 def write_blf(file: BinaryIO, buses: Sequence[str], first_ns: int, frames: Iterator[Frame]) -> None:
-    """A BLF file; no log time is before `first_ns`. The file must let its head be written last."""
+    """Write a BLF file; `first_ns` is the earliest log time. The file must be seekable."""
     writer = _Writer(file, first_ns)
     numbers = traffic.bus_numbers(buses)
     for frame in frames:
@@ -61,10 +61,12 @@ class _Writer:
         self._file = file
         self._start_ns = self._last_ns = first_ns // _MS * _MS
         self._content = bytearray()
-        self._known: dict[tuple[int, Direction, bytes], bytes] = {}  # what a message begins with
+        self._known: dict[
+            tuple[int, Direction, bytes], bytes
+        ] = {}  # the beginning of each kind of message
         self._objects = 0
         self._size = _HEAD.size
-        self._plain_size = _HEAD.size  # as if nothing were compressed
+        self._plain_size = _HEAD.size  # uncompressed size
         file.write(bytes(_HEAD.size))
 
     def add(self, frame: Frame, channel: int) -> None:
@@ -72,11 +74,11 @@ class _Writer:
         since_ns = time_ns - self._start_ns
         key = channel, direction, data[:8]
         begins = self._known.get(key) if len(data) == _CLASSIC_SIZE else None
-        if begins is not None:  # all but the time and the data is as in one before
+        if begins is not None:  # same as an earlier message except for time and data
             self._content += _MESSAGE_OBJECT.pack(_MESSAGE_HEAD, since_ns, begins, data[8:])
         else:
             kind, body = _object(traffic.fields(data), direction, channel)
-            size = _OBJECT.size + len(body)  # always a multiple of 4: nothing is padded
+            size = _OBJECT.size + len(body)  # always a multiple of 4, so no padding
             self._content += _OBJECT.pack(b"LOBJ", 32, 1, size, kind, _NANOSECONDS, 0, 0, since_ns)
             self._content += body
             if kind == _MESSAGE_KIND and len(self._known) < _REMEMBERED:
@@ -91,7 +93,7 @@ class _Writer:
         if self._content:
             self._put(self._content)
         self._file.seek(0)
-        program = (0, 0, 0, 0, 2, 6, 8, 1)  # which is unknown; the format's version
+        program = (0, 0, 0, 0, 2, 6, 8, 1)  # application unknown; version of the format
         sizes = (self._size, self._plain_size, self._objects, 0)
         times = (*_system_time(self._start_ns), *_system_time(self._last_ns))
         self._file.write(_HEAD.pack(b"LOGG", _HEAD.size, *program, *sizes, *times))
@@ -101,14 +103,14 @@ class _Writer:
         data = zlib.compress(content)
         size = _CONTAINER.size + len(data)
         head = _CONTAINER.pack(b"LOBJ", 16, 1, size, _CONTAINER_KIND, _ZLIB, len(content))
-        padding = bytes(size % 4)  # so it is: as many as there are too many
+        padding = bytes(size % 4)  # the format's own rule: size modulo 4
         self._file.write(head + data + padding)
         self._size += size + len(padding)
         self._plain_size += _CONTAINER.size + len(content)
 
 
 def _object(told: Fields, direction: Direction, channel: int) -> tuple[int, bytes]:
-    """(the kind of object that holds the frame, what is in it)."""
+    """Return the kind and the content of the object for a frame."""
     sent = direction is Direction.TRANSMITTED
     if told.can_id & traffic.ERR:
         return _ERROR_KIND, _error(told, direction, channel)
@@ -134,7 +136,7 @@ def _error(told: Fields, direction: Direction, channel: int) -> bytes:
 
 
 def _system_time(time_ns: int) -> tuple[int, ...]:
-    """Year, month, day of the week, day, h, min, s, ms."""
+    """Return year, month, day of week, day, h, min, s, ms."""
     year, month, day = traffic.date_of(time_ns)
     days, of_day_ms = divmod(time_ns // _MS, 86_400_000)
     seconds, ms = divmod(of_day_ms, 1000)

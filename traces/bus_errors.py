@@ -1,6 +1,6 @@
-"""What a CAN controller tells of errors, in words: SocketCAN's error messages.
+"""SocketCAN error messages in words.
 
-Source: Linux include/uapi/linux/can/error.h; kernels before 5.19 tell no counters.
+Source: Linux include/uapi/linux/can/error.h; kernels before 5.19 report no counters.
 """
 
 from enum import Enum
@@ -49,13 +49,13 @@ _LOCATIONS: Final = {  # data[3]
     0x1B: "ACK delimiter",
     0x1A: "end of frame",
     0x12: "intermission",
-    0x11: "active error flag",  # from here on codes of the SJA1000, which drivers hand through
+    0x11: "active error flag",  # from here on: codes of the SJA1000, which drivers pass through
     0x13: "dominant bits tolerated",
     0x16: "passive error flag",
     0x17: "error delimiter",
     0x1C: "overload flag",
 }
-_WIRES: Final = {  # data[4]: four bits a wire
+_WIRES: Final = {  # data[4]: four bits per wire
     0x4: "no wire",
     0x5: "short to battery",
     0x6: "short to supply",
@@ -66,7 +66,7 @@ _WIRES: Final = {  # data[4]: four bits a wire
 
 @final
 class ControllerState(Enum):
-    """How far a CAN controller takes part; what SocketCAN calls it."""
+    """Error state of a CAN controller, in SocketCAN's words."""
 
     ACTIVE = "error active again"
     WARNING = "error warning"
@@ -76,11 +76,13 @@ class ControllerState(Enum):
 
 
 class BusError(NamedTuple):
-    """An error message.
+    """A decoded error message.
 
-    Attributes: state (that it tells; None: it tells none); way ("sending", "receiving" or both: by
-    which counter it came into the state); what (else is told, in words); counters (TEC, REC; at
-    most 255 each; None: not told).
+    Attributes:
+        state: the reported state; None: no state.
+        way: "sending", "receiving" or both: the counter that caused the state.
+        what: all other contents, in words.
+        counters: TEC and REC, at most 255 each; None: not reported.
     """
 
     state: ControllerState | None
@@ -90,7 +92,7 @@ class BusError(NamedTuple):
 
     @property
     def text(self) -> str:
-        """In words, without its counters."""
+        """The message in words, without its counters."""
         parts = list(self.what)
         if self.state is not None:
             parts.insert(0, f"{self.state.value}{f' {self.way}' if self.way else ''}")
@@ -98,12 +100,12 @@ class BusError(NamedTuple):
 
     @property
     def counted(self) -> str:
-        """The counters in words, behind a blank; empty if they are not told."""
+        """The counters in words, with a leading blank; empty if not reported."""
         return "" if self.counters is None else " (TEC {}, REC {})".format(*self.counters)
 
 
 def bus_error(frame: bytes) -> BusError:
-    """What an error message tells; one with fewer than 8 bytes of data as if the rest were 0."""
+    """Decode an error message; missing data bytes count as 0."""
     classes = int.from_bytes(frame[:4], "little") & _CLASSES
     data = frame[8 : 8 + frame[4]].ljust(8, b"\0")
     state, way, what = _state(classes, data[1])
@@ -112,7 +114,7 @@ def bus_error(frame: bytes) -> BusError:
     elif classes & _BUS_ERROR:
         what.append("bus error")
     if classes & _NO_ACKNOWLEDGE:
-        what.append("nobody acknowledged")
+        what.append("no acknowledgement")
     if classes & _ARBITRATION:
         bit = f" in bit {data[0]}" if data[0] else ""
         what.append(f"arbitration lost{bit}")
@@ -128,7 +130,7 @@ def bus_error(frame: bytes) -> BusError:
 
 
 def _state(classes: int, status: int) -> tuple[ControllerState | None, str, list[str]]:
-    """(state, by which counter, what else the controller tells of itself)."""
+    """Return state, cause of the state and other reports of the controller."""
     what: list[str] = []
     if classes & _CONTROLLER:
         what += [f"{side} buffer overflow" for bit, side in _BUFFERS if status & bit]
@@ -148,7 +150,7 @@ def _state(classes: int, status: int) -> tuple[ControllerState | None, str, list
 
 
 _BUFFERS: Final = ((0x01, "receive"), (0x02, "transmit"))
-_STATES: Final = (  # data[1]: both bits, that for sending
+_STATES: Final = (  # data[1]: both bits, the bit for sending
     (0x30, 0x20, ControllerState.PASSIVE),
     (0x0C, 0x08, ControllerState.WARNING),
     (0x40, 0, ControllerState.ACTIVE),

@@ -1,7 +1,8 @@
-"""Reads what `candump` of can-utils printed, with `-L` or without, as people keep it; writes both.
+"""Reader and writer for the output of `candump`, with and without `-L`.
 
-What people keep has no time stamps, or dates; no interface; comments behind the rows; the command
-line in front of them; two rows in one line; an end in the middle of a row.
+The reader accepts files as people keep them: without time stamps, with dates, without an interface,
+with comments after the rows or a command line before them, with two rows in one line, or cut in the
+middle of a row.
 
 Source: can-utils, candump.c and lib.c (`sprint_canframe`, `sprint_long_canframe`).
 """
@@ -14,7 +15,7 @@ from traces import traffic
 from traces.schema import Direction
 from traces.traffic import Findings, Frame, shown
 
-_BUS: Final = "can0"  # where no interface is told
+_BUS: Final = "can0"  # default without an interface
 _LOG: Final = re.compile(
     r"\s*\((\d+(?:\.\d*)?)\)\s+(\S+)\s+([0-9A-Fa-f]+)#([^\s(]*)(?:\s+([RT])(?=\s|$))?\s*(.*)"
 )
@@ -31,18 +32,18 @@ _WAYS: Final = {"R": Direction.RECEIVED, "T": Direction.TRANSMITTED}
 
 
 def looks_like_log(line: str) -> bool:
-    """Whether it is a row of `candump -L`."""
+    """Return True for a row of `candump -L`."""
     return _LOG.match(line) is not None
 
 
 def looks_plain(line: str) -> bool:
-    """Whether it is a row of `candump`."""
+    """Return True for a row of `candump`."""
     return _PLAIN.match(line) is not None
 
 
 @final
 class CandumpReader:
-    """Rows of both kinds, also mixed. Source of the forms: can-utils."""
+    """Reader of rows of both kinds, also mixed. Source: can-utils."""
 
     name = "candump"
 
@@ -50,24 +51,24 @@ class CandumpReader:
         self._after_error = False
 
     def take(self, line: str, findings: Findings) -> Sequence[Frame]:
-        """The frames of a line. Raises ValueError: why it cannot be read."""
+        """Return the frames of a line. Raises ValueError with the reason if it is unreadable."""
         stripped = line.strip()
         if not stripped or stripped.startswith(_COMMENT):
             findings.comments += bool(stripped)
             return ()
         if self._after_error and line.startswith("\t"):
-            return ()  # candump -e: the error frame's meaning, in words
+            return ()  # candump -e: the error frame's meaning in words
         match = _LOG.match(line)
         if match is not None:
             frame, rest = self._log_row(match), match[6]
             return self._with_rest([frame], rest, findings)
         match = _PLAIN.match(line)
         if match is None:
-            raise ValueError("no frame")
+            raise ValueError("not a frame")
         return self._plain_row(match, findings)
 
     def _with_rest(self, found: list[Frame], rest: str, findings: Findings) -> list[Frame]:
-        """What stands behind a row: nothing, a comment, or another row."""
+        """Handle the text after a row: nothing, a comment, or another row."""
         self._after_error = bool(traffic.fields(found[-1].frame).can_id & traffic.ERR)
         if not rest or rest in ("ERRORFRAME",) or rest.startswith("'"):
             return found
@@ -75,7 +76,9 @@ class CandumpReader:
             try:
                 behind = self.take(rest, findings)
             except ValueError as error:
-                findings.problem(findings.line, f"{error}, in a row behind another: {shown(rest)}")
+                findings.problem(
+                    findings.line, f"{error}, in a second row on the line: {shown(rest)}"
+                )
             else:
                 findings.note("some lines hold more than one row")
                 found.extend(behind)
@@ -102,7 +105,7 @@ class CandumpReader:
             flags = (traffic.BRS if brs == "B" else 0) | (traffic.ESI if esi == "E" else 0)
             frame = traffic.flexible(can_id, flags, data) if fd else traffic.classic(can_id, data)
             if fd and brs is None:
-                findings.note("whether CAN FD frames had BRS or ESI is not told: taken for not set")
+                findings.note("BRS and ESI of CAN FD frames are not stated; read as not set")
         time_ns = _stamp_ns(stamp) if stamp else 0
         if not stamp:
             findings.unstamped += 1
@@ -111,10 +114,10 @@ class CandumpReader:
 
 
 def _bytes(text: str, length: int) -> tuple[bytes, str]:
-    """So many bytes, and what stands behind them."""
+    """Return `length` bytes, and the text after them."""
     if length > 64:
         raise ValueError(f"{length} bytes in a frame")
-    if len(text.rstrip()) == 3 * length - 1:  # as most rows are
+    if len(text.rstrip()) == 3 * length - 1:  # fast path for most rows
         try:
             data = bytes.fromhex(text)
         except ValueError:
@@ -147,7 +150,7 @@ def _stamp_ns(text: str) -> int:
 
 
 def _log_frame(can_id: int, body: str) -> bytes:
-    """The frame behind "#"."""
+    """Return the frame described by the text after "#"."""
     if body.startswith("#"):
         if len(body) < 2:
             raise ValueError("a CAN FD frame without flags")
@@ -155,7 +158,7 @@ def _log_frame(can_id: int, body: str) -> bytes:
     if body[:1] in ("R", "r"):
         match = _REMOTE.match(body[1:])
         if match is None:
-            raise ValueError("a remote frame without a length that can be")
+            raise ValueError("a remote frame with an invalid length")
         return traffic.remote(can_id, int(match[1] or 0))
     if ":" in body:
         raise ValueError("a CAN XL frame")
@@ -166,11 +169,11 @@ def _packed(digits: str) -> bytes:
     try:
         return bytes.fromhex(digits.replace(".", ""))
     except ValueError:
-        raise ValueError("no whole bytes") from None
+        raise ValueError("an incomplete byte") from None
 
 
 def plain_row(frame: Frame, places: int = 6) -> str:
-    """A row of `candump -t a -x`; who cannot say which way a frame went, has received it."""
+    """Return a row of `candump -t a -x`; an unknown direction becomes RX."""
     told = traffic.fields(frame.frame)
     fd = told.fd
     way = "TX" if frame.direction is Direction.TRANSMITTED else "RX"
@@ -197,7 +200,7 @@ def _stamp(time_ns: int, places: int) -> str:
 
 
 def log_row(frame: Frame, places: int = 6) -> str:
-    """A row of `candump -L`; microseconds as it writes them, or with -N nanoseconds."""
+    """Return a row of `candump -L`, with microseconds, or with nanoseconds like -N."""
     told = traffic.fields(frame.frame)
     can_id = told.can_id
     if can_id & traffic.RTR:

@@ -1,4 +1,4 @@
-"""Codes of CANopen in words: NMT commands and states, SDO aborts, emergencies.
+"""CANopen codes in words: NMT commands and states, SDO aborts, emergencies.
 
 Source: CiA 301, network management, SDO abort transfer protocol, emergency error codes; CiA 402-2
 for the emergencies of drives.
@@ -105,11 +105,11 @@ _EMERGENCY_GROUPS: Final = {
 
 
 def abort_text(code: int) -> str:
-    """An SDO abort code in words."""
+    """Return an SDO abort code in words."""
     return SDO_ABORTS.get(code, "a code that is not in CiA 301")
 
 
 def emergency_text(code: int) -> str:
-    """An emergency error code in words, or those of its group."""
+    """Return an emergency error code in words, or its group's."""
     found = _EMERGENCIES.get(code) or _EMERGENCY_GROUPS.get(code >> 8)
     return found or _EMERGENCY_GROUPS.get(code >> 8 & 0xF0, "a code that is not in CiA 301")

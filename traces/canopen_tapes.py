@@ -1,8 +1,9 @@
-"""The tapes of all nodes on a recorded CAN bus: what each was told, and what came of it.
+"""Exchange logs of all nodes on a recorded CAN bus.
 
-What a node sends is its own by its name in the recording, or by its identifier. A PDO belongs to
-a SYNC where the recording tells that its transmission type is synchronous; where it tells nothing,
-if it comes soon behind nearly every SYNC.
+An exchange log contains the commands to one node and its responses. A frame belongs to a node by
+the sender's name in the recording, or by its identifier. A PDO belongs to a SYNC if the recording
+shows a synchronous transmission type. If the type is unknown, it belongs to SYNC if it follows
+nearly every SYNC closely.
 
 Source: CiA 301 (pre-defined connection set, SDO, PDO transmission types, NMT).
 """
@@ -21,22 +22,22 @@ from traces.schema import Direction
 from traces.tape import START, Key, Role, Sent, Step, Tape, Turn, period_ns
 from traces.traffic import EFF, ERR, RTR, Frame, classic
 
-_CLASSIC_BYTES: Final = 16  # of a can_frame
+_CLASSIC_BYTES: Final = 16  # size of a can_frame
 _NMT: Final = 0x000
 _SYNCHRONOUS_MAX: Final = 240
 _SYNCS_MIN: Final = 8
-"""So many SYNCs it takes to say that a PDO comes behind them."""
+"""The minimum number of SYNCs for the conclusion that a PDO follows them."""
 _NEAR_NS: Final = 2_000_000
 _RESETS: Final = (0x81, 0x82)
 _NAMING: Final = (2, 3, 4)
-"""SDO command specifiers of a server's frames that name their object."""
+"""SDO command specifiers of server frames that name their object."""
 _OUTPUTS: Final = (0x6411,)
-"""Analogue outputs of I/O nodes (CiA 401): set-points where the servo is on the host."""
+"""Analogue outputs of I/O nodes (CiA 401): set-points if the servo is on the host."""
 
 
 @final
 class _Node:
-    """A node whose tape is being cut."""
+    """A node whose exchange log is being built."""
 
     def __init__(self, bus: str, number: int, begin_ns: int) -> None:
         self.tape = Tape(bus, number)
@@ -45,7 +46,7 @@ class _Node:
         self.sdo = SdoReader()
         self.dialogue: Step | None = None
         self.asked_ns = begin_ns
-        self.late: tuple[Step, int] | None = None  # what a dialogue before was asked, and when
+        self.late: tuple[Step, int] | None = None  # request of an earlier dialogue, and its time
         self.commands = 1
         self.set_points: dict[int, bytes] = {}
         self.sync: Step | None = None
@@ -53,12 +54,12 @@ class _Node:
         self.is_commanded = False  # since the last SYNC
         self.remote: dict[int, Step] = {}
         self.times_ns: dict[int, list[int]] = {}
-        # PDOs of which nothing tells whether SYNC asks for them: (SYNC, command, frame, time).
+        # PDOs whose relation to SYNC is unknown: (SYNC, command, frame, time).
         self.unclear: dict[int, list[tuple[Step | None, Step, bytes, int]]] = {}
         self.has_sent = False
 
     def add(self, step: Step) -> None:
-        """It was told this."""
+        """Add something sent to the node."""
         self.tape.steps.append(step)
         if step.role is Role.COMMAND:
             self.commands += 1
@@ -68,7 +69,7 @@ class _Node:
 
 @final
 class CanopenTapes:
-    """One bus; shown its frames in the order they were recorded."""
+    """Builds the exchange logs of one bus from its frames, in recorded order."""
 
     def __init__(
         self,
@@ -78,10 +79,15 @@ class CanopenTapes:
         objects: Mapping[int, ObjectNames] | None = None,
         any_set_point: bool = False,
     ) -> None:
-        """With when the recording begins [ns], what its nodes are called, and their objects.
+        """Start with an empty log for each node.
 
-        With `any_set_point`, of PDOs to nodes the set-points in them count for nothing: a stream of
-        them is told once, whatever its values.
+        Args:
+            bus: the name of the bus.
+            begin_ns: the start of the recording [ns].
+            names: the names of its nodes.
+            objects: the objects of its nodes.
+            any_set_point: True to ignore the set-points in PDOs to nodes; a stream of them is then
+                logged once, whatever its values.
         """
         self._any_set_point = any_set_point
         self.decoder = CanopenDecoder(names, objects)
@@ -89,12 +95,14 @@ class CanopenTapes:
         self._begin_ns = begin_ns
         self._numbers = {name: number for number, name in (names or {}).items()}
         self._nodes: dict[int, _Node] = {}
-        self._told_all: list[Step] = []  # whoever has sent nothing yet was told it, too
+        self._told_all: list[
+            Step
+        ] = []  # broadcasts, which nodes that have not sent yet received too
 
     def take(self, time_ns: int, frame: bytes, direction: Direction, sender: str) -> None:
-        """This frame was complete at that time."""
+        """Take a frame that was complete at `time_ns`."""
         can_id = int.from_bytes(frame[:4], "little")
-        is_fd = len(frame) > _CLASSIC_BYTES  # no service of CANopen, whatever its identifier
+        is_fd = len(frame) > _CLASSIC_BYTES  # not a CANopen service, whatever its identifier
         if can_id & (EFF | ERR) or (is_fd and sender not in self._numbers):
             return
         identifier = can_id & 0x7FF
@@ -118,7 +126,7 @@ class CanopenTapes:
             self._other(time_ns, identifier, frame, direction)
 
     def tapes(self) -> dict[int, Tape]:
-        """Of every node that has sent anything, by node-ID."""
+        """Return the logs of all nodes that have sent anything, by node-ID."""
         done: dict[int, Tape] = {}
         for number, node in sorted(self._nodes.items()):
             if not node.has_sent:
@@ -145,10 +153,10 @@ class CanopenTapes:
                 node.add(replace(step, reactions=[]))
         return node
 
-    # ------------------------------------------------------------------- what it was told
+    # ------------------------------------------------------------------ frames to a node
 
     def _request(self, number: int, time_ns: int, frame: bytes, data: bytes) -> None:
-        """A frame of an SDO client."""
+        """Take a frame of an SDO client."""
         node = self._node(number)
         step = node.sdo.read(data, False)
         said = self.decoder.decode(frame)
@@ -181,7 +189,7 @@ class CanopenTapes:
                 node.set_points.clear()
 
     def _sync(self, time_ns: int, frame: bytes, producer: int | None) -> None:
-        """SYNC: it fires what a node was told before, or only asks."""
+        """Take a SYNC, which activates earlier commands or only polls."""
         identifier = int.from_bytes(frame[:4], "little")
         for number, node in self._nodes.items():
             if number == producer:
@@ -205,7 +213,7 @@ class CanopenTapes:
         node.remote[identifier] = step
 
     def _other(self, time_ns: int, identifier: int, frame: bytes, direction: Direction) -> None:
-        """A PDO, an emergency, a heartbeat."""
+        """Take a PDO, an emergency or a heartbeat."""
         keys = self.decoder.maps.of(identifier)
         function, number = identifier >> 7, identifier & 0x7F
         if keys and keys[0][1]:
@@ -217,7 +225,7 @@ class CanopenTapes:
             self._sent(number, time_ns, identifier, frame)
 
     def _set_point(self, keys: list[PdoKey], time_ns: int, identifier: int, frame: bytes) -> None:
-        """A PDO to nodes; the same again tells nothing."""
+        """Take a PDO to nodes; a repetition is ignored."""
         for key in keys:
             node = self._node(key[0])
             told = frame
@@ -232,7 +240,7 @@ class CanopenTapes:
                 node.add(Step(Role.COMMAND, pdo_key(identifier, told), time_ns, ""))
 
     def _mask(self, key: PdoKey) -> bytes:
-        """Of the 8 data bytes of a PDO, what is no set-point."""
+        """Return a mask of the 8 data bytes of a PDO without its set-points."""
         mask, at = (1 << 64) - 1, 0
         for index, _, bits in self.decoder.maps.objects(key) or ():
             if index in _OUTPUTS or axis_of(index)[1] in SETPOINTS:
@@ -240,7 +248,7 @@ class CanopenTapes:
             at += bits
         return mask.to_bytes(8, "little")
 
-    # ----------------------------------------------------------------------- what it sent
+    # ---------------------------------------------------------------- frames from a node
 
     def _sent(self, number: int, time_ns: int, identifier: int, frame: bytes) -> None:
         node = self._node(number)
@@ -251,9 +259,9 @@ class CanopenTapes:
             self._answered(node, time_ns, self.decoder.decode(frame), frame)
             return
         if function == 14 and low == number and frame[4] == 1 and frame[8] == 0:
-            self.decoder.decode(frame)  # it has booted, and forgotten what it was told
+            self.decoder.decode(frame)  # the node has booted and lost its settings
             node.set_points.clear()
-            node.remote.clear()  # it answers nothing that it was asked before
+            node.remote.clear()  # it does not answer earlier requests
         asked = node.remote.pop(identifier, None)
         if asked is not None:
             asked.answers.append(Sent(time_ns - asked.time_ns, frame))
@@ -274,13 +282,13 @@ class CanopenTapes:
 
     @staticmethod
     def _answered(node: _Node, time_ns: int, said: Said, frame: bytes) -> None:
-        """A frame of its SDO server."""
-        if node.dialogue is None:  # it answers what was not recorded
+        """Take a frame of the node's SDO server."""
+        if node.dialogue is None:  # the request was not recorded
             return
         told_of = int.from_bytes(frame[9:12], "little")
         if node.late is not None and frame[8] >> 5 in _NAMING and told_of != node.dialogue.key[1]:
             late, asked_ns = node.late
-            if told_of == late.key[1]:  # the host had given it up
+            if told_of == late.key[1]:  # the host had given up this request
                 late.turns[-1].answers.append(Sent(time_ns - asked_ns, frame))
                 late.answer_text = said.text
                 return
@@ -290,7 +298,7 @@ class CanopenTapes:
 
     @staticmethod
     def _clear_up(node: _Node) -> None:
-        """PDOs of which nothing is told: if SYNC asks for them is clear by now."""
+        """Assign PDOs of unknown type to SYNC or to the commands before them."""
         for found in node.unclear.values():
             near = [
                 sync is not None and time_ns - sync.time_ns <= _NEAR_NS
@@ -309,9 +317,9 @@ class CanopenTapes:
 
 
 def _mark_periodic(node: _Node) -> None:
-    """Of frames with a period: which of them were followed by the next one in time.
+    """Mark periodic frames that were followed by the next one in time.
 
-    A boot-up is none of them, though it has the identifier of heartbeats.
+    A boot-up is not periodic, although it has the identifier of heartbeats.
     """
     for step in node.tape.steps:
         for place, one in enumerate(step.reactions):
@@ -321,7 +329,7 @@ def _mark_periodic(node: _Node) -> None:
                 continue
             times, now_ns = node.times_ns[identifier], step.time_ns + one.delay_ns
             behind = bisect_right(times, now_ns)
-            # Behind the last one, as before it.
+            # After the last frame the interval before it is assumed.
             next_ns = times[behind] if behind < len(times) else 2 * now_ns - times[behind - 2]
             if 4 * (next_ns - now_ns) <= 5 * period:
                 step.reactions[place] = replace(one, goes_on=True)
@@ -331,21 +339,21 @@ SYNC_KEY: Final[Key] = ("sync", 0, b"")
 
 
 def masked(frame: bytes, mask: bytes) -> bytes:
-    """The can_frame with those bits of its data that the mask has."""
+    """Return the can_frame with only the data bits of the mask."""
     data = int.from_bytes(frame[8:], "little") & int.from_bytes(mask, "little")
     return frame[:8] + data.to_bytes(8, "little")
 
 
 def sdo_key(data: bytes) -> Key:
-    """Of the request that begins an SDO transfer: its object, and all it says."""
+    """Return the key of a request that begins an SDO transfer: its object and content."""
     return ("sdo", int.from_bytes(data[1:4], "little"), meant(bytes(data)))
 
 
 def meant(data: bytes) -> bytes:
-    """An SDO client's frame without what of it is reserved, or carries no data.
+    """Return an SDO client's frame with reserved and unused bytes set to zero.
 
-    Some clients fill these bytes with zeros, some leave there what was there. Not for the segments
-    of a block download, which begin with a number.
+    Some clients fill these bytes with zeros, others leave old contents there. Do not use it for the
+    segments of a block download, which begin with a number.
     """
     kind, unused = data[0] >> 5, 0
     if kind == 2:
@@ -360,17 +368,17 @@ def meant(data: bytes) -> bytes:
 
 
 def nmt_key(data: bytes) -> Key:
-    """Of an NMT command, to one node or to all."""
+    """Return the key of an NMT command, to one node or to all."""
     return ("nmt", data[0], b"")
 
 
 def pdo_key(identifier: int, frame: bytes) -> Key:
-    """Of a PDO to a node."""
+    """Return the key of a PDO to a node."""
     return ("pdo", identifier, frame[4:5] + frame[8:])
 
 
 def sentence(step: Step, decoder: CanopenDecoder) -> str:
-    """What a step tells; of a PDO, which is told too often to be put in words each time, as now."""
+    """Return a step in words; PDOs are decoded only here, because they are frequent."""
     kind, identifier, data = step.key
     if kind != "pdo":
         return step.text
@@ -378,7 +386,7 @@ def sentence(step: Step, decoder: CanopenDecoder) -> str:
 
 
 def remote_key(identifier: int) -> Key:
-    """Of a remote frame."""
+    """Return the key of a remote frame."""
     return ("remote", identifier, b"")
 
 
@@ -389,7 +397,7 @@ def canopen_tapes(
     names: Mapping[int, str] | None = None,
     objects: Mapping[int, ObjectNames] | None = None,
 ) -> dict[int, Tape]:
-    """The tapes of the nodes in these frames of one bus, by node-ID."""
+    """Return the exchange logs of the nodes in these frames of one bus, by node-ID."""
     cutter = CanopenTapes(bus, begin_ns, names, objects)
     for time_ns, _, frame, direction, sender in frames:
         cutter.take(time_ns, frame, direction, sender)

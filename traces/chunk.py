@@ -1,8 +1,8 @@
-"""Messages on their way into a chunk: packed side by side into one buffer, in bulk.
+"""Messages on their way into a chunk, packed in bulk into one buffer.
 
-What is recorded most is the CAN frame, and of its record all is constant for one sender, identifier
-and length but the time and the data. So each such combination is packed by a `struct` of its own,
-straight into the buffer: one call, no bytes object a frame.
+Most messages are CAN frames. For one sender, identifier and length, their record is constant except
+for time and data. Each such combination therefore has a `struct` of its own, which packs straight
+into the buffer: one call, and no bytes object per frame.
 """
 
 import struct
@@ -19,22 +19,25 @@ from traces.records import MESSAGE, MESSAGE_HEAD
 Entry = tuple[int, int, bytes]
 """(source, log time [ns], data).
 
-A source >= 0 is a sender on a channel, and the data a Linux can_frame or canfd_frame; a source < 0
-is a channel, negated, and the data is the message itself.
+A source >= 0 is a sender on a channel, and the data is a Linux can_frame or canfd_frame. A source <
+0 is a negated channel, and the data is the message itself.
 """
 
 _HEAD_SIZE: Final = MESSAGE_HEAD.size
-_CONSTANT: Final = struct.Struct("<BQHI")  # of a message's head, all before the times
-_REMEMBERED: Final = 1 << 16  # prefixes; a bus full of random identifiers must not fill the memory
+_CONSTANT: Final = struct.Struct("<BQHI")  # the message head before the times
+_REMEMBERED: Final = 1 << 16  # prefixes; random identifiers on a bus must not fill the memory
 
 _source_of: Final = itemgetter(0)
 
 
 @final
 class _Template:
-    """How frames of one sender that begin alike are packed.
+    """Packing of frames of one sender that begin alike.
 
-    Attributes: size, of the record; frame_size, of the frame; places, the index of its channel.
+    Attributes:
+        size: size of the record.
+        frame_size: size of the frame.
+        places: the message index of its channel.
     """
 
     __slots__ = ("frame_size", "head", "middle", "pack_into", "places", "size")
@@ -58,18 +61,19 @@ class _Template:
 
 @final
 class ChunkBuffer:
-    """The messages of one chunk, not yet compressed; used again for the next one.
+    """The messages of one chunk before compression; reused for the next chunk.
 
-    Attributes: used, bytes of it that are filled; first_ns and last_ns, the earliest and the latest
-    log time in it.
+    Attributes:
+        used: filled bytes.
+        first_ns, last_ns: earliest and latest log time.
     """
 
     def __init__(self, size: int, indexed: bool) -> None:
-        """Empty; if indexed, it knows where each message begins."""
+        """Create an empty buffer; if `indexed`, it records the offset of each message."""
         self.used: int = 0
         self.first_ns: int = 0
         self.last_ns: int = 0
-        self._counts: dict[int, int] = {}  # by channel, where there is no index to tell
+        self._counts: dict[int, int] = {}  # by channel, if there is no index
         self._buffer: bytearray = bytearray(size)
         self._sources: list[tuple[int, bytes, int]] = []
         self._known: list[dict[bytes, _Template]] = []  # by source, then by a frame's first 8 bytes
@@ -80,17 +84,17 @@ class ChunkBuffer:
         self._index: dict[int, list[int]] = {}  # by channel: time, offset, time, offset, ...
 
     def add_source(self, channel: int, sender: str, direction: int) -> int:
-        """The number of a sender on a CAN channel."""
+        """Register a sender on a CAN channel, and return its number."""
         self._sources.append((channel, sender.encode(), direction))
         self._known.append({})
         return len(self._sources) - 1
 
     def content(self) -> memoryview:
-        """The records in it; release the view before anything is added."""
+        """Return a view of the records; release it before adding anything."""
         return memoryview(self._buffer)[: self.used]
 
     def index(self) -> list[tuple[int, bytes]]:
-        """(channel, (log time, offset) of each of its messages as MCAP packs them)."""
+        """Return (channel, packed (log time, offset) of its messages) for MCAP."""
         out: list[tuple[int, bytes]] = []
         for channel, places in self._index.items():
             if places:
@@ -101,23 +105,23 @@ class ChunkBuffer:
         return out
 
     def counts(self) -> dict[int, int]:
-        """Its messages by channel."""
+        """Return the number of messages per channel."""
         if not self._indexed:
             return self._counts
         return {channel: len(places) // 2 for channel, places in self._index.items()}
 
     def clear(self) -> None:
-        """It is empty; what it knows about sources stays."""
+        """Remove all messages; registered sources stay."""
         self.used = 0
         self._counts.clear()
         for places in self._index.values():
-            places.clear()  # the list stays: templates know it
+            places.clear()  # keep the list: templates refer to it
 
     def extend(self, entries: list[Entry]) -> None:
-        """These messages are in it, behind those before; or, if it raises, none of them is.
+        """Append these messages, all or, if it raises, none.
 
         Raises:
-            ValueError: data of a CAN source is no CAN frame.
+            ValueError: data of a CAN source is not a CAN frame.
             struct.error: a time is negative.
         """
         if not entries:
@@ -135,7 +139,7 @@ class ChunkBuffer:
                 self._counts[channel] = self._counts.get(channel, 0) + count
 
     def _pack(self, entries: list[Entry]) -> None:
-        """The records are in the buffer; it is told how much of it is used when all of them are."""
+        """Pack the records, and then update the used size."""
         known = self._known
         wholes = self._wholes
         used = self.used
@@ -179,10 +183,10 @@ class ChunkBuffer:
         self.used, self.first_ns, self.last_ns = used, first, last
 
     def _learn(self, source: int, data: bytes) -> _Template:
-        """How frames that begin like this one are packed."""
+        """Create the template for frames that begin like this one."""
         channel, sender, direction = self._sources[source]
         middle, length = can_frame_prefix(data[:8], len(data), sender, direction)
-        # 15 bytes: the record's head up to the times; sequence 0, as mcap's own writer has it.
+        # 15 bytes: the record's head before the times; sequence 0, as in mcap's own writer.
         layout = struct.Struct(f"<15sQQ{len(middle)}s{length}s")
         head = _CONSTANT.pack(MESSAGE, layout.size - 9, channel, 0)
         places = self._places(channel)
@@ -197,7 +201,7 @@ class ChunkBuffer:
         return template
 
     def _learn_length(self, length: int) -> Callable[..., None]:
-        """How messages of this length are packed, head and all."""
+        """Create the packer of messages of this length, including the head."""
         if len(self._wholes) >= _REMEMBERED:
             self._wholes.clear()
         pack_whole = struct.Struct(f"{MESSAGE_HEAD.format}{length}s").pack_into
@@ -205,13 +209,13 @@ class ChunkBuffer:
         return pack_whole
 
     def _places(self, channel: int) -> list[int]:
-        """Where the channel's messages are."""
+        """Return the message index of a channel."""
         places = self._index.get(channel)
         if places is None:
             places = self._index[channel] = []
         return places
 
     def _reserve(self, size: int) -> None:
-        """The buffer has room for `size` bytes."""
+        """Enlarge the buffer to at least `size` bytes."""
         if size > len(self._buffer):
             self._buffer.extend(bytes(size - len(self._buffer)))

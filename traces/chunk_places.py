@@ -1,4 +1,4 @@
-"""Where the chunks of a complete recording are, and its channels, by the summary at its end.
+"""Chunks and channels of a complete recording, read from its summary.
 
 Source: mcap.dev/spec, summary section and footer.
 """
@@ -14,15 +14,15 @@ from traces import records
 _FOOT: Final = records.RECORD_HEAD.size + records.FOOTER_BODY.size + len(records.MAGIC)
 _PLACE: Final = struct.Struct("<QQQQ")
 _SIZES: Final = struct.Struct("<QQ")
-_UNLIKELY: Final = 1 << 28  # bytes: such a summary is not worth its reading
+_UNLIKELY: Final = 1 << 28  # bytes: a summary beyond this is not worth reading
 
 
 @final
 @dataclass(frozen=True, slots=True)
 class Chunk:
-    """A chunk's place and what is known of it; or, uncompressed, messages outside of any chunk.
+    """Place and header of a chunk, or of uncompressed messages outside any chunk.
 
-    `size` is that of its records, uncompressed; `crc` is None where nobody has looked at its head.
+    `size` is the uncompressed size of the records; `crc` is None until its head has been read.
     """
 
     offset: int
@@ -37,7 +37,7 @@ class Chunk:
 
 
 class ChunkPlace(NamedTuple):
-    """A chunk, and where what stands behind its message indexes begins."""
+    """A chunk, and the offset after its message indexes."""
 
     chunk: Chunk
     end: int
@@ -51,7 +51,7 @@ class Summary(NamedTuple):
 
 
 def read_summary(file: BinaryIO) -> Summary:
-    """What a summary tells; empty where there is none with a CRC that fits."""
+    """Read the summary; return an empty one if there is none with a correct CRC."""
     nothing = Summary({}, [])
     size = file.seek(0, os.SEEK_END)
     if size < _FOOT:
@@ -87,7 +87,7 @@ def read_summary(file: BinaryIO) -> Summary:
 
 
 def _place(content: bytes, limit: int) -> ChunkPlace:
-    """Raises struct.error, ValueError: it is no chunk index."""
+    """Parse a chunk index. Raises struct.error or ValueError if it is damaged."""
     first_ns, last_ns, offset, length = _PLACE.unpack_from(content)
     (offsets,) = records.UINT32.unpack_from(content, _PLACE.size)
     at = _PLACE.size + 4 + offsets

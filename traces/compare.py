@@ -1,4 +1,4 @@
-"""Where two recordings begin to differ, message by message."""
+"""First difference between two recordings, message by message."""
 
 import os
 from dataclasses import dataclass
@@ -11,9 +11,11 @@ from traces.reader import TraceMessage, read_trace
 @final
 @dataclass(frozen=True, slots=True)
 class Mismatch:
-    """The first message that is not the same; None: that recording has ended.
+    """The first pair of different messages; None: that recording has ended.
 
-    Attributes: number counts messages from 0; each message is (topic, log time [ns], payload).
+    Attributes:
+        number: the number of the message, from 0.
+        first, second: the messages as (topic, log time [ns], payload).
     """
 
     number: int
@@ -27,7 +29,7 @@ class Mismatch:
 def first_mismatch(
     first: str | os.PathLike[str], second: str | os.PathLike[str]
 ) -> Mismatch | None:
-    """Where they differ; None if both hold the same messages (then `digest` is the same as well).
+    """Return the first difference; None if the messages (and so the digests) are the same.
 
     Cut files are compared as far as they go.
 

@@ -1,4 +1,4 @@
-"""How chunks are compressed: zstd by us, also lz4 or not at all by others."""
+"""Compression of chunks: zstd, and on reading also lz4 or none."""
 
 from typing import Final, final
 
@@ -9,14 +9,14 @@ _PIECE: Final = 4096
 
 @final
 class CompressionError(Exception):
-    """What was compressed is damaged, or compressed by something unknown."""
+    """Compressed data is damaged, or its compression is unknown."""
 
 
 def decompress(compression: str, data: bytes, size: int) -> bytes:
-    """The `size` bytes that `data` is the compressed form of.
+    """Return the `size` uncompressed bytes of `data`.
 
     Raises:
-        CompressionError: they cannot be had.
+        CompressionError: the data is damaged, or the compression unknown.
     """
     try:
         if compression == "zstd":
@@ -26,18 +26,18 @@ def decompress(compression: str, data: bytes, size: int) -> bytes:
 
             content = bytes(lz4.frame.decompress(data))
         elif compression:
-            raise CompressionError(f"{compression!r} is no compression known here")
+            raise CompressionError(f"{compression!r} is not a known compression")
         else:
             content = data
     except (zstandard.ZstdError, RuntimeError, EOFError, OverflowError, MemoryError) as error:
-        raise CompressionError(str(error) or "its size is beyond all memory") from error
+        raise CompressionError(str(error) or "its size exceeds the memory") from error
     if len(content) != size:
-        raise CompressionError(f"{len(content)} bytes in it, should be {size}")
+        raise CompressionError(f"{len(content)} bytes; expected {size}")
     return content
 
 
 def salvage(compression: str, data: bytes) -> bytes:
-    """As much as can still be had when the end of `data` is missing; zstd gives whole blocks."""
+    """Return as much as possible of data whose end is missing; zstd yields whole blocks."""
     if not compression:
         return data
     if compression != "zstd":

@@ -1,9 +1,9 @@
-"""CSV: ours, which holds all that a frame has; python-can's; and SavvyCAN's.
+"""CSV formats: ours (complete frames), python-can's and SavvyCAN's.
 
-    time_s,bus,id,extended,kind,brs,esi,direction,sender,length,data
-    12.000000001,can0,181,0,data,0,0,received,left,2,0102
+  time_s,bus,id,extended,kind,brs,esi,direction,sender,length,data
+  12.000000001,can0,181,0,data,0,0,received,left,2,0102
 
-Columns are found by their names, so others may stand between them.
+Columns are found by name, so additional columns are allowed.
 
 Source: python-can 4.6.1, can/io/csv.py; SavvyCAN, framefileio.cpp (GVRET logs, times in us).
 """
@@ -36,7 +36,7 @@ Row = dict[str, str]
 
 
 def _dialect(line: str) -> tuple[list[str], Callable[[Row], Frame]] | None:
-    """The names of its columns, and what reads a row; None: it is the head of no known table."""
+    """Return column names and row reader for a table's head; None if the table is unknown."""
     columns = [name.strip().lower() for name in line.strip().lstrip("\ufeff").split(",")]
     for needed, take in ((COLUMNS, _ours), (_PYTHON_CAN, _python_can), (_SAVVYCAN, _savvycan)):
         if set(needed) <= set(columns):
@@ -45,13 +45,13 @@ def _dialect(line: str) -> tuple[list[str], Callable[[Row], Frame]] | None:
 
 
 def looks_like_csv(line: str) -> bool:
-    """Whether it is the head of a table that is known here."""
+    """Return True for the head of a known table."""
     return _dialect(line) is not None
 
 
 @final
 class CsvReader:
-    """Rows of a table behind its head."""
+    """Reader of a table's head and rows."""
 
     name = "csv"
 
@@ -60,13 +60,13 @@ class CsvReader:
         self._take: Callable[[Row], Frame] = _ours
 
     def take(self, line: str, findings: Findings) -> Sequence[Frame]:
-        """The frame of a line. Raises ValueError: why it cannot be read."""
+        """Return the frame of a line. Raises ValueError with the reason if it is unreadable."""
         if not line.strip():
             return ()
         if not self._columns:
             found = _dialect(line)
             if found is None:
-                raise ValueError("no head of a table that is known")
+                raise ValueError("not the head of a known table")
             self._columns, self._take = found
             return ()
         try:
@@ -81,7 +81,7 @@ class CsvReader:
             return (self._take(row),)
         except KeyError as missing:
             name = str(missing.args[0])
-            what = "ends in the middle" if name in self._columns else f"cannot be: {name!r}"
+            what = "ends in the middle" if name in self._columns else f"invalid value: {name!r}"
             raise ValueError(what) from None
 
 
@@ -89,7 +89,7 @@ def _hexadecimal(text: str) -> int:
     try:
         return int(text, 16)
     except ValueError:
-        raise ValueError(f"no identifier: {text!r}") from None
+        raise ValueError(f"not an identifier: {text!r}") from None
 
 
 def _can_id(text: str, extended: bool) -> int:
@@ -101,7 +101,7 @@ def _can_id(text: str, extended: bool) -> int:
 
 def _number(text: str) -> int:
     if not text.isdecimal():
-        raise ValueError(f"no number: {text!r}")
+        raise ValueError(f"not a number: {text!r}")
     return int(text)
 
 
@@ -116,7 +116,7 @@ def _ours(row: Row) -> Frame:
     try:
         data = bytes.fromhex(row["data"])
     except ValueError:
-        raise ValueError("its data are no bytes") from None
+        raise ValueError("the data is not a sequence of bytes") from None
     if kind != "remote" and len(data) != length:
         raise ValueError(f"{len(data)} of {length} bytes")
     flags = (traffic.BRS if _YES[row["brs"]] else 0) | (traffic.ESI if _YES[row["esi"]] else 0)
@@ -127,7 +127,7 @@ def _ours(row: Row) -> Frame:
     elif kind in ("data", "error"):
         frame = traffic.classic(can_id, data)
     else:
-        raise ValueError(f"no kind of frame: {kind!r}")
+        raise ValueError(f"not a kind of frame: {kind!r}")
     return Frame(time_ns, bus, frame, direction, sender)
 
 
@@ -135,7 +135,7 @@ def _python_can(row: Row) -> Frame:
     try:
         data = base64.b64decode(row["data"], validate=True)
     except binascii.Error:
-        raise ValueError("its data are no base64") from None
+        raise ValueError("the data is not base64") from None
     can_id = _can_id(row["arbitration_id"], _YES[row["extended"].lower()])
     if _YES[row["error"].lower()]:
         frame = traffic.classic(traffic.ERR | can_id & traffic.EFF_MASK, data.ljust(8, b"\0"))
@@ -161,12 +161,12 @@ def _savvycan(row: Row) -> Frame:
 def _byte(text: str) -> int:
     value = _hexadecimal(text)
     if not 0 <= value <= 255:
-        raise ValueError(f"no byte: {text}")
+        raise ValueError(f"not a byte: {text}")
     return value
 
 
 def write_csv(file: TextIOBase, places: int, frames: Iterator[Frame]) -> None:
-    """Our own table."""
+    """Write our own table."""
     buffer = StringIO()
     rows = csv.writer(buffer, lineterminator="\n")
     file.write(",".join(COLUMNS) + "\n")

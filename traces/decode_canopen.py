@@ -1,8 +1,8 @@
-"""CANopen as it goes by on one bus, in sentences and facts: a third reading that only looks.
+"""Passive decoder of the CANopen traffic on one bus, into sentences and facts.
 
-It knows the objects of CiA 301 and 402, and an EDS where a recording has one attached. What PDOs
-carry it learns from the SDO traffic it has seen; whoever begins in the middle of a recording should
-show it the beginning first.
+It is independent of the emulators and of the motor interface. It knows the objects of CiA 301 and
+402, and of an EDS attached to the recording. It learns the contents of PDOs from the SDO traffic.
+To decode from the middle of a recording, feed it the beginning first.
 
 Source: CiA 301 (pre-defined connection set, NMT, error control, SYNC, TIME, EMCY, SDO, PDO).
 """
@@ -27,7 +27,7 @@ _CONTROLWORD: Final = 0x6040
 _STATUSWORD: Final = 0x6041
 _MODE: Final = (0x6060, 0x6061)
 _DRIVES: Final = (402, 0xFFFF)
-"""Low word of the device type 1000h: a drive; several devices, each with a profile of its own."""
+"""Low word of the device type 1000h: a drive, or several devices with a profile each."""
 _RESETS: Final = (0x81, 0x82)
 _MOTION: Final = frozenset(
     (
@@ -41,35 +41,35 @@ SETPOINTS: Final = frozenset((0x607A, 0x60FF, 0x6071, 0x6042, 0x60C1))
 
 @final
 class _Node:
-    """What is known of a node."""
+    """The known facts about a node."""
 
     def __init__(self, name: str, names: ObjectNames) -> None:
         self.name = name
         self.names = names
         self.sdo = SdoReader()
-        self.is_drive = True  # until its device type says otherwise
-        self.modes: dict[int, int] = {}  # of operation, by axis
+        self.is_drive = True  # until its device type shows otherwise
+        self.modes: dict[int, int] = {}  # modes of operation by axis
         self.controlwords: dict[int, int] = {}
 
     def place(self, index: int) -> tuple[int, int]:
-        """Axis and index on the first axis, of a drive; of anything else no such index."""
+        """Return axis and index on the first axis; index 0 for device objects of a non-drive."""
         return axis_of(index) if self.is_drive or index < 0x6000 else (1, 0)
 
     def name_of(self, index: int, subindex: int) -> ObjectName:
-        """What an object is called; 6000h and on by CiA 402 only if this is a drive."""
+        """Return an object's name; from 6000h on by CiA 402 only if this is a drive."""
         return self.names.of(index, subindex, self.is_drive)
 
 
 @final
 class CanopenDecoder:
-    """One bus. Frames are to be shown to it in the order they were recorded."""
+    """Decoder of one bus; frames must be passed in recorded order."""
 
     def __init__(
         self,
         node_names: Mapping[int, str] | None = None,
         objects: Mapping[int, ObjectNames] | None = None,
     ) -> None:
-        """With what its nodes are called, and the objects of those with an EDS."""
+        """Create a decoder with the names of nodes and the objects of those with an EDS."""
         self.maps = PdoMaps()
         self._node_names = dict(node_names or {})
         self._objects = dict(objects or {})
@@ -79,7 +79,7 @@ class CanopenDecoder:
             self._learn_defaults(node, names)
 
     def decode(self, frame: bytes, sender: str = "") -> Said:
-        """What a can_frame or canfd_frame says; `sender` is whose an error message is."""
+        """Decode a can_frame or canfd_frame; `sender` is the origin of an error message."""
         can_id, length = _HEAD.unpack_from(frame)
         if can_id & _ERR:
             return self._bus_error(frame, sender)
@@ -92,7 +92,7 @@ class CanopenDecoder:
         node, function = identifier & 0x7F, identifier >> 7
         if identifier == 0:
             return self._nmt(data)
-        for key in self.maps.of(identifier):  # a PDO's identifier is its own wherever it was put
+        for key in self.maps.of(identifier):  # a PDO has its own identifier, wherever that is
             return self._pdo(identifier, key, data)
         if len(data) < 2 and self.maps.is_sync(identifier):
             counter = f" {data[0]}" if data else ""
@@ -108,7 +108,7 @@ class CanopenDecoder:
         return _other(identifier, data, can_id)
 
     def forget_transfers(self) -> None:
-        """Frames are missing from here on: SDO transfers that had begun have not."""
+        """Abandon all SDO transfers in progress, because frames are missing from here on."""
         for node in self._nodes.values():
             node.sdo = SdoReader()
 
@@ -123,14 +123,14 @@ class CanopenDecoder:
         return found
 
     def _forget(self, number: int) -> None:
-        """The node begins anew: with the PDOs of its EDS, or with some that nobody has told."""
+        """Reset a node: its PDOs are those of its EDS, or unknown."""
         node = self._node(number)
         node.modes, node.controlwords, node.sdo = {}, {}, SdoReader()
         self.maps.forget(number)
         self._learn_defaults(number, node.names)
 
     def _learn_defaults(self, node: int, names: ObjectNames) -> None:
-        """The PDOs as an EDS has them."""
+        """Learn the default PDOs of an EDS."""
         for (index, subindex), text in names.defaults.items():
             if not 0x1400 <= index < 0x1C00:
                 continue
@@ -147,7 +147,7 @@ class CanopenDecoder:
         whose = f" of {who}" if who else ""
         told = bus_error(frame)
         words = told.text + told.counted
-        # The counters are no part of the value: two runs may differ in them and mean the same.
+        # The counters are not part of the value: two runs can differ in them and mean the same.
         subject, value = f"{CONTROLLER}'s errors", told.text
         if told.state is not None:
             subject, value = CONTROLLER, told.state.value
@@ -158,8 +158,8 @@ class CanopenDecoder:
 
     def _nmt(self, data: bytes) -> Said:
         if len(data) < 2:
-            return Said(Kind.NMT, None, f"NMT command of {len(data)} bytes, should be 2")
-        command = NMT_COMMANDS.get(data[0], f"command {data[0]:02X}h, unknown")
+            return Said(Kind.NMT, None, f"NMT command of {len(data)} bytes instead of 2")
+        command = NMT_COMMANDS.get(data[0], f"unknown command {data[0]:02X}h")
         node = data[1] or None
         whom = "all nodes" if node is None else self._node(node).name
         fact = Fact("NMT command", data[0], command, told_to=True)
@@ -230,7 +230,7 @@ class CanopenDecoder:
     def _object(
         self, number: int, index: int, subindex: int, data: bytes, told_to: bool
     ) -> tuple[Fact, ...]:
-        """An object of a node has this value; what follows from it is learned."""
+        """Return the facts of an object's value, and learn from it."""
         node = self._node(number)
         name = node.name_of(index, subindex)
         value = value_of(name.kind, data)
@@ -245,7 +245,7 @@ class CanopenDecoder:
         if first == _CONTROLWORD and told_to and isinstance(value, int):
             node.controlwords[axis] = value
         subject = f"{place_text(index, subindex)} {name.text}".strip()
-        # A set-point told by SDO is a command like any other; as a stream it is motion.
+        # A set-point by SDO is an ordinary command; a stream of set-points is motion.
         return (Fact(subject, value, text, told_to, first in _MOTION and not told_to),)
 
     @staticmethod
@@ -297,7 +297,9 @@ class CanopenDecoder:
         at = 0
         for index, subindex, bits in objects:
             if at + bits > 8 * len(data):
-                facts.append(Fact(place_text(index, subindex), b"", "missing, the PDO is short"))
+                facts.append(
+                    Fact(place_text(index, subindex), b"", "missing: the PDO is too short")
+                )
                 break
             value = raw >> at & (1 << bits) - 1
             at += bits
@@ -311,19 +313,19 @@ class CanopenDecoder:
 
 
 def place_text(index: int, subindex: int) -> str:
-    """How an object is written: 6041h, or 1018h:1."""
+    """Return the notation of an object: 6041h, or 1018h:1."""
     return f"{index:04X}h:{subindex}" if subindex else f"{index:04X}h"
 
 
 def _time_text(data: bytes) -> str:
     if len(data) != 6:
-        return f"TIME of {len(data)} bytes, should be 6"
+        return f"TIME of {len(data)} bytes instead of 6"
     milliseconds, days = struct.unpack("<IH", data)
     return f"TIME {(milliseconds & 0xFFF_FFFF) / 1000:.3f} s after midnight, day {days} from 1984"
 
 
 def _flexible(identifier: int, data: bytes, can_id: int, flags: int) -> Said:
-    """A CAN FD frame: of no service of classical CANopen."""
+    """Decode a CAN FD frame, which belongs to no classical CANopen service."""
     what = f"{_foreign(identifier, can_id)} CAN FD"
     marks = "".join(f" {name}" for bit, name in ((1, "BRS"), (2, "ESI")) if flags & bit)
     told = data.hex(" ").upper() or "no data"

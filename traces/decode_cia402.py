@@ -1,7 +1,7 @@
-"""Controlword, statusword and modes of CiA 402 in words: a reading that only looks.
+"""Passive decoder of CiA 402 controlword, statusword and modes, into words.
 
 Source: CiA 402-2 (IEC 61800-7-201), PDS FSA, controlword 6040h, statusword 6041h, modes 6060h; bits
-4 to 6, 9, 12 and 13 mean what the mode of operation makes of them.
+4 to 6, 9, 12 and 13 depend on the mode of operation.
 """
 
 from typing import Final
@@ -59,12 +59,12 @@ _STATUS_BITS: Final[dict[int, tuple[tuple[int, str], ...]]] = {
 
 
 def controlword_text(word: int, mode: int = 0, before: int | None = None) -> str:
-    """The command in a controlword and the bits that the mode gives a meaning.
+    """Return the command in a controlword, and its mode-specific bits, in words.
 
     Args:
         word: the controlword.
-        mode: of operation; 0: not known, then its bits are told by number.
-        before: the controlword before; None: not known. A fault reset is the edge of bit 7.
+        mode: the mode of operation; 0: unknown, then its bits are listed by number.
+        before: the previous controlword; None: unknown. A fault reset is the edge of bit 7.
     """
     if word & 0x80:
         fresh = before is None or not before & 0x80
@@ -76,7 +76,7 @@ def controlword_text(word: int, mode: int = 0, before: int | None = None) -> str
 
 
 def state_number(word: int) -> int:
-    """Which of `STATES` a statusword shows; `UNKNOWN_STATE`: none of them."""
+    """Return the index of a statusword's state in `STATES`, or `UNKNOWN_STATE`."""
     for number, (mask, value, _) in enumerate(STATES):
         if word & mask == value:
             return number
@@ -84,17 +84,17 @@ def state_number(word: int) -> int:
 
 
 def state_of(word: int) -> str:
-    """The state of the PDS FSA in a statusword; what is none of them is told with its bits."""
+    """Return the PDS FSA state in a statusword; an unknown state with its bits."""
     number = state_number(word)
     return STATES[number][2] if number < len(STATES) else f"no state (bits {word & 0x6F:02X}h)"
 
 
 def statusword_text(word: int, mode: int = 0) -> str:
-    """The state and what else a statusword tells; voltage and remote only where they are missing.
+    """Return a statusword in words; voltage and remote only if they are missing.
 
     Args:
         word: the statusword.
-        mode: of operation; 0: not known, then bits 12 and 13 are told by number.
+        mode: the mode of operation; 0: unknown, then bits 12 and 13 are listed by number.
     """
     told = [state_of(word)]
     if word & 0x80:
@@ -108,7 +108,7 @@ def statusword_text(word: int, mode: int = 0) -> str:
 
 
 def mode_text(mode: int) -> str:
-    """A mode of operation in words."""
+    """Return a mode of operation in words."""
     if mode in MODES:
         return MODES[mode]
     return f"mode {mode}, the manufacturer's" if mode < 0 else f"mode {mode}, reserved"
@@ -117,7 +117,7 @@ def mode_text(mode: int) -> str:
 def _bits(
     word: int, own: tuple[int, ...], names: tuple[tuple[int, str], ...], mode: int
 ) -> list[str]:
-    """The names of bits that are set; of a mode that is not known, the mode's bits by number."""
+    """Return the names of set bits; without a known mode, its bits by number."""
     told = [name for bit, name in names if word & 1 << bit]
     if mode == 0:
         told += [f"bit {bit}" for bit in own if word & 1 << bit]

@@ -1,4 +1,4 @@
-"""Modbus as it goes by on one line, in sentences and facts: a reading that only looks.
+"""Passive decoder of the Modbus traffic on one line, into sentences and facts.
 
 Source: MODBUS Application Protocol Specification V1.1b3, sections 6 (function codes) and 7
 (exception codes). Addresses are those of the PDU, from 0.
@@ -38,28 +38,28 @@ _OTHERS: Final = {
 
 @final
 class ModbusDecoder:
-    """One line, or all connections of one channel. ADUs are to be shown in the order recorded."""
+    """Decoder of one line, or of all connections of one channel; ADUs in recorded order."""
 
     def __init__(self, unit_names: Mapping[int, str] | None = None) -> None:
-        """With what its units are called."""
+        """Create a decoder with the names of units."""
         self._names = dict(unit_names or {})
         self._pending: dict[tuple[Way | None, int], Adu] = {}
 
     def call(self, unit: int, name: str) -> None:
-        """From now on the unit is called so."""
+        """Set the name of a unit that has none yet."""
         self._names.setdefault(unit, name)
 
     def forget_requests(self) -> None:
-        """ADUs are missing from here on: what was asked is not answered by what comes."""
+        """Abandon all pending requests, because ADUs are missing from here on."""
         self._pending.clear()
 
     def decode(self, adu: Adu) -> Said:
-        """What an ADU says: a request, or a response with what it answers."""
+        """Decode an ADU: a request, or a response together with its request."""
         way = adu.way if adu.to_server or adu.way is None else adu.way.back
         key = (way, adu.transaction)
         if adu.to_server:
             self._pending[key] = adu
-            broadcast = adu.unit == 0 and adu.way is None  # it is answered by nobody
+            broadcast = adu.unit == 0 and adu.way is None  # a broadcast is not answered
             facts = _written(adu.pdu, adu.pdu) if broadcast else ()
             text = f"Modbus to {self._name(adu.unit)}: {_request_text(adu.pdu)}"
             return Said(Kind.MODBUS_REQUEST, adu.unit, text, facts)
@@ -67,14 +67,14 @@ class ModbusDecoder:
         found = paired([asked, adu]).exchanges if asked is not None else ()
         name = self._name(adu.unit)
         if not found or found[0].response is None:
-            text = f"Modbus {name}: answers nothing that was asked: {_hex(adu.pdu)}"
+            text = f"Modbus {name}: response without a request: {_hex(adu.pdu)}"
             return Said(Kind.MODBUS_RESPONSE, adu.unit, text)
         del self._pending[key]
         request, delay_s = found[0].request, found[0].delay_s or 0.0
         late = f" (after {delay_s * 1e3:.3f} ms)"
         if adu.is_exception:
             code = adu.pdu[1] if len(adu.pdu) > 1 else 0
-            words = EXCEPTIONS.get(code, "a code that is in no standard")
+            words = EXCEPTIONS.get(code, "a non-standard code")
             asked_for = _request_text(request.pdu)
             text = f"Modbus {name}: refuses {asked_for}: exception {code}, {words}{late}"
             facts = (Fact(f"{asked_for} refused", code, f"exception {code}, {words}"),)
@@ -89,21 +89,21 @@ class ModbusDecoder:
 
 
 def adu_of(time_ns: int, data: bytes, *, tcp: bool, to_server: bool) -> tuple[Adu | None, str]:
-    """A recorded ADU, or None and why its bytes are none."""
+    """Return a recorded ADU, or None and the reason why its bytes are not one."""
     if tcp:
         if len(data) < 8 or int.from_bytes(data[4:6], "big") != len(data) - 6:
-            return None, "no MBAP header that fits its length"
+            return None, "MBAP header missing, or its length wrong"
         transaction = int.from_bytes(data[0:2], "big")
         return Adu(time_ns, None, to_server, transaction, data[6], data[7:]), ""
     if len(data) < 4:
-        return None, f"{len(data)} bytes, an ADU has 4 at least"
+        return None, f"{len(data)} bytes; an ADU has at least 4"
     if crc16(data[:-2]) != int.from_bytes(data[-2:], "little"):
-        return None, "its CRC does not fit"
+        return None, "wrong CRC"
     return Adu(time_ns, None, to_server, 0, data[0], data[1:-2]), ""
 
 
 def crc16(data: bytes) -> int:
-    """The check sum of the serial line (MODBUS over Serial Line V1.02, 6.2.2)."""
+    """Return the CRC of the serial line (MODBUS over Serial Line V1.02, 6.2.2)."""
     crc = 0xFFFF
     for byte in data:
         crc ^= byte
@@ -113,7 +113,7 @@ def crc16(data: bytes) -> int:
 
 
 def _request_text(pdu: bytes) -> str:
-    """What a request asks for."""
+    """Return a request in words."""
     if not pdu:
         return "an empty request"
     function = pdu[0]
@@ -146,7 +146,7 @@ def _response_text(request: bytes, response: bytes, facts: tuple[Fact, ...]) -> 
 
 
 def _read(request: bytes, response: bytes) -> tuple[Fact, ...]:
-    """What a response tells of the places that were asked for; nothing if its length is wrong."""
+    """Return the values in a response to a read; none if its length is wrong."""
     function = request[0]
     if len(request) < 5 or len(response) < 2 or response[1] != len(response) - 2:
         return ()
@@ -162,7 +162,7 @@ def _read(request: bytes, response: bytes) -> tuple[Fact, ...]:
 
 
 def _written(request: bytes, response: bytes) -> tuple[Fact, ...]:
-    """What a request has written, by a response of the same function."""
+    """Return the values a request has written, given a response of the same function."""
     if not request or not response or response[0] != request[0]:
         return ()
     function = request[0]
@@ -189,9 +189,9 @@ def _fact(name: str, address: int, value: int, told_to: bool) -> Fact:
 
 
 def _told(facts: "tuple[Fact, ...] | list[Fact]") -> str:
-    """The places and their values; of places in a row, the first is named."""
+    """Return addresses and values; of consecutive addresses, the first is named."""
     if not facts:
-        return "nothing that is well formed"
+        return "malformed data"
     values = " ".join(fact.text for fact in facts[:16])
     more = f" and {len(facts) - 16} more" if len(facts) > 16 else ""
     return f"{facts[0].subject} = {values}{more}"

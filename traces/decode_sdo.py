@@ -1,7 +1,7 @@
-"""SDO transfers as they go by: what is asked, what comes of it, and the data when it is complete.
+"""Passive decoder of SDO transfers, with the data of complete transfers.
 
-A reading that only looks: it takes part in no transfer, and follows as well as it can one whose
-beginning was not recorded, or that breaks the protocol.
+The decoder takes part in no transfer. It follows as far as possible a transfer whose beginning was
+not recorded, or that breaks the protocol.
 
 Source: CiA 301, SDO protocols (download, upload, segments, block transfer, abort).
 """
@@ -13,17 +13,17 @@ from typing import Final, final
 
 @final
 class Step(Enum):
-    """What one frame of a transfer does."""
+    """The purpose of one frame of a transfer."""
 
     ASK_UPLOAD = "asks for"
     UPLOADED = "tells"
-    UPLOAD_BEGINS = "begins to tell"
-    ASK_SEGMENT = "asks for the next segment of"
-    SEGMENT_UPLOADED = "tells a segment of"
+    UPLOAD_BEGINS = "begins upload of"
+    ASK_SEGMENT = "requests the next segment of"
+    SEGMENT_UPLOADED = "uploads a segment of"
     DOWNLOAD = "writes"
     DOWNLOAD_BEGINS = "begins to write"
     SEGMENT_DOWNLOAD = "writes a segment of"
-    SEGMENT_TAKEN = "takes a segment of"
+    SEGMENT_TAKEN = "confirms a segment of"
     DOWNLOAD_TAKEN = "takes"
     DOWNLOAD_READY = "is ready for"
     ABORT = "aborts"
@@ -37,16 +37,16 @@ class SdoStep:
     """One frame of a transfer.
 
     Attributes:
-        step: what it does.
+        step: its purpose.
         index, subindex: of the object; None: the beginning of the transfer was not seen.
-        data: what this frame carries of the object.
-        whole: the object's data, where this frame completes them or tells they were taken.
+        data: the part of the object in this frame.
+        whole: the object's data, if this frame completes or confirms them.
         abort_code: of an abort.
-        upload: whether the transfer reads from the node.
-        size: that the beginning of a segmented transfer announces.
+        upload: True if the transfer reads from the node.
+        size: the size announced at the beginning of a segmented transfer.
         toggle: of a segment.
-        last: whether it is the last segment.
-        begins: whether the client begins a transfer by it.
+        last: True for the last segment.
+        begins: True if the client begins a transfer with it.
     """
 
     step: Step
@@ -78,13 +78,13 @@ _NO_SDO: Final = SdoStep(Step.NONE)
 
 @final
 class SdoReader:
-    """The SDO server channel of one node."""
+    """Decoder of the SDO server channel of one node."""
 
     def __init__(self) -> None:
         self._transfer: _Transfer | None = None
 
     def read(self, data: bytes, from_server: bool) -> SdoStep:
-        """What this frame does."""
+        """Decode a frame."""
         if len(data) < 8:
             return _NO_SDO
         command = data[0]
@@ -181,7 +181,7 @@ class SdoReader:
         last: bool = False,
         whole: bytes | None = None,
     ) -> SdoStep:
-        """A frame that does not say itself which object it is about."""
+        """Return the step of a frame that does not name its object."""
         if known is None:
             return SdoStep(step, data=data, toggle=toggle, last=last)
         return SdoStep(
@@ -194,7 +194,7 @@ class SdoReader:
     def _block(
         self, upload: bool, command: int, index: int, subindex: int, from_server: bool
     ) -> SdoStep:
-        """A frame around the segments of a block transfer, whose data are not put together."""
+        """Decode a frame around the segments of a block transfer, whose data is not assembled."""
         part = command & 0x03
         known = self._transfer
         starts = not from_server and not (part if upload else command & 0x01)
@@ -218,5 +218,5 @@ class SdoReader:
 
 
 def _expedited(command: int, data: bytes) -> bytes:
-    """The data of an expedited transfer; all four bytes if their number is not told."""
+    """Return the data of an expedited transfer; all four bytes if the size is not indicated."""
     return data[4 : 8 - (command >> 2 & 3)] if command & 0x01 else data[4:8]

@@ -1,4 +1,4 @@
-"""What makes two recordings the same: their messages, and nothing else."""
+"""Digest of a recording, which depends only on its messages."""
 
 import hashlib
 import os
@@ -12,10 +12,10 @@ _TIME_AND_LENGTH = struct.Struct("<QI")
 
 
 def digest(path: str | os.PathLike[str]) -> str:
-    """SHA-256 (hex) over the messages in the order they were written.
+    """Return the SHA-256 (hex) over the messages in the order in which they were written.
 
-    Of each message: topic, log time and payload, each unambiguously delimited. So it does not
-    depend on chunks, compression, metadata, attachments, numbers of channels, or who wrote it.
+    It covers topic, log time and payload of each message, unambiguously delimited. It does not
+    depend on chunks, compression, metadata, attachments, channel numbers or the writer.
 
     Raises:
         TraceError: the file cannot be read, is damaged, or was cut, so that messages are missing.

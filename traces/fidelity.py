@@ -1,11 +1,11 @@
-"""How far one recording's devices behave like another's, object by object.
+"""Agreement between the devices of two recordings, object by object.
 
-Both recordings have the same host: one is of a device, the other of what is to stand for it. States
-agree where both tell the same ones in the same order; a measured or demanded quantity agrees at a
-sample where it is within the tolerance of `traces.semantic_diff`. Before, the first recording's
-times are made the second's, by frames of the host that are in both: a device that answers later is
-not different in all that follows. Measured quantities that differ from run to run (velocities,
-currents, what takes on many values in no order that is due) are not compared, which is told.
+Both recordings have the same host: one is of a device, the other of its replacement. States agree
+where both report the same ones in the same order. A measured or demanded quantity agrees at a
+sample that is within the tolerance of `semantic_diff`. First the times of the first recording are
+mapped to the second's by host frames that are in both. So a device that only answers later does not
+differ in everything that follows. Measured quantities that vary from run to run (velocities,
+currents, and others with many values in arbitrary order) are not compared, and the result says so.
 """
 
 from bisect import bisect_right
@@ -27,11 +27,11 @@ class ObjectFidelity:
     Attributes:
         key: bus, node, object.
         label: the same in words.
-        first, second: how often it is told in each recording; states when they change.
-        agreeing: how many of them agree.
+        first, second: number of reports in each recording; for states, number of changes.
+        agreeing: number of reports that agree.
         worst: the largest distance of a quantity, in its own unit; None: it is a state.
-        worst_ns: when that is.
-        is_compared: whether anything is said of it; else it is only there.
+        worst_ns: the time of the largest distance.
+        is_compared: False if the object is only listed.
     """
 
     key: Key
@@ -45,7 +45,7 @@ class ObjectFidelity:
 
     @property
     def of(self) -> int:
-        """How many could agree: of a quantity the first recording's samples, where it has any."""
+        """The number of reports that could agree; for a quantity, the first recording's samples."""
         if not self.is_compared:
             return 0
         is_there = self.worst is not None and self.first
@@ -53,17 +53,16 @@ class ObjectFidelity:
 
     @property
     def share(self) -> float:
-        """How much of it agrees, 0 to 1."""
+        """The share that agrees, 0 to 1."""
         return self.agreeing / self.of if self.of else 1.0
 
 
 def told_by_nodes(meaning: Meaning) -> Meaning:
-    """What devices tell, without what they were told, and without what else is recorded.
+    """Return only the reports of devices, without commands and other records.
 
-    Error messages are not told by devices, but by the bus they happen to be on.
-
-    Frames that are of no protocol here are nobody's by their identifier, and a device's too: what
-    the host sends of them is in both recordings.
+    Error messages are not reports of devices, but of the bus. Frames of an unknown protocol cannot
+    be assigned by their identifier, and can be a device's. They are kept, because those of the host
+    are in both recordings.
     """
     kept = Meaning()
     kept.messages = meaning.messages
@@ -81,12 +80,12 @@ def told_by_nodes(meaning: Meaning) -> Meaning:
 
 
 def retimed(meaning: Meaning, pairs: Sequence[tuple[int, int]]) -> Meaning:
-    """The same at other times.
+    """Return the same meaning at other times.
 
     Args:
-        meaning: what a recording means.
-        pairs: (a time of it, the time it is to become) [ns], at least one; between two of them in
-            proportion, before and behind them all at the same distance.
+        meaning: the meaning of a recording.
+        pairs: (old time, new time) [ns], at least one. Times between two pairs are interpolated;
+            times before and after all pairs keep their distance to the nearest.
     """
     change = _change(sorted(pairs))
     moved = Meaning()
@@ -114,7 +113,7 @@ def _change(pairs: list[tuple[int, int]]) -> Callable[[int], int]:
 
 
 def fidelity(first: Meaning, second: Meaning, tolerance: Tolerance) -> list[ObjectFidelity]:
-    """Of each object that devices tell, those of the first recording in the order it tells them."""
+    """Return the agreement of each object, those of the first recording in its order."""
     found: list[ObjectFidelity] = []
     labels = {**second.labels, **first.labels}
     for key in {**first.items, **second.items}:

@@ -1,8 +1,9 @@
-"""What is recorded again and again, packed by hand: no object is made but the bytes themselves.
+"""Hand-written packing of the most frequent messages.
 
-A CAN frame comes as Linux has it: `struct can_frame` (16 bytes) or `struct canfd_frame` (72 bytes,
-with CANFD_FDF set in its flags): can_id with EFF, RTR and ERR bits, length, flags (FD only), two
-reserved bytes, data padded to 8 or 64. Source: linux/can.h.
+No object is created except for the resulting bytes. A CAN frame has Linux's layout: `struct
+can_frame` (16 bytes) or `struct canfd_frame` (72 bytes, with CANFD_FDF set in its flags). It
+consists of can_id with EFF, RTR and ERR bits, length, flags (FD only), two reserved bytes, and data
+padded to 8 or 64. Source: linux/can.h.
 """
 
 import struct
@@ -41,13 +42,13 @@ _DATA: Final = b"\x7a"
 
 
 def can_frame_prefix(header: bytes, size: int, sender: bytes, direction: int) -> tuple[bytes, int]:
-    """(all of a CanFrame but the bytes of its data, how many of those follow).
+    """Return a CanFrame up to its data, and the number of data bytes that follow.
 
-    It depends on the frame's first 8 bytes only (and on the frame's size), so whoever records
-    periodic traffic needs it once an identifier.
+    The result depends only on the frame's first 8 bytes and its size. Periodic traffic needs it
+    once per identifier.
 
     Raises:
-        ValueError: no can_frame or canfd_frame: wrong size, a length beyond it, or no CANFD_FDF.
+        ValueError: not a can_frame or canfd_frame: wrong size, length too large, or no CANFD_FDF.
     """
     if size not in (CAN_FRAME_SIZE, CANFD_FRAME_SIZE):
         raise ValueError(f"a CAN frame is 16 or 72 bytes, not {size}")
@@ -79,7 +80,7 @@ def can_frame_prefix(header: bytes, size: int, sender: bytes, direction: int) ->
     if can_id & _RTR:
         if length:
             out += _REMOTE_LENGTH + varint(length)
-        length = 0  # a remote frame asks for data and has none
+        length = 0  # a remote frame requests data and has none
     out += _DATA + bytes((length,))
     return bytes(out), length
 
@@ -87,7 +88,7 @@ def can_frame_prefix(header: bytes, size: int, sender: bytes, direction: int) ->
 def encode_can_frame(
     frame: bytes, sender: str = "", direction: Direction = Direction.UNKNOWN
 ) -> bytes:
-    """A motorhil.CanFrame. In bulk the writer does the same with remembered prefixes."""
+    """Encode a motorhil.CanFrame. For bulk data the writer uses cached prefixes."""
     prefix, length = can_frame_prefix(frame[:8], len(frame), sender.encode(), direction)
     return prefix + frame[8 : 8 + length]
 
@@ -95,7 +96,7 @@ def encode_can_frame(
 @final
 @dataclass(frozen=True, slots=True)
 class RecordedFrame:
-    """A CAN frame as it was recorded; `frame` is a can_frame or canfd_frame again."""
+    """A recorded CAN frame; `frame` is a can_frame or canfd_frame."""
 
     frame: bytes
     sender: str
@@ -103,15 +104,15 @@ class RecordedFrame:
 
 
 def decode_can_frame(payload: bytes) -> RecordedFrame:
-    """The frame in a motorhil.CanFrame, whoever wrote it.
+    """Decode a motorhil.CanFrame of any writer.
 
     Raises:
-        ValueError: the payload is not one.
+        ValueError: the payload is not a CanFrame.
     """
     fields = decode(CAN_FRAME, payload)
     can_id, data = fields.get("id", 0), fields.get("data", b"")
     direction, asked = fields.get("direction", 0), fields.get("remote_length", 0)
-    assert isinstance(can_id, int)  # the table says so, and decode holds to it
+    assert isinstance(can_id, int)  # guaranteed by the table and by decode
     assert isinstance(data, bytes)
     assert isinstance(direction, int)
     assert isinstance(asked, int)
@@ -132,7 +133,7 @@ def decode_can_frame(payload: bytes) -> RecordedFrame:
 
 
 def timestamp_field(time_ns: int) -> bytes:
-    """Field 1, a google.protobuf.Timestamp."""
+    """Encode field 1, a google.protobuf.Timestamp."""
     seconds, nanos = divmod(time_ns, 1_000_000_000)
     inner = (b"\x08" + varint(seconds) if seconds else b"") + (
         b"\x10" + varint(nanos) if nanos else b""
@@ -141,14 +142,14 @@ def timestamp_field(time_ns: int) -> bytes:
 
 
 def encode_log(time_ns: int, level: Level, text: str, name: str = "") -> bytes:
-    """A foxglove.Log."""
+    """Encode a foxglove.Log."""
     out = timestamp_field(time_ns) + b"\x10%c" % level + delimited(3, text.encode())
     return out + delimited(4, name.encode()) if name else out
 
 
 @final
 class JointStateEncoder:
-    """Packs foxglove.JointState messages of one joint."""
+    """Encoder of foxglove.JointState messages of one joint."""
 
     def __init__(self, name: str) -> None:
         self._name: Final = delimited(1, name.encode())
@@ -156,10 +157,10 @@ class JointStateEncoder:
         self._pack_position: Final = struct.Struct("<Bd").pack
 
     def encode(self, position: float | None, velocity: float | None, effort: float | None) -> bytes:
-        """The message: rad or m, per second, N·m or N; what is None is left out."""
+        """Encode position [rad or m], velocity [1/s] and effort [N·m or N]; None is omitted."""
         if position is not None and velocity is not None and effort is not None:
             return self._name + self._pack(0x11, position, 0x19, velocity, 0x29, effort)
-        if position is not None and velocity is None and effort is None:  # as most drives tell it
+        if position is not None and velocity is None and effort is None:  # the case of most drives
             return self._name + self._pack_position(0x11, position)
         out = self._name
         for head, value in ((b"\x11", position), (b"\x19", velocity), (b"\x29", effort)):
@@ -170,7 +171,7 @@ class JointStateEncoder:
 
 @final
 class TruthEncoder:
-    """Packs snapshots of one controller: every value a double, in the order of the message."""
+    """Encoder of snapshots of one controller: doubles in the order of the message's fields."""
 
     def __init__(self, message: Message) -> None:
         layout = "<"
@@ -182,6 +183,6 @@ class TruthEncoder:
         self._pack: Final = struct.Struct(layout).pack
 
     def encode(self, values: Iterable[float]) -> bytes:
-        """The message; as many values as it has fields."""
+        """Encode the message; one value per field."""
         self._arguments[1::2] = values
         return self._pack(*self._arguments)

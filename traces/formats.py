@@ -1,6 +1,6 @@
-"""Which format a recording of CAN traffic has, by what is in it; its frames; what formats hold.
+"""Formats of CAN traffic: detection by content, reading, writing, and features.
 
-A name ending decides nothing about reading: people keep candump's rows in .txt and .log alike.
+File endings are ignored on reading, because people keep candump's rows in .txt and .log alike.
 """
 
 import os
@@ -36,17 +36,17 @@ _HEAD_LINES: Final = 200
 
 @final
 class Feature(Flag):
-    """What a recording may have and a format may be unable to hold."""
+    """A feature of a recording that a format may be unable to store."""
 
-    NANOSECONDS = auto()  # finer than a microsecond
-    BUS_NAMES = auto()  # other than can0, can1, ...
-    BLANKS = auto()  # in names of buses, or what cannot be printed
-    DIRECTION = auto()  # which were sent
-    UNDIRECTED = auto()  # that neither is known
+    NANOSECONDS = auto()  # stamps finer than a microsecond
+    BUS_NAMES = auto()  # names other than can0, can1, ...
+    BLANKS = auto()  # blanks and unprintable characters in bus names
+    DIRECTION = auto()  # sent or received
+    UNDIRECTED = auto()  # an unknown direction
     SENDER = auto()
-    REMOTE = auto()  # and how much was asked for
+    REMOTE = auto()  # and the number of bytes requested
     FD = auto()  # with BRS and ESI
-    ERROR_FRAMES = auto()  # and what they tell
+    ERROR_FRAMES = auto()  # and their contents
 
 
 IN_WORDS: Final = {
@@ -66,7 +66,14 @@ _ALL: Final = ~Feature(0)
 @final
 @dataclass(frozen=True, slots=True)
 class Format:
-    """A format to write. Attributes: name, ending (of file names), holds, write."""
+    """A format that can be written.
+
+    Attributes:
+        name: its name.
+        ending: the ending of file names.
+        holds: the features it can store.
+        write: its writer.
+    """
 
     name: str
     ending: str
@@ -76,7 +83,7 @@ class Format:
 
 @final
 class Survey:
-    """What frames have, seen in one pass: which features, which buses, since when."""
+    """Features, buses and first times of frames, collected in one pass."""
 
     def __init__(self) -> None:
         self.buses: list[str] = []
@@ -87,11 +94,11 @@ class Survey:
 
     @property
     def places(self) -> int:
-        """Digits behind the point of a second: 6, or 9 where they are needed."""
+        """Decimal places of a second: 6, or 9 if necessary."""
         return 9 if Feature.NANOSECONDS in self.counts else 6
 
     def add(self, frame: Frame) -> None:
-        """This frame is one of them."""
+        """Include this frame."""
         time_ns, bus, data, direction, sender = frame
         if not self.frames:
             self.first_ns = self.lowest_ns = time_ns
@@ -181,16 +188,21 @@ WRITABLE: Final = (
 @final
 @dataclass(frozen=True, slots=True)
 class Source:
-    """A file of CAN traffic. Attributes: path, format (its name)."""
+    """A file of CAN traffic.
+
+    Attributes:
+        path: the file.
+        format: the name of its format.
+    """
 
     path: str
     format: str
 
     def frames(self, findings: Findings) -> Iterator[Frame]:
-        """Its frames, in its order; what cannot be read is in `findings`.
+        """Yield the frames in file order; unreadable parts are added to `findings`.
 
         Raises:
-            TraceError: it cannot be read at all, or no further.
+            TraceError: the file cannot be read, or not to its end.
         """
         return findings.watched(self._frames(findings))
 
@@ -230,10 +242,10 @@ _LOOKS: Final[tuple[tuple[str, Callable[[str], bool]], ...]] = (
 
 
 def open_source(path: str | os.PathLike[str]) -> Source:
-    """The file, its format found by its content.
+    """Open a file, and detect its format by its content.
 
     Raises:
-        TraceError: it cannot be read, or is of no format known here.
+        TraceError: the file cannot be read, or its format is unknown.
     """
     name = os.fspath(path)
     refuse_pipe(name)

@@ -1,7 +1,7 @@
-"""Takes CanFrame messages apart, fast: what begins like one before is not looked at again.
+"""Fast decoder of CanFrame messages with a cache of their beginnings.
 
-All but the data of a message that our writer has written is the same for one identifier, sender and
-length, and stands in front of the data.
+In messages of our writer everything except the data is the same for one identifier, sender and
+length, and precedes the data.
 """
 
 from typing import Final, final
@@ -15,16 +15,16 @@ _REMEMBERED: Final = 1 << 16
 
 @final
 class FrameDecoder:
-    """Remembers what messages begin with."""
+    """Decoder that caches the beginnings of messages."""
 
     def __init__(self) -> None:
         self._known: dict[tuple[bytes, int], tuple[bytes, bytes, bytes, Direction, str]] = {}
 
     def decode(self, payload: bytes) -> tuple[bytes, Direction, str]:
-        """(can_frame or canfd_frame, direction, who sent it) of a motorhil.CanFrame.
+        """Return can_frame or canfd_frame, direction and sender of a motorhil.CanFrame.
 
         Raises:
-            ValueError: the payload is not one.
+            ValueError: the payload is not a CanFrame.
         """
         key = (payload[:5], len(payload))
         before = self._known.get(key)
@@ -43,6 +43,6 @@ class FrameDecoder:
         return told.frame, told.direction, told.sender
 
     def frame(self, payload: bytes, time_ns: int, bus: str) -> Frame:
-        """The same as a frame of this bus and time. Raises ValueError: the payload is none."""
+        """Return the decoded frame with bus and time. Raises ValueError for an invalid payload."""
         frame, direction, sender = self.decode(payload)
         return Frame(time_ns, bus, frame, direction, sender)

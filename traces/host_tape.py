@@ -1,14 +1,14 @@
-"""What a recorded host sent on buses and lines, and what each frame of it waited for.
+"""Frames that a recorded host sent, and the events that each waited for.
 
-A host sends because time has passed, or because something was told: an answer to its SDO request,
-another state of a node. What had been told since its last frame comes first when it is played
-again, as late as that may be; the time that passed behind the last of it is kept.
+A host sends because time has passed or because of a report: an answer to its SDO request, or a new
+state of a node. A replay waits for the reports since the host's previous frame, however late they
+are. It keeps the time that passed after the last of them.
 
-States of a node are its boot-up, NMT state, emergencies, and of the statusword those bits that a
-host waits for. Measured quantities are none: they differ from run to run.
+States of a node are its boot-up, NMT state, emergencies, and the statusword bits that a host waits
+for. Measured quantities are not states: they differ from run to run.
 
-Source: CiA 301; CiA 402-2, statusword (bits 0 to 3, 5, 6: state; 10: target reached; 12, 13: of
-the mode).
+Source: CiA 301; CiA 402-2, statusword (bits 0 to 3, 5, 6: state; 10: target reached; 12, 13:
+mode-specific).
 """
 
 from bisect import bisect_right
@@ -24,10 +24,10 @@ from traces.schema import Direction
 from traces.traffic import ERR, RTR
 
 Subject = tuple[str, int, str]
-"""Bus, node, what of it."""
+"""Bus, node, and object or state."""
 
 ANSWER: Final = "answer"
-"""The subject of answers to requests (SDO, Modbus), each of which is told: there is one."""
+"""The subject of answers to requests (SDO, Modbus), each of which counts as a report."""
 STATUSWORD_MASK: Final = 0x346F
 _STATUSWORD: Final = 0x6041
 _FROM_HOST: Final = (Kind.NMT, Kind.SYNC, Kind.TIME, Kind.RPDO, Kind.SDO_REQUEST)
@@ -37,7 +37,7 @@ _FROM_NODE: Final = (Kind.TPDO, Kind.SDO_RESPONSE, Kind.EMERGENCY, Kind.HEARTBEA
 @final
 @dataclass(frozen=True, slots=True)
 class Told:
-    """A node tells something a host may wait for: when, what, which value, as a sentence."""
+    """A report of a node that a host can wait for: time, subject, value, and words."""
 
     time_ns: int
     subject: Subject
@@ -51,12 +51,12 @@ class HostStep:
     """A frame of the host.
 
     Attributes:
-        start_ns, end_ns: of its first and last bit in the recording.
-        bus: where.
+        start_ns, end_ns: time of its first and last bit in the recording.
+        bus: the bus or line.
         frame: the frame, or the ADU with check sum or header.
-        text: as a sentence.
-        waits: what had been told since the start of the host's frame before.
-        is_free: it waits for nothing and nobody waits for it: the host's own heartbeat.
+        text: the frame in words.
+        waits: the reports since the start of the host's previous frame.
+        is_free: True for the host's own heartbeat, which waits for nothing.
     """
 
     start_ns: int
@@ -70,22 +70,22 @@ class HostStep:
 
 @final
 class Listener:
-    """Hears the frames of all buses, and says what of it a host may wait for."""
+    """Extracts reports that a host can wait for from the frames of all buses."""
 
     def __init__(self, decoders: Mapping[str, CanopenDecoder]) -> None:
-        """With a decoder for each bus that has been prepared; others are made."""
+        """Start with prepared decoders of some buses; others are created."""
         self._decoders = dict(decoders)
         self._states: dict[Subject, object] = {}
 
     def decode(self, bus: str, frame: bytes) -> Said:
-        """What a frame says."""
+        """Decode a frame."""
         decoder = self._decoders.get(bus)
         if decoder is None:
             decoder = self._decoders[bus] = CanopenDecoder()
         return decoder.decode(frame)
 
     def told(self, time_ns: int, bus: str, said: Said) -> Iterator[Told]:
-        """What is told by it for the first time, or anew."""
+        """Yield the reports that are new or have changed."""
         if said.node is None or said.kind not in _FROM_NODE:
             return
         if said.kind is Kind.SDO_RESPONSE:
@@ -107,16 +107,16 @@ class Listener:
 
 @final
 class HostCutter:
-    """Cuts a recording into what its host sent; shown everything in order.
+    """Extracts the frames of the host from a recording, in order.
 
-    Whose a frame is tells its direction; where that is not known, what it is for.
+    The direction shows if a frame is the host's; if it is unknown, the purpose decides.
 
     Args:
-        listener: that hears the recording.
-        length_ns: how long a frame is on a CAN bus [ns]; ValueError: it cannot be on one.
+        listener: the listener that hears the recording.
+        length_ns: duration of a frame on a CAN bus [ns]; ValueError: impossible on that bus.
 
     Attributes:
-        unsent: how many frames of the host cannot be sent again.
+        unsent: number of host frames that cannot be sent again.
     """
 
     def __init__(self, listener: Listener, length_ns: Callable[[str, bytes], int]) -> None:
@@ -127,7 +127,7 @@ class HostCutter:
         self._told: list[Told] = []
 
     def take_frame(self, time_ns: int, bus: str, frame: bytes, direction: Direction) -> None:
-        """A frame was complete on a CAN bus."""
+        """Take a frame that was complete on a CAN bus."""
         said = self._listener.decode(bus, frame)
         is_remote = bool(int.from_bytes(frame[:4], "little") & RTR)
         is_hosts = direction is Direction.TRANSMITTED or (
@@ -138,21 +138,21 @@ class HostCutter:
         elif not int.from_bytes(frame[:4], "little") & ERR:
             try:
                 start_ns = time_ns - self._length_ns(bus, frame)
-            except ValueError:  # CAN FD, or no frame that a node could send
+            except ValueError:  # CAN FD, or an invalid frame
                 self.unsent += 1
                 return
             free = said.kind in (Kind.HEARTBEAT, Kind.BOOT)
             self._sent.append(HostStep(start_ns, time_ns, bus, frame, said.text, is_free=free))
 
     def take_adu(self, start_ns: int, line: str, data: bytes, adu: Adu, text: str) -> None:
-        """An ADU was on a line; `data` is all of it, as it was there."""
+        """Take an ADU of a line; `data` is all of it as on the wire."""
         if adu.to_server:
             self._sent.append(HostStep(start_ns, adu.time_ns, line, data, text))
         else:
             self._told.append(Told(adu.time_ns, (line, adu.unit, ANSWER), True, text))
 
     def steps(self) -> list[HostStep]:
-        """What the host sent, in the order in which it began to."""
+        """Return the frames of the host, in the order in which they began."""
         steps = sorted(self._sent, key=_start_of)
         told = sorted(self._told, key=_time_of)
         first = 0

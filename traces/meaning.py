@@ -1,8 +1,8 @@
-"""What a recording means: in which order what was told to whom and by whom, and how things moved.
+"""Meaning of a recording: commands and reports in order, and motion.
 
-Times and repetition are left out: a frame that tells what was known already adds nothing, and each
-node, motor and source of events has an order of its own, so that frames of unrelated nodes may
-change places. What is commanded to one node keeps its order.
+Times and repetitions are ignored: a frame that repeats known values adds nothing. Each node, motor
+and source of events has an order of its own, so frames of unrelated nodes can change places.
+Commands to one node keep their order.
 """
 
 from dataclasses import dataclass
@@ -16,19 +16,19 @@ from traces.schema import JOINT_STATE
 from traces.story import Line, Story
 
 Key = tuple[str, int | None, str]
-"""Bus, line, motor or group; node (None: none); what it is about."""
+"""Bus, line, motor or group; node (None: none); subject."""
 
 COMMANDS: Final = "commands"
 _ALWAYS: Final = ("emergency", "NMT command")
-"""Of what is told by a node, what counts each time it is told."""
+"""Reports that count each time."""
 _QUANTITIES: Final = (0x6062, 0x6064, 0x607A, 0x60FF, 0x6071, 0x60C1)
-"""Motion that is compared: positions and set-points; velocities and currents measured are not."""
+"""Motion that is compared: positions and set-points, but not measured velocities and currents."""
 
 
 @final
 @dataclass(frozen=True, slots=True)
 class Item:
-    """One thing that was told, in its order: when, what (to compare), and in words."""
+    """One command or report, in order: time, value for comparison, and words."""
 
     time_ns: int
     what: tuple[object, ...]
@@ -37,14 +37,14 @@ class Item:
 
 @final
 class Meaning:
-    """What a recording means.
+    """The meaning of a recording.
 
     Attributes:
-        items: what was told, by key, in order.
+        items: commands and reports by key, in order.
         motions: (times [ns], values) of quantities, by key.
-        unheeded: how often measured quantities are told that nothing is made of, by key.
-        labels: how a key is called, which depends on the names that the recording knows.
-        messages: how many were read.
+        unheeded: number of reports of measured quantities that are not compared, by key.
+        labels: names of keys, which depend on the names in the recording.
+        messages: number of messages read.
     """
 
     def __init__(self) -> None:
@@ -56,7 +56,7 @@ class Meaning:
         self._last: dict[tuple[Key, str], object] = {}
 
     def take(self, line: Line, names: dict[tuple[str, int], str]) -> None:
-        """A line of the story has been heard."""
+        """Take a line of the story."""
         if line.said is not None:
             self._take_said(line, line.said, names)
             return
@@ -68,7 +68,7 @@ class Meaning:
         self._add(key, " ".join(str(part) for part in (key[0], key[2]) if part), line, what)
 
     def take_state(self, time_ns: int, motor: str, position: float) -> None:
-        """A motor was there."""
+        """Take the position of a motor."""
         key: Key = (motor, None, "position")
         self.labels.setdefault(key, f"motor {motor}, position")
         self._move(key, time_ns, position)
@@ -100,7 +100,7 @@ class Meaning:
         self._move(key, line.time_ns, float(fact.value))
 
     def _is_news(self, key: Key, fact: Fact, said: Said) -> bool:
-        """Whether it is told for the first time, or anew; an SDO's or NMT's command always is."""
+        """Return True if a fact is new or has changed; always for a command by SDO or NMT."""
         known = self._last.get((key, fact.subject))
         self._last[key, fact.subject] = fact.value
         if fact.told_to and said.kind not in PERIODIC:
@@ -123,14 +123,14 @@ class Meaning:
 
 
 _TELLING: Final = ("action", "owner", "holder", "phase", "motor", "method", "level", "message")
-"""Fields of locks, groups and events that are not times and do not change from run to run."""
+"""Fields of locks, groups and events that are not times and do not vary from run to run."""
 
 
 def meaning_of(trace: Trace) -> Meaning:
-    """What this recording means; of a cut one, as far as it goes.
+    """Return the meaning of a recording; of a cut one, as far as it goes.
 
     Raises:
-        TraceError: it is damaged.
+        TraceError: the recording is damaged.
     """
     story, meaning = Story(trace), Meaning()
     for message in trace.messages():

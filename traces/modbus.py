@@ -1,6 +1,6 @@
-"""Modbus as it was recorded: ADUs of TCP streams and serial lines, requests and their responses.
+"""Recorded Modbus traffic: ADUs of TCP streams and serial lines, paired.
 
-A reading of the protocol of its own, which only looks: what is malformed is told and passed over.
+This passive decoder is independent of the other ones. Malformed data is reported and skipped.
 
 Source: MODBUS Messaging on TCP/IP Implementation Guide V1.0b, section 3.1.3; MODBUS over Serial
 Line V1.02, section 2.5.1.
@@ -22,9 +22,14 @@ _LENGTH_MAX: Final = 254
 class Adu:
     """One application data unit.
 
-    Attributes: time_ns, way (which connection, which direction; None: a serial line), to_server
-    (whether it is a request), transaction (0 on a serial line), unit, pdu, packet (the number of
-    the packet that completed it; 0: none).
+    Attributes:
+        time_ns: the time of its completion.
+        way: connection and direction; None: a serial line.
+        to_server: True for a request.
+        transaction: transaction identifier; 0 on a serial line.
+        unit: unit identifier.
+        pdu: protocol data unit.
+        packet: the number of the packet that completed it; 0: none.
     """
 
     time_ns: int
@@ -37,16 +42,21 @@ class Adu:
 
     @property
     def is_exception(self) -> bool:
-        """Whether it is an exception response."""
+        """True for an exception response."""
         return not self.to_server and len(self.pdu) >= 1 and self.pdu[0] & 0x80 != 0
 
 
 @final
 @dataclass(frozen=True, slots=True)
 class Malformed:
-    """Bytes that are no ADU.
+    """Bytes that are not an ADU.
 
-    Attributes: time_ns, way (None: on a line of our recordings), packet, data, problem (in words).
+    Attributes:
+        time_ns: the time of the bytes.
+        way: connection and direction; None: a line of our recordings.
+        packet: the number of the packet.
+        data: the bytes.
+        problem: the reason, in words.
     """
 
     time_ns: int
@@ -63,11 +73,10 @@ class _Direction:
 
 
 def adus(stream: Iterable[Piece], port: int = PORT) -> Iterator[Adu | Malformed]:
-    """The ADUs of TCP streams to and from servers at `port`, in the order of their completion.
+    """Yield the ADUs of TCP streams to and from servers at `port`, in order of completion.
 
-    A header that cannot be (its protocol is not 0, its length not 2 to 254) is passed over with the
-    rest of its segment: most senders begin a new ADU with a new segment. Memory grows with the
-    number of connections.
+    An invalid header (protocol not 0, length not 2 to 254) is skipped with the rest of its segment:
+    most senders begin a new ADU with a new segment. Memory grows with the number of connections.
     """
     directions: dict[Way, _Direction] = {}
     for piece in stream:
@@ -85,8 +94,8 @@ def adus(stream: Iterable[Piece], port: int = PORT) -> Iterator[Adu | Malformed]
             protocol = int.from_bytes(data[2:4], "big")
             length = int.from_bytes(data[4:6], "big")
             if protocol or not 2 <= length <= _LENGTH_MAX:
-                if rest:  # what was left over belongs to nothing: begin anew with this segment
-                    lost = f"{len(rest)} bytes behind an ADU that are the beginning of none"
+                if rest:  # the leftover belongs to nothing: start again with this segment
+                    lost = f"{len(rest)} bytes after an ADU that do not begin another"
                     yield Malformed(piece.time_ns, way, piece.packet, rest, lost)
                     data, rest = piece.data, b""
                     continue
@@ -113,10 +122,12 @@ def adus(stream: Iterable[Piece], port: int = PORT) -> Iterator[Adu | Malformed]
 @final
 @dataclass(frozen=True, slots=True)
 class Exchange:
-    """A request and what came of it.
+    """A request and its response.
 
-    Attributes: request; response (None: none was seen); reused (whether its transaction identifier
-    was used for another request before there was a response).
+    Attributes:
+        request: the request.
+        response: the response; None: none was seen.
+        reused: True if the transaction identifier was reused before a response.
     """
 
     request: Adu
@@ -125,7 +136,7 @@ class Exchange:
 
     @property
     def delay_s(self) -> float | None:
-        """From request to response [s]; None: there is none."""
+        """Time from request to response [s]; None: no response."""
         if self.response is None:
             return None
         return (self.response.time_ns - self.request.time_ns) / 1e9
@@ -134,27 +145,27 @@ class Exchange:
 @final
 @dataclass(frozen=True, slots=True)
 class Pairing:
-    """Requests with their responses, in the order of the requests; responses nobody asked for."""
+    """Requests with their responses, in the order of the requests, and unsolicited responses."""
 
     exchanges: tuple[Exchange, ...]
     strays: tuple[Adu, ...]
 
     @property
     def answered(self) -> int:
-        """How many requests have a response."""
+        """The number of requests with a response."""
         return sum(exchange.response is not None for exchange in self.exchanges)
 
     @property
     def reused(self) -> int:
-        """How many have none because their transaction identifier was used again."""
+        """The number of unanswered requests whose transaction identifier was reused."""
         return sum(exchange.reused for exchange in self.exchanges)
 
 
 def paired(found: Iterable[Adu | Malformed]) -> Pairing:
-    """Each request with its response: the next one of its connection and transaction identifier.
+    """Pair each request with the next response of its connection and transaction identifier.
 
-    Responses may come in any order; the unit is the gateway's to tell. On a serial line, where
-    there are no transactions, the response is what comes next from the unit asked.
+    Responses can come in any order. On a serial line, which has no transactions, the response is
+    the next ADU from the unit addressed.
     """
     pending: dict[tuple[Way | None, int], int] = {}
     exchanges: list[Exchange] = []

@@ -1,9 +1,9 @@
-"""Writes recorded Modbus lines as pcapng, for Wireshark and for us to read again.
+"""Writer of recorded Modbus lines as pcapng, for Wireshark and for our own reader.
 
-What was on TCP becomes segments to and from port 502, each ADU in one, with sequence numbers and
-check sums that fit; how a connection began is not in a recording, and not made up. A line or a
-sender whose name is no address gets a private one; the names stand beside. What was on a serial
-line becomes events of link type 250, whose content Wireshark has to be told: decode
+TCP traffic becomes segments to and from port 502, one ADU each, with correct sequence numbers and
+check sums. The beginning of a connection is not in a recording and is not invented. A line or a
+sender whose name is not an address gets a private address; the names are stored as well. Serial
+traffic becomes events of link type 250, whose contents Wireshark must be told: decode
 `rtacser.data` as Modbus RTU (tshark -d rtacser.data,mbrtu).
 
 Source: RFC 791, 8200, 9293; LINKTYPE_RTAC_SERIAL, tcpdump.org, events as Wireshark names them;
@@ -24,7 +24,7 @@ from traces.traffic import Findings
 
 _ETHERNET: Final = 1
 RTAC_SERIAL: Final = 250
-RTAC_HEAD: Final = struct.Struct(">IIBBH")  # s, us, event, control lines, nothing
+RTAC_HEAD: Final = struct.Struct(">IIBBH")  # s, us, event, control lines, unused
 RTAC_EVENTS: Final = {Direction.TRANSMITTED: 3, Direction.RECEIVED: 4}  # DATA_TX_END, DATA_RX_END
 PORT: Final = 502
 _FIRST_PORT: Final = 49_152
@@ -38,9 +38,9 @@ _Address = IPv4Address | IPv6Address
 
 @final
 class AduFeature(Flag):
-    """What a recorded ADU may have and a capture does not hold."""
+    """A feature of a recorded ADU that a capture cannot store."""
 
-    BIT_TIMES = auto()  # of the first bit and the last one
+    BIT_TIMES = auto()  # times of the first and the last bit
     SPOILED = auto()
 
 
@@ -54,20 +54,26 @@ class _End(NamedTuple):
 
 @final
 class _Line:
-    """A line on TCP: its interface, its server, and what was sent between it and each client."""
+    """A TCP line: its interface, its server, and the traffic between it and each client."""
 
     def __init__(self, interface: int, server: _End) -> None:
         self.interface = interface
         self.server = server
         self.clients: dict[str, _End] = {}
-        self.sent: dict[tuple[_End, bool], int] = {}  # bytes, by client and whether to the server
-        self.asked: dict[int, _End] = {}  # who used a transaction identifier last
+        self.sent: dict[
+            tuple[_End, bool], int
+        ] = {}  # bytes, by client and direction (True: to the server)
+        self.asked: dict[int, _End] = {}  # the last user of each transaction identifier
         self.last: _End | None = None
 
 
 @final
 class ModbusExport:
-    """Writes ADUs in the order they come. Attributes: lost, how many have what is not held."""
+    """Writes ADUs in the given order.
+
+    Attributes:
+        lost: number of ADUs by feature that cannot be stored.
+    """
 
     def __init__(self, file: BinaryIO, findings: Findings) -> None:
         self.lost: dict[AduFeature, int] = {}
@@ -79,11 +85,11 @@ class ModbusExport:
 
     @property
     def lines(self) -> tuple[str, ...]:
-        """The lines that are in it."""
+        """The lines written so far."""
         return (*self._lines, *self._serial)
 
     def add(self, adus: Iterator[RecordedAdu]) -> None:
-        """These ADUs are written; those that cannot be are problems."""
+        """Write these ADUs; report those that cannot be written as problems."""
         for number, (time_ns, name, payload) in enumerate(adus, 1):
             try:
                 self._add(time_ns, name, payload)
@@ -96,7 +102,7 @@ class ModbusExport:
         assert isinstance(data, bytes)
         direction = next((way for way in RTAC_EVENTS if way == values.get("direction")), None)
         if direction is None:
-            raise ValueError("an ADU of which nobody said which way it went")
+            raise ValueError("an ADU without a direction")
         if values.get("tcp"):
             self._on_tcp(time_ns, name, data, direction, sender)
         else:
@@ -153,7 +159,7 @@ class ModbusExport:
         return _Line(self._out.interface(_ETHERNET, name), _End(address, PORT))
 
     def _client(self, line: _Line, sender: str) -> _End:
-        """The end of a connection that a sender has; no two connections are the same."""
+        """Return the client end of a sender's connection; no two connections are the same."""
         found = line.clients.get(sender)
         if found is not None:
             return found
@@ -170,7 +176,7 @@ class ModbusExport:
 
 
 def _end_called(sender: str) -> _End | None:
-    """The end that a sender's name tells, "address:port"; None: it tells none."""
+    """Return the end in a sender's name "address:port"; None if there is none."""
     host, _, port = sender.rpartition(":")
     try:
         end = _End(ip_address(host), int(port))
@@ -187,21 +193,21 @@ def _generated(version: int, number: int) -> _End:
 
 
 def _check(data: bytes) -> None:
-    """Raises ValueError: in a stream it would be taken for something else."""
+    """Raise ValueError if a stream reader would misinterpret the ADU."""
     length = int.from_bytes(data[4:6], "big")
     if len(data) <= _HEAD or data[2:4] != b"\0\0" or not 2 <= length <= _LENGTH_MAX:
-        raise ValueError(f"no Modbus/TCP: {data[:_HEAD].hex(' ').upper()}")
+        raise ValueError(f"not Modbus/TCP: {data[:_HEAD].hex(' ').upper()}")
     if len(data) != 6 + length:
         raise ValueError(f"{len(data) - 6} bytes of an ADU of {length}")
 
 
 def _private(kind: int, number: int) -> IPv4Address:
-    """10.kind.x.y: servers are of kind 0, clients of kind 1."""
+    """Return 10.kind.x.y: kind 0 for servers, kind 1 for clients."""
     return IPv4Address((10 << 24) + (kind << 16) + number % 65_000 + 1)
 
 
 def _ethernet(source: _End, target: _End, sequence: int, heard: int, data: bytes) -> bytes:
-    """A segment, down to its Ethernet frame."""
+    """Return a segment with its IP and Ethernet headers."""
     size = 20 + len(data)
     ends = source.address.packed + target.address.packed
     head = struct.pack(
@@ -221,12 +227,12 @@ def _ethernet(source: _End, target: _End, sequence: int, heard: int, data: bytes
 
 
 def _mac(end: _End) -> bytes:
-    """Locally administered, by the address."""
+    """Return a locally administered MAC address, derived from the IP address."""
     return b"\x02\x00" + end.address.packed[-4:]
 
 
 def _check_sum(data: bytes) -> int:
-    """The internet check sum (RFC 1071)."""
+    """Return the internet check sum (RFC 1071)."""
     data += bytes(len(data) % 2)
     words: tuple[int, ...] = struct.unpack(f">{len(data) // 2}H", data)
     total = sum(words)

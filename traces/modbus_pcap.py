@@ -1,8 +1,8 @@
-"""Modbus out of packet captures: every ADU, with the time of the packet that completed it.
+"""Modbus ADUs from packet captures, with the time of their last packet.
 
-On TCP a line is a server's address; the application is taken for the client, so requests are sent
-and responses received. Senders are told by address and port. Captures that we wrote
-(`traces.modbus_export`) tell the names of both, and serial lines as well.
+On TCP a line is a server's address. The application is assumed to be the client, so requests are
+sent and responses received. Senders are named by address and port. Captures that we wrote
+(`ModbusExport`) contain the names of both, and serial lines as well.
 """
 
 from collections import deque
@@ -29,10 +29,10 @@ _EVENTS: Final = {1: Direction.TRANSMITTED, 2: Direction.RECEIVED} | {
 
 
 def captured_adus(path: str, findings: Findings) -> Iterator[RecordedAdu]:
-    """The ADUs of a capture, in the order they became complete.
+    """Yield the ADUs of a capture, in order of their completion.
 
     Raises:
-        TraceError: it cannot be read, or is no capture.
+        TraceError: the file cannot be read, or is not a capture.
     """
     for one in _Reader(path, findings).adus():
         findings.frames += 1
@@ -49,7 +49,7 @@ class _Reader:
         self._serial: deque[Packet] = deque()
 
     def adus(self) -> Iterator[RecordedAdu]:
-        """In the order of the packets that completed them."""
+        """Yield the ADUs in the order of the packets that completed them."""
         for adu in adus(pieces(self._packets())):
             yield from self._from_serial_lines(adu.packet)
             if isinstance(adu, Malformed):
@@ -61,7 +61,7 @@ class _Reader:
             self._findings.problem(0, problem.removeprefix(f"{self._path}: "))
 
     def _packets(self) -> Iterator[Packet]:
-        """What may be TCP; the others wait for their turn."""
+        """Yield possible TCP packets; queue those of serial lines."""
         for packet in self._capture.packets():
             if packet.link_type == RTAC_SERIAL:
                 self._serial.append(packet)
@@ -84,18 +84,18 @@ class _Reader:
         return _recorded(adu.time_ns, line, direction, sender, data, tcp=True)
 
     def _from_serial_lines(self, before: int) -> Iterator[RecordedAdu]:
-        """Of the packets before this one; 0: of all that are left."""
+        """Yield the queued serial ADUs before this packet; 0: all of them."""
         while self._serial and (self._serial[0].number < before or not before):
             packet = self._serial.popleft()
             if len(packet.data) < RTAC_HEAD.size:
-                what = f"{len(packet.data)} bytes are no event of a serial line"
+                what = f"{len(packet.data)} bytes are not an event of a serial line"
                 self._findings.problem(packet.number, what)
                 continue
             event = RTAC_HEAD.unpack_from(packet.data)[2]
             direction = _EVENTS.get(event)
             data = packet.data[RTAC_HEAD.size :]
             if direction is None or not data:
-                self._findings.note("events of a serial line that carry no data are left out")
+                self._findings.note("events of a serial line without data are omitted")
                 continue
             origin = self._origin(packet.number)
             sender = origin.sender or ""
@@ -118,10 +118,10 @@ def _recorded(
 def record_adus(
     target: str, adus_: Iterator[RecordedAdu], metadata: dict[str, dict[str, str]]
 ) -> tuple[str, ...]:
-    """A recording holds these ADUs, in this order; the lines.
+    """Record these ADUs in this order; return the lines.
 
     Raises:
-        TraceError: it cannot be written.
+        TraceError: the recording cannot be written.
     """
     channels: dict[str, int] = {}
     with TraceWriter(target, metadata) as writer:

@@ -1,4 +1,4 @@
-"""The ADUs on the Modbus lines of a recording of ours, to be paired like those of captures.
+"""ADUs of the Modbus lines in our recordings.
 
 Source: MODBUS over Serial Line V1.02, section 2.5.1.2 for the check sum; the Messaging on TCP/IP
 guide V1.0b, section 3.1.3 for the header.
@@ -19,7 +19,7 @@ _POLYNOMIAL: Final = 0xA001
 
 
 class RecordedAdu(NamedTuple):
-    """An ADU as a recording has it: log time [ns], line, a motorhil.ModbusAdu."""
+    """A recorded ADU: log time [ns], line, a motorhil.ModbusAdu."""
 
     time_ns: int
     line: str
@@ -27,26 +27,26 @@ class RecordedAdu(NamedTuple):
 
 
 def all_adus(trace: Trace) -> Iterator[RecordedAdu]:
-    """The ADUs of all lines, as they were recorded."""
+    """Yield the ADUs of all lines in recorded order."""
     for channel, time_ns, payload in trace.messages():
         if channel.schema is not None and channel.schema.name == MODBUS_ADU.name:
             yield RecordedAdu(time_ns, channel.topic.removeprefix(_TOPIC), payload)
 
 
 def lines_of(trace: Trace) -> list[str]:
-    """The names of the lines there are in it, sorted."""
+    """Return the names of the lines in a recording, sorted."""
     topics = {channel.topic for channel in trace.channels.values()}
     return sorted(topic.removeprefix(_TOPIC) for topic in topics if topic.startswith(_TOPIC))
 
 
 def recorded_adus(trace: Trace, line: str) -> Iterator[Adu | Malformed]:
-    """What was on a line, in order; times are of last bits [ns of the rig]."""
+    """Yield the contents of a line in order; times are those of last bits [ns of the rig]."""
     for _, _, payload in trace.messages(topics=[_TOPIC + line]):
         yield _told(decode(MODBUS_ADU, payload))
 
 
 def adu_in(values: Mapping[str, Value]) -> Adu | None:
-    """The ADU that a message's fields hold; None: what was on the line is none."""
+    """Return the ADU in a message's fields; None if its bytes are not an ADU."""
     told = _told(values)
     return told if isinstance(told, Adu) else None
 
@@ -67,7 +67,7 @@ def _told(values: Mapping[str, Value]) -> Adu | Malformed:
 
 
 def _problem(data: bytes, *, spoiled: bool, tcp: bool) -> str:
-    """Why it is no ADU; "": it is one."""
+    """Return the reason why it is not an ADU; "" if it is one."""
     if spoiled:
         return "a pause in it, or a collision"
     if tcp:
@@ -78,7 +78,7 @@ def _problem(data: bytes, *, spoiled: bool, tcp: bool) -> str:
 
 
 def _checked(data: bytes) -> bool:
-    """Whether the check sum is right: then that of all of it is 0."""
+    """Return True if the check sum is correct: the CRC over everything is then 0."""
     crc = 0xFFFF
     for byte in data:
         crc ^= byte

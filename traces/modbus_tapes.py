@@ -1,7 +1,8 @@
-"""The tapes of all units on a recorded Modbus line: what each was asked, and what it answered.
+"""Exchange logs of all units on a recorded Modbus line.
 
-A request that writes is a command, any other a poll. Frames are unit and PDU, without check sum or
-header, so that a tape of a serial line serves behind a gateway, and the other way round.
+A request that writes is a command, any other a poll. Frames consist of unit and PDU, without check
+sum or header. The log of a serial line can therefore be replayed behind a gateway, and the other
+way round.
 
 Source: MODBUS Application Protocol Specification V1.1b3, section 6.
 """
@@ -16,16 +17,16 @@ from traces.tape import START, Key, Role, Sent, Step, Tape, Turn
 
 WRITES: Final = (0x05, 0x06, 0x0F, 0x10, 0x15, 0x16, 0x17)
 _BITS_EACH: Final = {0x01: 1, 0x02: 1, 0x03: 16, 0x04: 16, 0x17: 16}
-"""Functions that read, and how many bits each coil or register is."""
+"""Functions that read, with the bits per coil or register."""
 _GATEWAYS: Final = (b"\x0a", b"\x0b")
-"""Exceptions that a gateway tells of itself (path unavailable, no response), not its units."""
+"""Exceptions of a gateway itself (path unavailable, no response)."""
 
 
 @final
 class LineAdu(NamedTuple):
-    """An ADU: when the line knew it was complete, when its first bit began and its last ended.
+    """An ADU: when its end was detected, when its first bit began and its last ended.
 
-    On TCP it has a transaction, which may be 0; and unit 0 may be the server itself.
+    On TCP it has a transaction, which can be 0; and unit 0 can be the server itself.
     """
 
     complete_ns: int
@@ -36,20 +37,22 @@ class LineAdu(NamedTuple):
 
 
 def request_key(pdu: bytes) -> Key:
-    """Of a request: all it says."""
+    """Return the key of a request: its complete PDU."""
     return ("modbus", pdu[0], bytes(pdu))
 
 
 def role_of(pdu: bytes) -> Role:
-    """Whether a request changes anything."""
+    """Return COMMAND for a request that writes, else POLL."""
     return Role.COMMAND if pdu[0] in WRITES else Role.POLL
 
 
 def modbus_tapes(line: str, adus: Iterable[LineAdu], begin_ns: int) -> dict[int, Tape]:
-    """The tapes of the units that have answered anything on this line, by unit."""
+    """Return the exchange logs of all units that have answered on this line, by unit."""
     decoder = ModbusDecoder()
     units: dict[int, _Unit] = {}
-    to_all: list[tuple[int, Adu, str]] = []  # who has not been asked yet was told it, too
+    to_all: list[
+        tuple[int, Adu, str]
+    ] = []  # broadcasts, which units that have not been addressed yet received too
     for complete_ns, start_ns, end_ns, adu, is_tcp in adus:
         text = decoder.decode(adu).text
         if not adu.to_server:
@@ -70,17 +73,17 @@ def modbus_tapes(line: str, adus: Iterable[LineAdu], begin_ns: int) -> dict[int,
 
 @final
 class _Unit:
-    """A unit whose tape is being cut.
+    """A unit whose exchange log is being built.
 
-    Behind a gateway it is asked one thing after another, and not at all for a while when it has
-    not answered: how long it took is then not in the recording, and taken to be the usual.
+    A gateway sends it one request after another, and pauses after a missing answer. The response
+    time of a delayed request is therefore not in the recording, and is assumed to be the usual one.
     """
 
     def __init__(self, line: str, number: int, begin_ns: int) -> None:
         self.tape = Tape(line, number)
         self.tape.steps.append(Step(Role.COMMAND, START, begin_ns, "the recording begins"))
         self.has_answered = False
-        # Transaction, what, when it was asked, whether the unit was asked at once.
+        # transaction, step, time of the request, True if the unit was asked at once
         self._pending: list[tuple[int, Step, int, bool]] = []
         self._is_held_up = False
         self._delays_ns: list[int] = []
@@ -90,7 +93,7 @@ class _Unit:
         step = Step(role_of(adu.pdu), request_key(adu.pdu), complete_ns, text)
         step.turns.append(Turn(bytes([adu.unit]) + adu.pdu))
         self.tape.steps.append(step)
-        if not (adu.transaction or is_tcp):  # a serial line: what was not answered will not be
+        if not (adu.transaction or is_tcp):  # a serial line: an unanswered request stays unanswered
             self._pending.clear()
         at_once = not self._pending and not self._is_held_up
         self._pending.append((adu.transaction, step, complete_ns, at_once))
@@ -114,10 +117,10 @@ class _Unit:
             self._unclear.append(step)
 
     def _place_of(self, adu: Adu) -> int | None:
-        """Which pending request a response answers: the last of its transaction that it fits.
+        """Return the place of the request that a response answers: the last matching one.
 
-        A transaction used again leaves the request before it unanswered for good; that of another
-        connection is told apart by function and length, where these differ.
+        A reused transaction leaves the earlier request unanswered for good. Transactions of other
+        connections are distinguished by function and length, where these differ.
         """
         places = [n for n, one in enumerate(self._pending) if one[0] == adu.transaction]
         fitting = [n for n in places if _fits(self._pending[n][1].key[2], adu.pdu)]
@@ -125,7 +128,7 @@ class _Unit:
         return found[-1] if found else None
 
     def clear_up(self) -> Tape:
-        """Its tape, with the usual delay where none is in the recording."""
+        """Return the log, with the usual delay for answers whose delay is unknown."""
         usual_ns = sorted(self._delays_ns)[len(self._delays_ns) // 2] if self._delays_ns else 0
         for step in self._unclear:
             turn = step.turns[0]
@@ -136,7 +139,7 @@ class _Unit:
 
 
 def _fits(asked: bytes, told: bytes) -> bool:
-    """Whether a response PDU can be to that request: its function; of a read, how much it tells."""
+    """Return True if a response PDU can answer this request, by function and data size."""
     if not told or told[0] & 0x7F != asked[0]:
         return False
     if told[0] & 0x80 or asked[0] not in _BITS_EACH or len(asked) < 5 or len(told) < 2:

@@ -1,4 +1,4 @@
-"""A file to record into: new, or an older recording; nobody else's, and nobody else's just now."""
+"""Creation of a recording file, without destroying other files."""
 
 import fcntl
 import io
@@ -11,13 +11,13 @@ from traces.records import MAGIC
 
 
 def create(path: str) -> io.RawIOBase:
-    """An empty file, unbuffered: what is written is with the operating system.
+    """Create an empty, unbuffered file; each write goes straight to the operating system.
 
-    It is locked (flock) as long as it is open.
+    The file is locked (flock) while it is open.
 
     Raises:
-        TraceError: it cannot be written, holds something else than a recording, or is being
-            written by another program.
+        TraceError: the file cannot be written, is not a recording, or is being written by another
+            program.
     """
     try:
         return io.FileIO(path, "w", opener=_open)
@@ -30,15 +30,15 @@ def create(path: str) -> io.RawIOBase:
 
 
 def let_go(file: io.RawIOBase) -> None:
-    """The file is closed; processes forked meanwhile do not keep its lock."""
+    """Close the file; processes forked meanwhile do not keep its lock."""
     if not file.closed:
-        with suppress(OSError):  # not everything that takes bytes has locks
+        with suppress(OSError):  # not every target supports locks
             fcntl.flock(file.fileno(), fcntl.LOCK_UN)
     file.close()
 
 
 def reason(error: OSError) -> str:
-    """The operating system's own words."""
+    """Return the operating system's description of an error."""
     return (error.strerror or str(error)).lower()
 
 
@@ -57,7 +57,9 @@ def _open(path: str, flags: int) -> int:
 def _check_ours(path: str, descriptor: int) -> None:
     with open(path, "rb") as file:
         if not MAGIC.startswith(file.read(len(MAGIC))):
-            raise TraceError(path, "is no recording, and would be lost", remedy="name another file")
+            raise TraceError(
+                path, "is not a recording, and would be overwritten", remedy="name another file"
+            )
     try:
         fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
     except BlockingIOError:

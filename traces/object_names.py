@@ -1,7 +1,7 @@
-"""What objects of a CANopen node are called, and how their values are to be read.
+"""Names and data types of the objects of a CANopen node.
 
-Source: CiA 301 (communication profile area 1000h to 1FFFh), CiA 402-2 (6000h and on); what is the
-manufacturer's own (2000h to 5FFFh) only an EDS tells.
+Source: CiA 301 (communication profile area 1000h to 1FFFh), CiA 402-2 (6000h and up).
+Manufacturer-specific objects (2000h to 5FFFh) are only in an EDS.
 """
 
 import configparser
@@ -9,7 +9,8 @@ import struct
 from dataclasses import dataclass
 from typing import Final, final
 
-# Kinds: u and i are integers by their bits, x is unsigned and read in hex, s is text, o is bytes.
+# Kinds: u and i are integers with their bits, x is unsigned and shown in hex, s is text, o is
+# bytes.
 _STANDARD: Final = """
 1000 x32 device type
 1001 x8 error register
@@ -155,7 +156,7 @@ _ARRAYS: Final = frozenset(
         *(0x6092, 0x6096, 0x6097, 0x6099, 0x60C1, 0x60C2, 0x60FE),
     )
 )
-"""Whose sub-index 0 is a count."""
+"""Objects whose sub-index 0 is a count."""
 
 # CiA 301, data types: code in an EDS to our kind.
 _EDS_KINDS: Final = {
@@ -168,7 +169,7 @@ _EDS_KINDS: Final = {
 @final
 @dataclass(frozen=True, slots=True)
 class ObjectName:
-    """What an object is called; `kind` is how it is read ("" where that is not known)."""
+    """The name of an object, and its `kind` ("" if unknown)."""
 
     text: str
     kind: str
@@ -188,9 +189,9 @@ _KNOWN: Final = _table(_STANDARD) | _table(_SUBS)
 
 
 def axis_of(index: int) -> tuple[int, int]:
-    """Which axis of a device an object is of, from 1, and its index on the first axis.
+    """Return the axis of an object, from 1, and its index on the first axis.
 
-    Source: CiA 402-2: the objects of each further axis are 800h behind.
+    Source: CiA 402-2: the objects of each further axis follow at a distance of 800h.
     """
     if 0x6800 <= index < 0xA000:
         return (index - 0x6000) // 0x800 + 1, 0x6000 + index % 0x800
@@ -198,7 +199,7 @@ def axis_of(index: int) -> tuple[int, int]:
 
 
 def standard_name(index: int, subindex: int) -> ObjectName:
-    """Of an object of CiA 301 or 402; of any other its text is empty."""
+    """Return the name of an object of CiA 301 or 402; of any other with an empty text."""
     axis, first = axis_of(index)
     if axis > 1:
         name = standard_name(first, subindex)
@@ -231,20 +232,21 @@ def _pdo_name(index: int, subindex: int) -> ObjectName:
 
 @final
 class ObjectNames:
-    """The names of one node's objects: the standards', and those of its EDS, if there is one.
+    """The names of one node's objects: the standards' and those of its EDS.
 
-    Attributes: defaults, default values that the EDS tells, by index and sub-index (its PDOs).
+    Attributes:
+        defaults: default values in the EDS, by index and sub-index (for its PDOs).
     """
 
     def __init__(self, eds: str = "") -> None:
-        """With the text of an EDS or DCF; what is not right in it is passed over."""
+        """Read the text of an EDS or DCF; invalid entries are skipped."""
         self._own: dict[tuple[int, int], ObjectName] = {}
         self.defaults: dict[tuple[int, int], str] = {}
         if eds:
             self._read(eds)
 
     def of(self, index: int, subindex: int, is_drive: bool = True) -> ObjectName:
-        """The object's name; its text is empty if it has none that is known."""
+        """Return the object's name; its text is empty if it is unknown."""
         known = is_drive or index < 0x6000
         standard = standard_name(index, subindex) if known else ObjectName("", "")
         own = self._own.get((index, subindex))
@@ -277,7 +279,7 @@ class ObjectNames:
 
 
 def value_of(kind: str, data: bytes) -> int | float | str | bytes:
-    """What these bytes are, read as `kind`; the bytes themselves where they do not fit it."""
+    """Return the bytes read as `kind`; the bytes themselves if they do not fit."""
     if kind == "s":
         text = data.rstrip(b"\0")
         return text.decode("latin-1")
@@ -299,7 +301,7 @@ def _real(data: bytes) -> float:
 
 
 def value_text(kind: str, data: bytes) -> str:
-    """The same in words."""
+    """Return the bytes read as `kind`, in words."""
     value = value_of(kind, data)
     if isinstance(value, bytes):
         return value.hex(" ").upper() if value else "nothing"

@@ -1,7 +1,8 @@
-"""Reads packet captures: pcap (microseconds or nanoseconds, either byte order) and pcapng.
+"""Reader for packet captures: pcap and pcapng.
 
-What cannot be read is told, with its byte, and what can be read is read: a capture that ends in
-the middle of a packet gives all packets before it.
+pcap files can have microseconds or nanoseconds, in either byte order. Unreadable parts are reported
+with their offset, and everything else is read. A capture that ends in the middle of a packet yields
+all packets before it.
 
 Source: IETF draft-ietf-opsawg-pcap, draft-ietf-opsawg-pcapng.
 """
@@ -15,7 +16,7 @@ from typing import Final, final
 
 from traces.errors import TraceError
 
-_PCAP: Final = {  # by what the file begins with: (byte order, ns of one unit of its fraction)
+_PCAP: Final = {  # by the first bytes of the file: (byte order, ns per unit of the fraction)
     b"\xd4\xc3\xb2\xa1": ("<", 1000),
     b"\xa1\xb2\xc3\xd4": (">", 1000),
     b"\x4d\x3c\xb2\xa1": ("<", 1),
@@ -37,8 +38,12 @@ _NS: Final = 1_000_000_000
 class Packet:
     """One captured packet.
 
-    Attributes: number (1.., as other programs count), time_ns (since 1970), link_type (as IANA's
-    registry of link types numbers it), data, missing (bytes of it that were not captured).
+    Attributes:
+        number: from 1, as other programs count.
+        time_ns: time since 1970.
+        link_type: number in IANA's registry of link types.
+        data: the captured bytes.
+        missing: number of bytes that were not captured.
     """
 
     number: int
@@ -52,20 +57,20 @@ class Packet:
 @dataclass(frozen=True, slots=True)
 class _Interface:
     link_type: int
-    units_s: int  # of its time stamps, in one second
+    units_s: int  # time stamp units per second
     offset_ns: int
 
 
 @final
 class Capture:
-    """A capture file, read whole.
+    """A capture file, read as a whole.
 
     Attributes:
-        problems: what could not be read, in words, each with its byte; known once all packets
-            have been asked for.
+        problems: unreadable parts in words, with their offsets; complete after all packets have
+            been read.
 
     Raises:
-        TraceError: the file cannot be opened, or is no capture.
+        TraceError: the file cannot be opened, or is not a capture.
     """
 
     def __init__(self, path: str | os.PathLike[str]) -> None:
@@ -80,11 +85,11 @@ class Capture:
             begins = start.hex(" ").upper() or "nothing"
             remedy = "give a capture of tcpdump, tshark or Wireshark"
             raise TraceError(
-                self.path, f"no pcap and no pcapng (begins with {begins})", remedy=remedy
+                self.path, f"is neither pcap nor pcapng (begins with {begins})", remedy=remedy
             )
 
     def packets(self) -> Iterator[Packet]:
-        """All packets, in the order of the file."""
+        """Return all packets, in file order."""
         self.problems.clear()
         kind = _PCAP.get(self._data[:4])
         return self._blocks() if kind is None else self._records(*kind)
@@ -132,7 +137,7 @@ class Capture:
             if data[at : at + 4] == b"\x0a\x0d\x0d\x0a":
                 found = _ORDERS.get(data[at + 8 : at + 12])
                 if found is None:
-                    self._problem(at, "a section of no known byte order")
+                    self._problem(at, "a section with an unknown byte order")
                     return
                 order, interfaces = found, []
             kind, size = struct.unpack_from(order + "II", data, at)

@@ -1,6 +1,6 @@
-"""What pcapng tells besides packets: their interface's name, which way they went; writes it.
+"""pcapng: interface names, directions and senders of packets; writer.
 
-Files of ours say so in their head (shb_userappl). In these a packet's comment is who sent it.
+Our files are marked in their head (shb_userappl). In these a packet's comment is its sender.
 
 Source: draft-ietf-opsawg-pcapng.
 """
@@ -24,7 +24,7 @@ _PACKET: Final = struct.Struct("<IIIII")
 
 
 class Origin(NamedTuple):
-    """Where a packet came from: interface, which way it went; is the file ours, who sent it."""
+    """Origin of a packet: interface, direction; True if the file is ours, sender."""
 
     interface: str
     direction: Direction
@@ -33,7 +33,7 @@ class Origin(NamedTuple):
 
 
 def origins(data: bytes) -> Iterator[Origin]:
-    """Of each packet of a pcapng file, in its order, as far as its blocks are whole."""
+    """Yield the origin of each packet of a pcapng file, while its blocks are complete."""
     if data[:4] != MAGIC:
         return
     at, order, ours = 0, "<", False
@@ -84,7 +84,7 @@ def _option(options: bytes, wanted: int, order: str) -> bytes | None:
 
 @final
 class PcapngWriter:
-    """Writes packets with stamps of nanoseconds."""
+    """Writer of packets with nanosecond stamps."""
 
     def __init__(self, file: BinaryIO) -> None:
         self._file = file
@@ -94,7 +94,7 @@ class PcapngWriter:
         self._block(0x0A0D0D0A, head + _packed(_PROGRAM_NAME, _PROGRAM) + _packed(0, b""))
 
     def interface(self, link_type: int, name: str) -> int:
-        """The number of a new interface."""
+        """Write a new interface, and return its number."""
         options = _packed(_NAME, name.encode()) + _packed(_RESOLUTION, b"\x09") + _packed(0, b"")
         self._block(1, struct.pack("<HHI", link_type, 0, 0) + options)
         self._interfaces += 1
@@ -103,7 +103,7 @@ class PcapngWriter:
     def packet(
         self, which: int, time_ns: int, data: bytes, direction: Direction, sender: str | None
     ) -> None:
-        """A packet of an interface; `sender` None: it is not told."""
+        """Write a packet of an interface; `sender` None: unknown."""
         end = self._ends.get((direction, sender))
         if end is None:
             end = self._ends[direction, sender] = _options(direction, sender)

@@ -1,9 +1,7 @@
-"""Which objects a PDO carries: learned from the SDO traffic of a recording, or told by an EDS.
+"""Contents of PDOs, learned from recorded SDO traffic or an EDS.
 
-And by which identifier each node hears SYNC, which is learned alike.
-
-Where neither tells it, the COB-ID is that of the pre-defined connection set and the objects are
-not known: nothing is guessed.
+The identifier of each node's SYNC is learned too. Without either source the COB-ID is that of the
+pre-defined connection set, and the objects are unknown: nothing is guessed.
 
 Source: CiA 301, PDO communication parameter and mapping parameter, pre-defined connection set,
 COB-ID SYNC message (1005h).
@@ -12,7 +10,7 @@ COB-ID SYNC message (1005h).
 from typing import Final, final
 
 PdoKey = tuple[int, bool, int]
-"""Node, whether the node transmits it, number from 1."""
+"""Node, True if the node transmits it, number from 1."""
 
 Entry = tuple[int, int, int]
 """Index, sub-index, bits."""
@@ -24,7 +22,7 @@ _SYNC: Final = 0x080
 
 @final
 class PdoMaps:
-    """The PDOs of all nodes of a bus."""
+    """The PDOs of all nodes on a bus."""
 
     def __init__(self) -> None:
         self._identifiers: dict[PdoKey, int | None] = {}  # None: switched off
@@ -32,10 +30,10 @@ class PdoMaps:
         self._counts: dict[PdoKey, int] = {}
         self._types: dict[PdoKey, int] = {}
         self._by_identifier: dict[int, list[PdoKey]] = {}
-        self._syncs: dict[int, int] = {}  # by node, where it was told
+        self._syncs: dict[int, int] = {}  # by node, if known
 
     def learn(self, node: int, index: int, subindex: int, value: int) -> None:
-        """An object of the PDO parameters, or 1005h, has this value; any other tells nothing."""
+        """Learn from the value of a PDO parameter or of 1005h; ignore other objects."""
         if index == 0x1005 and subindex == 0:
             self._syncs[node] = value & _ID_MASK
         if not 0x1400 <= index < 0x1C00:
@@ -53,7 +51,7 @@ class PdoMaps:
             self._types[key] = value
 
     def forget(self, node: int) -> None:
-        """The node was reset: what was written to it is no longer so."""
+        """Forget what was learned about a node, because it was reset."""
         for known in (self._identifiers, self._entries, self._counts, self._types):
             for key in [key for key in known if key[0] == node]:
                 del known[key]
@@ -61,7 +59,7 @@ class PdoMaps:
         self._by_identifier.clear()
 
     def of(self, identifier: int) -> list[PdoKey]:
-        """The PDOs with this identifier: one that a node transmits, or those of all who receive."""
+        """Return the PDOs with this identifier: a node's TPDO, or the RPDOs of all receivers."""
         found = self._by_identifier.get(identifier)
         if found is None:
             found = [key for key, own in self._identifiers.items() if own == identifier]
@@ -74,15 +72,15 @@ class PdoMaps:
         return found
 
     def sync_of(self, node: int) -> int:
-        """The identifier of the SYNC that this node hears."""
+        """Return the identifier of the SYNC that this node uses."""
         return self._syncs.get(node, _SYNC)
 
     def is_sync(self, identifier: int) -> bool:
-        """Whether it is that of SYNC, for any node."""
+        """Return True if the identifier is the SYNC of any node."""
         return identifier == _SYNC or identifier in self._syncs.values()
 
     def received_by(self, node: int) -> list[int]:
-        """The identifiers of the PDOs that a node receives, as far as that is known."""
+        """Return the known identifiers of the PDOs that a node receives."""
         own = [
             identifier
             for (number, is_sent, _), identifier in self._identifiers.items()
@@ -93,11 +91,11 @@ class PdoMaps:
         return sorted({*own, *heard})
 
     def transmission_type(self, key: PdoKey) -> int | None:
-        """When it is sent, or acted on: 0 to 240 by SYNC; None: not known."""
+        """Return the transmission type: 0 to 240 synchronous; None: unknown."""
         return self._types.get(key)
 
     def objects(self, key: PdoKey) -> list[Entry] | None:
-        """What is in it, in order; None: not known."""
+        """Return the mapped objects in order; None if unknown."""
         entries = self._entries.get(key)
         count = self._counts.get(key)
         if count is None and entries:
@@ -110,7 +108,10 @@ class PdoMaps:
         return [(value >> 16, value >> 8 & 0xFF, value & 0xFF) for value in told if value]
 
     def layout(self, identifier: int) -> tuple[list[tuple[PdoKey, int, Entry]], bool]:
-        """(the objects in PDOs of this identifier, from which bit on; whether some are unknown)."""
+        """Return the objects in PDOs of this identifier, each with its first bit.
+
+        The second result is True if some of the mappings are unknown.
+        """
         found: list[tuple[PdoKey, int, Entry]] = []
         unknown = False
         for key in self.of(identifier):
@@ -124,7 +125,7 @@ class PdoMaps:
 
 
 def predefined(identifier: int) -> PdoKey | None:
-    """Whose PDO an identifier is by the pre-defined connection set; None: no PDO's."""
+    """Return the PDO of an identifier in the pre-defined connection set; None if it has none."""
     node, function = identifier & 0x7F, identifier >> 7
     if not node or not 3 <= function <= 10:
         return None

@@ -1,9 +1,9 @@
-"""Protocol Buffers by hand: wire format, descriptors, and messages described by a table.
+"""Protocol Buffers without a library: wire format, descriptors, message tables.
 
-Recording needs a dozen fixed messages and must not cost a dependency, so a message is a table
-(`Message`), its descriptor is computed from the table (`file_descriptor_set`) and embedded in the
-file, where any reader finds it. `encode` and `decode` serve what is rare; what is recorded once a
-frame has its own code in `traces.fields`.
+Recording needs a dozen fixed messages and must not cost a dependency. A message is therefore a
+table (`Message`). Its descriptor is computed from the table (`file_descriptor_set`) and embedded in
+the file for any reader. `encode` and `decode` serve rare messages. Frequent messages have their own
+code in `traces.fields`.
 
 Source: protobuf.dev, "Encoding" (wire types, varints, packed fields) and descriptor.proto (field
 numbers of the descriptors).
@@ -16,7 +16,7 @@ from enum import Enum
 from typing import Final, final
 
 Value = int | float | bool | str | bytes | Sequence[float] | Sequence[str] | Mapping[str, "Value"]
-"""What a field holds; a mapping is a message inside the message."""
+"""The value of a field; a mapping is a nested message."""
 
 _VARINT: Final = 0
 _FIXED_64: Final = 1
@@ -65,7 +65,7 @@ class Enumeration:
 class Field:
     """One line of a message's table; `of` is the type of an ENUM or MESSAGE field.
 
-    An optional field can be told to be absent; of any other, absent and zero are the same.
+    An optional field can be absent. For other fields, absent and zero are the same.
     """
 
     number: int
@@ -79,13 +79,13 @@ class Field:
 @final
 @dataclass(frozen=True, slots=True)
 class Message:
-    """A proto3 message type; `name` is the full one, as in "motorhil.CanFrame"."""
+    """A proto3 message type; `name` is the full name, such as "motorhil.CanFrame"."""
 
     name: str
     fields: tuple[Field, ...]
 
     def file_name(self) -> str:
-        """The .proto file that would define it."""
+        """Return the name of the .proto file that would define it."""
         package, _, short = self.name.rpartition(".")
         if self.name == "google.protobuf.Timestamp":  # the well-known types have their own files
             short = "timestamp"
@@ -96,7 +96,7 @@ class Message:
 
 
 def varint(value: int) -> bytes:
-    """The base-128 varint of `value`; negative numbers as 64 bit two's complement."""
+    """Return the base-128 varint of `value`; negative numbers as 64 bit two's complement."""
     value &= 0xFFFF_FFFF_FFFF_FFFF
     out = bytearray()
     while value > 0x7F:
@@ -107,22 +107,22 @@ def varint(value: int) -> bytes:
 
 
 def tag(number: int, kind: Kind, packed: bool = False) -> bytes:
-    """What stands before a field's value."""
+    """Return the tag before a field's value."""
     return varint(number << 3 | (_LENGTH if packed else _WIRE_TYPE.get(kind, _VARINT)))
 
 
 def delimited(number: int, payload: bytes) -> bytes:
-    """A length-delimited field: bytes, a string, or a message inside the message."""
+    """Return a length-delimited field: bytes, a string, or a nested message."""
     return varint(number << 3 | _LENGTH) + varint(len(payload)) + payload
 
 
 def _number(number: int, value: int) -> bytes:
-    """A varint field."""
+    """Return a varint field."""
     return varint(number << 3) + varint(value)
 
 
 def read_varint(data: bytes, offset: int) -> tuple[int, int]:
-    """(value, offset behind it).
+    """Return the value of a varint, and the offset after it.
 
     Raises:
         ValueError: the data ends inside it, or it is longer than 10 bytes.
@@ -142,10 +142,10 @@ def read_varint(data: bytes, offset: int) -> tuple[int, int]:
 
 
 def file_descriptor_set(message: Message) -> bytes:
-    """The serialised google.protobuf.FileDescriptorSet of `message` and all it refers to.
+    """Return the serialised google.protobuf.FileDescriptorSet of a message and its dependencies.
 
-    One file a message, those referred to before those that refer: what an MCAP schema of encoding
-    "protobuf" has to hold.
+    It has one file per message, dependencies first, as an MCAP schema of encoding "protobuf"
+    requires.
     """
     files: list[Message] = []
     _collect(message, files)
@@ -161,7 +161,7 @@ def _collect(message: Message, files: list[Message]) -> None:
 
 
 def _file_descriptor(message: Message) -> bytes:
-    """FileDescriptorProto: name 1, package 2, dependency 3, message_type 4, syntax 12."""
+    """Return a FileDescriptorProto: name 1, package 2, dependency 3, message_type 4, syntax 12."""
     package, _, short = message.name.rpartition(".")
     parts = [delimited(1, message.file_name().encode()), delimited(2, package.encode())]
     needed: list[str] = []
@@ -174,7 +174,7 @@ def _file_descriptor(message: Message) -> bytes:
 
 
 def _descriptor(short: str, message: Message) -> bytes:
-    """DescriptorProto: name 1, field 2, enum_type 4, oneof_decl 8 (name 1).
+    """Return a DescriptorProto: name 1, field 2, enum_type 4, oneof_decl 8 (name 1).
 
     Each optional field of proto3 is alone in a "oneof" named after it.
     """
@@ -193,7 +193,10 @@ def _descriptor(short: str, message: Message) -> bytes:
 
 
 def _field_descriptor(owner: str, field: Field, oneof: int | None) -> bytes:
-    """FieldDescriptorProto: name 1, number 3, label 4, type 5, type_name 6, 9 and 17: optional."""
+    """Return a FieldDescriptorProto: name 1, number 3, label 4, type 5, type_name 6.
+
+    Optional fields also have oneof_index 9 and proto3_optional 17.
+    """
     parts = [
         delimited(1, field.name.encode()),
         _number(3, field.number),
@@ -210,7 +213,7 @@ def _field_descriptor(owner: str, field: Field, oneof: int | None) -> bytes:
 
 
 def _enum_descriptor(enumeration: Enumeration) -> bytes:
-    """EnumDescriptorProto: name 1, value 2 (name 1, number 2)."""
+    """Return an EnumDescriptorProto: name 1, value 2 (name 1, number 2)."""
     parts = [delimited(1, enumeration.name.encode())]
     for name, number in enumeration.values:
         parts.append(delimited(2, delimited(1, name.encode()) + _number(2, number)))
@@ -221,10 +224,10 @@ def _enum_descriptor(enumeration: Enumeration) -> bytes:
 
 
 def encode(message: Message, values: Mapping[str, Value]) -> bytes:
-    """The message with these values, fields in the order of the table; absent ones are left out.
+    """Encode a message, fields in the order of the table; absent ones are omitted.
 
     Raises:
-        ValueError: a value's name is not in the table, or it is not what the table says.
+        ValueError: a value's name is not in the table, or its type is not the table's.
     """
     unknown = [name for name in values if all(name != field.name for field in message.fields)]
     if unknown:
@@ -254,7 +257,7 @@ def _wrong(message: Message, field: Field, value: Value) -> ValueError:
 
 
 def _encode_one(message: Message, field: Field, value: Value) -> bytes:
-    """A value without its tag."""
+    """Encode a value without its tag."""
     payload: bytes | None = None
     if field.kind is Kind.DOUBLE and isinstance(value, int | float):
         return _DOUBLE.pack(value)
@@ -275,7 +278,7 @@ def _encode_one(message: Message, field: Field, value: Value) -> bytes:
 
 
 def decode(message: Message, payload: bytes) -> dict[str, Value]:
-    """The fields that `payload` holds, by name; unknown fields are skipped, as protobuf asks.
+    """Decode the fields of `payload` by name; unknown fields are skipped, as protobuf requires.
 
     Raises:
         ValueError: the payload ends inside a field, or a field's wire type is not the table's.
@@ -291,7 +294,7 @@ def decode(message: Message, payload: bytes) -> dict[str, Value]:
             continue
         expected = _WIRE_TYPE.get(field.kind, _VARINT)
         if field.repeated:
-            # Numbers may come packed or one by one; what is length-delimited comes one by one.
+            # Numbers can be packed or single; length-delimited values are always single.
             if key & 7 == _LENGTH and expected != _LENGTH and isinstance(raw, bytes):
                 _extend(values, field, _unpack(field, expected, raw))
                 continue
@@ -321,7 +324,7 @@ def _unpack(field: Field, wire_type: int, packed: bytes) -> list[Value]:
 
 
 def _read_raw(data: bytes, offset: int, wire_type: int) -> tuple[int | bytes, int]:
-    """A value as the wire has it, and the offset behind it."""
+    """Read a value by its wire type; return it and the offset after it."""
     if wire_type == _VARINT:
         return read_varint(data, offset)
     if wire_type == _LENGTH:

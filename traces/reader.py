@@ -1,8 +1,8 @@
-"""Reads recordings, whole ones and cut ones, ours and other writers'.
+"""Reader for recordings, complete and cut ones, of our writer and others.
 
-Opening walks over the heads of the records only, so that it goes the same way through every file,
-whether it is complete or ends in the middle of a chunk; a summary saves it the way over chunks and
-their indexes. Messages come in the order they were written.
+Opening reads only the heads of records. So every file is read in the same way, even if it ends in
+the middle of a chunk. A summary lets the reader skip chunks and their indexes. Messages are
+returned in the order in which they were written.
 """
 
 import os
@@ -43,9 +43,13 @@ _STRUCTURE: Final = (
 @final
 @dataclass(frozen=True, slots=True)
 class Cut:
-    """A file ends too early: its bytes from `offset` on are no whole record.
+    """A premature end of a file: the bytes from `offset` on are not a complete record.
 
-    Attributes: messages_missing is False if only what stands behind all messages is lost.
+    Attributes:
+        offset: the offset of the first byte.
+        size: the number of bytes.
+        reason: the reason in words.
+        messages_missing: False if only the parts after all messages are lost.
     """
 
     offset: int
@@ -63,10 +67,11 @@ TraceMessage = tuple[Channel, int, bytes]
 
 
 def read_trace(path: str | os.PathLike[str]) -> "Trace":
-    """The recording in this file, open.
+    """Open a recording.
 
     Raises:
-        TraceError: it cannot be read, is no MCAP file, or is damaged before its first chunk.
+        TraceError: the file cannot be read, is not an MCAP file, or is damaged before its first
+            chunk.
     """
     name = os.fspath(path)
     refuse_pipe(name)
@@ -89,16 +94,16 @@ class Trace:
 
     Attributes:
         path: the file.
-        library: who wrote it.
+        library: name of the writer.
         metadata: tables of strings by name.
-        attachments: in the order they were written.
-        channels: by number. Those of other writers may become known only while messages are read.
-        cut: where the file ends too early; None: it is complete.
+        attachments: in the order in which they were written.
+        channels: by number. Those of other writers can become known only while messages are read.
+        cut: where the file ends prematurely; None: it is complete.
         salvaged: messages that `messages` found in the chunk that was cut.
     """
 
     def __init__(self, path: str, file: BinaryIO) -> None:
-        """Use `read_trace`."""
+        """Scan an open file; use `read_trace` instead."""
         self.path = path
         self.library = ""
         self.metadata: dict[str, dict[str, str]] = {}
@@ -109,8 +114,8 @@ class Trace:
         self._file = file
         self._schemas: dict[int, Schema] = {}
         self._chunks: list[Chunk] = []
-        self._told = 0  # of those, by `more_messages`
-        self._scanned = 0  # up to here records are whole
+        self._told = 0  # chunks already returned by `more_messages`
+        self._scanned = 0  # end of the last complete record
         self._data_ended = False
         self._size = file.seek(0, os.SEEK_END)
         self._scan()
@@ -122,13 +127,13 @@ class Trace:
         self.close()
 
     def close(self) -> None:
-        """The file is closed."""
+        """Close the file."""
         self._file.close()
 
     def span_ns(self) -> tuple[int, int] | None:
-        """The earliest and the latest log time, by the heads of chunks; None: there is no message.
+        """Return the earliest and latest log time from the heads of chunks; None without messages.
 
-        Of a chunk that was cut, as its head says.
+        The times of a chunk that was cut are those in its head.
         """
         if not self._chunks:
             return None
@@ -143,17 +148,17 @@ class Trace:
         from_ns: int | None = None,
         to_ns: int | None = None,
     ) -> Iterator[TraceMessage]:
-        """Messages in the order they were written.
+        """Yield messages in the order in which they were written.
 
-        Of a chunk that was cut, all messages that can be had; `salvaged` then counts them.
+        A cut chunk yields as many messages as possible; `salvaged` then counts them.
 
         Args:
-            topics: only of these; None: of all.
+            topics: the topics to read; None: all.
             from_ns: log time, inclusive; None: from the beginning.
             to_ns: log time, exclusive; None: to the end.
 
         Raises:
-            TraceError: a chunk is damaged. What came before it is good.
+            TraceError: a chunk is damaged. The messages before it are good.
         """
         self.salvaged = 0
         for chunk in self._chunks:
@@ -173,12 +178,12 @@ class Trace:
     def contents(
         self, from_ns: int | None = None, to_ns: int | None = None
     ) -> Iterator[tuple[bytes, Iterator[TraceMessage]]]:
-        """For who reads in bulk: (its records, uncompressed; its messages) of each chunk.
+        """Yield the uncompressed records and the messages of each chunk, for bulk readers.
 
-        Chunks that lie outside of the span are left out; of the others all messages are given.
+        Chunks outside the span are omitted; the others yield all their messages.
 
         Raises:
-            TraceError: a chunk is damaged. What came before it is good.
+            TraceError: a chunk is damaged. The messages before it are good.
         """
         for chunk in self._chunks:
             if not _is_outside(chunk, from_ns, to_ns):
@@ -186,14 +191,14 @@ class Trace:
                 yield data, self._in_chunk(chunk, data)
 
     def grow(self) -> bool:
-        """Whether the file has been written on since it was opened; what is new is known now.
+        """Return True if the file has grown since it was opened, after reading its new parts.
 
         Raises:
-            TraceError: it has become shorter, or what is new is damaged.
+            TraceError: the file has become shorter, or its new part is damaged.
         """
         size = self._file.seek(0, os.SEEK_END)
         if size < self._size:
-            raise TraceError(self.path, "has become shorter: it was written over")
+            raise TraceError(self.path, "has become shorter: it was overwritten")
         if size == self._size or self.cut is None:
             return False
         self._size = size
@@ -203,7 +208,7 @@ class Trace:
         return True
 
     def more_messages(self, from_ns: int | None = None) -> Iterator[TraceMessage]:
-        """Messages of whole chunks that this has not given before, later chunks than `from_ns`.
+        """Yield the messages of complete chunks not yet returned that do not end before `from_ns`.
 
         Raises:
             TraceError: a chunk is damaged.
@@ -217,10 +222,10 @@ class Trace:
     # --------------------------------------------------------------------- from head to head
 
     def _scan(self) -> None:
-        """All but the messages is known; `cut` tells where whole records end."""
+        """Read everything except the messages; set `cut` to the end of complete records."""
         if not self._scanned:
             if self._read(0, len(records.MAGIC)) != records.MAGIC:
-                what = "is empty" if not self._size else "is no MCAP file"
+                what = "is empty" if not self._size else "is not an MCAP file"
                 remedy = "give a recording, as `--record` makes them"
                 raise TraceError(self.path, what, remedy=remedy)
             self._scanned = len(records.MAGIC)
@@ -228,7 +233,7 @@ class Trace:
         offset = self._scanned
         opcode = 0
         summary = read_summary(self._file)
-        for opcode, content in summary.names:  # else those inside chunks are met only in these
+        for opcode, content in summary.names:  # channels inside chunks would otherwise be unknown
             self._take(opcode, content, self._size)
         while opcode != records.FOOTER:
             place = summary.places.get(offset)
@@ -261,25 +266,25 @@ class Trace:
                 self._take(opcode, self._read(offset + 9, length), offset)
             self._data_ended = self._data_ended or opcode == records.DATA_END
             offset = end
-            if opcode != records.FOOTER:  # with it, the magic behind it is looked at again
+            if opcode != records.FOOTER:  # after the footer the closing magic is checked again
                 self._scanned = end
         if self._read(offset, len(records.MAGIC)) != records.MAGIC:
             self.cut = Cut(offset, self._size - offset, "in the closing magic", False)
 
     def _read(self, offset: int, size: int) -> bytes:
-        """Up to `size` bytes."""
+        """Return up to `size` bytes."""
         self._file.seek(offset)
         return self._file.read(size)
 
     def _add_chunk(self, offset: int, end: int) -> None:
-        """The chunk is known, if its head is there."""
+        """Register a chunk, if its head is complete."""
         fixed = records.RECORD_HEAD.size + records.CHUNK_HEAD.size
         head = self._read(offset, fixed + 64)
         try:
             first, last, size, crc = records.CHUNK_HEAD.unpack_from(head, 9)
             compression, at = records.read_string(head, fixed)
             (stored,) = records.UINT64.unpack_from(head, at)
-        except (struct.error, ValueError):  # cut in its head: nothing of it is there
+        except (struct.error, ValueError):  # cut in its head: none of it can be used
             return
         data_offset = offset + at + 8
         there = min(stored, max(0, self._size - data_offset))
@@ -289,7 +294,7 @@ class Trace:
         )
 
     def _add_loose(self, offset: int, end: int) -> None:
-        """A message outside of any chunk belongs to the stretch of such messages."""
+        """Add a message outside any chunk to the sequence of such messages."""
         (time_ns,) = records.UINT64.unpack(self._read(offset + 15, 8))
         start, first, last = offset, time_ns, time_ns
         if len(self._chunks) > self._told:
@@ -302,7 +307,7 @@ class Trace:
         self._chunks.append(Chunk(start, first, last, size, 0, "", start, size, True))
 
     def _take(self, opcode: int, content: bytes, offset: int) -> None:
-        """What a record of the file's structure says is known."""
+        """Take a record of the file's structure."""
         try:
             if opcode == records.HEADER:
                 _, at = records.read_string(content, 0)
@@ -326,7 +331,7 @@ class Trace:
     # ------------------------------------------------------------------------------- messages
 
     def _in_chunk(self, chunk: Chunk, data: bytes | None = None) -> Iterator[TraceMessage]:
-        """The messages of a chunk, as written; its records may be known already."""
+        """Yield the messages of a chunk as written; `data` are its records, if already read."""
         data = self._content(chunk) if data is None else data
         end = len(data)
         unpack = records.MESSAGE_HEAD.unpack_from
@@ -345,7 +350,7 @@ class Trace:
                 if channel is None:
                     raise TraceError(
                         self.path,
-                        f"a message of channel {number}, of which nothing is said",
+                        f"a message of unknown channel {number}",
                         offset=chunk.offset,
                     )
                 yield channel, time_ns, data[offset + 31 : stop]
@@ -356,7 +361,7 @@ class Trace:
             raise TraceError(self.path, "a record goes beyond its chunk", offset=chunk.offset)
 
     def _content(self, chunk: Chunk) -> bytes:
-        """A chunk's records, uncompressed; of a cut chunk, what can be had."""
+        """Return a chunk's uncompressed records; of a cut chunk as many as possible."""
         data = self._read(chunk.data_offset, chunk.data_size)
         if not chunk.whole:
             return salvage(chunk.compression, data)
@@ -371,7 +376,7 @@ class Trace:
         if crc and zlib.crc32(content) != crc:
             raise TraceError(
                 self.path,
-                f"damaged chunk (CRC {zlib.crc32(content):08X}h, should be {crc:08X}h)",
+                f"damaged chunk (CRC {zlib.crc32(content):08X}h; expected {crc:08X}h)",
                 offset=chunk.offset,
                 remedy=f"all before {chunk.first_ns / 1e9:.3f} s is good",
             )
@@ -379,7 +384,7 @@ class Trace:
 
 
 def _is_outside(chunk: Chunk, from_ns: int | None, to_ns: int | None) -> bool:
-    """Whether no message of the chunk is of this span; of a cut chunk nobody knows."""
+    """Return True if the chunk has no message in this span; never for a cut chunk."""
     return chunk.whole and (
         (from_ns is not None and chunk.last_ns < from_ns)
         or (to_ns is not None and chunk.first_ns >= to_ns)

@@ -1,8 +1,8 @@
-"""Whether bytes are a whole record of an MCAP file, looked at as if each might be damaged.
+"""Checks that bytes are a complete record of an MCAP file.
 
-Only chunks and attachments carry a check sum. Of the others it can be asked whether their strings,
-maps and lists fill them exactly, which one wrong length never leaves so; and whether another record
-begins where they end.
+Any record may be damaged, but only chunks and attachments have a check sum. Other records are
+checked by their structure: their strings, maps and lists must fill them exactly, which a single
+wrong length prevents. Another record must begin where they end.
 """
 
 import re
@@ -19,11 +19,11 @@ _HEAD_SIZE: Final = records.RECORD_HEAD.size
 _CHUNK_FIXED: Final = records.CHUNK_HEAD.size
 _LEAST_CHUNK: Final = _CHUNK_FIXED + 4 + 8
 _COMPRESSION_MAX: Final = 16  # bytes of its name
-_SIZE_MAX: Final = 1 << 32  # of a chunk, uncompressed: more than that is damage
-# What may begin a record: a known opcode, and a length below 4 GiB.
+_SIZE_MAX: Final = 1 << 32  # uncompressed chunk size; more than that is damage
+# Possible start of a record: a known opcode, and a length below 4 GiB.
 _BEGINNING: Final = re.compile(rb"(?s)(?=[\x01-\x0f].{4}\x00{4})")
-# Fields of records: a number of bytes, or "s" a string or bytes with their length (4 bytes) before
-# them, "m" a map of strings so, "b" bytes with a length of 8 bytes.
+# Fields of records: a number of bytes; "s" a string or bytes with a 4-byte length; "m" a map of
+# strings with such a length; "b" bytes with an 8-byte length.
 _SHAPES: Final[dict[int, tuple[int | str, ...]]] = {
     records.HEADER: ("s", "s"),
     records.FOOTER: (20,),
@@ -42,7 +42,7 @@ _SHAPES: Final[dict[int, tuple[int | str, ...]]] = {
 
 
 class Record(NamedTuple):
-    """A record that was found whole: where, what, and what is in it."""
+    """A complete record: opcode, offset, end and content."""
 
     opcode: int
     offset: int
@@ -52,7 +52,7 @@ class Record(NamedTuple):
 
 @final
 class Chunk(NamedTuple):
-    """A chunk's fields; `content` are the records in it, uncompressed and as its CRC says."""
+    """A chunk's fields; `content` are its uncompressed records, verified by the CRC."""
 
     first_ns: int
     last_ns: int
@@ -63,7 +63,7 @@ class Chunk(NamedTuple):
 
 
 def record_at(file: mmap | bytes, offset: int) -> Record | None:
-    """The record that begins here, if it is whole by its own measure; chunks are not opened."""
+    """Return the record at `offset` if it is structurally complete; chunks are not opened."""
     head = file[offset : offset + _HEAD_SIZE]
     if len(head) < _HEAD_SIZE:
         return None
@@ -86,9 +86,9 @@ def record_at(file: mmap | bytes, offset: int) -> Record | None:
 
 
 def chunk_in(content: bytes) -> Chunk | None:
-    """What a chunk record with this content holds; None: it is damaged.
+    """Parse the content of a chunk record; None if it is damaged.
 
-    How long its data are is taken from where the content ends, not from its own word.
+    The length of its data follows from the end of the content, not from its length field.
     """
     fields = chunk_head(content)
     if fields is None or fields[2] > _SIZE_MAX:
@@ -105,9 +105,9 @@ def chunk_in(content: bytes) -> Chunk | None:
 
 
 def chunk_head(content: bytes) -> tuple[int, int, int, int, str, int] | None:
-    """(earliest and latest log time, size, CRC, compression, offset of the data).
+    """Return earliest and latest log time, size, CRC, compression and offset of the data.
 
-    None: that does not fit in.
+    None: the content is too short for these fields.
     """
     if len(content) < _LEAST_CHUNK:
         return None
@@ -121,10 +121,12 @@ def chunk_head(content: bytes) -> tuple[int, int, int, int, str, int] | None:
 
 
 def messages_in(content: bytes) -> Iterator[tuple[int, int, int, int]]:
-    """(opcode, offset, end, log time [ns], 0 if it is no message) of each whole record in a chunk.
+    """Yield (opcode, offset, end, log time [ns]) of each record in a chunk.
+
+    The time is 0 for records other than messages.
 
     Raises:
-        ValueError: a record goes beyond the end; or what is left is no record.
+        ValueError: a record exceeds the chunk, or the rest is not a record.
     """
     offset, size = 0, len(content)
     head = records.RECORD_HEAD.unpack_from
@@ -143,7 +145,7 @@ def messages_in(content: bytes) -> Iterator[tuple[int, int, int, int]]:
 
 
 def next_record(file: mmap | bytes, offset: int) -> int | None:
-    """Where a record begins at `offset` or later that another one follows; None: nowhere."""
+    """Return the first offset >= `offset` of a record with a valid successor; None if none."""
     for found in _BEGINNING.finditer(file, offset):
         if is_followed(file, found.start()):
             return found.start()
@@ -151,7 +153,7 @@ def next_record(file: mmap | bytes, offset: int) -> int | None:
 
 
 def is_followed(file: mmap | bytes, offset: int) -> bool:
-    """Whether a whole record begins here, and where it ends another one, or the file ends so."""
+    """Return True if a complete record begins here, followed by another or by the file's end."""
     record = record_at(file, offset)
     if record is None:
         return False
@@ -163,7 +165,7 @@ def is_followed(file: mmap | bytes, offset: int) -> bool:
 
 
 def _fits(content: bytes, shape: tuple[int | str, ...]) -> bool:
-    """Whether fields of these kinds fill the content exactly."""
+    """Return True if fields of these kinds fill the content exactly."""
     at = 0
     try:
         for part in shape:

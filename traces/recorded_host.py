@@ -1,4 +1,4 @@
-"""The host of a recording: all that it sent, on all buses and lines."""
+"""The host of a recording: all frames it sent, on all buses and lines."""
 
 from collections.abc import Callable
 from typing import Final, NamedTuple, final
@@ -17,7 +17,7 @@ _OBJECTS_AT: Final = 8
 
 @final
 class RecordedHost(NamedTuple):
-    """What a host sent, in order; and how many of its frames no classical bus can carry."""
+    """Frames of a host in order, and the number of those that no classical bus can carry."""
 
     steps: list[HostStep]
     unsent: int
@@ -26,12 +26,12 @@ class RecordedHost(NamedTuple):
 def host_of(
     trace: Trace, listener: Listener, length_ns: Callable[[str, bytes], int]
 ) -> RecordedHost:
-    """What the host sent; of a cut recording, as far as it goes.
+    """Return the frames of the host; of a cut recording, as far as it goes.
 
     Args:
         trace: the recording.
-        listener: that hears it.
-        length_ns: how long a frame is on a CAN bus [ns]; ValueError: it cannot be on one.
+        listener: the listener that hears it.
+        length_ns: duration of a frame on a CAN bus [ns]; ValueError: impossible on that bus.
 
     Raises:
         TraceError: the recording is damaged.
@@ -53,13 +53,13 @@ def host_of(
                 if adu is not None and isinstance(data, bytes) and isinstance(start_ns, int):
                     text = lines.setdefault(place, ModbusDecoder()).decode(adu).text
                     cutter.take_adu(start_ns, place, data, adu, text)
-        except ValueError:  # a message that is none tells nothing
+        except ValueError:  # an invalid message
             continue
     return RecordedHost(cutter.steps(), cutter.unsent)
 
 
 def answer_size(data: bytes, tcp: bool) -> int | None:
-    """How many bytes the answer that begins so has; None: that is not told, or not yet.
+    """Return the size of an answer from its first bytes; None if it is not yet known.
 
     Source: MODBUS Application Protocol Specification V1.1b3, section 6; on TCP, the header.
     """
@@ -81,7 +81,7 @@ def answer_size(data: bytes, tcp: bool) -> int | None:
 
 
 def _identification_size(data: bytes) -> int | None:
-    """Of an answer to read device identification (2Bh, 0Eh): its objects tell how long each is."""
+    """Return the size of a read device identification answer (2Bh, 0Eh) from its objects."""
     if len(data) < _OBJECTS_AT:
         return None
     at = _OBJECTS_AT

@@ -1,4 +1,4 @@
-"""What nodes, units and motors of a recording are called, by the rig and the EDS files in it."""
+"""Names of nodes, units and motors from the rig and the EDS files in a recording."""
 
 import tomllib
 from collections.abc import Mapping
@@ -20,7 +20,7 @@ class RecordedNames:
     Attributes:
         nodes: (bus, node or unit) to the controller's name.
         motors: a motor's name to (bus, node or unit).
-        objects: (bus, node) to the objects its EDS names.
+        objects: (bus, node) to the objects in its EDS.
     """
 
     nodes: dict[tuple[str, int], str] = field(default_factory=dict)
@@ -29,7 +29,7 @@ class RecordedNames:
 
 
 def names_of(attachments: list[Attachment]) -> RecordedNames:
-    """As far as the attachments tell them; what cannot be read tells nothing."""
+    """Return the names in the attachments; unreadable files are ignored."""
     names = RecordedNames()
     files = {one.name.rpartition("/")[2]: one.data for one in attachments}
     for data in files.values():
@@ -41,7 +41,7 @@ def names_of(attachments: list[Attachment]) -> RecordedNames:
 
 
 def rig_in(data: bytes) -> dict[str, object] | None:
-    """The rig that an attached file is; None: it is none (but a motor model, an EDS)."""
+    """Parse an attached rig; None if the file is something else (a motor model, an EDS)."""
     try:
         found = tomllib.loads(data.decode())
     except (tomllib.TOMLDecodeError, UnicodeDecodeError):
@@ -50,7 +50,7 @@ def rig_in(data: bytes) -> dict[str, object] | None:
 
 
 def is_rig(table: Mapping[str, object]) -> bool:
-    """Whether a TOML file is a rig: not a motor model, nor anything else that goes with it."""
+    """Return True if a TOML file is a rig, not a motor model or another accompanying file."""
     return any(isinstance(table.get(name), dict) for name in _TABLES)
 
 

@@ -1,4 +1,4 @@
-"""All tapes of a recording: one of every CANopen node and Modbus unit that has sent anything."""
+"""Exchange logs of all CANopen nodes and Modbus units in a recording."""
 
 from dataclasses import dataclass
 from typing import Final, final
@@ -15,19 +15,19 @@ from traces.schema import CAN_FRAME, MODBUS_ADU
 from traces.tape import Tape
 
 _RUN: Final = "run"
-"""Metadata that a rig writes: its time begins at 0, with power coming on."""
+"""Metadata of a rig; its time begins at 0, with power-on."""
 
 
 @final
 @dataclass(frozen=True, slots=True)
 class RecordedTapes:
-    """What can be played.
+    """Everything that can be replayed.
 
     Attributes:
-        tapes: by bus or line, and node-ID or unit.
-        decoders: of CAN buses, by name; they have seen the whole recording.
+        tapes: exchange logs by bus or line, and node-ID or unit.
+        decoders: decoders of the CAN buses by name; they have seen the whole recording.
         tcp: the lines that are Modbus/TCP.
-        cut: where the recording ends too early, in words; "": it is whole.
+        cut: where the recording ends prematurely, in words; "": it is complete.
     """
 
     tapes: dict[tuple[str, int], Tape]
@@ -37,11 +37,11 @@ class RecordedTapes:
 
 
 def tapes_of(trace: Trace, any_set_point: bool = False) -> RecordedTapes:
-    """The tapes of a recording; of a cut one, as far as it goes.
+    """Return the exchange logs of a recording; of a cut one, as far as it goes.
 
     Args:
         trace: the recording.
-        any_set_point: the values of set-points in PDOs count for nothing.
+        any_set_point: True to ignore the values of set-points in PDOs.
 
     Raises:
         TraceError: the recording is damaged.
@@ -70,7 +70,7 @@ def tapes_of(trace: Trace, any_set_point: bool = False) -> RecordedTapes:
                     is_tcp = bool(values.get("tcp"))
                     one = LineAdu(time_ns, start_ns, end_ns, adu, is_tcp)
                     lines.setdefault(place, []).append(one)
-        except ValueError:  # a message that is none tells nothing
+        except ValueError:  # an invalid message
             continue
     found: dict[tuple[str, int], Tape] = {}
     for bus, cutter in buses.items():

@@ -1,7 +1,9 @@
-"""The records an MCAP file is made of, as bytes, and their numbers.
+"""Encoding of MCAP records, and their opcodes.
 
-Source: mcap.dev/spec. A record is an opcode, the length of its content (8 bytes) and the content;
-all numbers are little-endian, strings and maps are preceded by their length in bytes (4 bytes).
+A record is an opcode, the length of its content (8 bytes) and the content. All numbers are
+little-endian. Strings and maps are preceded by their length in bytes (4 bytes).
+
+Source: mcap.dev/spec.
 """
 
 import struct
@@ -44,29 +46,29 @@ UINT64: Final = struct.Struct("<Q")
 
 
 def record(opcode: int, content: bytes) -> bytes:
-    """A record."""
+    """Encode a record."""
     return RECORD_HEAD.pack(opcode, len(content)) + content
 
 
 def string(text: str) -> bytes:
-    """A string, its length before it."""
+    """Encode a string with its length."""
     data = text.encode()
     return UINT32.pack(len(data)) + data
 
 
 def string_map(values: Mapping[str, str]) -> bytes:
-    """A map of strings, its length before it."""
+    """Encode a map of strings with its length."""
     data = b"".join(string(key) + string(value) for key, value in values.items())
     return UINT32.pack(len(data)) + data
 
 
 def header(profile: str, library: str) -> bytes:
-    """What a file begins with, behind the magic."""
+    """Encode the header, the first record after the magic."""
     return record(HEADER, string(profile) + string(library))
 
 
 def schema(number: int, name: str, encoding: str, data: bytes) -> bytes:
-    """A schema, from then on known by its number."""
+    """Encode a schema and its number."""
     content = UINT16.pack(number) + string(name) + string(encoding)
     return record(SCHEMA, content + UINT32.pack(len(data)) + data)
 
@@ -74,24 +76,24 @@ def schema(number: int, name: str, encoding: str, data: bytes) -> bytes:
 def channel(
     number: int, schema_number: int, topic: str, encoding: str, metadata: Mapping[str, str]
 ) -> bytes:
-    """A channel, from then on known by its number."""
+    """Encode a channel and its number."""
     content = UINT16.pack(number) + UINT16.pack(schema_number) + string(topic) + string(encoding)
     return record(CHANNEL, content + string_map(metadata))
 
 
 def chunk(first_ns: int, last_ns: int, size: int, crc: int, compression: str, data: bytes) -> bytes:
-    """Records under one compression; times, size and CRC are of what is inside."""
+    """Encode a chunk; times, size and CRC are those of the uncompressed records."""
     content = CHUNK_HEAD.pack(first_ns, last_ns, size, crc) + string(compression)
     return record(CHUNK, content + UINT64.pack(len(data)) + data)
 
 
 def message_index(channel: int, places: bytes) -> bytes:
-    """Where a channel's messages are in the chunk before: packed (log time, offset)."""
+    """Encode a channel's message index: packed (log time, offset) in the preceding chunk."""
     content = UINT16.pack(channel) + UINT32.pack(len(places)) + places
     return record(MESSAGE_INDEX, content)
 
 
-def chunk_index(  # its fields are the record's own
+def chunk_index(  # its parameters are the record's fields
     first_ns: int,
     last_ns: int,
     offset: int,
@@ -102,7 +104,7 @@ def chunk_index(  # its fields are the record's own
     compressed_size: int,
     size: int,
 ) -> bytes:
-    """Where a chunk is, and the message index of each channel behind it (offsets in the file)."""
+    """Encode the index of a chunk and of its message indexes (offsets in the file)."""
     content = struct.pack("<QQQQ", first_ns, last_ns, offset, length)
     offsets = b"".join(struct.pack("<HQ", *one) for one in message_indexes.items())
     content += UINT32.pack(len(offsets)) + offsets + UINT64.pack(message_indexes_length)
@@ -111,7 +113,7 @@ def chunk_index(  # its fields are the record's own
 
 
 def attachment_content(time_ns: int, name: str, media_type: str, data: bytes) -> bytes:
-    """An attachment's content without the CRC that ends it; no time of creation."""
+    """Encode an attachment without its final CRC; the time of creation is 0."""
     content = struct.pack("<QQ", time_ns, 0) + string(name) + string(media_type)
     return content + UINT64.pack(len(data)) + data
 
@@ -119,22 +121,22 @@ def attachment_content(time_ns: int, name: str, media_type: str, data: bytes) ->
 def attachment_index(
     offset: int, length: int, time_ns: int, data_size: int, name: str, media_type: str
 ) -> bytes:
-    """Where an attachment is."""
+    """Encode the index of an attachment."""
     content = struct.pack("<QQQQQ", offset, length, time_ns, 0, data_size)
     return record(ATTACHMENT_INDEX, content + string(name) + string(media_type))
 
 
 def metadata(name: str, values: Mapping[str, str]) -> bytes:
-    """A named table of strings."""
+    """Encode a named table of strings."""
     return record(METADATA, string(name) + string_map(values))
 
 
 def metadata_index(offset: int, length: int, name: str) -> bytes:
-    """Where a metadata record is."""
+    """Encode the index of a metadata record."""
     return record(METADATA_INDEX, struct.pack("<QQ", offset, length) + string(name))
 
 
-def statistics(  # its fields are the record's own
+def statistics(  # its parameters are the record's fields
     counts: Sequence[tuple[int, int]],
     schemas: int,
     attachments: int,
@@ -143,7 +145,7 @@ def statistics(  # its fields are the record's own
     first_ns: int,
     last_ns: int,
 ) -> bytes:
-    """How much of everything; `counts` are (channel, messages), of every channel."""
+    """Encode the statistics; `counts` are (channel, messages) of every channel."""
     per_channel = b"".join(struct.pack("<HQ", *one) for one in counts)
     content = struct.pack(
         "<QHIIIIQQI",
@@ -161,12 +163,12 @@ def statistics(  # its fields are the record's own
 
 
 def summary_offset(opcode: int, start: int, length: int) -> bytes:
-    """Where the summary's records of one kind are."""
+    """Encode the offset of the summary's records of one kind."""
     return record(SUMMARY_OFFSET, struct.pack("<BQQ", opcode, start, length))
 
 
 def read_string(data: bytes, offset: int) -> tuple[str, int]:
-    """(a string, offset behind it); ValueError if the data ends before it does."""
+    """Return a string and the offset after it; ValueError if the data ends before it does."""
     (size,) = UINT32.unpack_from(data, offset)
     end = offset + 4 + int(size)
     if end > len(data):
@@ -175,7 +177,7 @@ def read_string(data: bytes, offset: int) -> tuple[str, int]:
 
 
 def read_string_map(data: bytes, offset: int) -> dict[str, str]:
-    """A map of strings; ValueError if the data ends before it does."""
+    """Return a map of strings; ValueError if the data ends before it does."""
     (size,) = UINT32.unpack_from(data, offset)
     at = offset + 4
     end = at + size

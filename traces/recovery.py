@@ -1,10 +1,10 @@
-"""A recording that was cut, or damaged inside, made whole again as far as it goes.
+"""Recovery of recordings that were cut or damaged.
 
-The file is walked record by record. Where none begins, or a chunk is not what its check sum says,
-the next place is looked for where a record begins that another one follows; what lies between is
-lost, and told with its place and, where that is known, its time. Whole chunks go over as they are;
-of one whose end is missing, the messages in front are saved. Schemas and channels are believed
-most where a check sum covers them: in the summary, if there is one.
+The file is read record by record. Where no record begins, or a chunk does not match its check sum,
+the next record with a valid successor is searched. The bytes between are lost, and are reported
+with their offset and, if known, their time. Complete chunks are copied unchanged. The first
+messages of a chunk whose end is missing are salvaged. Schemas and channels in the summary have
+priority, because a check sum covers them.
 """
 
 import os
@@ -49,10 +49,13 @@ _FOOTER_SIZE: Final = records.RECORD_HEAD.size + records.FOOTER_BODY.size
 @final
 @dataclass(frozen=True, slots=True)
 class Loss:
-    """Bytes that are no whole record.
+    """Bytes that are not a complete record.
 
-    Attributes: offset and size, in the file [bytes]; what, in words; first_ns and last_ns, the log
-    times of the messages in it (None: not known); messages, whether any may have been in it.
+    Attributes:
+        offset, size: place in the file [bytes].
+        what: description in words.
+        first_ns, last_ns: log times of the messages in it; None: unknown.
+        messages: True if it can have contained messages.
     """
 
     offset: int
@@ -74,15 +77,15 @@ class Loss:
 @final
 @dataclass(slots=True)
 class Recovery:
-    """What came of it.
+    """The result of a recovery.
 
     Attributes:
-        messages: in the new file.
-        salvaged: of those, from a chunk whose end is missing.
-        expected: how many the old file says it had; None: it does not say.
+        messages: number of messages in the new file.
+        salvaged: number of those from a chunk whose end is missing.
+        expected: number of messages according to the old file; None: not stated.
         first_ns, last_ns: their earliest and latest log time.
-        losses: in the order of the file.
-        nameless: channels of which nothing was known but their messages; now `/channel/N`.
+        losses: in file order.
+        nameless: channels known only from their messages; now named `/channel/N`.
     """
 
     messages: int = 0
@@ -95,21 +98,21 @@ class Recovery:
 
     @property
     def lost_bytes(self) -> int:
-        """Of all losses."""
+        """The number of bytes of all losses."""
         return sum(loss.size for loss in self.losses)
 
     @property
     def lost_ns(self) -> int:
-        """Between the first and the last message of each loss, as far as they are known."""
+        """The sum of the time between first and last message of each loss, if known."""
         return sum((loss.last_ns or 0) - (loss.first_ns or 0) for loss in self.losses)
 
 
 def recover(source: str, target: str, overwrite: bool = False) -> Recovery:
-    """`target` is a complete recording with everything that could be had of `source`.
+    """Write a complete recording `target` with everything recoverable from `source`.
 
     Raises:
-        TraceError: the source cannot be read or is no MCAP file; the target cannot be written, or
-            exists and may not be lost.
+        TraceError: the source cannot be read or is not an MCAP file; the target cannot be written,
+            or exists and must not be overwritten.
     """
     with suppress(OSError):
         if os.path.samefile(source, target):
@@ -120,10 +123,10 @@ def recover(source: str, target: str, overwrite: bool = False) -> Recovery:
     try:
         with open(source, "rb") as file:
             if not os.fstat(file.fileno()).st_size:
-                raise TraceError(source, "is empty", remedy="nothing can be recovered of it")
+                raise TraceError(source, "is empty", remedy="there is nothing to recover")
             with mmap(file.fileno(), 0, access=ACCESS_READ) as data:
                 if data[: len(records.MAGIC)] != records.MAGIC:
-                    raise TraceError(source, "is no MCAP file", remedy="give a recording")
+                    raise TraceError(source, "is not an MCAP file", remedy="give a recording")
                 return _recover_into(target, data)
     except OSError as error:
         raise TraceError(source, f"cannot be read: {reason(error)}") from error
@@ -147,13 +150,13 @@ def _recover_into(target: str, data: mmap) -> Recovery:
 
 
 def recover_bytes(data: mmap | bytes, out: BinaryIO) -> Recovery:
-    """As `recover`, of a file's bytes (with their magic) into an open file."""
+    """Recover a file's bytes (with their magic) into an open file, like `recover`."""
     return _Walk(data, out).run()
 
 
 @final
 class _Walk:
-    """One way through a damaged file."""
+    """One pass through a damaged file."""
 
     def __init__(self, data: mmap | bytes, out: BinaryIO) -> None:
         self._data = data
@@ -193,7 +196,7 @@ class _Walk:
         return done
 
     def _step(self, offset: int) -> int:
-        """What begins here is taken, or told to be lost; where to go on."""
+        """Take the record at `offset`, or report it lost; return the offset to continue at."""
         found = self._chunk_at(offset)
         if found is not None:
             chunk, end = found
@@ -204,7 +207,9 @@ class _Walk:
         if record is None or record.opcode == records.CHUNK:
             return self._skip(offset)
         if record.opcode == records.MESSAGE:
-            if self._spans or self._has_chunks:  # who writes chunks writes no message beside them
+            if (
+                self._spans or self._has_chunks
+            ):  # a writer of chunks writes no messages outside them
                 return self._skip(offset)
             self._take_loose(record)
         elif record.opcode in _STRUCTURE:
@@ -217,17 +222,17 @@ class _Walk:
             self._ended = True
             behind = record.end + len(records.MAGIC)
             if self._data[record.end : behind] != records.MAGIC:
-                self._lose(record.end, self._size, "the closing magic is not whole", False)
+                self._lose(record.end, self._size, "the closing magic is incomplete", False)
             elif behind < self._size:
-                self._lose(behind, self._size, "bytes behind the end", False)
+                self._lose(behind, self._size, "bytes after the end", False)
         return record.end
 
     # --------------------------------------------------------------------------------- chunks
 
     def _chunk_at(self, offset: int) -> tuple[Chunk, int] | None:
-        """(a chunk that is as its check sum says, its end), whatever its head's bytes say.
+        """Return a chunk that matches its check sum, and its end, whatever its head says.
 
-        So a wrong opcode, and one of two lengths that contradict one another, cost nothing.
+        Thus a wrong opcode, or two contradictory lengths, cost nothing.
         """
         data = self._data
         start = offset + records.RECORD_HEAD.size
@@ -239,7 +244,7 @@ class _Walk:
         at = start + records.CHUNK_HEAD.size + 4 + min(name_size, self._size)
         stored = int.from_bytes(data[at : at + 8], "little")
         ends = {start + length, at + 8 + stored}
-        for end in sorted(ends):  # a wrong one that is greater only has more behind the data
+        for end in sorted(ends):  # a wrong end that is too large only includes bytes after the data
             chunk = chunk_in(data[start:end]) if end <= self._size else None
             if chunk is not None and (chunk.crc or (opcode == records.CHUNK and len(ends) == 1)):
                 return chunk, end
@@ -252,10 +257,10 @@ class _Walk:
         except ValueError as error:
             whole = _whole_records(chunk.content)
             self._done.nameless += self._assembly.content(whole)
-            self._lose(offset, end, f"the end of what is in a chunk ({error})")
+            self._lose(offset, end, f"the end of a chunk's content ({error})")
 
     def _take_loose(self, record: Record) -> None:
-        """Messages outside of chunks are gathered into some."""
+        """Collect messages outside chunks into new chunks."""
         data = records.record(record.opcode, record.content)
         self._loose.append(data)
         self._loose_size += len(data)
@@ -270,7 +275,7 @@ class _Walk:
     # --------------------------------------------------------------------------------- losses
 
     def _skip(self, offset: int) -> int:
-        """What begins here is lost, or what can be had of it is saved; where a record is again."""
+        """Report the bytes at `offset` as lost, or salvage them; return the next offset."""
         data = self._data
         head = data[offset : offset + records.RECORD_HEAD.size]
         stated, opcode = self._size + 1, 0
@@ -285,7 +290,7 @@ class _Walk:
         if is_cut and opcode == records.CHUNK and self._salvage(offset):
             return end
         name = _NAMES.get(opcode, "")
-        what = "no whole record"
+        what = "not a complete record"
         if is_cut and name:
             what = f"{name} whose end is missing"
         elif opcode == records.CHUNK:
@@ -295,7 +300,7 @@ class _Walk:
         return end
 
     def _salvage(self, offset: int) -> bool:
-        """Whether this is a chunk whose end is missing; its first messages are saved."""
+        """Salvage the first messages of a chunk whose end is missing; False for other data."""
         start = offset + records.RECORD_HEAD.size
         there = self._data[start:]
         if len(there) < records.CHUNK_HEAD.size + 4:
@@ -319,7 +324,7 @@ class _Walk:
         return True
 
     def _lose(self, offset: int, end: int, what: str, messages: bool = True) -> None:
-        """These bytes are told to be lost; with the times of the chunks in them."""
+        """Report these bytes as lost, with the times of the chunks in them."""
         spans = [span for place, span in self._spans if offset <= place < end]
         fields = chunk_head(self._data[offset + records.RECORD_HEAD.size : end])
         if not spans and messages and fields is not None and fields[0] <= fields[1]:
@@ -327,12 +332,12 @@ class _Walk:
         first = min((first for first, _ in spans), default=None)
         last = max((last for _, last in spans), default=None)
         if self._spans and not spans:
-            messages = False  # the summary knows every chunk, and none is here
+            messages = False  # the summary lists every chunk, and none of them is here
         self._done.losses.append(Loss(offset, end - offset, what, first, last, messages))
 
 
 def _whole_records(content: bytes) -> bytes:
-    """The content up to where its last whole record ends."""
+    """Return the content up to the end of its last complete record."""
     end = 0
     with suppress(ValueError):
         for _, _, end, _ in messages_in(content):  # noqa: B007  # the last one counts
@@ -341,7 +346,7 @@ def _whole_records(content: bytes) -> bytes:
 
 
 def _summary_of(data: mmap | bytes) -> Iterator[Record]:
-    """The records of the summary, if there is one and its check sum is right."""
+    """Yield the records of the summary, if there is one with a correct check sum."""
     start = len(data) - len(records.MAGIC) - _FOOTER_SIZE
     footer = record_at(data, start) if start > 0 else None
     if footer is None or footer.opcode != records.FOOTER:
@@ -358,13 +363,13 @@ def _summary_of(data: mmap | bytes) -> Iterator[Record]:
 
 
 def _chunk_span(index: Record) -> tuple[int, tuple[int, int]]:
-    """(where a chunk begins, its earliest and latest log time), as an index says."""
+    """Return a chunk's offset, and its earliest and latest log time, from a chunk index."""
     first, last, offset = (int.from_bytes(index.content[k : k + 8], "little") for k in (0, 8, 16))
     return offset, (first, last)
 
 
 def _is_indexed(data: mmap | bytes) -> bool:
-    """Whether a message index stands behind the first chunk."""
+    """Return True if a message index follows the first chunk."""
     offset = len(records.MAGIC)
     record = record_at(data, offset)
     while record is not None and record.opcode != records.CHUNK:

@@ -1,4 +1,4 @@
-"""What is read and written here stays put: files, and no pipes; devices are not replaced."""
+"""Protection against pipes and devices as input or output files."""
 
 import os
 import stat
@@ -18,22 +18,23 @@ _STREAMS: Final = _KINDS[:2]
 
 
 def refuse_pipe(path: str | os.PathLike[str]) -> None:
-    """A recording is read here and there in it, and more than once; a pipe gives it once.
+    """Refuse a pipe or socket as input: recordings need random access and repeated reading.
 
     Raises:
-        TraceError: it is a pipe or a socket. It has not been opened, so nobody waits for it.
+        TraceError: the path is a pipe or a socket. It has not been opened, so no process waits for
+            it.
     """
     kind = _kind_of(path, _STREAMS)
     if kind is not None:
-        what = f"is {kind}, and read from its beginning to its end only"
+        what = f"is {kind}, which can only be read from beginning to end"
         raise TraceError(os.fspath(path), what, remedy="write it to a file first")
 
 
 def place_to_replace(target: str | os.PathLike[str]) -> str:
-    """Where a file stands that is to be replaced: behind its symbolic links.
+    """Return the real path of a file to be replaced, with symbolic links resolved.
 
     Raises:
-        TraceError: what stands there is no file, and would be gone for everybody.
+        TraceError: the path is not a regular file, and must not be destroyed.
     """
     kind = _kind_of(target, _KINDS)
     if kind is not None:
@@ -44,10 +45,10 @@ def place_to_replace(target: str | os.PathLike[str]) -> str:
 
 @contextmanager
 def whole_file(target: str) -> Iterator[BinaryIO]:
-    """A file that will be the target: it is there whole, or not at all.
+    """Open a file that replaces the target on success; the target is never incomplete.
 
     Raises:
-        TraceError: it cannot be written, or what stands there is no file.
+        TraceError: the file cannot be written, or the target is not a regular file.
     """
     place = place_to_replace(target)
     part = f"{place}.part"
@@ -69,6 +70,6 @@ def _kind_of(
 ) -> str | None:
     try:
         mode = os.stat(path).st_mode
-    except (OSError, ValueError):  # whoever opens it tells why
+    except (OSError, ValueError):  # opening the file reports the reason
         return None
     return next((words for is_it, words in kinds if is_it(mode)), None)

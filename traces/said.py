@@ -1,4 +1,4 @@
-"""What one frame or ADU says: in a sentence, and as facts that a machine can compare."""
+"""Decoded frames and ADUs: a sentence, and facts for comparison."""
 
 from dataclasses import dataclass
 from enum import Enum
@@ -9,7 +9,7 @@ Value = int | float | str | bytes
 
 @final
 class Kind(Enum):
-    """What a frame is for."""
+    """The purpose of a frame."""
 
     NMT = "nmt"
     SYNC = "sync"
@@ -31,24 +31,26 @@ PERIODIC: Final = (Kind.SYNC, Kind.TIME, Kind.HEARTBEAT, Kind.TPDO, Kind.RPDO)
 
 
 FOREIGN: Final = "id "
-"""How the subject begins of a frame that is of no service: its identifier follows."""
+"""Prefix of the subject of a frame of no known service; the identifier follows."""
 CONTROLLER: Final = "CAN controller"
-"""How the subject begins of an error message, which is no traffic: the state that it tells, or
-"CAN controller's errors"; then whose it is, if that is no node.
+"""Prefix of the subject of an error message, which is not traffic.
+
+The subject is "CAN controller" for its state, or "CAN controller's errors". The origin follows, if
+it is not a node.
 """
 
 
 @final
 @dataclass(frozen=True, slots=True)
 class Fact:
-    """One thing that is now known of a node.
+    """One known fact about a node.
 
     Attributes:
-        subject: of what ("6041h", "NMT state", "register 6002h").
-        value: as a number, text or bytes.
+        subject: the subject ("6041h", "NMT state", "register 6002h").
+        value: the value as a number, text or bytes.
         text: the value in words.
-        told_to: whether it was told to the node (a command), else by it.
-        motion: whether it is a measured or demanded quantity, which varies from run to run.
+        told_to: True for a command to the node, False for a report by it.
+        motion: True for a measured or demanded quantity, which varies from run to run.
     """
 
     subject: str
@@ -61,15 +63,15 @@ class Fact:
 @final
 @dataclass(frozen=True, slots=True)
 class Said:
-    """What a frame says.
+    """The decoded content of a frame.
 
     Attributes:
-        kind: what it is for.
-        node: whose it is, or whom it is for; None: nobody's, or all nodes'.
+        kind: its purpose.
+        node: its source or destination; None: none, or all nodes.
         text: a sentence.
-        facts: what is known by it; of a transfer in several frames, when it is complete.
-        index: of the object an SDO is about; None: of none, or it is not known.
-        subindex: of the same.
+        facts: the resulting facts; for a transfer in several frames, when it is complete.
+        index: of the object of an SDO; None: none, or unknown.
+        subindex: of the same object.
     """
 
     kind: Kind

@@ -1,8 +1,8 @@
-"""Reads rows of car loggers as they stand on SD cards: milliseconds, "x", identifier, data.
+"""Reader for rows of car loggers: milliseconds, "x", identifier, data.
 
-    000000ADx089A0C020000000000000000
+  000000ADx089A0C020000000000000000
 
-All is hexadecimal; of the identifier 11 or 29 bits are told by its value alone.
+All numbers are hexadecimal; only the value of an identifier shows if it has 11 or 29 bits.
 
 Source: recordings of UW Formula Motorsports (../shared/data/traffic/INDEX.md).
 """
@@ -18,25 +18,27 @@ _ROW: Final = re.compile(r"([0-9A-Fa-f]{8})x([0-9A-Fa-f]{8})((?:[0-9A-Fa-f]{2}){
 
 
 def looks_like_sd_rows(line: str) -> bool:
-    """Whether it is such a row."""
+    """Return True for such a row."""
     return _ROW.match(line.strip()) is not None
 
 
 @final
 class SdRowReader:
-    """Rows of such a card."""
+    """Reader of such rows."""
 
     name = "sd-rows"
 
     def take(self, line: str, findings: Findings) -> Sequence[Frame]:
-        """The frame of a line. Raises ValueError: why it cannot be read."""
+        """Return the frame of a line. Raises ValueError with the reason if it is unreadable."""
         stripped = line.strip()
         if not stripped:
             return ()
         match = _ROW.match(stripped)
         if match is None:
-            raise ValueError("no frame")
-        findings.note("identifiers up to 7FFh are taken for 11 bits: the rows do not tell")
+            raise ValueError("not a frame")
+        findings.note(
+            "identifiers up to 7FFh are read as 11 bits; the rows do not state the format"
+        )
         can_id = int(match[2], 16)
         if can_id > traffic.EFF_MASK:
             raise ValueError(f"identifier {match[2]} has more than 29 bits")

@@ -1,7 +1,7 @@
-"""Where two recordings begin to mean something else.
+"""Semantic differences between two recordings.
 
-Compared are the orders that `traces.meaning` finds, one by one, and motion: a quantity may be at
-most a tolerance away from where the other recording has it within a tolerance of time.
+Each order of commands and reports in `Meaning` is compared, and motion. A quantity must be within a
+tolerance of the other recording's value, within a tolerance of time.
 """
 
 from bisect import bisect_left, bisect_right
@@ -12,7 +12,7 @@ from typing import Final, final
 from traces.meaning import Item, Key, Meaning
 
 _MEASURED_MIN: Final = 32
-"""So many different values, in both, and what tells them is measured: no order of values is due."""
+"""The number of different values in both from which on a subject is a measured quantity."""
 
 Series = tuple[list[int], list[float]]
 
@@ -20,10 +20,12 @@ Series = tuple[list[int], list[float]]
 @final
 @dataclass(frozen=True, slots=True)
 class Tolerance:
-    """How far motion may be apart.
+    """Tolerances of motion.
 
-    Attributes: position, of motors [rad or m]; time_ns; share, of a quantity's own range, for
-    quantities in the units of a drive (and two of them at least).
+    Attributes:
+        position: of motors [rad or m].
+        time_ns: of all times.
+        share: of a quantity's own range, for quantities in drive units (at least two of them).
     """
 
     position: float = 0.01
@@ -34,9 +36,12 @@ class Tolerance:
 @final
 @dataclass(frozen=True, slots=True)
 class Difference:
-    """The first difference of one order or quantity; None: that recording tells nothing there.
+    """The first difference of one order or quantity; None: nothing there in that recording.
 
-    Attributes: key, label (what it is about), first and second (what each tells).
+    Attributes:
+        key: the subject.
+        label: the subject in words.
+        first, second: the report in each recording.
     """
 
     key: Key
@@ -46,7 +51,7 @@ class Difference:
 
     @property
     def time_ns(self) -> int:
-        """When it begins."""
+        """The time at which it begins."""
         return min(item.time_ns for item in (self.first, self.second) if item is not None)
 
     def __str__(self) -> str:
@@ -54,7 +59,7 @@ class Difference:
 
 
 def differences(first: Meaning, second: Meaning, tolerance: Tolerance) -> list[Difference]:
-    """The first difference of each order and quantity, by time; none: they mean the same."""
+    """Return the first difference of each order and quantity, by time; empty if none."""
     found: list[Difference] = []
     labels = {**second.labels, **first.labels}
     for key in {**first.items, **second.items}:
@@ -73,7 +78,7 @@ def differences(first: Meaning, second: Meaning, tolerance: Tolerance) -> list[D
 
 
 def is_measured(items: list[Item]) -> bool:
-    """Whether it takes on so many values that it must be a quantity; commands never are."""
+    """Return True if the reports have so many values that they are a measured quantity."""
     if len(items) < _MEASURED_MIN or len({item.what[0] for item in items}) > 1:
         return False
     return len(dict.fromkeys(item.what for item in items)) >= _MEASURED_MIN
@@ -106,7 +111,7 @@ def _of_motion(
 
 
 def allowed_of(key: Key, one: Series, other: Series, tolerance: Tolerance) -> float:
-    """How far the two may be apart, in the quantity's own unit."""
+    """Return the tolerance between the two, in the quantity's own unit."""
     if key[1] is None and key[2] == "position":
         return tolerance.position
     spread = max(max(one[1]) - min(one[1]), max(other[1]) - min(other[1]))
@@ -114,9 +119,10 @@ def allowed_of(key: Key, one: Series, other: Series, tolerance: Tolerance) -> fl
 
 
 def apart(series: Series, against: Series, time_ns: int) -> Iterator[tuple[int, float]]:
-    """(time [ns], distance) of each sample from where the other series is within `time_ns` of it.
+    """Yield (time [ns], distance) of each sample from the other series within `time_ns`.
 
-    Between samples that is on a line; before the first and behind the last it stands still.
+    The other series is interpolated linearly; before its first and after its last sample it is
+    constant.
     """
     times, values = against
     for now_ns, value in zip(*series, strict=True):
@@ -129,7 +135,7 @@ def apart(series: Series, against: Series, time_ns: int) -> Iterator[tuple[int, 
 def _first_apart(
     series: Series, against: Series, allowed: float, time_ns: int
 ) -> tuple[Item, Item] | None:
-    """The first sample that is not where the other series is at that time."""
+    """Return the first sample that deviates from the other series, and the other's value."""
     for (now_ns, distance), value in zip(apart(series, against, time_ns), series[1], strict=True):
         if distance > allowed:
             there = _at(against, now_ns)

@@ -1,8 +1,8 @@
-"""CAN frames in packet captures: SocketCAN's, in pcap and pcapng; writes pcapng.
+"""CAN frames in packet captures of SocketCAN; reads pcap and pcapng, writes pcapng.
 
-Linux's frames with the identifier turned to network order are link type 227; on "any" or cooked
-captures they stand behind a head. Which interface a packet came from and which way it went only
-pcapng tells; who sent it, only one of ours.
+Linux's frames with the identifier in network byte order are link type 227. In captures of "any" or
+cooked ones they follow a head. Only pcapng contains a packet's interface and direction; only our
+files contain the sender.
 
 Source: LINKTYPE_CAN_SOCKETCAN, LINKTYPE_LINUX_SLL, tcpdump.org; draft-ietf-opsawg-pcapng.
 """
@@ -26,7 +26,7 @@ _HEAD: Final = struct.Struct(">IBB2x")
 
 
 def is_capture(head: bytes) -> bool:
-    """Whether a file that begins so is a capture."""
+    """Return True if a file with this beginning is a capture."""
     return head[:4] in (
         MAGIC,
         b"\xd4\xc3\xb2\xa1",
@@ -37,10 +37,10 @@ def is_capture(head: bytes) -> bool:
 
 
 def captured_frames(path: str, findings: Findings) -> Iterator[Frame]:
-    """The CAN frames of a capture, in its order; what else is in it is counted in a note.
+    """Yield the CAN frames of a capture in order; other packets are counted in a note.
 
     Raises:
-        TraceError: it cannot be read, or is no capture.
+        TraceError: the file cannot be read, or is not a capture.
     """
     capture = Capture(path)
     told = origins(Path(path).read_bytes())
@@ -62,13 +62,13 @@ def captured_frames(path: str, findings: Findings) -> Iterator[Frame]:
         way = origin.direction or direction
         yield Frame(packet.time_ns, origin.interface, frame, way, origin.sender or "")
     if others:
-        findings.note(f"{others} packets are no CAN frames, and left out")
+        findings.note(f"{others} packets are not CAN frames, and are omitted")
     for problem in capture.problems:
         findings.problem(0, problem.removeprefix(f"{path}: "))
 
 
 def _can_part(packet: Packet) -> tuple[bytes | None, Direction]:
-    """Linux's frame in a packet, None: there is none; and which way a cooked one went."""
+    """Return Linux's frame in a packet, or None, and the direction of a cooked one."""
     data = packet.data
     if packet.link_type == _SOCKETCAN:
         return data, Direction.UNKNOWN
@@ -85,7 +85,7 @@ def _can_part(packet: Packet) -> tuple[bytes | None, Direction]:
 
 def _frame(content: bytes, missing: int) -> bytes:
     if len(content) < 8:
-        raise ValueError(f"{len(content)} bytes are no CAN frame")
+        raise ValueError(f"{len(content)} bytes are not a CAN frame")
     can_id, length, flags = _HEAD.unpack_from(content)
     fd = bool(flags & traffic.FDF) or len(content) > 16
     data = content[8 : 8 + length]
@@ -98,7 +98,7 @@ def _frame(content: bytes, missing: int) -> bytes:
 
 
 def write_pcapng(file: BinaryIO, buses: Sequence[str], frames: Iterator[Frame]) -> None:
-    """A pcapng file of nanoseconds, an interface a bus."""
+    """Write a pcapng file with nanoseconds, one interface per bus."""
     writer = PcapngWriter(file)
     which = {bus: writer.interface(_SOCKETCAN, bus) for bus in buses}
     for time_ns, bus, frame, direction, sender in frames:

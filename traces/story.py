@@ -1,4 +1,4 @@
-"""A recording as sentences, in order: frames, ADUs, locks, groups and events with their times."""
+"""A recording in words: frames, ADUs, locks, groups and events in order."""
 
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
@@ -28,10 +28,10 @@ PREAMBLE_MAX: Final = 50_000
 _ID_MASK: Final = 0x1FFF_FFFF
 _LOCK_WORDS: Final = {
     LockAction.TAKEN: "takes {motor}",
-    LockAction.RELEASED: "gives {motor} back",
+    LockAction.RELEASED: "releases {motor}",
     LockAction.WAITING: "waits for {motor}",
     LockAction.REFUSED: "is refused {motor}",
-    LockAction.BROKEN: "takes {motor} from one who died",
+    LockAction.BROKEN: "takes {motor} from a dead owner",
     LockAction.TAKEN_OVER: "takes {motor} over",
     LockAction.LOST: "has lost {motor}",
 }
@@ -45,12 +45,12 @@ class Line:
     Attributes:
         time_ns: log time.
         topic: of the message.
-        place: the last part that names it: the bus, line, motor or group; "events".
+        place: the name in the topic: the bus, line, motor or group; "events".
         text: a sentence.
-        said: what its decoder says; None: it is no traffic.
-        identifier: of a CAN frame; None: it is none.
-        names: motors and controllers it is about, by name.
-        values: the message's own fields; of a CAN frame none.
+        said: the decoded content; None: not traffic.
+        identifier: of a CAN frame; else None.
+        names: names of the motors and controllers concerned.
+        values: the message's own fields; none for a CAN frame.
     """
 
     time_ns: int
@@ -65,7 +65,7 @@ class Line:
 
 @final
 class Story:
-    """Tells an open recording. A decoder's memory goes with it: tell it from front to back."""
+    """Describes an open recording in words; read it from front to back (decoders have state)."""
 
     def __init__(self, trace: Trace) -> None:
         self.names: RecordedNames = names_of(trace.attachments)
@@ -77,10 +77,10 @@ class Story:
         self._motors = {place: name for name, place in self.names.motors.items()}
 
     def lines(self, from_ns: int | None = None, to_ns: int | None = None) -> Iterator[Line]:
-        """What happened in this span; motion and plants are not told (they are for plots).
+        """Yield the messages of a span in words, without motion and plants (which need plots).
 
-        Where the span begins later, what PDOs carry is first learned from the recording's
-        beginning: its first `PREAMBLE_NS`, `PREAMBLE_MAX` frames at most.
+        If the span begins later, the contents of PDOs are first learned from the recording's
+        beginning: its first `PREAMBLE_NS`, at most `PREAMBLE_MAX` frames.
 
         Raises:
             TraceError: the recording is damaged.
@@ -90,7 +90,7 @@ class Story:
         yield from self._told(self._trace.messages(None, from_ns, to_ns))
 
     def more_lines(self, from_ns: int | None = None, to_ns: int | None = None) -> Iterator[Line]:
-        """As `lines`, of what has been written since this was asked last (`Trace.grow`)."""
+        """Yield the lines written since the last call (`Trace.grow`), like `lines`."""
         if from_ns is not None and not self._has_learned:
             self._learn(from_ns)
         self._has_learned = True
@@ -107,7 +107,7 @@ class Story:
                 yield line
 
     def line(self, message: TraceMessage) -> Line | None:
-        """One message in words; None if it is of a kind that is not told."""
+        """Return one message in words; None for a kind that is not described."""
         channel, time_ns, payload = message
         topic = channel.topic
         schema = channel.schema.name if channel.schema is not None else ""
@@ -128,7 +128,7 @@ class Story:
                     values=tuple(fields.items()),
                 )
         except ValueError as error:
-            return Line(time_ns, topic, place, f"a message that cannot be read: {error}")
+            return Line(time_ns, topic, place, f"unreadable message: {error}")
         return None
 
     def _learn(self, from_ns: int) -> None:
@@ -149,7 +149,7 @@ class Story:
             decoder = self._buses[bus] = CanopenDecoder(nodes, objects)
         frame, _, sender = self._decode_frame(payload)
         said = decoder.decode(frame, sender)
-        identifier = None  # of an error message: its bits are no identifier
+        identifier = None  # None for an error message: its bits are not an identifier
         if said.kind is not Kind.BUS_ERROR:
             identifier = int.from_bytes(frame[:4], "little") & _ID_MASK
         return Line(time_ns, topic, bus, said.text, said, identifier, self._about(bus, said.node))
@@ -165,9 +165,9 @@ class Story:
         to_server = fields.get("direction") == Direction.TRANSMITTED
         adu, problem = adu_of(time_ns, data, tcp=bool(fields.get("tcp")), to_server=to_server)
         if fields.get("spoiled"):
-            adu, problem = None, "it was spoiled on the line"
+            adu, problem = None, "it was corrupted on the line"
         if adu is None:
-            text = f"Modbus, no ADU ({problem}): {data.hex(' ').upper()}"
+            text = f"Modbus, not an ADU ({problem}): {data.hex(' ').upper()}"
             return Line(time_ns, topic, name, text)
         if not to_server and sender:
             decoder.call(adu.unit, sender)
@@ -176,7 +176,7 @@ class Story:
         return Line(time_ns, topic, name, said.text, said, None, self._about(name, said.node))
 
     def _about(self, bus: str, node: int | None) -> tuple[str, ...]:
-        """The controller and the motor that a node is."""
+        """Return the motor and the controller of a node."""
         if node is None:
             return ()
         controller = self.names.nodes.get((bus, node))
@@ -187,10 +187,10 @@ class Story:
 def _lock(motor: str, fields: dict[str, Value]) -> tuple[str, tuple[str, ...]]:
     number = fields.get("action", 0)
     action = next((one for one in LockAction if one == number), LockAction.UNKNOWN)
-    words = _LOCK_WORDS.get(action, "does something unknown to {motor}").format(motor=motor)
-    text = f"{_text(fields, 'owner') or 'somebody'} {words}"
+    words = _LOCK_WORDS.get(action, "takes an unknown action on {motor}").format(motor=motor)
+    text = f"{_text(fields, 'owner') or 'unknown owner'} {words}"
     if fields.get("holder"):
-        text += f", which is {_text(fields, 'holder')}'s"
+        text += f", held by {_text(fields, 'holder')}"
     waited, held = fields.get("waited_s", 0.0), fields.get("held_s", 0.0)
     if isinstance(waited, float) and waited:
         text += f", after waiting {waited:.3f} s"
@@ -218,7 +218,7 @@ def _log(_: str, fields: dict[str, Value]) -> tuple[str, tuple[str, ...]]:
 
 
 def _text(fields: dict[str, Value], name: str) -> str:
-    """A field that is text; empty if it is absent."""
+    """Return a text field; empty if it is absent."""
     value = fields.get(name)
     return value if isinstance(value, str) else ""
 

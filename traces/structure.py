@@ -1,4 +1,4 @@
-"""What the records of a file's structure say: schemas, channels, attachments."""
+"""Contents of structural records: schemas, channels, attachments."""
 
 import struct
 import zlib
@@ -13,7 +13,7 @@ from traces.schema import Schema
 @final
 @dataclass(frozen=True, slots=True)
 class Channel:
-    """A topic and how its messages are encoded; `schema` is None if there is none."""
+    """A topic and the encoding of its messages; `schema` is None if there is none."""
 
     number: int
     topic: str
@@ -25,7 +25,7 @@ class Channel:
 @final
 @dataclass(frozen=True, slots=True)
 class Attachment:
-    """A file inside the file."""
+    """A file inside the recording."""
 
     name: str
     media_type: str
@@ -34,7 +34,7 @@ class Attachment:
 
 
 def schema_in(content: bytes) -> tuple[int, Schema]:
-    """(number, schema) of a schema record; ValueError or struct.error: it is damaged."""
+    """Parse a schema record into number and schema; ValueError or struct.error if damaged."""
     (number,) = records.UINT16.unpack_from(content)
     name, at = records.read_string(content, 2)
     encoding, at = records.read_string(content, at)
@@ -43,7 +43,7 @@ def schema_in(content: bytes) -> tuple[int, Schema]:
 
 
 def channel_in(content: bytes, schemas: Mapping[int, Schema]) -> Channel:
-    """The channel of a channel record; ValueError, KeyError or struct.error: it is damaged."""
+    """Parse a channel record; ValueError, KeyError or struct.error if damaged."""
     number, schema = struct.unpack_from("<HH", content)
     topic, at = records.read_string(content, 4)
     encoding, at = records.read_string(content, at)
@@ -52,7 +52,7 @@ def channel_in(content: bytes, schemas: Mapping[int, Schema]) -> Channel:
 
 
 def attachment_in(content: bytes) -> Attachment:
-    """The file of an attachment record; ValueError or struct.error: it is damaged."""
+    """Parse an attachment record; ValueError or struct.error if damaged."""
     (time_ns,) = records.UINT64.unpack_from(content)
     name, at = records.read_string(content, 16)
     media_type, at = records.read_string(content, at)
@@ -62,5 +62,5 @@ def attachment_in(content: bytes) -> Attachment:
     data = content[at + 8 : at + 8 + size]
     (crc,) = records.UINT32.unpack_from(content, at + 8 + size)
     if crc not in (0, zlib.crc32(content[: at + 8 + size])):
-        raise ValueError("its CRC does not fit")
+        raise ValueError("its CRC is wrong")
     return Attachment(name, media_type, time_ns, data)

@@ -1,4 +1,4 @@
-"""What stands at the end of an MCAP file, gathered while the rest is written."""
+"""Summary section of an MCAP file, collected while the rest is written."""
 
 import zlib
 from collections.abc import Mapping, Sequence
@@ -7,7 +7,7 @@ from typing import final
 from traces import records
 
 
-def framed_chunk(  # its fields are the record's own
+def framed_chunk(  # its parameters are the record's fields
     offset: int,
     first_ns: int,
     last_ns: int,
@@ -17,17 +17,17 @@ def framed_chunk(  # its fields are the record's own
     data: bytes,
     places: Sequence[tuple[int, bytes]],
 ) -> tuple[bytes, bytes, bytes]:
-    """(a chunk that will stand at `offset`, its index for the summary, its message indexes).
+    """Return a chunk to be written at `offset`, its chunk index and its message indexes.
 
     Args:
         offset: in the file.
         first_ns: earliest log time in it [ns].
         last_ns: latest log time in it [ns].
-        size: of the records inside, uncompressed [bytes].
-        crc: of those.
-        compression: how they became `data`.
-        data: as they are written.
-        places: of each channel, the packed (log time, offset) of its messages; none: no index.
+        size: of the uncompressed records [bytes].
+        crc: of the uncompressed records.
+        compression: of `data`.
+        data: as written.
+        places: packed (log time, offset) of each channel's messages; empty: no index.
     """
     record = records.chunk(first_ns, last_ns, size, crc, compression, data)
     offsets: dict[int, int] = {}
@@ -46,10 +46,12 @@ def framed_chunk(  # its fields are the record's own
 
 @final
 class Summary:
-    """Records for the summary, in the order in which what they tell of was written.
+    """Records for the summary, in the order in which their subjects were written.
 
-    Attributes: schemas, channels, chunk_indexes, attachment_indexes, metadata_indexes (records);
-    counts, messages by channel; first_ns (None: there is no message) and last_ns.
+    Attributes:
+        schemas, channels, chunk_indexes, attachment_indexes, metadata_indexes: records.
+        counts: messages by channel.
+        first_ns, last_ns: earliest and latest log time; first_ns is None without messages.
     """
 
     def __init__(self) -> None:
@@ -65,7 +67,7 @@ class Summary:
     def add_chunk(
         self, index: bytes, first_ns: int, last_ns: int, counts: Mapping[int, int]
     ) -> None:
-        """A chunk is in the file: its index, times, and messages by channel."""
+        """Add a chunk: its index, times, and messages by channel."""
         self.chunk_indexes.append(index)
         for channel, count in counts.items():
             self.counts[channel] = self.counts.get(channel, 0) + count
@@ -73,7 +75,7 @@ class Summary:
         self.last_ns = max(last_ns, self.last_ns)
 
     def ending(self, offset: int, crc: int) -> bytes:
-        """All behind the last chunk: data end, summary, summary offsets, footer, magic.
+        """Return everything after the last chunk: data end, summary, offsets, footer, magic.
 
         Args:
             offset: of the end of the data.

@@ -1,10 +1,11 @@
-"""What a recorded controller was told, and what came of it: a recording cut up by cause.
+"""Exchange log of a recorded controller: commands, polls and its responses.
 
-A tape is a sequence of steps. A step is something the controller was told. A *command* (a write, a
-set-point, an NMT command) changes it: what it then sends by itself belongs to that command, at a
-delay behind it. A *poll* (a read, a SYNC at rest) changes nothing: it is answered, and may be asked
-more or less often than in the recording. Steps are found again by their key and order, never by
-time stamps, so that a host that is faster or slower than the recorded one gets the same answers.
+An exchange log is a sequence of steps. A step is something sent to the controller. A *command* (a
+write, a set-point, an NMT command) changes the controller. Frames that it then sends by itself
+belong to that command, at a delay after it. A *poll* (a read, a SYNC at rest) changes nothing: it
+is answered, and can be repeated more or less often than in the recording. Steps are matched by key
+and order, not by time. So a host that is faster or slower than the recorded one gets the same
+answers.
 """
 
 from collections.abc import Sequence
@@ -14,15 +15,15 @@ from itertools import pairwise
 from typing import Final, final
 
 Key = tuple[str, int, bytes]
-"""What kind of thing is told; the object, identifier or command it is about; its data."""
+"""Kind; object, identifier or command; data."""
 
 START: Final[Key] = ("start", 0, b"")
-"""The key of a tape's first step: the recording begins."""
+"""The key of the first step: the start of the recording."""
 
 
 @final
 class Role(Enum):
-    """What being told this does."""
+    """The effect of a step on the controller."""
 
     COMMAND = "command"
     POLL = "poll"
@@ -31,13 +32,13 @@ class Role(Enum):
 @final
 @dataclass(frozen=True, slots=True)
 class Sent:
-    """Something the controller sent.
+    """A frame sent by the controller.
 
     Attributes:
-        delay_ns: from what it answers, or follows, being complete until it was complete.
+        delay_ns: from the end of its cause to its own end.
         data: a Linux can_frame; of a Modbus unit, an RTU frame.
-        duration_ns: from its first bit to its last, where the recording tells; else 0.
-        goes_on: whether the next of its kind came a period later, whatever happened meanwhile.
+        duration_ns: from its first bit to its last, if recorded; else 0.
+        goes_on: True if the next of its kind followed one period later, in any case.
     """
 
     delay_ns: int
@@ -49,7 +50,7 @@ class Sent:
 @final
 @dataclass(slots=True)
 class Turn:
-    """One exchange of a dialogue: what the host sends next, and what it is answered."""
+    """One exchange of a dialogue: a frame of the host and its answers."""
 
     asked: bytes
     answers: list[Sent] = field(default_factory=list)
@@ -58,16 +59,16 @@ class Turn:
 @final
 @dataclass(slots=True)
 class Step:
-    """Something the controller was told.
+    """Something sent to the controller.
 
     Attributes:
-        role: what it does.
-        key: what it is found by.
-        time_ns: when it was told in the recording.
-        text: as a sentence; of a PDO none, see `traces.canopen_tapes.sentence`.
-        turns: the exchanges of an SDO transfer or a Modbus request; the first one is what was told.
-        answers: what a SYNC or a remote frame is answered.
-        reactions: of a command: what the controller then sends by itself, until the next command.
+        role: its effect.
+        key: the key by which it is found.
+        time_ns: its time in the recording.
+        text: a sentence; empty for a PDO, see `canopen_tapes.sentence`.
+        turns: the exchanges of an SDO transfer or a Modbus request; the first is the request.
+        answers: the answers to a SYNC or a remote frame.
+        reactions: frames the controller sends by itself after a command, until the next command.
         answer_text: its last answer as a sentence; "" if there is none.
     """
 
@@ -84,16 +85,16 @@ class Step:
 @final
 @dataclass(slots=True)
 class Tape:
-    """A recorded controller.
+    """The exchange log of one recorded controller.
 
     Attributes:
         bus: of the recording.
         number: node-ID or unit.
-        steps: in their order; the first is the recording's beginning (`START`).
-        periods_ns: of what it sends periodically by itself, by identifier.
-        masks: of PDOs to it, what of their 8 data bytes counts, by identifier; else all does. Each
-            with how many commands it was told before the first that it holds for.
-        syncs: the identifiers of SYNCs that it heard.
+        steps: in order; the first is the start of the recording (`START`).
+        periods_ns: periods of cyclic frames by identifier.
+        masks: for PDOs to it, the relevant bits of their 8 data bytes, by identifier; without a
+            mask, all. Each has the number of commands before it takes effect.
+        syncs: the identifiers of SYNCs that it used.
     """
 
     bus: str
@@ -105,14 +106,14 @@ class Tape:
 
 
 REGULAR_MIN: Final = 4
-"""So many intervals alike make something periodic."""
+"""The number of similar intervals from which on frames are periodic."""
 
 
 def period_ns(times_ns: Sequence[int]) -> int | None:
-    """The period of what came at these times; None: it has none.
+    """Return the period of frames at these times; None if they have none.
 
-    Most intervals are within a tenth of the middle one; what is sent on events besides has shorter
-    ones between them.
+    Most intervals must be within a tenth of the median. Additional frames sent on events make
+    shorter intervals.
     """
     steps = sorted(b - a for a, b in pairwise(times_ns))
     if len(steps) < REGULAR_MIN:

@@ -1,8 +1,8 @@
-"""The bytes of TCP connections, in order, out of captured packets.
+"""Byte streams of TCP connections, reassembled from captured packets.
 
-What was sent twice is there once; what came out of order is put in order; where bytes are missing
-(they were not captured, or the capture began in the middle of a connection) a gap is told, and the
-stream goes on behind it.
+Retransmissions are removed, and packets that arrived out of order are sorted. Missing bytes (not
+captured, or the capture began in the middle of a connection) are reported as a gap, and the stream
+continues after it.
 
 Source: RFC 791, RFC 8200, RFC 9293; the link types of the IANA registry.
 """
@@ -28,13 +28,13 @@ _EXTENSIONS: Final = (0, 43, 60)  # hop-by-hop, routing, destination options
 _SYN: Final = 0x02
 _SPAN: Final = 1 << 32
 _HELD_MAX: Final = 64
-"""So many segments may wait for one that is missing; then it is taken for lost."""
+"""The number of segments that wait for a missing one before it counts as lost."""
 
 
 @final
 @dataclass(frozen=True, slots=True)
 class Way:
-    """One direction of a connection: addresses as text, ports."""
+    """One direction of a connection: addresses as text, and ports."""
 
     source: str
     source_port: int
@@ -53,10 +53,14 @@ class Way:
 @final
 @dataclass(frozen=True, slots=True)
 class Piece:
-    """Bytes of a stream, in order.
+    """Consecutive bytes of a stream.
 
-    Attributes: way, time_ns (of the packet that completed them), data, packet (its number), gap
-    (bytes missing in front of it; -1: the connection begins here).
+    Attributes:
+        way: the direction.
+        time_ns: time of the packet that completed them.
+        data: the bytes.
+        packet: number of that packet.
+        gap: number of bytes missing before them; -1: the connection begins here.
     """
 
     way: Way
@@ -68,15 +72,15 @@ class Piece:
 
 @final
 class _Stream:
-    """One direction while it is put together."""
+    """Reassembly of one direction."""
 
     def __init__(self) -> None:
-        self.next: int | None = None  # the sequence number awaited
+        self.next: int | None = None  # the expected sequence number
         self.held: dict[int, tuple[int, bytes, int]] = {}  # by sequence number
 
 
 def pieces(packets: Iterable[Packet]) -> Iterator[Piece]:
-    """What the TCP connections in these packets carry, each direction in its order."""
+    """Yield the payload of all TCP connections in these packets, each direction in order."""
     streams: dict[Way, _Stream] = {}
     for packet in packets:
         found = _segment(packet)
@@ -103,7 +107,7 @@ def _take(
 ) -> Iterator[Piece]:
     assert stream.next is not None
     ahead = (sequence - stream.next) % _SPAN
-    if ahead >= _SPAN // 2:  # begins before what is awaited: sent again, or partly new
+    if ahead >= _SPAN // 2:  # starts before the expected byte: a retransmission, or partly new
         old = _SPAN - ahead
         time_ns, data, number = arrived
         if old >= len(data):
@@ -116,7 +120,7 @@ def _take(
 
 
 def _hold(stream: _Stream, sequence: int, arrived: tuple[int, bytes, int]) -> None:
-    """Of what begins there the longest is held."""
+    """Hold a segment; of several with the same start the longest."""
     known = stream.held.get(sequence)
     if known is None or len(known[1]) < len(arrived[1]):
         stream.held[sequence] = arrived
@@ -132,7 +136,7 @@ def _in_order(stream: _Stream, way: Way, gap: int) -> Iterator[Piece]:
 
 
 def _skip(stream: _Stream, way: Way) -> Iterator[Piece]:
-    """What is awaited was not captured: the stream goes on with the nearest that was."""
+    """Skip the missing bytes, and continue with the nearest segment held."""
     awaited = stream.next
     assert awaited is not None
     first = min(stream.held, key=lambda sequence: (sequence - awaited) % _SPAN)
@@ -141,7 +145,7 @@ def _skip(stream: _Stream, way: Way) -> Iterator[Piece]:
 
 
 def _drop_old(stream: _Stream) -> None:
-    """Segments held that begin before what is awaited now are cut, or dropped."""
+    """Trim or drop held segments that start before the expected byte."""
     assert stream.next is not None
     for sequence in list(stream.held):
         behind = (stream.next - sequence) % _SPAN
@@ -152,7 +156,7 @@ def _drop_old(stream: _Stream) -> None:
 
 
 def _segment(packet: Packet) -> tuple[Way, int, int, bytes] | None:
-    """(way, sequence number, flags, payload) of a packet; None: it is no whole TCP segment."""
+    """Return direction, sequence number, flags and payload; None if not a complete TCP segment."""
     found = _network(packet)
     if found is None:
         return None
@@ -172,7 +176,7 @@ def _segment(packet: Packet) -> tuple[Way, int, int, bytes] | None:
 
 
 def _network(packet: Packet) -> tuple[int, bytes] | None:
-    """(ethertype, what is in it)."""
+    """Return ethertype and payload."""
     data, link_type = packet.data, packet.link_type
     if link_type == _ETHERNET:
         at = 12
@@ -195,7 +199,7 @@ def _ipv4(data: bytes) -> tuple[bytes, bytes, bytes] | None:
     if len(data) < 20 or data[9] != _TCP:
         return None
     head = (data[0] & 0x0F) * 4
-    size = int.from_bytes(data[2:4], "big") or len(data)  # 0: the card cuts it up (offloading)
+    size = int.from_bytes(data[2:4], "big") or len(data)  # 0: segmentation offload
     is_fragment = int.from_bytes(data[6:8], "big") & 0x3FFF
     if is_fragment or head < 20:
         return None

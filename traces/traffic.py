@@ -1,7 +1,7 @@
-"""What every format of recorded CAN traffic holds, and what was found out while reading one.
+"""Common data types of all CAN traffic formats, and findings of a reader.
 
-A frame is Linux's `struct can_frame` or `struct canfd_frame`, as everywhere in a recording. Time
-stamps stay integers, from the digits of the source to the digits of the target.
+A frame is Linux's `struct can_frame` or `struct canfd_frame`, as in recordings. Time stamps stay
+integers from the source's digits to the target's.
 """
 
 import re
@@ -30,7 +30,7 @@ _BUS_NUMBER: Final = re.compile(r"can(0|[1-9]\d{0,4})")
 
 
 class Frame(NamedTuple):
-    """A recorded frame: log time [ns], bus, can_frame or canfd_frame, direction, who sent it."""
+    """A recorded frame: log time [ns], bus, can_frame or canfd_frame, direction, sender."""
 
     time_ns: int
     bus: str
@@ -40,7 +40,7 @@ class Frame(NamedTuple):
 
 
 class Fields(NamedTuple):
-    """A frame taken apart. `length` is that of its data, or the DLC of a remote frame."""
+    """The fields of a frame. `length` is that of its data, or the DLC of a remote frame."""
 
     can_id: int
     length: int
@@ -50,12 +50,12 @@ class Fields(NamedTuple):
 
     @property
     def identifier(self) -> int:
-        """The identifier without its flags; of an error frame, the class of the error."""
+        """The identifier without its flags; for an error frame, the error class."""
         return self.can_id & (EFF_MASK if self.can_id & (EFF | ERR) else SFF_MASK)
 
 
 class Problem(NamedTuple):
-    """What could not be read, or written: its line (or number of its packet or frame), in words."""
+    """Something that could not be read or written: its line, packet or frame number, and text."""
 
     line: int
     text: str
@@ -63,15 +63,16 @@ class Problem(NamedTuple):
 
 @final
 class Findings:
-    """What was found out about a source while it was read.
+    """Findings about a source while it is read.
 
     Attributes:
-        frames: how many were read.
-        problems: what could not be read, in the order of the file.
-        notes: what whoever uses the frames should know, each once.
-        comments: lines, or ends of lines, that are there for people.
-        unstamped: frames without a time; theirs is 0.
-        backward: frames stamped earlier than the one before; largest_step_back_ns.
+        frames: number of frames read.
+        problems: unreadable parts, in file order.
+        notes: remarks for users of the frames, each once.
+        comments: number of comment lines and line ends.
+        unstamped: number of frames without a time; theirs is 0.
+        backward: number of frames with an earlier time than their predecessor.
+        largest_step_back_ns: the largest such difference.
         line: the number of the line being read.
     """
 
@@ -86,16 +87,16 @@ class Findings:
         self.line = 0
 
     def note(self, text: str) -> None:
-        """This is told, once."""
+        """Add a note, unless it is already there."""
         if text not in self.notes:
             self.notes.append(text)
 
     def problem(self, line: int, text: str) -> None:
-        """This could not be read."""
+        """Add a problem."""
         self.problems.append(Problem(line, text))
 
     def watched(self, frames: Iterable[Frame]) -> Iterator[Frame]:
-        """The same frames, counted, their times compared."""
+        """Yield the frames, counting them and comparing their times."""
         before = 0
         for frame in frames:
             self.frames += 1
@@ -108,21 +109,21 @@ class Findings:
 
 
 class LineReader(Protocol):
-    """Reads a format whose rows are lines; `name` is the format's."""
+    """Reader of a line-based format; `name` is that of the format."""
 
     name: str
 
     def take(self, line: str, findings: Findings) -> Sequence[Frame]:
-        """The frames of a line, () if it is no row.
+        """Return the frames of a line, () if it is not a row.
 
         Raises:
-            ValueError: it should be a row and cannot be read; why.
+            ValueError: the row is unreadable; the message is the reason.
         """
         ...
 
 
 def read_lines(lines: Iterable[str], reader: LineReader, findings: Findings) -> Iterator[Frame]:
-    """The frames in these lines; a line that cannot be read becomes a problem."""
+    """Yield the frames in these lines; an unreadable line becomes a problem."""
     for number, line in enumerate(lines, 1):
         findings.line = number
         try:
@@ -134,16 +135,16 @@ def read_lines(lines: Iterable[str], reader: LineReader, findings: Findings) -> 
 
 
 def shown(line: str, width: int = 60) -> str:
-    """A line as it can be told: without what no terminal shows, and not too long."""
+    """Return a line for display: printable characters only, and shortened."""
     text = "".join(c if c.isprintable() else "." for c in line.strip())
     return f"'{text}'" if len(text) <= width else f"'{text[:width]}...'"
 
 
 def classic(can_id: int, data: bytes) -> bytes:
-    """A data or error frame.
+    """Return a data or error frame.
 
     Raises:
-        ValueError: it cannot be one.
+        ValueError: the values are not possible.
     """
     if len(data) > 8:
         raise ValueError(f"{len(data)} bytes in a classic frame")
@@ -151,10 +152,10 @@ def classic(can_id: int, data: bytes) -> bytes:
 
 
 def remote(can_id: int, length: int) -> bytes:
-    """A remote frame that asks for `length` bytes.
+    """Return a remote frame that requests `length` bytes.
 
     Raises:
-        ValueError: it cannot be one.
+        ValueError: the values are not possible.
     """
     if not 0 <= length <= 15:
         raise ValueError(f"a remote frame with DLC {length}")
@@ -162,10 +163,10 @@ def remote(can_id: int, length: int) -> bytes:
 
 
 def flexible(can_id: int, flags: int, data: bytes) -> bytes:
-    """A CAN FD frame; flags are BRS and ESI.
+    """Return a CAN FD frame; flags are BRS and ESI.
 
     Raises:
-        ValueError: it cannot be one.
+        ValueError: the values are not possible.
     """
     if len(data) > 64:
         raise ValueError(f"{len(data)} bytes in a CAN FD frame")
@@ -180,10 +181,10 @@ def _checked(can_id: int) -> int:
 
 
 def identifier(digits: str) -> int:
-    """A can_id: with three or four digits 11 bit, with more 29 bit, or an error frame's class.
+    """Return a can_id: up to four digits 11 bit, more digits 29 bit or an error class.
 
     Raises:
-        ValueError: no identifier, or more than 29 bits.
+        ValueError: not an identifier, or more than 29 bits.
     """
     value = int(digits, 16)
     if len(digits) == 8 and value & ERR and not value & EFF:
@@ -194,7 +195,7 @@ def identifier(digits: str) -> int:
 
 
 def fields(frame: bytes) -> Fields:
-    """What is in a can_frame or canfd_frame."""
+    """Return the fields of a can_frame or canfd_frame."""
     can_id, length, flags = _HEAD.unpack_from(frame)
     fd = len(frame) > 16
     data = b"" if can_id & RTR else frame[8 : 8 + length]
@@ -202,14 +203,14 @@ def fields(frame: bytes) -> Fields:
 
 
 def decimal_ns(text: str, digits: int = 9) -> int:
-    """A decimal number of units of 10^digits ns, exactly; below 1 ns is cut off.
+    """Convert a decimal number of units of 10^digits ns, exactly; truncate below 1 ns.
 
     Raises:
-        ValueError: no number, negative, or too large for a log time.
+        ValueError: not a number, negative, or too large for a log time.
     """
     whole, _, fraction = text.partition(".")
     if not whole.isdecimal() or (fraction and not fraction.isdecimal()):
-        raise ValueError(f"no time stamp: {shown(text, 24)}")
+        raise ValueError(f"not a time stamp: {shown(text, 24)}")
     time_ns = int(whole + fraction[:digits].ljust(digits, "0"))
     if time_ns > TIME_MAX:
         raise ValueError(f"a time stamp beyond the year 2554: {shown(text, 24)}")
@@ -217,21 +218,21 @@ def decimal_ns(text: str, digits: int = 9) -> int:
 
 
 def decimal(time_ns: int, places: int = 9, unit_ns: int = NS) -> str:
-    """Decimal digits of a time, cut off behind so many places."""
+    """Return a time as a decimal number, truncated to `places` decimals."""
     whole, rest = divmod(time_ns, unit_ns)
     digits = len(str(unit_ns)) - 1
     return f"{whole}.{rest:0{digits}d}"[: len(str(whole)) + 1 + places]
 
 
 def date_ns(year: int, month: int, day: int) -> int:
-    """The beginning of a day (Gregorian, UTC), since 1970."""
+    """Return the start of a day (Gregorian, UTC) since 1970 [ns]."""
     year, month = (year, month) if month > 2 else (year - 1, month + 12)
     days = 365 * year + year // 4 - year // 100 + year // 400 + (153 * (month - 3) + 2) // 5 + day
     return (days - 719_469) * 86_400 * NS
 
 
 def date_of(time_ns: int) -> tuple[int, int, int]:
-    """Year, month, day of a time since 1970 (Gregorian, UTC)."""
+    """Return year, month and day of a time since 1970 (Gregorian, UTC)."""
     days = time_ns // (86_400 * NS) + 719_468
     era, of_era = divmod(days, 146_097)
     year = (of_era - of_era // 1460 + of_era // 36_524 - of_era // 146_096) // 365
@@ -243,19 +244,19 @@ def date_of(time_ns: int) -> tuple[int, int, int]:
 
 
 def one_word(name: str) -> str:
-    """A bus's name as it can stand in a row: blanks, and what cannot be printed, become "_"."""
+    """Return a bus name as one word: blanks and unprintable characters become "_"."""
     return "".join(c if c.isprintable() and not c.isspace() else "_" for c in name) or "_"
 
 
 @cache
 def bus_number(bus: str) -> int | None:
-    """N + 1 of a bus called canN; None: it has another name, or none of 16 bit."""
+    """Return N + 1 for a bus named canN; None for another name, or beyond 16 bit."""
     match = _BUS_NUMBER.fullmatch(bus)
     return int(match[1]) + 1 if match and int(match[1]) < 0xFFFF else None
 
 
 def bus_numbers(buses: Sequence[str]) -> dict[str, int]:
-    """Channels from 1 for formats without names: canN is N + 1, others take what is free."""
+    """Return channels from 1 for formats without names: canN is N + 1, others get free numbers."""
     numbers: dict[str, int] = {}
     for bus in buses:
         number = bus_number(bus)

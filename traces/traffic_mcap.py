@@ -1,4 +1,4 @@
-"""CAN traffic out of recordings of ours, and into them."""
+"""CAN traffic in our recordings: reading and writing."""
 
 import os
 from collections.abc import Iterable, Iterator
@@ -16,7 +16,7 @@ _BATCH: Final = 8192
 
 
 def recorded_frames(trace: Trace, findings: Findings) -> Iterator[Frame]:
-    """The CAN frames of a recording, in the order they were written; what else it has is noted.
+    """Yield the CAN frames of a recording in written order; other messages become notes.
 
     Raises:
         TraceError: a chunk is damaged.
@@ -40,7 +40,7 @@ def recorded_frames(trace: Trace, findings: Findings) -> Iterator[Frame]:
             continue
         yield Frame(time_ns, bus, frame, direction, sender)
     for topic, count in left_out.items():
-        findings.note(f"{topic}: {count} messages are no CAN frames, and left out")
+        findings.note(f"{topic}: {count} messages are not CAN frames, and are omitted")
     if trace.cut is not None and trace.cut.messages_missing:
         findings.problem(0, str(trace.cut))
 
@@ -48,10 +48,10 @@ def recorded_frames(trace: Trace, findings: Findings) -> Iterator[Frame]:
 def record_frames(
     target: str | os.PathLike[str], frames: Iterable[Frame], metadata: dict[str, dict[str, str]]
 ) -> tuple[str, ...]:
-    """A recording holds these frames, in this order; the buses.
+    """Record these frames in this order; return the buses.
 
     Raises:
-        TraceError: it cannot be written.
+        TraceError: the recording cannot be written.
     """
     with TraceWriter(target, metadata) as writer:
         channels: dict[str, int] = {}

@@ -1,7 +1,7 @@
-"""Reads PEAK's TRC files, 1.0 to 2.1, and rows copied out of them; writes 2.1.
+"""Reader for PEAK TRC files, 1.0 to 2.1, and copied rows; writer for 2.1.
 
-A time is that of $STARTTIME and the row's offset; the start is days since 1899-12-30, rounded to
-what its digits are worth (1 us to 1 ms), and taken for UTC. Without it times are the offsets.
+A time is $STARTTIME plus the row's offset. The start is days since 1899-12-30, rounded to the
+resolution of its digits (1 us to 1 ms), and taken as UTC. Without it, times are the offsets.
 
 Source: PEAK-System, "PEAK CAN TRC File Format", version 2.1.1.
 """
@@ -23,7 +23,7 @@ _ROW_1: Final = re.compile(
     r"([0-9A-Fa-f]{8}|[0-9A-Fa-f]{4})\s+(?:-\s+)?(\d{1,2})(?:\s+(.*)|\s*)$"
 )
 _WAYS: Final = {"Rx": Direction.RECEIVED, "Tx": Direction.TRANSMITTED}
-_KINDS: Final = {  # of rows of 2.x that are frames: (CAN FD, its flags)
+_KINDS: Final = {  # types of 2.x rows that are frames: (CAN FD, its flags)
     "DT": (False, 0),
     "RR": (False, 0),
     "FD": (True, 0),
@@ -34,20 +34,20 @@ _KINDS: Final = {  # of rows of 2.x that are frames: (CAN FD, its flags)
 _OTHER_KINDS: Final = {
     "ST": "the state of the interface",
     "EC": "error counters",
-    "ER": "an error frame as PEAK tells it",
+    "ER": "an error frame in PEAK's encoding",
     "EV": "an event",
 }
 _NAMES: Final = {flags: name for name, (fd, flags) in _KINDS.items() if fd}
 
 
 def looks_like_trc(line: str) -> bool:
-    """Whether it is the header of a TRC file, or a row of 1.x."""
+    """Return True for the header of a TRC file, or a row of 1.x."""
     return line.startswith(";$FILEVERSION") or _ROW_1.match(line) is not None
 
 
 @final
 class TrcReader:
-    """Rows of all versions; which one they are of is told by the header."""
+    """Reader of rows of all versions; the header states the version."""
 
     name = "trc"
 
@@ -56,7 +56,7 @@ class TrcReader:
         self._columns: _Columns | None = None
 
     def take(self, line: str, findings: Findings) -> Sequence[Frame]:
-        """The frame of a line. Raises ValueError: why it cannot be read."""
+        """Return the frame of a line. Raises ValueError with the reason if it is unreadable."""
         stripped = line.strip()
         if not stripped:
             return ()
@@ -76,7 +76,9 @@ class TrcReader:
         if key == "STARTTIME":
             self._start_ns = _start_ns(value)
             if not self._start_ns:
-                findings.note("no start since 1970 is told: times are from its beginning")
+                findings.note(
+                    "no start time since 1970: times count from the beginning of the recording"
+                )
         elif key == "COLUMNS":
             self._columns = None
             self._columns = _Columns.named([column.strip() for column in value.split(",")])
@@ -87,7 +89,7 @@ class TrcReader:
         kind = row[columns.kind] if told > columns.kind else ""
         known = _KINDS.get(kind)
         if known is None:
-            raise ValueError(f"no frame but {_OTHER_KINDS.get(kind, f'a row of type {kind!r}')}")
+            raise ValueError(f"not a frame but {_OTHER_KINDS.get(kind, f'a row of type {kind!r}')}")
         if told <= columns.last_needed:
             raise ValueError("ends in the middle")
         can_id = _identifier(row[columns.identifier])
@@ -102,7 +104,7 @@ class TrcReader:
         else:
             text = row[columns.data] if told > columns.data else ""
             if not fd and 8 < length < 16 and len(text) > 23:  # a DLC above 8 means 8 bytes
-                findings.problem(findings.line, f"behind 8 bytes of data there are '{text[24:]}'")
+                findings.problem(findings.line, f"after 8 bytes of data there are '{text[24:]}'")
                 text = text[:23]
             content = _data(text, length if fd else min(length, 8))
             data = (
@@ -119,11 +121,11 @@ class TrcReader:
 
 
 _NOWHERE: Final = 1 << 16
-"""The place of a column that is not there: behind every row."""
+"""The place of an absent column: beyond every row."""
 
 
 class _Columns(NamedTuple):
-    """Where in a row what stands; `is_dlc`: its length is told as a DLC."""
+    """Positions of the columns in a row; `is_dlc`: the length is a DLC."""
 
     splits: int
     kind: int
@@ -138,7 +140,7 @@ class _Columns(NamedTuple):
 
     @staticmethod
     def named(names: list[str]) -> "_Columns":
-        """Raises ValueError: one is missing that no frame can do without."""
+        """Find the columns by name. Raises ValueError if a mandatory one is missing."""
         at = {name: place for place, name in enumerate(names)}
         length = at.get("l", at.get("L"))
         if length is None or not {"O", "T", "I"} <= set(at):
@@ -154,13 +156,13 @@ def _bus(digits: str) -> str:
 
 
 def _row_1(line: str, start_ns: int) -> Frame:
-    """A row of 1.0 to 1.3. The number of its bus, its type and what is reserved may be missing."""
+    """Parse a row of 1.0 to 1.3; bus number, type and reserved column can be missing."""
     match = _ROW_1.match(line)
     if match is None:
-        raise ValueError("no frame")
+        raise ValueError("not a frame")
     stamp, bus, kind, digits, count, rest = match.groups()
     if digits.upper() == "FFFFFFFF" or (kind is not None and kind not in _WAYS):
-        raise ValueError("no frame but the state of the interface")
+        raise ValueError("not a frame but the state of the interface")
     can_id, length, rest = _identifier(digits), _number(count), (rest or "").strip()
     if rest.startswith("RTR"):
         frame = traffic.remote(can_id, length)
@@ -173,11 +175,11 @@ def _row_1(line: str, start_ns: int) -> Frame:
 
 @lru_cache(4096)
 def _identifier(digits: str) -> int:
-    """With more than four digits 29 bit, as PEAK writes it."""
+    """Parse an identifier; more than four digits are 29 bit, as PEAK writes it."""
     try:
         can_id = int(digits, 16)
     except ValueError:
-        raise ValueError(f"no identifier: {digits!r}") from None
+        raise ValueError(f"not an identifier: {digits!r}") from None
     if can_id > traffic.EFF_MASK:
         raise ValueError(f"identifier {digits} has more than 29 bits")
     return can_id | traffic.EFF if len(digits) > 4 else can_id
@@ -185,7 +187,7 @@ def _identifier(digits: str) -> int:
 
 def _number(digits: str) -> int:
     if not digits.isdecimal():
-        raise ValueError(f"no number: {digits!r}")
+        raise ValueError(f"not a number: {digits!r}")
     return int(digits)
 
 
@@ -193,20 +195,20 @@ def _data(text: str, length: int) -> bytes:
     try:
         data = bytes.fromhex(text)
     except ValueError:
-        raise ValueError("its data are no bytes") from None
+        raise ValueError("the data is not a sequence of bytes") from None
     if len(data) != length:
         raise ValueError(f"{len(data)} of {length} bytes")
     return data
 
 
 def _start_ns(days: str) -> int:
-    """Since 1970; 0: it is told in no such way, or before."""
+    """Return the start since 1970 [ns]; 0 if it is unreadable or earlier."""
     whole, _, fraction = days.partition(".")
     if not whole.isdecimal() or not (fraction or "0").isdecimal():
         return 0
     day_ns = 86_400 * NS
     unit = int(10 ** len(fraction))
-    round_ns = 1000  # what the digits are worth, up to the next power of ten, up to 1 ms
+    round_ns = 1000  # the resolution of the digits, rounded up to a power of ten, at most 1 ms
     while round_ns < min(day_ns // unit, 1_000_000):
         round_ns *= 10
     divisor = unit * round_ns
@@ -217,11 +219,11 @@ def _start_ns(days: str) -> int:
 def write_trc(
     file: TextIOBase, buses: Sequence[str], first_ns: int, frames: Iterator[Frame]
 ) -> None:
-    """A file of version 2.1; its start is the whole second that log time `first_ns` is in."""
+    """Write a file of version 2.1, starting at the full second of log time `first_ns`."""
     numbers = traffic.bus_numbers(buses)
     start_ns = first_ns // NS * NS
     days, rest_ns = divmod(start_ns, 86_400 * NS)
-    # A second is 1/86400 day: with 12 digits it is told to 0.05 us, and read to 1 us.
+    # A second is 1/86400 day: 12 digits resolve 0.05 us, and are read to 1 us.
     fraction = (rest_ns // NS * 10**12 + 43_200) // 86_400
     year, month, day = traffic.date_of(start_ns)
     seconds = rest_ns // NS

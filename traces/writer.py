@@ -1,16 +1,16 @@
-"""Writes a recording: an MCAP file that stays readable wherever it is cut.
+"""Writer for recordings: MCAP files that stay readable wherever they are cut.
 
-Everything a reader needs stands in the file before it is needed, whole and uncompressed: schemas,
-channels, metadata, attachments. Messages go into chunks (zstd, CRC); a chunk ends with each second
-of log time, or at 1 MiB, and is handed to the operating system at once, in one piece. So whatever
-ends the program, the file is readable up to its last second. The summary at the end makes it a
-complete MCAP file for every other reader.
+Everything a reader needs precedes its use, complete and uncompressed: schemas, channels, metadata,
+attachments. Messages are stored in chunks (zstd, CRC). A chunk ends with each second of log time,
+or at 1 MiB, and is passed to the operating system at once, in one piece. However the program ends,
+the file is readable up to its last second. The summary at the end makes it a complete MCAP file for
+every other reader.
 
-Behind each chunk is a message index. It is two thirds of the file, and our own reader never looks
-at it; but without it @mcap/core (and so Foxglove) refuses the file, and mcap for Python before 1.6
-finds no message in it. Whoever wants a third of the size instead asks for a compact recording.
+A message index follows each chunk. It is two thirds of the file, and our own reader does not use
+it. Without it, @mcap/core (and so Foxglove) refuses the file, and mcap for Python before 1.6 finds
+no message in it. A compact recording omits it and has a third of the size.
 
-The writer reads no clock: log times are what it is told.
+The writer reads no clock: the caller passes all log times.
 """
 
 import io
@@ -32,19 +32,19 @@ from traces.summary import Summary, framed_chunk
 
 CHUNK_NS: Final = 1_000_000_000
 CHUNK_BYTES: Final = 1 << 20
-_SLICE: Final = 4096  # messages packed at once; bounds how far a chunk may outgrow CHUNK_BYTES
+_SLICE: Final = 4096  # messages packed at once; limits the excess of a chunk over CHUNK_BYTES
 _COMPRESSION: Final = "zstd"
-_LEVEL: Final = 1  # level 3 made the demo's frames no smaller and took half as long again
+_LEVEL: Final = 1  # level 3 did not shrink the demo's frames, and took 1.5 times as long
 _LIBRARY: Final = "motorhil"
 _time_of: Final = itemgetter(1)
 
 
 @final
 class TraceWriter:
-    """One recording being written; a context manager that closes it.
+    """A recording being written; a context manager that closes it.
 
-    Not for several threads at once. After an error (TraceError) nothing more is written, and
-    `close` is quiet: what had been written stands, ended as a complete file if there is room.
+    Not thread-safe. After an error (TraceError) nothing more is written, and `close` does not
+    raise. The parts already written stay, completed as a valid file if there is space.
     """
 
     def __init__(
@@ -53,15 +53,15 @@ class TraceWriter:
         metadata: Mapping[str, Mapping[str, str]] | None = None,
         compact: bool = False,
     ) -> None:
-        """The file is begun; a recording of that name is written over.
+        """Begin the file; an existing recording of that name is overwritten.
 
         Args:
             target: a path, or a binary file open for writing, at its beginning.
             metadata: tables of strings by name ("run": seed, versions, ...).
-            compact: without a message index.
+            compact: True to omit the message index.
 
         Raises:
-            TraceError: it cannot be written, or something else of that name would be lost.
+            TraceError: the file cannot be written, or exists and is not a recording.
         """
         self.path: str
         self.error: TraceError | None = None
@@ -93,16 +93,16 @@ class TraceWriter:
 
     @property
     def size(self) -> int:
-        """Bytes that are with the operating system; messages of an open chunk are not yet."""
+        """Number of bytes passed to the operating system, without the open chunk."""
         return self._offset
 
-    # ------------------------------------------------------------- what is said about messages
+    # ---------------------------------------------------------------- channels and metadata
 
     def channel(self, topic: str, schema: Schema, metadata: Mapping[str, str] | None = None) -> int:
-        """The number of a new channel, 1 and up.
+        """Write a new channel, and return its number, from 1.
 
         Raises:
-            TraceError: it cannot be written.
+            TraceError: the file cannot be written.
         """
         self._check_open()
         if schema not in self._schemas:
@@ -121,15 +121,15 @@ class TraceWriter:
         return number
 
     def source(self, channel: int, sender: str, direction: Direction = Direction.UNKNOWN) -> int:
-        """The number of a sender on a CAN channel, 0 and up, for `extend`."""
+        """Register a sender on a CAN channel for `extend`, and return its number, from 0."""
         self._check_channel(channel)
         return self._chunk.add_source(channel, sender, direction)
 
     def add_metadata(self, name: str, values: Mapping[str, str]) -> None:
-        """A table of strings is in the file.
+        """Write a table of strings.
 
         Raises:
-            TraceError: it cannot be written.
+            TraceError: the file cannot be written.
         """
         self._check_open()
         offset = self._offset
@@ -144,10 +144,10 @@ class TraceWriter:
         media_type: str = "application/octet-stream",
         log_time_ns: int = 0,
     ) -> None:
-        """A whole file (a rig, an EDS) is in the file.
+        """Write an attachment, for example a rig or an EDS.
 
         Raises:
-            TraceError: it cannot be written.
+            TraceError: the file cannot be written.
         """
         self._check_open()
         offset = self._offset
@@ -163,14 +163,14 @@ class TraceWriter:
     # ----------------------------------------------------------------------------- messages
 
     def extend(self, entries: list[Entry]) -> None:
-        """These messages are recorded, in this order; times best do not decrease.
+        """Record these messages in this order; their times should not decrease.
 
         Args:
             entries: (source, log time [ns], data); see `traces.chunk.Entry`.
 
         Raises:
             TraceError: a chunk was due and cannot be written.
-            ValueError: data of a CAN source is no CAN frame.
+            ValueError: data of a CAN source is not a CAN frame.
         """
         self._check_open()
         start = 0
@@ -180,7 +180,7 @@ class TraceWriter:
                 self._due_ns = (entries[start][1] // CHUNK_NS + 1) * CHUNK_NS
             end = min(start + _SLICE, len(entries))
             if entries[end - 1][1] >= self._due_ns:
-                # The first stays in this chunk in any case, so that this ends.
+                # The first message always stays in this chunk, so that the loop ends.
                 end = bisect_left(entries, self._due_ns, start + 1, end, key=_time_of)
             self._chunk.extend(entries if end - start == len(entries) else entries[start:end])
             start = end
@@ -188,7 +188,7 @@ class TraceWriter:
                 self._close_chunk()
 
     def write(self, channel: int, log_time_ns: int, payload: bytes) -> None:
-        """One message, already encoded, is recorded.
+        """Record one encoded message.
 
         Raises:
             TraceError: a chunk was due and cannot be written.
@@ -197,37 +197,37 @@ class TraceWriter:
         self.extend([(-channel, log_time_ns, payload)])
 
     def can_frame(self, source: int, log_time_ns: int, frame: bytes) -> None:
-        """One frame is recorded: a Linux can_frame or canfd_frame.
+        """Record one frame: a Linux can_frame or canfd_frame.
 
         Raises:
             TraceError: a chunk was due and cannot be written.
-            ValueError: it is no CAN frame.
+            ValueError: the data is not a CAN frame.
         """
         self.extend([(source, log_time_ns, frame)])
 
     def advance(self, now_ns: int) -> None:
-        """It is `now_ns`: a chunk whose second is over is in the file.
+        """Advance the time to `now_ns`; write the chunk if its second is over.
 
         Raises:
-            TraceError: it cannot be written.
+            TraceError: the file cannot be written.
         """
         if now_ns >= self._due_ns:
             self.flush()
 
     def flush(self) -> None:
-        """All messages so far are with the operating system.
+        """Pass all messages so far to the operating system.
 
         Raises:
-            TraceError: they cannot be written.
+            TraceError: the file cannot be written.
         """
         self._check_open()
         self._close_chunk()
 
     def close(self) -> None:
-        """The file is complete and closed; closing again does nothing.
+        """Complete and close the file; closing it again has no effect.
 
         Raises:
-            TraceError: it cannot be written (told once).
+            TraceError: the file cannot be written (raised once).
         """
         if self._closed:
             return
@@ -242,7 +242,7 @@ class TraceWriter:
     # ------------------------------------------------------------------------------ the file
 
     def _close_chunk(self) -> None:
-        """What is buffered is in the file, as one chunk."""
+        """Write the buffered messages as one chunk."""
         chunk = self._chunk
         if not chunk.used:
             return
@@ -258,13 +258,13 @@ class TraceWriter:
         chunk.clear()
 
     def _short_ending(self) -> bytes:
-        """The least that makes a file complete: no summary, so that readers go through it all."""
+        """Return the shortest valid ending: no summary, so that readers scan the whole file."""
         data_end = records.record(records.DATA_END, records.UINT32.pack(self._crc))
         footer = records.record(records.FOOTER, records.FOOTER_BODY.pack(0, 0, 0))
         return data_end + footer + records.MAGIC
 
     def _put(self, data: bytes) -> None:
-        """`data`, whole records, is with the operating system; or all of it is not."""
+        """Write complete records to the operating system, all or none."""
         done = 0
         try:
             with memoryview(data) as view:
@@ -277,7 +277,7 @@ class TraceWriter:
         self._crc = zlib.crc32(data, self._crc)
 
     def _fail(self, cause: OSError) -> None:
-        """The file ends where its last whole record did, and is completed if there is room.
+        """Cut the file after its last complete record, and complete it if there is space.
 
         Raises:
             TraceError: always.
@@ -298,7 +298,7 @@ class TraceWriter:
                 if self._file.write(ending) == len(ending):
                     self._file.flush()
                     break
-            except OSError:  # then it stays a cut file, which our reader takes as well
+            except OSError:  # the file stays cut, which our reader accepts
                 continue
         self._release()
         raise self.error from cause

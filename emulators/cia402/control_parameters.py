@@ -1,7 +1,8 @@
-"""The servo's gains as objects: current (60F6h), velocity (60F9h) and position loop (60FBh).
+"""Servo gains as objects: current (60F6h), velocity (60F9h), position loop (60FBh).
 
-CiA 402-2 leaves what is in these three sets to the manufacturer. So they mean this only in a drive
-that is ours by its identity (1018h); in any other file they are numbers that may be kept and read.
+CiA 402-2 leaves the contents of these three sets to the manufacturer. The meaning below therefore
+applies only to a drive with our identity (1018h). In any other EDS they are plain numbers that can
+be stored and read.
 
 ======== ==== ============================ ===================
 object   sub  gain                         unit
@@ -15,8 +16,8 @@ object   sub  gain                         unit
 60FBh    3    acceleration feed-forward    pA s^2/increment
 ======== ==== ============================ ===================
 
-At power-on they show the gains the servo was tuned to, rounded; until one is written another value
-the servo uses the exact one.
+At power-on they show the tuned gains of the servo, rounded. The servo uses the exact value until a
+different value is written.
 """
 
 from typing import Final, final
@@ -31,7 +32,7 @@ from emulators.plant.dc_motor import MotorPlant
 OUR_VENDOR: Final = 0x0000_0000
 OUR_PRODUCT: Final = 0x0000_0402
 
-# Where, and what 1 is in the unit of ServoGains' attribute of this place.
+# Index, sub-index and unit of each ServoGains attribute, in the order of the attributes.
 _PLACES: Final = (
     (0x60FB, 1, 1e-3),
     (0x60F9, 1, 1e-9),
@@ -46,7 +47,7 @@ _UNSIGNED32_MAX: Final = 0xFFFF_FFFF
 
 @final
 class Gain:
-    """One of the seven: its variable, and what it stands for."""
+    """One of the seven gains: its variable, unit and exact tuned value."""
 
     def __init__(self, variable: Variable, unit: float, exact: float) -> None:
         self.variable = variable
@@ -55,16 +56,16 @@ class Gain:
         self.exact_raw: int = min(limited(exact / unit, _UNSIGNED32_MAX), _UNSIGNED32_MAX)
 
     def value_of(self, raw: int) -> float:
-        """The gain this number stands for."""
+        """Return the gain that `raw` represents."""
         return self.exact if raw == self.exact_raw else raw * self.unit
 
 
 @final
 class ControlParameters:
-    """The gains a host may change.
+    """The gains that a host can change.
 
     Attributes:
-        places: their variables; the drive sets the writers.
+        places: the gains' variables; the drive sets their writers.
     """
 
     def __init__(
@@ -103,11 +104,11 @@ class ControlParameters:
             self.places.append(variable)
 
     def gains(self) -> ServoGains:
-        """As they stand in the objects now."""
+        """Return the gains as they are in the objects now."""
         return self._with(-1, 0)
 
     def check(self, place: int, raw: int) -> int:
-        """Whether this may be written there: 0, or an abort code if the servo would be unstable."""
+        """Return 0 if `raw` may be written to `place`, else an abort code (unstable servo)."""
         gains = self._with(place, raw)
         try:
             tables_of(self._plant, gains, self._tick_ns, self._current_steps, self._clock_rate)

@@ -1,11 +1,12 @@
-"""What the cyclic synchronous modes share (csp, csv, cst): when set-points come, and when not.
+"""Base of the cyclic synchronous modes (csp, csv, cst): timing of set-points.
 
-A set-point counts when its RPDO does (at SYNC for types 0 to 240). The demand goes there evenly,
-over the interpolation time period 60C2h, or, where that is 0 or absent, over the time that lay
-between the last two set-points: with a SYNC, its period.
+A set-point takes effect with its RPDO (at SYNC for types 0 to 240). The demand changes linearly
+during the interpolation time period 60C2h. If that is 0 or absent, the time between the last two
+set-points is used: with SYNC, the SYNC period.
 
-Where the rig sets `sync_lost_periods`, 60C2h states a period and a SYNC has come, its absence for
-so many of them is a fault: the host has lost its clock. CiA 402 names no error code; the rig may.
+The loss of SYNC is a fault if the rig sets `sync_lost_periods`, 60C2h states a period and a SYNC
+has been received. The fault occurs after that number of periods without SYNC, because the host has
+lost its clock. CiA 402 defines no error code for it; the rig can set one.
 """
 
 from typing import Final
@@ -22,7 +23,7 @@ _NONE_YET: Final = -1
 
 
 class CyclicMode(Mode):
-    """Statusword bit 12: the drive follows the command value; bit 10 is reserved."""
+    """A cyclic mode; statusword bit 12: drive follows the command value; bit 10 is reserved."""
 
     def __init__(self, axis: Axis, objects: DriveObjects, tick_ns: int) -> None:
         super().__init__(axis, objects, tick_ns)
@@ -33,7 +34,7 @@ class CyclicMode(Mode):
         self.heeds_sync = self._patience > 0
 
     def enter(self, word: int, now_ns: int) -> None:
-        """As if no set-point and no SYNC had ever come."""
+        """Reset the timing, as if no set-point and no SYNC had been received."""
         self.halted = word & CW_HALT != 0
         self.lost = False
         self._last_target_ns = _NONE_YET
@@ -41,21 +42,21 @@ class CyclicMode(Mode):
         self._period_ns = self.tick_ns
 
     def leave(self) -> None:
-        """Nothing is kept, and nothing fed forward."""
+        """Clear the mode's state and the current fed forward."""
         self.halted = False
         self.limited = False
         self.lost = False
         self.axis.feed_current(0.0)
 
     def obey(self, word: int, rising: int, now_ns: int) -> None:
-        """Bit 8, halt; afterwards the next set-point counts again."""
+        """Obey bit 8, halt; after it the next set-point takes effect again."""
         halt = word & CW_HALT != 0
         if halt and not self.halted:
             self.objects.options.halt(self.axis, within_limits=True)
         self.halted = halt
 
     def synced(self, now_ns: int) -> bool:
-        """The host is alive; from now on it is waited for, if the rig says for how long."""
+        """Restart the monitoring of SYNC; return True at the first SYNC of a monitored mode."""
         if self._patience == 0:
             return False
         is_first = self._last_sync_ns == _NONE_YET
@@ -63,17 +64,17 @@ class CyclicMode(Mode):
         return is_first
 
     def settle(self, now_ns: int) -> None:
-        """Whether SYNC has stayed away for too long."""
+        """Set `lost` if SYNC has been absent for too long."""
         if self._last_sync_ns != _NONE_YET and now_ns >= self.sync_due_ns():
             self._last_sync_ns = _NONE_YET
             self.lost = True
 
     def wake_ns(self) -> int:
-        """When SYNC will have stayed away for too long."""
+        """Return when SYNC will have been absent for too long [ns]."""
         return self.sync_due_ns()
 
     def sync_due_ns(self) -> int:
-        """The same, of a mode that may wait for something else, too; NEVER without SYNC so far."""
+        """Return the deadline of SYNC [ns]; NEVER before the first SYNC or without a period."""
         if self._last_sync_ns == _NONE_YET:
             return NEVER
         period_ns = self.objects.motion.interpolation_ns()
@@ -82,18 +83,18 @@ class CyclicMode(Mode):
         return self._last_sync_ns + self._patience * period_ns
 
     def status_bits(self) -> int:
-        """Bit 12."""
+        """Return bit 12."""
         return 0 if self.halted or self.limited else FOLLOWS_COMMAND
 
     def over_ns(self) -> int:
-        """How long the way to a set-point takes."""
+        """Return the time of the move to a set-point [ns]."""
         period_ns = self.objects.motion.interpolation_ns()
         return period_ns if period_ns > 0 else self._period_ns
 
     def measure(self, now_ns: int) -> None:
-        """The time between set-points, in whole ticks: arbitration makes SYNC come a little late.
+        """Measure the time between set-points in whole ticks, because arbitration delays SYNC.
 
-        What comes in the same tick belongs to the same set-point.
+        Values received in the same tick belong to the same set-point.
         """
         last_ns = self._last_target_ns
         tick_ns = self.tick_ns

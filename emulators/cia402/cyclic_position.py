@@ -1,9 +1,9 @@
-"""Cyclic synchronous position mode (csp): the host plans, the drive follows from cycle to cycle.
+"""Cyclic synchronous position mode (csp).
 
-A set-point too far to be reached in its time at 607Fh and 6080h is gone to at that speed, and the
-demand catches up with what comes afterwards, as ABB's ACSM1 does in synchron control (dynamic
-limiter of the position reference); bit 11 shows it, bit 12 is off. If the motor falls behind, that
-is a following error as ever. A halt ends within 607Dh, steeper than 605Dh says if it must be: no
+A set-point that cannot be reached in time within 607Fh and 6080h is approached at that speed. The
+demand catches up with later set-points, as ABB's ACSM1 does in synchron control (dynamic limiter of
+the position reference). Meanwhile bit 11 is on and bit 12 off. A motor that falls behind causes a
+following error as usual. A halt ends within 607Dh, on a ramp steeper than 605Dh's if necessary: no
 motion under position control passes a software limit (Danfoss VLT servo drive ISD, 607Dh).
 """
 
@@ -17,7 +17,7 @@ from emulators.cia402.written import FACTORS, MOTION_LIMITS, OFFSETS, TARGET_POS
 from emulators.firmware import flags as f
 from emulators.firmware.axis import Axis
 
-NEAREST: Final = 3  # way round: from cycle to cycle a target is never half a range away
+NEAREST: Final = 3  # direction: a target is never half a range away from one cycle to the next
 
 
 @final
@@ -28,10 +28,10 @@ class CyclicPosition(CyclicMode):
         super().__init__(axis, objects, tick_ns)
         self._has_offsets: bool = False
         self._speed_max_inc_s: float = 0.0
-        self._caught_up_ns: int = NEVER  # when a set-point that came too fast is reached
+        self._caught_up_ns: int = NEVER  # when a set-point that was too fast is reached
 
     def enter(self, word: int, now_ns: int) -> None:
-        """The motor stands, or comes to rest, until a target is written."""
+        """Bring the motor to rest until a target is written."""
         super().enter(word, now_ns)
         self._has_offsets = self.objects.offsets.are_set()
         self._speed_max_inc_s = self.objects.motion.velocity_max_inc_s()
@@ -39,7 +39,7 @@ class CyclicPosition(CyclicMode):
         self.axis.ramp_to_rest(self.objects.motion.deceleration_inc_s2())
 
     def written(self, what: int, now_ns: int) -> None:
-        """A target or an offset has come into force."""
+        """Follow a new target or offset."""
         if what & (MOTION_LIMITS | FACTORS):
             self._speed_max_inc_s = self.objects.motion.velocity_max_inc_s()
         if what & OFFSETS:
@@ -73,23 +73,23 @@ class CyclicPosition(CyclicMode):
         self.axis.feed_current(objects.offsets.current_a())
 
     def settle(self, now_ns: int) -> None:
-        """Caught up; and whether SYNC has stayed away for too long."""
+        """Clear the limit once the demand has caught up, and check SYNC."""
         if now_ns >= self._caught_up_ns:
             self._caught_up_ns = NEVER
             self.limited = False
         super().settle(now_ns)
 
     def wake_ns(self) -> int:
-        """When the demand will have caught up, or SYNC have stayed away for too long."""
+        """Return when the demand will have caught up, or SYNC been absent for too long [ns]."""
         sync_ns = self.sync_due_ns()
         return sync_ns if sync_ns < self._caught_up_ns else self._caught_up_ns
 
     def leave(self) -> None:
-        """Nothing is kept."""
+        """Clear the mode's state."""
         self._caught_up_ns = NEVER
         super().leave()
 
     def status_bits(self) -> int:
-        """Bits 12 and 13; bit 10 is reserved."""
+        """Return bits 12 and 13; bit 10 is reserved."""
         bits = 0 if self.halted or self.limited else FOLLOWS_COMMAND
         return bits | FOLLOWING_ERROR if self.axis.flags & f.FOLLOWING_ERROR else bits

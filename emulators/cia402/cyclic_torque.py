@@ -1,4 +1,4 @@
-"""Cyclic synchronous torque mode (cst): all loops are the host's but that of the current."""
+"""Cyclic synchronous torque mode (cst): the drive closes only the current loop."""
 
 from typing import final
 
@@ -9,10 +9,10 @@ from emulators.firmware import flags as f
 
 @final
 class CyclicTorque(CyclicMode):
-    """Mode 10: 6071h + 60B2h. Bit 11: a limit of current, torque or speed holds it back."""
+    """Mode 10: 6071h + 60B2h. Bit 11: the current, torque or speed limit reduces the torque."""
 
     def enter(self, word: int, now_ns: int) -> None:
-        """6071h counts as it stands there."""
+        """Follow 6071h as it is; stand still under halt."""
         super().enter(word, now_ns)
         if self.halted:
             self.axis.ramp_to_rest(self.objects.motion.deceleration_inc_s2())
@@ -20,7 +20,7 @@ class CyclicTorque(CyclicMode):
             self._follow()
 
     def written(self, what: int, now_ns: int) -> None:
-        """A torque or an offset has come into force."""
+        """Follow a new torque or offset."""
         if not what & (TORQUE | OFFSETS | FACTORS | MOTION_LIMITS):
             return
         self.measure(now_ns)
@@ -28,7 +28,7 @@ class CyclicTorque(CyclicMode):
             self._follow()
 
     def settle(self, now_ns: int) -> None:
-        """Whether a limit holds the torque back, and whether SYNC has stayed away."""
+        """Update bit 11, and check SYNC."""
         super().settle(now_ns)
         self.limited = not self.halted and self.axis.flags & f.CURRENT_SATURATED != 0
 

@@ -1,4 +1,4 @@
-"""Cyclic synchronous velocity mode (csv): the host's position loop, the drive's velocity loop."""
+"""Cyclic synchronous velocity mode (csv): the host closes the position loop."""
 
 from typing import final
 
@@ -11,7 +11,7 @@ class CyclicVelocity(CyclicMode):
     """Mode 9: 60FFh + 60B1h; 60B2h is fed forward. Bit 13 is reserved."""
 
     def enter(self, word: int, now_ns: int) -> None:
-        """60FFh counts as it stands there: there is no profile to soften it."""
+        """Follow 60FFh as it is, without a ramp; stand still under halt."""
         super().enter(word, now_ns)
         if self.halted:
             self.axis.ramp_to_rest(self.objects.motion.deceleration_inc_s2())
@@ -19,7 +19,7 @@ class CyclicVelocity(CyclicMode):
             self._follow()
 
     def written(self, what: int, now_ns: int) -> None:
-        """A velocity or an offset has come into force."""
+        """Follow a new velocity or offset."""
         if not what & (TARGET_VELOCITY | OFFSETS):
             return
         self.measure(now_ns)

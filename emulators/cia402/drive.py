@@ -1,7 +1,7 @@
-"""A CiA 402 drive on a CAN bus: one CANopen node, one power drive, one axis; sans-I/O.
+"""A CiA 402 drive: one CANopen node, one power drive, one axis; sans-I/O.
 
-The drive looks at itself when something comes in, when the node has something to do, and at the
-exact tick at which the axis' flags change; in between, and at rest, it costs nothing.
+The drive updates itself on input, when the node has work to do, and at the exact tick at which the
+axis' flags change. In between, and at rest, it costs nothing.
 """
 
 from collections.abc import Mapping, Sequence
@@ -36,7 +36,7 @@ STIMULI: Final = (
 
 @final
 class Cia402Drive:
-    """Implements `emulators.controller.Controller` and `emulators.canopen.node.NodeHost`."""
+    """A drive that implements the `Controller` and `NodeHost` protocols."""
 
     def __init__(
         self,
@@ -72,34 +72,36 @@ class Cia402Drive:
         )
         self._outbox = self._node.outbox
         self._events: list[tuple[str, str]] = list(events)
-        self._statusword: int = 0  # as last told to the node's TPDOs
+        self._statusword: int = 0  # as last reported to the node's TPDOs
         self._mode: int = 0
         self._inputs: int = self._power_drive.inputs.bits
         self._probes: int = 0
         self._error_code: int = NO_FAULT
         self._errors: int = 0  # the classes (1001h) of all errors since the last fault reset
-        self._touched: bool = False  # something other than time may have changed what shows
-        self._is_settled: bool = False  # all that shows is told, and nothing has happened since
+        self._touched: bool = False  # True if an input other than time may have changed the outputs
+        self._is_settled: bool = False  # True if all outputs are reported and unchanged since
         self._deadline_ns: int = NEVER
-        self._motor_due_ns: int = NEVER  # the same without the node's
-        self._power_due_ns: int = NEVER  # the power drive's alone; found again when it has moved
+        self._motor_due_ns: int = NEVER  # the deadline without the node's
+        self._power_due_ns: int = NEVER  # the power drive's deadline; recomputed after a change
         self._flags_matter: bool = False
         self._power_moved: bool = True
         self._deadline_moved: bool = True
         self._has_extras: bool = settings.plant.extras.is_any()
-        self._truth: dict[str, float] = {}  # as last shown, of this state, mode, rest, inputs:
+        self._truth: dict[
+            str, float
+        ] = {}  # the last snapshot, for this state, mode, rest and inputs:
         self._truth_of: tuple[int, int, int, int] = (0, 0, -1, 0)
 
     # --- Controller
 
     def start(self, now_ns: int) -> None:
-        """Power comes on."""
+        """Power the drive on."""
         self._node.start(now_ns)
         self._power_moved = True
         self._deadline_moved = True
 
     def receive(self, data: bytes, now_ns: int) -> None:
-        """A frame was on the bus."""
+        """Handle a frame received from the bus."""
         self._node.receive(data, now_ns)
         if self._touched:
             self._publish(now_ns)
@@ -107,7 +109,7 @@ class Cia402Drive:
             self._deadline_moved = True
 
     def sent(self, data: bytes, now_ns: int) -> bool:
-        """An own frame left the bus; False: nothing comes of it."""
+        """Report that an own frame has left the bus; return True if the drive has more to do."""
         self._node.sent(data, now_ns)
         outbox = self._outbox
         if self._touched or outbox.deadlines_moved or outbox.frames or outbox.events:
@@ -116,17 +118,17 @@ class Cia402Drive:
         return False
 
     def wants_sent(self) -> bool:
-        """The node waits for its TPDOs to leave."""
+        """Return True if the node waits for its TPDOs to leave."""
         return self._node.wants_sent()
 
     def next_deadline_ns(self) -> int | None:
-        """When `expire` must be called at the latest [ns]."""
+        """Return when `expire` must be called at the latest [ns]."""
         if self._deadline_moved:
             self._find_deadline()
         return None if self._deadline_ns == NEVER else self._deadline_ns
 
     def expire(self, now_ns: int) -> None:
-        """What is due is done: first the motor's, then the node's."""
+        """Do everything that is due: first the motor's part, then the node's."""
         if now_ns >= self._motor_due_ns or self._deadline_moved:
             self.axis.at(now_ns)
             self._power_drive.settle(now_ns)
@@ -141,11 +143,11 @@ class Cia402Drive:
             self._deadline_moved = True
 
     def take_output(self) -> Sequence[bytes]:
-        """The frames to send now."""
+        """Return the frames to send now."""
         return self._node.take_output() if self._outbox.frames else ()
 
     def take_events(self) -> Sequence[tuple[str, str]]:
-        """(level, text) of what happened since last asked."""
+        """Return the events since the last call as (level, text)."""
         if not self._outbox.events and not self._events:
             return ()
         own = self._events
@@ -153,12 +155,13 @@ class Cia402Drive:
         return [*self._node.take_events(), *own]
 
     def stimulate(self, name: str, value: float, now_ns: int) -> None:
-        """The load at the output [N m], an error code to fail with, the power stage's supply.
+        """Set a physical input of the drive.
 
-        Or one of `emulators.cia402.protection`, or a digital input.
+        The names are "load_torque_n_m" (load at the output [N m]), "fault" (an error code), "power"
+        (the power stage's supply, 0 or 1), the stimuli of `Protection`, and the digital inputs.
 
         Raises:
-            ValueError: there is no such stimulus, or the value is none.
+            ValueError: the stimulus does not exist, or the value is invalid.
         """
         self.axis.at(now_ns)
         self._power_drive.settle(now_ns)
@@ -184,7 +187,7 @@ class Cia402Drive:
         self._publish(now_ns)
 
     def snapshot(self, now_ns: int) -> Mapping[str, float]:
-        """The truth at `now_ns`, behind the gear where it says rad and N m."""
+        """Return the true state at `now_ns`; values in rad and N m are at the gear's output."""
         axis = self.axis
         axis.at(now_ns)
         state, mode, rest = int(self._power_drive.fsa.state), self._power_drive.mode, axis.rest()
@@ -211,17 +214,17 @@ class Cia402Drive:
         return self._truth
 
     def identifiers(self) -> Sequence[int] | None:
-        """The CAN identifiers it listens to."""
+        """Return the CAN identifiers that the drive listens to."""
         return self._node.identifiers()
 
     def identifiers_revision(self) -> int:
-        """Grows whenever `identifiers` would answer something new."""
+        """Return a number that increases whenever `identifiers` changes."""
         return self._node.identifiers_revision()
 
     # --- NodeHost
 
     def on_nmt(self, state: int, now_ns: int) -> None:
-        """Once initialised, the power drive is too; in STOPPED nobody controls it."""
+        """Initialise the power drive with the node; treat STOPPED as a lost connection."""
         self._happens()
         if state == NmtState.PRE_OPERATIONAL:
             self.axis.at(now_ns)
@@ -230,7 +233,7 @@ class Cia402Drive:
             self._abort(COMMUNICATION_LOST, now_ns)
 
     def on_reset(self, whole: bool, now_ns: int) -> None:
-        """Reset node starts the firmware afresh; reset communication takes the host away."""
+        """Restart the firmware on reset node; treat reset communication as a lost connection."""
         if not whole:
             self._abort(COMMUNICATION_LOST, now_ns)
             return
@@ -240,7 +243,7 @@ class Cia402Drive:
         self._power_drive.power_on()
 
     def on_write(self, now_ns: int) -> None:
-        """Objects were written."""
+        """Apply the objects that were written."""
         objects = self._objects
         written = objects.written.kinds
         if not written:
@@ -252,31 +255,31 @@ class Cia402Drive:
         self._power_drive.written(written, now_ns)
 
     def on_sync(self, now_ns: int) -> None:
-        """What synchronous RPDOs brought into force has come by `on_write`."""
+        """Handle SYNC; `on_write` has already applied the synchronous RPDOs."""
         if self._power_drive.synced(now_ns):
             self._happens()
 
     def before_read(self, now_ns: int) -> None:
-        """Readers answer as of now."""
+        """Advance the drive so that readers answer as of now."""
         self.axis.at(now_ns)
         if self._is_settled or (now_ns < self._motor_due_ns and not self._touched):
-            return  # nothing shows but where the motor is
+            return  # only the motor's position has changed
         self._touched = True
         self._power_moved = True
         self._power_drive.settle(now_ns)
 
     def on_heartbeat_lost(self, node_id: int, now_ns: int) -> None:
-        """6007h."""
+        """Apply 6007h (abort connection option code)."""
         self._abort(HEARTBEAT_LOST, now_ns)
 
     def on_bus_off(self, now_ns: int) -> None:
-        """6007h."""
+        """Apply 6007h (abort connection option code)."""
         self._abort(COMMUNICATION_LOST, now_ns)
 
-    # --- inside
+    # --- internals
 
     def _happens(self) -> None:
-        """Something other than time may change what shows."""
+        """Record that an input other than time may change the outputs."""
         self._touched = True
         self._power_moved = True
         self._is_settled = False
@@ -287,7 +290,7 @@ class Cia402Drive:
         self._power_drive.abort_connection(code, now_ns)
 
     def _publish(self, now_ns: int) -> None:
-        """What has changed is told: EMCY first, then to the TPDOs that map it."""
+        """Report all changes: first by EMCY, then to the TPDOs that map them."""
         self._touched = False
         self._power_moved = True
         self._deadline_moved = True
@@ -302,7 +305,9 @@ class Cia402Drive:
         if power_drive.error_code != self._error_code:
             self._error_code = power_drive.error_code
             errors = self._with_class(self._error_code)
-            if errors != self._errors:  # of a lost connection nobody was told, or the node has told
+            if (
+                errors != self._errors
+            ):  # a lost connection, whose EMCY was not sent or was sent by the node
                 self._errors = errors
                 node.errors_stand(errors, now_ns)
             node.object_changed(0x603F, 0, now_ns)
@@ -318,7 +323,7 @@ class Cia402Drive:
             node.object_changed(0x6041, 0, now_ns)
 
     def _tell_inputs(self, now_ns: int) -> None:
-        """60FDh and 60B9h, to the TPDOs that map them."""
+        """Report 60FDh and 60B9h to the TPDOs that map them."""
         inputs, probes = self._power_drive.inputs.bits, self._power_drive.touch_probe.status
         if inputs != self._inputs:
             self._inputs = inputs
@@ -328,7 +333,7 @@ class Cia402Drive:
             self._node.object_changed(0x60B9, 0, now_ns)
 
     def _with_class(self, code: int) -> int:
-        """The standing errors with this one; 0000h ends them all."""
+        """Return the present errors with this code's class added; 0000h clears them all."""
         return self._errors | error_register(code) if code else 0
 
     def _tell(self, code: int) -> None:
@@ -338,7 +343,7 @@ class Cia402Drive:
         self._events.append(("error", told(code)))
 
     def _find_deadline(self) -> None:
-        """The earliest of the node's, the power drive's and the axis' next event."""
+        """Find the earliest event of the node, the power drive and the axis."""
         self._deadline_moved = False
         if self._power_moved:
             self._power_moved = False

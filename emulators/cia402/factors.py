@@ -1,4 +1,4 @@
-"""What a drive knows of its motor: values for objects to which neither file nor rig gives one."""
+"""Motor-dependent values for objects without a value in EDS and rig."""
 
 from fractions import Fraction
 from typing import Final, final
@@ -12,9 +12,9 @@ _GEAR_DIVISOR_MAX: Final = 10_000
 
 
 def fill_factors(od: ObjectDictionary, plant: MotorPlant) -> None:
-    """608Fh, 6091h and 6092h, where visible without a default, describe this motor.
+    """Set 608Fh, 6091h and 6092h from the plant, if visible and without a default.
 
-    Together they then say that one position unit is one increment of the encoder.
+    Together they then define one position unit as one increment of the encoder.
     """
     gear = Fraction(plant.gear_ratio).limit_denominator(_GEAR_DIVISOR_MAX)
     increments = plant.encoder_increments_rev
@@ -31,15 +31,16 @@ def fill_factors(od: ObjectDictionary, plant: MotorPlant) -> None:
 
 @final
 class DriveDefaults:
-    """Stated values for what nobody states, in the drive's units.
+    """Defaults derived from the motor, in the drive's units.
 
     Attributes:
-        no_load_inc_s: what the supply can turn the motor at.
-        acceleration_inc_s2: a quarter of that in 0.1 s, or half of what the current can do.
-        velocity, acceleration: 6081h and 6083h: that quarter, and that acceleration.
+        no_load_inc_s: no-load speed at the supply's voltage.
+        acceleration_inc_s2: a quarter of that speed in 0.1 s, or half of what the current allows.
+        velocity, acceleration: 6081h and 6083h: a quarter of the no-load speed, and that
+            acceleration.
         following_window, target_window: half a turn and 1/200 turn of the motor.
         velocity_window: 1 % of `no_load_inc_s`.
-        rated_current_ma, rated_torque_mn_m: what the power stage allows.
+        rated_current_ma, rated_torque_mn_m: the limits of the power stage.
         motor_rpm_max: `no_load_inc_s` in rpm.
     """
 

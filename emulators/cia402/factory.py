@@ -1,4 +1,4 @@
-"""A drive from its table in a rig: entry point `motorhil.controllers`, name `cia402`."""
+"""Construction of a drive from its rig table (`motorhil.controllers` entry point `cia402`)."""
 
 from collections.abc import Mapping
 from typing import Final
@@ -24,7 +24,7 @@ from emulators.firmware.own_time import on_own_time
 
 _ABSENT: Final = -(1 << 70)
 
-# Communication objects whose behaviour a rig may set although the file lacks them.
+# Communication objects that a rig can configure although the EDS lacks them.
 _COMMUNICATION: Final[dict[tuple[int, int], DataType]] = {
     (0x1005, 0): DataType.UNSIGNED32,
     (0x1006, 0): DataType.UNSIGNED32,
@@ -42,11 +42,11 @@ _COMMUNICATION: Final[dict[tuple[int, int], DataType]] = {
 
 
 def build(settings: Mapping[str, object], context: ControllerContext) -> Controller:
-    """The drive a rig describes.
+    """Build the drive that a rig describes.
 
     Args:
         settings: the controller's table without `kind` and `bus`.
-        context: its name, where relative paths start, the seed.
+        context: the controller's name, the folder of relative paths, the seed.
 
     Raises:
         SettingError: a key or value is wrong, or the EDS cannot be read; names the keys.
@@ -60,7 +60,7 @@ def build(settings: Mapping[str, object], context: ControllerContext) -> Control
 
 
 def build_drive(settings: DriveSettings, memory: NonvolatileMemory | None = None) -> Cia402Drive:
-    """The drive with these settings; all it is told must be by its own clock.
+    """Build the drive with these settings; all times passed to it must be by its own clock.
 
     Raises:
         SettingError: the EDS cannot be read, or an object of `settings.objects` cannot be set.
@@ -74,8 +74,8 @@ def build_drive(settings: DriveSettings, memory: NonvolatileMemory | None = None
     if od.get(0x6040) is None or od.get(0x6041) is None:
         raise SettingError(
             ("eds",),
-            f"{settings.eds} has no 6040h and 6041h: it is no CiA 402 drive's file",
-            "take the drive's own EDS, or leave eds out for ours",
+            f"{settings.eds} has no 6040h and 6041h: it is not the EDS of a CiA 402 drive",
+            "use the drive's own EDS, or omit eds for ours",
         )
     events = [("warning", f"{path}:{line}: {text}") for path, line, text in description.warnings]
     if not settings.oscillator.is_ideal():
@@ -96,11 +96,13 @@ def build_drive(settings: DriveSettings, memory: NonvolatileMemory | None = None
     try:
         return Cia402Drive(od, settings, events, memory)
     except ValueError as error:
-        raise SettingError(("servo",), str(error), "smaller gains of the current loop") from error
+        raise SettingError(
+            ("servo",), str(error), "reduce the gains of the current loop"
+        ) from error
 
 
 def _set_objects(od: ObjectDictionary, settings: DriveSettings) -> None:
-    """Power-on values the rig gives; an absent object may have one if something uses it."""
+    """Set the power-on values of the rig; absent objects can have one if the drive uses them."""
     if not settings.objects:
         return
     behind = ObjectDictionary()
@@ -113,8 +115,8 @@ def _set_objects(od: ObjectDictionary, settings: DriveSettings) -> None:
         if variable is None:
             raise SettingError(
                 path,
-                f"{settings.eds.name} has no such object, and nothing behind it uses one",
-                "leave it out, or take an eds that has it",
+                f"{settings.eds.name} has no such object, and the drive does not use it internally",
+                "remove it, or use an EDS that has it",
             )
         try:
             variable.set_default(_value(variable, wanted.value))
@@ -132,15 +134,15 @@ def _hidden(
 
 
 def _value(variable: Variable, value: int | float | str) -> Value:
-    """The rig's value in the Python type the variable holds."""
+    """Return the rig's value in the Python type that the variable holds."""
     if isinstance(value, str):
         if length_bits(variable.data_type):
-            raise TypeError(f"{value!r} is no number")
+            raise TypeError(f"{value!r} is not a number")
         return value.encode("utf-8")
     if not is_integer(variable.data_type):
         return float(value)
     if isinstance(value, float):
-        raise TypeError(f"{value} is no whole number")
+        raise TypeError(f"{value} is not a whole number")
     low, high = variable.low, variable.high
     if (low is not None and value < low) or (high is not None and value > high):
         raise ValueError(f"{value} is outside {low}..{high}")

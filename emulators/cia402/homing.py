@@ -1,4 +1,4 @@
-"""Homing mode (hm): home is found over switches and index pulse, exactly where they are.
+"""Homing mode (hm): finds the exact home position by switches and index pulse.
 
 Statusword bits 10, 12 and 13 (CiA 402-2, homing mode):
 
@@ -13,12 +13,14 @@ Statusword bits 10, 12 and 13 (CiA 402-2, homing mode):
 1     0     1     error, at rest
 ====  ====  ====  ==========================================
 
-The switch is searched for at 6099h:1; on it, towards its edge and the index pulse, 6099h:2 is used.
-Home is what was latched there; the drive then brakes with 609Ah and does not go back. Errors: a
-method there is none of, or one of its speeds 0; a start in motion; the way barred by a limit switch
-that the method does not turn round at, or, having turned round, by the other one; no index pulse
-within a turn of the motor. There is no timeout: without any switch the motor runs until the host,
-or a following error, ends it. A new start (bit 4) begins afresh.
+The drive searches for the switch at 6099h:1. On the switch, towards its edge and the index pulse,
+it uses 6099h:2. Home is the position latched there. The drive then brakes with 609Ah and does not
+return.
+
+Errors: an unsupported method, or one of its speeds is 0; a start in motion; a limit switch in the
+way at which the method does not reverse; after a reversal, the other limit switch; no index pulse
+within a turn of the motor. There is no timeout: without any switch the motor runs until the host or
+a following error stops it. A new start (bit 4) begins again.
 """
 
 from enum import IntEnum
@@ -42,12 +44,12 @@ from emulators.firmware.digital_inputs import (
 )
 
 HOMING_START: Final = 0x0010
-_FAR_INC: Final = 1 << 44  # further than any axis goes
+_FAR_INC: Final = 1 << 44  # beyond the range of any axis
 
 
 @final
 class HomingState(IntEnum):
-    """Where a homing is."""
+    """Progress of a homing."""
 
     NOT_STARTED = 0
     IN_PROGRESS = 1
@@ -72,31 +74,31 @@ class Homing(Mode):
         self._inputs = inputs
         self._guard = guard
         self._method: HomingMethod = HOMING_METHODS[37]
-        self._way: int = 0  # in which the motor is sent
+        self._way: int = 0  # direction of the present motion
         self._searching: bool = False  # for the switch, in the first direction
-        self._turned: bool = False  # round, at a limit switch
+        self._turned: bool = False  # reversed at a limit switch
         self._past_edge: bool = False  # the index pulse is next
         self._wake_ns: int = NEVER
 
     def enter(self, word: int, now_ns: int) -> None:
-        """The motor stands, or comes to rest; what was attained stays attained."""
+        """Bring the motor to rest; an attained home stays attained."""
         self.leave()
         self.halted = word & CW_HALT != 0
         self.axis.ramp_to_rest(self.objects.motion.deceleration_inc_s2())
 
     def leave(self) -> None:
-        """A homing still in progress is interrupted."""
+        """Interrupt a homing in progress."""
         self.halted = False
         if self.state is HomingState.IN_PROGRESS:
             self._end(HomingState.NOT_STARTED)
 
     def forget(self) -> None:
-        """Nothing is attained (power-on), and positions have other names (lost encoder)."""
+        """Discard the home position (power-on, or a lost encoder)."""
         self._end(HomingState.NOT_STARTED)
         self._guard.fence()
 
     def obey(self, word: int, rising: int, now_ns: int) -> None:
-        """Bit 4 starts and, when it falls, interrupts; so does bit 8."""
+        """Start on a rising bit 4; interrupt on a falling bit 4, or on bit 8 (halt)."""
         halt = word & CW_HALT != 0
         objects = self.objects
         if halt and not self.halted and self.state is HomingState.IN_PROGRESS:
@@ -113,7 +115,7 @@ class Homing(Mode):
             self._begin(now_ns)
 
     def settle(self, now_ns: int) -> None:
-        """On the present position: a tick later it has its new name. Else: has the way ended?"""
+        """Finish homing on the present position a tick later; fail if the motion has ended."""
         if self.state is not HomingState.IN_PROGRESS:
             return
         if now_ns >= self._wake_ns:
@@ -122,7 +124,7 @@ class Homing(Mode):
             self._fail()
 
     def sees(self, edges: list[Edge]) -> None:
-        """Inputs have changed."""
+        """Handle edges of digital inputs."""
         for edge in edges:
             if self.state is not HomingState.IN_PROGRESS or self._wake_ns != NEVER:
                 return
@@ -135,11 +137,11 @@ class Homing(Mode):
                 self._meet_limit()
 
     def wake_ns(self) -> int:
-        """One tick after the start, on the present position."""
+        """Return one tick after the start, for homing on the present position [ns]."""
         return self._wake_ns
 
     def status_bits(self) -> int:
-        """Bits 10, 12 and 13."""
+        """Return bits 10, 12 and 13."""
         if self.state is HomingState.IN_PROGRESS:
             return 0
         bits = 0 if self._moves() else TARGET_REACHED
@@ -150,10 +152,10 @@ class Homing(Mode):
         return TARGET_REACHED
 
     def idle_bits(self) -> int:
-        """What was attained shows when the power stage is off, too."""
+        """Return the bits of an attained home, which are also shown with the power stage off."""
         return HOMING_ATTAINED | TARGET_REACHED if self.state is HomingState.ATTAINED else 0
 
-    # --- inside
+    # --- internals
 
     def _begin(self, now_ns: int) -> None:
         objects = self.objects.homing
@@ -190,7 +192,7 @@ class Homing(Mode):
             self._go(-method.direction, objects.switch_speed_inc_s())
 
     def _meet_switch(self, edge: Edge) -> None:
-        """An edge of the method's switch: the one that is home, or one on the way there."""
+        """Handle an edge of the method's switch: home itself, or an edge on the way to it."""
         method = self._method
         objects = self.objects.homing
         if self._past_edge:
@@ -201,15 +203,15 @@ class Homing(Mode):
                 self._seek_index(edge.count)
             else:
                 self._attain(edge.count)
-        elif edge.active == method.before:  # now it is in the state it must be left in
+        elif edge.active == method.before:  # the switch is now in the state before the home edge
             self._searching = False
             self._go(method.direction, objects.zero_speed_inc_s())
-        elif self._searching:  # past it, to come back
+        elif self._searching:  # passed it: return
             self._searching = False
             self._go(-method.direction, objects.switch_speed_inc_s())
 
     def _meet_limit(self) -> None:
-        """The way ends here: back, if the method says so and it is the first time."""
+        """Reverse at a limit switch if the method does so and it is the first time; else fail."""
         if self._searching and self._method.turns and not self._turned:
             self._turned = True
             self._go(-self._way, self.objects.homing.switch_speed_inc_s())
@@ -217,7 +219,7 @@ class Homing(Mode):
             self._fail()
 
     def _seek_index(self, start_count: int) -> None:
-        """On, to the first index pulse; beyond a turn from `start_count` there is none."""
+        """Move on to the first index pulse; fail beyond a turn from `start_count`."""
         objects = self.objects.homing
         speed = objects.zero_speed_inc_s()
         acceleration = objects.acceleration_inc_s2()
@@ -254,7 +256,7 @@ class Homing(Mode):
         self._end(HomingState.FAILED)
 
     def _end(self, state: HomingState) -> None:
-        """However it ended: inputs and limits are as without a homing."""
+        """End the homing and restore the monitoring of inputs and limits."""
         if self.state is HomingState.IN_PROGRESS and self._method.index:
             self._inputs.watch_index(False)
         self.state = state

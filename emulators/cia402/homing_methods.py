@@ -1,12 +1,11 @@
-"""The homing methods of CiA 402-2 as one table: where home is, and from which side it is taken.
+"""The homing methods of CiA 402-2 as one table.
 
-Every method ends by passing an edge of one switch in one direction, with the switch going over from
-`before` to the other state; home is that edge, or the first index pulse from there on in the same
-direction. `search` is where the switch is looked for by a drive that is not on it. Methods 7 to 14
-and 23 to 30 may meet the end of travel first, and turn round at that limit switch; there the home
-switch is a cam in the middle. In 3 to 6 and 19 to 22 it reaches to the end of travel.
-
-15, 16, 31 and 32 are reserved; 36 and the negative ones are not emulated. 35 is obsolete: 37 now.
+Every method ends by passing an edge of one switch in one direction, where the switch changes from
+`before` to the other state. Home is that edge, or the first index pulse after it in the same
+direction. `search` is the direction of the search if the switch is not active at the start. Methods
+7 to 14 and 23 to 30 can meet a limit switch first, and reverse there; their home switch is a cam in
+the middle. In 3 to 6 and 19 to 22 the home switch extends to the end of travel. 15, 16, 31 and 32
+are reserved; 36 and the negative ones are not emulated. 35 is obsolete and replaced by 37.
 """
 
 from typing import Final, final
@@ -24,12 +23,12 @@ class HomingMethod:
     """One row of the table.
 
     Attributes:
-        switch: whose edge (a bit of 60FDh); 0: none.
-        direction: in which home is passed, +1 or -1; 0: home is where the motor stands.
-        before: whether the switch is active before that edge.
+        switch: bit of the switch in 60FDh; 0: none.
+        direction: direction in which home is passed, +1 or -1; 0: home is the present position.
+        before: state of the switch before that edge.
         search: the first direction, if the switch is not active at the start.
-        turns: at the limit switch in that direction it turns round.
-        index: home is the first index pulse after the edge, not the edge.
+        turns: True if the drive reverses at the limit switch in that direction.
+        index: True if home is the first index pulse after the edge, not the edge.
     """
 
     def __init__(
@@ -55,7 +54,7 @@ _BY_EDGE: Final = (
     (HOME_SWITCH, _RIGHT, _OFF, _RIGHT, True),  # 8, 24: left edge, from outside
     (HOME_SWITCH, _LEFT, _OFF, _RIGHT, True),  # 9, 25: right edge, from outside
     (HOME_SWITCH, _RIGHT, _ON, _RIGHT, True),  # 10, 26: right edge, from inside
-    (HOME_SWITCH, _RIGHT, _ON, _LEFT, True),  # 11, 27: the same four, beginning to the left
+    (HOME_SWITCH, _RIGHT, _ON, _LEFT, True),  # 11, 27: the same four, starting to the left
     (HOME_SWITCH, _LEFT, _OFF, _LEFT, True),  # 12, 28
     (HOME_SWITCH, _RIGHT, _OFF, _LEFT, True),  # 13, 29
     (HOME_SWITCH, _LEFT, _ON, _LEFT, True),  # 14, 30

@@ -1,7 +1,8 @@
 """The objects of homing: 6098h, 6099h, 609Ah, 607Ch.
 
-Zero lies 607Ch beyond home: home itself is called -607Ch. So CiA 402-2, as Elmo, Parker, Applied
-Motion, Fastech and Mitsubishi (MR-J5, Pr. PT08) tell it; KEB's F6 has the other sign.
+The zero position is 607Ch beyond home, so the position of home is -607Ch. CiA 402-2 defines it this
+way, as do Elmo, Parker, Applied Motion, Fastech and Mitsubishi (MR-J5, Pr. PT08). KEB's F6 has the
+opposite sign.
 """
 
 from typing import Final, final
@@ -14,14 +15,14 @@ from emulators.cia402.motion_objects import MotionObjects
 from emulators.cia402.units import FactorGroup
 from emulators.cia402.written import Choice, Written
 
-_SWITCH_PART: Final = 4  # by default 6099h:1 is this part of 6081h
-_ZERO_PART: Final = 40  # and 6099h:2 this one
+_SWITCH_PART: Final = 4  # default 6099h:1 is 6081h divided by this
+_ZERO_PART: Final = 40  # default 6099h:2 is 6081h divided by this
 _D = DataType
 
 
 @final
 class HomingObjects:
-    """How to home, and what home is called."""
+    """Method, speeds and offset of homing."""
 
     def __init__(
         self,
@@ -44,23 +45,23 @@ class HomingObjects:
         self._acceleration = ensure(0x609A, 0, _D.UNSIGNED32, defaults.acceleration)
 
     def home_inc(self) -> int:
-        """What home is called, as 607Ch has it."""
+        """Return the position of home, according to 607Ch [increments]."""
         return -self._factors.units.position_inc(self._home_offset.integer())
 
     def method(self) -> int:
-        """6098h."""
+        """Return 6098h."""
         return self._method.integer()
 
     def switch_speed_inc_s(self) -> float:
-        """6099h:1, within what the motor may do; 0 where it is 0."""
+        """Return 6099h:1, limited to the motor's maximum speed; 0 if it is 0."""
         return self._speed_inc_s(self._switch_speed.integer())
 
     def zero_speed_inc_s(self) -> float:
-        """6099h:2, within what the motor may do; 0 where it is 0."""
+        """Return 6099h:2, limited to the motor's maximum speed; 0 if it is 0."""
         return self._speed_inc_s(self._zero_speed.integer())
 
     def acceleration_inc_s2(self) -> float:
-        """609Ah; 6083h where it is 0; always > 0."""
+        """Return 609Ah, or 6083h if it is 0; always > 0."""
         raw = self._acceleration.integer()
         if raw <= 0:
             return self._motion.acceleration_inc_s2()

@@ -1,11 +1,13 @@
-"""Interpolated position mode (ip): set-points from a buffer, one for each period 60C2h, linear.
+"""Interpolated position mode (ip): linear interpolation of buffered set-points.
 
 CiA 402-2, interpolated position mode; sub-mode 60C0h = 0, linear interpolation. Each value written
-to 60C1h:1 is one record for the buffer 60C4h. Controlword bit 4 enables the interpolation; then, at
-each SYNC, or, as long as none has come, each period by the drive's own clock, one record is taken,
-and the demand goes there evenly over 60C2h (one set-point a period, at SYNC: Kollmorgen AKD).
-Statusword bit 12: interpolation is active; bit 10: the buffer is empty and the motor stands where
-the last record said. An empty buffer is no fault: the motor waits there.
+to 60C1h:1 is one record for the buffer 60C4h. Controlword bit 4 enables the interpolation. One
+record is then taken at each SYNC. Before the first SYNC, one is taken in each period of the drive's
+own clock. The demand moves linearly to the record in 60C2h (one set-point per period, at SYNC:
+Kollmorgen AKD).
+
+Statusword bit 12: interpolation is active. Bit 10: the buffer is empty and the motor stands at the
+last record. An empty buffer is not a fault; the motor waits there.
 """
 
 from typing import Final, final
@@ -28,12 +30,12 @@ class InterpolatedPosition(CyclicMode):
     def __init__(self, axis: Axis, objects: DriveObjects, tick_ns: int) -> None:
         super().__init__(axis, objects, tick_ns)
         self._active: bool = False
-        self._due_ns: int = NEVER  # when the next record is taken without a SYNC
+        self._due_ns: int = NEVER  # when the next record is taken without SYNC
         self._hears_sync: bool = False
         self.heeds_sync = True
 
     def enter(self, word: int, now_ns: int) -> None:
-        """The motor stands, or comes to rest; bit 4 as it stands enables."""
+        """Bring the motor to rest; enable interpolation if bit 4 is set."""
         super().enter(word, now_ns)
         self._hears_sync = False
         self._stop()
@@ -41,12 +43,12 @@ class InterpolatedPosition(CyclicMode):
         self.obey(word, 0, now_ns)
 
     def leave(self) -> None:
-        """The buffer keeps its records."""
+        """Stop the interpolation; the buffer keeps its records."""
         super().leave()
         self._stop()
 
     def obey(self, word: int, rising: int, now_ns: int) -> None:
-        """Bit 4 enables, bit 8 halts; either way what is in the buffer waits."""
+        """Enable on bit 4, halt on bit 8; records in the buffer wait meanwhile."""
         super().obey(word, rising, now_ns)
         active = word & ENABLE_INTERPOLATION != 0 and word & CW_HALT == 0
         if active == self._active:
@@ -60,7 +62,7 @@ class InterpolatedPosition(CyclicMode):
             self.axis.ramp_to_rest(self.objects.motion.deceleration_inc_s2())
 
     def synced(self, now_ns: int) -> bool:
-        """SYNC sets the pace from the first one on."""
+        """Take a record; from the first SYNC on, SYNC sets the pace."""
         is_first = super().synced(now_ns)
         self._hears_sync = True
         if not self._active:
@@ -70,23 +72,23 @@ class InterpolatedPosition(CyclicMode):
         return True
 
     def settle(self, now_ns: int) -> None:
-        """Without SYNC the drive keeps time itself."""
+        """Take records by the own clock if there is no SYNC."""
         super().settle(now_ns)
         if now_ns >= self._due_ns:
             self._due_ns = now_ns + self.over_ns() if self._take() else NEVER
 
     def written(self, what: int, now_ns: int) -> None:
-        """A record for a drive that waits for one, and hears no SYNC."""
+        """Start on a new record if the drive waits for one without SYNC."""
         if self._active and self._due_ns == NEVER and not self._hears_sync:
             self._due_ns = now_ns
 
     def wake_ns(self) -> int:
-        """When the next record is due, or SYNC has stayed away."""
+        """Return when the next record is due, or SYNC absent for too long [ns]."""
         wake_ns = self.sync_due_ns()
         return self._due_ns if self._due_ns < wake_ns else wake_ns
 
     def status_bits(self) -> int:
-        """Bits 10, 12 and 13."""
+        """Return bits 10, 12 and 13."""
         bits = IP_ACTIVE if self._active else 0
         flags = self.axis.flags
         if flags & f.FOLLOWING_ERROR:
@@ -99,7 +101,7 @@ class InterpolatedPosition(CyclicMode):
         return bits
 
     def _take(self) -> bool:
-        """The next record counts, if there is one."""
+        """Take the next record; return False if there is none."""
         ip = self.objects.ip
         if ip.is_empty():
             return False

@@ -17,7 +17,7 @@ _D = DataType
 
 @final
 class IpObjects:
-    """60C0h, 60C1h:1 and 60C4h; positions as written, in the units of the moment they are taken."""
+    """60C0h, 60C1h:1 and 60C4h; records are converted with the units valid when they are taken."""
 
     def __init__(self, od: ObjectDictionary, factors: FactorGroup, written: Written) -> None:
         ensure = od.ensure
@@ -41,18 +41,18 @@ class IpObjects:
         self._access.writer = self._write_access
 
     def reload(self) -> None:
-        """Values have become their defaults (reset node); the buffer is empty."""
+        """Clear the buffer after the objects were reset to their defaults (reset node)."""
         self._records.clear()
 
     def is_empty(self) -> bool:
-        """Whether nothing is left to take."""
+        """Return True if the buffer is empty."""
         return not self._records
 
     def take_inc(self) -> int:
-        """The oldest record leaves the buffer.
+        """Remove and return the oldest record [increments].
 
         Raises:
-            IndexError: there is none.
+            IndexError: the buffer is empty.
         """
         return self._factors.units.position_inc(self._records.pop(0))
 
@@ -84,5 +84,5 @@ class IpObjects:
         return max(1, min(BUFFER_MAX, self._size.integer()))
 
     def _free_place(self) -> int:
-        """60C4h:4, the next free place in the buffer."""
+        """Return 60C4h:4, the next free place in the buffer."""
         return len(self._records)

@@ -1,15 +1,15 @@
-"""Hardware limit switches and software limits: what they stop, and what they let pass.
+"""Effects of hardware limit switches and software limits on the motion.
 
-An active limit switch stops a motion into it on the quick stop ramp 6085h, in every mode, and keeps
-it from being commanded again; away from it every motion is allowed. It is no fault, so there is no
-EMCY; statusword bit 11 shows that a switch is active (so SMC's LECSN-T and Novanta's stop manager).
-A homing minds them itself.
+An active limit switch stops a motion into it on the quick stop ramp 6085h, in every mode. New
+motion into it is refused; motion away from it is allowed. This is not a fault, so there is no EMCY.
+Statusword bit 11 shows that a switch is active (as with SMC's LECSN-T and Novanta's stop manager).
+Homing handles the limit switches itself.
 
-Software limits (607Dh) keep the target within them where a position is controlled. In the modes of
-velocity and torque they are what a limit switch would be there: whoever has passed one is braked on
-6085h and so comes to rest behind it, as Danfoss' VLT servo drive ISD says of "all other modes"
-(MG36D1, object 607Dh; others, Novanta's Summit, fail there). They count from home, whatever it is
-called (607Ch), and are looked at by the axis' own gate: without 607Dh nothing is.
+Software limits (607Dh) limit the target where a position is controlled. In the velocity and torque
+modes they act like limit switches. An axis that has passed one is braked on 6085h and comes to rest
+beyond it. Danfoss' VLT servo drive ISD does the same in "all other modes" (MG36D1, object 607Dh);
+others, for example Novanta's Summit, raise a fault. The limits count from home, regardless of its
+position (607Ch). The axis' own gate monitors them. Without 607Dh they cost nothing.
 """
 
 from typing import Final, final
@@ -31,10 +31,10 @@ _FENCED_MODES: Final = tuple(EMULATED_MODES[name] for name in ("pv", "tq", "csv"
 
 @final
 class LimitGuard:
-    """Keeps the axis out of active limit switches, except while a homing has it.
+    """Keeps the axis out of active limit switches, except during homing.
 
     Attributes:
-        is_active: whether one of the two is, or the axis is beyond a software limit.
+        is_active: True if a switch is active, or the axis is beyond a software limit.
     """
 
     def __init__(self, axis: Axis, inputs: DigitalInputs, motion: MotionObjects) -> None:
@@ -42,18 +42,18 @@ class LimitGuard:
         self._inputs = inputs
         self._motion = motion
         self._homing: bool = False
-        self._counts: bool = False  # whether software limits do, in this mode
+        self._counts: bool = False  # True if software limits apply in this mode
         self._beyond: int = 0  # as last applied
         self.is_active: bool = inputs.bits & LIMITS != 0
 
     def homes(self, on: bool) -> None:
-        """A homing begins, or is over."""
+        """Start or end the exception for homing."""
         if on != self._homing:
             self._homing = on
             self.apply()
 
     def sees(self, edges: list[Edge]) -> None:
-        """Digital inputs have changed, or a software limit has been passed."""
+        """Handle edges of digital inputs, or a passed software limit."""
         moved = self._inputs.beyond != self._beyond
         for edge in edges:
             if edge.bit & LIMITS:
@@ -63,17 +63,17 @@ class LimitGuard:
             self.apply()
 
     def select(self, mode: int) -> None:
-        """This mode of operation has the axis now."""
+        """Apply the rules of a mode of operation."""
         self._counts = mode in _FENCED_MODES
         self.fence()
 
     def written(self, what: int) -> None:
-        """Objects were written: 607Dh, perhaps, or what its numbers mean."""
+        """Handle a write to 607Dh or to objects that change its meaning."""
         if what & (POSITION_LIMITS | FACTORS):
             self.fence()
 
     def fence(self) -> None:
-        """Software limits count from now on as they are, where the mode looks at them."""
+        """Update the software limits, if the mode uses them."""
         inputs = self._inputs
         if self._counts and self._motion.has_position_limits():
             low_inc, high_inc = self._motion.position_limits_inc()
@@ -85,7 +85,7 @@ class LimitGuard:
             self.apply()
 
     def apply(self) -> None:
-        """What the switches say counts from now on."""
+        """Apply the present state of switches and software limits to the axis."""
         self._beyond = self._inputs.beyond
         active = (self._inputs.bits | self._beyond) & LIMITS
         self.is_active = active != 0

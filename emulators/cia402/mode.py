@@ -1,4 +1,4 @@
-"""What all modes of operation have in common."""
+"""Base class of the modes of operation."""
 
 from emulators.canopen.shared import NEVER
 from emulators.cia402.objects import DriveObjects
@@ -7,9 +7,9 @@ from emulators.firmware.digital_inputs import Edge
 
 
 class Mode:
-    """One mode of operation; it is asked and told only while it has the axis.
+    """One mode of operation; it is active only while it controls the axis.
 
-    It has it in OPERATION ENABLED. All calls come after `axis.at(now_ns)`.
+    A mode controls the axis in OPERATION ENABLED. All methods are called after `axis.at(now_ns)`.
     """
 
     def __init__(self, axis: Axis, objects: DriveObjects, tick_ns: int) -> None:
@@ -17,43 +17,40 @@ class Mode:
         self.objects = objects
         self.tick_ns = tick_ns
         self.halted: bool = False
-        self.limited: bool = False  # a limit holds it back: statusword bit 11
-        self.heeds_sync: bool = False  # whether `synced` is to be called
-        self.lost: bool = False  # SYNC has stayed away too long for it to go on
+        self.limited: bool = False  # a limit is active: statusword bit 11
+        self.heeds_sync: bool = False  # True if `synced` must be called
+        self.lost: bool = False  # SYNC has been absent for too long to continue
 
     def enter(self, word: int, now_ns: int) -> None:
-        """The mode gets the axis; `word` is the present controlword."""
+        """Take control of the axis; `word` is the present controlword."""
 
     def leave(self) -> None:
-        """The axis is somebody else's now; what was still to be done is forgotten."""
+        """Release the axis and discard pending work."""
 
     def obey(self, word: int, rising: int, now_ns: int) -> None:
-        """A controlword was written; `rising` are the bits that were 0 in the one before."""
+        """Obey a controlword; `rising` are the bits that were 0 in the one before."""
 
     def written(self, what: int, now_ns: int) -> None:
-        """Objects were written (see objects.py)."""
+        """Handle objects that were written (a set of `Written` bits)."""
 
     def sees(self, edges: list[Edge]) -> None:
-        """Digital inputs have changed."""
+        """Handle edges of digital inputs."""
 
     def synced(self, now_ns: int) -> bool:
-        """SYNC was on the bus, and what it brought into force has been told.
-
-        True: something is to be done, or waited for, that was not before.
-        """
+        """Handle SYNC after its data; return True if there is new work or a new deadline."""
         return False
 
     def settle(self, now_ns: int) -> None:
-        """The axis' flags have changed, or `wake_ns` has come."""
+        """Handle changed flags of the axis, or `wake_ns`."""
 
     def wake_ns(self) -> int:
-        """When `settle` must be called at the latest [ns], or NEVER."""
+        """Return when `settle` must be called at the latest [ns], or NEVER."""
         return NEVER
 
     def status_bits(self) -> int:
-        """Statusword bits 10, 12 and 13 while the mode has the axis."""
+        """Return statusword bits 10, 12 and 13 while the mode controls the axis."""
         return 0
 
     def idle_bits(self) -> int:
-        """The same while it has not."""
+        """Return the same bits while it does not."""
         return 0

@@ -1,6 +1,7 @@
-"""The objects of motion: targets, speeds, ramps and limits, in increments and seconds.
+"""The objects of motion: targets, speeds, ramps and limits.
 
-A value of 0 in a ramp means "not set", not "never": 6085h falls back to 6084h, and that to 6083h.
+All values are converted to increments and seconds. A value of 0 in a ramp means "not set": 6085h
+then falls back to 6084h, and that to 6083h.
 """
 
 from typing import Final, final
@@ -14,15 +15,15 @@ from emulators.plant.dc_motor import MotorPlant
 
 _UNLIMITED: Final = 0xFFFF_FFFF
 _NO_SPEED: Final = 1e300
-# 60F2h: what a relative set-point counts from (bits 0 and 1), and which way round an axis with a
-# position range goes (bits 6 and 7); nothing else has a behaviour.
+# 60F2h: origin of a relative set-point (bits 0 and 1), and direction of an axis with a position
+# range (bits 6 and 7); no other bit has an effect.
 _POSITIONING: Final = frozenset(origin | way << 6 for origin in range(3) for way in range(4))
 _D = DataType
 
 
 @final
 class MotionObjects:
-    """What a host asks of the motion.
+    """Motion parameters that a host can set.
 
     Attributes:
         target_position_raw, target_velocity_raw: 607Ah and 60FFh as last written.
@@ -71,39 +72,39 @@ class MotionObjects:
         self._velocity_physical_inc_s = defaults.no_load_inc_s
 
     def reload(self) -> None:
-        """Values have become their defaults (reset node)."""
+        """Reload the targets after the objects were reset to their defaults (reset node)."""
         self.target_position_raw = self._target_position.integer()
         self.target_velocity_raw = self._target_velocity.integer()
 
     def target_position_inc(self) -> int:
-        """607Ah, as a distance or on an axis without a position range."""
+        """Return 607Ah as a distance, or as a position on an axis without a position range."""
         return self._factors.units.position_inc(self.target_position_raw)
 
     def target_near_inc(self, demand_inc: int, way: int) -> int:
-        """607Ah on an axis whose position range 607Bh repeats, seen from here."""
+        """Return 607Ah on an axis with a position range (607Bh), relative to the present demand."""
         units = self._factors.units
         if units.range_size == 0:
             return units.position_inc(self.target_position_raw)
         return units.turned_inc(self.target_position_raw, demand_inc, way)
 
     def target_velocity_inc_s(self) -> float:
-        """60FFh, within what the motor may do."""
+        """Return 60FFh, limited to the motor's maximum speed."""
         limit = self.velocity_max_inc_s()
         return max(-limit, min(limit, self.target_velocity_raw_inc_s()))
 
     def target_velocity_raw_inc_s(self) -> float:
-        """60FFh, whatever the motor may do."""
+        """Return 60FFh without the limit."""
         units = self._factors.units
         return self.target_velocity_raw * units.velocity_unit_inc_s * units.velocity_sign
 
     def torque_speed_max_inc_s(self) -> float:
-        """6080h where it is less than the supply can turn the motor at: torque modes heed it."""
+        """Return 6080h if it is below the no-load speed: the speed limit of the torque modes."""
         rpm = self._motor_rpm_max.integer()
         limit = rpm * self._encoder_increments_rev / 60.0
         return limit if rpm > 0 and limit < self._velocity_physical_inc_s - 1.0 else _NO_SPEED
 
     def velocity_max_inc_s(self) -> float:
-        """The least of 607Fh, 6080h [motor rpm] and what the supply can turn the motor at."""
+        """Return the least of 607Fh, 6080h [motor rpm] and the no-load speed."""
         limit = self._velocity_physical_inc_s
         profile_max = self._velocity_max.integer()
         if profile_max > 0:
@@ -114,11 +115,11 @@ class MotionObjects:
         return limit
 
     def set_velocity_inc_s(self) -> float:
-        """6081h, whatever the motor may do."""
+        """Return 6081h without the limit."""
         return self._velocity.integer() * self._factors.units.velocity_unit_inc_s
 
     def acceleration_inc_s2(self) -> float:
-        """6083h, within 60C5h; always > 0."""
+        """Return 6083h, limited by 60C5h; always > 0."""
         raw = self._acceleration.integer()
         if raw <= 0:
             return self._acceleration_fallback_inc_s2
@@ -127,7 +128,7 @@ class MotionObjects:
         return (min(raw, limit) if limit > 0 else raw) * unit
 
     def deceleration_inc_s2(self) -> float:
-        """6084h, within 60C6h; 6083h where it is 0 or absent; always > 0."""
+        """Return 6084h, limited by 60C6h; 6083h if it is 0 or absent; always > 0."""
         raw = self._deceleration.integer()
         if raw <= 0:
             return self.acceleration_inc_s2()
@@ -136,28 +137,28 @@ class MotionObjects:
         return (min(raw, limit) if limit > 0 else raw) * unit
 
     def quick_stop_deceleration_inc_s2(self) -> float:
-        """6085h; as 6084h where it is 0 or absent; always > 0."""
+        """Return 6085h; 6084h if it is 0 or absent; always > 0."""
         raw = self._quick_deceleration.integer()
         if raw <= 0:
             return self.deceleration_inc_s2()
         return raw * self._factors.units.acceleration_unit_inc_s2
 
     def within_limits_inc(self, position_inc: int) -> int:
-        """The nearest position that 607Dh allows."""
+        """Return the nearest position that 607Dh allows."""
         if not self.has_position_limits():
             return position_inc
         low_inc, high_inc = self.position_limits_inc()
         return max(low_inc, min(high_inc, position_inc))
 
     def has_position_limits(self) -> bool:
-        """Whether the minimum of 607Dh is below its maximum; else there is no limit (Yaskawa)."""
+        """Return True if 607Dh is a limit: its minimum is below its maximum (as with Yaskawa)."""
         return self._limit_min.integer() < self._limit_max.integer()
 
     def position_limits_inc(self) -> tuple[int, int]:
-        """607Dh, the lower one first, whatever the polarity.
+        """Return 607Dh, the lower limit first, whatever the polarity.
 
-        The limits count from home, not from zero, which lies 607Ch beyond it (CiA 402-2, 607Dh, as
-        Elmo, Synapticon, Fastech and Mitsubishi tell it).
+        The limits count from home, not from zero, which is 607Ch beyond home (CiA 402-2, 607Dh;
+        Elmo, Synapticon, Fastech and Mitsubishi agree).
         """
         units = self._factors.units
         offset = self._home_offset.integer()
@@ -166,7 +167,7 @@ class MotionObjects:
         return (one_inc, other_inc) if one_inc <= other_inc else (other_inc, one_inc)
 
     def interpolation_ns(self) -> int:
-        """60C2h; 0 where it is 0 or absent."""
+        """Return 60C2h [ns]; 0 if it is 0 or absent."""
         value = self._period.integer()
         if value == 0:
             return 0
@@ -174,31 +175,31 @@ class MotionObjects:
         return value * int(10**exponent) if exponent >= 0 else value // int(10 ** (-exponent))
 
     def end_velocity_inc_s(self) -> float:
-        """6082h; 0 within a range 607Dh, at whose end nothing else would stop the motor."""
+        """Return 6082h; 0 if 607Dh sets limits, where nothing else would stop the motor."""
         if self.has_position_limits():
             return 0.0
         return self._end_velocity.integer() * self._factors.units.velocity_unit_inc_s
 
     def is_velocity_cut(self, velocity_inc_s: float) -> bool:
-        """Whether 607Fh, 6080h or the supply allow less than this."""
+        """Return True if 607Fh, 6080h or the supply allow less than this velocity."""
         return abs(velocity_inc_s) > self.velocity_max_inc_s()
 
     def slippage_inc_s(self) -> float:
-        """60F8h; 0: not watched."""
+        """Return 60F8h; 0: slippage is not monitored."""
         return abs(self._slippage.integer()) * self._factors.units.velocity_unit_inc_s
 
     def way_round(self) -> int:
-        """60F2h bits 6 and 7: 0 as a linear axis, 1 negative, 2 positive, 3 the shortest way."""
+        """Return 60F2h bits 6 and 7: 0 linear axis, 1 negative, 2 positive, 3 shortest way."""
         return self._positioning_option.integer() >> 6 & 3
 
     def relative_to(self) -> int:
-        """60F2h bits 0 and 1: 0 the set-point before, 1 the demand, 2 the actual position."""
+        """Return 60F2h bits 0 and 1: 0 previous set-point, 1 demand, 2 actual position."""
         return self._positioning_option.integer() & 3
 
-    # --- inside
+    # --- internals
 
     def _ramp(self, od: ObjectDictionary, index: int) -> Variable:
-        """A deceleration: as 6083h by default; hidden, it follows 6083h."""
+        """Return the variable of a deceleration: by default 6083h; hidden, it follows 6083h."""
         visible = od.get(index) is not None
         return od.ensure(index, 0, _D.UNSIGNED32, self._acceleration.integer() if visible else 0)
 

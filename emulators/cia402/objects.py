@@ -1,8 +1,8 @@
-"""The drive's part of the object dictionary: every object 6000h-67FFh that has a behaviour.
+"""The drive's objects 6000h-67FFh that have an effect.
 
-What the file has is bound to the drive; what it lacks is invisible to SDO and PDO but behaves with
-the default stated where it is bound (CiA 402-2's, or taken from the motor). What belongs together
-has a module: motion, torque, offsets, interpolation, windows, homing, option codes, gains.
+Objects in the EDS are bound to the drive. Objects missing there are invisible to SDO and PDO, but
+act with the default stated where they are bound (CiA 402-2's, or derived from the motor). Related
+objects have a module: motion, torque, offsets, interpolation, windows, homing, option codes, gains.
 """
 
 from typing import Final, final
@@ -29,7 +29,7 @@ POLARITIES: Final = frozenset((0, VELOCITY_POLARITY, POSITION_POLARITY, 0xC0))  
 
 @final
 class GainWatch:
-    """A writer that refuses a gain with which the current loop would be unstable."""
+    """A writer that refuses a gain that would make the current loop unstable."""
 
     def __init__(self, control: ControlParameters, place: int, written: Written) -> None:
         self._control = control
@@ -37,7 +37,7 @@ class GainWatch:
         self._written = written
 
     def write(self, value: int) -> int:
-        """Called before the value is stored."""
+        """Check a value before it is stored; return 0 or an abort code."""
         code = self._control.check(self._place, value)
         if code == OK:
             self._written.kinds |= GAINS
@@ -46,15 +46,15 @@ class GainWatch:
 
 @final
 class DriveObjects:
-    """What a host may write to the drive, in the drive's own terms: increments and seconds.
+    """The objects that a host can write, converted to increments and seconds.
 
     Attributes:
-        written: what was written since the drive last looked; it clears the bits.
+        written: kinds of objects written since the drive last looked; the drive clears the bits.
         controlword, mode: as last written.
         error_code: 603Fh.
         supported_modes: 6502h.
-        factors, units: what the numbers mean.
-        motion, torque, offsets, ip, windows, homing, options: the objects that belong together.
+        factors, units: the meaning of the raw numbers.
+        motion, torque, offsets, ip, windows, homing, options: groups of related objects.
         control: the servo's gains.
     """
 
@@ -107,7 +107,7 @@ class DriveObjects:
         self.reload()
 
     def reload(self) -> None:
-        """Values have become their defaults (reset node): forget what was written."""
+        """Reload the values after they were reset to their defaults (reset node)."""
         self.written.kinds = 0
         self.controlword = self._controlword.integer()
         self.mode = self._mode.integer()
@@ -116,16 +116,16 @@ class DriveObjects:
         self.reload_units()
 
     def reload_units(self) -> None:
-        """A factor object was written: what the numbers mean has changed."""
+        """Reload the units after a factor object was written."""
         self.factors.reload()
         self.units = self.factors.units
 
     def supports(self, mode: int) -> bool:
-        """Whether 6502h names the mode."""
+        """Return True if 6502h contains the mode."""
         return mode > 0 and self.supported_modes >> (mode - 1) & 1 != 0
 
     def _honest_modes(self) -> int:
-        """6502h."""
+        """Set 6502h to the modes that are really emulated, and return it."""
         modes = honest_modes(self._supported.integer(), self.settings.supported_modes)
         self._supported.set_default(modes)
         return modes

@@ -1,4 +1,4 @@
-"""The offsets of the cyclic modes: what is added to a set-point, or fed forward beneath it."""
+"""Offsets of the cyclic modes, added to a set-point or fed forward."""
 
 from typing import Final, final
 
@@ -21,7 +21,7 @@ class OffsetObjects:
         self._torque_offset = od.ensure(0x60B2, 0, _D.INTEGER16, 0)
 
     def are_set(self) -> bool:
-        """Whether any of them is not 0."""
+        """Return True if any offset is not 0."""
         return (
             self._position.integer() != 0
             or self._velocity.integer() != 0
@@ -29,14 +29,14 @@ class OffsetObjects:
         )
 
     def position_inc(self) -> int:
-        """60B0h."""
+        """Return 60B0h [increments]."""
         return self._factors.units.position_inc(self._position.integer())
 
     def velocity_inc_s(self) -> float:
-        """60B1h."""
+        """Return 60B1h [increments/s]."""
         units = self._factors.units
         return self._velocity.integer() * units.velocity_unit_inc_s * units.velocity_sign
 
     def current_a(self) -> float:
-        """60B2h, as the current that makes this torque."""
+        """Return 60B2h as the current that causes this torque [A]."""
         return self._torque.current_of_a(self._torque_offset.integer())

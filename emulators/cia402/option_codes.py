@@ -1,14 +1,15 @@
-"""The option codes: how the drive stops, and what follows (CiA 402-2, 605Ah to 605Eh, 6007h).
+"""Option codes for stopping the drive (CiA 402-2, 605Ah to 605Eh, 6007h).
 
-What they name, and what it is here:
+Meaning of their terms in this drive:
 
-- *slow-down ramp*: 6084h, but 609Ah where a homing is halted; *quick stop ramp*: 6085h; the demand
-  goes down evenly.
-- *current limit*: the velocity loop wants standstill at once, and brakes with all the current that
-  6072h, 60E0h and 60E1h leave it.
-- *voltage limit*: as hard as can be without energy going back into the supply, whose voltage would
-  rise: the motor brakes as if its terminals were shorted. The standard says no more than the name.
-- *coast*: the power stage goes off.
+- *slow-down ramp*: 6084h, or 609Ah if homing is halted. *Quick stop ramp*: 6085h. The demand
+  decreases linearly.
+- *current limit*: the velocity loop demands standstill at once, and brakes with all the current
+  that 6072h, 60E0h and 60E1h allow.
+- *voltage limit*: the hardest stop without energy flowing back into the supply, which would raise
+  its voltage. The motor brakes as if its terminals were shorted. The standard defines no more than
+  the name.
+- *coast*: the power stage is switched off.
 """
 
 from typing import Final, final
@@ -19,7 +20,7 @@ from emulators.cia402.motion_objects import MotionObjects
 from emulators.cia402.written import Choice, Written
 from emulators.firmware.axis import Axis
 
-# What 605Ah, 605Dh and 605Eh have in common; 605Ah has 5 to 8 for the same, and then stays.
+# Common to 605Ah, 605Dh and 605Eh; 605Ah has 5 to 8 for the same reactions, and then stays.
 COAST: Final = 0
 SLOW_DOWN_RAMP: Final = 1
 QUICK_STOP_RAMP: Final = 2
@@ -27,7 +28,7 @@ CURRENT_LIMIT: Final = 3
 VOLTAGE_LIMIT: Final = 4
 STAYS: Final = 5  # from here on, 605Ah stays in QUICK STOP ACTIVE
 
-# What has a behaviour, and so may be written.
+# Values that have an effect, and can therefore be written.
 _ALLOWED: Final = {
     0x6007: frozenset(range(4)),
     0x605A: frozenset(range(9)),
@@ -41,7 +42,7 @@ _D = DataType
 
 @final
 class OptionCodes:
-    """Each as it stands in its object; a file's own default, if not in the table, is as stated."""
+    """The option codes as in their objects; a default of the EDS outside the table is kept."""
 
     def __init__(self, od: ObjectDictionary, motion: MotionObjects, written: Written) -> None:
         ensure = od.ensure
@@ -61,31 +62,33 @@ class OptionCodes:
             code.writer = Choice(written, 0, allowed, int(AbortCode.INVALID_VALUE)).write
 
     def quick_stops_and_stays(self) -> bool:
-        """605Ah, 5 and more: the drive stays in QUICK STOP ACTIVE, and transition 16 leads out."""
+        """Return True if 605Ah >= 5: the drive stays in QUICK STOP ACTIVE until transition 16."""
         return self._quick_stop.integer() >= STAYS
 
     def shutdown_ramps(self) -> bool:
-        """605Bh: whether transition 8 brakes first."""
+        """Return True if transition 8 brakes first (605Bh)."""
         return self._shutdown.integer() == 1
 
     def disable_ramps(self) -> bool:
-        """605Ch: whether transition 5 brakes first."""
+        """Return True if transition 5 brakes first (605Ch)."""
         return self._disable.integer() == 1
 
     def abort_connection(self) -> int:
-        """6007h."""
+        """Return 6007h."""
         return self._abort_connection.integer()
 
     def quick_stop(self, axis: Axis) -> bool:
-        """605Ah begins; False: the motor shall coast. Another number brakes on 6085h."""
+        """Start the reaction of 605Ah; return False to coast. An unknown code brakes on 6085h."""
         option = self._quick_stop.integer()
         return self._stop(axis, option - 4 if option >= STAYS else option, QUICK_STOP_RAMP)
 
     def halt(self, axis: Axis, slow_down_inc_s2: float = 0.0, within_limits: bool = False) -> None:
-        """605Dh begins; it ends at standstill, held there. Another number slows down.
+        """Start the reaction of 605Dh, which ends at standstill. An unknown code slows down.
 
-        The slow-down ramp is the mode's own, if it has one (> 0), else 6084h.
-        `within_limits`: a ramp from within 607Dh that would leave it is steeper, and does not.
+        Args:
+            axis: the axis to stop.
+            slow_down_inc_s2: the mode's own slow-down ramp, if > 0, else 6084h is used.
+            within_limits: True to stop within 607Dh, with a steeper ramp if necessary.
         """
         option = self._halt.integer()
         within_inc: tuple[int, int] | None = None
@@ -95,7 +98,7 @@ class OptionCodes:
         self._stop(axis, how, SLOW_DOWN_RAMP, slow_down_inc_s2, within_inc)
 
     def react(self, axis: Axis) -> bool:
-        """605Eh begins; False: the motor shall coast. Another number brakes on 6085h."""
+        """Start the reaction of 605Eh; return False to coast. An unknown code brakes on 6085h."""
         return self._stop(axis, self._fault_reaction.integer(), QUICK_STOP_RAMP)
 
     def _stop(

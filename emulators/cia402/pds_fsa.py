@@ -2,13 +2,14 @@
 
 Theory of operation
 -------------------
-Rule 1: everything that changes the state is in this file, and `PdsFsa.take` alone writes it.
-Rule 2: the file knows nothing of time, motion or option codes. It says which transition a
-controlword asks for; when that transition has been earned (the power stage is up, the motor has
-come to rest) is the drive's business, which then calls `take`.
+Rule 1: everything that changes the state is in this file, and only `PdsFsa.take` writes it.
 
-Transitions carry the standard's numbers. 2 to 12, 15 and 16 are asked for by a controlword; 0, 1,
-13 and 14 happen by themselves (power on, initialised, fault, fault reaction done).
+Rule 2: the file knows nothing of time, motion or option codes. It returns the transition that a
+controlword requests. The drive decides when its preconditions are met (the power stage is ready,
+the motor is at rest), and then calls `take`.
+
+Transitions have the standard's numbers. 2 to 12, 15 and 16 are requested by a controlword. 0, 1, 13
+and 14 are automatic (power on, initialised, fault, fault reaction finished).
 
 ::
 
@@ -33,7 +34,7 @@ from typing import Final, final
 
 @final
 class PdsState(IntEnum):
-    """The eight states; the numbers are ours (they appear in records)."""
+    """The eight states; their numbers are ours (they appear in records)."""
 
     NOT_READY_TO_SWITCH_ON = 0
     SWITCH_ON_DISABLED = 1
@@ -47,7 +48,7 @@ class PdsState(IntEnum):
 
 @final
 class Command(IntEnum):
-    """What a controlword asks for. "Switch on" and "disable operation" are one bit pattern."""
+    """Commands of a controlword. "Switch on" and "disable operation" are one bit pattern."""
 
     DISABLE_VOLTAGE = 0
     QUICK_STOP = 1
@@ -60,12 +61,12 @@ class Command(IntEnum):
 _S = PdsState
 _C = Command
 
-# CiA 402-2, PDS FSA: what a controlword can cause, in which state, and the number it goes by.
-# 16 is further bound to quick stop option codes 5 to 8: the drive sees to that.
+# CiA 402-2, PDS FSA: the transitions that a controlword can cause in each state, with their
+# numbers. Transition 16 also requires quick stop option codes 5 to 8; the drive checks that.
 TRANSITIONS: Final[dict[tuple[PdsState, Command], int]] = {
     (_S.SWITCH_ON_DISABLED, _C.SHUTDOWN): 2,
     (_S.READY_TO_SWITCH_ON, _C.SWITCH_ON): 3,
-    (_S.READY_TO_SWITCH_ON, _C.ENABLE_OPERATION): 3,  # and then 4 by itself
+    (_S.READY_TO_SWITCH_ON, _C.ENABLE_OPERATION): 3,  # then 4 automatically
     (_S.SWITCHED_ON, _C.ENABLE_OPERATION): 4,
     (_S.OPERATION_ENABLED, _C.SWITCH_ON): 5,  # "disable operation"
     (_S.SWITCHED_ON, _C.SHUTDOWN): 6,
@@ -81,7 +82,7 @@ TRANSITIONS: Final[dict[tuple[PdsState, Command], int]] = {
     (_S.QUICK_STOP_ACTIVE, _C.ENABLE_OPERATION): 16,
 }
 
-# Transition number -> (from, to); 13 may start anywhere but in the two fault states.
+# Transition number -> (from, to); 13 can start anywhere but in the two fault states.
 ENDS: Final[dict[int, tuple[PdsState | None, PdsState]]] = {
     0: (None, _S.NOT_READY_TO_SWITCH_ON),
     1: (_S.NOT_READY_TO_SWITCH_ON, _S.SWITCH_ON_DISABLED),
@@ -104,21 +105,21 @@ ENDS: Final[dict[int, tuple[PdsState | None, PdsState]]] = {
 
 NO_TRANSITION: Final = -1
 
-# Controlword bits (CiA 402-2, object 6040h); 4 to 6 and 9 mean something else in each mode.
+# Controlword bits (CiA 402-2, object 6040h); 4 to 6 and 9 depend on the mode.
 CW_SWITCH_ON: Final = 0x0001
 CW_ENABLE_VOLTAGE: Final = 0x0002
-CW_QUICK_STOP: Final = 0x0004  # 0 asks for a quick stop
+CW_QUICK_STOP: Final = 0x0004  # 0 requests a quick stop
 CW_ENABLE_OPERATION: Final = 0x0008
 CW_FAULT_RESET: Final = 0x0080
 CW_HALT: Final = 0x0100
 _COMMAND_BITS: Final = 0x008F
-_ENABLED: Final = 0x000F  # of these: the level that enables operation, and keeps it
+_ENABLED: Final = 0x000F  # the level of these bits that enables operation, and keeps it enabled
 
 
 def decode_controlword(word: int, previous: int) -> Command | None:
-    """The command in a controlword (6040h), given the one before it; None if it holds none."""
+    """Decode the command in a controlword (6040h) after the previous word; None if none."""
     if word & CW_FAULT_RESET:
-        # An edge, not a level: while the bit stays set, the word commands nothing.
+        # An edge, not a level: while the bit stays set, the word contains no command.
         return None if previous & CW_FAULT_RESET else Command.FAULT_RESET
     if not word & CW_ENABLE_VOLTAGE:
         return Command.DISABLE_VOLTAGE
@@ -131,7 +132,7 @@ def decode_controlword(word: int, previous: int) -> Command | None:
 
 @final
 class PdsFsa:
-    """The state of one power drive system, and how often each transition was taken."""
+    """The state of one power drive system, and a count of each transition."""
 
     def __init__(self, state: PdsState = PdsState.SWITCH_ON_DISABLED) -> None:
         self.state: PdsState = state
@@ -139,25 +140,25 @@ class PdsFsa:
         self.taken: list[int] = [0] * len(ENDS)
 
     def command(self, word: int) -> Command | None:
-        """The command this controlword gives after the one before; the word is remembered."""
+        """Return the command of this controlword after the previous one, and store the word."""
         command = decode_controlword(word, self.controlword)
         self.controlword = word
         return command
 
     def holds(self, word: int) -> bool:
-        """Whether the drive is enabled, and this is once more the word that keeps it so."""
+        """Return True if the drive is enabled and this word just keeps it enabled."""
         if word != self.controlword or word & _COMMAND_BITS != _ENABLED:
             return False
         return self.state is PdsState.OPERATION_ENABLED
 
     def asked(self, command: Command | None) -> int:
-        """The transition `command` asks for in this state, or NO_TRANSITION."""
+        """Return the transition that `command` requests in this state, or NO_TRANSITION."""
         if command is None:
             return NO_TRANSITION
         return TRANSITIONS.get((self.state, command), NO_TRANSITION)
 
     def take(self, transition: int) -> None:
-        """The state is where `transition` leads. Nothing else writes it.
+        """Take a transition. Only this method writes the state.
 
         Raises:
             ValueError: the transition does not start in this state.
@@ -173,7 +174,7 @@ class PdsFsa:
         self.taken[transition] += 1
 
     def write_controlword(self, word: int) -> list[int]:
-        """The numbers of the transitions taken, as by a drive that needs no time for any."""
+        """Take all transitions a controlword causes without delay, and return their numbers."""
         command = self.command(word)
         taken: list[int] = []
         transition = self.asked(command)

@@ -1,12 +1,12 @@
-"""Profile position mode (pp): the set-point handshake and the on-board profile.
+"""Profile position mode (pp): the set-point handshake and the internal profile.
 
 CiA 402-2, profile position mode. A rising edge of *new set-point* (bit 4) offers 607Ah with the
-6081h, 6083h and 6084h of that moment; the drive takes it and shows *set-point acknowledge* (bit
-12). One set-point can wait while another is being positioned; as long as it waits, acknowledge
-stays and a further offer without *change immediately* (bit 5) is not taken. Otherwise acknowledge
-goes when bit 4 goes. *Change on set-point* (bit 9) drives through a target, at speed, to the one
-that waits. *Target reached* (bit 10) is 0 from the edge until everything taken is done and the
-motor stands in the position window; under *halt* it means standstill.
+present 6081h, 6083h and 6084h. The drive takes it and sets *set-point acknowledge* (bit 12). One
+set-point can wait while another is executed. Meanwhile acknowledge stays, and a further offer
+without *change immediately* (bit 5) is not taken. Otherwise acknowledge is cleared together with
+bit 4. *Change on set-point* (bit 9) moves through a target, at speed, to the waiting one. *Target
+reached* (bit 10) is 0 from the edge until all set-points are done and the motor stands in the
+position window. Under *halt* it means standstill.
 """
 
 from typing import Final, final
@@ -25,12 +25,12 @@ CHANGE_IMMEDIATELY: Final = 0x0020
 RELATIVE: Final = 0x0040
 CHANGE_ON_SET_POINT: Final = 0x0200
 
-SLOWEST_INC_S: Final = 1.0  # 6081h = 0 would never arrive
+SLOWEST_INC_S: Final = 1.0  # with 6081h = 0 the target would never be reached
 
 
 @final
 class SetPoint:
-    """One target with the profile that was in force when it was taken."""
+    """One target with the profile parameters valid when it was taken."""
 
     def __init__(
         self,
@@ -55,21 +55,21 @@ class ProfilePosition(Mode):
         super().__init__(axis, objects, tick_ns)
         self._running: SetPoint | None = None
         self._waiting: SetPoint | None = None
-        self._passing: bool = False  # the running target is driven through, at speed
+        self._passing: bool = False  # the running target is passed at speed
         self._acknowledged: bool = False
         self._offered: bool = False  # bit 4 as last written
         self._last_target_inc: int | None = None
-        self._goes_on: bool = False  # past its target, at 6082h
+        self._goes_on: bool = False  # beyond its target, at 6082h
         self._wake_ns: int = NEVER
 
     def enter(self, word: int, now_ns: int) -> None:
-        """The motor stands, or comes to rest; nothing has been offered yet."""
+        """Bring the motor to rest; no set-point has been offered yet."""
         self.leave()
         self.halted = word & CW_HALT != 0
         self.axis.ramp_to_rest(self.objects.motion.deceleration_inc_s2())
 
     def leave(self) -> None:
-        """Set-points not yet reached are forgotten."""
+        """Discard all set-points not reached yet."""
         self._running = None
         self._waiting = None
         self._passing = False
@@ -81,7 +81,7 @@ class ProfilePosition(Mode):
         self.limited = False
 
     def obey(self, word: int, rising: int, now_ns: int) -> None:
-        """Bits 4, 5, 6, 8 and 9."""
+        """Obey bits 4, 5, 6, 8 and 9."""
         halt = word & CW_HALT != 0
         if halt and not self.halted:
             self.halted = True
@@ -97,12 +97,12 @@ class ProfilePosition(Mode):
             self._start(now_ns)  # "positioning shall be executed or continued"
 
     def written(self, what: int, now_ns: int) -> None:
-        """A limit counts for the move under way, too."""
+        """Apply a changed limit to the present move too."""
         if what & MOTION_LIMITS and not self.halted and self.axis.flags & f.PROFILE_ACTIVE:
             self._start(now_ns)
 
     def settle(self, now_ns: int) -> None:
-        """A target was reached, or driven through: on to the one that waits."""
+        """Continue with the waiting set-point when a target is reached or passed."""
         self._wake_ns = NEVER
         running = self._running
         if running is None or self.halted:
@@ -123,11 +123,11 @@ class ProfilePosition(Mode):
             self._start(now_ns)
 
     def wake_ns(self) -> int:
-        """Each tick while a target is being driven through."""
+        """Return the next tick while a target is being passed [ns], else NEVER."""
         return self._wake_ns
 
     def status_bits(self) -> int:
-        """Bits 10, 12 and 13."""
+        """Return bits 10, 12 and 13."""
         flags = self.axis.flags
         bits = SET_POINT_ACKNOWLEDGE if self._acknowledged else 0
         if self.halted:
@@ -139,12 +139,12 @@ class ProfilePosition(Mode):
             bits |= FOLLOWING_ERROR
         return bits
 
-    # --- inside
+    # --- internals
 
     def _take(self, word: int, now_ns: int) -> None:
         immediately = word & CHANGE_IMMEDIATELY != 0
         if self._waiting is not None and not immediately:
-            return  # one runs, one waits: no room, and acknowledge says so
+            return  # one runs and one waits: no room, as acknowledge shows
         set_point = self._offered_set_point(word)
         self._acknowledged = True
         if immediately or self._running is None:
@@ -179,7 +179,7 @@ class ProfilePosition(Mode):
         )
 
     def _origin_inc(self) -> int:
-        """Where a relative set-point counts from (60F2h)."""
+        """Return the origin of a relative set-point, according to 60F2h."""
         option = self.objects.motion.relative_to()
         if option == 2:
             return self.axis.position_inc()
@@ -188,7 +188,7 @@ class ProfilePosition(Mode):
         return self._last_target_inc
 
     def _continues(self, waiting: SetPoint) -> bool:
-        """Whether the waiting target lies beyond the running one, seen from here."""
+        """Return True if the waiting target lies beyond the running one in the same direction."""
         running = self._running
         if running is None:
             return False
@@ -201,7 +201,7 @@ class ProfilePosition(Mode):
         return demand >= target_inc if next_inc > target_inc else demand <= target_inc
 
     def _start(self, now_ns: int) -> None:
-        """The axis goes for the running target, or through it for the one that waits."""
+        """Start the move to the running target, or through it to the waiting one."""
         running = self._running
         if running is None:
             return

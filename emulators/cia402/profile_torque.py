@@ -1,4 +1,4 @@
-"""Profile torque mode (tq): 6071h is live, along the ramp 6087h; 6080h limits the speed."""
+"""Profile torque mode (tq): 6071h on the ramp 6087h; 6080h limits the speed."""
 
 from typing import final
 
@@ -11,36 +11,36 @@ from emulators.firmware import flags as f
 
 @final
 class ProfileTorque(Mode):
-    """Mode 4. Bit 10: ramp over and the current near the one wanted; bit 11: a limit cuts it."""
+    """Mode 4. Bit 10: ramp finished and current near its target; bit 11: a limit reduces it."""
 
     def enter(self, word: int, now_ns: int) -> None:
-        """The motor gets the torque 6071h, as it stands there, by the ramp."""
+        """Ramp to the present torque 6071h."""
         self.halted = word & CW_HALT != 0
         self._run()
 
     def leave(self) -> None:
-        """Nothing is kept."""
+        """Clear the mode's state."""
         self.halted = False
         self.limited = False
 
     def obey(self, word: int, rising: int, now_ns: int) -> None:
-        """Bit 8, halt: the motor is braked to standstill (605Dh) and held there."""
+        """Obey bit 8, halt: brake to standstill (605Dh) and hold."""
         halt = word & CW_HALT != 0
         if halt != self.halted:
             self.halted = halt
             self._run()
 
     def written(self, what: int, now_ns: int) -> None:
-        """A new torque, or a new ramp, counts at once."""
+        """Apply a new torque or ramp at once."""
         if what & (TORQUE | FACTORS | MOTION_LIMITS) and not self.halted:
             self._run()
 
     def settle(self, now_ns: int) -> None:
-        """Whether the limit holds the torque back."""
+        """Update bit 11."""
         self.limited = not self.halted and self.axis.flags & f.CURRENT_SATURATED != 0
 
     def status_bits(self) -> int:
-        """Bit 10; 12 and 13 are reserved."""
+        """Return bit 10; 12 and 13 are reserved."""
         flags = self.axis.flags
         if self.halted:
             stands = flags & (f.PROFILE_ACTIVE | f.SPEED_ZERO) == f.SPEED_ZERO

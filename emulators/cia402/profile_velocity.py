@@ -1,4 +1,4 @@
-"""Profile velocity mode (pv): 60FFh is live, with the ramps 6083h and 6084h."""
+"""Profile velocity mode (pv): 60FFh with the ramps 6083h and 6084h."""
 
 from typing import final
 
@@ -16,8 +16,8 @@ from emulators.firmware.axis import Axis
 class ProfileVelocity(Mode):
     """Mode 3.
 
-    Bit 10: in the velocity window 606Dh for 606Eh; 12: below 606Fh for 6070h; 13: the slippage is
-    beyond 60F8h.
+    Bit 10: within the velocity window 606Dh for 606Eh. Bit 12: below 606Fh for 6070h. Bit 13: the
+    slippage exceeds 60F8h.
     """
 
     def __init__(self, axis: Axis, objects: DriveObjects, tick_ns: int) -> None:
@@ -26,19 +26,19 @@ class ProfileVelocity(Mode):
         self._wake_ns: int = NEVER
 
     def enter(self, word: int, now_ns: int) -> None:
-        """The motor goes at 60FFh, as it stands there, at once."""
+        """Ramp to the present 60FFh at once."""
         self.halted = word & CW_HALT != 0
         self._run()
 
     def leave(self) -> None:
-        """Nothing is kept."""
+        """Clear the mode's state."""
         self.halted = False
         self.limited = False
         self._slips = False
         self._wake_ns = NEVER
 
     def settle(self, now_ns: int) -> None:
-        """Slippage is looked at in every tick, if somebody has set 60F8h."""
+        """Check the slippage in every tick, if 60F8h is set."""
         most = self.objects.motion.slippage_inc_s()
         if most > 0.0:
             slip = self.axis.demand_velocity_inc_s() - self.axis.velocity_inc_s()
@@ -49,23 +49,23 @@ class ProfileVelocity(Mode):
             self._wake_ns = NEVER
 
     def wake_ns(self) -> int:
-        """Each tick while slippage is watched."""
+        """Return the next tick while slippage is monitored [ns], else NEVER."""
         return self._wake_ns
 
     def obey(self, word: int, rising: int, now_ns: int) -> None:
-        """Bit 8, halt."""
+        """Obey bit 8, halt."""
         halt = word & CW_HALT != 0
         if halt != self.halted:
             self.halted = halt
             self._run()
 
     def written(self, what: int, now_ns: int) -> None:
-        """A new velocity, or a new ramp, counts at once."""
+        """Apply a new velocity or ramp at once."""
         if what & (TARGET_VELOCITY | RAMPS) and not self.halted:
             self._run()
 
     def status_bits(self) -> int:
-        """Bits 10, 12 and 13."""
+        """Return bits 10, 12 and 13."""
         flags = self.axis.flags
         bits = SPEED_IS_ZERO if flags & f.SPEED_ZERO else 0
         if self._slips:

@@ -1,14 +1,13 @@
-"""The drive protects itself: physical inputs that take torque away, and what stands in their way.
+"""Protective functions of the drive: inputs that switch the torque off.
 
-What physics can do (winding temperature, I2t, the DC link) the axis says in its flags, at the very
-tick, and the power drive sees. All else is a stimulus. What a switch says stands until the switch
-is moved back, and as long as it stands the fault it has caused cannot be reset. `sto` takes the
-torque away without the firmware; whether that is a fault is the vendor's choice (table
-`protection`).
+The axis reports winding temperature, I2t and DC link in its flags, at the exact tick, and the power
+drive evaluates them. All other conditions are stimuli. An input keeps its value until it is
+changed, and the fault that it caused cannot be reset meanwhile. `sto` switches the torque off
+without the firmware; the vendor decides if that is a fault (table `protection`).
 
-An incremental encoder that is lost counts no more: what a host reads of the position stays where it
-was, whatever the motor does. Once it is back it counts on from there, and the drive's reference is
-lost.
+A lost incremental encoder stops counting. The position that a host reads then stays constant,
+whatever the motor does. Once the encoder is back it counts on from there, and the drive's reference
+is lost.
 """
 
 from typing import Final, final
@@ -31,7 +30,7 @@ from emulators.firmware.axis import Axis
 from emulators.plant.dc_motor import RANGES
 from emulators.protection_settings import TEMPERATURE_RANGE_C, ProtectionSettings
 
-# Switches whose 1 is the cause of a fault.
+# Inputs whose value 1 is the cause of a fault.
 CAUSES: Final[dict[str, int]] = {
     "short_circuit": SHORT_CIRCUIT,
     "mains_over_voltage": MAINS_OVER_VOLTAGE,
@@ -40,26 +39,26 @@ CAUSES: Final[dict[str, int]] = {
 _SWITCHES: Final = ("sto", "encoder", *CAUSES, "error_passive", "bus_off")
 STIMULI: Final = (*_SWITCHES, "device_temperature_c", "supply_v")
 
-# What a host reads of the encoder.
+# Objects derived from the encoder.
 _POSITIONS: Final = (0x6063, 0x6064)
 _VELOCITIES: Final = (0x6069, 0x606C, 0x60F4)
 
 
 @final
 class Held:
-    """A reader that answers one value for ever."""
+    """A reader that always returns the same value."""
 
     def __init__(self, value: int) -> None:
         self._value = value
 
     def read(self) -> int:
-        """The value."""
+        """Return the value."""
         return self._value
 
 
 @final
 class Protection:
-    """The physical inputs of one drive. All calls come after `axis.at(now_ns)`."""
+    """The physical inputs of one drive. Call its methods after `axis.at(now_ns)`."""
 
     def __init__(
         self,
@@ -75,8 +74,8 @@ class Protection:
         self._power_drive = power_drive
         self._settings = settings
         self._has_encoder: bool = True
-        self._position_inc: int = 0  # where the encoder was lost
-        self._held: list[tuple[Variable, Reader]] = []  # with the reader that each had
+        self._position_inc: int = 0  # the position at which the encoder was lost
+        self._held: list[tuple[Variable, Reader]] = []  # with their original readers
         self._is_passive: bool = False
         self._is_off: bool = False
         if power_drive.is_watched:
@@ -89,10 +88,10 @@ class Protection:
             )
 
     def stimulate(self, name: str, value: float, now_ns: int) -> None:
-        """An input of STIMULI has this value from now on.
+        """Set an input of STIMULI.
 
         Raises:
-            ValueError: the value is none.
+            ValueError: the value is invalid.
         """
         if name == "device_temperature_c":
             self._heat(value, now_ns)
@@ -115,7 +114,7 @@ class Protection:
             self._stand(CAUSES[name], is_set, now_ns)
 
     def _stand(self, code: int, stands: bool, now_ns: int) -> None:
-        """The cause of a fault is there, or no longer; a drive that starts looks for none yet."""
+        """Set or remove the cause of a fault; a starting drive reports it later."""
         drive = self._power_drive
         if not stands:
             drive.standing.remove(code)
@@ -180,7 +179,7 @@ class Protection:
                 self._node.can.repair(now_ns)
 
     def _be_off(self, off: bool, now_ns: int) -> None:
-        """Off the bus nobody can be told; that it was is told afterwards (CiA 301: 8140h)."""
+        """Set bus-off; the drive reports it only after its recovery (CiA 301: 8140h)."""
         if off == self._is_off:
             return
         self._is_off = off

@@ -1,12 +1,12 @@
-"""Quirks: named deviations from the standards that real drives show, each with where it was seen.
+"""Quirks: named deviations of real drives from the standards, with their sources.
 
-A rig asks for them by name, with the parameters stated here or with its own:
+A rig enables them by name, with the parameters stated here or with its own:
 
-    quirks = ["single_set_point_only"]
-    quirks = { slow_sdo = { mean_s = 0.02 }, single_set_point_only = true }
+  quirks = ["single_set_point_only"]
+  quirks = { slow_sdo = { mean_s = 0.02 }, single_set_point_only = true }
 
-None is on unless asked for. They are put together when the drive is built, around what they change:
-a drive without quirks is the same object as if there were none.
+All are off by default. They are added when the drive is built, around the parts that they change. A
+drive without quirks is the same object as without this module.
 """
 
 from collections.abc import Mapping
@@ -21,7 +21,7 @@ _PATH: Final = ("quirks",)
 _TIME_MAX_S: Final = 3600.0
 
 Quirks = Mapping[str, Mapping[str, float]]
-"""The quirks that are on, each with all its parameters."""
+"""The enabled quirks, each with all its parameters."""
 
 
 @final
@@ -30,10 +30,10 @@ class Quirk:
     """One row of the catalogue.
 
     Attributes:
-        name: as a rig writes it.
-        what: what the drive does.
-        seen: where.
-        parameters: names with their units, and their values unless a rig gives others.
+        name: the name in a rig.
+        what: the behaviour of the drive.
+        seen: the source.
+        parameters: names with their units, and their default values.
     """
 
     name: str
@@ -57,25 +57,25 @@ CATALOGUE: Final = (
     ),
     Quirk(
         "edge_only_bits",
-        "pp: controlword bit 5 left at 1 since the set-point before makes the next one unheard",
+        "pp: controlword bit 5 left at 1 since the previous set-point: the next one is ignored",
         "nasa-jpl/jsd issue 103 (Elmo Gold)",
         {},
     ),
     Quirk(
         "stale_target_reached",
-        "pp: target reached of the motion before stands for a while after a new set-point",
+        "pp: target reached of the previous motion stays set for a while after a new set-point",
         "delmic/odemis pull request 1846 (Trinamic)",
         {"for_s": 0.01},
     ),
     Quirk(
         "halt_holds_mode",
-        "6060h written while controlword bit 8 (halt) is 1 changes nothing",
+        "6060h is ignored while controlword bit 8 (halt) is 1",
         "ros-industrial/ros2_canopen issue 234 (Engel HBI)",
         {},
     ),
     Quirk(
         "stray_emcy",
-        "EMCY goes out as node 1's, on 081h, whatever the node-ID",
+        "EMCY is sent as node 1's, on 081h, whatever the node-ID",
         "ros-industrial/ros2_canopen issue 214, recorded (Roboteq, node 12)",
         {},
     ),
@@ -87,7 +87,7 @@ CATALOGUE: Final = (
     ),
     Quirk(
         "slow_sdo",
-        "SDO responses come later: by mean_s, give or take spread_s",
+        "SDO responses are delayed by mean_s, give or take spread_s",
         "ros-industrial/ros2_canopen issue 194: some 10 ms after a master's timeout of 20 ms",
         {"mean_s": 0.02, "spread_s": 0.01},
     ),
@@ -99,13 +99,13 @@ CATALOGUE: Final = (
     ),
     Quirk(
         "late_boot_up",
-        "the boot-up message comes this much later",
+        "the boot-up message is delayed by by_s",
         "ros-industrial/ros2_canopen issue 370: masters that wait too briefly for it",
         {"by_s": 5.0},
     ),
     Quirk(
         "heartbeat_jitter",
-        "each heartbeat comes up to max_s late",
+        "each heartbeat is delayed by up to max_s",
         "a recorded machine: node 63h, period 1.4 s, heartbeats 1.402 to 1.495 s apart",
         {"max_s": 0.095},
     ),
@@ -114,34 +114,37 @@ _BY_NAME: Final = {quirk.name: quirk for quirk in CATALOGUE}
 
 
 def quirks_of(value: object) -> Quirks:
-    """The quirks a rig asks for: a list of names, or a table of names with their parameters.
+    """Return the quirks that a rig asks for.
+
+    Args:
+        value: a list of names, or a table of names with their parameters.
 
     Raises:
-        SettingError: there is no such quirk or parameter, or its value is wrong.
+        SettingError: a quirk or parameter does not exist, or its value is wrong.
     """
     if isinstance(value, list):
         names = [_hashable(name) for name in value]
         for name in names:
             if names.count(name) > 1:
-                raise SettingError(_PATH, f"{name} is there twice", "take one out")
+                raise SettingError(_PATH, f"{name} is listed twice", "take one out")
         asked: Mapping[object, object] = dict.fromkeys(names, True)
     elif isinstance(value, Mapping):
         asked = value
     else:
         example = value if value in _BY_NAME else CATALOGUE[0].name
-        raise SettingError(_PATH, f"{value!r} is no list of names", f'["{example}"]')
+        raise SettingError(_PATH, f"{value!r} is not a list of names", f'["{example}"]')
     on: dict[str, Mapping[str, float]] = {}
     for name, given in asked.items():
         quirk = _BY_NAME.get(name) if isinstance(name, str) else None
         if quirk is None:
-            remedy = f"{nearest(name, tuple(_BY_NAME))}; motorhil list quirks tells them"
+            remedy = f"{nearest(name, tuple(_BY_NAME))}; motorhil list quirks shows them"
             raise SettingError(_PATH, f"there is no quirk {name!r}", remedy)
         path = (*_PATH, quirk.name)
         if given is False:
             continue
         if given is not True and not isinstance(given, Mapping):
             remedy = "true, or a table of: " + (", ".join(quirk.parameters) or "nothing")
-            raise SettingError(path, f"{given!r} says nothing", remedy)
+            raise SettingError(path, f"{given!r} is not a valid value", remedy)
         own = given if isinstance(given, Mapping) else {}
         refuse_unknown(own, tuple(quirk.parameters), path)
         on[quirk.name] = {
@@ -156,7 +159,7 @@ def _hashable(name: object) -> object:
 
 
 def told(quirks: Quirks) -> list[str]:
-    """The quirks that are on, one line each, for the record."""
+    """Describe the enabled quirks, one line each, for the record."""
     lines = []
     for name, values in quirks.items():
         given = ", ".join(f"{key} = {value:g}" for key, value in values.items())
@@ -165,10 +168,10 @@ def told(quirks: Quirks) -> list[str]:
 
 
 def boot_up_later_ns(quirks: Quirks) -> int:
-    """How much later the boot-up message comes [ns]."""
+    """Return the delay of the boot-up message [ns]."""
     return parameter_ns(quirks, "late_boot_up", "by_s")
 
 
 def parameter_ns(quirks: Quirks, name: str, key: str) -> int:
-    """A parameter of a quirk; 0 where the quirk is not on."""
+    """Return a parameter of a quirk [ns]; 0 if the quirk is off."""
     return round(quirks.get(name, {}).get(key, 0.0) * _NS_PER_S)

@@ -1,4 +1,4 @@
-"""The quirks of `emulators.cia402.quirk_catalogue` are put around what they change, at build."""
+"""Installation of quirks in a drive while it is built."""
 
 from typing import final
 
@@ -20,7 +20,7 @@ from emulators.cia402.settings import EMULATED_MODES
 
 @final
 class HaltHoldsMode:
-    """A writer of 6060h that changes nothing while halt is commanded."""
+    """A writer of 6060h that ignores writes under halt."""
 
     def __init__(self, od: ObjectDictionary, objects: DriveObjects) -> None:
         variable = od.ensure(0x6060, 0, DataType.INTEGER8, 0)
@@ -29,7 +29,7 @@ class HaltHoldsMode:
         variable.writer = self.write
 
     def write(self, value: int) -> int:
-        """Called before the value is stored."""
+        """Check a value before it is stored; return 0 or an abort code."""
         if self._objects.controlword & CW_HALT or self._inner is None:
             return OK
         return self._inner(value)
@@ -38,7 +38,7 @@ class HaltHoldsMode:
 def deviate(
     power_drive: PowerDrive, objects: DriveObjects, od: ObjectDictionary, quirks: Quirks
 ) -> None:
-    """The drive has the quirks that are not of the wire; before power comes on."""
+    """Add the enabled quirks other than those of the wire, before power comes on."""
     modes, pp = power_drive.modes, EMULATED_MODES["pp"]
     if "single_set_point_only" in quirks:
         modes[pp] = SingleSetPoint(modes[pp])
@@ -54,7 +54,7 @@ def deviate(
 
 
 def wire_quirks(quirks: Quirks) -> WireQuirks:
-    """The quirks of the wire among them."""
+    """Return the enabled quirks of the wire."""
     wire = WireQuirks()
     wire.sdo_mean_ns = parameter_ns(quirks, "slow_sdo", "mean_s")
     wire.sdo_spread_ns = parameter_ns(quirks, "slow_sdo", "spread_s")

@@ -1,8 +1,8 @@
-"""How real drives deviate on the wire: a controller around the drive, which knows nothing of it.
+"""Deviations of real drives on the wire: a wrapper around the drive.
 
-Frames are held back or altered on their way out, or not heard on their way in. Which is which their
-function codes say, whatever node-ID LSS has given the drive. A drive without such quirks hangs on
-the bus itself. Where each was seen stands in `emulators.cia402.quirk_catalogue`.
+Outgoing frames are delayed or altered, and incoming frames ignored, by their function codes,
+whatever the node-ID from LSS. The drive does not know about it. A drive without such quirks needs
+no wrapper. The quirk catalogue lists the sources.
 """
 
 import hashlib
@@ -22,14 +22,14 @@ _STRAY_EMCY: Final = (0x081).to_bytes(4, "little")
 
 @final
 class WireQuirks:
-    """What deviates; 0 and False: nothing does. Times [ns].
+    """The deviations on the wire; 0 and False: none. Times [ns].
 
     Attributes:
-        sdo_mean_ns, sdo_spread_ns: by how much SDO responses come later: mean -+ spread.
-        heartbeat_ns: by how much a heartbeat comes later at most.
-        deaf_ns: for how long after its boot-up message SDO requests are not heard.
-        has_stray_emcy: EMCY goes out on 081h, whatever the node-ID.
-        has_misplaced_register: 1001h stands one byte too far right in EMCY.
+        sdo_mean_ns, sdo_spread_ns: delay of SDO responses: mean -+ spread.
+        heartbeat_ns: maximum delay of a heartbeat.
+        deaf_ns: time after the boot-up message during which SDO requests are ignored.
+        has_stray_emcy: EMCY is sent on 081h, whatever the node-ID.
+        has_misplaced_register: 1001h is one byte too far right in EMCY.
     """
 
     def __init__(self) -> None:
@@ -41,21 +41,21 @@ class WireQuirks:
         self.has_misplaced_register: bool = False
 
     def are_any(self) -> bool:
-        """Whether anything deviates."""
+        """Return True if anything deviates."""
         delays_ns = self.sdo_mean_ns + self.sdo_spread_ns + self.heartbeat_ns + self.deaf_ns
         return delays_ns > 0 or self.has_stray_emcy or self.has_misplaced_register
 
 
 @final
 class Draws:
-    """Numbers from a stream of this name: the same ones in every run with its seed."""
+    """A named stream of pseudo-random numbers, reproducible by its seed."""
 
     def __init__(self, stream: str) -> None:
         self._stream = stream
         self._count = 0
 
     def draw_ns(self, low_ns: int, high_ns: int) -> int:
-        """The next one, `low_ns` to `high_ns` [ns], evenly."""
+        """Return the next number, evenly distributed from `low_ns` to `high_ns` [ns]."""
         self._count += 1
         digest = hashlib.sha256(f"{self._stream}:{self._count}".encode()).digest()
         return low_ns + int.from_bytes(digest[:8], "big") % (high_ns - low_ns + 1)
@@ -63,7 +63,7 @@ class Draws:
 
 @final
 class QuirkyWire:
-    """Implements `emulators.controller.Controller` around a drive.
+    """Wraps a drive and implements `Controller` itself.
 
     Attributes:
         inner: the drive.
@@ -76,33 +76,33 @@ class QuirkyWire:
         self._heartbeats = Draws(f"{stream}:quirk:heartbeat_jitter")
         self._now_ns: int = 0
         self._deaf_until_ns: int = -1
-        self._held: list[tuple[int, bytes]] = []  # when each goes out
-        self._response_due_ns: int = 0  # of the last one: they keep their order
+        self._held: list[tuple[int, bytes]] = []  # each with the time when it is sent
+        self._response_due_ns: int = 0  # of the last response: responses keep their order
         self._ready: list[bytes] = []
 
     def start(self, now_ns: int) -> None:
-        """Power comes on."""
+        """Power the drive on."""
         self._now_ns = now_ns
         self.inner.start(now_ns)
 
     def receive(self, data: bytes, now_ns: int) -> None:
-        """A frame was on the bus; heard or not."""
+        """Pass a received frame on, unless it is ignored."""
         self._now_ns = now_ns
         if now_ns < self._deaf_until_ns and _function(data) == _SDO_REQUEST:
             return
         self.inner.receive(data, now_ns)
 
     def sent(self, data: bytes, now_ns: int) -> bool | None:
-        """An own frame left the bus."""
+        """Report that an own frame has left the bus."""
         self._now_ns = now_ns
         return self.inner.sent(data, now_ns)
 
     def wants_sent(self) -> bool:
-        """As the drive does."""
+        """Return the drive's answer."""
         return self.inner.wants_sent()
 
     def next_deadline_ns(self) -> int | None:
-        """The drive's, or when the first frame that is held goes out."""
+        """Return the drive's deadline, or when the first delayed frame is sent."""
         first_ns = NEVER
         for due_ns, _ in self._held:
             if due_ns < first_ns:
@@ -113,7 +113,7 @@ class QuirkyWire:
         return None if first_ns == NEVER else first_ns
 
     def expire(self, now_ns: int) -> None:
-        """What is due goes out, and the drive does what is due."""
+        """Release the frames that are due, and let the drive handle its deadlines."""
         self._now_ns = now_ns
         self._ready.extend(frame for due_ns, frame in self._held if due_ns <= now_ns)
         self._held = [one for one in self._held if one[0] > now_ns]
@@ -122,7 +122,7 @@ class QuirkyWire:
             self.inner.expire(now_ns)
 
     def take_output(self) -> Sequence[bytes]:
-        """The drive's frames, held back and altered."""
+        """Return the drive's frames, delayed and altered."""
         frames = self._ready
         self._ready = []
         for frame in self.inner.take_output():
@@ -138,27 +138,27 @@ class QuirkyWire:
         return frames
 
     def take_events(self) -> Sequence[tuple[str, str]]:
-        """The drive's events."""
+        """Return the drive's events."""
         return self.inner.take_events()
 
     def stimulate(self, name: str, value: float, now_ns: int) -> None:
-        """A physical input of the drive has this value; ValueError as from it."""
+        """Set a physical input of the drive; ValueError as from the drive."""
         self._now_ns = now_ns
         self.inner.stimulate(name, value, now_ns)
 
     def snapshot(self, now_ns: int) -> Mapping[str, float]:
-        """The truth inside."""
+        """Return the true internal state."""
         return self.inner.snapshot(now_ns)
 
     def identifiers(self) -> Sequence[int] | None:
-        """As the drive's."""
+        """Return the drive's identifiers."""
         return self.inner.identifiers()
 
     def identifiers_revision(self) -> int:
-        """As the drive's."""
+        """Return the drive's revision of its identifiers."""
         return self.inner.identifiers_revision()
 
-    # --- inside
+    # --- internals
 
     def _hold_response(self, frame: bytes, frames: list[bytes]) -> None:
         quirks = self._quirks
@@ -171,7 +171,7 @@ class QuirkyWire:
         self._held.append((self._response_due_ns, frame))
 
     def _hold_heartbeat(self, frame: bytes, frames: list[bytes]) -> None:
-        """A boot-up message is not held; after it the drive is deaf for a while."""
+        """Delay a heartbeat; a boot-up message is sent at once and starts the deaf time."""
         if frame[8] == 0:
             self._deaf_until_ns = self._now_ns + self._quirks.deaf_ns
         elif self._quirks.heartbeat_ns:

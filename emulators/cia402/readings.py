@@ -1,6 +1,6 @@
-"""What a host may read of the motion: readers bound to the objects the file has.
+"""Readers of actual values, bound to the objects in the EDS.
 
-Every reader answers for the time of the last `axis.at`.
+Every reader returns the value at the last `axis.at`.
 """
 
 from typing import final
@@ -22,7 +22,7 @@ class Readings:
         self._power_drive = power_drive
 
     def bind(self, od: ObjectDictionary) -> None:
-        """Visible objects answer with what is so now."""
+        """Bind the readers to the visible objects."""
         for index, reader in (
             (0x603F, self.error_code),
             (0x6041, self.statusword),
@@ -46,68 +46,68 @@ class Readings:
                 variable.reader = reader
 
     def error_code(self) -> int:
-        """603Fh: the fault that is; 0 when it was reset."""
+        """Return 603Fh: the present fault; 0 after its reset."""
         return self._power_drive.error_code
 
     def statusword(self) -> int:
-        """6041h."""
+        """Return 6041h."""
         return self._power_drive.statusword()
 
     def mode(self) -> int:
-        """6061h."""
+        """Return 6061h."""
         return self._power_drive.mode
 
     def position_demand(self) -> int:
-        """6062h [position unit]."""
+        """Return 6062h [position unit]."""
         return self._objects.units.position_raw(self._axis.demand_inc())
 
     def position_internal(self) -> int:
-        """6063h [increments], signed 32 bit, wrapping round."""
+        """Return 6063h [increments], signed 32 bit, wrapping."""
         return _wrapped(self._axis.position_inc())
 
     def position(self) -> int:
-        """6064h [position unit]."""
+        """Return 6064h [position unit]."""
         return self._objects.units.position_raw(self._axis.position_inc())
 
     def velocity_sensor(self) -> int:
-        """6069h [inc/s]."""
+        """Return 6069h [inc/s]."""
         return limited(self._axis.velocity_inc_s(), 0x7FFF_FFFF)
 
     def velocity_demand(self) -> int:
-        """606Bh [velocity unit]."""
+        """Return 606Bh [velocity unit]."""
         return self._objects.units.velocity_raw(self._axis.demand_velocity_inc_s())
 
     def velocity(self) -> int:
-        """606Ch [velocity unit]."""
+        """Return 606Ch [velocity unit]."""
         return self._objects.units.velocity_raw(self._axis.velocity_inc_s())
 
     def torque_demand(self) -> int:
-        """6074h [1/1000 of 6076h]."""
+        """Return 6074h [1/1000 of 6076h]."""
         return self._objects.torque.torque_raw(self._axis.current_demand_a())
 
     def torque(self) -> int:
-        """6077h [1/1000 of 6076h]."""
+        """Return 6077h [1/1000 of 6076h]."""
         return self._objects.torque.torque_raw(self._axis.current_a())
 
     def current(self) -> int:
-        """6078h [1/1000 of 6075h]."""
+        """Return 6078h [1/1000 of 6075h]."""
         return self._objects.torque.current_raw(self._axis.current_a())
 
     def supply(self) -> int:
-        """6079h [mV]."""
+        """Return 6079h [mV]."""
         volts = self._axis.dc_link_v() if self._power_drive.voltage else 0.0
         return int(volts * 1000.0)
 
     def following_error(self) -> int:
-        """60F4h [position unit]."""
+        """Return 60F4h [position unit]."""
         return self._objects.units.length_raw(self._axis.following_error_inc())
 
     def position_demand_internal(self) -> int:
-        """60FCh [increments], signed 32 bit, wrapping round."""
+        """Return 60FCh [increments], signed 32 bit, wrapping."""
         return _wrapped(self._axis.demand_inc())
 
     def digital_inputs(self) -> int:
-        """60FDh."""
+        """Return 60FDh."""
         return self._power_drive.inputs.bits
 
 

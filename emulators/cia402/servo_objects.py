@@ -1,4 +1,4 @@
-"""What objects say of the servo, given to the axis: limits of the current, gains, windows."""
+"""Servo parameters from objects: current limits, gains and windows."""
 
 from typing import final
 
@@ -9,18 +9,18 @@ from emulators.firmware.gains import ServoGains
 
 @final
 class ServoObjects:
-    """They count in every mode; what has not changed disturbs the axis in nothing."""
+    """Applies the objects to the axis, in every mode and only if they have changed."""
 
     def __init__(self, axis: Axis, objects: DriveObjects) -> None:
         self._axis = axis
         self._objects = objects
-        self._gains: ServoGains = objects.settings.gains  # as the axis has them
+        self._gains: ServoGains = objects.settings.gains  # as set in the axis
         self._limits_a: tuple[float, float] = objects.torque.limits_a()
         axis.set_current_limit(*self._limits_a)
         self.apply_limits_and_gains()
 
     def apply_limits_and_gains(self) -> None:
-        """The current's limits (6072h, 60E0h, 60E1h), and 60F6h, 60F9h, 60FBh."""
+        """Apply the current limits (6072h, 60E0h, 60E1h), and 60F6h, 60F9h, 60FBh."""
         limits_a = self._objects.torque.limits_a()
         if limits_a != self._limits_a:
             self._limits_a = limits_a
@@ -31,7 +31,7 @@ class ServoObjects:
             self._axis.set_gains(gains)
 
     def apply_windows(self) -> None:
-        """6065h to 6070h."""
+        """Apply 6065h to 6070h."""
         windows = self._objects.windows.read()
         self._axis.set_windows(
             target_window_inc=windows[0],

@@ -1,7 +1,7 @@
-"""What a rig may say about a CiA 402 drive, checked key by key.
+"""Settings of a CiA 402 drive in a rig, checked key by key.
 
-A wrong key or value is a `SettingError` that names the keys down to it and what would be right;
-whoever read the file adds file and line.
+A wrong key or value is a `SettingError` that names the keys and the expected value. The reader of
+the file adds file and line.
 """
 
 from collections.abc import Mapping, Sequence
@@ -40,7 +40,7 @@ from emulators.setting_tables import (
 
 OWN_EDS: Final = Path(__file__).parents[1] / "eds" / "motorhil_cia402.eds"
 
-# 6060h; the bit of a mode in 6502h is one less. Source: CiA 402-2, modes of operation.
+# Values of 6060h; the bit of a mode in 6502h is one less. Source: CiA 402-2, modes of operation.
 MODES: Final[dict[str, int]] = {
     **{"pp": 1, "vl": 2, "pv": 3, "tq": 4, "hm": 6},
     **{"ip": 7, "csp": 8, "csv": 9, "cst": 10},
@@ -75,32 +75,33 @@ _UNIT_KEYS: Final = ("position_unit_inc", "velocity_unit_inc_s", "acceleration_u
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class DriveSettings:
-    """One drive of a rig; everything has a default but the node-ID.
+    """One drive of a rig; every setting except the node-ID has a default.
 
     Attributes:
         node_id: 1..127.
-        node_id_by_lss: it has none until LSS gives it one.
-        eds: where its object dictionary comes from.
-        nonvolatile_memory: the file of what it keeps without power, as the rig names it; None: it
-            keeps it as long as the rig is there.
-        plant, gains: the motor, and the servo that drives it.
-        tick_ns, current_steps: servo period, and current loop steps in each.
-        oscillator: what its own clock shows; all its other times are by that clock.
+        node_id_by_lss: True if the node-ID is unset until LSS assigns it.
+        eds: the EDS of the object dictionary.
+        nonvolatile_memory: file of the non-volatile memory, as named in the rig; None: the contents
+            last as long as the rig.
+        plant, gains: the motor and its servo.
+        tick_ns, current_steps: servo period, and current loop steps per period.
+        oscillator: the drive's own clock; all other times are by this clock.
         boot_up_ns: power-on to boot-up message.
         sdo_reply_ns: SDO request to response.
-        enable_ns: the power stage's way from switched on to operation enabled.
-        position_unit_inc, velocity_unit_inc_s, acceleration_unit_inc_s2: what 1 means in its
-            objects; None: what the file says, else one increment (per second, squared).
-        objects: power-on values that replace what the file says.
-        supported_modes: names; None: what the file says, else all emulated ones.
+        enable_ns: time of the power stage from switched on to operation enabled.
+        position_unit_inc, velocity_unit_inc_s, acceleration_unit_inc_s2: size of one unit in the
+            objects; None: according to the EDS, else one increment (per second, squared).
+        objects: power-on values that replace those of the EDS.
+        supported_modes: names; None: according to the EDS, else all emulated modes.
         initial_position_rad: at the output, at power-on.
-        protection: when it takes itself off, and how.
-        quirks: how it deviates from the standards.
+        protection: thresholds and reactions of the protective functions.
+        quirks: deviations from the standards.
         sync_lost_periods: interpolation periods (60C2h) without SYNC that are a fault in a cyclic
-            mode; 0: none are (many hosts let SYNC rest between two streams).
-        sync_lost_code: its error code; FF64h is Kollmorgen's (MKD and P7000, "Sync not received").
-        switches: digital inputs along the output, in increments of the encoder.
-        index_count: where, within a turn, its index pulse is; None: nowhere.
+            mode; 0: never (many hosts stop SYNC between two streams).
+        sync_lost_code: error code of that fault; FF64h is Kollmorgen's (MKD and P7000, "Sync not
+            received").
+        switches: digital inputs along the output, in encoder increments.
+        index_count: position of the index pulse within a turn; None: the encoder has none.
     """
 
     node_id: int
@@ -130,7 +131,12 @@ class DriveSettings:
 
 
 def read_settings(table: Mapping[str, object], folder: Path, stream: str = "") -> DriveSettings:
-    """The settings in a rig's table; relative paths start at `folder`, draws from `stream`.
+    """Read the settings of a rig's table.
+
+    Args:
+        table: the controller's table.
+        folder: the start of relative paths.
+        stream: the name of the stream of random draws.
 
     Raises:
         SettingError: a key is unknown, or a value is missing or wrong.
@@ -149,7 +155,9 @@ def read_settings(table: Mapping[str, object], folder: Path, stream: str = "") -
     refuse_unknown(cyclic, _CYCLIC_KEYS, ("cyclic",))
     if "sync_lost_code" in cyclic and not cyclic.get("sync_lost_periods"):
         path = ("cyclic", "sync_lost_code")
-        raise SettingError(path, "there is no fault to tell", "write sync_lost_periods = 5, too")
+        raise SettingError(
+            path, "has no effect without sync_lost_periods", "add sync_lost_periods = 5"
+        )
     switches, index_count = switches_in(table_in(table, "switches"), plant)
     return DriveSettings(
         node_id=node_id,
@@ -186,7 +194,7 @@ def _modes(table: Mapping[str, object]) -> tuple[str, ...] | None:
     path = ("supported_modes",)
     known = f"known: {', '.join(EMULATED_MODES)}"
     if isinstance(value, str) or not isinstance(value, Sequence) or not value:
-        raise SettingError(path, f"{value!r} is no list of modes", f'["pp", "pv"]; {known}')
+        raise SettingError(path, f"{value!r} is not a list of modes", f'["pp", "pv"]; {known}')
     names: list[str] = []
     for name in value:
         if not isinstance(name, str) or name not in MODES:
@@ -194,7 +202,7 @@ def _modes(table: Mapping[str, object]) -> tuple[str, ...] | None:
         if name not in EMULATED_MODES:
             raise SettingError(path, f"mode {name} is not emulated", known)
         if name in names:
-            raise SettingError(path, f"mode {name} is there twice", "take one out")
+            raise SettingError(path, f"mode {name} is listed twice", "take one out")
         names.append(name)
     return tuple(names)
 

@@ -1,4 +1,4 @@
-"""The statusword (6041h): which bits each state shows, and who may set the others."""
+"""The statusword (6041h): the bits of each state, and the other bits."""
 
 from typing import Final
 
@@ -27,15 +27,15 @@ IP_ACTIVE: Final = MODE_BIT_12
 # csp, csv, cst
 FOLLOWS_COMMAND: Final = MODE_BIT_12
 
-# Bits 0 to 3, 5 and 6, in the order of PdsState's numbers. CiA 402-2, table of state coding: where
-# the standard leaves bit 5 open we show 0.
+# Bits 0 to 3, 5 and 6, in the order of PdsState's numbers. CiA 402-2, table of state coding; bit 5
+# is 0 where the standard leaves it open.
 STATE_BITS: Final[tuple[int, ...]] = (0x00, 0x40, 0x21, 0x23, 0x27, 0x07, 0x0F, 0x08)
 
 
 def compose(
     state: PdsState, mode_bits: int, voltage: bool, remote: bool, limit: bool, warning: bool
 ) -> int:
-    """The statusword (unsigned 16 bit) of a drive in `state`; `mode_bits` within MODE_BITS."""
+    """Return the statusword (unsigned 16 bit) of `state`; `mode_bits` within MODE_BITS."""
     word = STATE_BITS[state] | mode_bits
     if voltage:
         word |= VOLTAGE_ENABLED

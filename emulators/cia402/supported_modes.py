@@ -1,6 +1,6 @@
-"""6502h, supported drive modes: none is named that has no behaviour.
+"""6502h, supported drive modes: only modes that are emulated.
 
-The bit of a mode is one less than its number in 6060h; bits 16 to 31 are the manufacturer's.
+The bit of a mode is one less than its number in 6060h; bits 16 to 31 are manufacturer-specific.
 """
 
 from collections.abc import Sequence
@@ -23,7 +23,7 @@ _TARGETS: Final = (
 
 
 def modes_with_target(od: ObjectDictionary) -> int:
-    """What is emulated, and can be told its target: 6502h where the file does not state it."""
+    """Return the emulated modes whose target object exists, for an EDS without a 6502h."""
     modes = _EMULATED
     for name, index in _TARGETS:
         if not od.has_index(index):
@@ -32,7 +32,7 @@ def modes_with_target(od: ObjectDictionary) -> int:
 
 
 def honest_modes(stated: int, names: Sequence[str] | None) -> int:
-    """What the rig names (None: nothing), else what is stated, without what is not emulated."""
+    """Return the modes of the rig (None: as stated), without those that are not emulated."""
     wanted = stated & _STANDARD
     if names is not None:
         wanted = 0

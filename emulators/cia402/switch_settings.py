@@ -1,4 +1,4 @@
-"""What a rig says of a drive's switches: the table `switches`, places of the plant's own."""
+"""The rig table `switches` of a drive: positions of switches in the plant."""
 
 from collections.abc import Mapping
 from typing import Final
@@ -17,7 +17,7 @@ from emulators.firmware.digital_inputs import (
 from emulators.plant.dc_motor import PI, MotorPlant
 from emulators.setting_tables import number, refuse_unknown
 
-# Active from one place of the output on, up to another; what is not given reaches to the end.
+# Active from one output position up to another; without the key, to the end of travel.
 _RANGES: Final = (
     ("home_from_rad", "home_to_rad", HOME_SWITCH),
     ("touch_probe_1_from_rad", "touch_probe_1_to_rad", TOUCH_PROBE_1),
@@ -38,9 +38,9 @@ _PLACE_MAX_RAD: Final = 1e9
 def switches_in(
     table: Mapping[str, object], plant: MotorPlant
 ) -> tuple[tuple[Switch, ...], int | None]:
-    """The switches of a table `switches`, and where the index pulse is; in increments.
+    """Return the switches of a table `switches` and the index pulse's count, in increments.
 
-    Edges lie at the nearest change of the encoder's count, so half an increment away at most.
+    Edges lie at the nearest change of the encoder's count, at most half an increment away.
 
     Raises:
         SettingError: a key is unknown, or a value is wrong.
@@ -51,7 +51,7 @@ def switches_in(
     positive = _count(table, "positive_limit_rad", inc_rad, FAR)
     if negative >= positive:
         message = f"{table['positive_limit_rad']} rad is not above the negative limit switch"
-        remedy = "the negative one is active below its place, the positive one above"
+        remedy = "the negative one is active below its position, the positive one above"
         raise SettingError((*_PATH, "positive_limit_rad"), message, remedy)
     switches: list[Switch] = []
     if negative > -FAR:
@@ -70,9 +70,9 @@ def switches_in(
 
 
 def out_of_reach(switches: tuple[Switch, ...], plant: MotorPlant) -> list[str]:
-    """What to tell of switches beyond the ends of the way, one line each.
+    """Return warnings about switches beyond the end stops, one line each.
 
-    They are no mistake of the rig's for sure: a limit switch may be mounted wrong.
+    Such a switch is not necessarily an error of the rig: a limit switch can be mounted wrongly.
     """
     inc_rad = plant.encoder_increments_rev * plant.gear_ratio / (2.0 * PI)
     low_rad, high_rad = plant.extras.stop_low_rad, plant.extras.stop_high_rad
@@ -99,7 +99,7 @@ def _index(table: Mapping[str, object], plant: MotorPlant) -> int | None:
     there = table.get("index_pulse", True)
     if not isinstance(there, bool):
         message = f"{there!r} is not true or false"
-        raise SettingError((*_PATH, "index_pulse"), message, "without quotes")
+        raise SettingError((*_PATH, "index_pulse"), message, "write it without quotes")
     if not there:
         if "index_rad" in table:
             message = "the encoder has no index pulse"

@@ -1,8 +1,8 @@
-"""The objects of torque and current: what 1 means in them, and what a host may write.
+"""The objects of torque and current, and their units.
 
-Torque is the motor's, at its shaft, in 1/1000 of the rated torque 6076h [mN m]; current in 1/1000
-of the rated current 6075h [mA]. The two are tied by the motor's torque constant alone, so torque
-is what it is however 6075h and 6076h are set. Where they are 0 or absent, they are the motor's.
+Torque is that of the motor shaft, in 1/1000 of the rated torque 6076h [mN m]. Current is in 1/1000
+of the rated current 6075h [mA]. Only the motor's torque constant relates the two, so the torque is
+correct for any 6075h and 6076h. Where they are 0 or absent, the motor's values are used.
 """
 
 from typing import Final, final
@@ -13,7 +13,7 @@ from emulators.cia402.units import limited
 from emulators.plant.dc_motor import MotorPlant
 
 PERMILLE_MAX: Final = 0x7FFF  # INTEGER16
-SLOPE_DEFAULT: Final = 100_000  # 1/1000 of the rated torque per second: all of it in 10 ms
+SLOPE_DEFAULT: Final = 100_000  # 1/1000 of the rated torque per second: the full torque in 10 ms
 _UNSIGNED16_MAX: Final = 0xFFFF
 _D = DataType
 
@@ -39,11 +39,11 @@ class TorqueObjects:
             0x6076, 0, _D.UNSIGNED32, defaults.rated_torque_mn_m
         )
         self.target: Variable = ensure(0x6071, 0, _D.INTEGER16, 0)
-        # Rounded up: by itself it takes nothing of what the motor can.
+        # Rounded up, so that the default does not reduce the motor's torque.
         most = -int(-1000.0 * self._motor_torque_mn_m // self._torque_unit_mn_m())
         most = min(most, _UNSIGNED16_MAX)
         self.maximum: Variable = ensure(0x6072, 0, _D.UNSIGNED16, most)
-        if self.maximum.default == 0:  # as files have it that state no value
+        if self.maximum.default == 0:  # as in an EDS without a value
             self.maximum.set_default(most)
         most = -int(-1000.0 * self._motor_current_ma // self._rated_ma())
         most = min(most, _UNSIGNED16_MAX)
@@ -55,15 +55,15 @@ class TorqueObjects:
         self.slope: Variable = ensure(0x6087, 0, _D.UNSIGNED32, SLOPE_DEFAULT)
 
     def target_a(self) -> float:
-        """The current that makes the torque 6071h."""
+        """Return the current for the torque 6071h [A]."""
         return self.current_of_a(self.target.integer())
 
     def current_of_a(self, torque_raw: int) -> float:
-        """The current that makes this torque [1/1000 of 6076h]."""
+        """Return the current for a torque in 1/1000 of 6076h [A]."""
         return torque_raw * self._per_permille_a()
 
     def limits_a(self) -> tuple[float, float]:
-        """The most current allowed either way: 6073h, and 6072h within 60E0h or 60E1h."""
+        """Return the forward and backward current limits: 6073h, 6072h, 60E0h, 60E1h [A]."""
         unit, most = self._per_permille_a(), self.maximum.integer()
         positive, negative = self.positive.integer(), self.negative.integer()
         current_a = self.maximum_current.integer() * self._rated_ma() * 1e-6
@@ -72,16 +72,16 @@ class TorqueObjects:
         )
 
     def slope_a_s(self) -> float:
-        """6087h; always > 0."""
+        """Return 6087h as a slope of the current [A/s]; always > 0."""
         raw = self.slope.integer()
         return (raw if raw > 0 else SLOPE_DEFAULT) * self._per_permille_a()
 
     def torque_raw(self, current_a: float) -> int:
-        """The torque this current makes [1/1000 of 6076h]."""
+        """Return the torque of a current [1/1000 of 6076h]."""
         return limited(current_a / self._per_permille_a(), PERMILLE_MAX)
 
     def current_raw(self, current_a: float) -> int:
-        """This current [1/1000 of 6075h]."""
+        """Return a current [1/1000 of 6075h]."""
         return limited(current_a * 1e6 / self._rated_ma(), PERMILLE_MAX)
 
     def _rated_ma(self) -> float:

@@ -1,17 +1,17 @@
-"""What 1 means in a drive's position, velocity and acceleration objects.
+"""Units of a drive's position, velocity and acceleration objects.
 
-Inside, everything is counted in increments of the motor's encoder, per second and per second
-squared. Outside, a drive uses the units its factor group states (CiA 402-2, factor group):
+Internally, everything is counted in increments of the motor's encoder, per second and per second
+squared. Externally, a drive uses the units of its factor group (CiA 402-2, factor group):
 
 - position: 608Fh encoder resolution x 6091h gear ratio / 6092h feed constant increments per unit,
-  where 608Fh names the encoder the motor really has; otherwise the unit is one increment;
+  if 608Fh matches the motor's encoder; otherwise the unit is one increment;
 - velocity: position unit per second x 6096h; acceleration: per second squared x 6097h;
-- where a file names units by dimension index (608Ch, 608Eh: A4h = turns of the motor per minute) or
-  SI unit (60A8h, 60A9h), these count instead;
-- what the rig's `units` table says wins over all of it.
+- units by dimension index (608Ch, 608Eh: A4h = turns of the motor per minute) or SI unit (60A8h,
+  60A9h) in an EDS replace these;
+- the rig's `units` table overrides all of them.
 
-607Eh turns positions (bit 7) and velocities (bit 6) round; torque it leaves alone. 607Bh, where it
-names less than all 32 bits hold, is a range in which positions repeat, as on a turntable.
+607Eh inverts positions (bit 7) and velocities (bit 6), but not torque. 607Bh defines a range in
+which positions repeat, as on a turntable, if it is smaller than 32 bits.
 """
 
 from dataclasses import dataclass
@@ -24,7 +24,7 @@ from emulators.plant.dc_motor import PI, MotorPlant
 
 POSITION_POLARITY: Final = 0x80  # 607Eh
 VELOCITY_POLARITY: Final = 0x40
-RPM_DIMENSION: Final = 0xA4  # 608Ch, 608Eh: turns per minute (and second), as maxon's files have it
+RPM_DIMENSION: Final = 0xA4  # 608Ch, 608Eh: turns per minute (and second), as in maxon's EDS files
 
 # 60A8h/60A9h: bits 31-24 power of ten, 23-16 numerator, 15-8 denominator (CiA 303-2 codes).
 _SI_TURNS: Final[dict[int, Fraction]] = {
@@ -44,11 +44,11 @@ class Units:
 
     Attributes:
         position_numerator, position_divisor: increments per position unit, as whole numbers; the
-            first is < 0 where 607Eh turns positions round.
+            first is < 0 if 607Eh inverts positions.
         velocity_unit_inc_s: increments per second per velocity unit.
         acceleration_unit_inc_s2: increments per second squared per acceleration unit.
-        velocity_sign: -1.0 where 607Eh turns velocities round.
-        range_low, range_size: 607Bh: the lowest position, and how many there are; 0: no range.
+        velocity_sign: -1.0 if 607Eh inverts velocities.
+        range_low, range_size: 607Bh: the lowest position and the number of positions; 0: no range.
     """
 
     position_numerator: int
@@ -60,7 +60,7 @@ class Units:
     range_size: int = 0
 
     def position_inc(self, raw: int) -> int:
-        """Position units as increments, rounded to the nearest."""
+        """Convert position units to increments, rounded to the nearest."""
         divisor = self.position_divisor
         numerator = self.position_numerator
         if divisor == 1:
@@ -68,9 +68,9 @@ class Units:
         return (2 * raw * numerator + divisor) // (2 * divisor)
 
     def position_raw(self, position_inc: int) -> int:
-        """Increments as position units, rounded to the nearest, within the range.
+        """Convert increments to position units, rounded to the nearest, within the range.
 
-        Without a range: signed 32 bit, wrapping round.
+        Without a range: signed 32 bit, wrapping.
         """
         raw = self._raw(position_inc)
         if self.range_size:
@@ -78,11 +78,11 @@ class Units:
         return (raw + 0x8000_0000 & 0xFFFF_FFFF) - 0x8000_0000
 
     def length_raw(self, length_inc: int) -> int:
-        """A distance, which no range cuts; signed 32 bit, wrapping round."""
+        """Convert a distance to position units, ignoring the range; signed 32 bit, wrapping."""
         return (self._raw(length_inc) + 0x8000_0000 & 0xFFFF_FFFF) - 0x8000_0000
 
     def turned_inc(self, raw: int, demand_inc: int, way: int) -> int:
-        """Where in increments the position `raw` of the range is, seen from the present demand.
+        """Return the range position `raw` in increments, relative to the present demand.
 
         `way` (60F2h, rotary axis): 0 in the same turn, 1 below, 2 above, 3 the nearest.
         """
@@ -104,13 +104,13 @@ class Units:
         return (2 * position_inc * self.position_divisor + numerator) // (2 * numerator)
 
     def velocity_raw(self, velocity_inc_s: float) -> int:
-        """A velocity as velocity units, rounded to the nearest; limited to signed 32 bit."""
+        """Convert a velocity to velocity units, rounded, and limited to signed 32 bit."""
         return limited(velocity_inc_s / self.velocity_unit_inc_s * self.velocity_sign, 0x7FFF_FFFF)
 
 
 @final
 class FactorGroup:
-    """`units`: what the numbers mean, as of the last `reload`."""
+    """The present `units`, as of the last `reload`."""
 
     def __init__(self, od: ObjectDictionary, settings: DriveSettings) -> None:
         self._od = od
@@ -118,7 +118,7 @@ class FactorGroup:
         self.units: Units = self._read()
 
     def reload(self) -> None:
-        """A factor object was written."""
+        """Read the units again after a factor object was written."""
         self.units = self._read()
 
     def _read(self) -> Units:
@@ -133,7 +133,7 @@ class FactorGroup:
 
 
 def limited(value: float, size_max: int) -> int:
-    """The nearest whole number within -size_max - 1 .. size_max."""
+    """Return the nearest whole number within -size_max - 1 .. size_max."""
     if value >= size_max:
         return size_max
     if value <= -size_max - 1:
@@ -149,7 +149,7 @@ def units_of(
     velocity_unit_inc_s: float | None,
     acceleration_unit_inc_s2: float | None,
 ) -> Units:
-    """The units of a drive with this dictionary and motor; a given number wins over the file."""
+    """Return the units for this dictionary and motor; given numbers override the EDS."""
     if position_unit_inc is None:
         position = _position_unit(od, plant)
     else:
@@ -173,14 +173,14 @@ def units_of(
 
 
 def _ratio(od: ObjectDictionary, index: int) -> Fraction | None:
-    """Sub-index 1 over sub-index 2; None unless both are there and > 0."""
+    """Return sub-index 1 over sub-index 2; None unless both exist and are > 0."""
     numerator = od.integer(index, 1, 0)
     divisor = od.integer(index, 2, 0)
     return Fraction(numerator, divisor) if numerator > 0 and divisor > 0 else None
 
 
 def _increments_per_turn(od: ObjectDictionary, plant: MotorPlant) -> Fraction:
-    """Encoder increments per turn of the shaft the application sees."""
+    """Return the encoder increments per turn of the shaft that the application sees."""
     return Fraction(plant.encoder_increments_rev) * (_ratio(od, 0x6091) or Fraction(1))
 
 
@@ -199,7 +199,10 @@ def _position_unit(od: ObjectDictionary, plant: MotorPlant) -> Fraction:
 def _rate_unit(
     od: ObjectDictionary, plant: MotorPlant, position: Fraction, dimension: int, factor: int
 ) -> Fraction:
-    """Increments per second (and second) per unit of velocity (608Ch, 6096h) or acceleration."""
+    """Return the rate unit in increments per second, or per second squared.
+
+    `dimension` and `factor` are 608Ch and 6096h for velocity, 608Eh and 6097h for acceleration.
+    """
     si = od.integer(0x60A9, 0, 0)
     turns = _SI_TURNS.get(si >> 16 & 0xFF)
     seconds = _SI_SECONDS.get(si >> 8 & 0xFF)

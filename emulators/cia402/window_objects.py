@@ -1,4 +1,4 @@
-"""The windows: when a target counts as reached, a motor as standing, a following error as one."""
+"""The windows for target reached, standstill, velocity and following error."""
 
 from typing import Final, final
 
@@ -28,9 +28,10 @@ class WindowObjects:
         self._velocity_threshold_ms = ensure(0x6070, 0, _D.UNSIGNED16, 10)
 
     def read(self) -> tuple[int, int, int, int, float, int, float, int]:
-        """Target and following window [inc], velocity window and threshold [inc/s]; each with [ns].
+        """Return target, following error, velocity and threshold windows, each with its time [ns].
 
-        A window of FFFF FFFFh is switched off, and so is a following error window of 0.
+        The windows are in increments and increments per second. A window of FFFF FFFFh is off, and
+        so is a following error window of 0.
         """
         units = self._factors.units
         target = self._target_window.integer()

@@ -1,4 +1,4 @@
-"""What a host has written since the drive last looked: one bit for each kind of object."""
+"""Kinds of objects written since the drive last looked, one bit for each."""
 
 from typing import Final, final
 
@@ -21,7 +21,7 @@ MOTION_LIMITS: Final = 4096
 POSITION_LIMITS: Final = 8192
 TOUCH_PROBE: Final = 8192
 
-# index, sub-index, what it counts as when written
+# index, sub-index, kind
 _WATCHED: Final = (
     (0x6065, 0, WINDOWS),
     (0x6066, 0, WINDOWS),
@@ -38,7 +38,7 @@ _WATCHED: Final = (
     (0x6087, 0, TORQUE),
     *((index, 0, OFFSETS) for index in (0x60B0, 0x60B1, 0x60B2)),
     *((index, 0, RAMPS | MOTION_LIMITS) for index in (0x607F, 0x6080, 0x60C5, 0x60C6)),
-    (0x607C, 0, POSITION_LIMITS),  # which count from home
+    (0x607C, 0, POSITION_LIMITS),  # because the limits count from home
     *((0x607D, subindex, POSITION_LIMITS) for subindex in (1, 2)),
     (0x6083, 0, RAMPS),
     (0x6084, 0, RAMPS),
@@ -62,7 +62,7 @@ _WATCHED: Final = (
 
 @final
 class Written:
-    """`kinds`: the bits; whoever looks clears them."""
+    """The set of `kinds` as bits; the reader clears them."""
 
     def __init__(self) -> None:
         self.kinds: int = 0
@@ -70,21 +70,21 @@ class Written:
 
 @final
 class Watch:
-    """A writer that allows every value and notes that there was one."""
+    """A writer that accepts every value and records its kind."""
 
     def __init__(self, written: Written, kind: int) -> None:
         self._written = written
         self._kind = kind
 
     def write(self, value: int) -> int:
-        """Called before the value is stored; always allowed."""
+        """Record the kind before the value is stored; always allowed."""
         self._written.kinds |= self._kind
         return OK
 
 
 @final
 class Choice:
-    """A writer that allows only what has a behaviour, and notes that there was one."""
+    """A writer that accepts only values with an effect, and records its kind."""
 
     def __init__(
         self, written: Written, kind: int, allowed: frozenset[int], refused_with: int
@@ -95,7 +95,7 @@ class Choice:
         self._refused_with = refused_with
 
     def write(self, value: int) -> int:
-        """Called before the value is stored."""
+        """Check a value before it is stored; return 0 or the abort code."""
         if value not in self._allowed:
             return self._refused_with
         self._written.kinds |= self._kind
@@ -103,7 +103,7 @@ class Choice:
 
 
 def watch(od: ObjectDictionary, written: Written) -> None:
-    """Every visible object of the table notes when it is written."""
+    """Install a writer in every visible object of the table."""
     for index, subindex, kind in _WATCHED:
         variable = od.get(index, subindex)
         if variable is not None:

@@ -1,10 +1,10 @@
-"""One axis of a drive: profile generator, servo and plant, advanced lazily and exactly.
+"""One axis of a drive: profile generator, servo and plant.
 
-Nothing here runs by itself. `at(now_ns)` makes the readings those of the last servo tick at or
-before `now_ns`; commands take effect at the tick after it; `next_event_ns` says when to come back.
-What the readings are never depends on who looked, or when, or how often.
+The axis is computed lazily and exactly. `at(now_ns)` updates the readings to the last servo tick at
+or before `now_ns`. Commands take effect at the following tick. `next_event_ns` returns when to call
+`at` again. The readings never depend on who calls `at`, when, or how often.
 
-Positions are increments of the encoder. Tick k is at k * tick_ns.
+Positions are encoder increments. Tick k is at k * tick_ns.
 """
 
 from typing import Final, final
@@ -22,18 +22,21 @@ from emulators.plant.dc_motor import MotorPlant
 
 _BACKWARD: Final = 1
 _FORWARD: Final = 2
-_OF_PROFILE: Final = IN_TARGET_WINDOW | IN_VELOCITY_WINDOW | CURRENT_REACHED  # gone with the next
-_CURRENT_WINDOW: Final = 0.05  # of the plant's current: as near as it must come to be reached
+_OF_PROFILE: Final = IN_TARGET_WINDOW | IN_VELOCITY_WINDOW | CURRENT_REACHED
+"""Flags cleared by the next profile."""
+_CURRENT_WINDOW: Final = (
+    0.05  # share of the plant's maximum current within which the target counts as reached
+)
 
-_NO_SPEED: Final = 1e300  # a velocity that no motor has
+_NO_SPEED: Final = 1e300  # a velocity above any motor's
 
 
 @final
 class Axis(AxisSettings):
-    """One motor with everything a drive's firmware does to it; sans-I/O, no clock.
+    """One motor with its drive firmware; sans-I/O, reads no clock.
 
-    What it shows, and when, is told in emulators.firmware.axis_readings; how it stays lazy and
-    exact, in emulators.firmware.timeline.
+    `AxisReadings` documents the readings and when they change. `Timeline` documents how the axis
+    stays lazy and exact.
     """
 
     def __init__(
@@ -46,18 +49,18 @@ class Axis(AxisSettings):
         clock_rate: float = 1.0,
     ) -> None:
         super().__init__(plant, gains, tick_ns, current_steps, initial_position_inc, clock_rate)
-        self._profile_tick = 0  # at which the profile's time is 0
-        self._way = 0.0  # its sign says where the last command leads
-        self._barred = 0  # ways in which no command may lead
+        self._profile_tick = 0  # the tick at which the profile's time is 0
+        self._way = 0.0  # its sign is the direction of the last command
+        self._barred = 0  # directions that are barred to commands
         self._bar_slower = 0.0
-        self._fed_a: float = 0.0  # of the velocity loop's integrator, what `feed_current` put there
+        self._fed_a: float = 0.0  # part of the velocity loop's integrator added by `feed_current`
 
-    # --- commands, from the tick after the last at() ----------------------------------------------
+    # --- commands, effective from the tick after the last at() ------------------------------------
 
     def power(self, on: bool) -> None:
-        """On: the position is held where it is. Off: no current flows, the motor coasts.
+        """Switch the power stage on or off; no effect if it is in that state already.
 
-        Without effect where it is so already.
+        On: the axis holds its present position. Off: no current flows, and the motor coasts.
         """
         if on == (self._mode != servo.OFF):
             return
@@ -75,11 +78,11 @@ class Axis(AxisSettings):
         deceleration_inc_s2: float,
         end_velocity_inc_s: float = 0.0,
     ) -> None:
-        """Come to rest at the target by a trapezoid, from the present demand.
+        """Move to the target on a trapezoidal profile, starting from the present demand.
 
-        With an end velocity > 0 the axis passes the target at that speed and goes on; the profile
-        is over when it has this speed. With velocity 0 the axis ramps to rest where it is, and the
-        profile stays active.
+        With an end velocity > 0 the axis passes the target at that speed and continues. The profile
+        then ends when this speed is reached. With velocity 0 the axis ramps to rest where it is,
+        and the profile stays active.
 
         Raises:
             ValueError: velocity < 0, or acceleration or deceleration <= 0.
@@ -90,7 +93,7 @@ class Axis(AxisSettings):
         faster = self._per_tick2(acceleration_inc_s2)
         slower = self._per_tick2(deceleration_inc_s2)
         if not speed_max >= 0.0:
-            raise ValueError(f"velocity {velocity_inc_s} inc/s: must be >= 0")
+            raise ValueError(f"velocity: {velocity_inc_s} inc/s; must be >= 0")
         self._mode = servo.POSITION
         if speed_max == 0.0:
             pieces = profile.ramp(position, velocity, 0.0, slower, slower)
@@ -113,7 +116,7 @@ class Axis(AxisSettings):
     def run_at(
         self, velocity_inc_s: float, acceleration_inc_s2: float, deceleration_inc_s2: float
     ) -> None:
-        """Reach this velocity and keep it, by the velocity loop alone.
+        """Ramp to this velocity and keep it, with the velocity loop only.
 
         Raises:
             ValueError: acceleration or deceleration <= 0.
@@ -133,10 +136,11 @@ class Axis(AxisSettings):
     def ramp_to_rest(
         self, deceleration_inc_s2: float, within_inc: tuple[int, int] | None = None
     ) -> None:
-        """Brake along a ramp, then hold where it ends (quick stop, halt); in position control.
+        """Brake along a ramp, then hold the end position (quick stop, halt).
 
-        Where a position is controlled and is `within_inc`, the ramp ends there too: it is steeper
-        if it must be, down to none where no way is left.
+        The axis brakes in position control. In position mode, from inside `within_inc`, the ramp
+        ends within that range: it is as steep as necessary, and immediate where no distance is
+        left.
 
         Raises:
             ValueError: deceleration <= 0.
@@ -158,13 +162,13 @@ class Axis(AxisSettings):
     def apply_current(
         self, target_a: float, slope_a_s: float, speed_max_inc_s: float = _NO_SPEED
     ) -> None:
-        """Ramp the current from its present demand to this one and keep it, whatever moves.
+        """Ramp the current from its present demand to `target_a` and keep it.
 
-        The first step of the ramp is in the next tick. No loop but the current's is closed; what
-        would carry the motor beyond `speed_max_inc_s` either way is held back.
+        The first step of the ramp is in the next tick. Only the current loop is closed. Current
+        that would drive the motor beyond `speed_max_inc_s` in either direction is withheld.
 
         Raises:
-            ValueError: the slope is not > 0 (it may be infinite), or the target is no number.
+            ValueError: the slope is not > 0 (it may be infinite), or the target is not a number.
             RuntimeError: power is off.
         """
         self._start()
@@ -182,8 +186,8 @@ class Axis(AxisSettings):
         self._fed_a = 0.0
         self._begin(pieces, profile.duration_ticks(pieces), False, near_a)
 
-    # --- cyclic demands: no profiles, so PROFILE_ACTIVE and the target windows stay off;
-    # --- RuntimeError where power is off
+    # --- cyclic demands: without profiles, so PROFILE_ACTIVE and the target windows stay off;
+    # --- RuntimeError if power is off
 
     def follow(
         self,
@@ -193,11 +197,14 @@ class Axis(AxisSettings):
         has_target: bool = False,
         speed_max_inc_s: float = _NO_SPEED,
     ) -> int:
-        """Go evenly from the present demand to this one in `over_ns`, then hold (csp).
+        """Move linearly from the present demand to `position_inc` in `over_ns`, then hold (csp).
 
-        No faster than `speed_max_inc_s`, but then for longer: for so many ticks, else 0.
-        `fed_velocity_inc_s` is fed forward besides what the gains say of the demand's own. With
-        `has_target` IN_TARGET_WINDOW is about this position.
+        The speed is limited to `speed_max_inc_s`, and the move then takes longer.
+        `fed_velocity_inc_s` is fed forward in addition to the demand's own velocity times its gain.
+        With `has_target`, IN_TARGET_WINDOW refers to this position.
+
+        Returns:
+            The duration in ticks if the speed was limited, else 0.
         """
         position, _ = self._start()
         target = float(position_inc - self._offset_inc)
@@ -224,7 +231,7 @@ class Axis(AxisSettings):
         return int(-(-ticks // 1.0)) if is_cut else 0
 
     def follow_velocity(self, velocity_inc_s: float, over_ns: int) -> None:
-        """Go evenly from the present velocity demand to this one, then keep it (csv)."""
+        """Change the velocity demand linearly to this one in `over_ns`, then keep it (csv)."""
         _, velocity = self._start()
         wanted = velocity_inc_s * self._tick_s
         self._way = wanted
@@ -237,13 +244,13 @@ class Axis(AxisSettings):
     def follow_current(
         self, current_a: float, over_ns: int, speed_max_inc_s: float = _NO_SPEED
     ) -> None:
-        """Go evenly from the present current demand to this one, then keep it (cst)."""
+        """Change the current demand linearly to this one in `over_ns`, then keep it (cst)."""
         self._start()
         self._way = current_a
         if self._barred and self._is_barred():
             return
         start_a = self._time.state[servo.I_WANTED]
-        if self._mode == servo.TORQUE:  # where the last one ends: its next tick's demand
+        if self._mode == servo.TORQUE:  # the last demand's end: the value of its next tick
             t = float(self._time.tick + 1 - self._profile_tick)
             start_a = profile.demand_at(self._profile, t)[0]
         speed_max = speed_max_inc_s * self._tick_s
@@ -253,9 +260,9 @@ class Axis(AxisSettings):
         self._begin(pieces, NEVER, False, 0.0)
 
     def feed_current(self, current_a: float) -> None:
-        """From the next tick on the velocity loop's current is more by this; 0.0 ends it.
+        """Add this current to the velocity loop's output from the next tick on; 0.0 ends it.
 
-        It goes into the loop's integrator, which is what a constant more makes of it.
+        The value is added to the loop's integrator, which has the effect of a constant offset.
         """
         if current_a == self._fed_a:
             return
@@ -265,9 +272,10 @@ class Axis(AxisSettings):
         self._time.order(self._orders, (*state[:5], hold_a, *state[6:]))
 
     def brake(self, shorted: bool) -> None:
-        """Stop as hard as the current's limits allow, or as if the motor were shorted.
+        """Stop as hard as the current limits allow, or as if the motor were shorted.
 
-        `stands` says when; until the next command the velocity loop then keeps it there.
+        `stands` is True once the motor has stopped. The velocity loop then holds it until the next
+        command.
         """
         self._start()
         self._way = 0.0
@@ -282,7 +290,7 @@ class Axis(AxisSettings):
             self._step_with(self._gains.shorted(self._plant))
 
     def hold(self) -> None:
-        """Stand at the present demand at once, without a ramp.
+        """Hold the present demand at once, without a ramp.
 
         Raises:
             RuntimeError: power is off.
@@ -292,22 +300,22 @@ class Axis(AxisSettings):
         self._hold((position + 0.5) // 1.0)
 
     def bar(self, backward: bool, forward: bool, deceleration_inc_s2: float) -> None:
-        """Motion that leads into a barred way ends now, on a ramp; new commands into it only brake.
+        """Bar directions of motion; motion into them, present or new, is braked on a ramp.
 
-        Where it ends is held, and is no target: IN_TARGET_WINDOW stays off.
+        The axis holds the end position, which is not a target: IN_TARGET_WINDOW stays off.
 
         Raises:
             ValueError: deceleration <= 0.
         """
         self._bar_slower = self._per_tick2(deceleration_inc_s2)
         self._barred = (_BACKWARD if backward else 0) | (_FORWARD if forward else 0)
-        if self._mode == servo.TORQUE:  # the load may lead where the current does not
+        if self._mode == servo.TORQUE:  # the load may drive the motor against the current
             self._way = self._time.state[servo.I_VELOCITY]
         moves = self.flags & PROFILE_ACTIVE or self._time.state[servo.I_DEMAND_VELOCITY] != 0.0
         if self._mode != servo.OFF and (self._mode != servo.POSITION or moves):
             self._is_barred()
 
-    # --- inside ----------------------------------------------------------------------------------
+    # --- internals -------------------------------------------------------------------------------
 
     def _end_braking(self) -> None:
         self.is_braking = False
@@ -316,21 +324,21 @@ class Axis(AxisSettings):
             self._step_with(self._gains)
 
     def _start(self) -> tuple[float, float]:
-        """Position and velocity demand at the next tick, where a new profile takes over."""
+        """Return position and velocity demand at the next tick, where a new profile starts."""
         if self.is_braking:
             self._end_braking()
         if self._mode == servo.OFF:
             raise RuntimeError("the power stage is off: call power(True) first")
         t = float(self._time.tick + 1 - self._profile_tick)
         position, velocity = profile.demand_at(self._profile, t)
-        if self._mode == servo.TORQUE:  # there is no demand but that of the current
+        if self._mode == servo.TORQUE:  # only the current has a demand
             velocity = self._time.state[servo.I_VELOCITY]
         if self._mode != servo.POSITION:
             position = self._time.state[servo.I_COUNT] + velocity
         return position, velocity
 
     def _is_barred(self) -> bool:
-        """Whether a command leads into a barred way; then it brakes instead."""
+        """Brake and return True if the present command leads into a barred direction."""
         way = self._way
         if not self._barred & (_FORWARD if way > 0.0 else _BACKWARD if way < 0.0 else 0):
             return False
@@ -346,7 +354,7 @@ class Axis(AxisSettings):
     def _begin(
         self, pieces: profile.Profile, active: float, has_target: bool, run_velocity: float
     ) -> None:
-        """From the next tick on these are the orders, and the flags tell so at once."""
+        """Give new orders from the next tick on; update the profile flags at once."""
         self._profile = pieces
         self._profile_tick = self._time.tick + 1
         limits_a = self._limits_a
@@ -365,5 +373,5 @@ class Axis(AxisSettings):
 
     def _per_tick2(self, size_inc_s2: float) -> float:
         if not size_inc_s2 > 0.0:
-            raise ValueError(f"acceleration or deceleration {size_inc_s2} inc/s^2: must be > 0")
+            raise ValueError(f"acceleration or deceleration: {size_inc_s2} inc/s^2; must be > 0")
         return size_inc_s2 * self._tick_s * self._tick_s

@@ -1,4 +1,4 @@
-"""What an axis shows of itself, at the time of its last `at`, and when to look again."""
+"""Readings of an axis as of its last `at`, and its next event."""
 
 from typing import Final
 
@@ -12,10 +12,10 @@ NEVER_NS: Final = 1 << 61  # a small int to the compiler
 
 
 class AxisReadings:
-    """The readings of an axis; positions are increments of its encoder.
+    """The readings of an axis; positions are encoder increments.
 
-    `flags` (see emulators.firmware.flags) are those at the last `at`, except that a command which
-    starts a profile shows at once: PROFILE_ACTIVE comes, the two target windows go.
+    `flags` (bits of the flags module) are as of the last `at`, with one exception. A command that
+    starts a profile sets PROFILE_ACTIVE and clears the two target windows at once.
     """
 
     def __init__(
@@ -45,7 +45,7 @@ class AxisReadings:
     # --- time -------------------------------------------------------------------------------------
 
     def at(self, now_ns: int) -> None:
-        """Readings and flags are now those of tick now_ns // tick_ns. Changes no behaviour.
+        """Update readings and flags to tick now_ns // tick_ns; behaviour does not change.
 
         Raises:
             ValueError: now_ns is before the tick of the last `at`.
@@ -60,18 +60,18 @@ class AxisReadings:
         self.flags = time.state[servo.I_FLAGS]
 
     def next_event_ns(self, limit_ns: int | None = None) -> int | None:
-        """When to call `at` and look again [ns], counted from the last `at`.
+        """Return when to call `at` again [ns], as seen from the last `at`.
 
-        It is the next tick at which the flags change, or an earlier time at which work must go on,
-        never later than `limit_ns`; None: the flags will never change without a command, and the
-        axis comes to rest by itself.
+        The time is the next tick at which the flags change, or an earlier one at which computing
+        must continue. It is never later than `limit_ns`. None: the flags will never change without
+        a command, and the axis comes to rest by itself.
         """
         limit = NEVER_NS if limit_ns is None else limit_ns
         next_ns = self.event_ns(limit)
         return None if next_ns >= NEVER_NS else next_ns
 
     def event_ns(self, limit_ns: int) -> int:
-        """As `next_event_ns`, with NEVER_NS for None."""
+        """Return `next_event_ns`, with NEVER_NS for None."""
         next_tick = self._time.next_tick(limit_ns // self._tick_ns)
         if next_tick == RESTS:
             return NEVER_NS
@@ -79,115 +79,115 @@ class AxisReadings:
         return next_ns if next_ns < limit_ns else limit_ns
 
     def rest(self) -> int:
-        """A number while the axis rests, another one after each command; -1 in motion.
+        """Return a number that stays the same while the axis rests; -1 in motion.
 
-        As long as it stays the same, so does every reading.
+        Each command changes the number. While it stays the same, so does every reading.
         """
         return self._time.commands if self._time.resting else -1
 
     # --- readings, at the time of the last at() ---------------------------------------------------
 
     def stands(self) -> bool:
-        """Whether the ramp, or the braking, that was to stop the motor is over."""
+        """Return True if the ramp or the braking that was to stop the motor is over."""
         if self.flags & PROFILE_ACTIVE:
             return False
         return not self.is_braking or self.flags & SPEED_ZERO != 0
 
     def position_inc(self) -> int:
-        """What the encoder counts, from the zero that was set."""
+        """Return the position actual value: the encoder count plus the offset of the zero."""
         return int(self._time.state[servo.I_COUNT]) + self._offset_inc
 
     def count(self) -> int:
-        """What the encoder counts from the output's zero; `set_position` does not change it."""
+        """Return the encoder count from the output's zero; `set_position` does not change it."""
         return int(self._time.state[servo.I_COUNT])
 
     def output_count(self) -> int:
-        """Where the output is, in whole increments as `count`: what switches there feel."""
+        """Return the output position in whole increments like `count`, as switches there see it."""
         if self._has_extras:
             return int(servo.whole(self._extra(extras_servo.E_LOAD_POSITION)))
         return int(self._time.state[servo.I_COUNT])
 
     def count_when_output_was(self, output_count: int) -> int:
-        """What the encoder counted when, within the last tick, the output passed this place."""
+        """Return the encoder count when the output passed `output_count` within the last tick."""
         if self._has_extras:
             ahead = self._time.state[servo.I_POSITION] - self._extra(extras_servo.E_LOAD_POSITION)
             return output_count + int(servo.whole(ahead))
         return output_count
 
     def velocity_inc_s(self) -> float:
-        """Velocity as measured by the firmware from the encoder; exactly 0.0 at standstill."""
+        """Return the velocity measured with the encoder; exactly 0.0 at standstill [inc/s]."""
         return self._time.state[servo.I_VELOCITY] / self._tick_s
 
     def demand_inc(self) -> int:
-        """Where the axis should be now; the actual position where no position is controlled."""
+        """Return the position demand value; the actual position if no position is controlled."""
         return int(self._time.state[servo.I_DEMAND]) + self._offset_inc
 
     def demand_velocity_inc_s(self) -> float:
-        """How fast the axis should be now."""
+        """Return the velocity demand [inc/s]."""
         return self._time.state[servo.I_DEMAND_VELOCITY] / self._tick_s
 
     def following_error_inc(self) -> int:
-        """Demand minus actual position; 0 where no position is controlled."""
+        """Return demand minus actual position; 0 if no position is controlled."""
         return int(self._time.state[servo.I_DEMAND] - self._time.state[servo.I_COUNT])
 
     def target_inc(self) -> int:
-        """Where the present move, ramp or hold ends; the actual position where there is no end."""
+        """Return the end of the present move, ramp or hold; else the actual position."""
         if self._mode != servo.POSITION:
             return self.position_inc()
         return int(self._profile[-1][2]) + self._offset_inc
 
     def current_a(self) -> float:
-        """Motor current."""
+        """Return the motor current [A]."""
         return self._time.state[servo.I_CURRENT]
 
     def current_demand_a(self) -> float:
-        """Current asked for by the velocity loop or `apply_current`, after the limit."""
+        """Return the current demand of the velocity loop or `apply_current`, limited [A]."""
         return self._time.state[servo.I_WANTED]
 
     def torque_n_m(self) -> float:
-        """Torque of the motor times the gear ratio: friction and inertia not taken off."""
+        """Return motor torque times gear ratio, without subtracting friction and inertia [N m]."""
         return self._time.state[servo.I_CURRENT] * self._torque_n_m_a
 
     def output_position_rad(self) -> float:
-        """The truth behind the gear, not quantised; `set_position` does not change it."""
+        """Return the true output position, not quantised, independent of `set_position` [rad]."""
         if self._has_extras:
             return (self._extra(extras_servo.E_LOAD_POSITION) - 0.5) * self._output_rad_inc
         return (self._time.state[servo.I_POSITION] - 0.5) * self._output_rad_inc
 
     def output_velocity_rad_s(self) -> float:
-        """The truth behind the gear, not quantised."""
+        """Return the true output velocity, not quantised [rad/s]."""
         if self._has_extras:
             return self._extra(extras_servo.E_LOAD_SPEED) / self._gear_ratio
         return self._time.state[servo.I_SPEED] / self._gear_ratio
 
     def load_torque_n_m(self) -> float:
-        """The load's torque at the output, as set."""
+        """Return the load torque at the output, as set [N m]."""
         return self._load_torque_n_m
 
     def dc_link_v(self) -> float:
-        """Voltage that the power stage has; the supply's, where it does not depend on the load."""
+        """Return the DC-link voltage; without a DC link, the supply's voltage [V]."""
         if self._plant.extras.has_dc_link():
             return self._extra(extras_servo.E_DC_LINK)
         return self._conditions[1]
 
     def winding_temperature_c(self) -> float:
-        """Temperature of the winding; the air's, where the plant has no thermal model."""
+        """Return the winding temperature; without a thermal model, the ambient one [degC]."""
         if self._has_extras:
             return self._extra(extras_servo.E_WINDING)
         return self._plant.extras.ambient_c
 
     def housing_temperature_c(self) -> float:
-        """Temperature of the motor's housing, likewise."""
+        """Return the housing temperature; without a thermal model, the ambient one [degC]."""
         if self._has_extras:
             return self._extra(extras_servo.E_HOUSING)
         return self._plant.extras.ambient_c
 
     def i2t_level(self) -> float:
-        """How full the I2t integrator is, 0..1; 0 without one."""
+        """Return the level of the I2t integrator, 0..1; 0 without one."""
         return self._extra(extras_servo.E_I2T) if self._has_extras else 0.0
 
     def truth_of_extras(self) -> dict[str, float]:
-        """Of DC link, winding and I2t what the plant has, by the names of a snapshot."""
+        """Return the existing values of DC link, winding and I2t under their snapshot names."""
         extras = self._plant.extras
         truth: dict[str, float] = {}
         if extras.has_dc_link():

@@ -1,4 +1,4 @@
-"""What of an axis can be set besides motion: limits, gains, windows, gate, load, supply, zero."""
+"""Settings of an axis: limits, gains, windows, gate, load, supply and zero."""
 
 from typing import Final
 
@@ -12,15 +12,15 @@ from emulators.firmware.timeline import Timeline
 from emulators.firmware.windows import default_windows, in_a_row, with_gate
 from emulators.plant.dc_motor import MotorPlant
 
-NEVER: Final = -1.0  # a profile's time until which it is active
+NEVER: Final = -1.0  # end of PROFILE_ACTIVE for a profile that never sets it
 _NONE: Final = 1e300  # a threshold that is never reached
 
 
 class AxisSettings(AxisReadings):
-    """An axis that stands without power, and its settings; they count from the next tick on.
+    """The settings of an axis, effective from the next tick on; it starts without power.
 
     Raises:
-        ValueError: `current_steps` do not divide the tick, or the gains make the current loop
+        ValueError: `current_steps` does not divide the tick, or the gains make the current loop
             unstable.
     """
 
@@ -34,7 +34,9 @@ class AxisSettings(AxisReadings):
         clock_rate: float,
     ) -> None:
         if tick_ns < 1 or current_steps < 1 or tick_ns % current_steps:
-            raise ValueError(f"tick_ns = {tick_ns} does not hold {current_steps} equal steps")
+            raise ValueError(
+                f"tick_ns = {tick_ns}: must be > 0 and divisible into {current_steps} equal steps"
+            )
         self._gains: ServoGains = gains
         self._current_steps: Final = current_steps
         self._clock_rate: Final = clock_rate
@@ -73,7 +75,7 @@ class AxisSettings(AxisReadings):
         velocity_threshold_inc_s: float | None = None,
         velocity_threshold_ns: int | None = None,
     ) -> None:
-        """The flags' windows and how long they must hold; None leaves one as it was.
+        """Set the windows of the flags and their times; None leaves a value unchanged.
 
         A flag changes at the first tick at which its condition has held for the time. To switch a
         window off, make it huge.
@@ -96,10 +98,10 @@ class AxisSettings(AxisReadings):
             self._time.set_windows(windows)
 
     def set_gate(self, low: float, high: float, output_low: float, output_high: float) -> None:
-        """From now on OUTSIDE_GATE says that a count has left its range, and at which tick.
+        """Set the range of the counts outside which OUTSIDE_GATE is set.
 
-        Inside is low <= count() < high together with output_low <= output_count() < output_high.
-        At the present tick the flag is off; it is exact from the next one on.
+        Inside means low <= count() < high and output_low <= output_count() < output_high. The flag
+        is off at the present tick, and exact from the next one on.
         """
         time = self._time
         conditions = self._conditions
@@ -121,7 +123,7 @@ class AxisSettings(AxisReadings):
         time.order(self._orders, (*time.state[:14], self.flags, *time.state[15:]))
 
     def set_load(self, torque_n_m: float) -> None:
-        """The load's torque at the output; positive turns towards negative positions."""
+        """Set the load torque at the output [N m]; positive acts towards negative positions."""
         if torque_n_m != self._load_torque_n_m:
             self._load_torque_n_m = torque_n_m
             if self._has_extras:
@@ -130,10 +132,10 @@ class AxisSettings(AxisReadings):
                 self._time.set_load(torque_n_m)
 
     def set_supply(self, supply_v: float) -> None:
-        """The supply's own voltage from now on; it needs a plant with extras.
+        """Set the supply's own voltage; this needs a nonlinear plant.
 
         Raises:
-            ValueError: the plant has none, or the voltage is not > 0.
+            ValueError: the plant has no nonlinear effects, or the voltage is not > 0.
         """
         if not self._has_extras or not supply_v > 0.0:
             raise ValueError(
@@ -150,11 +152,11 @@ class AxisSettings(AxisReadings):
         temperature_warning_c: float | None = None,
         i2t_warning: float | None = None,
     ) -> None:
-        """Where the flags of a plant with extras come; None leaves one as it was (first: never).
+        """Set the flags' thresholds of a nonlinear plant (initially: never); None keeps one.
 
-        They come and go at the tick at which it is so; nothing is latched, and nothing happens to
-        the motor. Voltage is looked at in every tick, heat and I2t every 20 ms. Without the part of
-        the plant that a threshold is about its flag never comes.
+        The flags are set and cleared at the exact tick. They are not latched and do not affect the
+        motor. The voltage is compared in every tick, temperature and I2t every 20 ms. If the plant
+        lacks the effect that a threshold refers to, its flag is never set.
         """
         c = self._conditions
         self._set_conditions(
@@ -170,7 +172,7 @@ class AxisSettings(AxisReadings):
         )
 
     def set_gains(self, gains: ServoGains) -> None:
-        """The servo's gains from the next tick on; currents and voltages go on without a jump.
+        """Set the servo's gains from the next tick on, without a jump of current or voltage.
 
         Raises:
             ValueError: the gains make the current loop unstable; the old ones stay.
@@ -179,10 +181,14 @@ class AxisSettings(AxisReadings):
         self._gains = gains
 
     def set_current_limit(self, current_a: float, backward_a: float | None = None) -> None:
-        """No loop asks for more than this (None: either way), nor than the plant's current_max_a.
+        """Limit the current demand, at most to the plant's current_max_a.
+
+        Args:
+            current_a: forward limit [A].
+            backward_a: backward limit [A]; None: the same as forward.
 
         Raises:
-            ValueError: one is < 0.
+            ValueError: one of the limits is < 0.
         """
         back_a = current_a if backward_a is None else backward_a
         if not (current_a >= 0.0 and back_a >= 0.0):
@@ -192,7 +198,7 @@ class AxisSettings(AxisReadings):
         self._time.order(self._orders, self._time.state)
 
     def set_position(self, position_inc: int, count: int | None = None) -> None:
-        """This count (None: the present one) is called `position_inc` from now on (homing).
+        """Define the position at `count` (None: the present count) as `position_inc` (homing).
 
         Nothing moves.
         """

@@ -1,7 +1,8 @@
-"""The current loop, one step after another: what a servo tick falls back on near its limits.
+"""The current loop in single steps, for servo ticks near its limits.
 
-Most ticks take all their steps at once (see servo_tables). These two functions take them singly:
-where the voltage is clipped, or the rotor stops or starts within the tick.
+Most ticks take all their steps at once (see `ServoTables`). These two functions take the steps
+singly. They are needed where the voltage is clipped, or where the rotor stops or starts within the
+tick.
 """
 
 from emulators.firmware.servo_tables import StepTable
@@ -17,11 +18,11 @@ def steps(
     w: float,
     x: float,
 ) -> tuple[float, float, float, float]:
-    """Current, integrator, speed and position after `count` steps of the current loop, one by one.
+    """Return current, integrator, speed and position after `count` single steps.
 
-    The voltage is clipped to the supply, and then the integrator grows only towards the inside. A
-    rotor that passes through standstill stops for the rest of the step; it leaves again in the
-    first step at whose start or end the torque on it exceeds the friction.
+    The voltage is clipped to the supply. The integrator then grows only back towards the inside. A
+    rotor that passes through standstill stops for the rest of the step. It leaves again in the
+    first step at whose start or end the torque exceeds the friction.
     """
     # fmt: off
     (ii, iw, iv, it, wi, ww, wv, wt, xi, xw, xv, xt, _, _, _, _,
@@ -46,7 +47,7 @@ def steps(
         if w == 0.0:
             if clipped:
                 e1 = wanted - (decay * i + gain * v)
-            else:  # as a deviation from steady current, which dies out exactly
+            else:  # as a deviation from the steady current, which decays exactly to zero
                 e1 = decay * error - gain * (kp * error + s)
             net = k * i - load
             net1 = k * (wanted - e1) - load
@@ -77,7 +78,7 @@ def steps(
 def coast_steps(
     table: StepTable, count: int, load: float, w: float, x: float
 ) -> tuple[float, float]:
-    """Speed and position after `count` steps without current; stops as in `steps`."""
+    """Return speed and position after `count` steps without current; stops as in `steps`."""
     # fmt: off
     (_, _, _, _, _, _, _, _, _, _, _, _, ww, wt, xw, xt, _, _, _, _, _, _, _, friction) = table
     # fmt: on

@@ -1,16 +1,18 @@
-"""The servo and a plant with extras behind it, one tick after another: servo.run's counterpart.
+"""The servo with a nonlinear plant behind it, tick by tick.
 
-The plant's tick is extras_step's; the servo's (encoder, loops, flags) is made by servo.run itself,
-with tables that move nothing. Heat and I2t are slow, and so reckoned every `slow_ticks` ticks only,
-from the losses of the ticks in between. Those are counted in whole numbers, whose sums are exact in
-whatever portions they are made. So where nothing else changes the ticks up to the next reckoning
-are skipped, and what is skipped makes no difference to the last bit; a motor that holds still while
-it cools costs a reckoning every SLOW_S seconds, and when its temperature no longer changes either,
-nothing at all.
+This is the counterpart of `servo.run`. The plant's tick is `extras_step.tick`. The servo's part
+(encoder, loops, flags) comes from `servo.run` itself, with tables that move nothing.
 
-What the state has besides servo.run's: the load's speed [rad/s] and position [increments], both as
-at the motor; the DC link [V]; winding and housing [degC]; the level of I2t, 0..1; losses since the
-last reckoning and in the last tick [counts]; 1.0 if that tick changed nothing else.
+Temperature and I2t are slow, so they are updated only every `slow_ticks` ticks, from the losses of
+the ticks in between. The losses are counted in integers, whose sums are exact however the ticks are
+grouped. Where nothing else changes, the ticks up to the next update are skipped, and the results
+stay the same to the last bit. A motor that holds still while it cools costs one update every SLOW_S
+seconds. Once its temperature is steady too, it costs nothing.
+
+The state contains, in addition to that of `servo.run`: the load's speed [rad/s] and position
+[increments], both on the motor's side; the DC link [V]; winding and housing [degC]; the I2t level,
+0..1; losses since the last update and in the last tick [counts]; 1.0 if that tick changed nothing
+else.
 """
 
 from typing import Final
@@ -39,12 +41,12 @@ E_LOSSES: Final = 6
 E_LAST: Final = 7
 E_STILL: Final = 8
 
-_AT_REST: Final = -1.0  # losses: every tick since the last reckoning was like the last one
-_SETTLED_K: Final = 1e-9  # a change of temperature too small to matter, per reckoning
+_AT_REST: Final = -1.0  # losses: every tick since the last update was like the last one
+_SETTLED_K: Final = 1e-9  # a change of temperature per update that is small enough to ignore
 
 
 def standing(tables: ExtrasTables, count: float, source_v: float) -> servo.State:
-    """A motor without power that has always stood at `count`, as warm as the air."""
+    """Return the state of a motor without power, at rest at `count` and at ambient temperature."""
     extras = (
         *(0.0, count + 0.5, source_v),
         *(tables.ambient_c, tables.ambient_c, 0.0, 0.0, 0.0, 0.0),
@@ -53,7 +55,7 @@ def standing(tables: ExtrasTables, count: float, source_v: float) -> servo.State
 
 
 def is_still(state: servo.State) -> bool:
-    """Whether only what is slow has changed in the last tick."""
+    """Return True if the last tick changed only the slow values."""
     return state[servo.I_EXTRAS][E_STILL] == 1.0
 
 
@@ -65,7 +67,7 @@ def own_flags(
     winding: float,
     level: float,
 ) -> int:
-    """The flags that servo.run does not know."""
+    """Return the flags of nonlinear plants, which `servo.run` does not set."""
     _, _, high_v, low_v, limit_c, warning_c, i2t_warning, gate_low, gate_high = conditions
     flags = 0
     if supply > high_v:
@@ -91,7 +93,7 @@ def own_flags(
 def reckon(
     tables: ExtrasTables, winding: float, housing: float, level: float, losses: float
 ) -> tuple[float, float, float]:
-    """Winding, housing [degC] and I2t's level after the ticks with these losses."""
+    """Return winding, housing [degC] and I2t level after `slow_ticks` ticks with these losses."""
     square = losses / (tables.heat_scale * tables.slow_ticks)
     if tables.has_i2t:
         level += (square - tables.i2t_square) * tables.i2t_rise
@@ -122,9 +124,10 @@ def run(
     ticks: int,
     watch: bool,
 ) -> tuple[servo.State, int, bool]:
-    """As servo.run.
+    """Return the state after up to `ticks` ticks, like `servo.run`.
 
-    One function, and long, because what is unpacked here would be handed to and fro otherwise.
+    The function is long on purpose: smaller ones would have to pass all unpacked values back and
+    forth.
     """
     load, source = conditions[0], conditions[1]
     watched = state[servo.I_FLAGS]
@@ -135,7 +138,7 @@ def run(
         losses = last * (tick % slow)
     known = watched & ~OF_EXTRAS
     if known & OUTSIDE_GATE and windows[8] <= state[servo.I_COUNT] < windows[9]:
-        known &= ~OUTSIDE_GATE  # it is the output that is outside
+        known &= ~OUTSIDE_GATE  # the output is outside, not the motor
     own = watched & ~known
     own_before = own
     bare: servo.State = (*state[:14], known, *state[15:19], ())
@@ -180,7 +183,7 @@ def run(
         ):
             continue
         still = 1.0
-        # Nothing but what is slow has changed, and nothing will until that makes a difference.
+        # Only the slow values have changed, and nothing else changes until they make a difference.
         if not is_slow:
             resting = True
             break

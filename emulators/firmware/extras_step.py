@@ -1,14 +1,16 @@
-"""One servo tick of a plant with extras: current loop, supply, and the one or two bodies.
+"""One servo tick of a nonlinear plant: current loop, supply, and one or two bodies.
 
-Passive by construction. Between the substeps' ends each body moves exactly under a torque that is
-held; so the energy that a torque takes out of a body is the torque by the way. Then:
+The step is passive by construction. Within a substep each body moves exactly under a torque that is
+held. The energy that a torque takes out of a body is therefore the torque times the distance. The
+rules are:
 
-- Friction is against the motion. Where the body would be turned round by friction, it stops; where
-  by other torques, it is turned without friction in that substep.
-- The coupling's torque is the spring's mean over the substep while it touches at both ends (the
-  trapezoidal rule: neither gains nor loses), the spring's at the end when it begins to touch (it
-  takes more than it stores), and only as much as brings the flanks apart when it ceases to.
-- An end of the way takes the load's speed, and gives back `restitution` of it.
+- Friction opposes the motion. A body that friction alone would reverse stops. A body that other
+  torques reverse moves without friction in that substep.
+- The coupling torque is the spring's mean over the substep if it touches at both ends (the
+  trapezoidal rule: no gain, no loss). If it begins to touch, it is the spring's torque at the end,
+  which takes more energy than it stores. If it ceases to touch, it is just enough to separate the
+  flanks.
+- An end stop takes the load's speed and gives back `restitution` of it.
 
 A body at rest whose torques are within its friction stays where it is, to the last bit.
 """
@@ -22,7 +24,7 @@ _DC_LINK_MIN_V: Final = 1e-3
 
 
 def wave(p: float) -> float:
-    """A sine's likeness, to 0.1 %, with period 1: two parabolas, and a fifth of their square."""
+    """Return an approximate sine of period 1, within 0.1 %, from parabolas and their square."""
     p -= whole(p)
     y = 16.0 * p * (0.5 - p) if p < 0.5 else -16.0 * (p - 0.5) * (1.0 - p)
     return y * (0.775 + 0.225 * (y if y > 0.0 else -y))
@@ -31,7 +33,10 @@ def wave(p: float) -> float:
 def one_body(
     t: StepNumbers, on: bool, load: float, v: float, i: float, w: float, x: float
 ) -> tuple[float, float, float, bool]:
-    """Current, speed, position after a substep, and whether nothing moved (then i is as before)."""
+    """Return current, speed and position after a substep of a rigid plant.
+
+    The fourth result is True if nothing moved; the current is then returned unchanged.
+    """
     outer = -load
     if t.cogging != 0.0:
         outer += t.cogging * wave((x - 0.5) * t.cogging_inc)
@@ -85,15 +90,15 @@ def one_body(
 
 
 def positive(value: float) -> float:
-    """The value, or 0.0 where it is below."""
+    """Return the value, or 0.0 if it is negative."""
     return value if value > 0.0 else 0.0
 
 
 def coupling(t: StepNumbers, twist: float, free: float, give: float) -> float:
-    """The torque from rotor to load over a substep [N m].
+    """Return the torque from rotor to load over a substep [N m].
 
-    Rotor minus load [increments] is `twist` before it, and after it `free` without a torque, by
-    `give` less for each newton metre.
+    The difference rotor minus load [increments] is `twist` before the substep. After it, the
+    difference is `free` without a torque, and smaller by `give` for each newton metre.
     """
     half = 0.5 * t.spring + t.damper
     gap = t.gap
@@ -124,16 +129,19 @@ def two_bodies(
     wl: float,
     xl: float,
 ) -> tuple[float, float, float, float, float, bool]:
-    """Current, rotor, load after a substep, and whether the rotor stood (then i is as before).
+    """Return current, rotor and load after a substep of two bodies.
 
-    A body at rest is first taken to stay there, one in motion to go on; the torque between them
-    follows. Then whoever it sets free moves, whoever is found to stop in between does, and the
-    torque is found again; each of that happens once at most to each.
+    A body at rest is first assumed to stay there, and a moving one to continue. The torque between
+    them follows. Then a body that it sets free moves, and a body that reverses within the substep
+    stops. The torque is computed again after each change, and each change happens at most once to
+    each body.
 
-    One function, and long, because a call for each body would cost as much again.
+    The last result is True if the rotor stood; the current is then returned unchanged.
+
+    The function is long on purpose: a call for each body would double the cost.
     """
     twist = x - xl
-    # the rotor, on its own
+    # the rotor alone
     outer = 0.0
     if t.cogging != 0.0:
         outer = t.cogging * wave((x - 0.5) * t.cogging_inc)
@@ -143,7 +151,7 @@ def two_bodies(
     may_leave = stands
     wt = xt = w1 = way = stopping = 0.0
     has_stopped = False
-    # the load, on its own
+    # the load alone
     push = -load
     if t.gravity != 0.0:
         push -= t.gravity * wave((xl - 0.5) * t.gravity_inc - t.gravity_zero)
@@ -166,7 +174,7 @@ def two_bodies(
         lt, lxt = t.load_wt, t.load_xt
         wl1 = t.load_w * wl + lt * push
         load_way = t.load_x * wl + lxt * push
-    # both
+    # both bodies
     while True:
         torque = coupling(t, twist, twist + way - load_way, xt + lxt)
         if may_leave:
@@ -248,7 +256,7 @@ def two_bodies(
 
 
 def dc_link(t: ExtrasTables, v: float, source: float, power: float) -> float:
-    """The DC link's voltage a step later, implicitly: the motor takes `power` [W] from it."""
+    """Return the DC-link voltage after an implicit step in which the motor draws `power` [W]."""
     leak = t.bleed_1_ohm + (t.chopper_1_ohm if v > t.chopper_v else 0.0)
     alone = v - t.per_farad * power / v
     v1 = alone / (1.0 + t.per_farad * leak)
@@ -273,12 +281,14 @@ def tick(
     xl: float,
     supply: float,
 ) -> tuple[float, float, float, float, float, float, float, float]:
-    """Current, integrator, rotor, load, DC link a tick later; and the mean of the current squared.
+    """Return the state after one tick, and the mean square of the current.
 
-    The voltage is clipped to the DC link's, and then the integrator grows only towards the inside,
-    as in current_loop.steps; a standing motor's current goes as deviations from its steady state.
+    The results are current, integrator, rotor, load, DC link and mean square current. The voltage
+    is clipped to the DC link's, and the integrator then grows only back towards the inside, as in
+    `current_loop.steps`. The current of a motor at standstill is computed as deviations from its
+    steady state.
 
-    One function, and long, because it hands everything on to `two_bodies` as it is.
+    The function is long on purpose: it passes all its values on to `two_bodies`.
     """
     t = tables.at(index)
     if not on:

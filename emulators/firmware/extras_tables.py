@@ -1,17 +1,19 @@
-"""The numbers with which a plant with extras is stepped, computed once per axis and temperature.
+"""Constants for stepping a nonlinear plant, per axis and temperature.
 
-Everything is reckoned on the motor's side of the gear: torques in N m there, positions in the
-encoder's increments, and the load's as if it turned with the motor.
+All values are on the motor's side of the gear: torques in N m, positions in encoder increments. The
+load is treated as if it turned with the motor.
 
-A step of the current loop is divided into equal substeps of `h` seconds. In one, a body moves
-exactly as its differential equations say while the voltage and the torques from outside are held:
-the maps come from matrix exponentials, as without extras. What a torque changes by its dependence
-on the position is met in two ways. The spring of the coupling acts with its mean over the substep
-(see extras_step), which is stable however stiff it is; its oscillation comes out slower than it is
-by (omega h)^2 / 24, and where omega h would exceed `OMEGA_H_MAX` even with `SUBSTEPS_MAX` substeps
-the plant is refused. Waves (cogging, gravity) act with what they are at the substep's start, and
-the body is held there by a spring as stiff as the wave is steep at most: so a step never gains
-energy from them.
+A step of the current loop is divided into equal substeps of `h` seconds. In a substep each body
+moves exactly as its differential equations say while voltage and external torques are held. The
+maps are matrix exponentials, as for a linear plant. Position-dependent torques are handled in two
+ways.
+
+The spring of the coupling acts with its mean over the substep (see `extras_step.coupling`), which
+is stable for any stiffness. Its oscillation comes out too slow by (omega h)^2 / 24. A plant is
+refused if omega h would exceed `OMEGA_H_MAX` even with `SUBSTEPS_MAX` substeps.
+
+Waves (cogging, gravity) act with their value at the start of the substep. A spring as stiff as the
+wave's steepest slope holds the body there, so that a step never gains energy from a wave.
 """
 
 from typing import Final, final
@@ -30,25 +32,27 @@ from emulators.plant.extras import NEVER_RAD, REFERENCE_C
 
 OMEGA_H_MAX: Final = 0.5
 SUBSTEPS_MAX: Final = 16
-WAVE_STEEPEST: Final = 6.4  # of extras_step.wave, per period
-SLOW_S: Final = 0.02  # how often heat and I2t are reckoned
-STEPS_OF_TEMPERATURE: Final = 4.0  # in a kelvin: how finely the resistance follows
-_HEAT_COUNTS: Final = float(1 << 26)  # of i^2 when it is that of the largest current
-_LOAD_FRICTION_MIN: Final = 1e-6  # of the motor's largest torque: a load that swings comes to rest
+WAVE_STEEPEST: Final = 6.4  # slope of extras_step.wave, per period
+SLOW_S: Final = 0.02  # interval of temperature and I2t updates [s]
+STEPS_OF_TEMPERATURE: Final = 4.0  # resistance steps per kelvin
+_HEAT_COUNTS: Final = float(1 << 26)  # counts of i^2 at the largest current
+_LOAD_FRICTION_MIN: Final = (
+    1e-6  # share of the motor's largest torque; brings a swinging load to rest
+)
 _FAR: Final = 1e300
 
-# Conditions: what may change without the tables; load torque at the motor [N m], the source's
-# voltage [V]; thresholds: DC link above and below [V], winding's limit and warning [degC], I2t's
-# warning; the gate: the least count of the output that is inside, and the least beyond it.
+# Conditions: values that can change without new tables. Load torque at the motor [N m], the
+# source's voltage [V]. Thresholds: DC link above and below [V], winding limit and warning [degC],
+# I2t warning. The gate: the least output count inside, and the least count beyond it.
 Conditions = tuple[float, float, float, float, float, float, float, float, float]
 
 
 @final
 class StepNumbers:
-    """What one substep needs, at one temperature of the winding; see extras_step for the names."""
+    """Constants of one substep at one winding temperature; `extras_step` uses the names."""
 
     def __init__(self, plant: MotorPlant, h: float, step_s: float, resistance_ohm: float) -> None:
-        """One function, and long, because it is a list of numbers."""
+        """Compute all constants; the function is long because it is a list of numbers."""
         extras = plant.extras
         gear = plant.gear_ratio
         inc_rad = plant.increments_per_rad()
@@ -75,7 +79,7 @@ class StepNumbers:
             self.coulomb += load_friction
             steep_rotor += steep_load
         static = max(extras.static_friction_n_m, plant.coulomb_friction_n_m)
-        self.more: float = static - plant.coulomb_friction_n_m  # than Coulomb's, at standstill
+        self.more: float = static - plant.coulomb_friction_n_m  # excess at standstill
         self.stribeck: float = 1.0 / (extras.stribeck_speed_rad_s * extras.stribeck_speed_rad_s)
 
         # the rotor: rows current, speed, position; columns current, speed, voltage, torque
@@ -113,17 +117,17 @@ class StepNumbers:
 
 @final
 class ExtrasTables:
-    """Everything constant about one axis with extras; never changes but for what it remembers.
+    """All constants of one axis with a nonlinear plant; immutable except for its cache.
 
     Raises:
         ValueError: the gains make the current loop unstable, or the coupling is too stiff to be
-            stepped; the message begins with the plant's key then.
+            stepped. The message begins with the plant's key in the second case.
 
     Attributes:
-        servo, no_steps, no_load: tables with which servo.run moves nothing and steps the servo.
-        count, substeps: steps of the current loop in a tick, and substeps in each.
-        kp, ki: of the current loop; ki per step.
-        slow_ticks: every how many ticks heat and I2t are reckoned.
+        servo, no_steps, no_load: tables with which `servo.run` moves nothing and steps the servo.
+        count, substeps: current loop steps in a tick, and substeps in each step.
+        kp, ki: gains of the current loop; ki per step.
+        slow_ticks: ticks between updates of temperature and I2t.
         heat_scale: counts per A^2.
     """
 
@@ -145,7 +149,7 @@ class ExtrasTables:
         self.kp: float = gains.current_kp_v_a
         self.ki: float = gains.current_ki_v_a_s * tick_s / current_steps
         # Rows that map current, integrator and speed onto themselves and add nothing to the
-        # position; no guard ever fails. What follows in the table is the servo's own.
+        # position; all guards hold. The rest of the table is the servo's own.
         self.servo: TickTable = (
             *(1.0, 0.0, 0.0, 0.0),
             *(0.0, 1.0, 0.0, 0.0),
@@ -182,22 +186,22 @@ class ExtrasTables:
         self.i2t_rise: float = slow_s / room if room > 0.0 else 0.0
         self.low: float = _end(extras.stop_low_rad, plant)
         self.high: float = _end(extras.stop_high_rad, plant)
-        self.at(self.index(self.ambient_c))  # refuses gains that are no good
+        self.at(self.index(self.ambient_c))  # raises for unstable gains
 
     def index(self, winding_c: float) -> int:
-        """Which numbers hold at this temperature."""
+        """Return the index of the constants for this winding temperature."""
         if not self.follows_copper:
             return 0
         return int((winding_c - REFERENCE_C) * STEPS_OF_TEMPERATURE // 1.0)
 
     def resistance_ohm(self, index: int) -> float:
-        """Of the winding, at the temperature of that index."""
+        """Return the winding resistance at the temperature of `index` [ohm]."""
         warmer = index / STEPS_OF_TEMPERATURE
         factor = 1.0 + self._plant.extras.copper_coefficient_1_k * warmer
         return self._plant.resistance_ohm * (factor if factor > 0.1 else 0.1)
 
     def at(self, index: int) -> StepNumbers:
-        """The numbers of that index."""
+        """Return the constants of `index`, computing them once."""
         found = self._numbers.get(index)
         if found is None:
             h = self._step_s / self.substeps
@@ -208,7 +212,7 @@ class ExtrasTables:
         return found
 
     def norm(self, index: int) -> tuple[float, float, float]:
-        """In which a blocked motor's deviations shrink, at that index (see servo.run)."""
+        """Return the norm in which a blocked motor's deviations shrink (see `servo.run`)."""
         self.at(index)
         return self._norms[index]
 
@@ -220,10 +224,10 @@ class ExtrasTables:
 
 
 def substeps_for(plant: MotorPlant, step_s: float) -> int:
-    """Into how many a step of the current loop must be divided.
+    """Return the number of substeps per step of the current loop.
 
     Raises:
-        ValueError: more than SUBSTEPS_MAX would be needed; begins with the key.
+        ValueError: more than SUBSTEPS_MAX are necessary; the message begins with the key.
     """
     stiffness = plant.extras.coupling_stiffness_n_m_rad
     if not stiffness:
@@ -232,15 +236,16 @@ def substeps_for(plant: MotorPlant, step_s: float) -> int:
     needed = -int(-omega * step_s / OMEGA_H_MAX // 1.0)
     if needed > SUBSTEPS_MAX:
         raise ValueError(
-            f"coupling_stiffness_n_m_rad = {stiffness:g} N m/rad swings at {omega:.0f} rad/s with"
-            f" these inertias, too fast for steps of {step_s * 1e6:g} us: at most"
-            f" {_stiffest(plant, step_s):.3g} N m/rad, more current_steps or a shorter servo tick_s"
+            f"coupling_stiffness_n_m_rad = {stiffness:g} N m/rad: oscillates at {omega:.0f} "
+            f"rad/s with these inertias, too fast for steps of {step_s * 1e6:g} us; expected "
+            f"at most {_stiffest(plant, step_s):.3g} N m/rad; use more current_steps or a "
+            "shorter servo tick_s"
         )
     return max(1, needed)
 
 
 def _stiffness(plant: MotorPlant, step_s: float) -> float:
-    """Of the coupling at the output [N m/rad]: as given, or the stiffest for one substep."""
+    """Return the coupling stiffness at the output, given or as stiff as possible [N m/rad]."""
     extras = plant.extras
     if extras.coupling_stiffness_n_m_rad or not extras.backlash_rad:
         return extras.coupling_stiffness_n_m_rad
@@ -254,7 +259,7 @@ def _stiffest(plant: MotorPlant, step_s: float) -> float:
 
 
 def _omega(plant: MotorPlant, stiffness: float) -> float:
-    """At which rotor and load swing against each other [rad/s]; a root by Newton's iteration."""
+    """Return the angular frequency of rotor against load, by Newton's iteration [rad/s]."""
     rotor = plant.rotor_inertia_kg_m2 * plant.gear_ratio * plant.gear_ratio
     load = plant.load_inertia_kg_m2 or rotor
     square = stiffness * (1.0 / rotor + 1.0 / load)
@@ -265,7 +270,7 @@ def _omega(plant: MotorPlant, stiffness: float) -> float:
 
 
 def _end(position_rad: float, plant: MotorPlant) -> float:
-    """An end of the way, in increments as servo.run has the position (half of one ahead)."""
+    """Return the position of an end stop in the increments of `servo.run` (half of one ahead)."""
     if position_rad in (-NEVER_RAD, NEVER_RAD):
         return _FAR if position_rad > 0.0 else -_FAR
     return position_rad * plant.gear_ratio * plant.increments_per_rad() + 0.5
@@ -276,7 +281,7 @@ def _conductance(resistance_ohm: float) -> float:
 
 
 def _body(inertia: float, viscous: float, steepness: float, inc_rad: float, h: float) -> Matrix:
-    """A free body's map: rows speed, position; columns speed, position, torque."""
+    """Return the map of a free body: rows speed, position; columns speed, position, torque."""
     rates = [
         [-viscous / inertia, -steepness / inertia, 1.0 / inertia],
         [inc_rad, 0.0, 0.0],
@@ -286,10 +291,10 @@ def _body(inertia: float, viscous: float, steepness: float, inc_rad: float, h: f
 
 
 def _warming(plant: MotorPlant, slow_s: float) -> tuple[float, float, float, float, float, float]:
-    """Rows winding, housing; columns winding, housing [K above ambient], losses [W].
+    """Return the thermal map: rows winding, housing; columns both [K above ambient], losses [W].
 
-    A data sheet's time constants are those of each node alone: the capacity is the time constant by
-    the thermal resistance outwards.
+    A data sheet's time constants are those of each node alone. The heat capacity is the time
+    constant divided by the thermal resistance outwards.
     """
     extras = plant.extras
     if not extras.has_heat():
@@ -319,7 +324,7 @@ def extras_tables(
     current_steps: int,
     clock_rate: float,
 ) -> ExtrasTables | None:
-    """The tables of a plant with extras, each axis its own; None for one without."""
+    """Return the tables of a nonlinear plant, not shared between axes; None for a linear plant."""
     if not plant.extras.is_any():
         return None
     return ExtrasTables(plant, gains, tick_table, tick_ns, current_steps, clock_rate)

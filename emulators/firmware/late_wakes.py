@@ -1,9 +1,9 @@
-"""A controller whose timers fire late by a little, each time by another: jitter of its wake-ups.
+"""Timer jitter: a controller whose timers fire slightly late.
 
-What it waits for by the time d of its own clock happens at d plus a lateness of 0 to `jitter_ns`.
-The lateness is a pure function of the run's seed, the controller's name and d, so nobody who looks
-changes it. Whether it adds up is the controller's affair: a heartbeat that counts from the last one
-does. What comes from outside is heard at its time, after what is overdue then has been done.
+A timer due at time d of the controller's own clock fires at d plus a lateness of 0 to `jitter_ns`.
+The lateness is a pure function of the run's seed, the controller's name and d, so no reader can
+change it. The controller decides if lateness accumulates: a heartbeat that counts from the previous
+one does. Frames and stimuli arrive on time. Everything overdue is done before they are handled.
 """
 
 from collections.abc import Mapping, Sequence
@@ -15,7 +15,10 @@ _BITS_64: Final = (1 << 64) - 1
 
 
 def lateness_ns(seed: int, due_ns: int, jitter_ns: int) -> int:
-    """0..jitter_ns, evenly spread; the finalizer of SplitMix64 (Steele, Lea, Flood, 2014)."""
+    """Return an evenly spread value 0..jitter_ns.
+
+    Source: the finalizer of SplitMix64 (Steele, Lea, Flood, 2014).
+    """
     z = (seed + due_ns * 0x9E3779B97F4A7C15) & _BITS_64
     z = ((z ^ (z >> 30)) * 0xBF58476D1CE4E5B9) & _BITS_64
     z = ((z ^ (z >> 27)) * 0x94D049BB133111EB) & _BITS_64
@@ -24,67 +27,67 @@ def lateness_ns(seed: int, due_ns: int, jitter_ns: int) -> int:
 
 @final
 class LateWakes:
-    """Implements `emulators.controller.Controller` around one.
+    """Wraps a `Controller` and delays its timers; implements `Controller` itself.
 
     Attributes:
-        inner: the controller; what it is told of the time is true of its own clock.
+        inner: the wrapped controller; all times passed to it are on its own clock.
     """
 
     def __init__(self, inner: Controller, jitter_ns: int, seed: int) -> None:
         self.inner: Controller = inner
         self._jitter_ns: Final[int] = jitter_ns
         self._seed: Final[int] = seed
-        self._told_ns: int = 0  # the latest time that the controller has heard
+        self._told_ns: int = 0  # the latest time passed to the controller
 
     def start(self, now_ns: int) -> None:
-        """Power comes on."""
+        """Power the controller on."""
         self._told_ns = now_ns
         self.inner.start(now_ns)
 
     def receive(self, data: bytes, now_ns: int) -> None:
-        """A frame was on the medium."""
+        """Handle overdue timers, then pass a received frame on."""
         self._catch_up(now_ns)
         self.inner.receive(data, now_ns)
 
     def sent(self, data: bytes, now_ns: int) -> bool | None:
-        """An own frame left the medium."""
+        """Handle overdue timers, then report that an own frame has been sent."""
         is_late = self._catch_up(now_ns)
         comes = self.inner.sent(data, now_ns)
         return True if is_late else comes
 
     def wants_sent(self) -> bool:
-        """As the controller does."""
+        """Return the controller's answer."""
         return self.inner.wants_sent()
 
     def next_deadline_ns(self) -> int | None:
-        """What the controller waits for, and so much later."""
+        """Return the controller's deadline plus its lateness."""
         due_ns = self.inner.next_deadline_ns()
         if due_ns is None:
             return None
         return due_ns + lateness_ns(self._seed, due_ns, self._jitter_ns)
 
     def expire(self, now_ns: int) -> None:
-        """Do what was due a little ago."""
+        """Let the controller handle its overdue deadlines."""
         self._told_ns = now_ns
         self.inner.expire(now_ns)
 
     def take_output(self) -> Sequence[bytes]:
-        """The controller's frames."""
+        """Return the controller's frames."""
         return self.inner.take_output()
 
     def take_events(self) -> Sequence[tuple[str, str]]:
-        """The controller's events."""
+        """Return the controller's events."""
         return self.inner.take_events()
 
     def stimulate(self, name: str, value: float, now_ns: int) -> None:
-        """A physical input of the controller has this value; ValueError as from it."""
+        """Set a physical input of the controller; ValueError as from the controller."""
         self._catch_up(now_ns)
         self.inner.stimulate(name, value, now_ns)
 
     def snapshot(self, now_ns: int) -> Mapping[str, float]:
-        """The truth inside; while a wake-up is overdue, as of when it was due.
+        """Return the true internal state; while a timer is overdue, the state at its deadline.
 
-        For whoever looks must not let the motor pass what the controller has yet to see.
+        A snapshot must not advance the motor past an event that the controller has not handled yet.
         """
         due_ns = self.inner.next_deadline_ns()
         if due_ns is not None and due_ns < now_ns:
@@ -92,15 +95,15 @@ class LateWakes:
         return self.inner.snapshot(now_ns)
 
     def identifiers(self) -> Sequence[int] | None:
-        """As the controller's."""
+        """Return the controller's identifiers."""
         return self.inner.identifiers()
 
     def identifiers_revision(self) -> int:
-        """As the controller's."""
+        """Return the controller's revision of its identifiers."""
         return self.inner.identifiers_revision()
 
     def _catch_up(self, now_ns: int) -> bool:
-        """Do what is overdue, if anything is."""
+        """Handle overdue timers; return True if there were any."""
         self._told_ns = now_ns
         due_ns = self.inner.next_deadline_ns()
         if due_ns is None or due_ns >= now_ns:

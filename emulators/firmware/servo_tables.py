@@ -1,19 +1,19 @@
-"""The numbers the servo steps with, computed once per axis (and per load torque).
+"""Constants for stepping the servo, per axis and load torque.
 
-Ten steps of the current loop, taken together, are one linear map of the axis' state: as long as
-the voltage stays within the supply and the rotor does not pass through standstill, a servo tick
-costs one such map instead of ten steps. This module builds that map by multiplying the ten steps
-out, and with it *guards*: bounds, from the same ten matrices, that tell from the tick's first
-instant whether any of its steps could clip or stop. Where they cannot rule it out, the steps are
-taken one by one. Either way it is the same arithmetic to within rounding, and which way is taken
-depends on the state alone.
+Ten steps of the current loop together are one linear map of the axis' state. The map is valid while
+the voltage stays within the supply and the rotor does not pass through standstill. A servo tick
+then costs one map instead of ten steps. This module builds that map by multiplying the ten steps.
+It also derives *guards* from the same ten matrices. Guards are bounds, evaluated at the start of a
+tick, that show if any of its steps could clip or stop. Where they cannot exclude that, the steps
+are taken one by one. Both ways compute the same values to within rounding, and the choice depends
+on the state alone.
 
 The step, with voltage v held by the power stage for one period h of the current loop:
 
-    e = wanted current - current;  v = kp e + u;  u grows by ki h e     (u: the integrator [V])
-    current, speed, position: exact, from plant.discretisation
+  e = current demand - current;  v = kp e + u;  u grows by ki h e   (u: the integrator [V])
+  current, speed, position: exact, from plant.discretisation
 
-A tick's map acts on z = (current, u, speed, position, wanted current, torque).
+A tick's map acts on z = (current, u, speed, position, current demand, torque).
 """
 
 from functools import lru_cache
@@ -30,7 +30,7 @@ from emulators.plant.discretisation import (
     sample,
 )
 
-# Flat, in the order in which servo.run and servo.steps unpack them.
+# Flat tuples, in the order in which servo.run and current_loop.steps unpack them.
 TickTable = tuple[float, ...]
 StepTable = tuple[float, ...]
 LoadTable = tuple[float, ...]
@@ -50,23 +50,23 @@ _SLACK: Final = 1.0 + 1e-9  # guards must hold in rounded arithmetic too
 def tables_of(
     plant: MotorPlant, gains: ServoGains, tick_ns: int, current_steps: int, clock_rate: float = 1.0
 ) -> "ServoTables":
-    """The tables of such an axis, shared by all that are alike. Raises as `ServoTables`."""
+    """Return the tables of such an axis, shared by equal axes; raises as `ServoTables`."""
     return ServoTables(plant, gains, tick_ns, current_steps, clock_rate)
 
 
 @final
 class ServoTables:
-    """Everything constant about one axis' stepping; never changes.
+    """All constants for stepping one axis; immutable.
 
     The firmware's constants (integrators, gains per tick) are in ticks of its own clock, which
-    counts `clock_rate` seconds in a true one; the motor moves in true time.
+    counts `clock_rate` seconds per true second. The motor moves in true time.
 
     Raises:
         ValueError: the gains make the current loop unstable.
 
     Attributes:
-        tick: what `servo.run` needs in every call.
-        step: what `servo.steps` needs when it goes step by step.
+        tick: the table for each call of `servo.run`.
+        step: the table for single steps (`current_loop.steps`).
         current_steps: steps of the current loop in a servo tick.
     """
 
@@ -92,7 +92,7 @@ class ServoTables:
         self.step = self._step_table()
 
     def load(self, load_torque_n_m: float) -> LoadTable:
-        """What a constant torque of the load at the output changes; see servo.run for the order."""
+        """Return the effects of a constant load torque at the output, ordered as in `servo.run`."""
         plant = self._plant
         load = load_torque_n_m / plant.gear_ratio
         friction = plant.coulomb_friction_n_m
@@ -115,7 +115,7 @@ class ServoTables:
         return tuple(table)
 
     def _closed_step(self) -> Matrix:
-        """One step of current loop and motor, not clipped, as a map of z."""
+        """Return one step of current loop and motor, not clipped, as a map of z."""
         step = identity(6)
         kp, ki = self._kp, self._ki
         rows = (_CURRENT, _SPEED, _POSITION)
@@ -134,19 +134,19 @@ class ServoTables:
         return step
 
     def _blocked_step(self) -> Matrix:
-        """The same with a rotor that stands, as a map of (e, u - R * wanted current)."""
+        """Return the step with a blocked rotor, as a map of (e, u - R * current demand)."""
         gain = self._motor.blocked_gain_a_v
         return [[self._motor.blocked_decay - gain * self._kp, -gain], [self._ki, 1.0]]
 
     def _moving_guards(self) -> tuple[tuple[float, float, float], tuple[float, float]]:
-        """Bounds of what happens within a tick.
+        """Return bounds on voltage and speed within a tick.
 
         In terms of e, d = u - R wanted - K speed (both 0 in steady motion) and the acceleration a0
         at the start, the voltage never departs from u by more than
 
-            first[0] |e| + first[1] |d| + first[2] a_max   =: m + first[2] a_max
+          first[0] |e| + first[1] |d| + first[2] a_max   =: m + first[2] a_max
 
-        and the speed never from the straight line between its two ends by more than
+        and the speed never departs from the straight line between its two ends by more than
         second[0] * m + second[1] * a_max; a_max bounds |a0| for currents within the limit.
         """
         k = self._plant.torque_constant_n_m_a
@@ -163,7 +163,7 @@ class ServoTables:
             voltages.append(max(abs(v - unit[_INTEGRATOR]) for v in volts))
             end = path[count][_SPEED]
             bends.append(max(abs(z[_SPEED] - end * j / count) for j, z in enumerate(path)))
-        per_ampere = k / inertia  # a current off by e accelerates as well
+        per_ampere = k / inertia  # a current error e accelerates as well
         first = (voltages[0] + voltages[2] * per_ampere) * _SLACK
         second = max(voltages[1], 1e-6) * _SLACK
         bend = max((bends[0] + bends[2] * per_ampere) / first, bends[1] / second) * _SLACK
@@ -230,9 +230,10 @@ class ServoTables:
 
 
 def shrinking_norm(matrix: Matrix) -> tuple[float, float, float]:
-    """a, b, c: a e^2 + b e s + c s^2 shrinks by e^2 + s^2 when (e, s) is mapped (Lyapunov).
+    """Return a, b, c of a norm that each mapping shrinks (Lyapunov).
 
-    The sum over all n of the squared size after n maps, added up by doubling n.
+    Mapping (e, s) shrinks a e^2 + b e s + c s^2 by e^2 + s^2. The result is the sum of the
+    squared sizes after n maps over all n, computed by doubling n.
     """
     total = identity(2)
     power = matrix
@@ -242,12 +243,12 @@ def shrinking_norm(matrix: Matrix) -> tuple[float, float, float]:
         total = [[total[r][c] + added[r][c] for c in range(2)] for r in range(2)]
         power = product(power, power)
         if not total[0][0] + total[1][1] < 1e15:
-            raise ValueError("with these gains the current loop is unstable, or nearly so")
+            raise ValueError("current loop: unstable, or nearly so, with these gains")
     return total[0][0], total[0][1] + total[1][0], total[1][1]
 
 
 def powers(matrix: Matrix, count: int) -> list[Matrix]:
-    """The matrix to the powers 0..count."""
+    """Return the powers 0..count of the matrix."""
     found = [identity(len(matrix))]
     for _ in range(count):
         found.append(product(matrix, found[-1]))

@@ -1,4 +1,4 @@
-"""The windows of the axis' flags: how near, and for how many servo ticks in a row; the gate."""
+"""Windows of the axis' flags, their times in servo ticks, and the gate."""
 
 from typing import Final
 
@@ -8,7 +8,10 @@ NO_LIMIT: Final = 1e300
 
 
 def default_windows(tick_ns: int) -> Windows:
-    """Target 10 increments, no following error, speed 500 inc/s, velocity 2000 inc/s for 10 ms."""
+    """Return the defaults: target 10 inc, no following error, 500 and 2000 inc/s for 10 ms.
+
+    The 500 inc/s are the speed threshold, the 2000 inc/s the velocity window.
+    """
     tick_s = tick_ns / 1e9
     return (
         *(10.0, NO_LIMIT, 500.0 * tick_s, 2000.0 * tick_s),
@@ -19,10 +22,10 @@ def default_windows(tick_ns: int) -> Windows:
 
 
 def with_gate(windows: Windows, low: float, high: float) -> Windows:
-    """The same with another gate."""
+    """Return the windows with another gate."""
     return (*windows[:8], low, high)
 
 
 def in_a_row(time_ns: int | None, before: int, tick_ns: int) -> int:
-    """How many ticks in a row say that something has been so for this time; None: as before."""
+    """Return the consecutive ticks for a condition of `time_ns`; None: `before`."""
     return before if time_ns is None else -(-time_ns // tick_ns) + 1

@@ -1,10 +1,10 @@
-"""Motors that can be bought, with the numbers of their data sheets, all without gear and load.
+"""Commercial motors with their data-sheet values, without gear and load.
 
-Numbers are as printed but for the units. Sheets give no current limit (it is the drive's): here it
-is a little above what the blocked motor takes at its nominal voltage, so that the stage can put all
-of that on it. Encoder: 500 lines, as both makers have for these. Published no-load speed, stall
-torque and mechanical time constant are compared with experiments in
-tests/emulators/cia402/test_data_sheets.py.
+Numbers are as printed, converted to SI units. The sheets give no current limit, because it belongs
+to the drive. Here the limit is slightly above the stall current at nominal voltage, so that the
+power stage can apply the full voltage. The encoder has 500 lines, which both makers offer for these
+motors. Tests compare the published no-load speed, stall torque and mechanical time constant with
+experiments (test_data_sheets).
 """
 
 from typing import Final
@@ -12,9 +12,9 @@ from typing import Final
 from emulators.plant.dc_motor import MotorPlant
 from emulators.plant.extras import PlantExtras
 
-# maxon EC 13, 13 mm, brushless, 6 W, 24 V winding: order number 305194, catalogue page "EC 13";
-# lines 1 (voltage), 3 (no-load current, by the torque constant the friction), 10 to 12, 16, 17 to
-# 20 (thermal).
+# maxon EC 13, 13 mm, brushless, 6 W, 24 V winding: order number 305194, catalogue page "EC 13".
+# Lines 1 (voltage), 3 (no-load current; times the torque constant, this is the friction), 10 to 12,
+# 16, 17 to 20 (thermal).
 MAXON_EC_13_305194: Final = MotorPlant(
     resistance_ohm=24.6,
     inductance_h=0.357e-3,
@@ -32,8 +32,9 @@ MAXON_EC_13_305194: Final = MotorPlant(
     ),
 )
 
-# Faulhaber 1331 T 012 SR, 13 mm, ironless with precious-metal commutation: data sheet "DC-
-# Micromotors 3,2 mNm, Series 1331 ... SR"; lines 1, 2, 8 (friction), 11 (constant), 14, 16, 18, 19.
+# Faulhaber 1331 T 012 SR, 13 mm, ironless with precious-metal commutation: data sheet
+# "DC-Micromotors 3,2 mNm, Series 1331 ... SR"; lines 1, 2, 8 (friction), 11 (constant), 14, 16, 18,
+# 19.
 FAULHABER_1331T012SR: Final = MotorPlant(
     resistance_ohm=13.7,
     inductance_h=310e-6,

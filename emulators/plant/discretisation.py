@@ -1,7 +1,7 @@
-"""Exact sampled-data models of the plant: what one step does when voltage and torque are held.
+"""Exact sampled-data models of the plant for one step.
 
-Everything here is computed once, when an axis is built, in plain Python with + - * / only, so that
-every machine gets the same numbers to the last bit.
+Voltage and torque are held during the step. All matrices are computed once, when an axis is built.
+Plain Python with + - * / gives bit-identical numbers on every machine.
 """
 
 from collections.abc import Sequence
@@ -12,22 +12,22 @@ from emulators.plant.dc_motor import MotorPlant
 
 Matrix = list[list[float]]
 
-_TAYLOR_TERMS: Final = 18  # with a norm of at most 1/2 the rest is below 1e-21
+_TAYLOR_TERMS: Final = 18  # for a norm <= 1/2 the remainder is below 1e-21
 
 
 def identity(size: int) -> Matrix:
-    """The unit matrix, (size, size)."""
+    """Return the unit matrix, (size, size)."""
     return [[1.0 if row == column else 0.0 for column in range(size)] for row in range(size)]
 
 
 def product(left: Matrix, right: Matrix) -> Matrix:
-    """Left times right; sums run from the first column to the last."""
+    """Return the matrix product, summed from the first column to the last."""
     columns = range(len(right[0]))
     return [[dot(row, [line[c] for line in right]) for c in columns] for row in left]
 
 
 def dot(left: Sequence[float], right: Sequence[float]) -> float:
-    """Inner product, summed from the first element to the last (`sum` differs between Pythons)."""
+    """Return the inner product, summed in order (`sum` differs between Python versions)."""
     total = 0.0
     for a, b in zip(left, right, strict=True):
         total += a * b
@@ -35,7 +35,7 @@ def dot(left: Sequence[float], right: Sequence[float]) -> float:
 
 
 def exponential(matrix: Matrix) -> Matrix:
-    """E to the square matrix, by scaling, Taylor series and squaring."""
+    """Return the matrix exponential by scaling, Taylor series and squaring."""
     norm = max(dot([abs(value) for value in row], [1.0] * len(row)) for row in matrix)
     squarings = 0
     while norm > 0.5:
@@ -59,12 +59,12 @@ def exponential(matrix: Matrix) -> Matrix:
 @final
 @dataclass(frozen=True, slots=True)
 class SampledMotor:
-    """One step of the motor with voltage and torque held: exact, not an approximation.
+    """One exact step of the motor with voltage and torque held.
 
-    Rows of `driven`: current [A], speed [rad/s], position [increments] afterwards; columns: those
-    three before, voltage [V], torque on the shaft besides the motor's own [N m]. `coasting` is the
-    same without current: rows speed, position; columns speed, position, torque. A blocked motor's
-    current goes to `blocked_decay` * current + `blocked_gain_a_v` * voltage.
+    Rows of `driven`: current [A], speed [rad/s] and position [increments] after the step. Its
+    columns: the same three before the step, voltage [V], external torque on the shaft [N m].
+    `coasting` is the same without current: rows speed, position; columns speed, position, torque.
+    The current of a blocked motor becomes `blocked_decay` * current + `blocked_gain_a_v` * voltage.
     """
 
     step_s: float
@@ -75,7 +75,7 @@ class SampledMotor:
 
 
 def sample(plant: MotorPlant, step_s: float) -> SampledMotor:
-    """The plant over one step of `step_s` [s]."""
+    """Return the model of the plant for one step of `step_s` [s]."""
     resistance, inductance = plant.resistance_ohm, plant.inductance_h
     k, friction = plant.torque_constant_n_m_a, plant.viscous_friction_n_m_s_rad
     inertia, scale = plant.inertia_kg_m2(), plant.increments_per_rad()

@@ -1,12 +1,12 @@
-"""Plants under a name: some of plausible size, and motors that can be bought (data_sheets)."""
+"""Named plants: plausible examples, and commercial motors."""
 
 from typing import Final
 
 from emulators.plant.data_sheets import DATA_SHEETS
 from emulators.plant.dc_motor import MotorPlant
 
-# A 24 V, 60 W brushed motor of 30 mm, as several makers have one: about 8,800 rpm, 1 N m at stall,
-# 3 ms mechanical time constant; behind a planetary gear on a rover's wheel of 0.1 m radius.
+# A 24 V, 60 W brushed motor of 30 mm, as several makers offer: about 8,800 rpm, 1 N m at stall, 3
+# ms mechanical time constant. A planetary gear drives a rover's wheel of 0.1 m radius.
 WHEEL_60W: Final = MotorPlant(
     resistance_ohm=0.611,
     inductance_h=0.119e-3,
@@ -21,7 +21,7 @@ WHEEL_60W: Final = MotorPlant(
     load_inertia_kg_m2=0.05,
 )
 
-# The same motor, geared down further, turning a wheel about its vertical axis.
+# The same motor with a higher gear ratio, turning a wheel about its vertical axis.
 STEERING_60W: Final = MotorPlant(
     resistance_ohm=0.611,
     inductance_h=0.119e-3,

@@ -114,7 +114,10 @@ def test_bad_input_is_reported_with_line_key_and_remedy(rig, say, verb, what):
         (("run", "rig.toml", "."), ".: cannot be read: Is a directory; name a Python program"),
         (("run", "rig.toml", "--", "x"), "rig.toml: arguments, but no script to take them; name"),
         (("run", "rig.toml", "script.py", "-o", "no/x.mcap"), "no/x.mcap: "),
-        (("run", "rig.toml", "-o", "script.py"), "script.py: is no recording, and would be lost;"),
+        (
+            ("run", "rig.toml", "-o", "script.py"),
+            "script.py: is not a recording, and would be overwritten;",
+        ),
     ],
 )
 def test_missing_file_is_reported_in_one_line(rig, say, words, told):

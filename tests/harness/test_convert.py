@@ -30,7 +30,7 @@ def test_unreadable_records_are_reported_with_line(folder, say):
     assert status == 0
     assert out == "out.mcap: 2 frames of can0, from candump to mcap, 2 not readable\n"
     assert err.splitlines() == [
-        "in.txt:1: no frame: 'candump can0'",
+        "in.txt:1: not a frame: 'candump can0'",
         "in.txt:3: 4 of 8 bytes: 'can0  181   [8]  01 02 03 04'",
         "in.txt: 2 frames have no time stamp: their time is 0",
     ]
@@ -57,7 +57,7 @@ def test_text_has_twenty_problems_and_count_of_others(folder, say):
     err = say("convert", "in.txt", "-o", "x", "--to", "mcap")[2]
     assert "in.txt: 12 more problems: --all" in err
     err = say("convert", "in.txt", "-o", "x", "--to", "mcap", "--force", "--all")[2]
-    assert "in.txt:34: no frame: 'nonsense'" in err
+    assert "in.txt:34: not a frame: 'nonsense'" in err
 
 
 @pytest.mark.parametrize(
@@ -68,7 +68,7 @@ def test_text_has_twenty_problems_and_count_of_others(folder, say):
         (("in.txt", "-o", "in.txt", "--to", "candump"), "is the source itself"),
         (("in.txt", "-o", "there.log"), "exists; name another file, or say --force"),
         (("in.txt", "-o", "no/such/x.log"), "cannot be written: no such file"),
-        (("in.txt", "-o", "there.log", "--to", "mcap", "--force"), "is no recording"),
+        (("in.txt", "-o", "there.log", "--to", "mcap", "--force"), "is not a recording"),
         (("in.txt", "-o", "folder.log", "--force"), "cannot be written: is a directory"),
         (("cut.txt", "-o", "x.mcap"), "no frame can be read as candump"),
         ((".", "-o", "x.mcap"), "is a directory"),
@@ -96,7 +96,7 @@ def test_modbus_adus_are_extracted_from_mixed_recording(folder, say):
         writer.write(line, 4, encode(MODBUS_ADU, values | {"direction": 0}))
     assert say("convert", "mixed.mcap", "-o", "can.pcapng")[1:] == (
         "can.pcapng: 1 frames of can0, from mcap to pcapng\n",
-        "mixed.mcap: /modbus/rs485: 2 messages are no CAN frames, and left out\n",
+        "mixed.mcap: /modbus/rs485: 2 messages are not CAN frames, and are omitted\n",
     )
     status, out, err = say(
         "convert", "mixed.mcap", "-o", "line.pcapng", "--to", "modbus-pcapng", "--strict"
@@ -104,7 +104,7 @@ def test_modbus_adus_are_extracted_from_mixed_recording(folder, say):
     assert status == 1
     assert out == ("line.pcapng: 2 ADUs of rs485, from mcap to modbus-pcapng, 1 not readable\n")
     assert err.splitlines() == [
-        "mixed.mcap:2: rs485: an ADU of which nobody said which way it went",
+        "mixed.mcap:2: rs485: an ADU without a direction",
         "mixed.mcap: lost, modbus-pcapng cannot hold it: bit times of 1 ADUs",
     ]
     assert say("convert", "line.pcapng", "-o", "again.mcap")[1:] == (

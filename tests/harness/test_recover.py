@@ -41,4 +41,4 @@ def test_file_that_is_not_a_recording_is_reported(say, tmp_path):
     status, out, err = say("recover", str(file), "-o", str(tmp_path / "b.mcap"))
     assert (status, out) == (2, "")
     assert err.count("\n") == 1
-    assert "is no MCAP file" in err
+    assert "is not an MCAP file" in err

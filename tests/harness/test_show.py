@@ -99,7 +99,8 @@ def test_brief_omits_repetitions(capsys, recording):
 def test_last_second_uses_mappings_but_no_old_transfer(capsys, recording):
     assert told(capsys, recording, "--last", "1") == [
         "can0      left (1) TPDO 1: 6041h statusword = 0218h fault",
-        "can0      SDO left (1): tells a segment of an object (the beginning was not recorded): 61",
+        "can0      SDO left (1): uploads a segment of an object "
+        "(the beginning was not recorded): 61",
     ]
 
 
@@ -152,7 +153,7 @@ def test_command_line_has_verb_show(capsys, recording, tmp_path):
     assert main(["diff", recording, recording]) == 0
     (tmp_path / "none.mcap").write_bytes(b"candump?")
     assert main(["show", str(tmp_path / "none.mcap")]) == 2
-    assert "no MCAP file" in capsys.readouterr().err
+    assert "not an MCAP file" in capsys.readouterr().err
 
 
 def test_empty_result_is_reported_with_reason(capsys, recording, tmp_path):

@@ -1,4 +1,4 @@
-"""Google's own implementation of our message types, made from the descriptors we embed."""
+"""Google's own implementation of our message types, built from our embedded descriptors."""
 
 from google.protobuf.descriptor_pb2 import FileDescriptorSet
 from google.protobuf.descriptor_pool import DescriptorPool

@@ -1,4 +1,4 @@
-"""Random traffic of what a format holds comes back from it as it was, to the digest."""
+"""Random traffic survives conversion to a format and back, with the same digest."""
 
 import tempfile
 from pathlib import Path
@@ -73,7 +73,7 @@ def recordings(draw, holds):
 
 @pytest.mark.parametrize("form", WRITABLE, ids=lambda form: form.name)
 @given(st.data())
-def test_what_a_format_holds_comes_back(form, data):
+def test_conversion_and_back_keeps_digest(form, data):
     frames = data.draw(recordings(form.holds))
     with tempfile.TemporaryDirectory() as name:
         paths = [Path(name) / file for file in ("a.mcap", "b" + form.ending, "c.mcap")]
@@ -86,7 +86,7 @@ def test_what_a_format_holds_comes_back(form, data):
 
 
 @given(recordings(BLF.holds))
-def test_python_can_reads_the_same_frames_out_of_a_blf(frames):
+def test_python_can_reads_same_frames_from_blf(frames):
     with tempfile.TemporaryDirectory() as name:
         paths = [Path(name) / file for file in ("a.mcap", "b.blf")]
         record_frames(paths[0], frames, {})

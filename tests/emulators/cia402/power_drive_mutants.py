@@ -1,6 +1,6 @@
-"""Drives with one thing wrong each, to see that it is found: name, and what to break.
+"""Drives with one defect each, to check that the tests find it: name, and what to break.
 
-Each breaks a class of the emulator for the time of one test (pytest's monkeypatch).
+Each breaks a class of the emulator for the duration of one test (pytest's monkeypatch).
 """
 
 from collections.abc import Callable

@@ -1,4 +1,4 @@
-"""A rig's table: every mistake is told with the keys down to it and the way out."""
+"""A rig's table: every mistake is reported with the path of its key and a remedy."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -19,7 +19,7 @@ def refused(**table: object) -> str:
     return str(caught.value)
 
 
-def test_a_node_id_is_all_it_takes():
+def test_node_id_alone_is_sufficient():
     settings = read_settings({"node_id": 7}, HERE)
     assert settings.node_id == 7
     assert settings.eds == OWN_EDS
@@ -32,7 +32,7 @@ def test_a_node_id_is_all_it_takes():
     )
 
 
-def test_numbers_arrive():
+def test_numbers_reach_the_settings():
     settings = read_settings(
         {
             "node_id": 1,
@@ -122,14 +122,14 @@ def test_numbers_arrive():
         ({"objects": {"\uff16065h": 1}}, "is no object; like"),
         ({"objects": {"6065h": 1, "6065H:0": 2}}, "objects.6065H:0: is given twice; take one out"),
         ({"objects": {"6065h": [1]}}, "objects.6065h: [1] is no value"),
-        ({"objects": {"6065h": 1.5}}, "objects.6065h: 1.5 is no whole number"),
+        ({"objects": {"6065h": 1.5}}, "objects.6065h: 1.5 is not a whole number"),
         ({"objects": {"6065h": -1}}, "objects.6065h: -1 does not fit data type 07h"),
         ({"objects": {"60C2h:2": 3}}, "objects.60C2h:2: 3 is outside -6..0"),
-        ({"objects": {"6065h": "a"}}, "objects.6065h: 'a' is no number"),
+        ({"objects": {"6065h": "a"}}, "objects.6065h: 'a' is not a number"),
         ({"objects": {"2000h": 1}}, "objects.2000h: motorhil_cia402.eds has no such object"),
         ({"objects": {"60c2h:3": 1}}, "objects.60c2h:3: motorhil_cia402.eds has no such object"),
-        ({"supported_modes": "pp"}, "supported_modes: 'pp' is no list of modes"),
-        ({"supported_modes": []}, "supported_modes: [] is no list of modes"),
+        ({"supported_modes": "pp"}, "supported_modes: 'pp' is not a list of modes"),
+        ({"supported_modes": []}, "supported_modes: [] is not a list of modes"),
         ({"supported_modes": ["vl"]}, "supported_modes: mode vl is not emulated; known: pp, pv"),
         ({"supported_modes": ["p"]}, "supported_modes: there is no mode 'p'; known: pp, pv"),
         ({"protection": {"stop": 1}}, "protection.stop: is not known; "),
@@ -170,13 +170,16 @@ def test_numbers_arrive():
             "protection.under_voltage_v: under-voltage at 40 V is not below over-voltage at 30 V; "
             "the supply's own is 24 V",
         ),
-        ({"quirks": "slow_sdo"}, "quirks: 'slow_sdo' is no list of names"),
+        ({"quirks": "slow_sdo"}, "quirks: 'slow_sdo' is not a list of names"),
         (
             {"quirks": ["slow"]},
             "quirks: there is no quirk 'slow'; did you mean slow_sdo? known: inverted_set_point_",
         ),
         ({"quirks": [["a"]]}, "quirks: there is no quirk \"['a']\"; known: "),
-        ({"quirks": {"slow_sdo": 3}}, "quirks.slow_sdo: 3 says nothing; true, or a table of: mean"),
+        (
+            {"quirks": {"slow_sdo": 3}},
+            "quirks.slow_sdo: 3 is not a valid value; true, or a table of: mean",
+        ),
         (
             {"quirks": {"slow_sdo": {"mean": 1}}},
             "quirks.slow_sdo.mean: is not known; did you mean mean_s?",
@@ -189,12 +192,13 @@ def test_numbers_arrive():
             {"quirks": {"stray_emcy": {"for_s": 1}}},
             "quirks.stray_emcy.for_s: is not known; take it out, there are none",
         ),
-        ({"quirks": "stray_emcy"}, "quirks: 'stray_emcy' is no list of names; [\"stray_emcy\"]"),
-        ({"quirks": ["stray_emcy"] * 2}, "quirks: stray_emcy is there twice; take one out"),
-        ({"supported_modes": ["pp", "pp"]}, "supported_modes: mode pp is there twice"),
+        ({"quirks": "stray_emcy"}, "quirks: 'stray_emcy' is not a list of names; [\"stray_emcy\"]"),
+        ({"quirks": ["stray_emcy"] * 2}, "quirks: stray_emcy is listed twice; take one out"),
+        ({"supported_modes": ["pp", "pp"]}, "supported_modes: mode pp is listed twice"),
         (
             {"cyclic": {"sync_lost_code": 0x8700}},
-            "cyclic.sync_lost_code: there is no fault to tell; write sync_lost_periods = 5, too",
+            "cyclic.sync_lost_code: has no effect without sync_lost_periods; "
+            "add sync_lost_periods = 5",
         ),
         (
             {"plant": {"preset": "wheel_6w"}},
@@ -239,16 +243,16 @@ def test_numbers_arrive():
         ),
     ],
 )
-def test_mistakes_are_told(table, text):
+def test_mistake_is_reported_with_key_and_remedy(table, text):
     assert text in refused(**table)
 
 
-def test_what_is_written_as_it_is_by_default_does_no_harm():
+def test_explicit_default_values_change_nothing():
     told = {"coupling_damping_n_m_s_rad": 0.0, "ambient_c": 25.0}
     assert read_settings({"node_id": 3, "plant": told}, HERE).plant == PRESETS["wheel_60w"]
 
 
-def test_a_switch_beyond_the_ends_of_the_way_is_told():
+def test_switch_beyond_the_end_of_travel_is_reported():
     plant = {"preset": "wheel_60w", "stop_low_rad": -1.0, "stop_high_rad": 1.0}
     there = {"negative_limit_rad": -0.9, "positive_limit_rad": 1.1, "home_from_rad": -3.0}
     drive = new_drive(plant=plant, switches={**there, "home_to_rad": -2.0})
@@ -261,32 +265,32 @@ def test_a_switch_beyond_the_ends_of_the_way_is_told():
     assert not new_drive(switches=there).take_events()
 
 
-def test_a_missing_node_id_is_told():
+def test_missing_node_id_is_reported():
     with pytest.raises(SettingError, match="node_id: is missing"):
         read_settings({}, HERE)
 
 
-def test_a_file_that_is_no_drives_is_refused(tmp_path):
+def test_file_not_of_a_cia402_drive_is_rejected(tmp_path):
     text = OWN_EDS.read_text()
     (tmp_path / "other.eds").write_text(text.replace("6041", "6042"))
-    assert "no CiA 402 drive's file" in refused(folder=tmp_path, eds="other.eds")
+    assert "not the EDS of a CiA 402 drive" in refused(folder=tmp_path, eds="other.eds")
 
 
-def test_a_broken_file_is_refused_with_its_line(tmp_path):
+def test_broken_file_is_rejected_with_its_line(tmp_path):
     (tmp_path / "broken.eds").write_text("[1000]\nParameterName=x\nthis is no eds\n")
     message = refused(folder=tmp_path, eds="broken.eds")
     assert message.startswith("eds: ")
     assert "broken.eds" in message
 
 
-def test_initial_position_is_where_the_output_stands():
+def test_initial_position_is_that_of_the_output():
     bench = Bench(initial_position_rad=0.25)
     bench.boot()
     assert bench.truth("position_rad") == pytest.approx(0.25, abs=1e-4)
     assert bench.read(0x6064) == 0.25 / 6.283185307179586 * 132_000 // 1
 
 
-def test_an_object_the_file_lacks_may_have_a_value_behind_the_scenes(tmp_path):
+def test_object_missing_in_the_file_may_have_a_hidden_value(tmp_path):
     eds = tmp_path / "without.eds"
     eds.write_text(OWN_EDS.read_text().replace("60F2", "60EF").replace("60C5", "60EE"))
     bench = Bench(eds=str(eds), objects={"60F2h": 1})  # relative moves count from the demand

@@ -196,7 +196,7 @@ def test_series_existing_file_is_kept_unless_overwrite(tmp_path):
     write_series(path, 20, overwrite=True)
     assert len(recorded(path)) == 20
     (tmp_path / "notes.mcap").write_text("dear diary")
-    with pytest.raises(TraceError, match="is no recording, and would be lost"):
+    with pytest.raises(TraceError, match="is not a recording, and would be overwritten"):
         write_series(tmp_path / "notes.mcap", overwrite=True)
 
 

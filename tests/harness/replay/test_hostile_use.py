@@ -115,7 +115,7 @@ def test_input_from_a_pipe_is_refused_at_once(folder, say, words):
     status, out, err = say(*words)
     assert (status, out) == (2, "")
     assert err == (
-        "pipe: is a pipe, and read from its beginning to its end only; write it to a file first\n"
+        "pipe: is a pipe, which can only be read from beginning to end; write it to a file first\n"
     )
 
 

@@ -128,7 +128,7 @@ def test_as_host_with_missing_drive_reports_it(folder, say):
     ("words", "told"),
     [
         (("none.mcap", "--as", "device"), "none.mcap"),
-        (("text.mcap", "--as", "host"), "is no MCAP file"),
+        (("text.mcap", "--as", "host"), "is not an MCAP file"),
         (("bench.mcap", "--as", "host", "--rig", "missing.toml"), "missing.toml"),
         (("bench.mcap", "--as", "device", "missing.py"), "missing.py"),
         (("bench.mcap", "--as", "host", "-o", "nowhere/x.mcap"), "nowhere"),
@@ -166,7 +166,7 @@ def test_rig_may_have_one_recorded_controller(folder, say):
     ("line", "told"),
     [
         ('recording = "none.mcap"', "no such file"),
-        ('recording = "other.toml"', "is no MCAP file"),
+        ('recording = "other.toml"', "is not an MCAP file"),
         ("", "is missing or not a text"),
         ('recording = "bench.mcap"\nrecorded_bus = "can7"', "no data of node 1 on can7"),
         ('recording = "bench.mcap"\nplant = {}', "is not known"),
