@@ -43,7 +43,8 @@ def require_argument(motor: str, argument: object) -> None:
     rate = argument.rate_max
     if rate is not None and not as_number(rate) >= 0.0:
         raise UsageError(
-            f"{motor}: rate_max of {argument!r} is {rate!r}; a number >= 0, or None if not known"
+            f"{motor}: rate_max of {argument!r} is {rate!r}; expected a number >= 0, or None "
+            "if unknown"
         )
 
 

@@ -2,8 +2,8 @@
 
 Error messages have the SocketCAN format: a can_frame of 8 bytes with ERR_FLAG in its identifier,
 whose other bits are error classes. All listeners (`Runtime.listen`) receive them. They are not bus
-traffic: no node has sent them. An adaptation has one `BusStatus` per bus. It passes each error
-message to `hear`, and checks the status before it sends and while it waits:
+traffic: no node has sent them. An adaptation has one `BusStatus` per bus. The adaptation passes
+error messages to `hear`, and checks the status before it sends and while it waits:
 
 - In bus-off (256 transmit errors) nothing is sent or received: `check` raises LinkError.
 - Operations that were waiting when the bus went off fail at once with `failure`, even if the bus

@@ -2,9 +2,10 @@
 
 The analysis is that of Davis, Burns, Bril, Lukkien, "Controller Area Network (CAN) schedulability
 analysis: Refuted, revisited and revised" (Real-Time Systems 35, 2007). A frame of message m waits
-for one lower-priority frame already on the bus (blocking B). It also waits for all higher-priority
-frames that arrive before it begins, and for earlier frames of its own message. Every instance in
-the busy period is examined: the first is not always the worst, which the older analysis missed.
+for one lower-priority frame already on the bus (blocking B). The frame also waits for
+higher-priority frames that arrive before it begins, and for earlier frames of its own message.
+Every instance in the busy period is examined: the first is not always the worst, which the older
+analysis missed.
 
     t     = B + sum over hp(m) and m of ceil((t + J) / T) C         the busy period
     w(q)  = B + q C_m + sum over hp(m) of ceil((w(q) + J + tau) / T) C

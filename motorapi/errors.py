@@ -143,7 +143,7 @@ class SynchronizationError(UsageError):
     def __init__(self, *, capability: "SyncCapability", asked: str, found: str) -> None:
         self.capability = capability
         self.asked = asked
-        super().__init__(f"start refused: {asked} was asked for, {found}")
+        super().__init__(f"start refused: {asked} was requested, {found}")
 
 
 @final

@@ -215,7 +215,7 @@ def require_no_fault(motor: "Motor") -> MotorState:
     """
     state = motor._call(motor._read_state)
     if state is MotorState.OFFLINE:
-        reason, remedy = f"{motor.name} is not heard", "look at its power, its cable and the bus"
+        reason, remedy = f"{motor.name} does not respond", "check its power, its cable and the bus"
         raise LinkError(link=motor._physical.label, reason=reason, remedy=remedy)
     if state is MotorState.FAULT:
         fault = motor._call(motor._read_fault)
@@ -242,7 +242,7 @@ def require_rest(motor: "Motor", operation: str) -> None:
     raise StateError(
         motor=motor.name,
         operation=operation,
-        state=f"{run.name} goes on since {run.since_ns / 1e9:.6f} s",
+        state=f"{run.name} is active since {run.since_ns / 1e9:.6f} s",
         remedy="wait_until_done() or stop() first" if run.ends else "stop() first",
     )
 

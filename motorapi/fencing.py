@@ -1,7 +1,7 @@
 """Fencing: commanding frames are sent only while their sender owns the motor.
 
 The owner of a motor may be paused between any two steps (by SIGSTOP, a debugger, a long garbage
-collection), and lose the motor without knowing it. It must not command the motor afterwards.
+collection), and lose the motor without knowing it. Then it must not command the motor.
 Therefore the ownership check and the transmission of a frame are one step (`begin_write` to
 `end_write`). A takeover waits for the end of such a step, and no new step begins. A hub refuses
 frames still under way at that time, by the token of the ownership.

@@ -3,12 +3,12 @@
 An adaptation derives from `motorapi.motor.Motor`, contains a hardware object, and implements these
 hooks. All values are in SI units with the sign of the motor model; increments stay inside the
 hardware object. Unless its documentation says otherwise, a hook may wait, through `self.runtime`
-only. It raises the errors of `motorapi.errors`; any other exception reaches the caller as a
+only. Hooks raise the errors of `motorapi.errors`; any other exception reaches the caller as a
 `PluginError`. The public methods check modes, limits and state before they call a hook. They ensure
 that no two acting hooks run at once on one physical motor, except `_stop`, `_stop_with_others`,
 `_quick_stop` and `_halt`. U is the unit of position of the motor: rad, or m for a linear motor.
 
-The hardware object belongs to the adaptation. It must meet these requirements:
+The hardware object belongs to the adaptation. These requirements apply:
 
 - One hardware object exists per physical motor and process.
   `motorapi.sharing.register_physical_motor` returns the record with which the motor is built
@@ -27,8 +27,8 @@ The hardware object belongs to the adaptation. It must meet these requirements:
 - On CAN it declares the frames that it and its drive send, with `motorapi.traffic.note_node` and
   `note_stream`. Otherwise skew bounds of others on that bus are wrong.
 
-A motor may be left moving, by a process that died or lost the motor to a takeover. It is brought to
-rest with `_stop`, `_refresh` and `_is_done` before its next owner commands it.
+A motor may be left moving, by a process that died or lost the motor to a takeover. Such a motor is
+brought to rest by `_stop`, `_refresh` and `_is_done` before its next owner commands it.
 """
 
 from abc import ABC, abstractmethod
@@ -279,9 +279,9 @@ class MotorHooks(Device, ABC):
         """Return the hardware object for exclusive use by the application.
 
         Called in a transaction, at rest and without readers. The own activity of the hardware
-        object (a stream, a servo, a poll) must have ended on return, or StateError is raised. It
-        begins nothing by itself, and refuses other threads, while `self._physical.access` is set.
-        It need not be connected.
+        object (a stream, a servo, a poll) must have ended on return, or StateError is raised. The
+        object begins nothing itself, and refuses other threads, while `self._physical.access` is
+        set. A connection is not required.
         """
         raise UnsupportedError(motor=self.name, feature="low-level access")
 

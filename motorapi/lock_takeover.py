@@ -49,11 +49,11 @@ class Attempt(Enum):
     """Result of a takeover attempt."""
 
     TAKEN = "taken"
-    FREE = "nobody has it"
-    NOT_DUE = "its lease is not over"
+    FREE = "the lock is free"
+    NOT_DUE = "its lease has not expired"
     WRITING = "its holder is in the middle of a write"
-    TAKING = "somebody else takes it over"
-    FULL = "too many who lost it live on"
+    TAKING = "another takeover is under way"
+    FULL = "too many former holders are alive"
 
 
 @final

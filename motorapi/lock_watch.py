@@ -1,11 +1,11 @@
 """Watcher thread, which waits in the kernel for the turn of a place in a queue.
 
 A kernel wait for a lock between processes cannot be cancelled. So each lock has a thread for it,
-which lives while there is something to wait for, and a little longer. It only makes waits prompt:
-waiters also check by themselves from time to time.
+which lives while there is something to wait for, and a little longer. The thread only makes waits
+prompt: waiters also check by themselves from time to time.
 
 After a takeover, a thread that waits for the bytes of the former, living holder would never return.
-It is abandoned, and another thread waits for the bytes of the new epoch.
+This thread is abandoned, and another one waits for the bytes of the new epoch.
 """
 
 import threading

@@ -177,12 +177,12 @@ class MotorModel:
             text = Path(path).read_text(encoding="utf-8-sig")
             table = tomllib.loads(text)
         except tomllib.TOMLDecodeError as error:
-            problem, remedy = f"no TOML: {error}", _TOML_REMEDY
+            problem, remedy = f"not TOML: {error}", _TOML_REMEDY
             line = _line_in(str(error))
         except UnicodeDecodeError:
             problem, remedy = "cannot be read: not UTF-8", _FILE_REMEDY
         except RecursionError:
-            problem, remedy = "no TOML: nested too deeply", _TOML_REMEDY
+            problem, remedy = "not TOML: nested too deeply", _TOML_REMEDY
         except (OSError, ValueError, TypeError) as error:  # not a path, or an endless number
             problem = f"cannot be read: {getattr(error, 'strerror', None) or error}"
             remedy = _FILE_REMEDY

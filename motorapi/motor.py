@@ -57,7 +57,7 @@ _HOMING_TIMEOUT_S: Final = 60.0
 
 
 class Motor(SharedMotor):
-    """A logical motor: the user's view of one physical motor. It keeps settings until start().
+    """A logical motor: the user's view of one physical motor. Settings stay here until start().
 
     An adaptation derives from it and implements the hooks; it cannot override public methods.
     """

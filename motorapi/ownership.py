@@ -384,7 +384,7 @@ class Ownership:
     def owned_to_set_up(self, runtime: "Runtime", label: str) -> Iterator[Callable[[], None]]:
         """Yield a function that ensures the ownership needed to write to the drive.
 
-        It raises MotorBusyError if another process owns the motor.
+        The function raises MotorBusyError if another process owns the motor.
         """
         set_up = SetUp(self, self._teller, runtime, label)
 

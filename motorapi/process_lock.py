@@ -181,22 +181,22 @@ class ProcessLock:
             return busy_error(None, asker or self.label, holder, "")
         return MotorBusyError(
             motor=asker or self.label,
-            holder="nobody, and must be taken before it is commanded,",
+            holder="no process, and must be acquired before a command,",
             since_ns=0,
-            since="it was given back",
+            since="its release",
         )
 
     def being_taken(self, token: int, asker: str) -> MotorBusyError:
         """Return the error for writing during a takeover."""
         takeover = find_takeover(self._directory, self.name, token, is_done=False)
         who = Occupant(None if takeover is None else takeover.by)
-        return busy_error(None, asker or self.label, who, ", in the middle of taking it over")
+        return busy_error(None, asker or self.label, who, ", during its takeover")
 
     def loss_of(self, token: int) -> Loss:
         """Return the loss of a token."""
         takeover = find_takeover(self._directory, self.name, token)
         if takeover is None:
-            return Loss("somebody", "", "how is not known any more")
+            return Loss("an unknown process", "", "the reason is no longer known")
         return _loss(Occupant(takeover.by), takeover.reason)
 
     def loss_by_removal(self) -> Loss | None:

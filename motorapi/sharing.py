@@ -2,10 +2,10 @@
 
 A hardware object registers the physical motor that it represents; a second one for the same motor
 is refused while the first exists. All logical motors on that hardware object share the resulting
-record. It separates four things:
+record. The record separates four things:
 
-- A *transaction*: one operation at a time (interleaved SDOs would mix settings of two owners). It
-  is short, first come, first served, and leaves no ownership behind.
+- A *transaction*: one operation at a time (interleaved SDOs would mix settings of two owners).
+  Transactions are short, first come, first served, and leave no ownership behind.
 - A *run*: one motion, from its command to its end. While it is active, the logical motor that began
   it holds the motor: others read, and may stop it, but not command it.
 - The *token*: it grows when the motor changes hands. The settings written by a hardware object are

@@ -2,8 +2,8 @@
 
 Callbacks (received frames, `every`) and the `done` conditions of waits run one at a time under one
 lock, which is released only during waits. So their shared data need no other lock, and no callback
-may wait. Any ordinary thread may use the runtime. It has one thread per bus with listeners, one for
-timers if there are any, and one per `spawn`; `close` ends them all.
+may wait. Any ordinary thread may use the runtime. There is one thread per bus with listeners, one
+for timers if there are any, and one per `spawn`; `close` ends them all.
 
 Time is int ns since the runtime was created, by the monotonic clock.
 """

@@ -17,8 +17,8 @@ def generate(
 ) -> Profile:
     """Return the absolute profile of a trajectory for a motor with this model.
 
-    It is as fast as the model and the limits of the trajectory allow, or has the duration of the
-    trajectory. Jerk is not limited: for that see `motorapi.generation.jerk_limited`.
+    The profile is as fast as model and trajectory allow, or has the duration of the trajectory.
+    Jerk is not limited: for that see `motorapi.generation.jerk_limited`.
 
     Args:
         trajectory: simple; its second derivatives at the ends, if any, must be 0.

@@ -104,9 +104,9 @@ def test_lock_directories_that_are_refused_are_told_and_not_taken_for_empty_ones
 
     missing = tmp_path / "missing"
     monkeypatch.setenv(VARIABLE, str(missing))
-    assert told().startswith(f"motorhil list: {missing}: there is no such directory.")
+    assert told().startswith(f"motorhil list: {missing}: the directory does not exist.")
     missing.mkdir(mode=0o755)
-    assert told().startswith(f"motorhil list: {missing}: mode 0755 lets everybody in;")
+    assert told().startswith(f"motorhil list: {missing}: mode 0755 gives access to everybody;")
     monkeypatch.setenv(VARIABLE, "here")
     assert told() == f"motorhil list: {VARIABLE}=here: must be an absolute path\n"
 
@@ -119,7 +119,7 @@ def test_one_file_that_is_no_lock_does_not_hide_the_others(runtime, locks, tmp_p
         assert motorhil(["list", "motors"]) == 2
     output = capsys.readouterr()
     assert output.out.startswith("can0 node 3 ")
-    assert output.err == f"motorhil list: {file}: this is no lock file; remove it\n"
+    assert output.err == f"motorhil list: {file}: not a lock file; remove it\n"
 
 
 def test_what_a_program_says_of_itself_cannot_work_the_terminal(runtime, locks, capsys):

@@ -182,7 +182,7 @@ def test_what_a_plugin_refuses_is_told_with_its_line(write, old, new, told):
 def test_a_mistake_in_a_model_file_is_told_with_that_files_line(write, bench):
     path = write(GOOD)
     (bench / "wheel.toml").write_text("velocity_max_rad_s = 5\nacceleration_max = 3\n")
-    assert refusal(path).startswith("wheel.toml:2: acceleration_max: a motor model has no such key")
+    assert refusal(path).startswith("wheel.toml:2: acceleration_max: unknown key of a motor model")
 
 
 def test_what_an_adaptation_refuses_is_told_with_the_motors_line(write):

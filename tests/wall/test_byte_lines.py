@@ -63,7 +63,9 @@ def test_a_device_that_goes_while_it_is_opened_is_a_broken_link_with_the_remedy(
     master, slave = pty.openpty()
     path = os.ttyname(slave)
     monkeypatch.setattr(termios, call, gone)
-    with pytest.raises(LinkError, match=rf"^{path}: .*Input/output error.*is it plugged in"):
+    with pytest.raises(
+        LinkError, match=rf"^{path}: .*Input/output error.*check that it is plugged in"
+    ):
         SerialLine(path, runtime=WallRuntime())
     os.close(slave)
     os.close(master)

@@ -42,7 +42,7 @@ def test_from_a_paused_process_it_is_taken_on_demand_and_that_one_cannot_write_a
     assert holder.ask("write") == "wrote 1"
     pause(wall, lock, holder)
     with pytest.raises(
-        MotorBusyError, match=rf"paused.*; let it go on \(kill -CONT {holder.pid}\), or end it"
+        MotorBusyError, match=rf"paused.*; continue it \(kill -CONT {holder.pid}\), or end it"
     ):
         lock.acquire(wall, "mine", timeout_s=0.05)
     hold = lock.acquire(wall, "rescue", take_over=True)
