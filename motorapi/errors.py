@@ -2,18 +2,18 @@
 
     MotorError
     |-- UsageError            your mistake; nothing was sent
-    |   |-- LimitError        a value is outside the limits of the motor or its model
+    |   |-- LimitError        a value lies outside what the motor, or its model, allows
     |   |-- DomainError       a function has no value at that argument
-    |   |-- StateError        the state of the motor forbids the operation now
-    |   |-- UnsupportedError  this motor never supports the operation
-    |   |-- SynchronizationError  these motors cannot begin as closely together as requested
-    |   `-- FileError         one of your files is invalid: path, line, key, remedy
-    |-- MotorBusyError        another owner holds the motor: name, since when
-    |-- MotionInterrupted     another party stopped or replaced the awaited motion
+    |   |-- StateError        not now: what the motor is doing, or is, forbids it
+    |   |-- UnsupportedError  this motor can never do it
+    |   |-- SynchronizationError  these motors cannot begin together as well as was asked
+    |   `-- FileError         a file of yours says what it cannot mean: path, line, key, remedy
+    |-- MotorBusyError        somebody else holds the motor: who, since when
+    |-- MotionInterrupted     the motion waited for was stopped or replaced by somebody else
     |-- PeerError             the device refused, or broke its protocol
     |-- DeviceFault           the drive reports a fault: code, since when
-    |-- LinkError             bus off, bus closed, or the device no longer responds
-    |-- DeadlineExceeded      what was awaited, for how long, what was received last
+    |-- LinkError             the bus is off, closed, or the device is not there any more
+    |-- DeadlineExceeded      what was awaited, for how long, what was heard last
     `-- PluginError           an adaptation, or a callback, broke its contract
 
 Attributes carry the facts, so that callers need not parse a message. Messages carry value, limit,
