@@ -113,9 +113,7 @@ class _FrameBusSource:
         self.reports_own = True
         self._bus = bus
         self._frames: _FrameBus = bus  # type: ignore[assignment]  # source_of has looked
-        self._lead_ns = (
-            0  # offset of this clock to the bus clock [ns], from the frame with the least delay
-        )
+        self._lead_ns = 0  # offset to the bus clock, from the frame with the least delay
         self._last_ns = _NEVER_NS
 
     def open(self) -> None:

@@ -105,9 +105,7 @@ class Turns:
     @contextmanager
     def at_once(self, runtime: Runtime, who: str) -> Iterator[bool]:
         """Try to take a turn without waiting, as in a callback; yield True on success."""
-        ticket = Ticket(
-            who, 0, runtime.now_ns()
-        )  # no thread: the thread of a callback is irrelevant
+        ticket = Ticket(who, 0, runtime.now_ns())  # no thread: that of a callback is irrelevant
         with self._mutex:
             is_first = not self._queue
             if is_first:

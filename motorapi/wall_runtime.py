@@ -111,9 +111,7 @@ class WallRuntime:
         self._timers = Timers(self.now_ns, self._run_timer)
         self._waiting = 0
         self._closed = False
-        self.is_the_parents = (
-            False  # True if it belongs to the process from which this one was forked
-        )
+        self.is_the_parents = False  # True in a forked child
 
     # --- Runtime ---------------------------------------------------------------------------
 

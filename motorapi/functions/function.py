@@ -11,14 +11,12 @@ The rules, for every function `f`:
   counts, at the highest argument of the domain the last one. Its derivative is that of its pieces,
   by the same rule: from the right at a break, and without an impulse at a jump.
 - *Derivative* of any order: `f.derivative(2)`; order 0 is the function itself.
-- *Integral.* `f.integral()` is the antiderivative that is 0 at the lower end of the domain. Without
-  a lower end it is 0 at 0, or at the upper end if that is below 0. `f.integrate(low, high)` is the
-  definite integral, more accurate than a difference of the antiderivative; with `high < low` its
-  sign changes.
-- *Extrema* over a closed interval are exact to rounding for (piecewise) polynomials and waves;
-  among equal ones, the one at the lowest argument is returned. Other functions are searched with
-  bounds that miss nothing, to 1e-12 of the size of the values; among equal ones, any is returned
-  (`motorapi.functions.search`).
+- *Integral.* `f.integral()` is the antiderivative that is 0 at the lower end of the domain, or at
+  min(0, upper end) without a lower end. `f.integrate(low, high)` is the definite integral, more
+  accurate than a difference of the antiderivative; with `high < low` its sign changes.
+- *Extrema* over a closed interval are exact to rounding for (piecewise) polynomials and waves; the
+  first of equal ones is returned. Other functions are searched with bounds that miss nothing, to
+  1e-12 of the size of the values; any of equal ones is returned (`motorapi.functions.search`).
 - *Arrays.* `f(x)` takes a number, or an array and returns one of the same shape. Functions made of
   polynomials give the same bits either way; sines and exponentials agree to the last digit or two
   (the C library computes single numbers, numpy computes arrays).
@@ -158,9 +156,7 @@ class Function(ABC):
     def derivative(self, order: int = 1) -> "Function":
         """Return the derivative of `order` >= 0; UsageError if it exceeds the largest float."""
         if not isinstance(order, int) or order < 0:
-            raise UsageError(
-                f"{self!r}: {order!r} is not the order of a derivative; expected 0, 1, 2, ..."
-            )
+            raise UsageError(f"{self!r}: derivative order {order!r}; expected 0, 1, 2, ...")
         try:
             return self._derivative(order) if order else self
         except (OverflowError, RecursionError) as error:
@@ -300,9 +296,7 @@ class Function(ABC):
     def __truediv__(self, divisor: float) -> "Function":
         number = as_number(divisor)
         if number != number or number == 0.0:
-            raise UsageError(
-                f"{self!r} cannot be divided by {divisor!r}; expected a number other than 0"
-            )
+            raise UsageError(f"{self!r}: divisor {divisor!r}; expected a number other than 0")
         return self.__mul__(1.0 / number)
 
     # --- value semantics

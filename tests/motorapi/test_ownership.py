@@ -61,9 +61,7 @@ def test_waiter_starts_at_the_end_of_the_motion_before_it(runtime, logical):
     a.start()
     a_takes_s = a.progress().expected_s
     b.start(timeout_s=10)
-    assert (
-        0 <= runtime.now_ns() - a_takes_s * 1e9 <= 2 * MS
-    )  # the motor in memory is polled every ms
+    assert 0 <= runtime.now_ns() - a_takes_s * 1e9 <= 2 * MS  # the motor is polled every ms
     assert a.is_done()
     b.wait_until_done()
     assert b.position() == pytest.approx(0.2)  # a sum of two 0.1

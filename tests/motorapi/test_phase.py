@@ -86,9 +86,7 @@ def test_motors_cover_equal_fractions_at_every_instant(members):
         return
     duration_s = max(profile(one).duration_s for one in going)
     for one in going:
-        assert one.motion.duration_s == pytest.approx(
-            duration_s, rel=1e-9
-        )  # one floating-point sum each
+        assert one.motion.duration_s == pytest.approx(duration_s, rel=1e-9)  # one sum each
     for place in range(21):
         time_s = duration_s * place / 20
         parts = [profile(one).position(time_s) / one.motion.distance for one in going]
@@ -168,9 +166,7 @@ def test_common_duration_equals_that_of_ruckig(ways, limits, alike):
     ]
     is_line = all(max(part) - min(part) < 1e-7 for part in parts)
     event(f"Ruckig's is a line: {is_line}")
-    assert ours_s >= theirs.duration * (
-        1.0 - 1e-7
-    )  # 1e-7: Ruckig's own accuracy is 1e-8 of a distance
+    assert ours_s >= theirs.duration * (1.0 - 1e-7)  # accuracy of Ruckig: 1e-8 of a distance
     if not is_line:
         return
     assert ours_s <= theirs.duration * (1.0 + 1e-7)

@@ -86,9 +86,7 @@ def test_motion_without_backward_range_has_a_maximum_time():
     assert (low, high) == pytest.approx((0.5, 2.0 * (1.0 - 0.5**0.5)), rel=1e-15)
     with pytest.raises(UsageError, match=r"only from 0.5 to 0.585786 s:"):
         trapezoid(0.5, one_way, duration_s=1.0, **THROUGH)
-    assert possible_durations(1.0, one_way, **THROUGH) == (
-        (1.0, inf),
-    )  # just enough distance to stop
+    assert possible_durations(1.0, one_way, **THROUGH) == ((1.0, inf),)  # sufficient to stop
 
 
 def test_distance_just_sufficient_to_stop_permits_a_stop():
